@@ -1,0 +1,65 @@
+//! Leases and jobs.
+
+use super::required;
+use crate::grid::Walks;
+use crate::ids::DictionaryId;
+use crate::invalid::{Invalid, Result};
+use crate::job::{JobSpec, Lease, LeaseKey};
+use crate::optics::TransportPoint;
+use crate::scene::Scene;
+use crate::wire;
+
+impl From<LeaseKey> for wire::LeaseKey {
+    fn from(key: LeaseKey) -> Self {
+        Self { dictionary_id: key.dictionary.0, job: key.job, attempt: key.attempt, token: key.token }
+    }
+}
+
+impl From<wire::LeaseKey> for LeaseKey {
+    fn from(key: wire::LeaseKey) -> Self {
+        let dictionary = DictionaryId(key.dictionary_id);
+        Self { dictionary, job: key.job, attempt: key.attempt, token: key.token }
+    }
+}
+
+impl From<&JobSpec> for wire::JobSpec {
+    fn from(job: &JobSpec) -> Self {
+        Self {
+            scene: Some(job.scene().into()),
+            point: Some(job.point().into()),
+            albedo: job.albedo().to_vec(),
+            walks: job.walks().get(),
+            seed: job.seed(),
+            derivatives: job.derivatives(),
+            first_record: job.first_record() as u32,
+        }
+    }
+}
+
+impl TryFrom<wire::JobSpec> for JobSpec {
+    type Error = Invalid;
+
+    fn try_from(job: wire::JobSpec) -> Result<Self> {
+        let scene = Scene::try_from(required("scene", job.scene)?).map_err(|e| e.within("scene"))?;
+        let point = TransportPoint::try_from(required("point", job.point)?).map_err(|e| e.within("point"))?;
+        let walks = Walks::new(job.walks)?;
+        Ok(Self::new(scene, point, job.albedo, walks, job.seed, job.derivatives)?
+            .numbered_from(job.first_record as usize))
+    }
+}
+
+impl From<Lease> for wire::Lease {
+    fn from(lease: Lease) -> Self {
+        Self { key: Some(lease.key.into()), job: Some((&lease.job).into()) }
+    }
+}
+
+impl TryFrom<wire::Lease> for Lease {
+    type Error = Invalid;
+
+    fn try_from(lease: wire::Lease) -> Result<Self> {
+        let key = LeaseKey::from(required("key", lease.key)?);
+        let job = JobSpec::try_from(required("job", lease.job)?).map_err(|e| e.within("job"))?;
+        Ok(Self { key, job })
+    }
+}

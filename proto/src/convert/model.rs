@@ -1,0 +1,203 @@
+//! Scenes, grids, points, profiles, records.
+
+use super::required;
+use crate::grid::{Axes, Grid, Walks};
+use crate::invalid::{Invalid, Result, each};
+use crate::optics::{Medium, TransportPoint};
+use crate::profile::{Derivatives, Estimate, Profile, Record};
+use crate::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
+use crate::wire;
+
+impl From<&Scene> for wire::Scene {
+    fn from(scene: &Scene) -> Self {
+        let layer = |l: &Layer| wire::Layer {
+            name: l.name().to_owned(),
+            roughness: l.roughness(),
+            medium: Some(match l.medium() {
+                LayerMedium::Clear { ior, thickness_mm } => {
+                    wire::layer::Medium::Clear(wire::ClearMedium { ior, thickness_mm })
+                }
+                LayerMedium::Sample => wire::layer::Medium::Sample(wire::SampleMedium {}),
+            }),
+        };
+        let channel = |c: &Channel| wire::Channel {
+            name: c.name().to_owned(),
+            rho_light: c.rho_light(),
+            rho_dark: c.rho_dark(),
+        };
+        let (light, sensor) = (scene.light(), scene.sensor());
+        Self {
+            layers: scene.layers().iter().map(layer).collect(),
+            channels: scene.channels().iter().map(channel).collect(),
+            light: Some(wire::RingLight { inner_deg: light.inner_deg(), outer_deg: light.outer_deg() }),
+            sensor: Some(wire::Sensor {
+                width_mm: sensor.width_mm(),
+                pixels: sensor.pixels() as u32,
+                polar_deg: sensor.polar_deg(),
+            }),
+            multiple_scattering: scene.multiple_scattering(),
+        }
+    }
+}
+
+impl TryFrom<wire::Scene> for Scene {
+    type Error = Invalid;
+
+    fn try_from(scene: wire::Scene) -> Result<Self> {
+        let layer = |l: wire::Layer| match required("medium", l.medium)? {
+            wire::layer::Medium::Clear(c) => Layer::clear(l.name, c.ior, c.thickness_mm, l.roughness),
+            wire::layer::Medium::Sample(_) => Layer::sample(l.name, l.roughness),
+        };
+        let light = required("light", scene.light)?;
+        let sensor = required("sensor", scene.sensor)?;
+        Scene::new(
+            each("layers", scene.layers, layer)?,
+            each("channels", scene.channels, |c| Channel::new(c.name, c.rho_light, c.rho_dark))?,
+            RingLight::new(light.inner_deg, light.outer_deg).map_err(|e| e.within("light"))?,
+            Sensor::new(sensor.width_mm, sensor.pixels, sensor.polar_deg).map_err(|e| e.within("sensor"))?,
+            scene.multiple_scattering,
+        )
+    }
+}
+
+impl From<&Grid> for wire::Grid {
+    fn from(grid: &Grid) -> Self {
+        Self {
+            scene: Some(grid.scene().into()),
+            sigma_t_per_mm: grid.sigma_t_per_mm().to_vec(),
+            albedo: grid.albedo().to_vec(),
+            g: grid.g().to_vec(),
+            thickness_mm: grid.thickness_mm().to_vec(),
+            sample_ior: grid.sample_ior().to_vec(),
+            walks: grid.walks().get(),
+            seed: grid.seed(),
+            derivatives: grid.derivatives(),
+        }
+    }
+}
+
+impl TryFrom<wire::Grid> for Grid {
+    type Error = Invalid;
+
+    fn try_from(grid: wire::Grid) -> Result<Self> {
+        let scene = Scene::try_from(required("scene", grid.scene)?).map_err(|e| e.within("scene"))?;
+        let axes = Axes {
+            sigma_t_per_mm: grid.sigma_t_per_mm,
+            albedo: grid.albedo,
+            g: grid.g,
+            thickness_mm: grid.thickness_mm,
+            sample_ior: grid.sample_ior,
+        };
+        Grid::new(scene, axes, Walks::new(grid.walks)?, grid.seed, grid.derivatives)
+    }
+}
+
+impl From<TransportPoint> for wire::TransportPoint {
+    fn from(point: TransportPoint) -> Self {
+        Self {
+            sigma_t_per_mm: point.sigma_t_per_mm(),
+            g: point.g(),
+            thickness_mm: point.thickness_mm(),
+            sample_ior: point.sample_ior(),
+        }
+    }
+}
+
+impl TryFrom<wire::TransportPoint> for TransportPoint {
+    type Error = Invalid;
+
+    fn try_from(p: wire::TransportPoint) -> Result<Self> {
+        Self::new(p.sigma_t_per_mm, p.g, p.thickness_mm, p.sample_ior)
+    }
+}
+
+impl From<Medium> for wire::Medium {
+    fn from(m: Medium) -> Self {
+        Self { sigma_t_per_mm: m.sigma_t_per_mm(), albedo: m.albedo(), g: m.g() }
+    }
+}
+
+impl TryFrom<wire::Medium> for Medium {
+    type Error = Invalid;
+
+    fn try_from(m: wire::Medium) -> Result<Self> {
+        Self::new(m.sigma_t_per_mm, m.albedo, m.g)
+    }
+}
+
+impl From<Estimate> for wire::Estimate {
+    fn from(estimate: Estimate) -> Self {
+        let (values, std_errors) = estimate.into_parts();
+        Self { values, std_errors }
+    }
+}
+
+impl TryFrom<wire::Estimate> for Estimate {
+    type Error = Invalid;
+
+    fn try_from(estimate: wire::Estimate) -> Result<Self> {
+        Self::new(estimate.values, estimate.std_errors)
+    }
+}
+
+impl From<Record> for wire::Record {
+    fn from(record: Record) -> Self {
+        let profile = |p: Profile| {
+            let (d_albedo, d_sigma_t) = p.derivatives.map(|d| (d.albedo.into(), d.sigma_t.into())).unzip();
+            wire::Profile { radiance_factor: Some(p.radiance_factor.into()), d_albedo, d_sigma_t }
+        };
+        Self { index: record.index as u32, profiles: record.profiles.into_iter().map(profile).collect() }
+    }
+}
+
+impl TryFrom<wire::Record> for Record {
+    type Error = Invalid;
+
+    fn try_from(record: wire::Record) -> Result<Self> {
+        let place = format!("record {}", record.index);
+        let profiles = each("profiles", record.profiles, profile).map_err(|e| e.within(place))?;
+        Ok(Self { index: record.index as usize, profiles })
+    }
+}
+
+fn profile(p: wire::Profile) -> Result<Profile> {
+    let estimate = |field: &str, e: Option<wire::Estimate>| {
+        e.map(|e| Estimate::try_from(e).map_err(|e| e.within(field))).transpose()
+    };
+    let radiance_factor = required("radiance_factor", estimate("radiance_factor", p.radiance_factor)?)?;
+    let derivatives = match (estimate("d_albedo", p.d_albedo)?, estimate("d_sigma_t", p.d_sigma_t)?) {
+        (Some(albedo), Some(sigma_t)) => Some(Derivatives { albedo, sigma_t }),
+        (None, None) => None,
+        _ => return Err(Invalid::new("d_albedo", "one derivative", "both or none are needed")),
+    };
+    Ok(Profile { radiance_factor, derivatives })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grid_survives_the_wire() {
+        let grid = Grid::paper();
+        assert_eq!(Grid::try_from(wire::Grid::from(&grid)).unwrap(), grid);
+    }
+
+    #[test]
+    fn a_broken_wire_scene_names_its_field() {
+        let mut grid = wire::Grid::from(&Grid::paper());
+        let scene = grid.scene.as_mut().unwrap();
+        scene.layers[1].medium =
+            Some(wire::layer::Medium::Clear(wire::ClearMedium { ior: f64::NAN, thickness_mm: 1.0 }));
+        assert_eq!(Grid::try_from(grid).unwrap_err().field(), "scene.layers[1].ior");
+    }
+
+    #[test]
+    fn a_record_survives_the_wire() {
+        let estimate = |v: f32| Estimate::new(vec![v; 3], vec![v / 10.0; 3]).unwrap();
+        let derivatives = Derivatives { albedo: estimate(2.0), sigma_t: estimate(3.0) };
+        let profile = Profile { radiance_factor: estimate(1.0), derivatives: Some(derivatives) };
+        let record = Record { index: 7, profiles: vec![profile] };
+        assert_eq!(Record::try_from(wire::Record::from(record.clone())).unwrap(), record);
+    }
+}

@@ -1,0 +1,117 @@
+//! BLAKE3 digests: what makes two grids, points or results the same.
+
+use std::fmt;
+
+use prost::Message;
+
+use crate::grid::Grid;
+use crate::optics::TransportPoint;
+use crate::profile::Record;
+use crate::{PHYSICS_VERSION, wire};
+
+/// A 256-bit BLAKE3 digest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Digest([u8; 32]);
+
+impl Digest {
+    /// Identity of a dictionary: grid, scene and physics version.
+    pub fn of_grid(grid: &Grid) -> Self {
+        let mut hasher = blake3::Hasher::new_derive_key("farm.v1 grid");
+        hasher.update(&PHYSICS_VERSION.to_le_bytes());
+        hasher.update(&wire::Grid::from(grid).encode_to_vec());
+        Self(hasher.finalize().into())
+    }
+
+    /// Digest of a job's records: every number of every profile, in order.
+    pub fn of_records(records: &[Record]) -> Self {
+        let mut hasher = blake3::Hasher::new_derive_key("farm.v1 records");
+        let mut bytes = Vec::new();
+        for record in records {
+            bytes.clear();
+            bytes.extend((record.index as u64).to_le_bytes());
+            for estimate in record.profiles.iter().flat_map(|p| p.estimates()) {
+                let numbers = estimate.values().iter().chain(estimate.std_errors());
+                bytes.extend(numbers.flat_map(|v| v.to_le_bytes()));
+            }
+            hasher.update(&bytes);
+        }
+        Self(hasher.finalize().into())
+    }
+
+    /// Digest of a whole dictionary from the digests of its jobs, in order.
+    pub fn of_jobs(jobs: impl IntoIterator<Item = Self>) -> Self {
+        let mut hasher = blake3::Hasher::new_derive_key("farm.v1 dictionary");
+        for job in jobs {
+            hasher.update(&job.0);
+        }
+        Self(hasher.finalize().into())
+    }
+
+    pub fn from_bytes(bytes: [u8; 32]) -> Self {
+        Self(bytes)
+    }
+
+    pub fn as_bytes(&self) -> &[u8; 32] {
+        &self.0
+    }
+
+    pub fn from_hex(hex: &str) -> Option<Self> {
+        blake3::Hash::from_hex(hex).ok().map(|h| Self(h.into()))
+    }
+}
+
+impl fmt::Display for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&blake3::Hash::from_bytes(self.0).to_hex())
+    }
+}
+
+/// Philox key of a transport point: depends on the dictionary's seed and on the point's parameters,
+/// not on its place in a grid, so that the same point in another grid gets the same walks.
+pub fn stream_key(seed: u64, point: &TransportPoint) -> [u32; 2] {
+    let mut hasher = blake3::Hasher::new_derive_key("farm.v1 random streams");
+    hasher.update(&seed.to_le_bytes());
+    for v in [point.sigma_t_per_mm(), point.g(), point.thickness_mm(), point.sample_ior()] {
+        // Adding 0 turns -0 into 0, which is the same anisotropy.
+        hasher.update(&(v + 0.0).to_le_bytes());
+    }
+    let hash = hasher.finalize();
+    let word = |i: usize| u32::from_le_bytes(hash.as_bytes()[4 * i..][..4].try_into().expect("4 bytes"));
+    [word(0), word(1)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Walks;
+    use crate::grid::Axes;
+    use crate::scene::Scene;
+
+    #[test]
+    fn grids_that_differ_anywhere_have_different_digests() {
+        let grid = |seed, walks, scene| {
+            let axes = Axes {
+                sigma_t_per_mm: vec![1.0],
+                albedo: vec![0.5],
+                g: vec![0.0],
+                thickness_mm: vec![1.0],
+                sample_ior: vec![1.5],
+            };
+            Grid::new(scene, axes, Walks::new(walks).unwrap(), seed, false).unwrap()
+        };
+        let base = Digest::of_grid(&grid(1, 5000, Scene::smooth()));
+        assert_eq!(base, Digest::of_grid(&grid(1, 5000, Scene::smooth())));
+        assert_ne!(base, Digest::of_grid(&grid(2, 5000, Scene::smooth())));
+        assert_ne!(base, Digest::of_grid(&grid(1, 7500, Scene::smooth())));
+        assert_ne!(base, Digest::of_grid(&grid(1, 5000, Scene::paper())));
+        assert_eq!(Digest::from_hex(&base.to_string()), Some(base));
+    }
+
+    #[test]
+    fn streams_depend_on_seed_and_point() {
+        let point = |g| TransportPoint::new(1.0, g, 0.5, 1.53).unwrap();
+        assert_eq!(stream_key(1, &point(0.0)), stream_key(1, &point(-0.0)));
+        assert_ne!(stream_key(1, &point(0.0)), stream_key(2, &point(0.0)));
+        assert_ne!(stream_key(1, &point(0.0)), stream_key(1, &point(0.1)));
+    }
+}

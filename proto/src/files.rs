@@ -1,0 +1,197 @@
+//! Grid and scene files, in TOML.
+
+use serde::{Deserialize, Serialize};
+
+use crate::grid::{Axes, Grid, Walks};
+use crate::invalid::{Invalid, Result};
+use crate::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
+
+/// Content of a grid file. Lists that are left out are the paper's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GridFile {
+    #[serde(default)]
+    pub scene: SceneRef,
+    pub sigma_t_per_mm: Option<Vec<f64>>,
+    pub albedo: Option<Vec<f64>>,
+    pub g: Option<Vec<f64>>,
+    pub thickness_mm: Option<Vec<f64>>,
+    pub sample_ior: Option<Vec<f64>>,
+    pub walks: Option<u64>,
+    pub seed: Option<u64>,
+    #[serde(default)]
+    pub derivatives: bool,
+}
+
+/// `"paper"`, `"smooth"`, the path of a scene file, or a whole scene in place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum SceneRef {
+    Named(String),
+    Inline(SceneFile),
+}
+
+impl Default for SceneRef {
+    fn default() -> Self {
+        Self::Named("paper".to_owned())
+    }
+}
+
+impl GridFile {
+    pub fn into_grid(self, scene: Scene) -> Result<Grid> {
+        let paper = Grid::paper();
+        let or = |given: Option<Vec<f64>>, paper: &[f64]| given.unwrap_or_else(|| paper.to_vec());
+        let axes = Axes {
+            sigma_t_per_mm: or(self.sigma_t_per_mm, paper.sigma_t_per_mm()),
+            albedo: or(self.albedo, paper.albedo()),
+            g: or(self.g, paper.g()),
+            thickness_mm: or(self.thickness_mm, paper.thickness_mm()),
+            sample_ior: or(self.sample_ior, paper.sample_ior()),
+        };
+        let walks = self.walks.map_or(Ok(Walks::PAPER), Walks::new)?;
+        Grid::new(scene, axes, walks, self.seed.unwrap_or(paper.seed()), self.derivatives)
+    }
+}
+
+/// Content of a scene file. Tables that are left out are those of the paper.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneFile {
+    #[serde(default)]
+    pub multiple_scattering: bool,
+    pub light: Option<LightTable>,
+    pub sensor: Option<SensorTable>,
+    #[serde(rename = "channel", default)]
+    pub channels: Vec<ChannelTable>,
+    #[serde(rename = "layer")]
+    pub layers: Vec<LayerTable>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightTable {
+    pub ring_deg: [f64; 2],
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorTable {
+    pub width_mm: f64,
+    pub pixels: u32,
+    #[serde(default)]
+    pub polar_deg: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChannelTable {
+    pub name: String,
+    pub rho_light: f64,
+    pub rho_dark: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LayerTable {
+    pub name: String,
+    /// The sample takes index and thickness from the grid.
+    #[serde(default)]
+    pub sample: bool,
+    pub ior: Option<f64>,
+    pub thickness_mm: Option<f64>,
+    /// GGX α of the upper face.
+    #[serde(default)]
+    pub roughness: f64,
+}
+
+impl TryFrom<SceneFile> for Scene {
+    type Error = Invalid;
+
+    fn try_from(file: SceneFile) -> Result<Self> {
+        let paper = Scene::paper();
+        let light = match file.light {
+            Some(t) => RingLight::new(t.ring_deg[0], t.ring_deg[1]).map_err(|e| e.within("light"))?,
+            None => paper.light(),
+        };
+        let sensor = match file.sensor {
+            Some(t) => Sensor::new(t.width_mm, t.pixels, t.polar_deg).map_err(|e| e.within("sensor"))?,
+            None => paper.sensor(),
+        };
+        let channels = if file.channels.is_empty() {
+            paper.channels().to_vec()
+        } else {
+            crate::invalid::each("channel", file.channels, |c| Channel::new(c.name, c.rho_light, c.rho_dark))?
+        };
+        let layers = crate::invalid::each("layer", file.layers, layer)?;
+        Scene::new(layers, channels, light, sensor, file.multiple_scattering)
+    }
+}
+
+fn layer(table: LayerTable) -> Result<Layer> {
+    let LayerTable { name, sample, ior, thickness_mm, roughness } = table;
+    match (sample, ior, thickness_mm) {
+        (true, None, None) => Layer::sample(name, roughness),
+        (true, ..) => Err(Invalid::new("sample", "true with ior or thickness_mm", "those of the sample come from the grid")),
+        (false, Some(ior), Some(thickness)) => Layer::clear(name, ior, thickness, roughness),
+        (false, None, _) => Err(Invalid::new("ior", "missing", "a layer that is not the sample needs one")),
+        (false, _, None) => Err(Invalid::new("thickness_mm", "missing", "a layer that is not the sample needs one")),
+    }
+}
+
+impl From<&Scene> for SceneFile {
+    fn from(scene: &Scene) -> Self {
+        let layers = scene.layers().iter().map(|l| {
+            let (ior, thickness_mm) = match l.medium() {
+                LayerMedium::Clear { ior, thickness_mm } => (Some(ior), Some(thickness_mm)),
+                LayerMedium::Sample => (None, None),
+            };
+            let (name, roughness) = (l.name().to_owned(), l.roughness());
+            LayerTable { name, sample: ior.is_none(), ior, thickness_mm, roughness }
+        });
+        let channels = scene.channels().iter().map(|c| ChannelTable {
+            name: c.name().to_owned(),
+            rho_light: c.rho_light(),
+            rho_dark: c.rho_dark(),
+        });
+        let sensor = scene.sensor();
+        Self {
+            multiple_scattering: scene.multiple_scattering(),
+            light: Some(LightTable { ring_deg: [scene.light().inner_deg(), scene.light().outer_deg()] }),
+            sensor: Some(SensorTable {
+                width_mm: sensor.width_mm(),
+                pixels: sensor.pixels() as u32,
+                polar_deg: sensor.polar_deg(),
+            }),
+            channels: channels.collect(),
+            layers: layers.collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_built_in_scenes_survive_a_trip_through_toml() {
+        for scene in [Scene::paper(), Scene::smooth().with_multiple_scattering(true)] {
+            let text = toml::to_string(&SceneFile::from(&scene)).unwrap();
+            let back: SceneFile = toml::from_str(&text).unwrap();
+            assert_eq!(Scene::try_from(back).unwrap(), scene);
+        }
+    }
+
+    #[test]
+    fn an_empty_grid_file_is_the_papers_grid() {
+        let file: GridFile = toml::from_str("").unwrap();
+        assert_eq!(file.into_grid(Scene::paper()).unwrap(), Grid::paper());
+    }
+
+    #[test]
+    fn a_sample_with_an_index_of_its_own_is_refused() {
+        let text = "[[layer]]\nname = 's'\nsample = true\nior = 1.5";
+        let file: SceneFile = toml::from_str(text).unwrap();
+        let error = Scene::try_from(file).unwrap_err();
+        assert_eq!(error.field(), "layer[0].sample");
+    }
+}

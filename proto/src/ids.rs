@@ -1,0 +1,81 @@
+//! Names, identifiers and the limits that bound every request.
+
+use std::fmt;
+
+use crate::invalid::{Invalid, Result};
+
+/// Name of a dictionary: 1 to 64 letters, digits, `-`, `_` or `.`, beginning with a letter or digit.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct DictionaryName(String);
+
+impl DictionaryName {
+    pub fn new(name: impl Into<String>) -> Result<Self> {
+        let name = name.into();
+        let ok = (1..=64).contains(&name.len())
+            && name.starts_with(|c: char| c.is_ascii_alphanumeric())
+            && name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));
+        if ok {
+            return Ok(Self(name));
+        }
+        let allowed = "1 to 64 letters, digits, '-', '_' or '.', beginning with a letter or digit";
+        Err(Invalid::new("name", format_args!("{name:?}"), allowed))
+    }
+
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for DictionaryName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Number that the store gave a dictionary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct DictionaryId(pub i64);
+
+/// Identifier that the coordinator gave a worker at registration.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct WorkerId(pub String);
+
+impl fmt::Display for WorkerId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Bounds of what one gRPC message or call may ask for.
+#[derive(Debug)]
+pub struct RequestLimits;
+
+impl RequestLimits {
+    /// Largest gRPC message in bytes: a record with 64 channels of 8192 pixels and derivatives has 12 MiB.
+    pub const MESSAGE_BYTES: usize = 16 << 20;
+    /// Most leases of one call.
+    pub const LEASES: u32 = 1024;
+    /// Longest wait for work.
+    pub const WAIT_MS: u64 = 30_000;
+    /// Most neighbours of one fit.
+    pub const TOP: u32 = 10_000;
+    /// Most profiles of one measurement.
+    pub const MEASURED_PROFILES: usize = 1024;
+    /// Most pixels of one measured profile.
+    pub const MEASURED_PIXELS: usize = 100_000;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_would_hurt_in_a_shell_or_a_path_are_refused() {
+        for good in ["paper", "a", "2026-11.fine_grid"] {
+            assert!(DictionaryName::new(good).is_ok(), "{good}");
+        }
+        for bad in ["", "-x", "../x", "a b", "ä", &"x".repeat(65)] {
+            assert!(DictionaryName::new(bad).is_err(), "{bad}");
+        }
+    }
+}

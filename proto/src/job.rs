@@ -1,0 +1,101 @@
+//! Jobs and leases as coordinator and worker see them.
+
+use crate::grid::{Grid, Walks};
+use crate::ids::DictionaryId;
+use crate::invalid::{Result, each};
+use crate::optics::{TransportPoint, check_albedo};
+use crate::scene::Scene;
+
+/// Identifies one attempt at one job.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct LeaseKey {
+    pub dictionary: DictionaryId,
+    pub job: u32,
+    /// Counts the leases of the job, from 1.
+    pub attempt: u32,
+    /// Random; proves that the holder was given this attempt.
+    pub token: String,
+}
+
+/// All that a worker needs to compute a job.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JobSpec {
+    scene: Scene,
+    point: TransportPoint,
+    albedo: Vec<f64>,
+    walks: Walks,
+    seed: u64,
+    derivatives: bool,
+    first_record: usize,
+}
+
+impl JobSpec {
+    pub fn new(
+        scene: Scene,
+        point: TransportPoint,
+        albedo: Vec<f64>,
+        walks: Walks,
+        seed: u64,
+        derivatives: bool,
+    ) -> Result<Self> {
+        let albedo = each("albedo", albedo, check_albedo)?;
+        Ok(Self { scene, point, albedo, walks, seed, derivatives, first_record: 0 })
+    }
+
+    /// The job of a grid.
+    ///
+    /// # Panics
+    /// If the grid has no such job.
+    pub fn of(grid: &Grid, job: usize) -> Self {
+        Self {
+            scene: grid.scene().clone(),
+            point: grid.point(job),
+            albedo: grid.albedo().to_vec(),
+            walks: grid.walks(),
+            seed: grid.seed(),
+            derivatives: grid.derivatives(),
+            first_record: grid.first_record(job),
+        }
+    }
+
+    /// Numbers the job's records from `first_record` on.
+    #[must_use]
+    pub fn numbered_from(self, first_record: usize) -> Self {
+        Self { first_record, ..self }
+    }
+
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    pub fn point(&self) -> TransportPoint {
+        self.point
+    }
+
+    pub fn albedo(&self) -> &[f64] {
+        &self.albedo
+    }
+
+    pub fn walks(&self) -> Walks {
+        self.walks
+    }
+
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    pub fn derivatives(&self) -> bool {
+        self.derivatives
+    }
+
+    pub fn first_record(&self) -> usize {
+        self.first_record
+    }
+}
+
+/// A job given to a worker until a deadline.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lease {
+    pub key: LeaseKey,
+    pub job: JobSpec,
+}

@@ -1,0 +1,45 @@
+//! Domain types of the farm and its gRPC interface, package `farm.v1`.
+//!
+//! A domain type has private fields and one validating constructor: whoever holds a [`Grid`] or a
+//! [`Scene`] holds a correct one. The generated wire types are in [`wire`]; `convert` is the only
+//! place that turns one into the other.
+
+pub mod digest;
+pub mod fit;
+pub mod grid;
+pub mod ids;
+pub mod invalid;
+pub mod job;
+pub mod measurement;
+pub mod optics;
+pub mod profile;
+pub mod scene;
+pub mod status;
+
+mod convert;
+mod files;
+
+pub use digest::Digest;
+pub use files::{GridFile, SceneFile, SceneRef};
+pub use grid::{Grid, Walks};
+pub use ids::{DictionaryName, RequestLimits};
+pub use invalid::{Invalid, Result};
+pub use measurement::{MeasuredProfile, Measurement};
+pub use optics::{Medium, TransportPoint};
+pub use profile::{Derivatives, Estimate, Profile, Record};
+pub use scene::Scene;
+
+/// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
+/// Workers and coordinator must agree on it.
+pub const PHYSICS_VERSION: u32 = 1;
+
+/// Generated from `proto/farm/v1/*.proto`.
+#[expect(
+    clippy::pedantic,
+    clippy::allow_attributes,
+    missing_debug_implementations,
+    reason = "generated code"
+)]
+pub mod wire {
+    tonic::include_proto!("farm.v1");
+}

@@ -1,0 +1,124 @@
+//! Optical parameters of the sample.
+
+use crate::invalid::{Result, check};
+
+/// Refuses what is not a usable extinction coefficient, in 1/mm.
+pub fn check_sigma_t(value: f64) -> Result<f64> {
+    check("sigma_t_per_mm", value, |v| (1e-6..=1e6).contains(&v), "allowed are 1e-6 to 1e6 per mm")
+}
+
+/// Refuses what is not a single-scattering albedo.
+pub fn check_albedo(value: f64) -> Result<f64> {
+    check("albedo", value, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")
+}
+
+/// Refuses what is not a usable Henyey–Greenstein anisotropy.
+pub fn check_g(value: f64) -> Result<f64> {
+    check("g", value, |v| v.abs() <= 0.999, "allowed are -0.999 to 0.999")
+}
+
+/// Refuses what is not a usable slab thickness, in mm.
+pub fn check_thickness(value: f64) -> Result<f64> {
+    check("thickness_mm", value, |v| (1e-4..=1e3).contains(&v), "allowed are 1e-4 to 1000 mm")
+}
+
+/// Refuses what is not the refractive index of a dielectric.
+pub fn check_ior(field: &str, value: f64) -> Result<f64> {
+    check(field, value, |v| (1.0..=4.0).contains(&v), "allowed are 1 to 4")
+}
+
+/// A homogeneous scattering medium: extinction σ_t in 1/mm, single-scattering albedo α, anisotropy g.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Medium {
+    sigma_t_per_mm: f64,
+    albedo: f64,
+    g: f64,
+}
+
+impl Medium {
+    pub fn new(sigma_t_per_mm: f64, albedo: f64, g: f64) -> Result<Self> {
+        Ok(Self {
+            sigma_t_per_mm: check_sigma_t(sigma_t_per_mm)?,
+            albedo: check_albedo(albedo)?,
+            g: check_g(g)?,
+        })
+    }
+
+    pub fn sigma_t_per_mm(&self) -> f64 {
+        self.sigma_t_per_mm
+    }
+
+    pub fn albedo(&self) -> f64 {
+        self.albedo
+    }
+
+    pub fn g(&self) -> f64 {
+        self.g
+    }
+}
+
+/// What one set of random walks depends on: everything of a sample but its albedo.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TransportPoint {
+    sigma_t_per_mm: f64,
+    g: f64,
+    thickness_mm: f64,
+    sample_ior: f64,
+}
+
+impl TransportPoint {
+    pub fn new(sigma_t_per_mm: f64, g: f64, thickness_mm: f64, sample_ior: f64) -> Result<Self> {
+        Ok(Self {
+            sigma_t_per_mm: check_sigma_t(sigma_t_per_mm)?,
+            g: check_g(g)?,
+            thickness_mm: check_thickness(thickness_mm)?,
+            sample_ior: check_ior("sample_ior", sample_ior)?,
+        })
+    }
+
+    pub fn sigma_t_per_mm(&self) -> f64 {
+        self.sigma_t_per_mm
+    }
+
+    pub fn g(&self) -> f64 {
+        self.g
+    }
+
+    pub fn thickness_mm(&self) -> f64 {
+        self.thickness_mm
+    }
+
+    pub fn sample_ior(&self) -> f64 {
+        self.sample_ior
+    }
+
+    /// Optical thickness σ_t · t.
+    pub fn optical_thickness(&self) -> f64 {
+        self.sigma_t_per_mm * self.thickness_mm
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parameters_out_of_range_are_refused_with_field_value_and_range() {
+        for (medium, field, given) in [
+            (Medium::new(0.0, 0.5, 0.0), "sigma_t_per_mm", "0"),
+            (Medium::new(f64::NAN, 0.5, 0.0), "sigma_t_per_mm", "NaN"),
+            (Medium::new(1.0, 1.2, 0.0), "albedo", "1.2"),
+            (Medium::new(1.0, 0.5, 1.0), "g", "1"),
+        ] {
+            let error = medium.unwrap_err();
+            assert_eq!(error.field(), field);
+            assert!(error.to_string().contains(&format!("{field} = {given} ")), "{error}");
+            assert!(error.to_string().contains("allowed are"), "{error}");
+        }
+        let negative = TransportPoint::new(1.0, 0.0, -0.5, 1.53).unwrap_err();
+        assert_eq!(
+            negative.to_string(),
+            "thickness_mm = -0.5 is not valid: allowed are 1e-4 to 1000 mm"
+        );
+    }
+}
