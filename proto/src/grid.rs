@@ -1,6 +1,6 @@
 //! The parameter grid of a dictionary and the numbering of its records.
 
-use crate::invalid::{Invalid, Result, each};
+use crate::invalid::{Invalid, Result};
 use crate::optics::{Medium, TransportPoint, check_albedo, check_g, check_ior, check_sigma_t, check_thickness};
 use crate::scene::Scene;
 

@@ -37,7 +37,6 @@ pub const PHYSICS_VERSION: u32 = 1;
 #[expect(
     clippy::pedantic,
     clippy::allow_attributes,
-    missing_debug_implementations,
     reason = "generated code"
 )]
 pub mod wire {

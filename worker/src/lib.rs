@@ -1,1 +1,3 @@
+//! The worker: leases jobs, traces their walks, returns the records.
 
+pub mod tracer;

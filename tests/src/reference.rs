@@ -1,0 +1,91 @@
+//! Reference values in `tests/data`; `tests/data/README.md` tells where they come from.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+pub fn data_file(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
+}
+
+/// The project's root folder.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate lies in the workspace").to_owned()
+}
+
+/// A row of `uniform.csv`: exact radiance factor over a uniform base in the scene `smooth`.
+#[derive(Debug, Clone, Copy)]
+pub struct UniformRow {
+    pub sigma_t_per_mm: f64,
+    pub albedo: f64,
+    pub g: f64,
+    pub thickness_mm: f64,
+    pub sample_ior: f64,
+    pub rho: f64,
+    pub radiance_factor: f64,
+}
+
+pub fn uniform() -> Result<Vec<UniformRow>> {
+    let mut reader = csv::Reader::from_path(data_file("uniform.csv"))?;
+    reader
+        .records()
+        .map(|row| {
+            let v: Vec<f64> = row?.iter().map(str::parse).collect::<Result<_, _>>()?;
+            let [sigma_t_per_mm, albedo, g, thickness_mm, sample_ior, rho, radiance_factor] = v[..] else {
+                anyhow::bail!("a row of {} columns", v.len());
+            };
+            Ok(UniformRow { sigma_t_per_mm, albedo, g, thickness_mm, sample_ior, rho, radiance_factor })
+        })
+        .collect()
+}
+
+/// An edge profile path-traced by Mitsuba in the scene `paper`.
+#[derive(Debug, Clone)]
+pub struct MitsubaProfile {
+    pub name: String,
+    pub sigma_t_per_mm: f64,
+    pub albedo: f64,
+    pub g: f64,
+    pub thickness_mm: f64,
+    pub sample_ior: f64,
+    pub rho_light: f64,
+    pub rho_dark: f64,
+    pub width_mm: f64,
+    pub values: Vec<f64>,
+    pub std_errors: Vec<f64>,
+}
+
+pub fn mitsuba() -> Result<Vec<MitsubaProfile>> {
+    let mut files: Vec<PathBuf> =
+        std::fs::read_dir(data_file("mitsuba"))?.map(|e| Ok(e?.path())).collect::<Result<_>>()?;
+    files.sort();
+    files.iter().map(|file| read_mitsuba(file).with_context(|| file.display().to_string())).collect()
+}
+
+fn read_mitsuba(file: &Path) -> Result<MitsubaProfile> {
+    let text = std::fs::read_to_string(file)?;
+    let header = |key: &str| -> Result<f64> {
+        let line = text.lines().find_map(|l| l.strip_prefix(&format!("# {key} = ")));
+        Ok(line.with_context(|| format!("no {key}"))?.parse()?)
+    };
+    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(text.as_bytes());
+    let (mut values, mut std_errors) = (Vec::new(), Vec::new());
+    for row in reader.records() {
+        let row = row?;
+        values.push(row[1].parse()?);
+        std_errors.push(row[2].parse()?);
+    }
+    Ok(MitsubaProfile {
+        name: file.file_stem().context("no name")?.to_string_lossy().into_owned(),
+        sigma_t_per_mm: header("sigma_t")?,
+        albedo: header("albedo")?,
+        g: header("g")?,
+        thickness_mm: header("thickness_mm")?,
+        sample_ior: header("sample_ior")?,
+        rho_light: header("rho_light")?,
+        rho_dark: header("rho_dark")?,
+        width_mm: header("width_mm")?,
+        values,
+        std_errors,
+    })
+}

@@ -1,0 +1,197 @@
+//! From walks to profiles: difference arrays, batches, and sums in a fixed order.
+//!
+//! A walk that meets the base at offsets d₁ … d_m contributes, as a function of the entry position X, a staircase
+//! with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so that the average
+//! over each pixel is exact, and integrates once per batch.
+
+use farm_proto::profile::{Derivatives, Estimate, Profile, Record};
+use farm_proto::scene::Sensor;
+use farm_proto::grid::BATCH_WALKS;
+
+use super::powers::{AlbedoPowers, GrowingPowers};
+use super::stack::ring_measure;
+use super::walk::Exit;
+use farm_proto::job::JobSpec;
+
+/// Quantities estimated per albedo: the radiance factor, and ∂/∂α and ∂/∂σ_t if asked for.
+fn quantities(job: &JobSpec) -> usize {
+    if job.derivatives() { 3 } else { 1 }
+}
+
+/// Steps of one batch of walks: `[cell][channel][quantity][albedo]`, with one cell more than pixels.
+#[derive(Debug)]
+pub struct Tally<'a> {
+    job: &'a JobSpec,
+    sensor: Sensor,
+    powers: &'a AlbedoPowers,
+    /// Per channel: powers of ρ_light and ρ_dark, and their difference.
+    reflectances: Vec<(GrowingPowers, GrowingPowers, f64)>,
+    columns: usize,
+    steps: Vec<f64>,
+    /// Weight of the walk at hand for every quantity and albedo.
+    weights: Vec<f64>,
+    /// Positions of the walk's steps in pixels from the left end.
+    positions: Vec<f64>,
+}
+
+impl<'a> Tally<'a> {
+    pub fn new(job: &'a JobSpec, powers: &'a AlbedoPowers) -> Self {
+        let sensor = job.scene().sensor();
+        let channels = job.scene().channels();
+        let columns = quantities(job) * job.albedo().len();
+        Self {
+            job,
+            sensor,
+            powers,
+            reflectances: channels
+                .iter()
+                .map(|c| {
+                    let powers = (GrowingPowers::new(c.rho_light()), GrowingPowers::new(c.rho_dark()));
+                    (powers.0, powers.1, c.rho_light() - c.rho_dark())
+                })
+                .collect(),
+            columns,
+            steps: vec![0.0; (sensor.pixels() + 1) * channels.len() * columns],
+            weights: vec![0.0; columns],
+            positions: Vec::new(),
+        }
+    }
+
+    /// Adds a walk that has left into the ring.
+    pub fn add(&mut self, exit: &Exit, hits_mm: &[f32]) {
+        self.weigh(exit);
+        let (pitch, half) = (self.sensor.pitch_mm(), 0.5 * self.sensor.width_mm());
+        let pixels = self.sensor.pixels() as f64;
+        self.positions.clear();
+        self.positions.extend(hits_mm.iter().map(|&d| (half - f64::from(d)) / pitch));
+        self.positions.sort_unstable_by(f64::total_cmp);
+        let left = self.positions.partition_point(|&p| p <= 0.0);
+        let inside = self.positions.partition_point(|&p| p < pixels);
+        let hits = hits_mm.len();
+        for channel in 0..self.reflectances.len() {
+            let (light, dark, _) = &mut self.reflectances[channel];
+            let value = light.get(left) * dark.get(hits - left);
+            self.add_step(0, channel, value);
+        }
+        for k in left..inside {
+            let cell = self.positions[k] as usize;
+            let fraction = self.positions[k] - cell as f64;
+            for channel in 0..self.reflectances.len() {
+                let (light, dark, contrast) = &mut self.reflectances[channel];
+                // ρ_light^(k+1) ρ_dark^(m−k−1) − ρ_light^k ρ_dark^(m−k), exactly 0 without contrast.
+                let step = light.get(k) * dark.get(hits - k - 1) * *contrast;
+                self.add_step(cell, channel, step * (1.0 - fraction));
+                self.add_step(cell + 1, channel, step * fraction);
+            }
+        }
+    }
+
+    /// α^n, n α^(n−1) and (n/σ_t − L) α^n, times the walk's weight.
+    fn weigh(&mut self, exit: &Exit) {
+        let albedos = self.job.albedo().len();
+        let (n, weight) = (exit.scatterings, f64::from(exit.weight));
+        let (values, derivatives) = self.weights.split_at_mut(albedos);
+        self.powers.write(n, weight, values);
+        if !derivatives.is_empty() {
+            let (d_albedo, d_sigma_t) = derivatives.split_at_mut(albedos);
+            self.powers.write(n.saturating_sub(1), weight * f64::from(n), d_albedo);
+            let score = f64::from(n) / self.job.point().sigma_t_per_mm() - f64::from(exit.length_mm);
+            for (d, value) in d_sigma_t.iter_mut().zip(values) {
+                *d = score * *value;
+            }
+        }
+    }
+
+    fn add_step(&mut self, cell: usize, channel: usize, step: f64) {
+        let row = (cell * self.reflectances.len() + channel) * self.columns;
+        if step != 0.0 {
+            for (sum, weight) in self.steps[row..][..self.columns].iter_mut().zip(&self.weights) {
+                *sum += step * weight;
+            }
+        }
+    }
+
+    /// Integrates the steps to profiles, adds them to `partial` as one batch, and starts afresh.
+    pub fn finish_batch(&mut self, partial: &mut Partial) {
+        let row = self.reflectances.len() * self.columns;
+        let mut level = vec![0.0; row];
+        let cells = self.steps.chunks_exact_mut(row);
+        let sums = partial.sums.chunks_exact_mut(row).zip(partial.squares.chunks_exact_mut(row));
+        for (cell, (sum, square)) in cells.zip(sums) {
+            for (((level, step), sum), square) in level.iter_mut().zip(cell).zip(sum).zip(square) {
+                *level += *step;
+                *step = 0.0;
+                *sum += *level;
+                *square += *level * *level;
+            }
+        }
+        let beyond = self.steps.len() - row;
+        self.steps[beyond..].fill(0.0);
+        partial.batches += 1;
+    }
+}
+
+/// Sums over batches of a profile's numbers and of their squares: `[pixel][channel][quantity][albedo]`.
+///
+/// Addition of floating-point numbers depends on the order, so partial sums are always merged in the order of
+/// their batches.
+#[derive(Debug, Clone)]
+pub struct Partial {
+    sums: Vec<f64>,
+    squares: Vec<f64>,
+    batches: u64,
+}
+
+impl Partial {
+    pub fn new(job: &JobSpec) -> Self {
+        let scene = job.scene();
+        let len = scene.sensor().pixels() * scene.channels().len() * quantities(job) * job.albedo().len();
+        Self { sums: vec![0.0; len], squares: vec![0.0; len], batches: 0 }
+    }
+
+    /// Adds the batches that follow this sum's.
+    pub fn merge(&mut self, next: &Self) {
+        for (a, b) in self.sums.iter_mut().zip(&next.sums) {
+            *a += b;
+        }
+        for (a, b) in self.squares.iter_mut().zip(&next.squares) {
+            *a += b;
+        }
+        self.batches += next.batches;
+    }
+
+    /// Mean and standard error per pixel, one record per albedo.
+    pub fn into_records(self, job: &JobSpec) -> Vec<Record> {
+        let scene = job.scene();
+        let (pixels, channels, albedos) = (scene.sensor().pixels(), scene.channels().len(), job.albedo().len());
+        let quantities = quantities(job);
+        let row = channels * quantities * albedos;
+        let batches = self.batches as f64;
+        let scale = 1.0 / (BATCH_WALKS as f64 * ring_measure(scene));
+        let estimate = |channel: usize, quantity: usize, albedo: usize| {
+            let column = (channel * quantities + quantity) * albedos + albedo;
+            let (values, std_errors) = (0..pixels)
+                .map(|pixel| {
+                    let (sum, square) = (self.sums[pixel * row + column], self.squares[pixel * row + column]);
+                    let mean = sum / batches;
+                    let variance = ((square - sum * mean) / (batches - 1.0)).max(0.0);
+                    ((mean * scale) as f32, ((variance / batches).sqrt() * scale) as f32)
+                })
+                .unzip();
+            Estimate::new(values, std_errors).expect("sums of finite numbers are finite")
+        };
+        let profile = |channel: usize, albedo: usize| Profile {
+            radiance_factor: estimate(channel, 0, albedo),
+            derivatives: job.derivatives().then(|| Derivatives {
+                albedo: estimate(channel, 1, albedo),
+                sigma_t: estimate(channel, 2, albedo),
+            }),
+        };
+        (0..albedos)
+            .map(|albedo| Record {
+                index: job.first_record() + albedo,
+                profiles: (0..channels).map(|channel| profile(channel, albedo)).collect(),
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,27 @@
+//! Statistics for the unit tests of distributions.
+
+/// p-value of Pearson's χ² test: the probability of a fit at least this bad if the counts follow the
+/// probabilities (Wilson–Hilferty approximation of the χ² distribution).
+pub(crate) fn chi_square(counts: &[u64], probabilities: &[f64]) -> f64 {
+    let total = counts.iter().sum::<u64>() as f64;
+    let (mut chi2, mut cells) = (0.0, 0.0);
+    for (&count, &p) in counts.iter().zip(probabilities) {
+        if p * total >= 10.0 {
+            chi2 += (count as f64 - p * total).powi(2) / (p * total);
+            cells += 1.0;
+        }
+    }
+    let dof: f64 = cells - 1.0;
+    let spread = 2.0 / (9.0 * dof);
+    let z = ((chi2 / dof).cbrt() - (1.0 - spread)) / spread.sqrt();
+    normal_tail(z)
+}
+
+/// Upper tail of the standard normal distribution (Abramowitz and Stegun 26.2.17, error below 1e-7).
+fn normal_tail(z: f64) -> f64 {
+    let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
+    let series = [0.319_381_530, -0.356_563_782, 1.781_477_937, -1.821_255_978, 1.330_274_429];
+    let poly = series.iter().rev().fold(0.0, |sum, c| (sum + c) * t);
+    let tail = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt() * poly;
+    if z > 0.0 { tail } else { 1.0 - tail }
+}
