@@ -1,1 +1,80 @@
+//! The coordinator: splits a grid into jobs, leases them to workers, stores the records, answers fits.
+//!
+//! `rpc → (dispatch, fit) → store`, never back; [`farm::Farm`] ties them together. The caller owns the port
+//! and the stop signal.
 
+mod clock;
+pub mod config;
+pub mod dispatch;
+mod farm;
+pub mod fit;
+mod rpc;
+pub mod store;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+pub use config::Config;
+use farm::Farm;
+pub use store::StoreError;
+use store::{DataDir, Store};
+
+/// How often expired leases are looked for.
+const REAP: Duration = Duration::from_secs(1);
+
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error("serving gRPC: {0}")]
+    Serve(#[from] tonic::transport::Error),
+    #[error("asking for the address of the listening socket: {0}")]
+    Address(std::io::Error),
+}
+
+/// A coordinator that holds its data directory and has read what is in it.
+#[derive(Debug)]
+pub struct Coordinator {
+    farm: Arc<Farm>,
+}
+
+impl Coordinator {
+    /// Takes the data directory, creating it if need be, and takes up the work that is left in it.
+    pub async fn open(config: &Config) -> Result<Self, Error> {
+        let store = Store::open(DataDir::lock(&config.data_dir)?).await?;
+        let farm = Farm::load(store, config).await?;
+        Ok(Self { farm: Arc::new(farm) })
+    }
+
+    /// Serves until `shutdown`, then closes the database.
+    pub async fn serve(self, listener: TcpListener, shutdown: CancellationToken) -> Result<(), Error> {
+        let address = listener.local_addr().map_err(Error::Address)?;
+        self.farm.store().dir().publish_address(address)?;
+        tracing::info!(%address, "coordinator is serving");
+        let reaper = tokio::spawn(reap(self.farm.clone(), shutdown.clone()));
+        let served = rpc::serve(self.farm.clone(), listener, shutdown.clone()).await;
+        shutdown.cancel();
+        let _ = reaper.await;
+        self.farm.store().dir().forget_address();
+        self.farm.store().close().await;
+        Ok(served?)
+    }
+}
+
+async fn reap(farm: Arc<Farm>, shutdown: CancellationToken) {
+    let mut tick = tokio::time::interval(REAP);
+    tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            () = shutdown.cancelled() => return,
+            _ = tick.tick() => {}
+        }
+        let freed = farm.expire();
+        if freed > 0 {
+            tracing::warn!(freed, "leases have expired: their workers were silent too long");
+        }
+    }
+}

@@ -47,7 +47,7 @@ impl Digest {
         Self(hasher.finalize().into())
     }
 
-    pub fn from_bytes(bytes: [u8; 32]) -> Self {
+    pub const fn from_bytes(bytes: [u8; 32]) -> Self {
         Self(bytes)
     }
 

@@ -1,0 +1,38 @@
+//! Time and randomness, the only place where the ambient ones are read.
+
+use std::time::Duration;
+
+/// Reads the machine's clocks.
+#[derive(Debug, Clone)]
+pub struct Clock {
+    start: std::time::Instant,
+}
+
+impl Clock {
+    #[expect(clippy::disallowed_methods, reason = "this is where the ambient clock enters")]
+    pub fn start() -> Self {
+        Self { start: std::time::Instant::now() }
+    }
+
+    /// Monotonic time since the start; what leases are measured with.
+    pub fn now(&self) -> Duration {
+        self.start.elapsed()
+    }
+
+    /// Wall-clock time, for people.
+    #[expect(clippy::disallowed_methods, reason = "this is where the ambient clock enters")]
+    pub fn unix_ms(&self) -> u64 {
+        let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+        since.map_or(0, |d| d.as_millis() as u64)
+    }
+}
+
+/// 128 random bits in hexadecimal: lease tokens and worker ids.
+///
+/// # Panics
+/// If the operating system has no randomness to give.
+pub fn random_token() -> String {
+    let mut bytes = [0_u8; 16];
+    getrandom::fill(&mut bytes).expect("the operating system gives random numbers");
+    format!("{:032x}", u128::from_be_bytes(bytes))
+}

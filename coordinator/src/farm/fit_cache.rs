@@ -1,0 +1,67 @@
+//! Dictionaries in memory, loaded at the first question and kept for the next.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::profile::RecordShape;
+use farm_proto::{DictionaryName, Grid};
+use tokio::sync::OnceCell;
+
+use super::{FarmError, Result, blocking};
+use crate::fit::{DictionaryBuilder, FitDictionary};
+use crate::store::Store;
+
+/// Dictionaries kept at a time.
+const KEPT: usize = 2;
+/// Largest dictionary that is loaded: values and gradients of all records.
+const LARGEST_BYTES: usize = 4 << 30;
+/// Records fetched at a time.
+const CHUNK: usize = 1024;
+
+type Slot = Arc<OnceCell<Arc<FitDictionary>>>;
+
+/// Most recently used last.
+#[derive(Debug, Default)]
+pub(super) struct FitCache(Mutex<Vec<(DictionaryId, Slot)>>);
+
+impl FitCache {
+    pub(super) async fn get(
+        &self,
+        store: &Store,
+        name: &DictionaryName,
+        id: DictionaryId,
+        grid: Grid,
+    ) -> Result<Arc<FitDictionary>> {
+        let pixels = grid.scene().channels().len() * grid.scene().sensor().pixels();
+        let bytes = grid.record_count().saturating_mul(pixels).saturating_mul(2 * size_of::<f32>());
+        if bytes > LARGEST_BYTES {
+            return Err(FarmError::TooLarge { name: name.clone(), bytes, limit: LARGEST_BYTES });
+        }
+        let slot = self.slot(id);
+        slot.get_or_try_init(|| load(store, id, grid)).await.cloned()
+    }
+
+    fn slot(&self, id: DictionaryId) -> Slot {
+        let mut slots = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let slot = match slots.iter().position(|(other, _)| *other == id) {
+            Some(i) => slots.remove(i).1,
+            None => Slot::default(),
+        };
+        slots.push((id, slot.clone()));
+        if slots.len() > KEPT {
+            slots.remove(0);
+        }
+        slot
+    }
+}
+
+async fn load(store: &Store, id: DictionaryId, grid: Grid) -> Result<Arc<FitDictionary>> {
+    let (count, shape) = (grid.record_count(), RecordShape::of(&grid));
+    let mut builder = DictionaryBuilder::new(grid);
+    for first in (0..count).step_by(CHUNK) {
+        for record in store.records(id, first..(first + CHUNK).min(count), shape).await? {
+            builder.add(&record);
+        }
+    }
+    Ok(Arc::new(blocking(move || builder.build()).await))
+}

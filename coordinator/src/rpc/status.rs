@@ -1,0 +1,33 @@
+//! Errors as gRPC statuses, in one place.
+
+use farm_proto::Invalid;
+use tonic::{Code, Status};
+
+use crate::dispatch::DispatchError;
+use crate::farm::FarmError;
+
+impl From<FarmError> for Status {
+    fn from(error: FarmError) -> Self {
+        let code = match &error {
+            FarmError::Invalid(invalid) => return invalid.to_status(),
+            FarmError::NotFound { .. } | FarmError::Dispatch(DispatchError::UnknownDictionary(_)) => Code::NotFound,
+            FarmError::NameTaken { .. } => Code::AlreadyExists,
+            FarmError::Dispatch(DispatchError::UnknownWorker(_)) => Code::Unauthenticated,
+            FarmError::Dispatch(DispatchError::LeaseLost { .. })
+            | FarmError::NotComplete { .. }
+            | FarmError::PhysicsVersion { .. } => Code::FailedPrecondition,
+            FarmError::TooLarge { .. } => Code::ResourceExhausted,
+            FarmError::Conflict { .. } => Code::DataLoss,
+            FarmError::Store(store) => {
+                tracing::error!(error = %store, "the store failed");
+                Code::Internal
+            }
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+/// A message field that must be there.
+pub(super) fn required<T>(field: &str, value: Option<T>) -> Result<T, Status> {
+    value.ok_or_else(|| Invalid::new(field, "nothing", "a value is needed").to_status())
+}

@@ -1,0 +1,118 @@
+//! The SQLite store: dictionaries, ended jobs, records.
+//!
+//! One connection writes, a read-only pool reads. A job's records and its end are committed together, with
+//! `synchronous=FULL`, before anyone is told.
+
+mod codec;
+mod data_dir;
+mod dictionaries;
+mod jobs;
+mod records;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{Row, SqlitePool};
+
+pub use data_dir::{DataDir, ADDRESS_FILE};
+pub use dictionaries::StoredDictionary;
+pub use jobs::{Completion, EndedJob};
+
+/// Older versions can corrupt a WAL database at a reset of the log.
+const OLDEST_SQLITE: &str = "3.51.3";
+/// A record of the paper's grid takes 8.6 kB: seven of them fill a page of this size.
+const PAGE_BYTES: u32 = 65_536;
+
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    #[error("data directory {dir}: {what}: {source}")]
+    DataDir { dir: PathBuf, what: &'static str, source: std::io::Error },
+    #[error("data directory {dir} is in use by another coordinator{at}")]
+    InUse { dir: PathBuf, at: String },
+    #[error("database {file}: {what}: {source}")]
+    Open { file: PathBuf, what: &'static str, source: sqlx::Error },
+    #[error("database {file} cannot be brought to this version's schema: {source}")]
+    Migrate { file: PathBuf, source: sqlx::migrate::MigrateError },
+    #[error("SQLite {found} is too old: {OLDEST_SQLITE} or later is needed")]
+    TooOld { found: String },
+    #[error("{what}: {source}")]
+    Query { what: &'static str, source: sqlx::Error },
+    #[error("table {table}, row {row}, column {column} is corrupt: {why}")]
+    Corrupt { table: &'static str, row: i64, column: &'static str, why: String },
+    #[error("a dictionary with this name exists already")]
+    NameTaken,
+}
+
+pub type Result<T, E = StoreError> = std::result::Result<T, E>;
+
+/// Names what was being done when a query failed.
+fn doing(what: &'static str) -> impl FnOnce(sqlx::Error) -> StoreError {
+    move |source| StoreError::Query { what, source }
+}
+
+#[derive(Debug)]
+pub struct Store {
+    write: SqlitePool,
+    read: SqlitePool,
+    dir: DataDir,
+}
+
+impl Store {
+    /// Takes the lock of a data directory, opens or creates its database and brings the schema up to date.
+    pub async fn open(dir: DataDir) -> Result<Self> {
+        let file = dir.database_file();
+        let options = SqliteConnectOptions::new().filename(&file).busy_timeout(Duration::from_secs(10));
+        let open = |what| {
+            let file = file.clone();
+            move |source| StoreError::Open { file, what, source }
+        };
+        let writer = options
+            .clone()
+            .create_if_missing(true)
+            .page_size(PAGE_BYTES)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true);
+        let write = SqlitePoolOptions::new()
+            .max_connections(1)
+            .connect_with(writer)
+            .await
+            .map_err(open("opening for writing"))?;
+        check_version(&write).await?;
+        sqlx::migrate!()
+            .run(&write)
+            .await
+            .map_err(|source| StoreError::Migrate { file: file.clone(), source })?;
+        let read = SqlitePoolOptions::new()
+            .max_connections(4)
+            .connect_with(options.read_only(true))
+            .await
+            .map_err(open("opening for reading"))?;
+        Ok(Self { write, read, dir })
+    }
+
+    /// The folder whose lock this store holds.
+    pub fn dir(&self) -> &DataDir {
+        &self.dir
+    }
+
+    /// Waits for running queries and closes the database, merging its log.
+    pub async fn close(&self) {
+        self.read.close().await;
+        self.write.close().await;
+    }
+}
+
+async fn check_version(pool: &SqlitePool) -> Result<()> {
+    let row = sqlx::query("SELECT sqlite_version()").fetch_one(pool).await.map_err(doing("asking SQLite's version"))?;
+    let found: String = row.get(0);
+    let parts = |v: &str| v.split('.').map(|p| p.parse().unwrap_or(0)).collect::<Vec<u32>>();
+    if parts(&found) < parts(OLDEST_SQLITE) {
+        return Err(StoreError::TooOld { found });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;
