@@ -1,3 +1,15 @@
-//! The worker: leases jobs, traces their walks, returns the records.
+//! The worker: leases jobs, traces their walks on all cores, returns the records.
+//!
+//! `tracer` is the physics and knows nothing of networks; `agent` talks to the coordinator; `pool` stands between
+//! them, so that no walk ever blocks an async thread.
 
+mod agent;
+mod config;
+mod heartbeat;
+mod pool;
+mod session;
 pub mod tracer;
+
+pub use agent::run;
+pub use config::Config;
+pub use session::Error;

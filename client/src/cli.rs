@@ -1,0 +1,177 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+use clap_complete::Shell;
+
+/// Measures the optical parameters of translucent resins: computes dictionaries of simulated edge profiles and fits
+/// measured profiles to them.
+///
+/// Without --server everything runs in this process, with its data in ./farm-data.
+#[derive(Debug, Parser)]
+#[command(name = "farmctl", version, after_help = EXAMPLES)]
+pub struct Cli {
+    #[command(flatten)]
+    pub global: Global,
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  farmctl submit                               compute the paper's dictionary here
+  farmctl fit examples/white.csv --g 0.4       fit a measurement to it
+  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
+
+Exit codes: 0 success, 1 error, 2 wrong usage, 3 some jobs of the dictionary have failed, 130 interrupted.";
+
+#[derive(Debug, Args)]
+pub struct Global {
+    /// URL of a coordinator, as in http://farm:7700.
+    #[arg(long, value_name = "URL", env = "FARM_SERVER", global = true)]
+    pub server: Option<String>,
+    /// Run in this process even if a server is configured.
+    #[arg(long, global = true)]
+    pub local: bool,
+    /// Folder of the local farm's data.
+    #[arg(long, value_name = "DIR", env = "FARM_DATA", default_value = "farm-data", global = true)]
+    pub data: PathBuf,
+    /// Print one JSON object instead of text.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// No progress on standard error.
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Compute a dictionary; one that exists with the same grid is continued.
+    Submit(SubmitArgs),
+    /// Find the media that explain measured edge profiles.
+    Fit(FitArgs),
+    /// Simulate one edge profile, without a farm.
+    Simulate(SimulateArgs),
+    /// Show what the farm is doing.
+    Status,
+    /// List the dictionaries.
+    List,
+    /// Show one dictionary.
+    Show(ShowArgs),
+    /// Write the finished records of a dictionary as CSV.
+    Export(ExportArgs),
+    /// Print completions for a shell.
+    Completions(CompletionsArgs),
+}
+
+#[derive(Debug, Args)]
+pub struct SubmitArgs {
+    /// Grid file in TOML; the paper's grid without one.
+    pub grid: Option<PathBuf>,
+    /// Name of the dictionary [default: the file's name, or "paper"].
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
+    /// Wait until the dictionary is done. Always so without a server.
+    #[arg(long)]
+    pub wait: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct FitArgs {
+    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error.
+    pub measurement: PathBuf,
+    /// Dictionary to search.
+    #[arg(long, value_name = "NAME", default_value = "paper")]
+    pub dictionary: String,
+    /// Only media with this anisotropy [default: any].
+    #[arg(long, allow_negative_numbers = true)]
+    pub g: Option<f64>,
+    /// Factor on the measured values.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    pub mu: f64,
+    /// Weight of the profiles' gradients.
+    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true)]
+    pub lambda: f64,
+    /// Number of best media to show per channel.
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    pub top: u32,
+}
+
+#[derive(Debug, Args)]
+pub struct SimulateArgs {
+    /// Extinction coefficient of the sample, per mm.
+    #[arg(long, value_name = "PER_MM", allow_negative_numbers = true)]
+    pub sigma_t: f64,
+    /// Single-scattering albedo.
+    #[arg(long, allow_negative_numbers = true)]
+    pub albedo: f64,
+    /// Anisotropy of the Henyey–Greenstein phase function.
+    #[arg(long, allow_negative_numbers = true)]
+    pub g: f64,
+    /// Thickness of the sample in mm.
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    pub thickness: f64,
+    /// "paper", "smooth" or a scene file in TOML.
+    #[arg(long, value_name = "SCENE", default_value = "paper")]
+    pub scene: String,
+    /// Refractive index of the sample.
+    #[arg(long, value_name = "N", default_value_t = 1.53, allow_negative_numbers = true)]
+    pub sample_ior: f64,
+    /// Reflectance of the light side of the base; replaces the scene's channels by one, "mono".
+    #[arg(long, value_name = "RHO", requires = "rho_dark", allow_negative_numbers = true)]
+    pub rho_light: Option<f64>,
+    /// Reflectance of the dark side of the base.
+    #[arg(long, value_name = "RHO", requires = "rho_light", allow_negative_numbers = true)]
+    pub rho_dark: Option<f64>,
+    /// Width of the profile in mm [default: the scene's].
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    pub width: Option<f64>,
+    /// Number of pixels [default: the scene's].
+    #[arg(long, value_name = "N")]
+    pub pixels: Option<u32>,
+    /// Random walks: a multiple of 2500, at least 5000.
+    #[arg(long, value_name = "N", default_value_t = 250_000)]
+    pub walks: u64,
+    /// Seed of the random numbers.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Threads to use; the result is the same for any number [default: all cores].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub threads: Option<u16>,
+}
+
+#[derive(Debug, Args)]
+pub struct ShowArgs {
+    /// Name of the dictionary.
+    pub name: String,
+}
+
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// Name of the dictionary.
+    pub name: String,
+    /// File to write [default: standard output].
+    #[arg(long, short, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Only these extinction coefficients, as in 6,9.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub sigma_t: Vec<f64>,
+    /// Only these albedos.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub albedo: Vec<f64>,
+    /// Only these anisotropies.
+    #[arg(long, value_name = "LIST", value_delimiter = ',', allow_negative_numbers = true)]
+    pub g: Vec<f64>,
+    /// Only these thicknesses.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub thickness: Vec<f64>,
+    /// Only these refractive indices of the sample.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub sample_ior: Vec<f64>,
+}
+
+#[derive(Debug, Args)]
+pub struct CompletionsArgs {
+    pub shell: Shell,
+}

@@ -1,0 +1,207 @@
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use farm_proto::status::DictionaryStatus;
+use farm_proto::wire::{ExportRequest, GetRequest};
+use farm_proto::{DictionaryName, Estimate, Grid, Invalid, Record};
+use serde::Serialize;
+
+use crate::cli::{ExportArgs, Global};
+use crate::connection::{Connection, Purpose};
+use crate::output::{Output, envelope};
+
+pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
+    let name = DictionaryName::new(args.name.as_str())?;
+    let connection = Connection::open(global, Purpose::Ask).await?;
+    let exported = match &args.output {
+        None => {
+            let stdout = std::io::BufWriter::new(std::io::stdout().lock());
+            export(&connection, &name, &args, output.is_json(), stdout).await
+        }
+        Some(file) => to_file(&connection, &name, &args, output.is_json(), file).await,
+    };
+    connection.close().await?;
+    exported
+}
+
+/// Writes beside the file and renames at the end, so that the file is whole or not there.
+async fn to_file(
+    connection: &Connection,
+    name: &DictionaryName,
+    args: &ExportArgs,
+    json: bool,
+    file: &Path,
+) -> Result<()> {
+    let draft = PathBuf::from(format!("{}.partial", file.display()));
+    let open = std::fs::File::create(&draft).with_context(|| format!("output {}", draft.display()))?;
+    let written = export(connection, name, args, json, std::io::BufWriter::new(open)).await;
+    if let Err(error) = written {
+        let _ = std::fs::remove_file(&draft);
+        return Err(error);
+    }
+    std::fs::rename(&draft, file).with_context(|| format!("output {}", file.display()))
+}
+
+async fn export(
+    connection: &Connection,
+    name: &DictionaryName,
+    args: &ExportArgs,
+    json: bool,
+    mut out: impl Write,
+) -> Result<()> {
+    let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
+    let grid = DictionaryStatus::try_from(status)?.grid;
+    let indices = selection(&grid, args)?;
+    let request = ExportRequest { name: name.to_string(), indices };
+    let mut records = connection.dictionaries().export(request).await?.into_inner();
+    if !json {
+        write_head(&mut out, &grid)?;
+    }
+    let mut count = 0;
+    while let Some(record) = records.message().await? {
+        let record = Record::try_from(record)?;
+        count += 1;
+        if json {
+            writeln!(out, "{}", envelope("record", &RecordJson::new(&grid, &record))?)?;
+        } else {
+            write_rows(&mut out, &grid, &record)?;
+        }
+    }
+    out.flush()?;
+    if count == 0 {
+        bail!("none of the records asked for is done yet");
+    }
+    Ok(())
+}
+
+/// Numbers of the records that the lists admit; empty if no list is given, which means all.
+fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>, Invalid> {
+    if [&args.sigma_t, &args.albedo, &args.g, &args.thickness, &args.sample_ior].iter().all(|l| l.is_empty()) {
+        return Ok(Vec::new());
+    }
+    let iors = places("sample_ior", grid.sample_ior(), &args.sample_ior)?;
+    let sigmas = places("sigma_t", grid.sigma_t_per_mm(), &args.sigma_t)?;
+    let gs = places("g", grid.g(), &args.g)?;
+    let thicknesses = places("thickness", grid.thickness_mm(), &args.thickness)?;
+    let albedos = places("albedo", grid.albedo(), &args.albedo)?;
+    let mut indices = Vec::new();
+    for &ior in &iors {
+        for &sigma_t in &sigmas {
+            for &g in &gs {
+                for &t in &thicknesses {
+                    indices.extend(albedos.iter().map(|&a| grid.record_at(ior, sigma_t, g, t, a) as u32));
+                }
+            }
+        }
+    }
+    Ok(indices)
+}
+
+/// Indices of the wanted values in an axis; all if none is named.
+fn places(field: &str, axis: &[f64], wanted: &[f64]) -> Result<Vec<usize>, Invalid> {
+    if wanted.is_empty() {
+        return Ok((0..axis.len()).collect());
+    }
+    let place = |value: &f64| {
+        axis.iter().position(|v| v == value).ok_or_else(|| {
+            let list = axis.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+            Invalid::new(field, value, format!("the dictionary has {list}"))
+        })
+    };
+    let mut places = wanted.iter().map(place).collect::<Result<Vec<_>, _>>()?;
+    places.sort_unstable();
+    places.dedup();
+    Ok(places)
+}
+
+fn write_head(out: &mut impl Write, grid: &Grid) -> Result<()> {
+    write!(out, "record,sigma_t_per_mm,albedo,g,thickness_mm,sample_ior,channel,x_mm,value,std_error")?;
+    if grid.derivatives() {
+        write!(out, ",d_albedo,d_albedo_std_error,d_sigma_t,d_sigma_t_std_error")?;
+    }
+    writeln!(out)?;
+    Ok(())
+}
+
+fn write_rows(out: &mut impl Write, grid: &Grid, record: &Record) -> Result<()> {
+    let (point, medium) = grid.parameters(record.index);
+    let scene = grid.scene();
+    for (channel, profile) in scene.channels().iter().zip(&record.profiles) {
+        for pixel in 0..scene.sensor().pixels() {
+            write!(
+                out,
+                "{},{},{},{},{},{},{},{:.5}",
+                record.index,
+                medium.sigma_t_per_mm(),
+                medium.albedo(),
+                medium.g(),
+                point.thickness_mm(),
+                point.sample_ior(),
+                channel.name(),
+                scene.sensor().centre_mm(pixel),
+            )?;
+            for estimate in profile.estimates() {
+                write!(out, ",{},{}", estimate.values()[pixel], estimate.std_errors()[pixel])?;
+            }
+            writeln!(out)?;
+        }
+    }
+    Ok(())
+}
+
+#[derive(Debug, Serialize)]
+struct RecordJson<'a> {
+    record: usize,
+    sigma_t_per_mm: f64,
+    albedo: f64,
+    g: f64,
+    thickness_mm: f64,
+    sample_ior: f64,
+    channels: Vec<ProfileJson<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct ProfileJson<'a> {
+    channel: &'a str,
+    values: &'a [f32],
+    std_errors: &'a [f32],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    d_albedo: Option<EstimateJson<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    d_sigma_t: Option<EstimateJson<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct EstimateJson<'a> {
+    values: &'a [f32],
+    std_errors: &'a [f32],
+}
+
+impl<'a> From<&'a Estimate> for EstimateJson<'a> {
+    fn from(e: &'a Estimate) -> Self {
+        Self { values: e.values(), std_errors: e.std_errors() }
+    }
+}
+
+impl<'a> RecordJson<'a> {
+    fn new(grid: &'a Grid, record: &'a Record) -> Self {
+        let (point, medium) = grid.parameters(record.index);
+        let channels = grid.scene().channels().iter().zip(&record.profiles).map(|(channel, p)| ProfileJson {
+            channel: channel.name(),
+            values: p.radiance_factor.values(),
+            std_errors: p.radiance_factor.std_errors(),
+            d_albedo: p.derivatives.as_ref().map(|d| (&d.albedo).into()),
+            d_sigma_t: p.derivatives.as_ref().map(|d| (&d.sigma_t).into()),
+        });
+        Self {
+            record: record.index,
+            sigma_t_per_mm: medium.sigma_t_per_mm(),
+            albedo: medium.albedo(),
+            g: medium.g(),
+            thickness_mm: point.thickness_mm(),
+            sample_ior: point.sample_ior(),
+            channels: channels.collect(),
+        }
+    }
+}

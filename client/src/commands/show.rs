@@ -1,0 +1,93 @@
+use anyhow::Result;
+use farm_proto::status::DictionaryStatus;
+use farm_proto::wire::GetRequest;
+use farm_proto::{DictionaryName, SceneFile};
+use serde::Serialize;
+
+use crate::cli::{Global, ShowArgs};
+use crate::connection::{Connection, Purpose};
+use crate::output::{DictionaryJson, Output, grouped};
+
+#[derive(Debug, Serialize)]
+struct ShowJson {
+    #[serde(flatten)]
+    dictionary: DictionaryJson,
+    grid: GridJson,
+}
+
+#[derive(Debug, Serialize)]
+struct GridJson {
+    sigma_t_per_mm: Vec<f64>,
+    albedo: Vec<f64>,
+    g: Vec<f64>,
+    thickness_mm: Vec<f64>,
+    sample_ior: Vec<f64>,
+    walks: u64,
+    seed: u64,
+    derivatives: bool,
+    scene: SceneFile,
+}
+
+pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
+    let name = DictionaryName::new(args.name)?;
+    let connection = Connection::open(global, Purpose::Ask).await?;
+    let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await;
+    connection.close().await?;
+    let status = DictionaryStatus::try_from(answer?.into_inner())?;
+    let grid = &status.grid;
+    let data = ShowJson {
+        dictionary: DictionaryJson::from(&status),
+        grid: GridJson {
+            sigma_t_per_mm: grid.sigma_t_per_mm().to_vec(),
+            albedo: grid.albedo().to_vec(),
+            g: grid.g().to_vec(),
+            thickness_mm: grid.thickness_mm().to_vec(),
+            sample_ior: grid.sample_ior().to_vec(),
+            walks: grid.walks().get(),
+            seed: grid.seed(),
+            derivatives: grid.derivatives(),
+            scene: SceneFile::from(grid.scene()),
+        },
+    };
+    output.print("show", &data, || text(&status))
+}
+
+fn text(status: &DictionaryStatus) -> String {
+    let grid = &status.grid;
+    let sensor = grid.scene().sensor();
+    let channels: Vec<_> = grid.scene().channels().iter().map(|c| c.name()).collect();
+    let digest = status.records_digest.map_or("– (not complete)".to_owned(), |d| d.to_string());
+    let mut lines = vec![
+        ("dictionary", status.name.to_string()),
+        ("state", status.state().as_str().to_owned()),
+        ("records", {
+            let (done, total) = (status.records_done() as u64, status.records_total() as u64);
+            format!("{} of {} done", grouped(done), grouped(total))
+        }),
+        ("jobs", {
+            let (done, total) = (status.jobs_done as u64, status.jobs_total() as u64);
+            format!("{} of {} done, {} being computed", grouped(done), grouped(total), status.jobs_leased)
+        }),
+        ("sigma_t /mm", axis(grid.sigma_t_per_mm())),
+        ("albedo", axis(grid.albedo())),
+        ("g", axis(grid.g())),
+        ("thickness mm", axis(grid.thickness_mm())),
+        ("sample index", axis(grid.sample_ior())),
+        ("channels", channels.join(", ")),
+        ("profile", format!("{} pixels over {} mm", sensor.pixels(), sensor.width_mm())),
+        ("walks", format!("{} per transport point, seed {}", grouped(grid.walks().get()), grid.seed())),
+        ("derivatives", if grid.derivatives() { "by albedo and sigma_t" } else { "none" }.to_owned()),
+        ("grid digest", status.grid_digest.to_string()),
+        ("records digest", digest),
+    ];
+    lines.extend(status.failed.iter().map(|f| ("failed job", format!("{}: {}", f.job, f.reason))));
+    lines.iter().map(|(name, value)| format!("{name:<15} {value}\n")).collect()
+}
+
+fn axis(values: &[f64]) -> String {
+    let list = values.iter().map(f64::to_string).collect::<Vec<_>>();
+    if list.len() <= 12 {
+        return list.join(", ");
+    }
+    format!("{} … {} ({} values)", list[..4].join(", "), list[list.len() - 4..].join(", "), list.len())
+}

@@ -1,0 +1,142 @@
+//! A farm to talk to: a server's, or one that lives in this process.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use farm_coordinator::store::DataDir;
+use farm_coordinator::{Config, Coordinator, Error, StoreError};
+use farm_proto::RequestLimits;
+use farm_proto::wire::dictionaries_client::DictionariesClient;
+use farm_proto::wire::farm_client::FarmClient;
+use farm_proto::wire::fits_client::FitsClient;
+use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+use tonic::transport::{Channel, Endpoint};
+
+use crate::cli::Global;
+
+/// What a command wants of a farm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Purpose {
+    /// To ask: there must be one.
+    Ask,
+    /// To compute: a local one is made if need be, with a worker.
+    Compute,
+}
+
+#[derive(Debug)]
+pub(crate) struct Connection {
+    channel: Channel,
+    address: String,
+    embedded: Option<Embedded>,
+}
+
+/// A coordinator and perhaps a worker in this process.
+#[derive(Debug)]
+struct Embedded {
+    coordinator: JoinHandle<Result<(), Error>>,
+    worker: Option<JoinHandle<Result<(), farm_worker::Error>>>,
+    stop_coordinator: CancellationToken,
+    stop_worker: CancellationToken,
+}
+
+impl Connection {
+    pub(crate) async fn open(global: &Global, purpose: Purpose) -> Result<Self> {
+        match &global.server {
+            Some(url) if !global.local => Self::remote(url.clone()).await,
+            _ => Self::local(&global.data, purpose).await,
+        }
+    }
+
+    async fn remote(url: String) -> Result<Self> {
+        let endpoint = Endpoint::from_shared(url.clone()).with_context(|| format!("server URL {url:?}"))?;
+        let endpoint = endpoint.connect_timeout(Duration::from_secs(10)).tcp_nodelay(true);
+        let endpoint = endpoint.http2_keep_alive_interval(Duration::from_secs(20));
+        let channel = endpoint
+            .connect()
+            .await
+            .map_err(|error| {
+                let cause = std::iter::successors(Some(&error as &dyn std::error::Error), |e| e.source()).last();
+                anyhow::anyhow!("{}", cause.map_or_else(String::new, ToString::to_string))
+            })
+            .with_context(|| format!("no coordinator answers at {url}"))?;
+        Ok(Self { channel, address: url, embedded: None })
+    }
+
+    async fn local(data: &Path, purpose: Purpose) -> Result<Self> {
+        if purpose == Purpose::Ask && !data.join("farm.db").exists() {
+            bail!(
+                "there is no farm in {}: run `farmctl submit` first, or name its folder with --data or a server \
+                 with --server",
+                data.display()
+            );
+        }
+        match Coordinator::open(&Config::new(data)).await {
+            Ok(coordinator) => Self::embed(coordinator, purpose).await,
+            Err(Error::Store(StoreError::InUse { .. })) => Self::join(data).await,
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Talks to the coordinator of another process that holds the data directory.
+    async fn join(data: &Path) -> Result<Self> {
+        // The holder may have started a moment ago and not listen yet.
+        for _ in 0..50 {
+            if let Some(address) = DataDir::address(data) {
+                return Self::remote(format!("http://{address}")).await;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        bail!("{} is in use by another process, which does not say where it listens", data.display())
+    }
+
+    async fn embed(coordinator: Coordinator, purpose: Purpose) -> Result<Self> {
+        let listener = TcpListener::bind("127.0.0.1:0").await.context("opening a port on loopback")?;
+        let url = format!("http://{}", listener.local_addr()?);
+        let (stop_coordinator, stop_worker) = (CancellationToken::new(), CancellationToken::new());
+        let coordinator = tokio::spawn(coordinator.serve(listener, stop_coordinator.clone()));
+        let worker = (purpose == Purpose::Compute).then(|| {
+            tokio::spawn(farm_worker::run(farm_worker::Config::new(url.clone()), stop_worker.clone()))
+        });
+        let embedded = Embedded { coordinator, worker, stop_coordinator, stop_worker };
+        let Self { channel, address, .. } = Self::remote(url).await?;
+        Ok(Self { channel, address, embedded: Some(embedded) })
+    }
+
+    pub(crate) fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// Whether the farm lives in this process and ends with it.
+    pub(crate) fn is_embedded(&self) -> bool {
+        self.embedded.is_some()
+    }
+
+    pub(crate) fn dictionaries(&self) -> DictionariesClient<Channel> {
+        DictionariesClient::new(self.channel.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
+    }
+
+    pub(crate) fn fits(&self) -> FitsClient<Channel> {
+        FitsClient::new(self.channel.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
+    }
+
+    pub(crate) fn farm(&self) -> FarmClient<Channel> {
+        FarmClient::new(self.channel.clone())
+    }
+
+    /// Stops what lives in this process: the worker hands its leases back, the coordinator closes its database.
+    pub(crate) async fn close(self) -> Result<()> {
+        let Some(embedded) = self.embedded else { return Ok(()) };
+        drop(self.channel);
+        embedded.stop_worker.cancel();
+        let worker = match embedded.worker {
+            Some(worker) => worker.await.context("the embedded worker")?,
+            None => Ok(()),
+        };
+        embedded.stop_coordinator.cancel();
+        embedded.coordinator.await.context("the embedded coordinator")??;
+        Ok(worker?)
+    }
+}

@@ -1,0 +1,225 @@
+//! What people and programs read: tables, and JSON in one stable envelope.
+
+use std::fmt::Write as _;
+use std::io::Write;
+
+use comfy_table::{Attribute, Cell, CellAlignment, LineStyle, Table, TableStyle};
+use farm_proto::status::{DictionaryStatus, WorkerStatus};
+use serde::Serialize;
+
+/// Version of the JSON shapes: fields may be added to a version, never changed or removed.
+const API: &str = "farmctl/1";
+
+#[derive(Debug, Serialize)]
+struct Envelope<'a, T> {
+    api: &'static str,
+    kind: &'a str,
+    data: T,
+}
+
+/// Where and how results are printed.
+#[derive(Debug)]
+pub(crate) struct Output {
+    json: bool,
+}
+
+impl Output {
+    pub(crate) fn new(json: bool) -> Self {
+        Self { json }
+    }
+
+    pub(crate) fn is_json(&self) -> bool {
+        self.json
+    }
+
+    /// Prints `data` in the envelope, or the text if JSON is not wanted.
+    pub(crate) fn print<T: Serialize>(
+        &self,
+        kind: &str,
+        data: &T,
+        text: impl FnOnce() -> String,
+    ) -> anyhow::Result<()> {
+        let line = if self.json { envelope(kind, data)? } else { text() };
+        writeln!(anstream::stdout(), "{}", line.trim_end())?;
+        Ok(())
+    }
+
+    pub(crate) fn error(&self, error: &anyhow::Error) {
+        let message = sentence(error);
+        if self.json {
+            let data = serde_json::json!({ "message": message });
+            println!("{}", envelope("error", &data).unwrap_or_default());
+        } else {
+            eprintln!("farmctl: {message}");
+        }
+    }
+}
+
+/// One line: the envelope with its data.
+pub(crate) fn envelope<T: Serialize>(kind: &str, data: &T) -> anyhow::Result<String> {
+    Ok(serde_json::to_string(&Envelope { api: API, kind, data })?)
+}
+
+/// The chain of causes as one sentence; a gRPC status tells its message alone.
+fn sentence(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain() {
+        let part = match cause.downcast_ref::<tonic::Status>() {
+            Some(status) => status.message().to_owned(),
+            None => cause.to_string(),
+        };
+        let part = part.trim_end();
+        // Some errors repeat their cause in their own text.
+        if !text.ends_with(part) {
+            let _ = write!(text, "{}{part}", if text.is_empty() { "" } else { ": " });
+        }
+        if cause.is::<tonic::Status>() {
+            break;
+        }
+    }
+    text
+}
+
+/// Whether the reader of standard output has gone, as in `farmctl export … | head`.
+pub(crate) fn is_closed_pipe(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        let io = cause.downcast_ref::<std::io::Error>();
+        let csv = cause.downcast_ref::<csv::Error>().and_then(|e| match e.kind() {
+            csv::ErrorKind::Io(io) => Some(io),
+            _ => None,
+        });
+        io.or(csv).is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
+    })
+}
+
+/// A horizontal rule above and below the head and at the end.
+const RULED: TableStyle = {
+    let rule = LineStyle::new('─', '─', '─', '─');
+    TableStyle::new().top_border(rule).header_separator(rule).bottom_border(rule)
+};
+
+/// A table with a head; columns named in `right` are aligned to the right.
+pub(crate) fn table(head: &[&str], right: &[usize], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+    let mut table = Table::new();
+    table.load_style(RULED);
+    table.set_header(head.iter().map(|h| Cell::new(h).add_attribute(Attribute::Bold)));
+    for row in rows {
+        table.add_row(row);
+    }
+    for &column in right {
+        if let Some(column) = table.column_mut(column) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table.to_string()
+}
+
+/// 34276 → "34,276".
+pub(crate) fn grouped(n: u64) -> String {
+    let digits = n.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i) % 3 == 0 {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// 75 s → "1 min 15 s".
+pub(crate) fn duration(d: std::time::Duration) -> String {
+    let s = d.as_secs_f64().round() as u64;
+    match s {
+        0 => format!("{} ms", d.as_millis()),
+        1..60 => format!("{s} s"),
+        60..3600 => format!("{} min {} s", s / 60, s % 60),
+        _ => format!("{} h {} min", s / 3600, s % 3600 / 60),
+    }
+}
+
+/// Progress of a dictionary, as `list`, `submit` and `show` tell it.
+#[derive(Debug, Serialize)]
+pub(crate) struct DictionaryJson {
+    name: String,
+    state: &'static str,
+    records_done: usize,
+    records_total: usize,
+    jobs_done: usize,
+    jobs_leased: usize,
+    jobs_total: usize,
+    work_done: f64,
+    failed_jobs: Vec<FailedJobJson>,
+    created_unix_ms: u64,
+    grid_digest: String,
+    records_digest: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct FailedJobJson {
+    job: u32,
+    reason: String,
+}
+
+impl From<&DictionaryStatus> for DictionaryJson {
+    fn from(d: &DictionaryStatus) -> Self {
+        let failed = d.failed.iter().map(|f| FailedJobJson { job: f.job, reason: f.reason.clone() });
+        Self {
+            name: d.name.to_string(),
+            state: d.state().as_str(),
+            records_done: d.records_done(),
+            records_total: d.records_total(),
+            jobs_done: d.jobs_done,
+            jobs_leased: d.jobs_leased,
+            jobs_total: d.jobs_total(),
+            work_done: d.work_done,
+            failed_jobs: failed.collect(),
+            created_unix_ms: d.created_unix_ms,
+            grid_digest: d.grid_digest.to_string(),
+            records_digest: d.records_digest.map(|d| d.to_string()),
+        }
+    }
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct WorkerJson {
+    worker_id: String,
+    label: String,
+    threads: u32,
+    leases: u32,
+    jobs_done: u64,
+    silent_ms: u64,
+}
+
+impl From<&WorkerStatus> for WorkerJson {
+    fn from(w: &WorkerStatus) -> Self {
+        Self {
+            worker_id: w.id.to_string(),
+            label: w.label.clone(),
+            threads: w.threads,
+            leases: w.leases,
+            jobs_done: w.jobs_done,
+            silent_ms: w.silent_ms,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_and_times_read_well() {
+        assert_eq!([0, 999, 1000, 34_276, 1_000_000].map(grouped), ["0", "999", "1,000", "34,276", "1,000,000"]);
+        let told = [0.25, 59.0, 75.0, 7260.0].map(|s| duration(std::time::Duration::from_secs_f64(s)));
+        assert_eq!(told, ["250 ms", "59 s", "1 min 15 s", "2 h 1 min"]);
+    }
+
+    #[test]
+    fn causes_become_one_sentence_without_repetition() {
+        let error = anyhow::anyhow!("file: not there").context("reading").context("grid file: reading");
+        assert_eq!(sentence(&error), "grid file: reading: file: not there");
+        let status = anyhow::Error::new(tonic::Status::not_found("dictionary x does not exist"));
+        assert_eq!(sentence(&status), "dictionary x does not exist");
+    }
+}
