@@ -1,4 +1,9 @@
-//! What the tests of the whole system share: reference data with their origin, and statistics.
+//! What the tests of the whole system share: a real farm, the built programs, reference data with their origin, and
+//! statistics.
 
+#![expect(clippy::missing_errors_doc, clippy::unwrap_used, reason = "helpers of tests")]
+
+pub mod farm;
+pub mod process;
 pub mod reference;
 pub mod statistics;

@@ -1,0 +1,241 @@
+//! Work flowing through a real farm, and the ways in which it must not.
+
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use anyhow::Result;
+use farm_proto::fit::ChannelFit;
+use farm_proto::job::{JobSpec, Lease};
+use farm_proto::wire::complete_request::Part;
+use farm_proto::wire::{
+    AcquireRequest, CompleteRequest, ExportRequest, FitRequest, GetRequest, RegisterRequest, SubmitRequest,
+};
+use farm_proto::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Record, wire};
+use farm_tests::farm::{TestCoordinator, TestFarm, TestWorker, done, small_grid};
+use farm_worker::tracer::trace;
+use tonic::{Code, Status};
+use tonic_types::StatusExt;
+
+fn traced(grid: &Grid, job: usize) -> Vec<Record> {
+    trace(&JobSpec::of(grid, job), &AtomicBool::new(false)).unwrap()
+}
+
+fn all_records(grid: &Grid) -> Vec<Vec<Record>> {
+    (0..grid.job_count()).map(|job| traced(grid, job)).collect()
+}
+
+fn digest(jobs: &[Vec<Record>]) -> Digest {
+    Digest::of_jobs(jobs.iter().map(|records| Digest::of_records(records)))
+}
+
+async fn exported(farm: &TestFarm, name: &str) -> Result<Vec<Record>> {
+    let request = ExportRequest { name: name.to_owned(), indices: vec![] };
+    let mut stream = farm.dictionaries().export(request).await?.into_inner();
+    let mut records = Vec::new();
+    while let Some(record) = stream.message().await? {
+        records.push(Record::try_from(record)?);
+    }
+    Ok(records)
+}
+
+/// A worker by hand, which does what the test wants.
+async fn register(farm: &TestFarm) -> Result<String> {
+    let request = RegisterRequest { label: "by hand".to_owned(), threads: 1, physics_version: PHYSICS_VERSION };
+    Ok(farm.leases().register(request).await?.into_inner().worker_id)
+}
+
+async fn acquire(farm: &TestFarm, worker_id: &str, max_leases: u32) -> Result<Vec<Lease>> {
+    let request = AcquireRequest { worker_id: worker_id.to_owned(), max_leases, wait_ms: 0 };
+    let leases = farm.leases().acquire(request).await?.into_inner().leases;
+    Ok(leases.into_iter().map(Lease::try_from).collect::<Result<_, _>>()?)
+}
+
+async fn complete(farm: &TestFarm, lease: &Lease, records: Vec<wire::Record>) -> Result<bool, Status> {
+    let key = CompleteRequest { part: Some(Part::Lease(lease.key.clone().into())) };
+    let records = records.into_iter().map(|r| CompleteRequest { part: Some(Part::Record(r)) });
+    let parts: Vec<_> = std::iter::once(key).chain(records).collect();
+    Ok(farm.leases().complete(tokio_stream::iter(parts)).await?.into_inner().duplicate)
+}
+
+fn on_wire(records: &[Record]) -> Vec<wire::Record> {
+    records.iter().cloned().map(Into::into).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_farms_records_are_those_of_the_tracer_bit_for_bit() -> Result<()> {
+    let (farm, grid) = (TestFarm::start().await?, small_grid());
+    let workers = [farm.worker(), farm.worker()];
+    farm.submit("small", &grid).await?;
+    let status = farm.done("small").await?;
+    let expected = all_records(&grid);
+    assert_eq!(status.records_digest, Some(digest(&expected)));
+    assert_eq!(exported(&farm, "small").await?, expected.concat());
+    assert_eq!((status.records_done(), status.work_done), (36, 1.0));
+    for worker in workers {
+        worker.stop().await?;
+    }
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_simulated_measurement_is_fitted_to_its_own_record_over_grpc() -> Result<()> {
+    let (farm, grid) = (TestFarm::start().await?, small_grid());
+    let worker = farm.worker();
+    farm.submit("small", &grid).await?;
+    farm.done("small").await?;
+    let (records, sensor) = (all_records(&grid).concat(), grid.scene().sensor());
+    let profile = |thickness: usize| {
+        let record = &records[grid.record_at(0, 1, 1, thickness, 2)];
+        let x = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
+        let values = record.profiles[1].radiance_factor.values().iter().map(|v| f64::from(*v) / 0.9).collect();
+        MeasuredProfile::new("G", grid.thickness_mm()[thickness], x, values, None)
+    };
+    let measurement = Measurement::new("m", vec![profile(0)?, profile(1)?])?;
+    let request = FitRequest {
+        dictionary: "small".to_owned(),
+        measurement: Some((&measurement).into()),
+        mu: Some(0.9),
+        top: Some(3),
+        ..Default::default()
+    };
+    let answer = farm.fits().fit(request).await?.into_inner();
+    let fit = ChannelFit::try_from(answer.channels[0].clone())?;
+    let best = &fit.candidates[0];
+    assert_eq!((answer.material.as_str(), fit.channel.as_str(), fit.candidates.len()), ("m", "G", 3));
+    assert_eq!((best.medium.sigma_t_per_mm(), best.medium.albedo(), best.medium.g()), (4.0, 0.99, 0.4));
+    assert!(best.error < 1e-5 && fit.candidates[1].error > 10.0 * best.error, "{fit:?}");
+    worker.stop().await?;
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
+    // With leases of an hour only a hand-back lets the second worker go on.
+    let (farm, grid) = (TestFarm::with_lease(Duration::from_secs(3600)).await?, small_grid());
+    farm.submit("small", &grid).await?;
+    let first = farm.worker();
+    tokio::time::sleep(Duration::from_millis(150)).await;
+    first.stop().await?;
+    let second = farm.worker();
+    let status = tokio::time::timeout(Duration::from_secs(60), farm.done("small")).await??;
+    assert!(status.failed.is_empty());
+    second.stop().await?;
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_job_of_a_silent_worker_goes_to_another_and_its_late_result_is_a_duplicate() -> Result<()> {
+    let (farm, grid) = (TestFarm::with_lease(Duration::from_millis(400)).await?, small_grid());
+    farm.submit("small", &grid).await?;
+    let silent = register(&farm).await?;
+    let lease = acquire(&farm, &silent, 1).await?.remove(0);
+    let records = traced(&grid, lease.key.job as usize);
+    let worker = farm.worker();
+    farm.done("small").await?;
+    assert!(complete(&farm, &lease, on_wire(&records)).await?, "the same bytes are a duplicate");
+    let mut other = on_wire(&records);
+    other[0].profiles[0].radiance_factor.as_mut().unwrap().values[0] += 1.0;
+    let refused = complete(&farm, &lease, other).await.unwrap_err();
+    assert_eq!(refused.code(), Code::DataLoss);
+    assert_eq!(exported(&farm, "small").await?, all_records(&grid).concat());
+    worker.stop().await?;
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Result<()> {
+    let (farm, grid) = (TestFarm::start().await?, small_grid());
+    farm.submit("small", &grid).await?;
+    let worker = register(&farm).await?;
+    let lease = acquire(&farm, &worker, 1).await?.remove(0);
+    let good = on_wire(&traced(&grid, lease.key.job as usize));
+
+    let mut not_a_number = good.clone();
+    not_a_number[1].profiles[0].radiance_factor.as_mut().unwrap().values[3] = f32::NAN;
+    let mut too_short = good.clone();
+    too_short[0].profiles[1].radiance_factor.as_mut().unwrap().values.pop();
+    too_short[0].profiles[1].radiance_factor.as_mut().unwrap().std_errors.pop();
+    let mut swapped = good.clone();
+    swapped.swap(0, 1);
+    let too_many = [good.clone(), good.clone()].concat();
+    let bad = [
+        (not_a_number, "profiles[0].radiance_factor.values[3]"),
+        (too_short, "record"),
+        (swapped, "record.index"),
+        (too_many, "record.index"),
+        (good[..2].to_vec(), "records"),
+    ];
+    for (records, field) in bad {
+        let refused = complete(&farm, &lease, records).await.unwrap_err();
+        assert_eq!(refused.code(), Code::InvalidArgument);
+        let details = refused.get_details_bad_request().expect("the field is named in the details");
+        assert!(details.field_violations[0].field.contains(field), "{details:?}");
+    }
+    let forged = Lease { key: farm_proto::job::LeaseKey { token: "0".repeat(32), ..lease.key.clone() }, ..lease.clone() };
+    let refused = complete(&farm, &forged, good.clone()).await.unwrap_err();
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    assert!(exported(&farm, "small").await?.is_empty());
+    assert!(!complete(&farm, &lease, good).await?, "the lease still counts");
+    assert_eq!(exported(&farm, "small").await?.len(), 3);
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_of_another_physics_version_is_refused() -> Result<()> {
+    let farm = TestFarm::start().await?;
+    let request = RegisterRequest { label: String::new(), threads: 1, physics_version: PHYSICS_VERSION + 1 };
+    let refused = farm.leases().register(request).await.unwrap_err();
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    assert!(refused.message().contains("install the same"), "{}", refused.message());
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn submitting_is_idempotent_and_names_belong_to_one_grid() -> Result<()> {
+    let (farm, grid) = (TestFarm::start().await?, small_grid());
+    let first = farm.submit("small", &grid).await?;
+    assert_eq!(farm.submit("small", &grid).await?, first);
+    let mut other = wire::Grid::from(&grid);
+    other.seed += 1;
+    let request = SubmitRequest { name: "small".to_owned(), grid: Some(other.clone()) };
+    assert_eq!(farm.dictionaries().submit(request).await.unwrap_err().code(), Code::AlreadyExists);
+    other.g = vec![1.0];
+    let request = SubmitRequest { name: "new".to_owned(), grid: Some(other) };
+    let refused = farm.dictionaries().submit(request).await.unwrap_err();
+    let details = refused.get_details_bad_request().expect("the field is named in the details");
+    assert_eq!(details.field_violations[0].field, "grid.g[0]");
+    let unknown = farm.dictionaries().get(GetRequest { name: "none".to_owned() }).await.unwrap_err();
+    assert_eq!((unknown.code(), unknown.message()), (Code::NotFound, "dictionary none does not exist; there are: small"));
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dictionary_that_is_not_complete_is_not_fitted_with() -> Result<()> {
+    let (farm, grid) = (TestFarm::start().await?, small_grid());
+    farm.submit("small", &grid).await?;
+    let x: Vec<f64> = (0..20).map(|i| f64::from(i) * 0.5 - 4.75).collect();
+    let measurement = Measurement::new("m", vec![MeasuredProfile::new("R", 0.5, x.clone(), x, None)?])?;
+    let measurement = Some((&measurement).into());
+    let request = FitRequest { dictionary: "small".to_owned(), measurement, ..Default::default() };
+    let refused = farm.fits().fit(request).await.unwrap_err();
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    assert!(refused.message().contains("0 of 36 records are done"), "{}", refused.message());
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn workers_outlive_a_coordinator_that_is_away_for_a_while() -> Result<()> {
+    let grid = small_grid();
+    let farm = TestFarm::start().await?;
+    farm.submit("small", &grid).await?;
+    let worker = TestWorker::start(&farm.coordinator.url());
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    let port = farm.coordinator.address().port();
+    let dir = farm.into_dir().await?;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let again = TestCoordinator::start(&dir.path().join("data"), Duration::from_secs(30), port).await?;
+    let status = tokio::time::timeout(Duration::from_secs(120), done(again.link().await?, "small")).await??;
+    assert_eq!(status.records_digest, Some(digest(&all_records(&grid))));
+    worker.stop().await?;
+    again.stop().await
+}
