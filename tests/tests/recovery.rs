@@ -1,0 +1,118 @@
+//! `kill -9` at random moments: nothing is lost, and the final records are the same bytes.
+//!
+//! SIGKILL proves that what a process had not yet written is not missed; it does not prove that data survive a power
+//! cut. Rounds: 6 by default, more with `FARM_TEST_EFFORT=20`, which multiplies them.
+
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use farm_tests::process::{Killed, farmctl, program, run};
+
+const GRID: &str = "\
+sigma_t_per_mm = [1, 2, 4, 8, 16, 24]
+albedo = [0.5, 0.9, 0.99]
+g = [0.0, 0.4]
+walks = 25000
+";
+
+fn rounds() -> u64 {
+    6 * std::env::var("FARM_TEST_EFFORT").map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
+}
+
+/// Moments from 0 to 1 that differ from round to round.
+fn moment(round: u64) -> f64 {
+    (round as f64 * 0.618_034 + 0.31).fract()
+}
+
+fn folder_with_grid() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("grid.toml"), GRID).unwrap();
+    folder
+}
+
+/// The digest that `show` tells and the bytes that `export` writes.
+fn result(folder: &Path) -> (String, String) {
+    let shown = run(folder, &["show", "grid", "--json"]);
+    let shown: serde_json::Value = serde_json::from_str(&shown.stdout).expect("show --json prints JSON");
+    let digest = shown["data"]["records_digest"].as_str().expect("the dictionary is complete").to_owned();
+    (digest, run(folder, &["export", "grid"]).stdout)
+}
+
+#[test]
+fn an_embedded_farm_killed_again_and_again_ends_with_the_same_bytes() {
+    program("farmctl");
+    let undisturbed = folder_with_grid();
+    let start = Instant::now();
+    assert_eq!(run(undisturbed.path(), &["submit", "grid.toml", "-q"]).code, 0);
+    let whole = start.elapsed();
+    let expected = result(undisturbed.path());
+    assert!(expected.1.lines().count() == 1 + 72 * 3 * 360, "the export holds every pixel of every record");
+
+    let killed = folder_with_grid();
+    let mut interrupted = 0;
+    for round in 0..rounds() {
+        let child = farmctl(killed.path())
+            .args(["submit", "grid.toml", "-q"])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut child = Killed(child);
+        std::thread::sleep(whole.mul_f64(0.5 * moment(round)));
+        interrupted += u32::from(child.0.try_wait().unwrap().is_none());
+    }
+    assert!(interrupted > 1, "kills must come before the end to prove anything");
+    let last = run(killed.path(), &["submit", "grid.toml", "-q"]);
+    assert_eq!(last.code, 0, "{}", last.stderr);
+    assert!(result(killed.path()) == expected, "the bytes differ from the undisturbed run's");
+}
+
+fn spawn(name: &str, args: &[&str]) -> Killed {
+    let mut command = Command::new(program(name));
+    command.args(args).stdout(Stdio::null()).stderr(Stdio::null()).stdin(Stdio::null());
+    Killed(command.spawn().unwrap())
+}
+
+/// A coordinator and two workers as processes of their own; in every round one of them is killed and started again.
+#[test]
+fn coordinator_and_workers_killed_in_turn_lose_nothing() {
+    let undisturbed = folder_with_grid();
+    assert_eq!(run(undisturbed.path(), &["submit", "grid.toml", "-q"]).code, 0);
+    let expected = result(undisturbed.path());
+
+    let folder = folder_with_grid();
+    let data = folder.path().join("farm-data");
+    // The port must stay the same over restarts: one that is free now is taken.
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let (listen, url) = (format!("127.0.0.1:{port}"), format!("http://127.0.0.1:{port}"));
+    let coordinator =
+        || spawn("farm-coordinator", &["--listen", &listen, "--data", data.to_str().unwrap(), "--lease", "1"]);
+    let worker = || spawn("farm-worker", &["--server", &url, "--threads", "1"]);
+    let mut processes = [coordinator(), worker(), worker()];
+    let submit = || run(folder.path(), &["submit", "grid.toml", "--server", &url, "-q"]);
+    let deadline = Instant::now() + Duration::from_secs(30);
+    while submit().code != 0 {
+        assert!(Instant::now() < deadline, "the coordinator does not answer");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    for round in 0..rounds() {
+        std::thread::sleep(Duration::from_millis(100 + (400.0 * moment(round)) as u64));
+        let victim = (round % 3) as usize;
+        processes[victim].0.kill().unwrap();
+        processes[victim].0.wait().unwrap();
+        processes[victim] = if victim == 0 { coordinator() } else { worker() };
+    }
+    let deadline = Instant::now() + Duration::from_secs(120);
+    loop {
+        let ended = run(folder.path(), &["submit", "grid.toml", "--server", &url, "--wait", "-q"]);
+        if ended.code == 0 {
+            break;
+        }
+        assert!(Instant::now() < deadline, "{}", ended.stderr);
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    drop(processes);
+    assert!(result(folder.path()) == expected, "the bytes differ from the undisturbed run's");
+}
