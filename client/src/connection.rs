@@ -58,7 +58,8 @@ impl Connection {
             .connect()
             .await
             .map_err(|error| {
-                let cause = std::iter::successors(Some(&error as &dyn std::error::Error), |e| e.source()).last();
+                let cause =
+                    std::iter::successors(Some(&error as &dyn std::error::Error), |e| e.source()).last();
                 anyhow::anyhow!("{}", cause.map_or_else(String::new, ToString::to_string))
             })
             .with_context(|| format!("no coordinator answers at {url}"))?;

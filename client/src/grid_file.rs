@@ -12,7 +12,8 @@ const LARGEST: u64 = 16 << 20;
 pub fn read_grid(path: &Path) -> Result<Grid> {
     let file: GridFile = read_toml(path, "grid file")?;
     let scene = match &file.scene {
-        SceneRef::Named(name) => named_scene(name, path.parent().unwrap_or(Path::new(".")))?,
+        SceneRef::Named(name) => named_scene(name, path.parent().unwrap_or(Path::new(".")))
+            .with_context(|| format!("grid file {}", path.display()))?,
         SceneRef::Inline(scene) => to_scene(scene.clone(), path)?,
     };
     file.into_grid(scene).with_context(|| format!("grid file {}", path.display()))
@@ -30,7 +31,10 @@ fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
         file => {
             let path: PathBuf = folder.join(file);
             if !path.exists() {
-                bail!("scene {name:?} is neither \"paper\" nor \"smooth\" nor a file ({} does not exist)", path.display());
+                bail!(
+                    "scene {name:?} is neither \"paper\" nor \"smooth\" nor a file ({} does not exist)",
+                    path.display()
+                );
             }
             to_scene(read_toml(&path, "scene file")?, &path)
         }

@@ -65,8 +65,7 @@ pub fn read_measurements(path: &Path) -> Result<Vec<Measurement>> {
 }
 
 fn read(source: impl std::io::Read) -> Result<Vec<Measurement>> {
-    let mut reader =
-        csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(source);
+    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(source);
     let columns = Columns::find(reader.headers()?)?;
     let mut drafts: Vec<Draft> = Vec::new();
     for (count, row) in reader.records().enumerate() {
@@ -82,10 +81,12 @@ fn read(source: impl std::io::Read) -> Result<Vec<Measurement>> {
     }
     let mut materials: Vec<(String, Vec<MeasuredProfile>)> = Vec::new();
     for draft in drafts {
-        let place = format!("material {}, channel {}, {} mm", draft.material, draft.channel, draft.thickness_mm);
+        let place =
+            format!("material {}, channel {}, {} mm", draft.material, draft.channel, draft.thickness_mm);
         let errors = columns.std_error.is_some().then_some(draft.std_errors);
         let profile =
-            MeasuredProfile::new(draft.channel, draft.thickness_mm, draft.x_mm, draft.values, errors).context(place)?;
+            MeasuredProfile::new(draft.channel, draft.thickness_mm, draft.x_mm, draft.values, errors)
+                .context(place)?;
         match materials.iter_mut().find(|(name, _)| *name == draft.material) {
             Some((_, profiles)) => profiles.push(profile),
             None => materials.push((draft.material, vec![profile])),
@@ -97,7 +98,10 @@ fn read(source: impl std::io::Read) -> Result<Vec<Measurement>> {
 
 fn add(drafts: &mut Vec<Draft>, row: &csv::StringRecord, columns: &Columns) -> Result<()> {
     let number = |column: usize, name: &str| -> Result<f64> {
-        let value: f64 = row[column].parse().ok().with_context(|| format!("{name} = {:?} is not a number", &row[column]))?;
+        let value: f64 = row[column]
+            .parse()
+            .ok()
+            .with_context(|| format!("{name} = {:?} is not a number", &row[column]))?;
         if !value.is_finite() {
             bail!("{name} = {value} is not a finite number");
         }

@@ -210,7 +210,10 @@ mod tests {
 
     #[test]
     fn numbers_and_times_read_well() {
-        assert_eq!([0, 999, 1000, 34_276, 1_000_000].map(grouped), ["0", "999", "1,000", "34,276", "1,000,000"]);
+        assert_eq!(
+            [0, 999, 1000, 34_276, 1_000_000].map(grouped),
+            ["0", "999", "1,000", "34,276", "1,000,000"]
+        );
         let told = [0.25, 59.0, 75.0, 7260.0].map(|s| duration(std::time::Duration::from_secs_f64(s)));
         assert_eq!(told, ["250 ms", "59 s", "1 min 15 s", "2 h 1 min"]);
     }

@@ -9,7 +9,7 @@ use farm_proto::ids::WorkerId;
 use farm_proto::job::{Lease, LeaseKey};
 use farm_proto::profile::RecordShape;
 use farm_proto::status::{DictionaryState, DictionaryStatus, WorkerStatus};
-use farm_proto::{Digest, DictionaryName, Grid, Invalid, Measurement, PHYSICS_VERSION, Record};
+use farm_proto::{DictionaryName, Digest, Grid, Invalid, Measurement, PHYSICS_VERSION, Record};
 use tokio::sync::watch;
 
 use crate::clock::{Clock, random_token};
@@ -34,14 +34,22 @@ pub(crate) enum FarmError {
     NotComplete { name: DictionaryName, done: usize, total: usize },
     #[error("dictionary {name} is too large to fit with: {bytes} bytes, {limit} are allowed")]
     TooLarge { name: DictionaryName, bytes: usize, limit: usize },
-    #[error("this worker computes physics version {found}, the coordinator version {PHYSICS_VERSION}: install the same")]
+    #[error(
+        "this worker computes physics version {found}, the coordinator version {PHYSICS_VERSION}: install the same"
+    )]
     PhysicsVersion { found: u32 },
-    #[error("job {job} is done already, with other records than these: this worker or an earlier one computes wrongly")]
+    #[error(
+        "job {job} is done already, with other records than these: this worker or an earlier one computes wrongly"
+    )]
     Conflict { job: u32 },
 }
 
 fn hint(known: &[String]) -> String {
-    if known.is_empty() { "; there is none yet".to_owned() } else { format!("; there are: {}", known.join(", ")) }
+    if known.is_empty() {
+        "; there is none yet".to_owned()
+    } else {
+        format!("; there are: {}", known.join(", "))
+    }
 }
 
 type Result<T, E = FarmError> = std::result::Result<T, E>;
@@ -121,7 +129,12 @@ impl Farm {
         (sum(Dictionary::pending), sum(Dictionary::leased))
     }
 
-    pub(crate) fn register(&self, label: String, threads: u32, physics_version: u32) -> Result<(WorkerId, Settings)> {
+    pub(crate) fn register(
+        &self,
+        label: String,
+        threads: u32,
+        physics_version: u32,
+    ) -> Result<(WorkerId, Settings)> {
         if physics_version != PHYSICS_VERSION {
             return Err(FarmError::PhysicsVersion { found: physics_version });
         }
@@ -167,7 +180,13 @@ impl Farm {
 
     pub(crate) async fn failed(&self, key: &LeaseKey, reason: &str) -> Result<()> {
         let given_up = self.dispatch().failed(key, reason)?;
-        tracing::warn!(job = key.job, attempt = key.attempt, reason, given_up = given_up.is_some(), "attempt failed");
+        tracing::warn!(
+            job = key.job,
+            attempt = key.attempt,
+            reason,
+            given_up = given_up.is_some(),
+            "attempt failed"
+        );
         if let Some(reasons) = given_up {
             self.store.fail_job(key.dictionary, key.job, &reasons).await?;
         }
@@ -184,7 +203,11 @@ impl Farm {
     }
 
     /// Finished records of a dictionary among the numbers of a range, in order.
-    pub(crate) async fn records(&self, name: &DictionaryName, range: std::ops::Range<usize>) -> Result<Vec<Record>> {
+    pub(crate) async fn records(
+        &self,
+        name: &DictionaryName,
+        range: std::ops::Range<usize>,
+    ) -> Result<Vec<Record>> {
         let (id, shape) = {
             let dispatch = self.dispatch();
             let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;

@@ -42,10 +42,14 @@ async fn main() -> anyhow::Result<()> {
         "{} can be reached from other machines, without encryption: add --insecure if the network is trusted",
         args.listen
     );
-    let config =
-        Config { data_dir: args.data, lease: Duration::from_secs(args.lease), max_attempts: args.max_attempts };
+    let config = Config {
+        data_dir: args.data,
+        lease: Duration::from_secs(args.lease),
+        max_attempts: args.max_attempts,
+    };
     let coordinator = Coordinator::open(&config).await?;
-    let listener = TcpListener::bind(args.listen).await.with_context(|| format!("listening on {}", args.listen))?;
+    let listener =
+        TcpListener::bind(args.listen).await.with_context(|| format!("listening on {}", args.listen))?;
     let shutdown = CancellationToken::new();
     tokio::spawn(stop_on_signal(shutdown.clone()));
     Ok(coordinator.serve(listener, shutdown).await?)

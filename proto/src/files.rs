@@ -131,10 +131,16 @@ fn layer(table: LayerTable) -> Result<Layer> {
     let LayerTable { name, sample, ior, thickness_mm, roughness } = table;
     match (sample, ior, thickness_mm) {
         (true, None, None) => Layer::sample(name, roughness),
-        (true, ..) => Err(Invalid::new("sample", "true with ior or thickness_mm", "those of the sample come from the grid")),
+        (true, ..) => Err(Invalid::new(
+            "sample",
+            "true with ior or thickness_mm",
+            "those of the sample come from the grid",
+        )),
         (false, Some(ior), Some(thickness)) => Layer::clear(name, ior, thickness, roughness),
         (false, None, _) => Err(Invalid::new("ior", "missing", "a layer that is not the sample needs one")),
-        (false, _, None) => Err(Invalid::new("thickness_mm", "missing", "a layer that is not the sample needs one")),
+        (false, _, None) => {
+            Err(Invalid::new("thickness_mm", "missing", "a layer that is not the sample needs one"))
+        }
     }
 }
 

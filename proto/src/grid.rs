@@ -1,7 +1,9 @@
 //! The parameter grid of a dictionary and the numbering of its records.
 
 use crate::invalid::{Invalid, Result};
-use crate::optics::{Medium, TransportPoint, check_albedo, check_g, check_ior, check_sigma_t, check_thickness};
+use crate::optics::{
+    Medium, TransportPoint, check_albedo, check_g, check_ior, check_sigma_t, check_thickness,
+};
 use crate::scene::Scene;
 
 /// Walks of one batch: the unit of the random streams and of the standard errors.
@@ -26,7 +28,8 @@ impl Walks {
         if walks >= 2 * BATCH_WALKS && walks <= MAX_WALKS && walks.is_multiple_of(BATCH_WALKS) {
             Ok(Self(walks))
         } else {
-            let allowed = format!("allowed are multiples of {BATCH_WALKS} from {} to {MAX_WALKS}", 2 * BATCH_WALKS);
+            let allowed =
+                format!("allowed are multiples of {BATCH_WALKS} from {} to {MAX_WALKS}", 2 * BATCH_WALKS);
             Err(Invalid::new("walks", walks, allowed))
         }
     }
@@ -197,7 +200,8 @@ impl Grid {
     pub fn parameters(&self, record: usize) -> (TransportPoint, Medium) {
         let point = self.point(record / self.albedo.len());
         let albedo = self.albedo[record % self.albedo.len()];
-        let medium = Medium::new(point.sigma_t_per_mm(), albedo, point.g()).expect("axes hold checked values");
+        let medium =
+            Medium::new(point.sigma_t_per_mm(), albedo, point.g()).expect("axes hold checked values");
         (point, medium)
     }
 
@@ -216,7 +220,11 @@ impl Grid {
 fn axis(name: &str, values: Vec<f64>, check: impl Fn(f64) -> Result<f64>) -> Result<Vec<f64>> {
     const MAX: usize = 10_000;
     if values.is_empty() || values.len() > MAX {
-        return Err(Invalid::new(name, format_args!("{} values", values.len()), format!("1 to {MAX} are allowed")));
+        return Err(Invalid::new(
+            name,
+            format_args!("{} values", values.len()),
+            format!("1 to {MAX} are allowed"),
+        ));
     }
     let rename = |e: Invalid, i: usize| Invalid::new(format!("{name}[{i}]"), values[i], e.allowed());
     for (i, &value) in values.iter().enumerate() {

@@ -34,11 +34,7 @@ pub use scene::Scene;
 pub const PHYSICS_VERSION: u32 = 1;
 
 /// Generated from `proto/farm/v1/*.proto`.
-#[expect(
-    clippy::pedantic,
-    clippy::allow_attributes,
-    reason = "generated code"
-)]
+#[expect(clippy::pedantic, clippy::allow_attributes, reason = "generated code")]
 pub mod wire {
     tonic::include_proto!("farm.v1");
 }

@@ -93,7 +93,11 @@ fn check_pitch(x: &[f64]) -> Result<()> {
 
 fn check_numbers(field: &str, n: usize, v: &[f64], ok: impl Fn(f64) -> bool, allowed: &str) -> Result<()> {
     if v.len() != n {
-        return Err(Invalid::new(field, format_args!("{} numbers", v.len()), format!("{n} are needed, one per pixel")));
+        return Err(Invalid::new(
+            field,
+            format_args!("{} numbers", v.len()),
+            format!("{n} are needed, one per pixel"),
+        ));
     }
     match v.iter().position(|v| !(v.is_finite() && ok(*v))) {
         Some(i) => Err(Invalid::new(format!("{field}[{i}]"), v[i], allowed)),

@@ -116,9 +116,6 @@ mod tests {
             assert!(error.to_string().contains("allowed are"), "{error}");
         }
         let negative = TransportPoint::new(1.0, 0.0, -0.5, 1.53).unwrap_err();
-        assert_eq!(
-            negative.to_string(),
-            "thickness_mm = -0.5 is not valid: allowed are 1e-4 to 1000 mm"
-        );
+        assert_eq!(negative.to_string(), "thickness_mm = -0.5 is not valid: allowed are 1e-4 to 1000 mm");
     }
 }

@@ -95,9 +95,10 @@ impl RecordShape {
             derivatives: profile.derivatives.is_some(),
         };
         let fits = record.profiles.len() == self.channels
-            && record.profiles.iter().all(|p| {
-                found(p) == *self && p.estimates().all(|e| e.values.len() == self.pixels)
-            });
+            && record
+                .profiles
+                .iter()
+                .all(|p| found(p) == *self && p.estimates().all(|e| e.values.len() == self.pixels));
         if fits {
             return Ok(());
         }

@@ -32,8 +32,9 @@ impl Layer {
     pub fn clear(name: impl Into<String>, ior: f64, thickness_mm: f64, roughness: f64) -> Result<Self> {
         check_ior("ior", ior)?;
         if thickness_mm != 0.0 {
-            check_thickness(thickness_mm)
-                .map_err(|_| Invalid::new("thickness_mm", thickness_mm, "allowed are 0 and 1e-4 to 1000 mm"))?;
+            check_thickness(thickness_mm).map_err(|_| {
+                Invalid::new("thickness_mm", thickness_mm, "allowed are 0 and 1e-4 to 1000 mm")
+            })?;
         }
         Ok(Self {
             name: name.into(),
@@ -44,11 +45,7 @@ impl Layer {
 
     /// The slab under test.
     pub fn sample(name: impl Into<String>, roughness: f64) -> Result<Self> {
-        Ok(Self {
-            name: name.into(),
-            medium: LayerMedium::Sample,
-            roughness: check_roughness(roughness)?,
-        })
+        Ok(Self { name: name.into(), medium: LayerMedium::Sample, roughness: check_roughness(roughness)? })
     }
 
     pub fn name(&self) -> &str {
@@ -66,7 +63,12 @@ impl Layer {
 }
 
 fn check_roughness(value: f64) -> Result<f64> {
-    check("roughness", value, |v| v == 0.0 || (1e-3..=1.0).contains(&v), "allowed are 0 (smooth) and 0.001 to 1")
+    check(
+        "roughness",
+        value,
+        |v| v == 0.0 || (1e-3..=1.0).contains(&v),
+        "allowed are 0 (smooth) and 0.001 to 1",
+    )
 }
 
 /// One colour channel: reflectances of the Lambertian base for x ≥ 0 (light) and x < 0 (dark).
@@ -81,7 +83,11 @@ impl Channel {
     pub fn new(name: impl Into<String>, rho_light: f64, rho_dark: f64) -> Result<Self> {
         let name = name.into();
         if name.is_empty() || name.len() > 32 || name.contains([',', '"', '\n', '\r']) {
-            return Err(Invalid::new("name", format_args!("{name:?}"), "1 to 32 bytes, no comma, quote or line end"));
+            return Err(Invalid::new(
+                "name",
+                format_args!("{name:?}"),
+                "1 to 32 bytes, no comma, quote or line end",
+            ));
         }
         let reflectance = |field, v| check(field, v, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1");
         Ok(Self {
@@ -113,7 +119,12 @@ pub struct RingLight {
 
 impl RingLight {
     pub fn new(inner_deg: f64, outer_deg: f64) -> Result<Self> {
-        check("inner_deg", inner_deg, |v| (0.0..90.0).contains(&v), "allowed are 0 to 90 degrees, below outer_deg")?;
+        check(
+            "inner_deg",
+            inner_deg,
+            |v| (0.0..90.0).contains(&v),
+            "allowed are 0 to 90 degrees, below outer_deg",
+        )?;
         check(
             "outer_deg",
             outer_deg,

@@ -40,7 +40,8 @@ async fn exported(farm: &TestFarm, name: &str) -> Result<Vec<Record>> {
 
 /// A worker by hand, which does what the test wants.
 async fn register(farm: &TestFarm) -> Result<String> {
-    let request = RegisterRequest { label: "by hand".to_owned(), threads: 1, physics_version: PHYSICS_VERSION };
+    let request =
+        RegisterRequest { label: "by hand".to_owned(), threads: 1, physics_version: PHYSICS_VERSION };
     Ok(farm.leases().register(request).await?.into_inner().worker_id)
 }
 
@@ -87,7 +88,8 @@ async fn a_simulated_measurement_is_fitted_to_its_own_record_over_grpc() -> Resu
     let profile = |thickness: usize| {
         let record = &records[grid.record_at(0, 1, 1, thickness, 2)];
         let x = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
-        let values = record.profiles[1].radiance_factor.values().iter().map(|v| f64::from(*v) / 0.9).collect();
+        let values =
+            record.profiles[1].radiance_factor.values().iter().map(|v| f64::from(*v) / 0.9).collect();
         MeasuredProfile::new("G", grid.thickness_mm()[thickness], x, values, None)
     };
     let measurement = Measurement::new("m", vec![profile(0)?, profile(1)?])?;
@@ -171,7 +173,10 @@ async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Re
         let details = refused.get_details_bad_request().expect("the field is named in the details");
         assert!(details.field_violations[0].field.contains(field), "{details:?}");
     }
-    let forged = Lease { key: farm_proto::job::LeaseKey { token: "0".repeat(32), ..lease.key.clone() }, ..lease.clone() };
+    let forged = Lease {
+        key: farm_proto::job::LeaseKey { token: "0".repeat(32), ..lease.key.clone() },
+        ..lease.clone()
+    };
     let refused = complete(&farm, &forged, good.clone()).await.unwrap_err();
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(exported(&farm, "small").await?.is_empty());
@@ -205,7 +210,10 @@ async fn submitting_is_idempotent_and_names_belong_to_one_grid() -> Result<()> {
     let details = refused.get_details_bad_request().expect("the field is named in the details");
     assert_eq!(details.field_violations[0].field, "grid.g[0]");
     let unknown = farm.dictionaries().get(GetRequest { name: "none".to_owned() }).await.unwrap_err();
-    assert_eq!((unknown.code(), unknown.message()), (Code::NotFound, "dictionary none does not exist; there are: small"));
+    assert_eq!(
+        (unknown.code(), unknown.message()),
+        (Code::NotFound, "dictionary none does not exist; there are: small")
+    );
     farm.coordinator.stop().await
 }
 

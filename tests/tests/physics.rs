@@ -41,9 +41,8 @@ impl Run {
 }
 
 fn channels(scene: Scene, rho: &[(f64, f64)]) -> Scene {
-    let channel = |(i, &(light, dark)): (usize, &(f64, f64))| {
-        Channel::new(format!("c{i}"), light, dark).unwrap()
-    };
+    let channel =
+        |(i, &(light, dark)): (usize, &(f64, f64))| Channel::new(format!("c{i}"), light, dark).unwrap();
     scene.with_channels(rho.iter().enumerate().map(channel).collect()).unwrap()
 }
 
@@ -104,9 +103,8 @@ fn edge_profiles_agree_with_mitsuba() {
         let point = [reference.sigma_t_per_mm, reference.g, reference.thickness_mm, reference.sample_ior];
         let run = Run::new(scene, point, &[reference.albedo], 125_000);
         let profiles: Vec<_> = (0..SEEDS).map(|seed| values(&run.profile(seed))).collect();
-        let ours: Vec<_> = (0..n)
-            .map(|pixel| Mean::of(&profiles.iter().map(|p| p[pixel]).collect::<Vec<_>>()))
-            .collect();
+        let ours: Vec<_> =
+            (0..n).map(|pixel| Mean::of(&profiles.iter().map(|p| p[pixel]).collect::<Vec<_>>())).collect();
         let theirs: Vec<_> = std::iter::zip(&reference.values, &reference.std_errors)
             .map(|(&mean, &std_error)| Mean { mean, std_error })
             .collect();
@@ -157,9 +155,8 @@ fn swapping_light_and_sensor_changes_nothing() {
     let base = || channels(pixels(Scene::smooth(), 10.0, 1), &[(0.9, 0.9)]);
     let point = [4.0, 0.5, 0.5, 1.53];
     let ring = base().with_light(RingLight::new(44.0, 46.0).unwrap());
-    let tilted = base()
-        .with_sensor(Sensor::new(10.0, 1, 45.0).unwrap())
-        .with_light(RingLight::new(0.0, 5.0).unwrap());
+    let tilted =
+        base().with_sensor(Sensor::new(10.0, 1, 45.0).unwrap()).with_light(RingLight::new(0.0, 5.0).unwrap());
     let forth = at(&Run::new(ring, point, &[0.98], 2_000_000).profile(1), 0);
     let back = at(&Run::new(tilted, point, &[0.98], 4_000_000).profile(2), 0);
     println!("{forth:?} {back:?}");
@@ -170,7 +167,8 @@ fn swapping_light_and_sensor_changes_nothing() {
 /// The box filter is exact: fine pixels averaged are coarse pixels, from the same walks.
 #[test]
 fn averaged_fine_pixels_are_coarse_pixels() {
-    let run = |n| Run::new(pixels(Scene::paper(), 6.0, n), [6.0, 0.4, 0.5, 1.53], &[0.999], 25_000).profile(3);
+    let run =
+        |n| Run::new(pixels(Scene::paper(), 6.0, n), [6.0, 0.4, 0.5, 1.53], &[0.999], 25_000).profile(3);
     let (fine, coarse) = (values(&run(120)), values(&run(24)));
     for (i, coarse) in coarse.iter().enumerate() {
         let mean = fine[5 * i..5 * i + 5].iter().sum::<f64>() / 5.0;
@@ -254,11 +252,13 @@ fn results_are_the_same_bits_for_any_number_of_threads() {
     let cases = [
         (Scene::paper(), "1eab243a85f5a3f0f71a34215e49a4e92d7a27a65fbd39573e6b6e3e7d7be901"),
         (Scene::smooth(), "e0063d52d6ebce9c2a47f084f391afdd4cc64126f6787b434d14db5f121aca06"),
-        (Scene::paper().with_multiple_scattering(true), "05c58be54621a2903753bb6aef488130e631f9677c85e516a45a245d7fe4b3ce"),
+        (
+            Scene::paper().with_multiple_scattering(true),
+            "05c58be54621a2903753bb6aef488130e631f9677c85e516a45a245d7fe4b3ce",
+        ),
     ];
     for (scene, expected) in cases {
-        let mut run =
-            Run::new(pixels(scene, 10.0, 60), [6.0, 0.4, 0.5, 1.53], &[0.05, 0.9991], 65_000);
+        let mut run = Run::new(pixels(scene, 10.0, 60), [6.0, 0.4, 0.5, 1.53], &[0.05, 0.9991], 65_000);
         run.derivatives = true;
         for threads in [1, 2, 5] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

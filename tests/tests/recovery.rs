@@ -18,7 +18,8 @@ walks = 25000
 ";
 
 fn rounds() -> u64 {
-    6 * std::env::var("FARM_TEST_EFFORT").map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
+    6 * std::env::var("FARM_TEST_EFFORT")
+        .map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
 }
 
 /// Moments from 0 to 1 that differ from round to round.
@@ -87,8 +88,9 @@ fn coordinator_and_workers_killed_in_turn_lose_nothing() {
     // The port must stay the same over restarts: one that is free now is taken.
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let (listen, url) = (format!("127.0.0.1:{port}"), format!("http://127.0.0.1:{port}"));
-    let coordinator =
-        || spawn("farm-coordinator", &["--listen", &listen, "--data", data.to_str().unwrap(), "--lease", "1"]);
+    let coordinator = || {
+        spawn("farm-coordinator", &["--listen", &listen, "--data", data.to_str().unwrap(), "--lease", "1"])
+    };
     let worker = || spawn("farm-worker", &["--server", &url, "--threads", "1"]);
     let mut processes = [coordinator(), worker(), worker()];
     let submit = || run(folder.path(), &["submit", "grid.toml", "--server", &url, "-q"]);

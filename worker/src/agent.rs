@@ -100,7 +100,12 @@ async fn work(session: Arc<Session>, held: Arc<Held>, pool: Pool, lease: Lease, 
         Ok(()) => tracing::debug!(job = key.job, attempt = key.attempt, "job done"),
         Err(status) => {
             debug_assert!(!is_passing(&status), "passing faults are retried");
-            tracing::error!(job = key.job, attempt = key.attempt, message = status.message(), "result refused");
+            tracing::error!(
+                job = key.job,
+                attempt = key.attempt,
+                message = status.message(),
+                "result refused"
+            );
         }
     }
 }

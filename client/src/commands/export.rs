@@ -77,7 +77,8 @@ async fn export(
 
 /// Numbers of the records that the lists admit; empty if no list is given, which means all.
 fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>, Invalid> {
-    if [&args.sigma_t, &args.albedo, &args.g, &args.thickness, &args.sample_ior].iter().all(|l| l.is_empty()) {
+    if [&args.sigma_t, &args.albedo, &args.g, &args.thickness, &args.sample_ior].iter().all(|l| l.is_empty())
+    {
         return Ok(Vec::new());
     }
     let iors = places("sample_ior", grid.sample_ior(), &args.sample_ior)?;

@@ -27,7 +27,11 @@ struct MaterialFit {
     channels: Vec<ChannelFit>,
 }
 
-async fn fit_all(connection: &Connection, args: &FitArgs, materials: &[Measurement]) -> Result<Vec<MaterialFit>> {
+async fn fit_all(
+    connection: &Connection,
+    args: &FitArgs,
+    materials: &[Measurement],
+) -> Result<Vec<MaterialFit>> {
     let mut fits = Vec::new();
     for measurement in materials {
         let request = FitRequest {

@@ -20,7 +20,8 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
         pool = pool.num_threads(usize::from(threads));
     }
     let pool = pool.build().context("starting the tracing threads")?;
-    let traced = tokio::task::spawn_blocking(move || pool.install(|| tracer::trace(&job, &AtomicBool::new(false))));
+    let traced =
+        tokio::task::spawn_blocking(move || pool.install(|| tracer::trace(&job, &AtomicBool::new(false))));
     let records = traced.await.context("the tracer")??;
     let profiles = &records.first().context("the tracer gave no record")?.profiles;
     if output.is_json() {

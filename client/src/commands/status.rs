@@ -38,7 +38,9 @@ pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
     output.print("status", &data, || text(address.as_deref(), &status, &workers, &dictionaries))
 }
 
-async fn fetch(connection: &Connection) -> Result<(StatusResponse, Vec<WorkerStatus>, Vec<DictionaryStatus>)> {
+async fn fetch(
+    connection: &Connection,
+) -> Result<(StatusResponse, Vec<WorkerStatus>, Vec<DictionaryStatus>)> {
     let mut status = connection.farm().status(StatusRequest {}).await?.into_inner();
     let workers = std::mem::take(&mut status.workers).into_iter().map(Into::into).collect();
     Ok((status, workers, list::fetch(connection).await?))
@@ -54,12 +56,22 @@ fn text(
         Some(address) => format!("coordinator {} at {address}", status.version),
         None => "no coordinator is running; this is what its folder holds".to_owned(),
     };
-    let jobs = format!("{} jobs wait, {} are being computed", grouped(status.jobs_pending), grouped(status.jobs_leased));
+    let jobs = format!(
+        "{} jobs wait, {} are being computed",
+        grouped(status.jobs_pending),
+        grouped(status.jobs_leased)
+    );
     let mut text = format!("{place}\n{jobs}\n\n{}", list::text(dictionaries));
     if !workers.is_empty() {
         let row = |w: &WorkerStatus| {
             let silent = format!("{:.1} s", w.silent_ms as f64 / 1000.0);
-            vec![w.label.clone(), w.threads.to_string(), w.leases.to_string(), w.jobs_done.to_string(), silent]
+            vec![
+                w.label.clone(),
+                w.threads.to_string(),
+                w.leases.to_string(),
+                w.jobs_done.to_string(),
+                silent,
+            ]
         };
         let head = ["worker", "threads", "leases", "jobs done", "silent for"];
         text += &format!("\n\n{}", table(&head, &[1, 2, 3, 4], workers.iter().map(row)));

@@ -61,7 +61,8 @@ async fn submit(
     }
     let start = tokio::time::Instant::now();
     let mut progress = Progress::new(&status, quiet);
-    let mut updates = connection.dictionaries().watch(WatchRequest { name: name.to_string() }).await?.into_inner();
+    let mut updates =
+        connection.dictionaries().watch(WatchRequest { name: name.to_string() }).await?.into_inner();
     let mut interrupt = std::pin::pin!(interrupted());
     loop {
         let update = tokio::select! {
@@ -101,14 +102,20 @@ fn text(status: &DictionaryStatus, end: &End) -> String {
     let (done, total) = (grouped(status.records_done() as u64), grouped(status.records_total() as u64));
     match end {
         End::Submitted => format!("{name}: {total} records are to be computed, {done} are done"),
-        End::Interrupted => format!("{name}: stopped, {done} of {total} records are stored; submit again to go on"),
+        End::Interrupted => {
+            format!("{name}: stopped, {done} of {total} records are stored; submit again to go on")
+        }
         End::Ended(elapsed) if status.state() == DictionaryState::Done => {
             let digest = status.records_digest.map(|d| d.to_string()).unwrap_or_default();
             format!("{name}: {total} records are done, in {}\nrecords digest {digest}", duration(*elapsed))
         }
         End::Ended(_) => {
             let reasons = status.failed.iter().map(|f| format!("\n  job {}: {}", f.job, f.reason));
-            format!("{name}: {done} of {total} records are done, {} jobs failed{}", status.failed.len(), reasons.collect::<String>())
+            format!(
+                "{name}: {done} of {total} records are done, {} jobs failed{}",
+                status.failed.len(),
+                reasons.collect::<String>()
+            )
         }
     }
 }

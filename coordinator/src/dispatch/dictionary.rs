@@ -6,7 +6,7 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::job::LeaseKey;
 use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
-use farm_proto::{Digest, DictionaryName, Grid};
+use farm_proto::{DictionaryName, Digest, Grid};
 
 use super::plan;
 use crate::store::{EndedJob, StoredDictionary};

@@ -14,7 +14,7 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::job::{JobSpec, Lease, LeaseKey};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
-use farm_proto::{Digest, DictionaryName};
+use farm_proto::{DictionaryName, Digest};
 
 pub use dictionary::Dictionary;
 use dictionary::{Failure, Held};

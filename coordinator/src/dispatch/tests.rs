@@ -4,7 +4,7 @@ use farm_proto::grid::Axes;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::job::{Lease, LeaseKey};
 use farm_proto::status::DictionaryState;
-use farm_proto::{Digest, DictionaryName, Grid, Scene, Walks};
+use farm_proto::{DictionaryName, Digest, Grid, Scene, Walks};
 
 use super::{Dictionary, DispatchError, Farm, Settings};
 use crate::store::{EndedJob, StoredDictionary};

@@ -41,7 +41,9 @@ pub fn derivative(f: &[f64], wavelet: Wavelet, level: u32) -> Vec<f64> {
 fn filters(wavelet: Wavelet) -> (&'static [f64], &'static [f64], f64) {
     const R: f64 = std::f64::consts::SQRT_2;
     match wavelet {
-        Wavelet::QuadraticSpline => (&[R / 8.0, 3.0 * R / 8.0, 3.0 * R / 8.0, R / 8.0], &[-2.0 * R, 2.0 * R], 1.0),
+        Wavelet::QuadraticSpline => {
+            (&[R / 8.0, 3.0 * R / 8.0, 3.0 * R / 8.0, R / 8.0], &[-2.0 * R, 2.0 * R], 1.0)
+        }
         Wavelet::Haar => (&[1.0 / R, 1.0 / R], &[-1.0 / R, 1.0 / R], 4.0),
     }
 }
@@ -65,8 +67,7 @@ mod tests {
     fn golden() -> Vec<Vec<f64>> {
         let text = include_str!("../../../tests/data/wavelet.csv");
         let rows = text.lines().filter(|l| !l.starts_with('#')).skip(1);
-        let rows: Vec<Vec<f64>> =
-            rows.map(|l| l.split(',').map(|v| v.parse().unwrap()).collect()).collect();
+        let rows: Vec<Vec<f64>> = rows.map(|l| l.split(',').map(|v| v.parse().unwrap()).collect()).collect();
         (0..rows[0].len()).map(|c| rows.iter().map(|r| r[c]).collect()).collect()
     }
 

@@ -29,7 +29,8 @@ pub(super) fn resample(profile: &MeasuredProfile, sensor: Sensor) -> Resampled {
     let count = (first..sensor.pixels()).take_while(covered).count();
     let cumulative = Cumulative::new(profile.values());
     let position = |x: f64| (x - left) / pitch;
-    let values = (first..first + count).map(|pixel| cumulative.mean(position(edge(pixel)), position(edge(pixel + 1))));
+    let values =
+        (first..first + count).map(|pixel| cumulative.mean(position(edge(pixel)), position(edge(pixel + 1))));
     Resampled { pixels: first..first + count, values: values.collect() }
 }
 

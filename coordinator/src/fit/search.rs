@@ -115,7 +115,8 @@ impl<'a> ChannelQuestion<'a> {
 
     fn best(&self, anisotropies: &[usize]) -> Vec<Candidate> {
         let grid = self.dictionary.grid();
-        let (iors, sigmas, albedos) = (grid.sample_ior().len(), grid.sigma_t_per_mm().len(), grid.albedo().len());
+        let (iors, sigmas, albedos) =
+            (grid.sample_ior().len(), grid.sigma_t_per_mm().len(), grid.albedo().len());
         let place = |n: usize| {
             let (rest, albedo) = (n / albedos, n % albedos);
             let (rest, g) = (rest / anisotropies.len(), rest % anisotropies.len());

@@ -8,8 +8,8 @@ use farm_proto::profile::RecordShape;
 use farm_proto::wire::complete_request::Part;
 use farm_proto::wire::leases_server::Leases;
 use farm_proto::wire::{
-    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, FailRequest, FailResponse, HandBackRequest,
-    HandBackResponse, RegisterRequest, RegisterResponse, RenewRequest, RenewResponse,
+    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, FailRequest, FailResponse,
+    HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse, RenewRequest, RenewResponse,
 };
 use farm_proto::{Invalid, Record, RequestLimits};
 use tonic::{Request, Response, Status, Streaming};
@@ -22,7 +22,10 @@ const TEXT_BYTES: usize = 1000;
 
 #[tonic::async_trait]
 impl Leases for Context {
-    async fn register(&self, request: Request<RegisterRequest>) -> Result<Response<RegisterResponse>, Status> {
+    async fn register(
+        &self,
+        request: Request<RegisterRequest>,
+    ) -> Result<Response<RegisterResponse>, Status> {
         let request = request.into_inner();
         let label = shortened(request.label);
         let (id, settings) = self.farm.register(label, request.threads, request.physics_version)?;
@@ -44,7 +47,9 @@ impl Leases for Context {
         loop {
             let leases = self.farm.acquire(&worker, max as usize)?;
             if !leases.is_empty() {
-                return Ok(Response::new(AcquireResponse { leases: leases.into_iter().map(Into::into).collect() }));
+                return Ok(Response::new(AcquireResponse {
+                    leases: leases.into_iter().map(Into::into).collect(),
+                }));
             }
             tokio::select! {
                 () = &mut wait => return Ok(Response::new(AcquireResponse::default())),
@@ -78,7 +83,10 @@ impl Leases for Context {
         Ok(Response::new(CompleteResponse { duplicate }))
     }
 
-    async fn hand_back(&self, request: Request<HandBackRequest>) -> Result<Response<HandBackResponse>, Status> {
+    async fn hand_back(
+        &self,
+        request: Request<HandBackRequest>,
+    ) -> Result<Response<HandBackResponse>, Status> {
         self.farm.hand_back(&keys(request.into_inner().leases));
         Ok(Response::new(HandBackResponse {}))
     }

@@ -10,7 +10,9 @@ impl From<FarmError> for Status {
     fn from(error: FarmError) -> Self {
         let code = match &error {
             FarmError::Invalid(invalid) => return invalid.to_status(),
-            FarmError::NotFound { .. } | FarmError::Dispatch(DispatchError::UnknownDictionary(_)) => Code::NotFound,
+            FarmError::NotFound { .. } | FarmError::Dispatch(DispatchError::UnknownDictionary(_)) => {
+                Code::NotFound
+            }
             FarmError::NameTaken { .. } => Code::AlreadyExists,
             FarmError::Dispatch(DispatchError::UnknownWorker(_)) => Code::Unauthenticated,
             FarmError::Dispatch(DispatchError::LeaseLost { .. })

@@ -50,7 +50,8 @@ impl DataDir {
 
     /// Tells other processes where this coordinator listens; whole or not at all.
     pub fn publish_address(&self, address: std::net::SocketAddr) -> Result<()> {
-        let fault = |source| StoreError::DataDir { dir: self.path.clone(), what: "cannot be written to", source };
+        let fault =
+            |source| StoreError::DataDir { dir: self.path.clone(), what: "cannot be written to", source };
         let draft = self.path.join(format!("{ADDRESS_FILE}.new"));
         let mut file = File::create(&draft).map_err(fault)?;
         file.write_all(address.to_string().as_bytes()).map_err(fault)?;

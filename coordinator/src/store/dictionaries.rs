@@ -1,7 +1,7 @@
 //! Table `dictionaries`.
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::{Digest, DictionaryName, Grid, wire};
+use farm_proto::{DictionaryName, Digest, Grid, wire};
 use prost::Message;
 
 use super::{Result, Store, StoreError, doing};
@@ -28,7 +28,8 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
     type Error = StoreError;
 
     fn try_from(row: DictionaryRow) -> Result<Self> {
-        let corrupt = |column, why: String| StoreError::Corrupt { table: "dictionaries", row: row.id, column, why };
+        let corrupt =
+            |column, why: String| StoreError::Corrupt { table: "dictionaries", row: row.id, column, why };
         let grid = wire::Grid::decode(&row.grid[..]).map_err(|e| corrupt("grid", e.to_string()))?;
         let digest = <[u8; 32]>::try_from(&row.grid_digest[..])
             .map_err(|_| corrupt("grid_digest", format!("{} bytes", row.grid_digest.len())))?;
@@ -44,11 +45,12 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
 
 impl Store {
     pub async fn dictionaries(&self) -> Result<Vec<StoredDictionary>> {
-        let rows: Vec<DictionaryRow> =
-            sqlx::query_as("SELECT id, name, grid, grid_digest, created_unix_ms FROM dictionaries ORDER BY id")
-                .fetch_all(&self.read)
-                .await
-                .map_err(doing("reading the dictionaries"))?;
+        let rows: Vec<DictionaryRow> = sqlx::query_as(
+            "SELECT id, name, grid, grid_digest, created_unix_ms FROM dictionaries ORDER BY id",
+        )
+        .fetch_all(&self.read)
+        .await
+        .map_err(doing("reading the dictionaries"))?;
         rows.into_iter().map(TryInto::try_into).collect()
     }
 
@@ -73,6 +75,12 @@ impl Store {
             sqlx::Error::Database(e) if e.is_unique_violation() => StoreError::NameTaken,
             _ => doing("creating the dictionary")(source),
         })?;
-        Ok(StoredDictionary { id: DictionaryId(done.last_insert_rowid()), name, grid, grid_digest, created_unix_ms })
+        Ok(StoredDictionary {
+            id: DictionaryId(done.last_insert_rowid()),
+            name,
+            grid,
+            grid_digest,
+            created_unix_ms,
+        })
     }
 }

@@ -1,8 +1,8 @@
 //! Table `jobs`: those that have ended.
 
 use farm_proto::Digest;
-use farm_proto::ids::DictionaryId;
 use farm_proto::Record;
+use farm_proto::ids::DictionaryId;
 
 use super::{Result, Store, StoreError, doing, records};
 

@@ -15,7 +15,7 @@ use std::time::Duration;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{Row, SqlitePool};
 
-pub use data_dir::{DataDir, ADDRESS_FILE};
+pub use data_dir::{ADDRESS_FILE, DataDir};
 pub use dictionaries::StoredDictionary;
 pub use jobs::{Completion, EndedJob};
 
@@ -105,7 +105,10 @@ impl Store {
 }
 
 async fn check_version(pool: &SqlitePool) -> Result<()> {
-    let row = sqlx::query("SELECT sqlite_version()").fetch_one(pool).await.map_err(doing("asking SQLite's version"))?;
+    let row = sqlx::query("SELECT sqlite_version()")
+        .fetch_one(pool)
+        .await
+        .map_err(doing("asking SQLite's version"))?;
     let found: String = row.get(0);
     let parts = |v: &str| v.split('.').map(|p| p.parse().unwrap_or(0)).collect::<Vec<u32>>();
     if parts(&found) < parts(OLDEST_SQLITE) {

@@ -1,7 +1,7 @@
 use farm_proto::grid::Axes;
 use farm_proto::profile::RecordShape;
 use farm_proto::scene::{Scene, Sensor};
-use farm_proto::{Digest, DictionaryName, Estimate, Grid, Profile, Record, Walks};
+use farm_proto::{DictionaryName, Digest, Estimate, Grid, Profile, Record, Walks};
 
 use super::{Completion, DataDir, EndedJob, Store, StoreError};
 

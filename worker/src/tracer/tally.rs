@@ -4,9 +4,9 @@
 //! with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so that the average
 //! over each pixel is exact, and integrates once per batch.
 
+use farm_proto::grid::BATCH_WALKS;
 use farm_proto::profile::{Derivatives, Estimate, Profile, Record};
 use farm_proto::scene::Sensor;
-use farm_proto::grid::BATCH_WALKS;
 
 use super::powers::{AlbedoPowers, GrowingPowers};
 use super::stack::ring_measure;
@@ -163,7 +163,8 @@ impl Partial {
     /// Mean and standard error per pixel, one record per albedo.
     pub fn into_records(self, job: &JobSpec) -> Vec<Record> {
         let scene = job.scene();
-        let (pixels, channels, albedos) = (scene.sensor().pixels(), scene.channels().len(), job.albedo().len());
+        let (pixels, channels, albedos) =
+            (scene.sensor().pixels(), scene.channels().len(), job.albedo().len());
         let quantities = quantities(job);
         let row = channels * quantities * albedos;
         let batches = self.batches as f64;

@@ -137,7 +137,8 @@ impl<'a> Walk<'a> {
 
     fn cross_below(&mut self, u: [f32; 4]) -> Event {
         let interface = self.stack.interfaces[self.slab];
-        let Some(transmitted) = self.cross(-self.direction, 1.0, interface.eta_from_above, interface.alpha, u)
+        let Some(transmitted) =
+            self.cross(-self.direction, 1.0, interface.eta_from_above, interface.alpha, u)
         else {
             return Event::Lost;
         };
@@ -152,7 +153,8 @@ impl<'a> Walk<'a> {
 
     fn cross_above(&mut self, u: [f32; 4]) -> Event {
         let interface = self.stack.interfaces[self.slab - 1];
-        let Some(transmitted) = self.cross(-self.direction, -1.0, interface.eta_from_below, interface.alpha, u)
+        let Some(transmitted) =
+            self.cross(-self.direction, -1.0, interface.eta_from_below, interface.alpha, u)
         else {
             return Event::Lost;
         };

@@ -1,7 +1,7 @@
 //! Exact cases for single walks, where no tally stands between the physics and the check.
 
-use farm_proto::scene::{Channel, Layer, RingLight, Scene, Sensor};
 use farm_proto::TransportPoint;
+use farm_proto::scene::{Channel, Layer, RingLight, Scene, Sensor};
 use glam::Vec3;
 
 use super::math::sin_cos_turns;
@@ -82,11 +82,12 @@ fn left(event: Event) -> bool {
 #[test]
 fn matched_slab_reflects_and_transmits_as_tabulated() {
     let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(2.0, 0.75, 1.0, 1.0).unwrap());
-    let fate = |wanted: Event| {
-        statistics(walks(&stack, 1_000_000, 1, down, left_or_through).map(|(walk, event)| {
-            if event == wanted { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
-        }))
-    };
+    let fate =
+        |wanted: Event| {
+            statistics(walks(&stack, 1_000_000, 1, down, left_or_through).map(|(walk, event)| {
+                if event == wanted { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
+            }))
+        };
     assert_close(fate(Event::Left), 0.09739, 1e-5, 3e-4);
     assert_close(fate(Event::Base), 0.66096, 1e-5, 5e-4);
 }
@@ -96,9 +97,8 @@ fn matched_slab_reflects_and_transmits_as_tabulated() {
 #[test]
 fn half_space_with_an_index_of_its_own_reflects_as_tabulated() {
     let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
-    let reflected = walks(&stack, 400_000, 2, down, left_or_through).map(|(walk, event)| {
-        if event == Event::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
-    });
+    let reflected = walks(&stack, 400_000, 2, down, left_or_through)
+        .map(|(walk, event)| if event == Event::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 });
     assert_close(statistics(reflected), 0.2600, 5e-5, 6e-4);
 }
 
