@@ -99,7 +99,16 @@ impl Connection {
         let (stop_coordinator, stop_worker) = (CancellationToken::new(), CancellationToken::new());
         let coordinator = tokio::spawn(coordinator.serve(listener, stop_coordinator.clone()));
         let worker = (purpose == Purpose::Compute).then(|| {
-            tokio::spawn(farm_worker::run(farm_worker::Config::new(url.clone()), stop_worker.clone()))
+            let work = farm_worker::run(farm_worker::Config::new(url.clone()), stop_worker.clone());
+            let stop_coordinator = stop_coordinator.clone();
+            tokio::spawn(async move {
+                let ended = work.await;
+                if ended.is_err() {
+                    // Without its worker the farm would wait for ever.
+                    stop_coordinator.cancel();
+                }
+                ended
+            })
         });
         let embedded = Embedded { coordinator, worker, stop_coordinator, stop_worker };
         let Self { channel, address, .. } = Self::remote(url).await?;

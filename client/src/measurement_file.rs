@@ -111,15 +111,18 @@ fn add(drafts: &mut Vec<Draft>, row: &csv::StringRecord, columns: &Columns) -> R
     let thickness_mm = number(columns.thickness_mm, "thickness_mm")?;
     let same = |d: &Draft| d.material == material && d.channel == channel && d.thickness_mm == thickness_mm;
     // Rows of a profile are mostly neighbours: the last is tried first.
-    let place = match drafts.iter().rposition(same) {
-        Some(place) => place,
-        None => {
-            let (material, channel) = (material.to_owned(), channel.to_owned());
-            let empty = (Vec::new(), Vec::new(), Vec::new());
-            let (x_mm, values, std_errors) = empty;
-            drafts.push(Draft { material, channel, thickness_mm, x_mm, values, std_errors });
-            drafts.len() - 1
-        }
+    let place = if let Some(place) = drafts.iter().rposition(same) {
+        place
+    } else {
+        drafts.push(Draft {
+            material: material.to_owned(),
+            channel: channel.to_owned(),
+            thickness_mm,
+            x_mm: Vec::new(),
+            values: Vec::new(),
+            std_errors: Vec::new(),
+        });
+        drafts.len() - 1
     };
     let draft = &mut drafts[place];
     draft.x_mm.push(number(columns.x_mm, "x_mm")?);

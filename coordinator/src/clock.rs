@@ -21,7 +21,7 @@ impl Clock {
 
     /// Wall-clock time, for people.
     #[expect(clippy::disallowed_methods, reason = "this is where the ambient clock enters")]
-    pub fn unix_ms(&self) -> u64 {
+    pub fn unix_ms() -> u64 {
         let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
         since.map_or(0, |d| d.as_millis() as u64)
     }

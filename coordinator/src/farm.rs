@@ -102,7 +102,7 @@ impl Farm {
             }
             return Err(FarmError::NameTaken { name });
         }
-        let stored = self.store.create_dictionary(name.clone(), grid, self.clock.unix_ms()).await?;
+        let stored = self.store.create_dictionary(name.clone(), grid, Clock::unix_ms()).await?;
         tracing::info!(%name, jobs = stored.grid.job_count(), records = stored.grid.record_count(), "new dictionary");
         self.dispatch().add_dictionary(Dictionary::new(stored, Vec::new()));
         self.changed.send_replace(());

@@ -29,7 +29,7 @@ impl Digest {
         for record in records {
             bytes.clear();
             bytes.extend((record.index as u64).to_le_bytes());
-            for estimate in record.profiles.iter().flat_map(|p| p.estimates()) {
+            for estimate in record.profiles.iter().flat_map(super::profile::Profile::estimates) {
                 let numbers = estimate.values().iter().chain(estimate.std_errors());
                 bytes.extend(numbers.flat_map(|v| v.to_le_bytes()));
             }

@@ -2,7 +2,8 @@
 
 use crate::invalid::{Invalid, Result};
 use crate::optics::{
-    Medium, TransportPoint, check_albedo, check_g, check_ior, check_sigma_t, check_thickness,
+    Medium, TransportPoint, check_albedo, check_g, check_ior, check_optical_thickness, check_sigma_t,
+    check_thickness,
 };
 use crate::scene::Scene;
 
@@ -25,7 +26,7 @@ impl Walks {
     pub const PAPER: Self = Self(250_000);
 
     pub fn new(walks: u64) -> Result<Self> {
-        if walks >= 2 * BATCH_WALKS && walks <= MAX_WALKS && walks.is_multiple_of(BATCH_WALKS) {
+        if (2 * BATCH_WALKS..=MAX_WALKS).contains(&walks) && walks.is_multiple_of(BATCH_WALKS) {
             Ok(Self(walks))
         } else {
             let allowed =
@@ -83,6 +84,8 @@ impl Grid {
             seed,
             derivatives,
         };
+        let last = |axis: &[f64]| axis[axis.len() - 1];
+        check_optical_thickness(last(&grid.sigma_t_per_mm), last(&grid.thickness_mm))?;
         let records = grid.job_count() as u128 * grid.albedo.len() as u128;
         if records > u128::from(MAX_RECORDS) {
             return Err(Invalid::new("records", records, format!("a grid may have at most {MAX_RECORDS}")));

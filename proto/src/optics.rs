@@ -22,6 +22,20 @@ pub fn check_thickness(value: f64) -> Result<f64> {
     check("thickness_mm", value, |v| (1e-4..=1e3).contains(&v), "allowed are 1e-4 to 1000 mm")
 }
 
+/// Largest optical thickness σ_t · t of a sample: beyond it single steps would drown in the rounding of positions.
+pub const MAX_OPTICAL_THICKNESS: f64 = 1e4;
+
+/// Refuses a slab that is optically too thick.
+pub fn check_optical_thickness(sigma_t_per_mm: f64, thickness_mm: f64) -> Result<f64> {
+    let allowed = "allowed is an optical thickness up to 10000";
+    check(
+        "sigma_t_per_mm × thickness_mm",
+        sigma_t_per_mm * thickness_mm,
+        |v| v <= MAX_OPTICAL_THICKNESS,
+        allowed,
+    )
+}
+
 /// Refuses what is not the refractive index of a dielectric.
 pub fn check_ior(field: &str, value: f64) -> Result<f64> {
     check(field, value, |v| (1.0..=4.0).contains(&v), "allowed are 1 to 4")
@@ -68,12 +82,14 @@ pub struct TransportPoint {
 
 impl TransportPoint {
     pub fn new(sigma_t_per_mm: f64, g: f64, thickness_mm: f64, sample_ior: f64) -> Result<Self> {
-        Ok(Self {
+        let point = Self {
             sigma_t_per_mm: check_sigma_t(sigma_t_per_mm)?,
             g: check_g(g)?,
             thickness_mm: check_thickness(thickness_mm)?,
             sample_ior: check_ior("sample_ior", sample_ior)?,
-        })
+        };
+        check_optical_thickness(sigma_t_per_mm, thickness_mm)?;
+        Ok(point)
     }
 
     pub fn sigma_t_per_mm(&self) -> f64 {
@@ -115,6 +131,8 @@ mod tests {
             assert!(error.to_string().contains(&format!("{field} = {given} ")), "{error}");
             assert!(error.to_string().contains("allowed are"), "{error}");
         }
+        let thick = TransportPoint::new(1e4, 0.0, 2.0, 1.53).unwrap_err();
+        assert_eq!(thick.field(), "sigma_t_per_mm × thickness_mm");
         let negative = TransportPoint::new(1.0, 0.0, -0.5, 1.53).unwrap_err();
         assert_eq!(negative.to_string(), "thickness_mm = -0.5 is not valid: allowed are 1e-4 to 1000 mm");
     }

@@ -266,7 +266,6 @@ impl Scene {
         build().expect("the built-in scenes are valid")
     }
 
-    #[must_use]
     pub fn with_channels(mut self, channels: Vec<Channel>) -> Result<Self> {
         self.channels = channels;
         Self::new(self.layers, self.channels, self.light, self.sensor, self.multiple_scattering)

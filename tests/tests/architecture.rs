@@ -1,5 +1,7 @@
 //! The boundaries that ARCHITECTURE.md draws, checked in the sources.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 use std::path::{Path, PathBuf};
 
 use farm_tests::reference::root;

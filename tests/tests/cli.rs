@@ -1,5 +1,7 @@
 //! `farmctl` as a user meets it: output, JSON shapes, errors, exit codes, and what is left on the disk.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::Path;

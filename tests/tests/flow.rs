@@ -1,5 +1,7 @@
 //! Work flowing through a real farm, and the ways in which it must not.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
@@ -113,13 +115,13 @@ async fn a_simulated_measurement_is_fitted_to_its_own_record_over_grpc() -> Resu
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
     // With leases of an hour only a hand-back lets the second worker go on.
-    let (farm, grid) = (TestFarm::with_lease(Duration::from_secs(3600)).await?, small_grid());
+    let (farm, grid) = (TestFarm::with_lease(Duration::from_hours(1)).await?, small_grid());
     farm.submit("small", &grid).await?;
     let first = farm.worker();
     tokio::time::sleep(Duration::from_millis(150)).await;
     first.stop().await?;
     let second = farm.worker();
-    let status = tokio::time::timeout(Duration::from_secs(60), farm.done("small")).await??;
+    let status = tokio::time::timeout(Duration::from_mins(1), farm.done("small")).await??;
     assert!(status.failed.is_empty());
     second.stop().await?;
     farm.coordinator.stop().await
@@ -242,7 +244,7 @@ async fn workers_outlive_a_coordinator_that_is_away_for_a_while() -> Result<()> 
     let dir = farm.into_dir().await?;
     tokio::time::sleep(Duration::from_millis(300)).await;
     let again = TestCoordinator::start(&dir.path().join("data"), Duration::from_secs(30), port).await?;
-    let status = tokio::time::timeout(Duration::from_secs(120), done(again.link().await?, "small")).await??;
+    let status = tokio::time::timeout(Duration::from_mins(2), done(again.link().await?, "small")).await??;
     assert_eq!(status.records_digest, Some(digest(&all_records(&grid))));
     worker.stop().await?;
     again.stop().await

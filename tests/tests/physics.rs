@@ -2,6 +2,8 @@
 //!
 //! Seeds are fixed. Each test says how many walks it uses and how wrong a result it would let pass.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 use std::sync::atomic::AtomicBool;
 
 use farm_proto::job::JobSpec;

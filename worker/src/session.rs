@@ -18,7 +18,7 @@ use tonic::{Code, Status};
 use crate::config::Config;
 
 /// Longest time a call other than the wait for work may take.
-const CALL: Duration = Duration::from_secs(60);
+const CALL: Duration = Duration::from_mins(1);
 /// HTTP/2 pings find links that were cut without a word.
 const KEEPALIVE: Duration = Duration::from_secs(20);
 

@@ -71,7 +71,8 @@ fn text(fits: &[MaterialFit], top: u32) -> String {
 }
 
 fn summary(fits: &[MaterialFit], channels: &[&str]) -> String {
-    let quantities: [(&str, fn(&Candidate) -> String); 4] = [
+    type Tell = fn(&Candidate) -> String;
+    let quantities: [(&str, Tell); 4] = [
         ("σ_t /mm", |c| c.medium.sigma_t_per_mm().to_string()),
         ("α", |c| c.medium.albedo().to_string()),
         ("g", |c| c.medium.g().to_string()),

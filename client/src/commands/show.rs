@@ -55,7 +55,7 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
 fn text(status: &DictionaryStatus) -> String {
     let grid = &status.grid;
     let sensor = grid.scene().sensor();
-    let channels: Vec<_> = grid.scene().channels().iter().map(|c| c.name()).collect();
+    let channels: Vec<_> = grid.scene().channels().iter().map(farm_proto::scene::Channel::name).collect();
     let digest = status.records_digest.map_or("– (not complete)".to_owned(), |d| d.to_string());
     let mut lines = vec![
         ("dictionary", status.name.to_string()),

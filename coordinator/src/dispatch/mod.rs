@@ -20,7 +20,7 @@ pub use dictionary::Dictionary;
 use dictionary::{Failure, Held};
 
 /// Workers that hold no lease are forgotten after this long.
-const FORGET_WORKER: Duration = Duration::from_secs(600);
+const FORGET_WORKER: Duration = Duration::from_mins(10);
 
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {

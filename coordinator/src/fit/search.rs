@@ -81,7 +81,7 @@ impl<'a> ChannelQuestion<'a> {
     ) -> Result<Self, Invalid> {
         let scene = dictionary.grid().scene();
         let index = scene.channels().iter().position(|c| c.name() == channel).ok_or_else(|| {
-            let names: Vec<_> = scene.channels().iter().map(|c| c.name()).collect();
+            let names: Vec<_> = scene.channels().iter().map(farm_proto::scene::Channel::name).collect();
             Invalid::new("channel", channel, format!("the dictionary has {}", names.join(", ")))
         })?;
         let terms = measurement

@@ -42,7 +42,7 @@ async fn what_was_committed_is_there_after_reopening() {
     drop(store);
 
     let store = open(dir.path()).await;
-    assert_eq!(store.dictionaries().await.unwrap(), [created.clone()]);
+    assert_eq!(store.dictionaries().await.unwrap(), std::slice::from_ref(&created));
     assert_eq!(
         store.ended_jobs(created.id).await.unwrap(),
         [

@@ -35,6 +35,8 @@ pub enum Event {
 pub struct Walk<'a> {
     stack: &'a Stack,
     stream: Stream,
+    /// Number of events after which roulette is played next.
+    roulette_at: u32,
     slab: usize,
     /// Height above the lower face of the sample; meaningful inside it.
     z_mm: f32,
@@ -56,6 +58,7 @@ impl<'a> Walk<'a> {
         let mut walk = Self {
             stack,
             stream,
+            roulette_at: ROULETTE_EVENTS,
             slab: 0,
             z_mm: 0.0,
             direction,
@@ -77,7 +80,8 @@ impl<'a> Walk<'a> {
 
     /// Advances to the next event. Not to be called after [`Event::Left`] or [`Event::Lost`].
     pub fn step(&mut self) -> Event {
-        if self.stream.events() % ROULETTE_EVENTS == ROULETTE_EVENTS - 1 {
+        if self.stream.events() >= self.roulette_at {
+            self.roulette_at += ROULETTE_EVENTS;
             if self.stream.next()[0] < 0.5 {
                 return Event::Lost;
             }
@@ -92,7 +96,10 @@ impl<'a> Walk<'a> {
         let free_mm = -ln(u[0]) * self.stack.mean_free_path_mm;
         let thickness_mm = self.stack.thickness_mm[self.slab];
         let z_mm = self.z_mm + self.direction.z * free_mm;
-        if z_mm > 0.0 && z_mm < thickness_mm {
+        // Only the face ahead counts: a step too short to change z must not pass for a crossing of the other.
+        let down = self.direction.z < 0.0;
+        let reaches_face = if down { z_mm <= 0.0 } else { z_mm >= thickness_mm && self.direction.z > 0.0 };
+        if !reaches_face {
             self.z_mm = z_mm;
             self.x_mm += self.direction.x * free_mm;
             self.length_mm += free_mm;
@@ -100,7 +107,6 @@ impl<'a> Walk<'a> {
             self.direction = self.stack.phase.scatter(self.direction, u[1], u[2]);
             return Event::Scattered;
         }
-        let down = self.direction.z < 0.0;
         let face_mm = if down { 0.0 } else { thickness_mm };
         let flown_mm = (face_mm - self.z_mm) / self.direction.z;
         self.z_mm = face_mm;

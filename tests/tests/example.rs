@@ -1,0 +1,46 @@
+//! The measurement that is shipped as an example, from grid to fit, as the README tells it.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+use farm_proto::{Grid, SceneFile};
+use farm_tests::process::run;
+use farm_tests::reference::root;
+use serde_json::Value;
+
+/// All extinctions and albedos of the paper at g = 0.4, with 100,000 walks a point instead of 250,000: each channel of
+/// the white material, rendered by Mitsuba, must come out within one grid step of the parameters it was rendered
+/// with. The steps are 8 to 9 % in σ_t, and 0.0001 to 0.001 in α.
+#[test]
+fn the_white_example_is_recovered_within_one_grid_step() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("grid.toml"), "g = [0.4]\nwalks = 100000\n").unwrap();
+    let submitted = run(folder.path(), &["submit", "grid.toml", "-q"]);
+    assert_eq!(submitted.code, 0, "{}", submitted.stderr);
+    let file = root().join("examples/white.csv");
+    let fitted = run(folder.path(), &["fit", file.to_str().unwrap(), "--dictionary", "grid", "--g", "0.4", "--json"]);
+    let fitted: Value = serde_json::from_str(&fitted.stdout).expect("fit --json prints JSON");
+    let truth = [("R", 6.0, 0.9991), ("G", 9.0, 0.9997), ("B", 24.0, 0.999)];
+    let paper = Grid::paper();
+    let place = |axis: &[f64], value: f64| axis.iter().position(|v| *v == value).unwrap().cast_signed();
+    for ((channel, sigma_t, albedo), fit) in
+        truth.into_iter().zip(fitted["data"]["materials"][0]["channels"].as_array().unwrap())
+    {
+        assert_eq!(fit["channel"], channel);
+        let best = &fit["candidates"][0];
+        let (found_sigma_t, found_albedo) = (best["sigma_t_per_mm"].as_f64().unwrap(), best["albedo"].as_f64().unwrap());
+        println!("{channel}: {found_sigma_t} {found_albedo}, rendered with {sigma_t} {albedo}");
+        let sigma_t_steps = place(paper.sigma_t_per_mm(), found_sigma_t) - place(paper.sigma_t_per_mm(), sigma_t);
+        let albedo_steps = place(paper.albedo(), found_albedo) - place(paper.albedo(), albedo);
+        assert!(sigma_t_steps.abs() <= 1 && albedo_steps.abs() <= 1, "{channel}: {best}");
+    }
+}
+
+#[test]
+fn the_example_grid_and_scene_are_valid() {
+    let grid = farmctl::read_grid(&root().join("examples/grid.toml")).unwrap();
+    assert!(grid.derivatives() && grid.record_count() < 1000);
+    let scene = farmctl::read_scene(root().join("examples/scene.toml").to_str().unwrap()).unwrap();
+    assert_eq!(scene, *grid.scene());
+    // The scene file spells the paper's scene out.
+    assert_eq!(SceneFile::from(&scene).layers, SceneFile::from(Grid::paper().scene()).layers);
+}
