@@ -111,8 +111,14 @@ impl Connection {
             })
         });
         let embedded = Embedded { coordinator, worker, stop_coordinator, stop_worker };
-        let Self { channel, address, .. } = Self::remote(url).await?;
-        Ok(Self { channel, address, embedded: Some(embedded) })
+        match Self::remote(url).await {
+            Ok(Self { channel, address, .. }) => Ok(Self { channel, address, embedded: Some(embedded) }),
+            Err(error) => {
+                // Why it does not answer is the better explanation.
+                embedded.close().await?;
+                Err(error)
+            }
+        }
     }
 
     pub(crate) fn address(&self) -> &str {
@@ -140,13 +146,19 @@ impl Connection {
     pub(crate) async fn close(self) -> Result<()> {
         let Some(embedded) = self.embedded else { return Ok(()) };
         drop(self.channel);
-        embedded.stop_worker.cancel();
-        let worker = match embedded.worker {
+        embedded.close().await
+    }
+}
+
+impl Embedded {
+    async fn close(self) -> Result<()> {
+        self.stop_worker.cancel();
+        let worker = match self.worker {
             Some(worker) => worker.await.context("the embedded worker")?,
             None => Ok(()),
         };
-        embedded.stop_coordinator.cancel();
-        embedded.coordinator.await.context("the embedded coordinator")??;
+        self.stop_coordinator.cancel();
+        self.coordinator.await.context("the embedded coordinator")??;
         Ok(worker?)
     }
 }

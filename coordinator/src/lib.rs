@@ -52,7 +52,9 @@ impl Coordinator {
     /// Serves until `shutdown`, then closes the database.
     pub async fn serve(self, listener: TcpListener, shutdown: CancellationToken) -> Result<(), Error> {
         let address = listener.local_addr().map_err(Error::Address)?;
-        self.farm.store().dir().publish_address(address)?;
+        if let Err(error) = self.farm.store().dir().publish_address(address) {
+            tracing::warn!(%error, "commands in the same folder will not find this coordinator");
+        }
         tracing::info!(%address, "coordinator is serving");
         let reaper = tokio::spawn(reap(self.farm.clone(), shutdown.clone()));
         let served = rpc::serve(self.farm.clone(), listener, shutdown.clone()).await;

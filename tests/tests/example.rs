@@ -17,7 +17,8 @@ fn the_white_example_is_recovered_within_one_grid_step() {
     let submitted = run(folder.path(), &["submit", "grid.toml", "-q"]);
     assert_eq!(submitted.code, 0, "{}", submitted.stderr);
     let file = root().join("examples/white.csv");
-    let fitted = run(folder.path(), &["fit", file.to_str().unwrap(), "--dictionary", "grid", "--g", "0.4", "--json"]);
+    let fitted =
+        run(folder.path(), &["fit", file.to_str().unwrap(), "--dictionary", "grid", "--g", "0.4", "--json"]);
     let fitted: Value = serde_json::from_str(&fitted.stdout).expect("fit --json prints JSON");
     let truth = [("R", 6.0, 0.9991), ("G", 9.0, 0.9997), ("B", 24.0, 0.999)];
     let paper = Grid::paper();
@@ -27,9 +28,11 @@ fn the_white_example_is_recovered_within_one_grid_step() {
     {
         assert_eq!(fit["channel"], channel);
         let best = &fit["candidates"][0];
-        let (found_sigma_t, found_albedo) = (best["sigma_t_per_mm"].as_f64().unwrap(), best["albedo"].as_f64().unwrap());
+        let (found_sigma_t, found_albedo) =
+            (best["sigma_t_per_mm"].as_f64().unwrap(), best["albedo"].as_f64().unwrap());
         println!("{channel}: {found_sigma_t} {found_albedo}, rendered with {sigma_t} {albedo}");
-        let sigma_t_steps = place(paper.sigma_t_per_mm(), found_sigma_t) - place(paper.sigma_t_per_mm(), sigma_t);
+        let sigma_t_steps =
+            place(paper.sigma_t_per_mm(), found_sigma_t) - place(paper.sigma_t_per_mm(), sigma_t);
         let albedo_steps = place(paper.albedo(), found_albedo) - place(paper.albedo(), albedo);
         assert!(sigma_t_steps.abs() <= 1 && albedo_steps.abs() <= 1, "{channel}: {best}");
     }

@@ -1,8 +1,8 @@
 //! Table `jobs`: those that have ended.
 
-use farm_proto::Digest;
-use farm_proto::Record;
 use farm_proto::ids::DictionaryId;
+use farm_proto::{Digest, Record};
+use sqlx::{Connection, SqliteConnection};
 
 use super::{Result, Store, StoreError, doing, records};
 
@@ -74,29 +74,14 @@ impl Store {
         digest: Digest,
         records: &[Record],
     ) -> Result<Completion> {
-        let mut tx =
-            self.write.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to store records"))?;
-        let stored: Option<(Option<Vec<u8>>,)> =
-            sqlx::query_as("SELECT records_digest FROM jobs WHERE dictionary_id = ? AND job = ?")
-                .bind(dictionary.0)
-                .bind(job)
-                .fetch_optional(&mut *tx)
-                .await
-                .map_err(doing("looking for the job"))?;
-        if let Some((Some(stored),)) = stored {
-            let same = decode_digest(i64::from(job), &stored)? == digest;
-            return Ok(if same { Completion::Duplicate } else { Completion::Conflict });
+        let mut connection = self.write.acquire().await.map_err(doing("waiting for the database"))?;
+        let completed = complete_in(&mut connection, dictionary, job, digest, records).await;
+        if completed.is_err() {
+            // On a full disk SQLite ends the transaction by itself and sqlx still counts it as open: the connection
+            // would refuse every later one.
+            connection.close_on_drop();
         }
-        sqlx::query("INSERT OR REPLACE INTO jobs (dictionary_id, job, records_digest) VALUES (?, ?, ?)")
-            .bind(dictionary.0)
-            .bind(job)
-            .bind(&digest.as_bytes()[..])
-            .execute(&mut *tx)
-            .await
-            .map_err(doing("storing the end of a job"))?;
-        records::insert(&mut tx, dictionary, records).await?;
-        tx.commit().await.map_err(doing("committing records"))?;
-        Ok(Completion::Stored)
+        completed
     }
 
     pub async fn fail_job(&self, dictionary: DictionaryId, job: u32, reason: &str) -> Result<()> {
@@ -109,4 +94,36 @@ impl Store {
             .map_err(doing("storing the failure of a job"))?;
         Ok(())
     }
+}
+
+async fn complete_in(
+    connection: &mut SqliteConnection,
+    dictionary: DictionaryId,
+    job: u32,
+    digest: Digest,
+    records: &[Record],
+) -> Result<Completion> {
+    let mut tx =
+        connection.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to store records"))?;
+    let stored: Option<(Option<Vec<u8>>,)> =
+        sqlx::query_as("SELECT records_digest FROM jobs WHERE dictionary_id = ? AND job = ?")
+            .bind(dictionary.0)
+            .bind(job)
+            .fetch_optional(&mut *tx)
+            .await
+            .map_err(doing("looking for the job"))?;
+    if let Some((Some(stored),)) = stored {
+        let same = decode_digest(i64::from(job), &stored)? == digest;
+        return Ok(if same { Completion::Duplicate } else { Completion::Conflict });
+    }
+    sqlx::query("INSERT OR REPLACE INTO jobs (dictionary_id, job, records_digest) VALUES (?, ?, ?)")
+        .bind(dictionary.0)
+        .bind(job)
+        .bind(&digest.as_bytes()[..])
+        .execute(&mut *tx)
+        .await
+        .map_err(doing("storing the end of a job"))?;
+    records::insert(&mut tx, dictionary, records).await?;
+    tx.commit().await.map_err(doing("committing records"))?;
+    Ok(Completion::Stored)
 }

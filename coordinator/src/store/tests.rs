@@ -94,3 +94,27 @@ async fn a_data_directory_has_one_coordinator_at_a_time() {
     let error = DataDir::lock(dir.path()).unwrap_err().to_string();
     assert!(error.contains("in use by another coordinator (at 127.0.0.1:7)"), "{error}");
 }
+
+/// A full disk, played by SQLite's own limit: the error tells it, nothing of the job is stored, and once there is room
+/// the same store works on.
+#[tokio::test]
+async fn after_a_full_disk_the_store_works_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    let d = store.create_dictionary(DictionaryName::new("d").unwrap(), grid(), 7).await.unwrap();
+    sqlx::query("PRAGMA max_page_count = 1").execute(&store.write).await.unwrap();
+    let large: Vec<Record> = (0..2)
+        .map(|index| {
+            let values = vec![0.5; 100_000];
+            let radiance_factor = Estimate::new(values.clone(), values).unwrap();
+            Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }] }
+        })
+        .collect();
+    let full = store.complete_job(d.id, 0, Digest::of_records(&large), &large).await.unwrap_err();
+    assert!(full.to_string().contains("database or disk is full"), "{full}");
+    assert!(store.ended_jobs(d.id).await.unwrap().is_empty());
+    let records = records(0, 0.25);
+    let stored = store.complete_job(d.id, 0, Digest::of_records(&records), &records).await.unwrap();
+    assert_eq!(stored, Completion::Stored);
+    assert_eq!(store.records(d.id, 0..4, RecordShape::of(&d.grid)).await.unwrap(), records);
+}
