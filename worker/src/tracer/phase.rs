@@ -31,6 +31,7 @@ impl HenyeyGreenstein {
     }
 
     /// Direction after scattering of the unit vector `direction`.
+    #[inline]
     pub fn scatter(&self, direction: Vec3, u_cosine: f32, u_azimuth: f32) -> Vec3 {
         let cos = self.sample_cosine(u_cosine);
         let sin = (1.0 - cos * cos).sqrt();

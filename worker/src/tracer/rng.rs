@@ -39,6 +39,7 @@ impl Stream {
     }
 
     /// Four uniform numbers for the next event.
+    #[inline]
     pub fn next(&mut self) -> [f32; 4] {
         let block = philox4x32(self.counter, self.key);
         self.counter[0] += 1;

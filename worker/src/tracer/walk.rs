@@ -79,6 +79,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Advances to the next event. Not to be called after [`Event::Left`] or [`Event::Lost`].
+    #[inline]
     pub fn step(&mut self) -> Event {
         if self.stream.events() >= self.roulette_at {
             self.roulette_at += ROULETTE_EVENTS;
