@@ -29,19 +29,26 @@ Exit codes: 0 success, 1 error, 2 wrong usage, 3 some jobs of the dictionary hav
 #[derive(Debug, Args)]
 pub struct Global {
     /// URL of a coordinator, as in http://farm:7700.
-    #[arg(long, value_name = "URL", env = "FARM_SERVER", global = true)]
+    #[arg(long, value_name = "URL", env = "FARM_SERVER", global = true, help_heading = "General options")]
     pub server: Option<String>,
     /// Run in this process even if a server is configured.
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = "General options")]
     pub local: bool,
     /// Folder of the local farm's data.
-    #[arg(long, value_name = "DIR", env = "FARM_DATA", default_value = "farm-data", global = true)]
+    #[arg(
+        long,
+        value_name = "DIR",
+        env = "FARM_DATA",
+        default_value = "farm-data",
+        global = true,
+        help_heading = "General options"
+    )]
     pub data: PathBuf,
     /// Print one JSON object instead of text.
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = "General options")]
     pub json: bool,
     /// No progress on standard error.
-    #[arg(long, short, global = true)]
+    #[arg(long, short, global = true, help_heading = "General options")]
     pub quiet: bool,
 }
 
