@@ -30,7 +30,50 @@ pub(crate) enum Purpose {
 pub(crate) struct Connection {
     channel: Channel,
     address: String,
-    embedded: Option<Embedded>,
+    place: Place,
+}
+
+/// Where the farm lives.
+#[derive(Debug)]
+enum Place {
+    Server,
+    /// In another process that holds the data directory, and may end at any moment.
+    Neighbour,
+    Embedded(Embedded),
+}
+
+/// How long to wait for a data directory that is held by a process which does not answer.
+const HELD: Duration = Duration::from_secs(15);
+/// Pause before another look at it.
+const LOOK_AGAIN: Duration = Duration::from_millis(100);
+
+/// Does some work with a farm. If the farm was a neighbour's and has ended, the work is done again with the next, which
+/// may be one of our own.
+pub(crate) async fn with_farm<T>(
+    global: &Global,
+    purpose: Purpose,
+    work: impl AsyncFn(&Connection) -> Result<T>,
+) -> Result<T> {
+    loop {
+        let connection = Connection::open(global, purpose).await?;
+        let neighbour = matches!(connection.place, Place::Neighbour);
+        let result = work(&connection).await;
+        connection.close().await?;
+        match result {
+            Err(error) if neighbour && is_gone(&error) => tokio::time::sleep(LOOK_AGAIN).await,
+            result => return result,
+        }
+    }
+}
+
+/// Whether a call failed because nobody is there any more.
+fn is_gone(error: &anyhow::Error) -> bool {
+    use std::error::Error;
+    // A status that came over the wire has no source; one that the transport made has.
+    error
+        .chain()
+        .filter_map(|cause| cause.downcast_ref::<tonic::Status>())
+        .any(|status| status.code() == tonic::Code::Unavailable || status.source().is_some())
 }
 
 /// A coordinator and perhaps a worker in this process.
@@ -63,7 +106,7 @@ impl Connection {
                 anyhow::anyhow!("{}", cause.map_or_else(String::new, ToString::to_string))
             })
             .with_context(|| format!("no coordinator answers at {url}"))?;
-        Ok(Self { channel, address: url, embedded: None })
+        Ok(Self { channel, address: url, place: Place::Server })
     }
 
     async fn local(data: &Path, purpose: Purpose) -> Result<Self> {
@@ -74,23 +117,21 @@ impl Connection {
                 data.display()
             );
         }
-        match Coordinator::open(&Config::new(data)).await {
-            Ok(coordinator) => Self::embed(coordinator, purpose).await,
-            Err(Error::Store(StoreError::InUse { .. })) => Self::join(data).await,
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    /// Talks to the coordinator of another process that holds the data directory.
-    async fn join(data: &Path) -> Result<Self> {
-        // The holder may have started a moment ago and not listen yet.
-        for _ in 0..50 {
-            if let Some(address) = DataDir::address(data) {
-                return Self::remote(format!("http://{address}")).await;
+        let start = tokio::time::Instant::now();
+        loop {
+            match Coordinator::open(&Config::new(data)).await {
+                Ok(coordinator) => return Self::embed(coordinator, purpose).await,
+                Err(Error::Store(StoreError::InUse { .. })) if start.elapsed() < HELD => {}
+                Err(error) => return Err(error.into()),
             }
-            tokio::time::sleep(Duration::from_millis(100)).await;
+            // The holder may have started a moment ago and not listen yet, or be about to end.
+            if let Some(address) = DataDir::address(data)
+                && let Ok(connection) = Self::remote(format!("http://{address}")).await
+            {
+                return Ok(Self { place: Place::Neighbour, ..connection });
+            }
+            tokio::time::sleep(LOOK_AGAIN).await;
         }
-        bail!("{} is in use by another process, which does not say where it listens", data.display())
     }
 
     async fn embed(coordinator: Coordinator, purpose: Purpose) -> Result<Self> {
@@ -112,7 +153,7 @@ impl Connection {
         });
         let embedded = Embedded { coordinator, worker, stop_coordinator, stop_worker };
         match Self::remote(url).await {
-            Ok(Self { channel, address, .. }) => Ok(Self { channel, address, embedded: Some(embedded) }),
+            Ok(connection) => Ok(Self { place: Place::Embedded(embedded), ..connection }),
             Err(error) => {
                 // Why it does not answer is the better explanation.
                 embedded.close().await?;
@@ -127,7 +168,12 @@ impl Connection {
 
     /// Whether the farm lives in this process and ends with it.
     pub(crate) fn is_embedded(&self) -> bool {
-        self.embedded.is_some()
+        matches!(self.place, Place::Embedded(_))
+    }
+
+    /// Whether the farm goes on when this process ends.
+    pub(crate) fn is_server(&self) -> bool {
+        matches!(self.place, Place::Server)
     }
 
     pub(crate) fn dictionaries(&self) -> DictionariesClient<Channel> {
@@ -144,9 +190,11 @@ impl Connection {
 
     /// Stops what lives in this process: the worker hands its leases back, the coordinator closes its database.
     pub(crate) async fn close(self) -> Result<()> {
-        let Some(embedded) = self.embedded else { return Ok(()) };
         drop(self.channel);
-        embedded.close().await
+        match self.place {
+            Place::Embedded(embedded) => embedded.close().await,
+            Place::Server | Place::Neighbour => Ok(()),
+        }
     }
 }
 

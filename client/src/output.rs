@@ -80,16 +80,12 @@ fn sentence(error: &anyhow::Error) -> String {
     text
 }
 
-/// Whether the reader of standard output has gone, as in `farmctl export … | head`.
+/// Whether the reader of standard output has gone, as in `farmctl export … | head`. A broken connection to a farm has
+/// the same error at its root and is none of that.
 pub(crate) fn is_closed_pipe(error: &anyhow::Error) -> bool {
-    error.chain().any(|cause| {
-        let io = cause.downcast_ref::<std::io::Error>();
-        let csv = cause.downcast_ref::<csv::Error>().and_then(|e| match e.kind() {
-            csv::ErrorKind::Io(io) => Some(io),
-            _ => None,
-        });
-        io.or(csv).is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
-    })
+    let ours = error.chain().take_while(|c| !c.is::<tonic::Status>() && !c.is::<tonic::transport::Error>());
+    ours.filter_map(|cause| cause.downcast_ref::<std::io::Error>())
+        .any(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
 /// A horizontal rule above and below the head and at the end.
@@ -216,6 +212,14 @@ mod tests {
         );
         let told = [0.25, 59.0, 75.0, 7260.0].map(|s| duration(std::time::Duration::from_secs_f64(s)));
         assert_eq!(told, ["250 ms", "59 s", "1 min 15 s", "2 h 1 min"]);
+    }
+
+    #[test]
+    fn only_our_own_pipe_counts_as_closed() {
+        let broken = || std::io::Error::from(std::io::ErrorKind::BrokenPipe);
+        assert!(is_closed_pipe(&anyhow::Error::new(broken()).context("writing")));
+        let status = tonic::Status::from_error(Box::new(broken()));
+        assert!(!is_closed_pipe(&anyhow::Error::new(status)));
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub(crate) enum FarmError {
     Store(#[from] StoreError),
     #[error("dictionary {name} does not exist{}", hint(known))]
     NotFound { name: String, known: Vec<String> },
-    #[error("dictionary {name} exists with another grid: choose another name")]
+    #[error("dictionary {name} exists with another grid or physics version: choose another name")]
     NameTaken { name: DictionaryName },
     #[error("dictionary {name} is not complete: {done} of {total} records are done")]
     NotComplete { name: DictionaryName, done: usize, total: usize },
@@ -72,7 +72,13 @@ impl Farm {
         let mut dispatch = dispatch::Farm::new(settings);
         for stored in store.dictionaries().await? {
             let ended = store.ended_jobs(stored.id).await?;
-            dispatch.add_dictionary(Dictionary::new(stored, ended));
+            let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
+            let mut dictionary = Dictionary::new(stored, ended);
+            if outdated && dictionary.pending() > 0 {
+                tracing::warn!(name = %dictionary.name(), "begun with another physics version: it is not continued");
+                dictionary.suspend();
+            }
+            dispatch.add_dictionary(dictionary);
         }
         Ok(Self {
             store,
@@ -104,7 +110,8 @@ impl Farm {
         }
         let stored = self.store.create_dictionary(name.clone(), grid, Clock::unix_ms()).await?;
         tracing::info!(%name, jobs = stored.grid.job_count(), records = stored.grid.record_count(), "new dictionary");
-        self.dispatch().add_dictionary(Dictionary::new(stored, Vec::new()));
+        let dictionary = Dictionary::new(stored, Vec::new());
+        self.dispatch().add_dictionary(dictionary);
         self.changed.send_replace(());
         self.status(&name)
     }
@@ -173,13 +180,19 @@ impl Farm {
         Ok(completion == Completion::Duplicate)
     }
 
-    pub(crate) fn hand_back(&self, leases: &[LeaseKey]) {
-        self.dispatch().hand_back(leases);
+    /// Takes leases back; a worker that leaves gives all of its leases back, also those it has not heard of.
+    pub(crate) fn hand_back(&self, worker: &WorkerId, leases: &[LeaseKey], leaving: bool) {
+        let mut dispatch = self.dispatch();
+        dispatch.hand_back(leases);
+        if leaving {
+            dispatch.leave(worker);
+        }
+        drop(dispatch);
         self.changed.send_replace(());
     }
 
     pub(crate) async fn failed(&self, key: &LeaseKey, reason: &str) -> Result<()> {
-        let given_up = self.dispatch().failed(key, reason)?;
+        let given_up = self.dispatch().reasons_to_give_up(key, reason)?;
         tracing::warn!(
             job = key.job,
             attempt = key.attempt,
@@ -190,8 +203,9 @@ impl Farm {
         if let Some(reasons) = given_up {
             self.store.fail_job(key.dictionary, key.job, &reasons).await?;
         }
+        let counted = self.dispatch().failed(key, reason);
         self.changed.send_replace(());
-        Ok(())
+        Ok(counted?)
     }
 
     pub(crate) fn expire(&self) -> usize {
@@ -248,9 +262,23 @@ fn not_found(dispatch: &dispatch::Farm, name: &DictionaryName) -> FarmError {
     FarmError::NotFound { name: name.to_string(), known }
 }
 
+/// Records of a grid that are read at a time: some 8 MiB.
+pub(crate) fn read_chunk(grid: &Grid) -> usize {
+    ((8 << 20) / grid.record_bytes()).clamp(1, 1024)
+}
+
 /// Runs numerics off the async threads; a panic there is passed on.
 async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> T {
-    match tokio::task::spawn_blocking(work).await {
+    finished(tokio::task::spawn_blocking(work)).await
+}
+
+/// Runs to the end even if the client goes away in the middle, so that store and dispatch agree.
+pub(crate) async fn detached<T: Send + 'static>(work: impl Future<Output = T> + Send + 'static) -> T {
+    finished(tokio::spawn(work)).await
+}
+
+async fn finished<T>(task: tokio::task::JoinHandle<T>) -> T {
+    match task.await {
         Ok(value) => value,
         Err(error) => std::panic::resume_unwind(error.into_panic()),
     }

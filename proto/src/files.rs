@@ -24,11 +24,37 @@ pub struct GridFile {
 }
 
 /// `"paper"`, `"smooth"`, the path of a scene file, or a whole scene in place.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum SceneRef {
     Named(String),
     Inline(SceneFile),
+}
+
+/// By hand, since serde's untagged enums do not tell which key of a table is wrong.
+impl<'de> Deserialize<'de> for SceneRef {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct NameOrTable;
+
+        impl<'de> serde::de::Visitor<'de> for NameOrTable {
+            type Value = SceneRef;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a scene's name, the path of its file, or a table")
+            }
+
+            fn visit_str<E>(self, name: &str) -> Result<SceneRef, E> {
+                Ok(SceneRef::Named(name.to_owned()))
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<SceneRef, A::Error> {
+                let table = serde::de::value::MapAccessDeserializer::new(map);
+                SceneFile::deserialize(table).map(SceneRef::Inline)
+            }
+        }
+
+        deserializer.deserialize_any(NameOrTable)
+    }
 }
 
 impl Default for SceneRef {

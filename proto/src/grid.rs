@@ -12,7 +12,7 @@ pub const BATCH_WALKS: u64 = 2500;
 /// Most records of one dictionary.
 pub const MAX_RECORDS: u64 = 4_000_000;
 /// Most bytes of one job's records: what a worker holds and the coordinator buffers.
-pub const MAX_JOB_BYTES: u64 = 256 << 20;
+pub const MAX_JOB_BYTES: u64 = 64 << 20;
 
 const MAX_WALKS: u64 = 1_000_000_000_000;
 

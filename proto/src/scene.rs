@@ -128,8 +128,8 @@ impl RingLight {
         check(
             "outer_deg",
             outer_deg,
-            |v| v > inner_deg && v <= 90.0,
-            "allowed are angles above inner_deg, at most 90 degrees",
+            |v| v - inner_deg >= 0.01 && v <= 90.0,
+            "allowed are angles at least 0.01 degrees above inner_deg, at most 90 degrees",
         )?;
         Ok(Self { inner_deg, outer_deg })
     }

@@ -1,7 +1,5 @@
 //! The measurement that is shipped as an example, from grid to fit, as the README tells it.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use farm_proto::{Grid, SceneFile};
 use farm_tests::process::run;
 use farm_tests::reference::root;
@@ -19,13 +17,14 @@ fn the_white_example_is_recovered_within_one_grid_step() {
     let file = root().join("examples/white.csv");
     let fitted =
         run(folder.path(), &["fit", file.to_str().unwrap(), "--dictionary", "grid", "--g", "0.4", "--json"]);
+    assert_eq!(fitted.code, 0, "{}", fitted.stderr);
     let fitted: Value = serde_json::from_str(&fitted.stdout).expect("fit --json prints JSON");
     let truth = [("R", 6.0, 0.9991), ("G", 9.0, 0.9997), ("B", 24.0, 0.999)];
     let paper = Grid::paper();
     let place = |axis: &[f64], value: f64| axis.iter().position(|v| *v == value).unwrap().cast_signed();
-    for ((channel, sigma_t, albedo), fit) in
-        truth.into_iter().zip(fitted["data"]["materials"][0]["channels"].as_array().unwrap())
-    {
+    let channels = fitted["data"]["materials"][0]["channels"].as_array().unwrap();
+    assert_eq!(channels.len(), truth.len());
+    for ((channel, sigma_t, albedo), fit) in truth.into_iter().zip(channels) {
         assert_eq!(fit["channel"], channel);
         let best = &fit["candidates"][0];
         let (found_sigma_t, found_albedo) =

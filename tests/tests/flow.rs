@@ -112,14 +112,22 @@ async fn a_simulated_measurement_is_fitted_to_its_own_record_over_grpc() -> Resu
     farm.coordinator.stop().await
 }
 
+async fn leased(farm: &TestFarm, name: &str) -> Result<u64> {
+    let dictionary = farm.dictionaries().get(GetRequest { name: name.to_owned() }).await?.into_inner();
+    Ok(dictionary.jobs_leased)
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
     // With leases of an hour only a hand-back lets the second worker go on.
     let (farm, grid) = (TestFarm::with_lease(Duration::from_hours(1)).await?, small_grid());
     farm.submit("small", &grid).await?;
     let first = farm.worker();
-    tokio::time::sleep(Duration::from_millis(150)).await;
+    while leased(&farm, "small").await? == 0 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
     first.stop().await?;
+    assert_eq!(leased(&farm, "small").await?, 0);
     let second = farm.worker();
     let status = tokio::time::timeout(Duration::from_mins(1), farm.done("small")).await??;
     assert!(status.failed.is_empty());
@@ -248,4 +256,25 @@ async fn workers_outlive_a_coordinator_that_is_away_for_a_while() -> Result<()> 
     assert_eq!(status.records_digest, Some(digest(&all_records(&grid))));
     worker.stop().await?;
     again.stop().await
+}
+
+/// A client that asks for everything and reads nothing must not keep the coordinator from stopping.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_does_not_read_does_not_hold_up_a_stop() -> Result<()> {
+    let farm = TestFarm::start().await?;
+    let mut grid = wire::Grid::from(&small_grid());
+    // Records of 0.4 MB, far more than the link's windows hold.
+    grid.scene.as_mut().unwrap().sensor.as_mut().unwrap().pixels = 8192;
+    grid.walks = 5000;
+    grid.derivatives = true;
+    let worker = farm.worker();
+    farm.submit("large", &Grid::try_from(grid)?).await?;
+    farm.done("large").await?;
+    worker.stop().await?;
+    let request = ExportRequest { name: "large".to_owned(), indices: vec![] };
+    let mut unread = farm.dictionaries().export(request).await?.into_inner();
+    assert!(unread.message().await?.is_some());
+    tokio::time::timeout(Duration::from_secs(8), farm.coordinator.stop()).await??;
+    while let Ok(Some(_)) = unread.message().await {}
+    Ok(())
 }

@@ -58,7 +58,7 @@ fn an_embedded_farm_killed_again_and_again_ends_with_the_same_bytes() {
     assert!(expected.1.lines().count() == 1 + 72 * 3 * 360, "the export holds every pixel of every record");
 
     let killed = folder_with_grid();
-    let mut interrupted = 0;
+    let (mut interrupted, mut in_the_middle, mut stored) = (0, 0, 0);
     for round in 0..rounds() {
         let child = farmctl(killed.path())
             .args(["submit", "grid.toml", "-q"])
@@ -69,11 +69,23 @@ fn an_embedded_farm_killed_again_and_again_ends_with_the_same_bytes() {
         let mut child = Killed(child);
         std::thread::sleep(whole.mul_f64(0.5 * moment(round)));
         interrupted += u32::from(child.0.try_wait().unwrap().is_none());
+        drop(child);
+        let now = records_done(killed.path(), &[]).unwrap_or(0);
+        assert!(now >= stored, "{stored} records were stored, {now} are left after a kill");
+        in_the_middle += u32::from(now > 0 && now < 72);
+        stored = now;
     }
-    assert!(interrupted > 1, "kills must come before the end to prove anything");
+    assert!(interrupted > 1 && in_the_middle > 0, "kills must come in the middle to prove anything");
     let last = run(killed.path(), &["submit", "grid.toml", "-q"]);
     assert_eq!(last.code, 0, "{}", last.stderr);
     assert!(result(killed.path()) == expected, "the bytes differ from the undisturbed run's");
+}
+
+/// Records that a farm has; None if there is none or it does not answer.
+fn records_done(folder: &Path, server: &[&str]) -> Option<u64> {
+    let list = run(folder, &[&["list", "--json"][..], server].concat());
+    let list: serde_json::Value = serde_json::from_str(&list.stdout).ok()?;
+    list["data"]["dictionaries"][0]["records_done"].as_u64()
 }
 
 fn spawn(name: &str, args: &[&str]) -> Killed {
@@ -105,13 +117,25 @@ fn coordinator_and_workers_killed_in_turn_lose_nothing() {
         assert!(Instant::now() < deadline, "the coordinator does not answer");
         std::thread::sleep(Duration::from_millis(50));
     }
+    let (mut stored, mut in_the_middle) = (0, 0);
     for round in 0..rounds() {
-        std::thread::sleep(Duration::from_millis(100 + (400.0 * moment(round)) as u64));
+        std::thread::sleep(Duration::from_millis((400.0 * moment(round)) as u64));
         let victim = (round % 3) as usize;
         processes[victim].0.kill().unwrap();
         processes[victim].0.wait().unwrap();
         processes[victim] = if victim == 0 { coordinator() } else { worker() };
+        let deadline = Instant::now() + Duration::from_secs(30);
+        let now = loop {
+            if let Some(now) = records_done(folder.path(), &["--server", &url]) {
+                break now;
+            }
+            assert!(Instant::now() < deadline, "the coordinator does not answer after a kill");
+        };
+        assert!(now >= stored, "{stored} records were stored, {now} are left after a kill");
+        in_the_middle += u32::from(now < 72);
+        stored = now;
     }
+    assert!(in_the_middle > 2, "kills must come in the middle to prove anything");
     let deadline = Instant::now() + Duration::from_mins(2);
     loop {
         let ended = run(folder.path(), &["submit", "grid.toml", "--server", &url, "--wait", "-q"]);

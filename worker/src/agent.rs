@@ -1,6 +1,7 @@
 //! The worker's life: lease, trace, report, until told to stop.
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use farm_proto::job::Lease;
@@ -34,7 +35,8 @@ pub async fn run(config: Config, shutdown: CancellationToken) -> Result<(), Erro
 
     while let Some((leases, permits)) = next_leases(&session, &places, &shutdown).await {
         for (lease, permit) in leases.into_iter().zip(permits) {
-            jobs.spawn(work(session.clone(), held.clone(), pool.clone(), lease, permit));
+            let stop = held.add(lease.key.clone());
+            jobs.spawn(work(session.clone(), held.clone(), pool.clone(), lease, stop, permit));
         }
         while jobs.try_join_next().is_some() {}
     }
@@ -44,14 +46,12 @@ pub async fn run(config: Config, shutdown: CancellationToken) -> Result<(), Erro
     if tokio::time::timeout(DELIVERY, finished).await.is_err() {
         tracing::warn!("finished records could not be delivered in time: their jobs will be computed again");
     }
-    let rest = held.keys();
-    if !rest.is_empty()
-        && let Err(status) = session.hand_back(rest).await
-    {
-        tracing::warn!(message = status.message(), "leases could not be handed back: they will expire");
-    }
+    // A heartbeat after this would register the worker again.
     heartbeat_end.cancel();
     let _ = heartbeat.await;
+    if let Err(status) = session.leave(held.keys()).await {
+        tracing::warn!(message = status.message(), "leases could not be handed back: they will expire");
+    }
     Ok(())
 }
 
@@ -86,9 +86,14 @@ async fn next_leases(
 }
 
 /// One job from lease to acknowledgement. A lease that is stopped with the worker stays held, to be handed back.
-async fn work(session: Arc<Session>, held: Arc<Held>, pool: Pool, lease: Lease, place: OwnedSemaphorePermit) {
-    let Lease { key, job } = lease;
-    let stop = held.add(key.clone());
+async fn work(
+    session: Arc<Session>,
+    held: Arc<Held>,
+    pool: Pool,
+    Lease { key, job }: Lease,
+    stop: Arc<AtomicBool>,
+    place: OwnedSemaphorePermit,
+) {
     let delivered = match pool.trace(job, stop).await {
         Outcome::Traced(records) => session.complete(&key, &records).await,
         Outcome::Panicked(reason) => session.fail(&key, &reason).await,

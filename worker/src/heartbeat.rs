@@ -58,7 +58,11 @@ pub(crate) async fn beat(session: Arc<Session>, held: Arc<Held>, end: Cancellati
             () = end.cancelled() => return,
             _ = tick.tick() => {}
         }
-        match session.renew(held.keys()).await {
+        let renewed = tokio::select! {
+            () = end.cancelled() => return,
+            renewed = session.renew(held.keys()) => renewed,
+        };
+        match renewed {
             Ok(lost) => {
                 for key in lost.into_iter().filter(|key| held.lose(key)) {
                     tracing::warn!(job = key.job, attempt = key.attempt, "lease lost: its job is dropped");

@@ -10,15 +10,19 @@ use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
     AcquireRequest, CompleteRequest, FailRequest, HandBackRequest, RegisterRequest, RenewRequest,
 };
-use farm_proto::{PHYSICS_VERSION, Record, RequestLimits};
+use farm_proto::{PHYSICS_VERSION, Profile, Record, RequestLimits};
 use tokio_util::sync::CancellationToken;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
 
 use crate::config::Config;
 
-/// Longest time a call other than the wait for work may take.
+/// Longest time a call may take that neither carries records nor holds leases.
 const CALL: Duration = Duration::from_mins(1);
+/// Longest time to take leave: whoever stops a worker waits for it.
+const LEAVE: Duration = Duration::from_secs(5);
+/// Slowest link, in bytes a second, over which records are delivered before the call is given up and repeated.
+const SLOWEST: f64 = 50_000.0;
 /// HTTP/2 pings find links that were cut without a word.
 const KEEPALIVE: Duration = Duration::from_secs(20);
 
@@ -73,7 +77,7 @@ impl Session {
             threads: self.config.threads as u32,
             physics_version: PHYSICS_VERSION,
         };
-        let response = self.client.clone().register(timed(request)).await?.into_inner();
+        let response = self.client.clone().register(timed(request, CALL)).await?.into_inner();
         *self.worker_id.lock().unwrap_or_else(PoisonError::into_inner) = response.worker_id;
         Ok(Duration::from_millis(response.lease_ms))
     }
@@ -100,7 +104,7 @@ impl Session {
             max_leases: max.min(RequestLimits::LEASES as usize) as u32,
             wait_ms: wait.as_millis() as u64,
         };
-        let answer = self.client.clone().acquire(timed(request)).await;
+        let answer = self.client.clone().acquire(timed(request, CALL)).await;
         let leases = self.known(answer).await?.into_inner().leases;
         leases.into_iter().map(|l| Lease::try_from(l).map_err(|e| e.to_status())).collect()
     }
@@ -109,17 +113,21 @@ impl Session {
     pub(crate) async fn renew(&self, leases: Vec<LeaseKey>) -> Result<Vec<LeaseKey>, Status> {
         let leases = leases.into_iter().map(Into::into).collect();
         let request = RenewRequest { worker_id: self.worker_id(), leases };
-        let answer = self.client.clone().renew(timed(request)).await;
+        // A call that is stuck must leave time for another before the leases end.
+        let answer = self.client.clone().renew(timed(request, self.lease / 4)).await;
         Ok(self.known(answer).await?.into_inner().lost.into_iter().map(Into::into).collect())
     }
 
     /// Delivers records until they are acknowledged or refused for good.
     pub(crate) async fn complete(&self, key: &LeaseKey, records: &[Record]) -> Result<(), Status> {
+        let estimates = records.iter().flat_map(|r| &r.profiles).flat_map(Profile::estimates);
+        let bytes = estimates.map(|e| 8 * e.values().len());
+        let limit = CALL + Duration::from_secs_f64(bytes.sum::<usize>() as f64 / SLOWEST);
         repeat(|| async {
             let lease = CompleteRequest { part: Some(Part::Lease(key.clone().into())) };
             let part = |r: &Record| CompleteRequest { part: Some(Part::Record(r.clone().into())) };
             let parts: Vec<_> = std::iter::once(lease).chain(records.iter().map(part)).collect();
-            let answer = self.client.clone().complete(timed(tokio_stream::iter(parts))).await?;
+            let answer = self.client.clone().complete(timed(tokio_stream::iter(parts), limit)).await?;
             if answer.into_inner().duplicate {
                 tracing::info!(job = key.job, attempt = key.attempt, "these records were stored before");
             }
@@ -132,22 +140,22 @@ impl Session {
         repeat(|| async {
             let lease = Some(key.clone().into());
             let request = FailRequest { worker_id: self.worker_id(), lease, reason: reason.to_owned() };
-            self.client.clone().fail(timed(request)).await.map(drop)
+            self.client.clone().fail(timed(request, CALL)).await.map(drop)
         })
         .await
     }
 
-    /// One try: if it does not get through, the leases expire by themselves.
-    pub(crate) async fn hand_back(&self, leases: Vec<LeaseKey>) -> Result<(), Status> {
+    /// Hands all leases back for good. One try: if it does not get through, they expire by themselves.
+    pub(crate) async fn leave(&self, leases: Vec<LeaseKey>) -> Result<(), Status> {
         let leases = leases.into_iter().map(Into::into).collect();
-        let request = HandBackRequest { worker_id: self.worker_id(), leases };
-        self.client.clone().hand_back(timed(request)).await.map(drop)
+        let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving: true };
+        self.client.clone().hand_back(timed(request, LEAVE)).await.map(drop)
     }
 }
 
-fn timed<T>(message: T) -> tonic::Request<T> {
+fn timed<T>(message: T, limit: Duration) -> tonic::Request<T> {
     let mut request = tonic::Request::new(message);
-    request.set_timeout(CALL);
+    request.set_timeout(limit);
     request
 }
 

@@ -25,7 +25,8 @@ pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> R
     exported
 }
 
-/// Writes beside the file and renames at the end, so that the file is whole or not there.
+/// Writes beside the file and renames at the end, so that the file is whole or not there. A device or pipe is written to
+/// as it is.
 async fn to_file(
     connection: &Connection,
     name: &DictionaryName,
@@ -33,14 +34,23 @@ async fn to_file(
     json: bool,
     file: &Path,
 ) -> Result<()> {
-    let draft = PathBuf::from(format!("{}.partial", file.display()));
-    let open = std::fs::File::create(&draft).with_context(|| format!("output {}", draft.display()))?;
-    let written = export(connection, name, args, json, std::io::BufWriter::new(open)).await;
-    if let Err(error) = written {
-        let _ = std::fs::remove_file(&draft);
-        return Err(error);
+    let create = |path: &Path| {
+        let opened = std::fs::File::create(path).with_context(|| format!("output {}", path.display()));
+        opened.map(std::io::BufWriter::new)
+    };
+    if std::fs::symlink_metadata(file).is_ok_and(|m| !m.is_file()) {
+        return export(connection, name, args, json, create(file)?).await;
     }
-    std::fs::rename(&draft, file).with_context(|| format!("output {}", file.display()))
+    let draft = PathBuf::from(format!("{}.partial", file.display()));
+    let mut written = export(connection, name, args, json, create(&draft)?).await;
+    if written.is_ok() {
+        written = std::fs::rename(&draft, file).with_context(|| format!("output {}", file.display()));
+    }
+    if written.is_err() {
+        // The first error is the one to tell.
+        let _ = std::fs::remove_file(&draft);
+    }
+    written
 }
 
 async fn export(
@@ -53,6 +63,7 @@ async fn export(
     let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
     let grid = DictionaryStatus::try_from(status)?.grid;
     let indices = selection(&grid, args)?;
+    let wanted = if indices.is_empty() { grid.record_count() } else { indices.len() };
     let request = ExportRequest { name: name.to_string(), indices };
     let mut records = connection.dictionaries().export(request).await?.into_inner();
     if !json {
@@ -71,6 +82,9 @@ async fn export(
     out.flush()?;
     if count == 0 {
         bail!("none of the records asked for is done yet");
+    }
+    if count < wanted {
+        eprintln!("farmctl: {count} of the {wanted} records asked for are done, the others are left out");
     }
     Ok(())
 }
@@ -132,7 +146,7 @@ fn write_rows(out: &mut impl Write, grid: &Grid, record: &Record) -> Result<()> 
         for pixel in 0..scene.sensor().pixels() {
             write!(
                 out,
-                "{},{},{},{},{},{},{},{:.5}",
+                "{},{},{},{},{},{},{},{}",
                 record.index,
                 medium.sigma_t_per_mm(),
                 medium.albedo(),

@@ -5,7 +5,7 @@ use farm_proto::{DictionaryName, Measurement};
 use serde::Serialize;
 
 use crate::cli::{FitArgs, Global};
-use crate::connection::{Connection, Purpose};
+use crate::connection::{Connection, Purpose, with_farm};
 use crate::measurement_file::read_measurements;
 use crate::output::{Output, table};
 
@@ -13,10 +13,9 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     FitOptions::new(args.lambda, args.mu, args.g, args.top)?;
     DictionaryName::new(args.dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
     let measurements = read_measurements(&args.measurement)?;
-    let connection = Connection::open(global, Purpose::Ask).await?;
-    let fits = fit_all(&connection, &args, &measurements).await;
-    connection.close().await?;
-    let fits = fits?;
+    let fits =
+        with_farm(global, Purpose::Ask, async |connection| fit_all(connection, &args, &measurements).await)
+            .await?;
     let data = FitJson::new(&args, &fits);
     output.print("fit", &data, || text(&fits, args.top))
 }

@@ -4,7 +4,7 @@ use farm_proto::wire::ListRequest;
 use serde::Serialize;
 
 use crate::cli::Global;
-use crate::connection::{Connection, Purpose};
+use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, grouped, table};
 
 #[derive(Debug, Serialize)]
@@ -13,10 +13,7 @@ struct ListJson {
 }
 
 pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
-    let connection = Connection::open(global, Purpose::Ask).await?;
-    let dictionaries = fetch(&connection).await;
-    connection.close().await?;
-    let dictionaries = dictionaries?;
+    let dictionaries = with_farm(global, Purpose::Ask, fetch).await?;
     let data = ListJson { dictionaries: dictionaries.iter().map(Into::into).collect() };
     output.print("list", &data, || text(&dictionaries))
 }

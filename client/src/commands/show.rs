@@ -5,7 +5,7 @@ use farm_proto::{DictionaryName, SceneFile};
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
-use crate::connection::{Connection, Purpose};
+use crate::connection::{Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, grouped};
 
 #[derive(Debug, Serialize)]
@@ -30,10 +30,11 @@ struct GridJson {
 
 pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name)?;
-    let connection = Connection::open(global, Purpose::Ask).await?;
-    let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await;
-    connection.close().await?;
-    let status = DictionaryStatus::try_from(answer?.into_inner())?;
+    let status = with_farm(global, Purpose::Ask, async |connection| {
+        let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
+        Ok(DictionaryStatus::try_from(answer.into_inner())?)
+    })
+    .await?;
     let grid = &status.grid;
     let data = ShowJson {
         dictionary: DictionaryJson::from(&status),

@@ -54,7 +54,7 @@ fn write_csv(scene: &Scene, profiles: &[Profile]) -> Result<()> {
     for (channel, profile) in scene.channels().iter().zip(profiles) {
         let (values, errors) = (profile.radiance_factor.values(), profile.radiance_factor.std_errors());
         for (i, (value, error)) in values.iter().zip(errors).enumerate() {
-            writeln!(out, "{},{:.5},{value},{error}", channel.name(), scene.sensor().centre_mm(i))?;
+            writeln!(out, "{},{},{value},{error}", channel.name(), scene.sensor().centre_mm(i))?;
         }
     }
     out.flush()?;

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::list;
 use crate::cli::Global;
-use crate::connection::{Connection, Purpose};
+use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, WorkerJson, grouped, table};
 
 #[derive(Debug, Serialize)]
@@ -20,12 +20,7 @@ struct StatusJson {
 }
 
 pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
-    let connection = Connection::open(global, Purpose::Ask).await?;
-    // A coordinator that this command has just started for itself is not one that runs.
-    let address = (!connection.is_embedded()).then(|| connection.address().to_owned());
-    let answer = fetch(&connection).await;
-    connection.close().await?;
-    let (status, workers, dictionaries) = answer?;
+    let (address, status, workers, dictionaries) = with_farm(global, Purpose::Ask, fetch).await?;
     let data = StatusJson {
         address: address.clone(),
         version: status.version.clone(),
@@ -38,12 +33,14 @@ pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
     output.print("status", &data, || text(address.as_deref(), &status, &workers, &dictionaries))
 }
 
-async fn fetch(
-    connection: &Connection,
-) -> Result<(StatusResponse, Vec<WorkerStatus>, Vec<DictionaryStatus>)> {
+type Answer = (Option<String>, StatusResponse, Vec<WorkerStatus>, Vec<DictionaryStatus>);
+
+async fn fetch(connection: &Connection) -> Result<Answer> {
+    // A coordinator that this command has just started for itself is not one that runs.
+    let address = (!connection.is_embedded()).then(|| connection.address().to_owned());
     let mut status = connection.farm().status(StatusRequest {}).await?.into_inner();
     let workers = std::mem::take(&mut status.workers).into_iter().map(Into::into).collect();
-    Ok((status, workers, list::fetch(connection).await?))
+    Ok((address, status, workers, list::fetch(connection).await?))
 }
 
 fn text(

@@ -1,15 +1,15 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::{SubmitRequest, WatchRequest};
 use farm_proto::{DictionaryName, Grid};
 
 use crate::cli::{Global, SubmitArgs};
-use crate::connection::{Connection, Purpose};
+use crate::connection::{Connection, Purpose, with_farm};
 use crate::grid_file::read_grid;
-use crate::output::{DictionaryJson, Output, duration, grouped};
+use crate::output::{DictionaryJson, Output, duration, grouped, is_closed_pipe};
 use crate::progress::Progress;
 
 const INTERRUPTED: u8 = 130;
@@ -21,16 +21,20 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
         None => (Grid::paper(), "paper".to_owned()),
     };
     let name = DictionaryName::new(args.name.unwrap_or(default_name))?;
-    let connection = Connection::open(global, Purpose::Compute).await?;
-    let ended = submit(&connection, name, &grid, args.wait, global.quiet).await;
-    connection.close().await?;
-    let (status, end) = ended?;
-    output.print("submit", &DictionaryJson::from(&status), || text(&status, &end))?;
-    Ok(match end {
+    let (status, end) = with_farm(global, Purpose::Compute, async |connection| {
+        submit(connection, &name, &grid, args.wait, global.quiet).await
+    })
+    .await?;
+    let code = match end {
         End::Interrupted => ExitCode::from(INTERRUPTED),
         End::Ended(_) if status.state() == DictionaryState::Failed => ExitCode::from(JOBS_FAILED),
         End::Ended(_) | End::Submitted => ExitCode::SUCCESS,
-    })
+    };
+    match output.print("submit", &DictionaryJson::from(&status), || text(&status, &end)) {
+        // Whoever does not read the result still wants the exit code.
+        Err(error) if !is_closed_pipe(&error) => Err(error),
+        _ => Ok(code),
+    }
 }
 
 fn stem(file: &Path) -> Result<String> {
@@ -48,7 +52,7 @@ enum End {
 
 async fn submit(
     connection: &Connection,
-    name: DictionaryName,
+    name: &DictionaryName,
     grid: &Grid,
     wait: bool,
     quiet: bool,
@@ -56,7 +60,7 @@ async fn submit(
     let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()) };
     let submitted = connection.dictionaries().submit(request).await?.into_inner();
     let mut status = DictionaryStatus::try_from(submitted)?;
-    if !wait && !connection.is_embedded() {
+    if !wait && connection.is_server() {
         return Ok((status, End::Submitted));
     }
     let start = tokio::time::Instant::now();
@@ -78,7 +82,9 @@ async fn submit(
     }
     progress.end();
     if status.state() == DictionaryState::Running {
-        bail!("the coordinator stopped before {name} was done: run the same command again to go on");
+        let message =
+            format!("the coordinator stopped before {name} was done: run the same command again to go on");
+        return Err(tonic::Status::unavailable(message).into());
     }
     Ok((status, End::Ended(start.elapsed())))
 }

@@ -39,13 +39,6 @@ struct Job {
     cost: f64,
 }
 
-/// What a failed attempt leads to.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum Failure {
-    Again,
-    GivenUp(String),
-}
-
 /// A dictionary and the state of each of its jobs.
 #[derive(Debug)]
 pub struct Dictionary {
@@ -154,11 +147,11 @@ impl Dictionary {
     }
 
     pub(super) fn leases_of(&self, worker: &WorkerId) -> usize {
-        let held = |job: &&u32| match &self.jobs[**job as usize].state {
-            State::Leased(held) => held.worker == *worker,
-            _ => false,
-        };
-        self.leased.iter().filter(held).count()
+        self.leased.iter().filter(|job| self.is_held_by(**job, worker)).count()
+    }
+
+    fn is_held_by(&self, job: u32, worker: &WorkerId) -> bool {
+        matches!(&self.jobs[job as usize].state, State::Leased(held) if held.worker == *worker)
     }
 
     /// Leases the next pending job: its number, attempt and token.
@@ -197,21 +190,38 @@ impl Dictionary {
         }
     }
 
-    /// Counts a failure of the attempt that holds the lease; None if it does not hold it.
-    pub(super) fn fail(&mut self, key: &LeaseKey, reason: &str, max_attempts: u32) -> Option<Failure> {
-        if !self.holds(key) {
-            return None;
-        }
+    /// Reasons of all failed attempts, with that of the one that holds the lease; None if it does not hold it.
+    pub(super) fn reasons_with(&self, key: &LeaseKey, reason: &str) -> Option<Vec<String>> {
+        let job = self.jobs.get(key.job as usize).filter(|_| self.holds(key))?;
+        let this = format!("attempt {}: {reason}", key.attempt);
+        Some(job.reasons.iter().cloned().chain([this]).collect())
+    }
+
+    /// Ends the attempt that holds the lease: the job is given up for the reasons given, or pending again.
+    pub(super) fn fail(&mut self, key: &LeaseKey, reason: &str, give_up: Option<String>) {
+        let Some(reasons) = self.reasons_with(key, reason) else { return };
         let job = &mut self.jobs[key.job as usize];
-        job.reasons.push(format!("attempt {}: {reason}", key.attempt));
-        if job.reasons.len() < max_attempts as usize {
-            self.free(key.job);
-            return Some(Failure::Again);
+        job.reasons = reasons;
+        match give_up {
+            None => self.free(key.job),
+            Some(reasons) => {
+                job.state = State::Failed(reasons);
+                self.leased.remove(&key.job);
+            }
         }
-        let reasons = job.reasons.join("; ");
-        job.state = State::Failed(reasons.clone());
-        self.leased.remove(&key.job);
-        Some(Failure::GivenUp(reasons))
+    }
+
+    pub(super) fn free_leases_of(&mut self, worker: &WorkerId) {
+        let held: Vec<u32> =
+            self.leased.iter().copied().filter(|job| self.is_held_by(*job, worker)).collect();
+        for job in held {
+            self.free(job);
+        }
+    }
+
+    /// Gives out no more of its jobs.
+    pub fn suspend(&mut self) {
+        self.pending.clear();
     }
 
     /// Frees leases past their deadline. A worker that fell silent is not counted as the job's failure.

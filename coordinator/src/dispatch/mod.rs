@@ -17,7 +17,7 @@ use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use farm_proto::{DictionaryName, Digest};
 
 pub use dictionary::Dictionary;
-use dictionary::{Failure, Held};
+use dictionary::Held;
 
 /// Workers that hold no lease are forgotten after this long.
 const FORGET_WORKER: Duration = Duration::from_mins(10);
@@ -151,15 +151,28 @@ impl Farm {
         }
     }
 
-    /// Counts a failed attempt. Returns all reasons so far if the job is now given up.
-    pub fn failed(&mut self, key: &LeaseKey, reason: &str) -> Result<Option<String>, DispatchError> {
-        let max_attempts = self.settings.max_attempts;
-        self.dictionary(key)?;
-        let dictionary = self.dictionaries.get_mut(&key.dictionary).expect("it was there a line ago");
-        match dictionary.fail(key, reason, max_attempts) {
-            Some(Failure::Again) => Ok(None),
-            Some(Failure::GivenUp(reasons)) => Ok(Some(reasons)),
-            None => Err(DispatchError::LeaseLost { job: key.job, attempt: key.attempt }),
+    /// All reasons, with this one, if one more failed attempt means that the job is given up.
+    pub fn reasons_to_give_up(&self, key: &LeaseKey, reason: &str) -> Result<Option<String>, DispatchError> {
+        let dictionary = self.dictionary(key)?;
+        let reasons = dictionary.reasons_with(key, reason);
+        let reasons = reasons.ok_or(DispatchError::LeaseLost { job: key.job, attempt: key.attempt })?;
+        Ok((reasons.len() >= self.settings.max_attempts as usize).then(|| reasons.join("; ")))
+    }
+
+    /// Counts a failed attempt; the job is tried again or given up.
+    pub fn failed(&mut self, key: &LeaseKey, reason: &str) -> Result<(), DispatchError> {
+        let give_up = self.reasons_to_give_up(key, reason)?;
+        if let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) {
+            dictionary.fail(key, reason, give_up);
+        }
+        Ok(())
+    }
+
+    /// Forgets a worker and frees all its leases, without blame.
+    pub fn leave(&mut self, worker: &WorkerId) {
+        self.workers.remove(worker);
+        for dictionary in self.dictionaries.values_mut() {
+            dictionary.free_leases_of(worker);
         }
     }
 

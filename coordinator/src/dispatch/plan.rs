@@ -13,8 +13,8 @@ pub(super) fn cost(point: &TransportPoint) -> f64 {
 
 /// Jobs of a grid, the costliest first, so that none of the long ones is left over at the end.
 pub(super) fn longest_first(grid: &Grid) -> Vec<u32> {
-    let mut jobs: Vec<u32> = (0..grid.job_count() as u32).collect();
-    let key = |job: &u32| cost(&grid.point(*job as usize));
-    jobs.sort_by(|a, b| key(b).total_cmp(&key(a)));
-    jobs
+    let mut jobs: Vec<(f64, u32)> =
+        (0..grid.job_count() as u32).map(|job| (cost(&grid.point(job as usize)), job)).collect();
+    jobs.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    jobs.into_iter().map(|(_, job)| job).collect()
 }

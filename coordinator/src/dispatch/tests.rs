@@ -128,11 +128,13 @@ fn a_guessed_token_is_worth_nothing() {
 fn a_job_is_given_up_after_the_allowed_failures_with_all_reasons() {
     let mut bench = Bench::new(vec![]);
     let first = bench.acquire(0, "a", 1);
-    assert_eq!(bench.farm.failed(&key(&first[0]), "boom").unwrap(), None);
+    assert_eq!(bench.farm.reasons_to_give_up(&key(&first[0]), "boom").unwrap(), None);
+    bench.farm.failed(&key(&first[0]), "boom").unwrap();
     let second = bench.acquire(1, "b", 1);
     assert_eq!(second[0].key.job, first[0].key.job);
-    let reasons = bench.farm.failed(&key(&second[0]), "bang").unwrap().unwrap();
+    let reasons = bench.farm.reasons_to_give_up(&key(&second[0]), "bang").unwrap().unwrap();
     assert_eq!(reasons, "attempt 1: boom; attempt 2: bang");
+    bench.farm.failed(&key(&second[0]), "bang").unwrap();
     for lease in bench.acquire(2, "a", 10) {
         bench.farm.completed(seconds(3), &lease.key, DIGEST);
     }
@@ -148,6 +150,17 @@ fn handing_back_blames_nobody() {
     }
     assert_eq!(bench.acquire(0, "a", 10).len(), 3);
     assert_eq!(bench.state(), DictionaryState::Running);
+}
+
+#[test]
+fn a_worker_that_leaves_frees_also_what_it_has_not_heard_of() {
+    let mut bench = Bench::new(vec![]);
+    let lost = bench.acquire(0, "a", 2);
+    bench.farm.leave(&WorkerId("a".to_owned()));
+    assert!(bench.farm.check_completion(&key(&lost[0])).is_err());
+    assert_eq!(bench.acquire(1, "b", 10).len(), 3);
+    let late = bench.farm.acquire(seconds(2), &WorkerId("a".to_owned()), 1, String::new);
+    assert!(late.is_err(), "one that has left gets no more");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use farm_proto::profile::RecordShape;
 use farm_proto::{DictionaryName, Grid};
 use tokio::sync::OnceCell;
 
-use super::{FarmError, Result, blocking};
+use super::{FarmError, Result, blocking, read_chunk};
 use crate::fit::{DictionaryBuilder, FitDictionary};
 use crate::store::Store;
 
@@ -15,8 +15,6 @@ use crate::store::Store;
 const KEPT: usize = 2;
 /// Largest dictionary that is loaded: values and gradients of all records.
 const LARGEST_BYTES: usize = 4 << 30;
-/// Records fetched at a time.
-const CHUNK: usize = 1024;
 
 type Slot = Arc<OnceCell<Arc<FitDictionary>>>;
 
@@ -57,9 +55,10 @@ impl FitCache {
 
 async fn load(store: &Store, id: DictionaryId, grid: Grid) -> Result<Arc<FitDictionary>> {
     let (count, shape) = (grid.record_count(), RecordShape::of(&grid));
+    let chunk = read_chunk(&grid);
     let mut builder = DictionaryBuilder::new(grid);
-    for first in (0..count).step_by(CHUNK) {
-        for record in store.records(id, first..(first + CHUNK).min(count), shape).await? {
+    for first in (0..count).step_by(chunk) {
+        for record in store.records(id, first..(first + chunk).min(count), shape).await? {
             builder.add(&record);
         }
     }

@@ -8,17 +8,18 @@ use farm_proto::wire::{
     Dictionary, ExportRequest, GetRequest, ListRequest, ListResponse, Record, SubmitRequest, WatchRequest,
 };
 use farm_proto::{DictionaryName, Grid, Invalid};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::status::required;
+use crate::farm::{detached, read_chunk};
 
 /// Changes closer together than this are told as one.
 const WATCH_PAUSE: Duration = Duration::from_millis(100);
-/// Records read at a time for an export.
-const EXPORT_CHUNK: usize = 64;
+/// Records on their way to a client that exports.
+const EXPORT_QUEUE: usize = 4;
 
 #[tonic::async_trait]
 impl Dictionaries for Context {
@@ -26,7 +27,8 @@ impl Dictionaries for Context {
         let request = request.into_inner();
         let name = DictionaryName::new(request.name)?;
         let grid = Grid::try_from(required("grid", request.grid)?).map_err(|e| e.within("grid"))?;
-        let status = self.farm.submit(name, grid).await?;
+        let farm = self.farm.clone();
+        let status = detached(async move { farm.submit(name, grid).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
@@ -44,9 +46,11 @@ impl Dictionaries for Context {
 
     async fn watch(&self, request: Request<WatchRequest>) -> Result<Response<Self::WatchStream>, Status> {
         let name = DictionaryName::new(request.into_inner().name)?;
+        // Before the first look, so that no change falls between the two.
+        let changes = self.farm.changes();
         let first = self.farm.status(&name)?;
         let (sender, receiver) = mpsc::channel(1);
-        tokio::spawn(watch(self.clone(), name, first, sender));
+        tokio::spawn(watch(self.clone(), name, first, changes, sender));
         Ok(Response::new(ReceiverStream::new(receiver)))
     }
 
@@ -55,19 +59,36 @@ impl Dictionaries for Context {
     async fn export(&self, request: Request<ExportRequest>) -> Result<Response<Self::ExportStream>, Status> {
         let request = request.into_inner();
         let name = DictionaryName::new(request.name)?;
-        let total = self.farm.status(&name)?.records_total();
+        let grid = self.farm.status(&name)?.grid;
+        let (total, chunk) = (grid.record_count(), read_chunk(&grid));
         if let Some((i, bad)) = request.indices.iter().enumerate().find(|(_, n)| **n as usize >= total) {
             let allowed = format!("the dictionary has records 0 to {}", total - 1);
             return Err(Invalid::new(format!("indices[{i}]"), bad, allowed).to_status());
         }
         let ranges: Vec<_> = if request.indices.is_empty() {
-            (0..total).step_by(EXPORT_CHUNK).map(|first| first..(first + EXPORT_CHUNK).min(total)).collect()
+            (0..total).step_by(chunk).map(|first| first..(first + chunk).min(total)).collect()
         } else {
             request.indices.into_iter().map(|n| n as usize..n as usize + 1).collect()
         };
-        let (sender, receiver) = mpsc::channel(EXPORT_CHUNK);
+        let (sender, receiver) = mpsc::channel(EXPORT_QUEUE);
         tokio::spawn(export(self.clone(), name, ranges, sender));
         Ok(Response::new(ReceiverStream::new(receiver)))
+    }
+}
+
+/// Hands an item to the client; false if it has gone or the coordinator stops, which must not wait for slow readers.
+async fn deliver<T>(
+    context: &Context,
+    sender: &mpsc::Sender<Result<T, Status>>,
+    item: Result<T, Status>,
+) -> bool {
+    tokio::select! {
+        () = context.shutdown.cancelled() => {
+            // If there is room the client learns why its stream ends.
+            let _ = sender.try_send(Err(Status::unavailable("the coordinator is stopping")));
+            false
+        }
+        sent = sender.send(item) => sent.is_ok(),
     }
 }
 
@@ -76,17 +97,18 @@ async fn watch(
     context: Context,
     name: DictionaryName,
     mut status: DictionaryStatus,
+    mut changes: watch::Receiver<()>,
     sender: mpsc::Sender<Result<Dictionary, Status>>,
 ) {
-    let mut changes = context.farm.changes();
     loop {
-        if sender.send(Ok((&status).into())).await.is_err() || status.state() != DictionaryState::Running {
+        let running = status.state() == DictionaryState::Running;
+        if !deliver(&context, &sender, Ok((&status).into())).await || !running {
             return;
         }
         loop {
             tokio::select! {
                 () = context.shutdown.cancelled() => {
-                    let _ = sender.send(Err(Status::unavailable("the coordinator is stopping"))).await;
+                    let _ = sender.try_send(Err(Status::unavailable("the coordinator is stopping")));
                     return;
                 }
                 () = sender.closed() => return,
@@ -101,7 +123,7 @@ async fn watch(
                     break;
                 }
                 Err(error) => {
-                    let _ = sender.send(Err(error.into())).await;
+                    deliver(&context, &sender, Err(error.into())).await;
                     return;
                 }
             }
@@ -117,20 +139,16 @@ async fn export(
     sender: mpsc::Sender<Result<Record, Status>>,
 ) {
     for range in ranges {
-        let records = tokio::select! {
-            () = context.shutdown.cancelled() => Err(Status::unavailable("the coordinator is stopping")),
-            records = context.farm.records(&name, range) => records.map_err(Status::from),
-        };
-        match records {
+        match context.farm.records(&name, range).await {
             Ok(records) => {
                 for record in records {
-                    if sender.send(Ok(record.into())).await.is_err() {
+                    if !deliver(&context, &sender, Ok(record.into())).await {
                         return;
                     }
                 }
             }
-            Err(status) => {
-                let _ = sender.send(Err(status)).await;
+            Err(error) => {
+                deliver(&context, &sender, Err(error.into())).await;
                 return;
             }
         }

@@ -16,6 +16,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::Context;
 use super::status::required;
+use crate::farm::detached;
 
 /// Longest label and failure reason kept, in bytes.
 const TEXT_BYTES: usize = 1000;
@@ -79,7 +80,8 @@ impl Leases for Context {
         let grid = self.farm.grid_of(&key)?;
         let (first, count) = (grid.first_record(key.job as usize), grid.albedo().len());
         let records = receive(&mut parts, RecordShape::of(&grid), first, count).await?;
-        let duplicate = self.farm.complete(&key, &records).await?;
+        let farm = self.farm.clone();
+        let duplicate = detached(async move { farm.complete(&key, &records).await }).await?;
         Ok(Response::new(CompleteResponse { duplicate }))
     }
 
@@ -87,14 +89,16 @@ impl Leases for Context {
         &self,
         request: Request<HandBackRequest>,
     ) -> Result<Response<HandBackResponse>, Status> {
-        self.farm.hand_back(&keys(request.into_inner().leases));
+        let request = request.into_inner();
+        self.farm.hand_back(&WorkerId(request.worker_id), &keys(request.leases), request.leaving);
         Ok(Response::new(HandBackResponse {}))
     }
 
     async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailResponse>, Status> {
         let request = request.into_inner();
         let key = LeaseKey::from(required("lease", request.lease)?);
-        self.farm.failed(&key, &shortened(request.reason)).await?;
+        let (farm, reason) = (self.farm.clone(), shortened(request.reason));
+        detached(async move { farm.failed(&key, &reason).await }).await?;
         Ok(Response::new(FailResponse {}))
     }
 }

@@ -24,6 +24,9 @@ use crate::farm::Farm;
 /// HTTP/2 pings find links that were cut without a word.
 const KEEPALIVE: Duration = Duration::from_secs(20);
 
+/// How long a stop waits for calls that are under way.
+const GRACE: Duration = Duration::from_secs(3);
+
 /// What every service needs.
 #[derive(Debug, Clone)]
 struct Context {
@@ -39,13 +42,22 @@ pub(crate) async fn serve(
     let context = Context { farm, shutdown: shutdown.clone() };
     let limit = RequestLimits::MESSAGE_BYTES;
     let connections = TcpIncoming::from(listener).with_nodelay(Some(true));
-    Server::builder()
+    let server = Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))
         .add_service(DictionariesServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(LeasesServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(FitsServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(FarmServer::new(context).max_decoding_message_size(limit))
-        .serve_with_incoming_shutdown(connections, shutdown.cancelled_owned())
-        .await
+        .serve_with_incoming_shutdown(connections, shutdown.clone().cancelled_owned());
+    tokio::select! {
+        served = server => served,
+        () = async {
+            shutdown.cancelled().await;
+            tokio::time::sleep(GRACE).await;
+        } => {
+            tracing::warn!("clients did not let go in time: their connections are cut");
+            Ok(())
+        }
+    }
 }

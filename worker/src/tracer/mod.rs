@@ -39,6 +39,9 @@ use tally::{Partial, Tally};
 /// since it fixes the order of sums.
 const CHUNK_BATCHES: u64 = 10;
 
+/// Memory of the sums that may wait to be merged, per job.
+const WAVE_BYTES: usize = 64 << 20;
+
 /// Tracing was stopped from outside.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("tracing was stopped before the end")]
@@ -55,9 +58,10 @@ pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
     };
     let batches = job.walks().batches();
     let chunks = batches.div_ceil(CHUNK_BATCHES);
-    // Waves bound the memory: sums of one wave at a time wait for their turn.
-    let wave = 2 * rayon::current_num_threads().max(1) as u64;
     let mut total = Partial::new(job);
+    // Waves bound the memory: sums of one wave at a time wait for their turn.
+    let most = 2 * rayon::current_num_threads().max(1);
+    let wave = (WAVE_BYTES / total.bytes()).clamp(1, most) as u64;
     for first in (0..chunks).step_by(wave as usize) {
         let wave = first..(first + wave).min(chunks);
         let sums: Vec<Result<Partial, Stopped>> = wave

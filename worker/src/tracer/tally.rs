@@ -149,6 +149,11 @@ impl Partial {
         Self { sums: vec![0.0; len], squares: vec![0.0; len], batches: 0 }
     }
 
+    /// Memory that the sums take.
+    pub fn bytes(&self) -> usize {
+        (self.sums.len() + self.squares.len()) * size_of::<f64>()
+    }
+
     /// Adds the batches that follow this sum's.
     pub fn merge(&mut self, next: &Self) {
         for (a, b) in self.sums.iter_mut().zip(&next.sums) {

@@ -87,7 +87,9 @@ fn brute_force(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions
                     let rms = |a: &[f64], b: &[f64]| {
                         (a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() / a.len() as f64).sqrt()
                     };
-                    let abs = |f: Vec<f64>| f.into_iter().map(f64::abs).collect::<Vec<_>>();
+                    // Per sample of 10 mm / 360, whatever the pitch of the profile.
+                    let scale = simulated.len() as f64 / 360.0;
+                    let abs = |f: Vec<f64>| f.into_iter().map(|v| v.abs() * scale).collect::<Vec<_>>();
                     error += rms(&f, &simulated);
                     error += options.lambda() * rms(&abs(slope(&f)), &abs(slope(&simulated)));
                 }
@@ -101,17 +103,42 @@ fn brute_force(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions
 
 #[test]
 fn the_answer_is_that_of_brute_force() {
-    let dictionary = dictionary(360);
-    let m = measured(3.0, 0.7, 0.2, 360, 10.0);
-    for options in [FitOptions::default(), FitOptions::new(5.0, 0.9, None, 24).unwrap()] {
-        let found = best(&dictionary, &m, &options);
-        let expected = brute_force(&dictionary, &m, &options);
-        assert_eq!(found.len(), options.top());
-        for (candidate, (error, medium)) in found.iter().zip(&expected) {
-            assert_eq!(candidate.medium, *medium);
-            assert!((candidate.error - error).abs() < 1e-6, "{} {error}", candidate.error);
+    for pixels in [360, 90] {
+        let dictionary = dictionary(pixels);
+        let m = measured(3.0, 0.7, 0.2, pixels as usize, 10.0);
+        for options in [FitOptions::default(), FitOptions::new(5.0, 0.9, None, 24).unwrap()] {
+            let found = best(&dictionary, &m, &options);
+            let expected = brute_force(&dictionary, &m, &options);
+            assert_eq!(found.len(), options.top());
+            for (candidate, (error, medium)) in found.iter().zip(&expected) {
+                assert_eq!(candidate.medium, *medium);
+                assert!((candidate.error - error).abs() < 1e-6, "{} {error}", candidate.error);
+            }
         }
     }
+}
+
+/// Without scattering all media with one extinction look the same: albedo and g do not matter.
+#[test]
+fn equal_errors_come_in_the_order_of_the_records() {
+    let grid = dictionary(360).grid().clone();
+    let mut builder = DictionaryBuilder::new(grid.clone());
+    for index in 0..grid.record_count() {
+        let (point, _) = grid.parameters(index);
+        let value = |i: usize| {
+            profile_value(grid.scene().sensor().centre_mm(i), point.sigma_t_per_mm(), 0.5, 0.0, 1.0, 1.0)
+        };
+        let values: Vec<f32> = (0..360).map(|i| value(i) as f32).collect();
+        let radiance_factor = Estimate::new(values, vec![0.0; 360]).unwrap();
+        builder.add(&Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; 3] });
+    }
+    let options = FitOptions::new(20.0, 1.0, None, 5).unwrap();
+    let found = best(&builder.build(), &measured(4.0, 0.5, 0.0, 360, 10.0), &options);
+    let records: Vec<usize> = found.iter().map(|c| c.thicknesses[0].record).collect();
+    let first = grid.record_at(0, 2, 0, 0, 0);
+    let next_g = grid.record_at(0, 2, 1, 0, 0);
+    assert_eq!(records, [first, first + 1, first + 2, next_g, next_g + 1]);
+    assert!(found.iter().all(|c| c.error == found[0].error));
 }
 
 #[test]
