@@ -10,11 +10,11 @@ test crate:
 
 # The physics with 16 times the walks: 32 million a row of the exact values.
 physics-long effort="16":
-    FARM_TEST_EFFORT={{effort}} cargo test --release -p farm-tests --test physics uniform -- --nocapture
+    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test physics uniform -- --nocapture
 
 # kill -9 in 60 rounds each for embedded and separate processes.
 recovery-long effort="10":
-    FARM_TEST_EFFORT={{effort}} cargo test --release -p farm-tests --test recovery -- --nocapture
+    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test recovery -- --nocapture
 
 # The paper's dictionary, timed, in a folder of its own.
 dictionary folder="/tmp/farm-dictionary":
