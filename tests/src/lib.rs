@@ -3,6 +3,7 @@
 
 #![expect(clippy::missing_errors_doc, clippy::unwrap_used, reason = "helpers of tests")]
 
+pub mod cli;
 pub mod farm;
 pub mod process;
 pub mod reference;

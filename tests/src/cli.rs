@@ -1,0 +1,67 @@
+//! `farmctl` at work in folders of its own, for the tests of the command line.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::process::{Ran, run};
+
+/// A grid of 8 records that takes a fraction of a second.
+pub const GRID: &str = "sigma_t_per_mm = [4, 6]\nalbedo = [0.9, 0.999]\ng = [0.4]\nwalks = 5000\n";
+
+/// An empty folder for a farm of its own.
+pub fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().unwrap()
+}
+
+/// Writes a file.
+pub fn write(folder: &Path, name: &str, text: &str) {
+    std::fs::write(folder.join(name), text).unwrap();
+}
+
+/// A folder with the dictionary `grid`.
+pub fn farm() -> tempfile::TempDir {
+    let folder = folder();
+    write(folder.path(), "grid.toml", GRID);
+    let submitted = run(folder.path(), &["submit", "grid.toml"]);
+    assert_eq!(submitted.code, 0, "{}", submitted.stderr);
+    assert!(submitted.stdout.starts_with("grid: 8 records are done"), "{}", submitted.stdout);
+    folder
+}
+
+/// The data of the one JSON object that a command printed.
+pub fn json(ran: &Ran, kind: &str) -> Value {
+    let value: Value = serde_json::from_str(&ran.stdout).unwrap_or_else(|e| panic!("{e}: {}", ran.stdout));
+    assert_eq!(value["api"], "farmctl/1");
+    assert_eq!(value["kind"], kind);
+    value["data"].clone()
+}
+
+/// The keys of an object, sorted.
+pub fn keys(value: &Value) -> Vec<&str> {
+    let mut keys: Vec<_> = value.as_object().expect("an object").keys().map(String::as_str).collect();
+    keys.sort_unstable();
+    keys
+}
+
+/// A command that must fail with exit code 1, a message on standard error that holds `parts`, and no output.
+pub fn fails(folder: &Path, args: &[&str], parts: &[&str]) {
+    let ran = run(folder, args);
+    assert_eq!((ran.code, ran.stdout.as_str()), (1, ""), "{args:?}: {}", ran.stderr);
+    assert!(ran.stderr.starts_with("farmctl: "), "{args:?}: {}", ran.stderr);
+    for part in parts {
+        assert!(ran.stderr.contains(part), "{args:?} should tell {part:?}: {}", ran.stderr);
+    }
+}
+
+/// Rows of a profile that rises from 0.1 to 0.8.
+pub fn rows(channel: &str, thickness: f64) -> String {
+    let row = |i: i32| {
+        let x = (f64::from(i) - 29.5) / 6.0;
+        format!("resin,{channel},{thickness},{x:.5},{:.5}\n", 0.45 + 0.35 * x.tanh())
+    };
+    (0..60).map(row).collect()
+}
+
+/// First line of a measurement file.
+pub const HEAD: &str = "material,channel,thickness_mm,x_mm,value\n";

@@ -1,0 +1,193 @@
+//! What `farmctl` says to bad input and bad surroundings, and what it leaves on the disk.
+
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+
+use farm_tests::cli::{GRID, HEAD, fails, farm, folder, rows, write};
+use farm_tests::process::{Ran, program, run};
+
+#[test]
+fn a_scene_file_describes_any_stack() {
+    let dir = folder();
+    let scene = |roughness: &str| {
+        format!(
+            "[sensor]\nwidth_mm = 4\npixels = 8\n[[channel]]\nname = 'K'\nrho_light = 0.8\nrho_dark = 0\n\
+             [[layer]]\nname = 'resin'\nsample = true\nroughness = {roughness}\n"
+        )
+    };
+    write(dir.path(), "scene.toml", &scene("0.1"));
+    write(dir.path(), "bad.toml", &scene("-0.1"));
+    let args = |scene: &'static str| {
+        let rest = "--sigma-t 6 --albedo 0.9 --g 0 --thickness 0.5 --walks 5000 --scene";
+        ["simulate"].into_iter().chain(rest.split(' ')).chain([scene]).collect::<Vec<_>>()
+    };
+    let ran = run(dir.path(), &args("scene.toml"));
+    assert_eq!((ran.code, ran.stdout.lines().count()), (0, 9), "{}", ran.stderr);
+    fails(dir.path(), &args("bad.toml"), &["bad.toml", "layer[0].roughness = -0.1 is not valid"]);
+    fails(dir.path(), &args("none.toml"), &["\"none.toml\" is neither \"paper\" nor \"smooth\" nor a file"]);
+}
+
+#[test]
+fn bad_parameters_are_refused_with_field_value_and_range() {
+    let dir = folder();
+    let with = |change: &[&'static str]| {
+        let mut args = vec![
+            "simulate",
+            "--sigma-t",
+            "6",
+            "--albedo",
+            "0.9",
+            "--g",
+            "0.4",
+            "--thickness",
+            "0.5",
+            "--walks",
+            "5000",
+        ];
+        match args.iter().position(|a| *a == change[0]) {
+            Some(i) => args[i + 1] = change[1],
+            None => args.extend(change),
+        }
+        args
+    };
+    for (change, message) in [
+        (&["--g", "1"][..], "g = 1 is not valid: allowed are -0.999 to 0.999"),
+        (&["--thickness", "-0.5"], "thickness_mm = -0.5 is not valid"),
+        (&["--sigma-t", "NaN"], "sigma_t_per_mm = NaN is not valid"),
+        (&["--albedo", "1.5"], "albedo = 1.5 is not valid: allowed are 0 to 1"),
+        (&["--sample-ior", "0.5"], "sample_ior = 0.5 is not valid"),
+        (&["--walks", "1000"], "walks = 1000 is not valid: allowed are multiples of 2500"),
+        (&["--pixels", "0"], "pixels = 0 is not valid"),
+        (&["--width", "inf"], "width_mm = inf is not valid"),
+        (&["--rho-light", "2", "--rho-dark", "0"], "rho_light = 2 is not valid"),
+    ] {
+        fails(dir.path(), &with(change), &[message]);
+    }
+    let alone = run(dir.path(), &with(&["--rho-light", "0.9"]));
+    assert_eq!(alone.code, 2, "{}", alone.stderr);
+}
+
+#[test]
+fn bad_grids_are_refused_and_leave_nothing_behind() {
+    let dir = folder();
+    for (grid, message) in [
+        ("sigma_t_per_mm = [1, nan]", "sigma_t_per_mm[1] = NaN is not valid"),
+        ("g = [0.4, 1.0]", "g[1] = 1 is not valid"),
+        ("thickness_mm = [-1]", "thickness_mm[0] = -1 is not valid"),
+        ("albedo = [0.9, 0.5]", "albedo[1] = 0.5 is not valid: values must be strictly rising"),
+        ("albedo = []", "albedo = 0 values is not valid"),
+        ("walks = 100", "walks = 100 is not valid"),
+        ("colour = 'red'", "unknown field `colour`"),
+        ("g = [0.4", "TOML parse error"),
+        ("scene = 'none.toml'", "neither \"paper\" nor \"smooth\" nor a file"),
+        ("scene = { layers = [] }", "unknown field `layers`"),
+        ("scene = { layer = [] }", "exactly one layer must be the sample"),
+    ] {
+        write(dir.path(), "bad.toml", grid);
+        fails(dir.path(), &["submit", "bad.toml"], &["bad.toml", message]);
+    }
+    fails(dir.path(), &["submit", "none.toml"], &["grid file none.toml", "No such file"]);
+    write(dir.path(), "grid.toml", GRID);
+    fails(dir.path(), &["submit", "grid.toml", "--name", "../x"], &["name = \"../x\" is not valid"]);
+    assert!(!dir.path().join("farm-data").exists(), "a refused submission must not make a data directory");
+}
+
+#[test]
+fn bad_measurements_are_refused() {
+    let farm = farm();
+    let dir = farm.path();
+    let good = rows("R", 0.5);
+    for (text, message) in [
+        ("material,channel,x_mm,value\n".to_owned() + &good, "missing column thickness_mm"),
+        (HEAD.to_owned(), "no rows"),
+        (HEAD.to_owned() + &good.replacen(",0.10004", ",NaN", 1), "value = NaN"),
+        (HEAD.to_owned() + &good.replacen(",0.10004", ",black", 1), "is not a number"),
+        (
+            HEAD.to_owned() + &good.lines().rev().fold(String::new(), |t, l| t + l + "\n"),
+            "x must be strictly rising",
+        ),
+        (HEAD.to_owned() + &rows("X", 0.5), "channel = X is not valid: the dictionary has R, G, B"),
+        (HEAD.to_owned() + &rows("R", 0.7), "thickness_mm = 0.7 is not valid: the dictionary has 0.5, 1"),
+    ] {
+        write(dir, "m.csv", &text);
+        fails(dir, &["fit", "m.csv", "--dictionary", "grid"], &[message]);
+    }
+    write(dir, "m.csv", &(HEAD.to_owned() + &good));
+    fails(dir, &["fit", "none.csv"], &["measurement none.csv", "No such file"]);
+    fails(dir, &["fit", "m.csv"], &["dictionary paper does not exist; there are: grid"]);
+    for (option, message) in [
+        ("--mu=0", "mu = 0 is not valid"),
+        ("--lambda=-1", "lambda = -1 is not valid"),
+        ("--g=0.3", "g = 0.3 is not valid: the dictionary has 0.4"),
+        ("--top=0", "top = 0 is not valid"),
+    ] {
+        fails(dir, &["fit", "m.csv", "--dictionary", "grid", option], &[message]);
+    }
+}
+
+#[test]
+fn questions_without_a_farm_say_what_to_do_and_make_none() {
+    let dir = folder();
+    write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));
+    for verb in [&["status"][..], &["list"], &["show", "paper"], &["export", "paper"], &["fit", "m.csv"]] {
+        fails(dir.path(), verb, &["there is no farm in farm-data: run `farmctl submit` first"]);
+    }
+    fails(
+        dir.path(),
+        &["list", "--server", "http://127.0.0.1:9"],
+        &["no coordinator answers at http://127.0.0.1:9"],
+    );
+    assert!(!dir.path().join("farm-data").exists());
+}
+
+#[test]
+fn a_name_belongs_to_one_grid() {
+    let farm = farm();
+    write(farm.path(), "grid.toml", &GRID.replace("0.9,", "0.8,"));
+    fails(
+        farm.path(),
+        &["submit", "grid.toml"],
+        &["dictionary grid exists with another grid or physics version: choose another name"],
+    );
+    assert_eq!(run(farm.path(), &["submit", "grid.toml", "--name", "other", "-q"]).code, 0);
+}
+
+/// Runs as nobody if the tests run as root, whom no permission stops.
+#[test]
+fn a_data_directory_that_cannot_be_written_is_refused() {
+    let dir = folder();
+    let data = dir.path().join("data");
+    std::fs::create_dir(&data).unwrap();
+    std::fs::set_permissions(dir.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
+    std::fs::set_permissions(&data, std::fs::Permissions::from_mode(0o555)).unwrap();
+    // The build folder may be closed to others: nobody gets a copy.
+    let copy = dir.path().join("farmctl");
+    std::fs::copy(program("farmctl"), &copy).unwrap();
+    let mut command = Command::new(copy);
+    command.args(["submit", "--data"]).arg(&data).current_dir(dir.path());
+    if std::fs::write(data.join("probe"), "").is_ok() {
+        std::fs::remove_file(data.join("probe")).unwrap();
+        command.uid(65_534);
+    }
+    let ran: Ran = command.output().unwrap().into();
+    assert_eq!(ran.code, 1, "{}", ran.stderr);
+    assert!(ran.stderr.contains("cannot be written to: Permission denied"), "{}", ran.stderr);
+    assert_eq!(std::fs::read_dir(&data).unwrap().count(), 0);
+    fails(
+        dir.path(),
+        &["submit", "--data", "/dev/null/farm"],
+        &["data directory /dev/null/farm: cannot be created"],
+    );
+}
+
+#[test]
+fn a_database_that_is_none_is_refused_and_left_alone() {
+    let dir = folder();
+    let file = dir.path().join("farm-data/farm.db");
+    std::fs::create_dir(dir.path().join("farm-data")).unwrap();
+    std::fs::write(&file, "this is a letter, not a database; it is long enough to be looked at closely")
+        .unwrap();
+    fails(dir.path(), &["list"], &["farm.db", "file is not a database"]);
+    assert!(std::fs::read_to_string(&file).unwrap().starts_with("this is a letter"));
+}
