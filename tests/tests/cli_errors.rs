@@ -191,3 +191,23 @@ fn a_database_that_is_none_is_refused_and_left_alone() {
     fails(dir.path(), &["list"], &["farm.db", "file is not a database"]);
     assert!(std::fs::read_to_string(&file).unwrap().starts_with("this is a letter"));
 }
+
+#[test]
+fn the_other_programs_tell_their_errors_in_one_line() {
+    let dir = folder();
+    let first_line = |name: &str, args: &[&str]| {
+        let ran: Ran =
+            Command::new(program(name)).current_dir(dir.path()).args(args).output().unwrap().into();
+        assert_eq!((ran.code, ran.stderr.lines().count()), (1, 1), "{}", ran.stderr);
+        ran.stderr
+    };
+    let open = first_line("farm-coordinator", &["--listen", "0.0.0.0:0"]);
+    assert!(
+        open.contains("can be reached from other machines, without encryption: add --insecure"),
+        "{open}"
+    );
+    let data = first_line("farm-coordinator", &["--listen", "127.0.0.1:0", "--data", "/dev/null/farm"]);
+    assert!(data.starts_with("farm-coordinator: data directory /dev/null/farm: cannot be created"), "{data}");
+    let url = first_line("farm-worker", &["--server", "not a url"]);
+    assert!(url.contains("coordinator URL \"not a url\" is not valid"), "{url}");
+}

@@ -1,5 +1,7 @@
 //! `farm-worker`: parses the command line, runs the library until a signal.
 
+use std::process::ExitCode;
+
 use clap::Parser;
 use farm_worker::Config;
 use tokio_util::sync::CancellationToken;
@@ -21,8 +23,17 @@ struct Args {
 }
 
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    let args = Args::parse();
+async fn main() -> ExitCode {
+    match run(Args::parse()).await {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("farm-worker: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+async fn run(args: Args) -> Result<(), farm_worker::Error> {
     let filter = EnvFilter::try_from_env("FARM_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let mut config = Config::new(args.server);
@@ -34,7 +45,7 @@ async fn main() -> anyhow::Result<()> {
     }
     let shutdown = CancellationToken::new();
     tokio::spawn(stop_on_signal(shutdown.clone()));
-    Ok(farm_worker::run(config, shutdown).await?)
+    farm_worker::run(config, shutdown).await
 }
 
 async fn stop_on_signal(shutdown: CancellationToken) {
