@@ -2,7 +2,7 @@
 
 use crate::grid::{Grid, Walks};
 use crate::ids::DictionaryId;
-use crate::invalid::{Result, each};
+use crate::invalid::{Invalid, Result, each};
 use crate::optics::{TransportPoint, check_albedo};
 use crate::scene::Scene;
 
@@ -38,6 +38,9 @@ impl JobSpec {
         seed: u64,
         derivatives: bool,
     ) -> Result<Self> {
+        if albedo.is_empty() {
+            return Err(Invalid::new("albedo", "0 values", "at least one is needed"));
+        }
         let albedo = each("albedo", albedo, check_albedo)?;
         Ok(Self { scene, point, albedo, walks, seed, derivatives, first_record: 0 })
     }
@@ -98,4 +101,16 @@ impl JobSpec {
 pub struct Lease {
     pub key: LeaseKey,
     pub job: JobSpec,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_without_albedos_is_refused() {
+        let point = TransportPoint::new(1.0, 0.0, 0.5, 1.53).unwrap();
+        let empty = JobSpec::new(Scene::paper(), point, vec![], Walks::PAPER, 1, false);
+        assert_eq!(empty.unwrap_err().field(), "albedo");
+    }
 }

@@ -118,7 +118,7 @@ fn the_answer_is_that_of_brute_force() {
     }
 }
 
-/// Without scattering all media with one extinction look the same: albedo and g do not matter.
+/// A dictionary whose profiles depend on the extinction alone: all media with the same one are equally good.
 #[test]
 fn equal_errors_come_in_the_order_of_the_records() {
     let grid = dictionary(360).grid().clone();
