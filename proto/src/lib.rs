@@ -31,7 +31,7 @@ pub use scene::Scene;
 
 /// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
 /// Workers and coordinator must agree on it.
-pub const PHYSICS_VERSION: u32 = 1;
+pub const PHYSICS_VERSION: u32 = 2;
 
 /// Generated from `proto/farm/v1/*.proto`.
 #[expect(clippy::pedantic, clippy::allow_attributes, reason = "generated code")]

@@ -24,6 +24,24 @@ impl Mean {
     }
 }
 
+/// Root mean square of each side's standard errors over the 21 pixels around each one.
+///
+/// Where bright paths are rare, a pixel's own estimate of its error is noisy, and small when its value is small: the
+/// bright paths are missing from both. Neighbours have nearly the same true error.
+pub fn errors_of_neighbours(std_errors: &[f64]) -> Vec<f64> {
+    const REACH: usize = 10;
+    let smooth = |side: &[f64]| -> Vec<f64> {
+        (0..side.len())
+            .map(|i| {
+                let around = &side[i.saturating_sub(REACH)..(i + REACH + 1).min(side.len())];
+                (around.iter().map(|e| e * e).sum::<f64>() / around.len() as f64).sqrt()
+            })
+            .collect()
+    };
+    let (dark, light) = std_errors.split_at(std_errors.len() / 2);
+    [smooth(dark), smooth(light)].concat()
+}
+
 /// χ² per pixel of two profiles with independent errors.
 pub fn chi2_per_pixel(a: &[Mean], b: &[Mean]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.z(*b).powi(2)).sum::<f64>() / a.len() as f64

@@ -11,7 +11,7 @@ use farm_proto::profile::{Profile, Record};
 use farm_proto::scene::{Channel, RingLight, Scene, Sensor};
 use farm_proto::{Digest, TransportPoint, Walks};
 use farm_tests::reference;
-use farm_tests::statistics::{Mean, chi2_per_pixel};
+use farm_tests::statistics::{Mean, chi2_per_pixel, errors_of_neighbours};
 use farm_worker::tracer::trace;
 
 struct Run {
@@ -93,8 +93,9 @@ fn uniform_bases_agree_with_adding_doubling() {
     assert!(mean_z.abs() < 1.0, "mean z {mean_z}");
 }
 
-/// 16 × 125,000 walks against 16,384 samples a pixel. Pixels of a profile share their walks, so the error of a
-/// side's mean comes from the spread between the 16 seeds.
+/// 16 × 500,000 walks against 16,384 samples a pixel, so that nearly all noise is the reference's, whose pixels are
+/// independent: χ²/n is 1 ± 0.14. Pixels of our profile share their walks, so the error of a side's mean comes from
+/// the spread between the 16 seeds.
 #[test]
 fn edge_profiles_agree_with_mitsuba() {
     const SEEDS: u64 = 16;
@@ -103,12 +104,12 @@ fn edge_profiles_agree_with_mitsuba() {
         let scene = pixels(Scene::paper(), reference.width_mm, n as u32);
         let scene = channels(scene, &[(reference.rho_light, reference.rho_dark)]);
         let point = [reference.sigma_t_per_mm, reference.g, reference.thickness_mm, reference.sample_ior];
-        let run = Run::new(scene, point, &[reference.albedo], 125_000);
+        let run = Run::new(scene, point, &[reference.albedo], 500_000);
         let profiles: Vec<_> = (0..SEEDS).map(|seed| values(&run.profile(seed))).collect();
         let ours: Vec<_> =
             (0..n).map(|pixel| Mean::of(&profiles.iter().map(|p| p[pixel]).collect::<Vec<_>>())).collect();
-        let theirs: Vec<_> = std::iter::zip(&reference.values, &reference.std_errors)
-            .map(|(&mean, &std_error)| Mean { mean, std_error })
+        let theirs: Vec<_> = std::iter::zip(&reference.values, errors_of_neighbours(&reference.std_errors))
+            .map(|(&mean, std_error)| Mean { mean, std_error })
             .collect();
         let chi2 = chi2_per_pixel(&ours, &theirs);
         let side = |range: std::ops::Range<usize>| {
@@ -120,7 +121,7 @@ fn edge_profiles_agree_with_mitsuba() {
         };
         let (dark, light) = (side(0..n / 2 - 8), side(n / 2 + 8..n));
         println!("{}: chi2/n {chi2:.2}, dark side z {dark:.2}, light side z {light:.2}", reference.name);
-        assert!(chi2 < 2.0, "{}: chi2/n {chi2}", reference.name);
+        assert!(chi2 < 1.5, "{}: chi2/n {chi2}", reference.name);
         assert!(dark.abs() < 3.5 && light.abs() < 3.5, "{}: z {dark} {light}", reference.name);
     }
 }
@@ -252,11 +253,11 @@ fn sigma_t_derivative_agrees_with_difference_quotients() {
 #[test]
 fn results_are_the_same_bits_for_any_number_of_threads() {
     let cases = [
-        (Scene::paper(), "1eab243a85f5a3f0f71a34215e49a4e92d7a27a65fbd39573e6b6e3e7d7be901"),
-        (Scene::smooth(), "e0063d52d6ebce9c2a47f084f391afdd4cc64126f6787b434d14db5f121aca06"),
+        (Scene::paper(), "a3137e95b1983a9562c29553b25bd2397b2542d973b14b05a1ebbd86f252e1e8"),
+        (Scene::smooth(), "106d8f1a4619e92b0a878399083f87fde1d1e7033dd789aa14a0ec9a7b436e29"),
         (
             Scene::paper().with_multiple_scattering(true),
-            "05c58be54621a2903753bb6aef488130e631f9677c85e516a45a245d7fe4b3ce",
+            "6ce5d8a6fca2b069d55bcf1dfd89f302c203570a312c1e7bda221f83d19a39fa",
         ),
     ];
     for (scene, expected) in cases {

@@ -7,7 +7,11 @@
 //! The result is a function of the job alone. Walks draw from counter-based streams; batches are grouped into
 //! chunks of a fixed size and the chunks' sums merged in their order, whichever thread was done first.
 
+mod exits;
 mod fresnel;
+mod kernel;
+#[cfg(test)]
+mod kernel_tests;
 mod math;
 mod microfacet;
 mod phase;
@@ -20,8 +24,8 @@ mod testing;
 mod walk;
 #[cfg(test)]
 mod walk_tests;
+mod wavefront;
 
-use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use farm_proto::digest::stream_key;
@@ -30,13 +34,14 @@ use farm_proto::job::JobSpec;
 use farm_proto::profile::Record;
 use rayon::prelude::*;
 
+use exits::{Chunk, Exits};
+pub use kernel::Kernel;
 use powers::AlbedoPowers;
-use rng::Stream;
 use stack::Stack;
 use tally::{Partial, Tally};
 
-/// Batches whose sums are added up one after the other: a unit of parallel work. Part of the physics version,
-/// since it fixes the order of sums.
+/// Batches whose walks share a chunk: a unit of parallel work, whose sums are added up one after the other. Part of
+/// the physics version, since it fixes the streams and the order of sums.
 const CHUNK_BATCHES: u64 = 10;
 
 /// Memory of the sums that may wait to be merged, per job.
@@ -47,9 +52,16 @@ const WAVE_BYTES: usize = 64 << 20;
 #[error("tracing was stopped before the end")]
 pub struct Stopped;
 
-/// Traces a job on the current rayon pool and returns one record per albedo. Looks at `stop` after every batch.
+/// Traces a job on the current rayon pool with the fastest kernel of this machine and returns one record per albedo.
+/// Looks at `stop` all the time.
 pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
+    trace_with(Kernel::fastest(), job, stop)
+}
+
+/// Traces a job with a kernel of one's choice: the records are the same to the last bit, whichever it is.
+pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
     let tracer = Tracer {
+        kernel,
         job,
         stack: Stack::new(job.scene(), &job.point()),
         powers: AlbedoPowers::new(job.albedo()),
@@ -66,7 +78,7 @@ pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
         let wave = first..(first + wave).min(chunks);
         let sums: Vec<Result<Partial, Stopped>> = wave
             .into_par_iter()
-            .map(|chunk| tracer.chunk(chunk * CHUNK_BATCHES..((chunk + 1) * CHUNK_BATCHES).min(batches)))
+            .map(|chunk| tracer.chunk(chunk, CHUNK_BATCHES.min(batches - chunk * CHUNK_BATCHES)))
             .collect();
         for sum in sums {
             total.merge(&sum?);
@@ -76,6 +88,7 @@ pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
 }
 
 struct Tracer<'a> {
+    kernel: Kernel,
     job: &'a JobSpec,
     stack: Stack,
     powers: AlbedoPowers,
@@ -84,29 +97,24 @@ struct Tracer<'a> {
 }
 
 impl Tracer<'_> {
-    fn chunk(&self, batches: Range<u64>) -> Result<Partial, Stopped> {
+    fn chunk(&self, index: u64, batches: u64) -> Result<Partial, Stopped> {
+        let walks = (batches * BATCH_WALKS) as u32;
+        let chunk = Chunk { key: self.key, index, walks };
+        let mut exits = Exits::default();
+        self.kernel.run_chunk(&self.stack, chunk, self.stop, &mut exits)?;
         let mut partial = Partial::new(self.job);
         let mut tally = Tally::new(self.job, &self.powers);
-        let mut hits_mm = Vec::new();
-        for batch in batches {
+        let mut exits = exits.in_order(walks).peekable();
+        for batch in 1..=batches {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(Stopped);
             }
-            self.batch(batch, &mut tally, &mut hits_mm);
+            let end = (batch * BATCH_WALKS) as u32;
+            while let Some(exit) = exits.next_if(|exit| exit.walk < end) {
+                tally.add(&exit);
+            }
             tally.finish_batch(&mut partial);
         }
         Ok(partial)
-    }
-
-    fn batch(&self, batch: u64, tally: &mut Tally<'_>, hits_mm: &mut Vec<f32>) {
-        let [inner, outer] = self.stack.ring_sin2;
-        for index in 0..BATCH_WALKS as u32 {
-            let stream = Stream::new(self.key, batch, index);
-            if let Some(exit) = walk::run(&self.stack, stream, hits_mm)
-                && (inner..=outer).contains(&exit.sin2)
-            {
-                tally.add(&exit, hits_mm);
-            }
-        }
     }
 }

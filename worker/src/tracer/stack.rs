@@ -5,15 +5,14 @@ use farm_proto::scene::LayerMedium;
 use farm_proto::{Scene, TransportPoint};
 use glam::Vec3;
 
+use super::fresnel::RelativeIndex;
 use super::phase::HenyeyGreenstein;
 
 /// A plane interface, seen from both sides.
 #[derive(Debug, Clone, Copy)]
 pub struct Interface {
-    /// Index above over index below: what a ray from above refracts with.
-    pub eta_from_above: f32,
-    /// Index below over index above.
-    pub eta_from_below: f32,
+    pub from_above: RelativeIndex,
+    pub from_below: RelativeIndex,
     /// GGX roughness; 0 is smooth.
     pub alpha: f32,
 }
@@ -54,8 +53,8 @@ impl Stack {
             thickness_mm.push(thickness as f32);
         }
         let interface = |i: usize| Interface {
-            eta_from_above: (iors[i] / iors[i + 1]) as f32,
-            eta_from_below: (iors[i + 1] / iors[i]) as f32,
+            from_above: RelativeIndex::new(iors[i], iors[i + 1]),
+            from_below: RelativeIndex::new(iors[i + 1], iors[i]),
             alpha: scene.layers()[i].roughness() as f32,
         };
         let (light, polar) = (scene.light(), scene.sensor().polar_deg());

@@ -8,9 +8,9 @@ use farm_proto::grid::BATCH_WALKS;
 use farm_proto::profile::{Derivatives, Estimate, Profile, Record};
 use farm_proto::scene::Sensor;
 
+use super::exits::Exit;
 use super::powers::{AlbedoPowers, GrowingPowers};
 use super::stack::ring_measure;
-use super::walk::Exit;
 use farm_proto::job::JobSpec;
 
 /// Quantities estimated per albedo: the radiance factor, and ∂/∂α and ∂/∂σ_t if asked for.
@@ -58,7 +58,8 @@ impl<'a> Tally<'a> {
     }
 
     /// Adds a walk that has left into the ring.
-    pub fn add(&mut self, exit: &Exit, hits_mm: &[f32]) {
+    pub fn add(&mut self, exit: &Exit<'_>) {
+        let hits_mm = exit.hits_mm;
         self.weigh(exit);
         let (pitch, half) = (self.sensor.pitch_mm(), 0.5 * self.sensor.width_mm());
         let pixels = self.sensor.pixels() as f64;
@@ -87,7 +88,7 @@ impl<'a> Tally<'a> {
     }
 
     /// α^n, n α^(n−1) and (n/σ_t − L) α^n, times the walk's weight.
-    fn weigh(&mut self, exit: &Exit) {
+    fn weigh(&mut self, exit: &Exit<'_>) {
         let albedos = self.job.albedo().len();
         let (n, weight) = (exit.scatterings, f64::from(exit.weight));
         let (values, derivatives) = self.weights.split_at_mut(albedos);

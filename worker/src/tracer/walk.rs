@@ -3,17 +3,23 @@
 //! Nothing is absorbed in flight: the albedo enters as α^n at the end, the base's reflectances by the number of
 //! hits on either side of the edge. z points up, x across the edge.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use glam::Vec3;
 
-use super::fresnel::{Facet, refract};
-use super::math::{ln, sin_cos_turns};
+use super::Stopped;
+use super::exits::{Chunk, Exits};
+use super::fresnel::{Facet, RelativeIndex};
+use super::math::{ln, unit_vector};
 use super::microfacet::{Scattered, scatter_once, scatter_until_out};
-use super::rng::Stream;
+use super::rng::{Stream, uniform};
 use super::stack::Stack;
 
-/// Events between two games of Russian roulette. In the paper's grid no walk comes near the first, since the
-/// chance to stay falls exponentially; in optically very thick slabs it bounds the time, without bias.
-const ROULETTE_EVENTS: u32 = 1 << 16;
+/// Blocks of random numbers between two games of Russian roulette. It bounds the time of walks in optically very thick
+/// slabs, and ends those that rounding has caught: a ray that enters a smooth layer at grazing incidence may find total
+/// reflection on both its faces, once in some 10¹⁰ crossings. Without bias; hardly any other walk of the paper's grid
+/// comes to the first game. A power of two.
+pub const ROULETTE_BLOCKS: u32 = 1 << 15;
 
 /// What the last step did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,8 +41,8 @@ pub enum Event {
 pub struct Walk<'a> {
     stack: &'a Stack,
     stream: Stream,
-    /// Number of events after which roulette is played next.
-    roulette_at: u32,
+    /// The second half of the last block, for the next flight.
+    spare: Option<[u32; 2]>,
     slab: usize,
     /// Height above the lower face of the sample; meaningful inside it.
     z_mm: f32,
@@ -58,7 +64,7 @@ impl<'a> Walk<'a> {
         let mut walk = Self {
             stack,
             stream,
-            roulette_at: ROULETTE_EVENTS,
+            spare: None,
             slab: 0,
             z_mm: 0.0,
             direction,
@@ -67,8 +73,7 @@ impl<'a> Walk<'a> {
             scatterings: 0,
             length_mm: 0.0,
         };
-        let u = walk.stream.next();
-        let event = walk.cross_below(u);
+        let event = walk.cross_below();
         (walk, event)
     }
 
@@ -81,20 +86,35 @@ impl<'a> Walk<'a> {
     /// Advances to the next event. Not to be called after [`Event::Left`] or [`Event::Lost`].
     #[inline]
     pub fn step(&mut self) -> Event {
-        if self.stream.events() >= self.roulette_at {
-            self.roulette_at += ROULETTE_EVENTS;
-            if self.stream.next()[0] < 0.5 {
-                return Event::Lost;
+        if self.slab == self.stack.sample { self.fly() } else { self.traverse() }
+    }
+
+    /// A block of random numbers for the next event. None if Russian roulette, which is played from time to time with
+    /// a block of its own, ends the walk.
+    fn draw(&mut self) -> Option<[u32; 4]> {
+        if self.stream.block().is_multiple_of(ROULETTE_BLOCKS) {
+            if uniform(self.stream.words()[0]) < 0.5 {
+                return None;
             }
             self.weight *= 2.0;
         }
-        if self.slab == self.stack.sample { self.fly() } else { self.traverse() }
+        Some(self.stream.words())
+    }
+
+    /// Two words for a flight in the sample: a block lasts for two flights in a row.
+    fn draw_for_flight(&mut self) -> Option<[u32; 2]> {
+        if let Some(words) = self.spare.take() {
+            return Some(words);
+        }
+        let [path, angles, next_path, next_angles] = self.draw()?;
+        self.spare = Some([next_path, next_angles]);
+        Some([path, angles])
     }
 
     /// Flies freely in the sample, to a scattering or to a face, whichever comes first.
     fn fly(&mut self) -> Event {
-        let u = self.stream.next();
-        let free_mm = -ln(u[0]) * self.stack.mean_free_path_mm;
+        let Some([path, angles]) = self.draw_for_flight() else { return Event::Lost };
+        let free_mm = ln(uniform(path)) * -self.stack.mean_free_path_mm;
         let thickness_mm = self.stack.thickness_mm[self.slab];
         let z_mm = self.z_mm + self.direction.z * free_mm;
         // Only the face ahead counts: a step too short to change z must not pass for a crossing of the other.
@@ -105,68 +125,53 @@ impl<'a> Walk<'a> {
             self.x_mm += self.direction.x * free_mm;
             self.length_mm += free_mm;
             self.scatterings += 1;
-            self.direction = self.stack.phase.scatter(self.direction, u[1], u[2]);
+            self.direction = self.stack.phase.scatter(self.direction, angles);
             return Event::Scattered;
         }
         let face_mm = if down { 0.0 } else { thickness_mm };
         let flown_mm = (face_mm - self.z_mm) / self.direction.z;
-        self.z_mm = face_mm;
         self.x_mm += self.direction.x * flown_mm;
         self.length_mm += flown_mm;
-        self.leave_slab(down, u)
+        self.spare = None;
+        self.leave_slab(down)
     }
 
     /// Crosses a clear slab to its other face.
     fn traverse(&mut self) -> Event {
-        let u = self.stream.next();
         let thickness_mm = self.stack.thickness_mm[self.slab];
         self.x_mm += self.direction.x * (thickness_mm / self.direction.z.abs());
-        self.leave_slab(self.direction.z < 0.0, u)
+        self.leave_slab(self.direction.z < 0.0)
     }
 
-    fn leave_slab(&mut self, down: bool, u: [f32; 4]) -> Event {
+    fn leave_slab(&mut self, down: bool) -> Event {
         if !down {
-            self.cross_above(u)
+            self.cross_above()
         } else if self.slab == self.stack.interfaces.len() {
-            self.reflect_diffusely(u)
+            self.reflect_diffusely()
         } else {
-            self.cross_below(u)
+            self.cross_below()
         }
     }
 
     /// The Lambertian base: cosine-distributed directions, whatever the side of the edge.
-    fn reflect_diffusely(&mut self, u: [f32; 4]) -> Event {
-        let (sin_phi, cos_phi) = sin_cos_turns(u[2]);
-        let sin = u[1].sqrt();
-        self.direction = Vec3::new(sin * cos_phi, sin * sin_phi, (1.0 - u[1]).sqrt());
+    fn reflect_diffusely(&mut self) -> Event {
+        let Some(words) = self.draw() else { return Event::Lost };
+        let u = uniform(words[1]);
+        let (x, y) = unit_vector(words[2]);
+        let sin = u.sqrt();
+        self.direction = Vec3::new(sin * x, sin * y, (1.0 - u).sqrt());
+        self.z_mm = 0.0;
         Event::Base
     }
 
-    fn cross_below(&mut self, u: [f32; 4]) -> Event {
+    fn cross_below(&mut self) -> Event {
         let interface = self.stack.interfaces[self.slab];
-        let Some(transmitted) =
-            self.cross(-self.direction, 1.0, interface.eta_from_above, interface.alpha, u)
-        else {
-            return Event::Lost;
-        };
+        let indices = [interface.from_above, interface.from_below];
+        let Some(transmitted) = self.cross(1.0, indices, interface.alpha) else { return Event::Lost };
         if transmitted {
             self.slab += 1;
             self.z_mm = self.stack.thickness_mm[self.slab];
-        } else if self.slab == 0 {
-            return Event::Left;
-        }
-        Event::Crossed
-    }
-
-    fn cross_above(&mut self, u: [f32; 4]) -> Event {
-        let interface = self.stack.interfaces[self.slab - 1];
-        let Some(transmitted) =
-            self.cross(-self.direction, -1.0, interface.eta_from_below, interface.alpha, u)
-        else {
-            return Event::Lost;
-        };
-        if transmitted {
-            self.slab -= 1;
+        } else {
             self.z_mm = 0.0;
             if self.slab == 0 {
                 return Event::Left;
@@ -175,16 +180,35 @@ impl<'a> Walk<'a> {
         Event::Crossed
     }
 
-    /// Meets an interface whose incident side is up (`up` = 1) or down (`up` = −1); `wi` points back along the
-    /// ray. Sets the new direction and tells whether the ray is on the other side; None if it is lost.
-    fn cross(&mut self, wi: Vec3, up: f32, eta: f32, alpha: f32, u: [f32; 4]) -> Option<bool> {
-        let wi = Vec3::new(wi.x, wi.y, up * wi.z);
-        let Scattered { direction, weight } = if alpha == 0.0 {
-            scatter_smoothly(wi, eta, u[3])
-        } else if self.stack.multiple_scattering {
-            scatter_until_out(wi, alpha, eta, &mut self.stream)
+    fn cross_above(&mut self) -> Event {
+        let interface = self.stack.interfaces[self.slab - 1];
+        let indices = [interface.from_below, interface.from_above];
+        let Some(transmitted) = self.cross(-1.0, indices, interface.alpha) else { return Event::Lost };
+        if transmitted {
+            self.slab -= 1;
+            self.z_mm = 0.0;
+            if self.slab == 0 {
+                return Event::Left;
+            }
         } else {
-            scatter_once(wi, alpha, eta, u)?
+            self.z_mm = self.stack.thickness_mm[self.slab];
+        }
+        Event::Crossed
+    }
+
+    /// Meets an interface whose incident side is up (`up` = 1) or down (`up` = −1); `indices` are those of the
+    /// incident side and of the other. Sets the new direction and tells whether the ray is on the other side; None
+    /// if it is lost.
+    fn cross(&mut self, up: f32, indices: [RelativeIndex; 2], alpha: f32) -> Option<bool> {
+        let d = self.direction;
+        let wi = Vec3::new(-d.x, -d.y, -up * d.z);
+        let words = self.draw()?;
+        let Scattered { direction, weight } = if alpha == 0.0 {
+            scatter_smoothly(wi, indices[0], uniform(words[3]))
+        } else if self.stack.multiple_scattering {
+            scatter_until_out(wi, alpha, indices, &mut self.stream)
+        } else {
+            scatter_once(wi, alpha, indices[0], words)?
         };
         self.weight *= weight;
         self.direction = Vec3::new(direction.x, direction.y, up * direction.z);
@@ -193,44 +217,39 @@ impl<'a> Walk<'a> {
 }
 
 /// Reflects or refracts at a smooth interface with normal z.
-fn scatter_smoothly(wi: Vec3, eta: f32, u: f32) -> Scattered {
-    let facet = Facet::new(wi.z, wi.x * wi.x + wi.y * wi.y, eta);
-    let direction = if u < facet.reflectance {
+fn scatter_smoothly(wi: Vec3, index: RelativeIndex, u: f32) -> Scattered {
+    let facet = Facet::new(wi.z, index);
+    let direction = if facet.reflects(u) {
         Vec3::new(-wi.x, -wi.y, wi.z)
     } else {
-        refract(wi, Vec3::Z, wi.z, facet.cos_t, eta)
+        Vec3::new(-index.eta * wi.x, -index.eta * wi.y, -facet.cos_t)
     };
     Scattered { direction, weight: 1.0 }
 }
 
-/// A walk that has left through the top.
-#[derive(Debug, Clone, Copy)]
-pub struct Exit {
-    pub weight: f32,
-    pub sin2: f32,
-    pub scatterings: u32,
-    pub length_mm: f32,
-}
-
-/// Runs a whole walk from the sensor; the lateral offsets of its hits on the base go to `hits_mm`. None if it
-/// was lost.
-pub fn run(stack: &Stack, stream: Stream, hits_mm: &mut Vec<f32>) -> Option<Exit> {
-    hits_mm.clear();
-    let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream);
-    loop {
-        match event {
-            Event::Scattered | Event::Crossed => {}
-            Event::Base => hits_mm.push(walk.x_mm),
-            Event::Lost => return None,
-            Event::Left => {
-                return Some(Exit {
-                    weight: walk.weight,
-                    sin2: walk.sin2(),
-                    scatterings: walk.scatterings,
-                    length_mm: walk.length_mm,
-                });
+/// Runs the walks of a chunk one after the other and collects those that leave into the ring. This is the tracer in
+/// its plainest form, and what the vector kernel must agree with to the last bit.
+pub fn run_chunk(stack: &Stack, chunk: Chunk, stop: &AtomicBool, exits: &mut Exits) -> Result<(), Stopped> {
+    let [inner, outer] = stack.ring_sin2;
+    for index in 0..chunk.walks {
+        if stop.load(Ordering::Relaxed) {
+            return Err(Stopped);
+        }
+        let hits = exits.begin();
+        let stream = Stream::new(chunk.key, chunk.index, index);
+        let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream);
+        while event != Event::Left && event != Event::Lost {
+            event = walk.step();
+            if event == Event::Base {
+                exits.hit(walk.x_mm);
             }
         }
-        event = walk.step();
+        if event == Event::Left && (inner..=outer).contains(&walk.sin2()) {
+            let Walk { weight, scatterings, length_mm, .. } = walk;
+            exits.end(hits, index, weight, scatterings, length_mm);
+        } else {
+            exits.forget(hits);
+        }
     }
+    Ok(())
 }

@@ -4,8 +4,8 @@ use farm_proto::TransportPoint;
 use farm_proto::scene::{Channel, Layer, RingLight, Scene, Sensor};
 use glam::Vec3;
 
-use super::math::sin_cos_turns;
-use super::rng::Stream;
+use super::math::unit_vector;
+use super::rng::{Stream, uniform};
 use super::stack::Stack;
 use super::walk::{Event, Walk};
 
@@ -47,12 +47,12 @@ fn walks<'a>(
     stack: &'a Stack,
     n: u32,
     key: u32,
-    direction: impl Fn([f32; 4]) -> Vec3 + 'a,
+    direction: impl Fn([u32; 4]) -> Vec3 + 'a,
     end: fn(Event) -> bool,
 ) -> impl Iterator<Item = (Walk<'a>, Event)> {
     (0..n).map(move |index| {
         let mut stream = Stream::new([41, key], 0, index);
-        let entry = direction(stream.next());
+        let entry = direction(stream.words());
         let (mut walk, mut event) = Walk::enter(stack, entry, stream);
         while !end(event) {
             event = walk.step();
@@ -61,13 +61,13 @@ fn walks<'a>(
     })
 }
 
-fn down(_: [f32; 4]) -> Vec3 {
+fn down(_: [u32; 4]) -> Vec3 {
     Vec3::NEG_Z
 }
 
-fn lambertian(u: [f32; 4]) -> Vec3 {
-    let (s, c) = sin_cos_turns(u[1]);
-    Vec3::new(u[0].sqrt() * c, u[0].sqrt() * s, -(1.0 - u[0]).sqrt())
+fn lambertian(words: [u32; 4]) -> Vec3 {
+    let (u, (c, s)) = (uniform(words[0]), unit_vector(words[1]));
+    Vec3::new(u.sqrt() * c, u.sqrt() * s, -(1.0 - u).sqrt())
 }
 
 fn left_or_through(event: Event) -> bool {

@@ -1,0 +1,306 @@
+//! The vector kernel: many walks at a time, those that wait for the same thing side by side.
+//!
+//! Walks in the sample are one queue; walks on their way to an interface are one queue per interface and side. The
+//! kernel takes a full vector from a queue, does its one thing to all lanes, and puts the walks into the queues where
+//! they go on. Lanes are never idle but for the second of two flights and for the last walks of a chunk; walks that end
+//! are replaced at once.
+//!
+//! Each lane does what [`super::walk`] does, operation by operation, so the walks are the same to the last bit. The order
+//! in which they end depends on the pool, never their number or their fate; the tally takes them by walk.
+
+#![expect(
+    clippy::inline_always,
+    reason = "what is not inlined is not compiled for the instruction set that was chosen at run time"
+)]
+
+mod flight;
+mod gate;
+mod hits;
+mod lanes;
+mod numbers;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use fearless_simd::{Level, Simd, SimdBase, SimdInto, SimdMask, dispatch, u32x16};
+
+use super::Stopped;
+use super::exits::{Chunk, Exits};
+use super::rng::{FIRST_BLOCK, Stream, uniform};
+use super::stack::Stack;
+use super::walk::ROULETTE_BLOCKS;
+use flight::Sample;
+use gate::{Fates, Gate, Kind, Route, gate_at_end, gates, reflect_diffusely};
+use hits::Hits;
+use lanes::{Floats, Mask, POOL, Queue, WIDTH, Walks, Words, count, first_lanes};
+use numbers::Philox;
+
+/// Runs the walks of a chunk with the instructions of `level` and collects those that leave into the ring.
+pub fn run_chunk(
+    level: Level,
+    stack: &Stack,
+    chunk: Chunk,
+    stop: &AtomicBool,
+    exits: &mut Exits,
+) -> Result<(), Stopped> {
+    dispatch!(level, simd => Wavefront::new(simd, stack, chunk, exits).run(stop))
+}
+
+struct Wavefront<'a, S: Simd> {
+    simd: S,
+    stack: &'a Stack,
+    chunk: Chunk,
+    random: Philox<S>,
+    sample: Sample,
+    gates: Vec<Gate>,
+    /// Walks in the sample.
+    inside: Box<Queue>,
+    /// Walks on their way to each gate.
+    waiting: Vec<Queue>,
+    /// Gates below and above the sample.
+    faces: [usize; 2],
+    /// Walks that have been begun, and that have ended.
+    begun: u32,
+    ended: u32,
+    hits: Hits,
+    exits: &'a mut Exits,
+}
+
+impl<'a, S: Simd> Wavefront<'a, S> {
+    #[inline(always)]
+    fn new(simd: S, stack: &'a Stack, chunk: Chunk, exits: &'a mut Exits) -> Self {
+        let gates = gates(stack);
+        Self {
+            simd,
+            stack,
+            chunk,
+            random: Philox::new(simd, chunk),
+            sample: Sample::new(stack),
+            inside: Box::new(Queue::new()),
+            waiting: gates.iter().map(|_| Queue::new()).collect(),
+            faces: [gate_at_end(stack, stack.sample, true), gate_at_end(stack, stack.sample, false)],
+            gates,
+            begun: 0,
+            ended: 0,
+            hits: Hits::new(chunk.walks),
+            exits,
+        }
+    }
+
+    fn run(mut self, stop: &AtomicBool) -> Result<(), Stopped> {
+        // What a queue must hold to be worth a vector: all lanes, as long as others can fill them.
+        let mut least = WIDTH;
+        while self.ended < self.chunk.walks {
+            if stop.load(Ordering::Relaxed) {
+                return Err(Stopped);
+            }
+            self.begin_walks();
+            let mut idle = true;
+            if self.inside.len() >= least {
+                idle = false;
+                self.advance_inside(least);
+            }
+            for gate in 0..self.gates.len() {
+                while self.waiting[gate].len() >= least {
+                    idle = false;
+                    self.pass(gate);
+                }
+            }
+            least = if idle { 1 } else { WIDTH };
+        }
+        Ok(())
+    }
+
+    /// Fills the pool with walks on their way to the first interface.
+    fn begin_walks(&mut self) {
+        self.simd.vectorize(
+            #[inline(always)]
+            || self.begin_walks_in_vectors(),
+        );
+    }
+
+    #[inline(always)]
+    fn begin_walks_in_vectors(&mut self) {
+        while self.begun < self.chunk.walks && (self.begun - self.ended) as usize + WIDTH <= POOL {
+            let n = (self.chunk.walks - self.begun).min(WIDTH as u32);
+            let float = |value| Floats::splat(self.simd, value);
+            let d = self.stack.sensor_direction;
+            let walks = Walks {
+                x: float(0.0),
+                z: float(0.0),
+                dx: float(d.x),
+                dy: float(d.y),
+                dz: float(d.z),
+                length: float(0.0),
+                weight: float(1.0),
+                scatterings: Words::splat(self.simd, 0),
+                block: Words::splat(self.simd, FIRST_BLOCK),
+                walk: u32x16::from_fn(self.simd, |lane| self.begun + lane as u32),
+            };
+            self.waiting[0].push(&walks, first_lanes(self.simd, n as usize));
+            self.begun += n;
+        }
+    }
+
+    /// Two flights for the walks in the sample, in vectors of at least `least` walks. Those that stay close up at the
+    /// front.
+    fn advance_inside(&mut self, least: usize) {
+        self.simd.vectorize(
+            #[inline(always)]
+            || self.advance_vectors(least),
+        );
+    }
+
+    #[inline(always)]
+    fn advance_vectors(&mut self, least: usize) {
+        let len = self.inside.len();
+        let (mut at, mut kept) = (0, 0);
+        while at < len {
+            let lanes = first_lanes(self.simd, len - at);
+            let mut walks = self.inside.load(self.simd, at);
+            if len - at < least {
+                kept = self.inside.place(&walks, lanes, kept);
+                break;
+            }
+            at += WIDTH;
+            let lanes = self.play_roulette(&mut walks, lanes);
+            let stay = self.sample.fly_twice(&self.random, &mut walks, lanes);
+            kept = self.inside.place(&walks, stay, kept);
+            let leave = lanes & !stay;
+            let down = walks.dz.simd_lt(0.0);
+            self.waiting[self.faces[0]].push(&walks, leave & down);
+            self.waiting[self.faces[1]].push(&walks, leave & !down);
+        }
+        self.inside.truncate(kept);
+    }
+
+    /// Roulette for the walks whose block is due; returns the lanes that go on.
+    #[inline(always)]
+    fn play_roulette(&mut self, walks: &mut Walks<S>, lanes: Mask<S>) -> Mask<S> {
+        let due = lanes & (walks.block & (ROULETTE_BLOCKS - 1)).simd_eq(0);
+        if !due.any_true() {
+            return lanes;
+        }
+        let (walk, mut block, mut weight) =
+            (walks.walk.to_array(), walks.block.to_array(), walks.weight.to_array());
+        let mut alive = lanes.to_bitmask();
+        for lane in bits(due) {
+            let mut stream = Stream::new(self.chunk.key, self.chunk.index, walk[lane]).at_block(block[lane]);
+            if uniform(stream.words()[0]) < 0.5 {
+                alive &= !(1 << lane);
+                self.end(walk[lane]);
+            }
+            weight[lane] *= 2.0;
+            block[lane] += 1;
+        }
+        walks.weight = weight.simd_into(self.simd);
+        walks.block = block.simd_into(self.simd);
+        Mask::from_bitmask(self.simd, alive)
+    }
+
+    /// Takes a vector of walks through a gate.
+    fn pass(&mut self, gate: usize) {
+        self.simd.vectorize(
+            #[inline(always)]
+            || self.pass_vector(gate),
+        );
+    }
+
+    #[inline(always)]
+    fn pass_vector(&mut self, index: usize) {
+        let gate = self.gates[index];
+        let (mut walks, n) = self.waiting[index].pop(self.simd);
+        let lanes = self.play_roulette(&mut walks, first_lanes(self.simd, n));
+        gate.approach(&mut walks);
+        let fates = match gate.kind {
+            Kind::Smooth => gate.cross_smooth(&self.random, &mut walks, lanes),
+            Kind::Rough { alpha } => gate.cross_rough(alpha, &self.random, &mut walks, lanes),
+            Kind::Multiple { alpha } => self.cross_singly(gate, alpha, &mut walks, lanes),
+            Kind::Base => {
+                let (walk, x) = (walks.walk.to_array(), walks.x.to_array());
+                for lane in bits(lanes) {
+                    self.hits.push(walk[lane], x[lane]);
+                }
+                reflect_diffusely(&self.random, &mut walks);
+                let none = Mask::splat(self.simd, false);
+                Fates { reflected: lanes, transmitted: none, lost: none }
+            }
+        };
+        let walk = walks.walk.to_array();
+        for lane in bits(fates.lost) {
+            self.end(walk[lane]);
+        }
+        self.go_on(&mut walks, fates.reflected, gate.reflected);
+        self.go_on(&mut walks, fates.transmitted, gate.transmitted);
+    }
+
+    #[inline(always)]
+    fn cross_singly(&mut self, gate: Gate, alpha: f32, walks: &mut Walks<S>, lanes: Mask<S>) -> Fates<S> {
+        let (mut reflected, mut transmitted) = (0, 0);
+        let (walk, mut block) = (walks.walk.to_array(), walks.block.to_array());
+        let (mut dx, mut dy, mut dz) = (walks.dx.to_array(), walks.dy.to_array(), walks.dz.to_array());
+        for lane in bits(lanes) {
+            let d = [dx[lane], dy[lane], dz[lane]];
+            let (d, through) = gate.cross_one(alpha, self.chunk, walk[lane], &mut block[lane], d);
+            [dx[lane], dy[lane], dz[lane]] = d;
+            *(if through { &mut transmitted } else { &mut reflected }) |= 1 << lane;
+        }
+        walks.block = block.simd_into(self.simd);
+        [walks.dx, walks.dy, walks.dz] = [dx, dy, dz].map(|d| d.simd_into(self.simd));
+        Fates {
+            reflected: Mask::from_bitmask(self.simd, reflected),
+            transmitted: Mask::from_bitmask(self.simd, transmitted),
+            lost: Mask::splat(self.simd, false),
+        }
+    }
+
+    #[inline(always)]
+    fn go_on(&mut self, walks: &mut Walks<S>, lanes: Mask<S>, route: Route) {
+        if !lanes.any_true() {
+            return;
+        }
+        match route {
+            Route::Gate(gate) => self.waiting[gate].push(walks, lanes),
+            Route::SampleTop | Route::SampleBottom => {
+                let top = self.stack.thickness_mm[self.stack.sample];
+                walks.z = Floats::splat(self.simd, if route == Route::SampleTop { top } else { 0.0 });
+                self.inside.push(walks, lanes);
+            }
+            Route::Out => self.leave(walks, lanes),
+        }
+    }
+
+    /// Ends walks that have left the stack; those in the ring are kept for the tally.
+    #[inline(always)]
+    fn leave(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
+        let sin2 = walks.dx * walks.dx + walks.dy * walks.dy;
+        let [inner, outer] = self.stack.ring_sin2;
+        let scores = lanes & sin2.simd_ge(inner) & sin2.simd_le(outer);
+        let (walk, weight) = (walks.walk.to_array(), walks.weight.to_array());
+        let (scatterings, length) = (walks.scatterings.to_array(), walks.length.to_array());
+        for lane in bits(scores) {
+            let begin = self.exits.begin();
+            self.hits.move_to(walk[lane], self.exits);
+            self.exits.end(begin, walk[lane], weight[lane], scatterings[lane], length[lane]);
+        }
+        for lane in bits(lanes & !scores) {
+            self.hits.forget(walk[lane]);
+        }
+        self.ended += count(lanes) as u32;
+    }
+
+    fn end(&mut self, walk: u32) {
+        self.hits.forget(walk);
+        self.ended += 1;
+    }
+}
+
+/// The numbers of the chosen lanes.
+#[inline(always)]
+fn bits<S: Simd>(lanes: Mask<S>) -> impl Iterator<Item = usize> {
+    let mut rest = lanes.to_bitmask();
+    std::iter::from_fn(move || {
+        let lane = rest.trailing_zeros() as usize;
+        rest &= rest.wrapping_sub(1);
+        (lane < 64).then_some(lane)
+    })
+}
