@@ -3,10 +3,11 @@
 use std::fmt;
 use std::sync::atomic::AtomicBool;
 
-use fearless_simd::Level;
+use fearless_simd::{Level, dispatch};
 
-use super::exits::{Chunk, Exits};
+use super::exits::{Chunk, Exit, Exits};
 use super::stack::Stack;
+use super::tally::{Partial, Tally};
 use super::{Stopped, walk, wavefront};
 
 /// How walks are run. All kernels give the same bits.
@@ -88,6 +89,21 @@ impl Kernel {
             Way::Scalar => walk::run_chunk(stack, chunk, stop, exits),
             Way::Vector(level) => wavefront::run_chunk(level, stack, chunk, stop, exits),
         }
+    }
+
+    /// Adds the exits of one batch to the tally and the batch to the sums. The loops over albedos are plain; here the
+    /// compiler may use this machine's vectors for them.
+    pub(super) fn score<'a>(
+        self,
+        tally: &mut Tally<'_>,
+        exits: impl Iterator<Item = Exit<'a>>,
+        partial: &mut Partial,
+    ) {
+        let level = match self.0 {
+            Way::Scalar => Level::baseline(),
+            Way::Vector(level) => level,
+        };
+        dispatch!(level, _simd => tally.add_batch(exits, partial));
     }
 }
 

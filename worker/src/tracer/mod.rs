@@ -39,6 +39,7 @@ pub use kernel::Kernel;
 use powers::AlbedoPowers;
 use stack::Stack;
 use tally::{Partial, Tally};
+pub use walk::Events;
 
 /// Batches whose walks share a chunk: a unit of parallel work, whose sums are added up one after the other. Part of
 /// the physics version, since it fixes the streams and the order of sums.
@@ -87,6 +88,13 @@ pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Ve
     Ok(total.into_records(job))
 }
 
+/// Counts the events of a job's first walks (at most a chunk of them), one by one: what benchmarks divide by.
+pub fn count_events(job: &JobSpec) -> Events {
+    let key = stream_key(job.seed(), &job.point());
+    let walks = job.walks().get().min(CHUNK_BATCHES * BATCH_WALKS) as u32;
+    walk::count_events(&Stack::new(job.scene(), &job.point()), Chunk { key, index: 0, walks })
+}
+
 struct Tracer<'a> {
     kernel: Kernel,
     job: &'a JobSpec,
@@ -110,10 +118,8 @@ impl Tracer<'_> {
                 return Err(Stopped);
             }
             let end = (batch * BATCH_WALKS) as u32;
-            while let Some(exit) = exits.next_if(|exit| exit.walk < end) {
-                tally.add(&exit);
-            }
-            tally.finish_batch(&mut partial);
+            let exits = std::iter::from_fn(|| exits.next_if(|exit| exit.walk < end));
+            self.kernel.score(&mut tally, exits, &mut partial);
         }
         Ok(partial)
     }

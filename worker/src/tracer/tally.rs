@@ -4,6 +4,11 @@
 //! with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so that the average
 //! over each pixel is exact, and integrates once per batch.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is not inlined is not compiled for the instruction set that was chosen at run time"
+)]
+
 use farm_proto::grid::BATCH_WALKS;
 use farm_proto::profile::{Derivatives, Estimate, Profile, Record};
 use farm_proto::scene::Sensor;
@@ -57,8 +62,17 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Adds a walk that has left into the ring.
-    pub fn add(&mut self, exit: &Exit<'_>) {
+    /// Adds the walks of a batch that have left into the ring, and the batch to `partial`.
+    #[inline(always)]
+    pub fn add_batch<'b>(&mut self, exits: impl Iterator<Item = Exit<'b>>, partial: &mut Partial) {
+        for exit in exits {
+            self.add(&exit);
+        }
+        self.finish_batch(partial);
+    }
+
+    #[inline(always)]
+    fn add(&mut self, exit: &Exit<'_>) {
         let hits_mm = exit.hits_mm;
         self.weigh(exit);
         let (pitch, half) = (self.sensor.pitch_mm(), 0.5 * self.sensor.width_mm());
@@ -87,6 +101,7 @@ impl<'a> Tally<'a> {
         }
     }
 
+    #[inline(always)]
     /// α^n, n α^(n−1) and (n/σ_t − L) α^n, times the walk's weight.
     fn weigh(&mut self, exit: &Exit<'_>) {
         let albedos = self.job.albedo().len();
@@ -103,6 +118,7 @@ impl<'a> Tally<'a> {
         }
     }
 
+    #[inline(always)]
     fn add_step(&mut self, cell: usize, channel: usize, step: f64) {
         let row = (cell * self.reflectances.len() + channel) * self.columns;
         if step != 0.0 {
@@ -113,7 +129,8 @@ impl<'a> Tally<'a> {
     }
 
     /// Integrates the steps to profiles, adds them to `partial` as one batch, and starts afresh.
-    pub fn finish_batch(&mut self, partial: &mut Partial) {
+    #[inline(always)]
+    fn finish_batch(&mut self, partial: &mut Partial) {
         let row = self.reflectances.len() * self.columns;
         let mut level = vec![0.0; row];
         let cells = self.steps.chunks_exact_mut(row);

@@ -253,3 +253,27 @@ pub fn run_chunk(stack: &Stack, chunk: Chunk, stop: &AtomicBool, exits: &mut Exi
     }
     Ok(())
 }
+
+/// What walks have met.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Events {
+    pub scatterings: u64,
+    /// Reflections and refractions at interfaces, and diffuse reflections at the base.
+    pub crossings: u64,
+}
+
+/// Counts the events of a chunk's walks.
+pub fn count_events(stack: &Stack, chunk: Chunk) -> Events {
+    let mut events = Events::default();
+    for index in 0..chunk.walks {
+        let stream = Stream::new(chunk.key, chunk.index, index);
+        let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream);
+        events.crossings += 1;
+        while event != Event::Left && event != Event::Lost {
+            event = walk.step();
+            events.crossings += u64::from(event != Event::Scattered);
+        }
+        events.scatterings += u64::from(walk.scatterings);
+    }
+    events
+}

@@ -3,7 +3,9 @@
 //! The width is the same for every instruction set: AVX-512 takes one register for it, AVX2 two, SSE and NEON four.
 //! Two or four registers a vector keep independent instructions at hand while others wait.
 
-use fearless_simd::{ExtractToken, Simd, SimdBase, SimdMask, SimdSplit, f32x16, mask32x16, u32x16};
+use fearless_simd::{Bytes, Simd, SimdBase, SimdMask, f32x16, mask32x16, u32x16};
+
+use super::order::Order;
 
 pub const WIDTH: usize = 16;
 
@@ -11,8 +13,11 @@ pub const WIDTH: usize = 16;
 /// cache. The result does not depend on it.
 pub const POOL: usize = 1024;
 
-/// Room of a queue: all walks of the pool, and a vector that may hang over the end.
-const ROOM: usize = POOL + WIDTH;
+/// Room of a queue: all walks of the pool, and a vector that may hang over either end.
+const ROOM: usize = POOL + 2 * WIDTH;
+
+/// Words that make up the state of a walk.
+const STATE: usize = 10;
 
 pub type Floats<S> = f32x16<S>;
 pub type Words<S> = u32x16<S>;
@@ -50,123 +55,131 @@ pub struct Walks<S: Simd> {
     pub walk: Words<S>,
 }
 
-/// Walks that wait for the same thing.
+impl<S: Simd> Walks<S> {
+    #[inline(always)]
+    fn from_words(words: [Words<S>; STATE]) -> Self {
+        let [x, z, dx, dy, dz, length, weight, scatterings, block, walk] = words;
+        Self {
+            x: x.bitcast(),
+            z: z.bitcast(),
+            dx: dx.bitcast(),
+            dy: dy.bitcast(),
+            dz: dz.bitcast(),
+            length: length.bitcast(),
+            weight: weight.bitcast(),
+            scatterings,
+            block,
+            walk,
+        }
+    }
+
+    #[inline(always)]
+    fn to_words(self) -> [Words<S>; STATE] {
+        [
+            self.x.bitcast(),
+            self.z.bitcast(),
+            self.dx.bitcast(),
+            self.dy.bitcast(),
+            self.dz.bitcast(),
+            self.length.bitcast(),
+            self.weight.bitcast(),
+            self.scatterings,
+            self.block,
+            self.walk,
+        ]
+    }
+}
+
+/// One array a word of the state. Aligned, so that whole vectors lie in one cache line.
+#[derive(Debug)]
+#[repr(align(64))]
+struct Arrays([[u32; ROOM]; STATE]);
+
+/// Walks that wait for the same thing: the places `begin..end` of each array.
 #[derive(Debug)]
 pub struct Queue {
-    len: usize,
-    x: [f32; ROOM],
-    z: [f32; ROOM],
-    dx: [f32; ROOM],
-    dy: [f32; ROOM],
-    dz: [f32; ROOM],
-    length: [f32; ROOM],
-    weight: [f32; ROOM],
-    scatterings: [u32; ROOM],
-    block: [u32; ROOM],
-    walk: [u32; ROOM],
+    begin: usize,
+    end: usize,
+    state: Box<Arrays>,
 }
 
 impl Queue {
+    /// A queue that grows at its end.
     pub fn new() -> Self {
-        let (floats, words) = ([0.0; ROOM], [0; ROOM]);
-        Self {
-            len: 0,
-            x: floats,
-            z: floats,
-            dx: floats,
-            dy: floats,
-            dz: floats,
-            length: floats,
-            weight: floats,
-            scatterings: words,
-            block: words,
-            walk: words,
-        }
+        Self { begin: WIDTH, end: WIDTH, state: Box::new(Arrays([[0; ROOM]; STATE])) }
+    }
+
+    /// A queue that grows at its beginning.
+    pub fn backwards() -> Self {
+        let end = WIDTH + POOL;
+        Self { begin: end, end, ..Self::new() }
     }
 
     pub fn len(&self) -> usize {
-        self.len
+        self.end - self.begin
     }
 
-    /// The vector that begins at `at`; lanes beyond the end hold anything.
+    /// The vector that begins at a walk; lanes beyond the end hold anything.
     #[inline(always)]
     pub fn load<S: Simd>(&self, simd: S, at: usize) -> Walks<S> {
-        assert!(at <= POOL);
-        Walks {
-            x: Floats::from_slice(simd, &self.x[at..at + WIDTH]),
-            z: Floats::from_slice(simd, &self.z[at..at + WIDTH]),
-            dx: Floats::from_slice(simd, &self.dx[at..at + WIDTH]),
-            dy: Floats::from_slice(simd, &self.dy[at..at + WIDTH]),
-            dz: Floats::from_slice(simd, &self.dz[at..at + WIDTH]),
-            length: Floats::from_slice(simd, &self.length[at..at + WIDTH]),
-            weight: Floats::from_slice(simd, &self.weight[at..at + WIDTH]),
-            scatterings: Words::from_slice(simd, &self.scatterings[at..at + WIDTH]),
-            block: Words::from_slice(simd, &self.block[at..at + WIDTH]),
-            walk: Words::from_slice(simd, &self.walk[at..at + WIDTH]),
+        let at = self.begin + at;
+        assert!(at <= ROOM - WIDTH);
+        let mut words = [Words::splat(simd, 0); STATE];
+        for (words, array) in words.iter_mut().zip(&self.state.0) {
+            *words = Words::from_slice(simd, &array[at..at + WIDTH]);
         }
+        Walks::from_words(words)
     }
 
     /// Takes up to a vector of walks from the end: the walks and how many they are.
     #[inline(always)]
     pub fn pop<S: Simd>(&mut self, simd: S) -> (Walks<S>, usize) {
-        let n = self.len.min(WIDTH);
-        self.len -= n;
-        (self.load(simd, self.len), n)
+        let n = self.len().min(WIDTH);
+        let walks = self.load(simd, self.len() - n);
+        self.end -= n;
+        (walks, n)
+    }
+
+    /// Takes up to a vector of walks from the beginning.
+    #[inline(always)]
+    pub fn pop_first<S: Simd>(&mut self, simd: S) -> (Walks<S>, usize) {
+        let n = self.len().min(WIDTH);
+        let walks = self.load(simd, 0);
+        self.begin += n;
+        (walks, n)
     }
 
     /// Cuts the queue down to its first `len` walks.
     pub fn truncate(&mut self, len: usize) {
-        self.len = len;
+        self.end = self.begin + len;
     }
 
     /// Appends the walks of the chosen lanes.
     #[inline(always)]
-    pub fn push<S: Simd>(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
-        self.len = self.place(walks, lanes, self.len);
+    pub fn push<S: Simd>(&mut self, simd: S, walks: &Walks<S>, lanes: Mask<S>) {
+        let order = Order::new(simd, lanes);
+        self.place(walks, &order, self.len());
+        self.end += order.chosen();
     }
 
-    /// Writes the walks of the chosen lanes from `at` on, and anything over the rest of a vector behind them;
-    /// returns where they end.
+    /// Writes the chosen walks of an order from the place `at` on, and anything over the rest of a vector.
     #[inline(always)]
-    pub fn place<S: Simd>(&mut self, walks: &Walks<S>, lanes: Mask<S>, at: usize) -> usize {
-        assert!(at <= POOL);
-        place_floats(walks.x, lanes, &mut self.x, at);
-        place_floats(walks.z, lanes, &mut self.z, at);
-        place_floats(walks.dx, lanes, &mut self.dx, at);
-        place_floats(walks.dy, lanes, &mut self.dy, at);
-        place_floats(walks.dz, lanes, &mut self.dz, at);
-        place_floats(walks.length, lanes, &mut self.length, at);
-        place_floats(walks.weight, lanes, &mut self.weight, at);
-        place_words(walks.scatterings, lanes, &mut self.scatterings, at);
-        place_words(walks.block, lanes, &mut self.block, at);
-        place_words(walks.walk, lanes, &mut self.walk, at);
-        at + count(lanes)
+    pub fn place<S: Simd>(&mut self, walks: &Walks<S>, order: &Order<S>, at: usize) {
+        let at = self.begin + at;
+        assert!(at <= ROOM - WIDTH);
+        for (words, array) in walks.to_words().into_iter().zip(&mut self.state.0) {
+            order.store_chosen(words, (&mut array[at..at + WIDTH]).try_into().expect("a vector's length"));
+        }
     }
-}
 
-/// Stores the chosen lanes side by side, in pieces of the machine's own width.
-#[inline(always)]
-fn place_floats<S: Simd>(values: Floats<S>, lanes: Mask<S>, room: &mut [f32; ROOM], at: usize) {
-    if S::f32s::LEN == WIDTH {
-        values.compress(lanes).store_slice(&mut room[at..at + WIDTH]);
-        return;
+    /// Puts the other walks of an order before the first, if no lane is empty.
+    #[inline(always)]
+    pub fn push_others_first<S: Simd>(&mut self, walks: &Walks<S>, order: &Order<S>) {
+        assert!((WIDTH..=ROOM).contains(&self.begin));
+        let room = self.begin - WIDTH..self.begin;
+        for (words, array) in walks.to_words().into_iter().zip(&mut self.state.0) {
+            order.store_others(words, (&mut array[room.clone()]).try_into().expect("a vector's length"));
+        }
+        self.begin -= WIDTH - order.chosen();
     }
-    let (low, high) = values.split();
-    let (low_lanes, high_lanes) = values.token().split_mask32x16(lanes);
-    low.compress(low_lanes).store_slice(&mut room[at..at + 8]);
-    let at = at + low_lanes.to_bitmask().count_ones() as usize;
-    high.compress(high_lanes).store_slice(&mut room[at..at + 8]);
-}
-
-#[inline(always)]
-fn place_words<S: Simd>(values: Words<S>, lanes: Mask<S>, room: &mut [u32; ROOM], at: usize) {
-    if S::f32s::LEN == WIDTH {
-        values.compress(lanes).store_slice(&mut room[at..at + WIDTH]);
-        return;
-    }
-    let (low, high) = values.split();
-    let (low_lanes, high_lanes) = values.token().split_mask32x16(lanes);
-    low.compress(low_lanes).store_slice(&mut room[at..at + 8]);
-    let at = at + low_lanes.to_bitmask().count_ones() as usize;
-    high.compress(high_lanes).store_slice(&mut room[at..at + 8]);
 }

@@ -18,6 +18,7 @@ mod gate;
 mod hits;
 mod lanes;
 mod numbers;
+mod order;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -33,6 +34,7 @@ use gate::{Fates, Gate, Kind, Route, gate_at_end, gates, reflect_diffusely};
 use hits::Hits;
 use lanes::{Floats, Mask, POOL, Queue, WIDTH, Walks, Words, count, first_lanes};
 use numbers::Philox;
+use order::Order;
 
 /// Runs the walks of a chunk with the instructions of `level` and collects those that leave into the ring.
 pub fn run_chunk(
@@ -53,7 +55,9 @@ struct Wavefront<'a, S: Simd> {
     sample: Sample,
     gates: Vec<Gate>,
     /// Walks in the sample.
-    inside: Box<Queue>,
+    inside: Queue,
+    /// Walks that have come to a face of the sample from inside, not yet told apart.
+    leaving: Queue,
     /// Walks on their way to each gate.
     waiting: Vec<Queue>,
     /// Gates below and above the sample.
@@ -75,7 +79,8 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             chunk,
             random: Philox::new(simd, chunk),
             sample: Sample::new(stack),
-            inside: Box::new(Queue::new()),
+            inside: Queue::new(),
+            leaving: Queue::backwards(),
             waiting: gates.iter().map(|_| Queue::new()).collect(),
             faces: [gate_at_end(stack, stack.sample, true), gate_at_end(stack, stack.sample, false)],
             gates,
@@ -95,8 +100,8 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             }
             self.begin_walks();
             let mut idle = true;
-            if self.inside.len() >= least {
-                idle = false;
+            if self.inside.len() + self.leaving.len() >= least {
+                idle = self.inside.len() < least;
                 self.advance_inside(least);
             }
             for gate in 0..self.gates.len() {
@@ -136,7 +141,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
                 block: Words::splat(self.simd, FIRST_BLOCK),
                 walk: u32x16::from_fn(self.simd, |lane| self.begun + lane as u32),
             };
-            self.waiting[0].push(&walks, first_lanes(self.simd, n as usize));
+            self.waiting[0].push(self.simd, &walks, first_lanes(self.simd, n as usize));
             self.begun += n;
         }
     }
@@ -155,22 +160,39 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         let len = self.inside.len();
         let (mut at, mut kept) = (0, 0);
         while at < len {
-            let lanes = first_lanes(self.simd, len - at);
+            let all = first_lanes(self.simd, len - at);
             let mut walks = self.inside.load(self.simd, at);
             if len - at < least {
-                kept = self.inside.place(&walks, lanes, kept);
+                let order = Order::new(self.simd, all);
+                self.inside.place(&walks, &order, kept);
+                kept += order.chosen();
                 break;
             }
             at += WIDTH;
-            let lanes = self.play_roulette(&mut walks, lanes);
+            let lanes = self.play_roulette(&mut walks, all);
             let stay = self.sample.fly_twice(&self.random, &mut walks, lanes);
-            kept = self.inside.place(&walks, stay, kept);
-            let leave = lanes & !stay;
-            let down = walks.dz.simd_lt(0.0);
-            self.waiting[self.faces[0]].push(&walks, leave & down);
-            self.waiting[self.faces[1]].push(&walks, leave & !down);
+            let order = Order::new(self.simd, stay);
+            self.inside.place(&walks, &order, kept);
+            kept += order.chosen();
+            if lanes.all_true() {
+                self.leaving.push_others_first(&walks, &order);
+            } else {
+                self.part(&walks, lanes & !stay);
+            }
         }
         self.inside.truncate(kept);
+        while self.leaving.len() >= WIDTH || (least < WIDTH && self.leaving.len() > 0) {
+            let (walks, n) = self.leaving.pop_first(self.simd);
+            self.part(&walks, first_lanes(self.simd, n));
+        }
+    }
+
+    /// Sends walks that leave the sample to the face that they have come to.
+    #[inline(always)]
+    fn part(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
+        let down = walks.dz.simd_lt(0.0);
+        self.waiting[self.faces[0]].push(self.simd, walks, lanes & down);
+        self.waiting[self.faces[1]].push(self.simd, walks, lanes & !down);
     }
 
     /// Roulette for the walks whose block is due; returns the lanes that go on.
@@ -259,11 +281,11 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             return;
         }
         match route {
-            Route::Gate(gate) => self.waiting[gate].push(walks, lanes),
+            Route::Gate(gate) => self.waiting[gate].push(self.simd, walks, lanes),
             Route::SampleTop | Route::SampleBottom => {
                 let top = self.stack.thickness_mm[self.stack.sample];
                 walks.z = Floats::splat(self.simd, if route == Route::SampleTop { top } else { 0.0 });
-                self.inside.push(walks, lanes);
+                self.inside.push(self.simd, walks, lanes);
             }
             Route::Out => self.leave(walks, lanes),
         }

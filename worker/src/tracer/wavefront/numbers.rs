@@ -56,15 +56,18 @@ impl<S: Simd> Philox<S> {
         let low = u64x8::splat(simd, 0xffff_ffff);
         let first = u64x8::splat(simd, u64::from(MULTIPLIERS[0]));
         let second = u64x8::splat(simd, u64::from(MULTIPLIERS[1]));
-        let (mut c0, mut c1) = (block, walk);
-        let (mut c2, mut c3) = (u64x8::splat(simd, self.chunk[0]), u64x8::splat(simd, self.chunk[1]));
-        for key in &self.keys {
-            let (k0, k1) = (u64x8::splat(simd, key[0]), u64x8::splat(simd, key[1]));
-            let a = (c0 & low) * first;
-            let b = (c2 & low) * second;
-            (c0, c1, c2, c3) = ((b >> 32) ^ c1 ^ k0, b, (a >> 32) ^ c3 ^ k1, a);
+        let mut c = [block, walk, u64x8::splat(simd, self.chunk[0]), u64x8::splat(simd, self.chunk[1])];
+        for keys in self.keys.chunks_exact(2) {
+            // Two rounds a turn, so that no word has to move to another register.
+            for key in keys {
+                let [c0, c1, c2, c3] = c;
+                let a = (c0 & low) * first;
+                let b = (c2 & low) * second;
+                let k = [u64x8::splat(simd, key[0]), u64x8::splat(simd, key[1])];
+                c = [(b >> 32) ^ c1 ^ k[0], b, (a >> 32) ^ c3 ^ k[1], a];
+            }
         }
-        [c0, c1, c2, c3]
+        c
     }
 }
 
