@@ -131,13 +131,16 @@ impl Queue {
         Walks::from_words(words)
     }
 
-    /// Takes up to a vector of walks from the end: the walks and how many they are.
+    /// Drops the first `n` walks and closes up the rest, which must be less than a vector.
     #[inline(always)]
-    pub fn pop<S: Simd>(&mut self, simd: S) -> (Walks<S>, usize) {
-        let n = self.len().min(WIDTH);
-        let walks = self.load(simd, self.len() - n);
-        self.end -= n;
-        (walks, n)
+    pub fn drop_first<S: Simd>(&mut self, simd: S, n: usize) {
+        let rest = self.len() - n;
+        assert!(rest < WIDTH);
+        let walks = self.load(simd, n);
+        for (words, array) in walks.to_words().into_iter().zip(&mut self.state.0) {
+            words.store_slice(&mut array[self.begin..self.begin + WIDTH]);
+        }
+        self.truncate(rest);
     }
 
     /// Takes up to a vector of walks from the beginning.

@@ -105,9 +105,9 @@ impl<'a, S: Simd> Wavefront<'a, S> {
                 self.advance_inside(least);
             }
             for gate in 0..self.gates.len() {
-                while self.waiting[gate].len() >= least {
+                if self.waiting[gate].len() >= least {
                     idle = false;
-                    self.pass(gate);
+                    self.pass(gate, least);
                 }
             }
             least = if idle { 1 } else { WIDTH };
@@ -219,19 +219,29 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         Mask::from_bitmask(self.simd, alive)
     }
 
-    /// Takes a vector of walks through a gate.
-    fn pass(&mut self, gate: usize) {
+    /// Takes the walks that wait at a gate through it, in vectors of at least `least` walks.
+    ///
+    /// The oldest go first: what has just been stored is slow to load again in other pieces.
+    fn pass(&mut self, gate: usize, least: usize) {
         self.simd.vectorize(
             #[inline(always)]
-            || self.pass_vector(gate),
+            || {
+                let len = self.waiting[gate].len();
+                let mut at = 0;
+                while at < len && len - at >= least {
+                    self.pass_vector(gate, at, first_lanes(self.simd, len - at));
+                    at += WIDTH;
+                }
+                self.waiting[gate].drop_first(self.simd, at.min(len));
+            },
         );
     }
 
     #[inline(always)]
-    fn pass_vector(&mut self, index: usize) {
+    fn pass_vector(&mut self, index: usize, at: usize, lanes: Mask<S>) {
         let gate = self.gates[index];
-        let (mut walks, n) = self.waiting[index].pop(self.simd);
-        let lanes = self.play_roulette(&mut walks, first_lanes(self.simd, n));
+        let mut walks = self.waiting[index].load(self.simd, at);
+        let lanes = self.play_roulette(&mut walks, lanes);
         gate.approach(&mut walks);
         let fates = match gate.kind {
             Kind::Smooth => gate.cross_smooth(&self.random, &mut walks, lanes),
