@@ -16,6 +16,8 @@ mod math;
 mod microfacet;
 mod phase;
 mod powers;
+#[doc(hidden)]
+pub mod probe;
 mod rng;
 mod stack;
 mod tally;
@@ -39,7 +41,6 @@ pub use kernel::Kernel;
 use powers::AlbedoPowers;
 use stack::Stack;
 use tally::{Partial, Tally};
-pub use walk::Events;
 
 /// Batches whose walks share a chunk: a unit of parallel work, whose sums are added up one after the other. Part of
 /// the physics version, since it fixes the streams and the order of sums.
@@ -86,13 +87,6 @@ pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Ve
         }
     }
     Ok(total.into_records(job))
-}
-
-/// Counts the events of a job's first walks (at most a chunk of them), one by one: what benchmarks divide by.
-pub fn count_events(job: &JobSpec) -> Events {
-    let key = stream_key(job.seed(), &job.point());
-    let walks = job.walks().get().min(CHUNK_BATCHES * BATCH_WALKS) as u32;
-    walk::count_events(&Stack::new(job.scene(), &job.point()), Chunk { key, index: 0, walks })
 }
 
 struct Tracer<'a> {

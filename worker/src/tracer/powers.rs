@@ -36,6 +36,7 @@ impl AlbedoPowers {
     ///
     /// # Panics
     /// If n ≥ 2²⁴: roulette ends walks long before.
+    #[expect(clippy::inline_always, reason = "must be compiled for the caller's instruction set")]
     #[inline(always)]
     pub fn write(&self, n: u32, factor: f64, out: &mut [f64]) {
         assert!(n < 1 << (DIGIT_BITS * DIGITS as u32), "a walk of {n} scatterings");

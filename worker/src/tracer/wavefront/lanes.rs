@@ -90,23 +90,23 @@ impl<S: Simd> Walks<S> {
     }
 }
 
-/// One array a word of the state. Aligned, so that whole vectors lie in one cache line.
-#[derive(Debug)]
+/// One word of the state of all walks, aligned so that whole vectors lie in one cache line.
+#[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
-struct Arrays([[u32; ROOM]; STATE]);
+struct Array([u32; ROOM]);
 
 /// Walks that wait for the same thing: the places `begin..end` of each array.
 #[derive(Debug)]
 pub struct Queue {
     begin: usize,
     end: usize,
-    state: Box<Arrays>,
+    state: Box<[Array]>,
 }
 
 impl Queue {
     /// A queue that grows at its end.
     pub fn new() -> Self {
-        Self { begin: WIDTH, end: WIDTH, state: Box::new(Arrays([[0; ROOM]; STATE])) }
+        Self { begin: WIDTH, end: WIDTH, state: vec![Array([0; ROOM]); STATE].into() }
     }
 
     /// A queue that grows at its beginning.
@@ -125,8 +125,8 @@ impl Queue {
         let at = self.begin + at;
         assert!(at <= ROOM - WIDTH);
         let mut words = [Words::splat(simd, 0); STATE];
-        for (words, array) in words.iter_mut().zip(&self.state.0) {
-            *words = Words::from_slice(simd, &array[at..at + WIDTH]);
+        for (words, array) in words.iter_mut().zip(&self.state) {
+            *words = Words::from_slice(simd, &array.0[at..at + WIDTH]);
         }
         Walks::from_words(words)
     }
@@ -137,8 +137,8 @@ impl Queue {
         let rest = self.len() - n;
         assert!(rest < WIDTH);
         let walks = self.load(simd, n);
-        for (words, array) in walks.to_words().into_iter().zip(&mut self.state.0) {
-            words.store_slice(&mut array[self.begin..self.begin + WIDTH]);
+        for (words, array) in walks.to_words().into_iter().zip(&mut self.state) {
+            words.store_slice(&mut array.0[self.begin..self.begin + WIDTH]);
         }
         self.truncate(rest);
     }
@@ -170,8 +170,8 @@ impl Queue {
     pub fn place<S: Simd>(&mut self, walks: &Walks<S>, order: &Order<S>, at: usize) {
         let at = self.begin + at;
         assert!(at <= ROOM - WIDTH);
-        for (words, array) in walks.to_words().into_iter().zip(&mut self.state.0) {
-            order.store_chosen(words, (&mut array[at..at + WIDTH]).try_into().expect("a vector's length"));
+        for (words, array) in walks.to_words().into_iter().zip(&mut self.state) {
+            order.store_chosen(words, (&mut array.0[at..at + WIDTH]).try_into().expect("a vector's length"));
         }
     }
 
@@ -180,8 +180,8 @@ impl Queue {
     pub fn push_others_first<S: Simd>(&mut self, walks: &Walks<S>, order: &Order<S>) {
         assert!((WIDTH..=ROOM).contains(&self.begin));
         let room = self.begin - WIDTH..self.begin;
-        for (words, array) in walks.to_words().into_iter().zip(&mut self.state.0) {
-            order.store_others(words, (&mut array[room.clone()]).try_into().expect("a vector's length"));
+        for (words, array) in walks.to_words().into_iter().zip(&mut self.state) {
+            order.store_others(words, (&mut array.0[room.clone()]).try_into().expect("a vector's length"));
         }
         self.begin -= WIDTH - order.chosen();
     }
