@@ -30,8 +30,9 @@ impl Digest {
             bytes.clear();
             bytes.extend((record.index as u64).to_le_bytes());
             for estimate in record.profiles.iter().flat_map(super::profile::Profile::estimates) {
-                let numbers = estimate.values().iter().chain(estimate.std_errors());
-                bytes.extend(numbers.flat_map(|v| v.to_le_bytes()));
+                for number in estimate.values().iter().chain(estimate.std_errors()) {
+                    bytes.extend_from_slice(&number.to_le_bytes());
+                }
             }
             hasher.update(&bytes);
         }

@@ -1,7 +1,7 @@
 //! Gates: what a walk meets at the end of a slab, seen from one side. All walks in a gate's queue meet the same
 //! interface from the same side, so its parameters and what lies behind are constants.
 
-use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask};
+use fearless_simd::{Simd, SimdBase, SimdFloat};
 
 use super::lanes::{Floats, Mask, Walks};
 use super::numbers::{Philox, choose, constant, root, uniform, unit_vector};
@@ -148,11 +148,7 @@ impl Gate {
         let (cos_t, reflects) = fresnel(wi[2], index, uniform(choice));
         let e = choose(reflects, constant(cos_t, 1.0), constant(cos_t, index.eta));
         self.turn(walks, [-(wi[0] * e), -(wi[1] * e), choose(reflects, wi[2], -cos_t)]);
-        Fates {
-            reflected: lanes & reflects,
-            transmitted: lanes & !reflects,
-            lost: Mask::splat(random.simd(), false),
-        }
+        Fates { reflected: lanes & reflects, transmitted: lanes & !reflects, lost: lanes & !lanes }
     }
 
     /// Reflects or refracts the chosen lanes once at a rough interface.

@@ -13,61 +13,60 @@ use crate::tracer::rng::{MULTIPLIERS, ROUNDS, WEYL};
 /// Blocks of random numbers for the walks of a chunk.
 #[derive(Debug, Clone, Copy)]
 pub struct Philox<S: Simd> {
-    simd: S,
-    chunk: [u64; 2],
-    keys: [[u64; 2]; ROUNDS as usize],
+    chunk: [u64x8<S>; 2],
+    /// The key of every round, in all lanes: an operand straight from memory.
+    keys: [[u64x8<S>; 2]; ROUNDS as usize],
 }
 
 impl<S: Simd> Philox<S> {
+    #[inline(always)]
     pub fn new(simd: S, chunk: Chunk) -> Self {
+        let splat = |word: u64| u64x8::splat(simd, word);
         let mut key = chunk.key;
-        let keys = std::array::from_fn(|_| {
-            let now = key.map(u64::from);
+        let mut keys = [[splat(0); 2]; ROUNDS as usize];
+        for round in &mut keys {
+            *round = [splat(u64::from(key[0])), splat(u64::from(key[1]))];
             key = [key[0].wrapping_add(WEYL[0]), key[1].wrapping_add(WEYL[1])];
-            now
-        });
-        Self { simd, chunk: [chunk.index & 0xffff_ffff, chunk.index >> 32], keys }
-    }
-
-    pub fn simd(&self) -> S {
-        self.simd
+        }
+        Self { chunk: [splat(chunk.index & 0xffff_ffff), splat(chunk.index >> 32)], keys }
     }
 
     /// The given block of each walk.
     #[inline(always)]
     pub fn words(&self, block: Words<S>, walk: Words<S>) -> [Words<S>; 4] {
         let (block, walk): (u64x8<S>, u64x8<S>) = (block.bitcast(), walk.bitcast());
-        let low = u64x8::splat(self.simd, 0xffff_ffff);
-        let even = self.rounds(block & low, walk & low);
-        let odd = self.rounds(block >> 32, walk >> 32);
+        let low = u64x8::splat(block.token(), 0xffff_ffff);
+        let [e0, e1, e2, e3] = self.rounds(block & low, walk & low);
+        let [o0, o1, o2, o3] = self.rounds(block >> 32, walk >> 32);
         // Written out: `array::from_fn` is not inlined into code for other instruction sets.
         [
-            ((even[0] & low) | (odd[0] << 32)).bitcast(),
-            ((even[1] & low) | (odd[1] << 32)).bitcast(),
-            ((even[2] & low) | (odd[2] << 32)).bitcast(),
-            ((even[3] & low) | (odd[3] << 32)).bitcast(),
+            ((e0 & low) | (o0 << 32)).bitcast(),
+            ((e1 & low) | (o1 << 32)).bitcast(),
+            ((e2 & low) | (o2 << 32)).bitcast(),
+            ((e3 & low) | (o3 << 32)).bitcast(),
         ]
     }
 
     /// Ten rounds with one walk per 64-bit lane, whose upper half is rubbish in between.
     #[inline(always)]
     fn rounds(&self, block: u64x8<S>, walk: u64x8<S>) -> [u64x8<S>; 4] {
-        let simd = self.simd;
-        let low = u64x8::splat(simd, 0xffff_ffff);
-        let first = u64x8::splat(simd, u64::from(MULTIPLIERS[0]));
-        let second = u64x8::splat(simd, u64::from(MULTIPLIERS[1]));
-        let mut c = [block, walk, u64x8::splat(simd, self.chunk[0]), u64x8::splat(simd, self.chunk[1])];
-        for keys in self.keys.chunks_exact(2) {
-            // Two rounds a turn, so that no word has to move to another register.
-            for key in keys {
-                let [c0, c1, c2, c3] = c;
-                let a = (c0 & low) * first;
-                let b = (c2 & low) * second;
-                let k = [u64x8::splat(simd, key[0]), u64x8::splat(simd, key[1])];
-                c = [(b >> 32) ^ c1 ^ k[0], b, (a >> 32) ^ c3 ^ k[1], a];
-            }
-        }
-        c
+        let c = [block, walk, self.chunk[0], self.chunk[1]];
+        // Written out as well: a loop would move words about between its turns.
+        let c = self.round(self.round(c, 0), 1);
+        let c = self.round(self.round(c, 2), 3);
+        let c = self.round(self.round(c, 4), 5);
+        let c = self.round(self.round(c, 6), 7);
+        self.round(self.round(c, 8), 9)
+    }
+
+    #[inline(always)]
+    fn round(&self, [c0, c1, c2, c3]: [u64x8<S>; 4], round: usize) -> [u64x8<S>; 4] {
+        // Constants here and not in `self`: the compiler must see that a product of 32-bit numbers is wanted.
+        let splat = |word: u32| u64x8::splat(c0.token(), u64::from(word));
+        let [k0, k1] = self.keys[round];
+        let a = (c0 & splat(u32::MAX)) * splat(MULTIPLIERS[0]);
+        let b = (c2 & splat(u32::MAX)) * splat(MULTIPLIERS[1]);
+        [(b >> 32) ^ c1 ^ k0, b, (a >> 32) ^ c3 ^ k1, a]
     }
 }
 
