@@ -8,8 +8,8 @@ ci:
 test crate:
     cargo test -p {{crate}}
 
-# The physics with 16 times the walks: 32 million a row of the exact values.
-physics-long effort="16":
+# The physics with 50 times the walks: 100 million a row of the exact values.
+physics-long effort="50":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test physics uniform -- --nocapture
 
 # kill -9 in 60 rounds each for embedded and separate processes.
@@ -21,3 +21,16 @@ dictionary folder="/tmp/farm-dictionary":
     cargo build --release
     mkdir -p {{folder}}
     time ./target/release/farmctl submit --data {{folder}}
+
+# Speed of the tracer's parts, of transport points and of the grid's average, for every kernel.
+bench filter="":
+    cargo bench -p farm-worker -- "{{filter}}"
+
+# A whole dictionary, ten times over; with 250000 walks it is the paper's.
+bench-dictionary walks="25000":
+    FARM_BENCH_WALKS={{walks}} cargo bench -p farm-tests
+
+# Mitsuba 3 on the same scene, side by side; `python` must have the packages mitsuba and numpy.
+compare-mitsuba python="python3":
+    cargo build --release
+    {{python}} tests/mitsuba/compare.py

@@ -12,7 +12,7 @@ use farm_proto::scene::{Channel, RingLight, Scene, Sensor};
 use farm_proto::{Digest, TransportPoint, Walks};
 use farm_tests::reference;
 use farm_tests::statistics::{Mean, chi2_per_pixel, errors_of_neighbours};
-use farm_worker::tracer::trace;
+use farm_worker::tracer::{Kernel, trace, trace_with};
 
 struct Run {
     scene: Scene,
@@ -29,11 +29,14 @@ impl Run {
         Self { scene, point, albedo: albedo.to_vec(), walks, derivatives: false }
     }
 
-    fn records(&self, seed: u64) -> Vec<Record> {
+    fn job(&self, seed: u64) -> JobSpec {
         let walks = Walks::new(self.walks).unwrap();
         let (scene, albedo) = (self.scene.clone(), self.albedo.clone());
-        let job = JobSpec::new(scene, self.point, albedo, walks, seed, self.derivatives).unwrap();
-        trace(&job, &AtomicBool::new(false)).unwrap()
+        JobSpec::new(scene, self.point, albedo, walks, seed, self.derivatives).unwrap()
+    }
+
+    fn records(&self, seed: u64) -> Vec<Record> {
+        trace(&self.job(seed), &AtomicBool::new(false)).unwrap()
     }
 
     /// Profile of the only albedo and channel.
@@ -261,10 +264,10 @@ fn sigma_t_derivative_agrees_with_difference_quotients() {
     }
 }
 
-/// Any number of threads gives the same bits, and they are these bits on every machine. If a change of the tracer
+/// Any number of threads and any instructions give the same bits, and they are these bits on every machine. If a change of the tracer
 /// changes them on purpose, raise `PHYSICS_VERSION` with the new digests.
 #[test]
-fn results_are_the_same_bits_for_any_number_of_threads() {
+fn results_are_the_same_bits_for_any_number_of_threads_and_every_kernel() {
     let cases = [
         (Scene::paper(), "613719e7d171b27c31d9c5a3b884464ea54d8d5d06ad24cb26c47e7f88e91d55"),
         (Scene::smooth(), "d2835f1369e7326998ebfe6aabf019a98dc2e67405acefc09d81c755e5d2ad9d"),
@@ -280,6 +283,11 @@ fn results_are_the_same_bits_for_any_number_of_threads() {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let digest = Digest::of_records(&pool.install(|| run.records(1)));
             assert_eq!(digest.to_string(), expected, "{threads} threads");
+        }
+        for kernel in Kernel::all() {
+            let digest =
+                Digest::of_records(&trace_with(kernel, &run.job(1), &AtomicBool::new(false)).unwrap());
+            assert_eq!(digest.to_string(), expected, "{kernel}");
         }
     }
 }

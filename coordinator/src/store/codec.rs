@@ -4,9 +4,12 @@ use farm_proto::profile::RecordShape;
 use farm_proto::{Derivatives, Estimate, Profile, Record};
 
 pub(super) fn encode(record: &Record) -> Vec<u8> {
-    let estimates = record.profiles.iter().flat_map(Profile::estimates);
-    let numbers = estimates.flat_map(|e| e.values().iter().chain(e.std_errors()));
-    numbers.flat_map(|v| v.to_le_bytes()).collect()
+    let estimates = || record.profiles.iter().flat_map(Profile::estimates);
+    let mut bytes = Vec::with_capacity(estimates().map(|e| 8 * e.values().len()).sum());
+    for number in estimates().flat_map(|e| e.values().iter().chain(e.std_errors())) {
+        bytes.extend_from_slice(&number.to_le_bytes());
+    }
+    bytes
 }
 
 /// The profiles, or why the bytes are none.
