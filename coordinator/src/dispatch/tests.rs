@@ -191,6 +191,7 @@ fn progress_counts_work_not_jobs() {
     bench.farm.completed(seconds(1), &key(&lease[0]), DIGEST);
     let status = bench.farm.status(&DictionaryName::new("d").unwrap()).unwrap();
     assert_eq!((status.jobs_done, status.records_done()), (1, 2));
-    assert!(status.work_done > 0.7, "{}", status.work_done);
+    // The longest of three jobs is more than half of the work.
+    assert!(status.work_done > 0.6, "{}", status.work_done);
     assert_eq!(status.records_digest, None);
 }
