@@ -152,7 +152,7 @@ fn commands_in_one_folder_do_not_get_in_each_others_way() {
 #[test]
 fn an_interrupted_submission_says_so_and_goes_on_later() {
     let dir = folder();
-    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 500000"));
+    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 1500000"));
     let submit = farmctl(dir.path())
         .args(["submit", "long.toml"])
         .stdout(std::process::Stdio::piped())
