@@ -3,7 +3,7 @@
 
 Prints for both the time, the noise and how well they agree, and the ratio of the times that they need for the same
 error. A walk of farmctl serves all pixels at once, which Mitsuba's paths do not: that is most of the ratio for one
-profile. Its walks also serve 41 albedos and 3 channels for little more, which is shown as well.
+profile. In a dictionary its walks serve 41 albedos and 3 channels besides, which is not counted here.
 
     python3 -m venv venv && venv/bin/pip install mitsuba numpy
     cargo build --release

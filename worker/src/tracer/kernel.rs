@@ -35,7 +35,7 @@ impl Kernel {
         }
     }
 
-    /// All kernels that this machine can run, the fastest first.
+    /// All kernels that this machine can run: vectors from wide to narrow, then the scalar one.
     pub fn all() -> Vec<Self> {
         let level = Level::new();
         let mut levels = vec![level];
@@ -54,11 +54,6 @@ impl Kernel {
         kernels.dedup_by_key(|kernel| kernel.name());
         kernels.push(Self::SCALAR);
         kernels
-    }
-
-    /// The kernel of a name, if this machine can run it.
-    pub fn named(name: &str) -> Option<Self> {
-        Self::all().into_iter().find(|kernel| kernel.name() == name)
     }
 
     pub fn name(self) -> &'static str {

@@ -118,13 +118,13 @@ fn caught_rays_end_by_roulette() {
 }
 
 #[test]
-fn kernels_have_names_and_are_found_by_them() {
-    let kernels = Kernel::all();
-    assert_eq!(kernels[0].name(), Kernel::fastest().name());
-    for kernel in &kernels {
-        assert_eq!(Kernel::named(kernel.name()).map(Kernel::name), Some(kernel.name()));
-    }
-    assert!(Kernel::named("avx1024").is_none());
+fn kernels_have_names_of_their_own() {
+    let mut names: Vec<_> = Kernel::all().into_iter().map(Kernel::name).collect();
+    assert!(names.contains(&Kernel::fastest().name()) && names.len() > 1);
+    let count = names.len();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), count);
 }
 
 /// A stopped chunk ends at once, whichever kernel runs it.
