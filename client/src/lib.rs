@@ -1,11 +1,15 @@
 //! `farmctl`: submits grids, fits measurements, simulates profiles; on one machine or against a farm.
 
+mod answers;
 pub mod cli;
 mod commands;
 mod connection;
+mod figures;
 mod grid_file;
 mod measurement_file;
+mod media;
 mod output;
+mod plot;
 mod progress;
 
 use std::process::ExitCode;
@@ -35,6 +39,10 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
     match cli.command {
         Command::Submit(args) => return commands::submit::run(global, args, output).await,
         Command::Fit(args) => commands::fit::run(global, args, output).await?,
+        Command::Scale(args) => commands::scale::run(global, args, output).await?,
+        Command::Measure(args) => commands::measure::run(global, args, output).await?,
+        Command::Map(args) => commands::map::run(global, args, output).await?,
+        Command::Similar(args) => commands::similar::run(&args, output)?,
         Command::Simulate(args) => commands::simulate::run(args, output).await?,
         Command::Status => commands::status::run(global, output).await?,
         Command::List => commands::list::run(global, output).await?,

@@ -4,19 +4,20 @@ mod fit_cache;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use farm_proto::fit::{ChannelFit, FitOptions};
 use farm_proto::ids::WorkerId;
 use farm_proto::job::{Lease, LeaseKey};
 use farm_proto::profile::RecordShape;
-use farm_proto::status::{DictionaryState, DictionaryStatus, WorkerStatus};
-use farm_proto::{DictionaryName, Digest, Grid, Invalid, Measurement, PHYSICS_VERSION, Record};
+use farm_proto::status::{DictionaryStatus, WorkerStatus};
+use farm_proto::{DictionaryName, Digest, Grid, Invalid, PHYSICS_VERSION, Record};
 use tokio::sync::watch;
 
 use crate::clock::{Clock, random_token};
 use crate::config::Config;
 use crate::dispatch::{self, Dictionary, DispatchError, Settings};
+use crate::fit::FitDictionary;
 use crate::store::{Completion, Store, StoreError};
 use fit_cache::FitCache;
+pub use fit_cache::load_dictionary;
 
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum FarmError {
@@ -230,25 +231,24 @@ impl Farm {
         Ok(self.store.records(id, range, shape).await?)
     }
 
-    pub(crate) async fn fit(
+    /// Answers a question to a complete dictionary, off the async threads.
+    pub(crate) async fn ask<T: Send + 'static>(
         &self,
         name: &DictionaryName,
-        measurement: Measurement,
-        options: FitOptions,
-    ) -> Result<Vec<ChannelFit>> {
+        question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
+    ) -> Result<T> {
         let (id, grid) = {
             let dispatch = self.dispatch();
             let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;
-            let status = dictionary.status();
-            if status.state() != DictionaryState::Done {
+            if !dictionary.is_complete() {
+                let status = dictionary.status();
                 let (done, total) = (status.records_done(), status.records_total());
                 return Err(FarmError::NotComplete { name: name.clone(), done, total });
             }
             (dictionary.id(), dictionary.grid().clone())
         };
         let dictionary = self.fits.get(&self.store, name, id, grid).await?;
-        let answer = blocking(move || crate::fit::fit(&dictionary, &measurement, &options)).await;
-        Ok(answer?)
+        Ok(blocking(move || question(&dictionary)).await?)
     }
 
     fn dispatch(&self) -> MutexGuard<'_, dispatch::Farm> {

@@ -19,6 +19,7 @@ use tokio_util::sync::CancellationToken;
 
 pub use config::Config;
 use farm::Farm;
+pub use farm::load_dictionary;
 pub use store::StoreError;
 use store::{DataDir, Store};
 

@@ -59,6 +59,12 @@ impl RequestLimits {
     pub const WAIT_MS: u64 = 30_000;
     /// Most neighbours of one fit.
     pub const TOP: u32 = 10_000;
+    /// Highest level of the wavelet derivative.
+    pub const WAVELET_LEVEL: u32 = 10;
+    /// Most scale factors of one search.
+    pub const MU_VALUES: usize = 10_000;
+    /// Most materials of one request.
+    pub const MATERIALS: usize = 256;
     /// Most profiles of one measurement.
     pub const MEASURED_PROFILES: usize = 1024;
     /// Most pixels of one measured profile.

@@ -1,12 +1,16 @@
-use anyhow::Result;
+use std::path::Path;
+
+use anyhow::{Result, bail};
 use farm_proto::status::DictionaryStatus;
-use farm_proto::wire::GetRequest;
-use farm_proto::{DictionaryName, SceneFile};
+use farm_proto::wire::{ExportRequest, GetRequest};
+use farm_proto::{DictionaryName, Record, SceneFile};
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
-use crate::connection::{Purpose, with_farm};
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::figures;
 use crate::output::{DictionaryJson, Output, grouped};
+use crate::plot::Picture;
 
 #[derive(Debug, Serialize)]
 struct ShowJson {
@@ -30,9 +34,14 @@ struct GridJson {
 
 pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name)?;
+    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let status = with_farm(global, Purpose::Ask, async |connection| {
         let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
-        Ok(DictionaryStatus::try_from(answer.into_inner())?)
+        let status = DictionaryStatus::try_from(answer.into_inner())?;
+        if let Some(path) = &args.plot {
+            draw(connection, &status, path).await?;
+        }
+        Ok(status)
     })
     .await?;
     let grid = &status.grid;
@@ -51,6 +60,21 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         },
     };
     output.print("show", &data, || text(&status))
+}
+
+async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {
+    let axes = figures::chosen_axes(&status.grid);
+    let indices = axes.records(&status.grid);
+    let request = ExportRequest { name: status.name.to_string(), indices };
+    let mut answers = connection.dictionaries().export(request).await?.into_inner();
+    let mut records = Vec::new();
+    while let Some(record) = answers.message().await? {
+        records.push(Record::try_from(record)?);
+    }
+    if records.is_empty() {
+        bail!("none of the records to be drawn is done yet");
+    }
+    figures::overview(status.name.as_str(), &status.grid, &axes, &records)?.write(path)
 }
 
 fn text(status: &DictionaryStatus) -> String {

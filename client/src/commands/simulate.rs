@@ -4,13 +4,15 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Context, Result};
 use farm_proto::job::JobSpec;
 use farm_proto::scene::{Channel, Scene, Sensor};
-use farm_proto::{Medium, Profile, TransportPoint, Walks};
+use farm_proto::{Invalid, Medium, Profile, TransportPoint, Walks};
 use farm_worker::tracer;
 use serde::Serialize;
 
 use crate::cli::SimulateArgs;
+use crate::figures;
 use crate::grid_file::read_scene;
 use crate::output::{Output, envelope};
+use crate::plot::Picture;
 
 pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
     let job = job(&args)?;
@@ -20,9 +22,24 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
         pool = pool.num_threads(usize::from(threads));
     }
     let pool = pool.build().context("starting the tracing threads")?;
-    let traced =
-        tokio::task::spawn_blocking(move || pool.install(|| tracer::trace(&job, &AtomicBool::new(false))));
-    let records = traced.await.context("the tracer")??;
+    if let Some(path) = &args.plot {
+        Picture::check_path(path)?;
+        if !(args.change > 0.0 && args.change < 1.0) {
+            return Err(Invalid::new("change", args.change, "allowed are numbers above 0, below 1").into());
+        }
+    }
+    let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
+    let (plot, change) = (args.plot.is_some(), args.change);
+    let work = move || {
+        let records = tracer::trace(&job, &AtomicBool::new(false))?;
+        let picture = plot.then(|| figures::changes(&job, &medium, change)).transpose()?;
+        anyhow::Ok((records, picture))
+    };
+    let traced = tokio::task::spawn_blocking(move || pool.install(work));
+    let (records, picture) = traced.await.context("the tracer")??;
+    if let (Some(picture), Some(path)) = (picture, &args.plot) {
+        picture.write(path)?;
+    }
     let profiles = &records.first().context("the tracer gave no record")?.profiles;
     if output.is_json() {
         let channels = scene.channels().iter().zip(profiles).map(|(c, p)| ChannelJson::new(c, p)).collect();

@@ -107,6 +107,13 @@ impl Dictionary {
         self.status().state()
     }
 
+    /// Whether every record is there.
+    pub fn is_complete(&self) -> bool {
+        self.pending.is_empty()
+            && self.leased.is_empty()
+            && self.jobs.iter().all(|j| matches!(j.state, State::Done(_)))
+    }
+
     pub fn status(&self) -> DictionaryStatus {
         let done = || self.jobs.iter().filter(|j| matches!(j.state, State::Done(_)));
         let failed = self.jobs.iter().zip(0..).filter_map(|(j, job)| match &j.state {

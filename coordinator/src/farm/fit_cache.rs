@@ -9,11 +9,11 @@ use tokio::sync::OnceCell;
 
 use super::{FarmError, Result, blocking, read_chunk};
 use crate::fit::{DictionaryBuilder, FitDictionary};
-use crate::store::Store;
+use crate::store::{Store, StoreError};
 
 /// Dictionaries kept at a time.
 const KEPT: usize = 2;
-/// Largest dictionary that is loaded: values and gradients of all records.
+/// Largest dictionary that is loaded: values of all records, and gradients for two ranges of pixels.
 const LARGEST_BYTES: usize = 4 << 30;
 
 type Slot = Arc<OnceCell<Arc<FitDictionary>>>;
@@ -31,12 +31,13 @@ impl FitCache {
         grid: Grid,
     ) -> Result<Arc<FitDictionary>> {
         let pixels = grid.scene().channels().len() * grid.scene().sensor().pixels();
-        let bytes = grid.record_count().saturating_mul(pixels).saturating_mul(2 * size_of::<f32>());
+        let bytes = grid.record_count().saturating_mul(pixels).saturating_mul(3 * size_of::<f32>());
         if bytes > LARGEST_BYTES {
             return Err(FarmError::TooLarge { name: name.clone(), bytes, limit: LARGEST_BYTES });
         }
         let slot = self.slot(id);
-        slot.get_or_try_init(|| load(store, id, grid)).await.cloned()
+        let loaded = slot.get_or_try_init(async || load_dictionary(store, id, grid).await.map(Arc::new));
+        Ok(loaded.await?.clone())
     }
 
     fn slot(&self, id: DictionaryId) -> Slot {
@@ -53,7 +54,15 @@ impl FitCache {
     }
 }
 
-async fn load(store: &Store, id: DictionaryId, grid: Grid) -> Result<Arc<FitDictionary>> {
+/// Reads a complete dictionary into memory.
+///
+/// # Panics
+/// If records are missing.
+pub async fn load_dictionary(
+    store: &Store,
+    id: DictionaryId,
+    grid: Grid,
+) -> Result<FitDictionary, StoreError> {
     let (count, shape) = (grid.record_count(), RecordShape::of(&grid));
     let chunk = read_chunk(&grid);
     let mut builder = DictionaryBuilder::new(grid);
@@ -62,5 +71,5 @@ async fn load(store: &Store, id: DictionaryId, grid: Grid) -> Result<Arc<FitDict
             builder.add(&record);
         }
     }
-    Ok(Arc::new(blocking(move || builder.build()).await))
+    Ok(blocking(move || builder.build()).await)
 }

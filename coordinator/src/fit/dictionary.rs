@@ -1,9 +1,23 @@
-//! A dictionary in memory, laid out for comparison: values and gradient magnitudes of every record.
+//! A dictionary in memory, laid out for comparison.
 
+use std::ops::Range;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use farm_proto::fit::Wavelet;
 use farm_proto::{Grid, Record};
-use rayon::prelude::*;
 
-use super::distance::gradient_magnitude;
+use super::view::View;
+
+/// Views kept besides the one over all pixels with the default wavelet.
+const OTHER_VIEWS: usize = 1;
+
+/// Which pixels are compared, and how their gradients are taken.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct ViewKey {
+    pub pixels: Range<usize>,
+    pub wavelet: Wavelet,
+    pub level: u32,
+}
 
 /// Collects records, which may come in any order.
 #[derive(Debug)]
@@ -22,48 +36,38 @@ impl DictionaryBuilder {
     /// # Panics
     /// If the record is not of the grid's shape or number.
     pub fn add(&mut self, record: &Record) {
-        let pixels = self.grid.scene().sensor().pixels();
-        let channels = self.grid.scene().channels().len();
-        assert_eq!(record.profiles.len(), channels, "one profile per channel");
-        let rows = self.values[record.index * channels * pixels..].chunks_exact_mut(pixels);
-        for (row, profile) in rows.zip(&record.profiles) {
-            row.copy_from_slice(profile.radiance_factor.values());
+        let (pixels, records) = (self.grid.scene().sensor().pixels(), self.grid.record_count());
+        assert_eq!(record.profiles.len(), self.grid.scene().channels().len(), "one profile per channel");
+        for (channel, profile) in record.profiles.iter().enumerate() {
+            let start = (channel * records + record.index) * pixels;
+            self.values[start..start + pixels].copy_from_slice(profile.radiance_factor.values());
         }
         self.present += 1;
     }
 
-    /// Computes the gradients.
+    /// Computes gradients and descriptions, so that the first question is as fast as the others.
     ///
     /// # Panics
     /// If records are missing.
     pub fn build(self) -> FitDictionary {
         assert_eq!(self.present, self.grid.record_count(), "every record once");
-        let sensor = self.grid.scene().sensor();
-        let mut gradients = vec![0.0; self.values.len()];
-        gradients
-            .par_chunks_exact_mut(sensor.pixels())
-            .zip(self.values.par_chunks_exact(sensor.pixels()))
-            .for_each(|(gradient, values)| write_gradient(values, sensor.pitch_mm(), gradient));
-        FitDictionary { grid: self.grid, values: self.values, gradients }
+        let dictionary = FitDictionary { grid: self.grid, values: self.values, views: Mutex::default() };
+        let key = dictionary.default_view();
+        dictionary.view(&key);
+        dictionary
     }
 }
 
-fn write_gradient(values: &[f32], pitch_mm: f64, gradient: &mut [f32]) {
-    if values.len() < 2 {
-        return;
-    }
-    let values: Vec<f64> = values.iter().copied().map(f64::from).collect();
-    for (out, magnitude) in gradient.iter_mut().zip(gradient_magnitude(&values, pitch_mm)) {
-        *out = magnitude as f32;
-    }
-}
+type Slot = Arc<OnceLock<Arc<View>>>;
 
-/// Values and gradient magnitudes of all records, `[record][channel][pixel]`.
+/// Values of all records, and views on them.
 #[derive(Debug)]
 pub struct FitDictionary {
     grid: Grid,
+    /// `[channel][record][pixel]`.
     values: Vec<f32>,
-    gradients: Vec<f32>,
+    /// The default first, then the most recently used.
+    views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
 impl FitDictionary {
@@ -71,31 +75,38 @@ impl FitDictionary {
         &self.grid
     }
 
+    /// Radiance factors of a record in one channel.
+    pub fn profile(&self, record: usize, channel: usize) -> &[f32] {
+        self.values(record, channel)
+    }
+
     pub(super) fn values(&self, record: usize, channel: usize) -> &[f32] {
-        self.row(&self.values, record, channel)
-    }
-
-    pub(super) fn gradient(&self, record: usize, channel: usize) -> &[f32] {
-        self.row(&self.gradients, record, channel)
-    }
-
-    /// Gradient magnitudes over a part of the pixels. The derivative takes off the chord between the ends, so that of
-    /// a part is not a part of that of the whole.
-    pub(super) fn gradient_of_part(
-        &self,
-        record: usize,
-        channel: usize,
-        pixels: std::ops::Range<usize>,
-        out: &mut Vec<f32>,
-    ) {
-        out.resize(pixels.len(), 0.0);
-        let values = &self.values(record, channel)[pixels];
-        write_gradient(values, self.grid.scene().sensor().pitch_mm(), out);
-    }
-
-    fn row<'a>(&self, numbers: &'a [f32], record: usize, channel: usize) -> &'a [f32] {
         let pixels = self.grid.scene().sensor().pixels();
-        let start = (record * self.grid.scene().channels().len() + channel) * pixels;
-        &numbers[start..start + pixels]
+        let start = (channel * self.grid.record_count() + record) * pixels;
+        &self.values[start..start + pixels]
+    }
+
+    fn default_view(&self) -> ViewKey {
+        let pixels = 0..self.grid.scene().sensor().pixels();
+        let settings = farm_proto::fit::FitSettings::default();
+        ViewKey { pixels, wavelet: settings.wavelet, level: settings.level }
+    }
+
+    /// The view of a key, made if it is not at hand.
+    pub(super) fn view(&self, key: &ViewKey) -> Arc<View> {
+        let slot = {
+            let mut views = self.views.lock().unwrap_or_else(PoisonError::into_inner);
+            match views.iter().position(|(other, _)| other == key) {
+                Some(i) => views[i].1.clone(),
+                None => {
+                    if views.len() > OTHER_VIEWS {
+                        views.remove(1);
+                    }
+                    views.push((key.clone(), Slot::default()));
+                    views[views.len() - 1].1.clone()
+                }
+            }
+        };
+        slot.get_or_init(|| Arc::new(View::new(self, key.clone()))).clone()
     }
 }

@@ -1,13 +1,62 @@
 //! Numerics of the fit over plain slices: no SQL, no gRPC.
 //!
-//! Eqs. 1 and 2 of Elek, Sumin et al. 2017 (supplement, Sec. 5.5).
+//! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and what goes beyond them: refinement
+//! between the records of the dictionary, and error bars.
 
+mod certainty;
+mod curves;
 mod dictionary;
-mod distance;
 mod gradient;
+mod map;
+mod measure;
+mod question;
+mod refine;
+#[cfg(test)]
+mod refine_tests;
 mod resample;
+mod scale;
 mod search;
+mod similarity;
+mod sketch;
+mod sum;
+mod surrogate;
+#[cfg(test)]
+mod testing;
+mod view;
+
+use farm_proto::fit::{ChannelFit, FitOptions, MaterialFit};
+use farm_proto::{Invalid, Measurement};
+use rayon::prelude::*;
 
 pub use dictionary::{DictionaryBuilder, FitDictionary};
-pub use gradient::{Wavelet, derivative};
-pub use search::fit;
+pub use gradient::derivative;
+pub use map::distance_map;
+pub use measure::{MeasurePlan, Measured, measure};
+pub use scale::scale;
+pub use similarity::similar;
+
+use question::{Question, questions};
+
+/// Fits every channel of a measurement on its own, jointly over its thicknesses.
+pub fn fit(
+    dictionary: &FitDictionary,
+    measurement: &Measurement,
+    options: &FitOptions,
+) -> Result<MaterialFit, Invalid> {
+    let questions = questions(dictionary, measurement, options)?;
+    let channels = match questions.as_slice() {
+        // Not worth waking other threads for.
+        [one] => vec![answer(one)],
+        several => several.par_iter().map(answer).collect(),
+    };
+    Ok(MaterialFit { material: measurement.material().to_owned(), channels })
+}
+
+fn answer(question: &Question) -> ChannelFit {
+    let settings = question.options.settings();
+    let candidates = search::best(question, settings.top as usize);
+    let refined = settings.refine.then(|| certainty::refined(question, &candidates[..1]));
+    let curves =
+        if settings.curves { curves::curves(question, &candidates, refined.as_ref()) } else { Vec::new() };
+    ChannelFit { channel: question.name.to_owned(), candidates, refined, outside: question.outside(), curves }
+}

@@ -9,15 +9,48 @@ use farm_proto::scene::Sensor;
 /// coordinates in files are rounded.
 const SLACK: f64 = 0.02;
 
-/// The dictionary pixels that a measurement covers, and its averages over them.
+/// The dictionary pixels that a measurement covers, and how they follow from its own.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Resampled {
     pub pixels: Range<usize>,
     pub values: Vec<f64>,
+    shares: Vec<Share>,
 }
 
-/// Box averages: the measured pixels are taken as constant over their pitch, and their mean over each dictionary
-/// pixel is exact. Pixels that the measurement does not cover are left out.
+/// What a dictionary pixel takes from the measured pixels from `first` on; the weights add up to 1.
+#[derive(Debug, Clone, PartialEq)]
+struct Share {
+    first: usize,
+    weights: Vec<f64>,
+}
+
+impl Resampled {
+    /// Brings a functional of the dictionary's pixels to the measured pixels: Σ_i g_i w_ik.
+    pub(super) fn pull_back(&self, functional: &[f64], measured_pixels: usize) -> Vec<f64> {
+        let mut pulled = vec![0.0; measured_pixels];
+        for (g, share) in functional.iter().zip(&self.shares) {
+            for (out, w) in pulled[share.first..].iter_mut().zip(&share.weights) {
+                *out += g * w;
+            }
+        }
+        pulled
+    }
+
+    /// Variances of the dictionary pixels' values, the measured pixels being independent.
+    pub(super) fn variances(&self, std_errors: &[f64]) -> Vec<f64> {
+        let variance = |share: &Share| {
+            share.weights.iter().zip(&std_errors[share.first..]).map(|(w, e)| (w * e).powi(2)).sum()
+        };
+        self.shares.iter().map(variance).collect()
+    }
+}
+
+/// Averages of the measured profile over each dictionary pixel, from its integral between the measured pixels' edges:
+/// averages over the measured pixels themselves are kept exactly.
+///
+/// Between the edges the integral is straight if the measured pixels are as fine as the dictionary's – then these are
+/// box averages – and of fifth order if they are coarser, since the profile may not be taken as a staircase then: its
+/// steps would count as blur. Pixels that the measurement does not cover are left out.
 pub(super) fn resample(profile: &MeasuredProfile, sensor: Sensor) -> Resampled {
     let pitch = profile.pitch_mm();
     let left = profile.x_mm()[0] - 0.5 * pitch;
@@ -27,38 +60,50 @@ pub(super) fn resample(profile: &MeasuredProfile, sensor: Sensor) -> Resampled {
     let covered = |pixel: &usize| edge(*pixel) >= left - slack && edge(pixel + 1) <= right + slack;
     let first = (0..sensor.pixels()).find(covered).unwrap_or(0);
     let count = (first..sensor.pixels()).take_while(covered).count();
-    let cumulative = Cumulative::new(profile.values());
-    let position = |x: f64| (x - left) / pitch;
-    let values =
-        (first..first + count).map(|pixel| cumulative.mean(position(edge(pixel)), position(edge(pixel + 1))));
-    Resampled { pixels: first..first + count, values: values.collect() }
+    let cells = profile.x_mm().len();
+    let position = |x: f64| ((x - left) / pitch).clamp(0.0, cells as f64);
+    let edges_used = if pitch > (1.0 + SLACK) * sensor.pitch_mm() { 6 } else { 2 };
+    let shares: Vec<Share> = (first..first + count)
+        .map(|pixel| share(position(edge(pixel)), position(edge(pixel + 1)), cells, edges_used))
+        .collect();
+    let value = |share: &Share| {
+        share.weights.iter().zip(&profile.values()[share.first..]).map(|(w, v)| w * v).sum::<f64>()
+    };
+    let values = shares.iter().map(value).collect();
+    Resampled { pixels: first..first + count, values, shares }
 }
 
-/// Integral of a piecewise constant function with unit steps.
-struct Cumulative<'a> {
-    values: &'a [f64],
-    sums: Vec<f64>,
+/// Shares of the cells of unit width, the first beginning at 0, in the mean from `from` to `to`.
+fn share(from: f64, to: f64, cells: usize, edges_used: usize) -> Share {
+    let (below, above) = (Integral::at(from, cells, edges_used), Integral::at(to, cells, edges_used));
+    let first = below.first_edge.min(above.first_edge);
+    let last = (below.first_edge + below.weights.len()).max(above.first_edge + above.weights.len()) - 1;
+    let weight = |cell: usize| (above.weight_of(cell) - below.weight_of(cell)) / (to - from);
+    Share { first, weights: (first..last).map(weight).collect() }
 }
 
-impl<'a> Cumulative<'a> {
-    fn new(values: &'a [f64]) -> Self {
-        let mut sum = 0.0;
-        let sums = std::iter::once(0.0).chain(values.iter().map(|v| {
-            sum += v;
-            sum
-        }));
-        Self { values, sums: sums.collect() }
+/// The integral from 0 to some place, as a combination of those up to the edges from `first_edge` on.
+struct Integral {
+    first_edge: usize,
+    weights: Vec<f64>,
+}
+
+impl Integral {
+    /// Polynomial interpolation between the nearest edges.
+    fn at(x: f64, cells: usize, edges_used: usize) -> Self {
+        let edges_used = edges_used.min(cells + 1);
+        let cell = (x as usize).min(cells - 1);
+        let first_edge = (cell + 1).saturating_sub(edges_used / 2).min(cells + 1 - edges_used);
+        let weight = |i: usize| {
+            let others = (0..edges_used).filter(|j| *j != i);
+            others.map(|j| (x - (first_edge + j) as f64) / (i as f64 - j as f64)).product()
+        };
+        Self { first_edge, weights: (0..edges_used).map(weight).collect() }
     }
 
-    fn mean(&self, from: f64, to: f64) -> f64 {
-        let n = self.values.len() as f64;
-        let (from, to) = (from.clamp(0.0, n), to.clamp(0.0, n));
-        (self.at(to) - self.at(from)) / (to - from)
-    }
-
-    fn at(&self, x: f64) -> f64 {
-        let cell = (x as usize).min(self.values.len() - 1);
-        self.sums[cell] + (x - cell as f64) * self.values[cell]
+    /// Weight of a cell: the sum of those of the edges behind it.
+    fn weight_of(&self, cell: usize) -> f64 {
+        self.weights.iter().zip(self.first_edge..).filter(|(_, edge)| *edge > cell).map(|(w, _)| w).sum()
     }
 }
 
@@ -96,6 +141,40 @@ mod tests {
             for (i, v) in resampled.values.iter().enumerate() {
                 assert!((v - 2.0 * sensor(n).centre_mm(i)).abs() < 1e-3, "{n} pixels, {i}: {v}");
             }
+        }
+    }
+
+    /// On pixels twice as coarse, a blurred edge keeps its shape: a staircase would be off by a quarter of a step.
+    #[test]
+    fn coarse_measurements_are_not_taken_as_staircases() {
+        // The exact mean of tanh(x/0.2) over a pixel.
+        let mean = |x: f64, pitch: f64| {
+            let integral = |x: f64| 0.2 * (x / 0.2).cosh().ln();
+            (integral(x + pitch / 2.0) - integral(x - pitch / 2.0)) / pitch
+        };
+        let coarse = measured(180, 10.0, 0.0, |x| mean(x, 10.0 / 180.0));
+        let resampled = resample(&coarse, sensor(360));
+        assert_eq!(resampled.pixels, 0..360);
+        for (i, v) in resampled.values.iter().enumerate() {
+            let exact = mean(sensor(360).centre_mm(i), 10.0 / 360.0);
+            assert!((v - exact).abs() < 1e-3, "pixel {i}: {v} {exact}");
+        }
+        // Means over the measured pixels are what was measured.
+        for (pair, v) in resampled.values.chunks(2).zip(coarse.values()) {
+            assert!((0.5 * (pair[0] + pair[1]) - v).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn functionals_of_the_pixels_are_functionals_of_the_measurement() {
+        for n in [77, 100, 700] {
+            let profile = measured(n, 10.0, 0.0, |x| 0.3 + x.sin());
+            let resampled = resample(&profile, sensor(100));
+            let functional: Vec<f64> = (0..100).map(|i| f64::from(i % 7) - 3.0).collect();
+            let direct: f64 = functional.iter().zip(&resampled.values).map(|(g, v)| g * v).sum();
+            let pulled = resampled.pull_back(&functional, n);
+            let through: f64 = pulled.iter().zip(profile.values()).map(|(g, v)| g * v).sum();
+            assert!((direct - through).abs() < 1e-9, "{n} pixels: {direct} {through}");
         }
     }
 

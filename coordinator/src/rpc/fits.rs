@@ -1,24 +1,111 @@
 //! Service `farm.v1.Fits`.
 
-use farm_proto::fit::FitOptions;
+use farm_proto::fit::{FitOptions, MaterialFit, MuRange};
 use farm_proto::wire::fits_server::Fits;
-use farm_proto::wire::{FitRequest, FitResponse};
-use farm_proto::{DictionaryName, Measurement};
+use farm_proto::wire::{
+    self, FitRequest, FitResponse, MapRequest, MapResponse, MeasureRequest, MeasureResponse, ScaleRequest,
+    ScaleResponse, SimilarRequest, SimilarResponse,
+};
+use farm_proto::{DictionaryName, Invalid, Measurement, Medium, RequestLimits};
 use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::status::required;
+use crate::fit::{self, MeasurePlan};
 
 #[tonic::async_trait]
 impl Fits for Context {
     async fn fit(&self, request: Request<FitRequest>) -> Result<Response<FitResponse>, Status> {
         let request = request.into_inner();
-        let options = FitOptions::try_from(&request)?;
-        let name = DictionaryName::new(request.dictionary).map_err(|e| e.within("dictionary"))?;
-        let measurement = Measurement::try_from(required("measurement", request.measurement)?)
-            .map_err(|e| e.within("measurement"))?;
-        let material = measurement.material().to_owned();
-        let channels = self.farm.fit(&name, measurement, options).await?;
-        Ok(Response::new(FitResponse { material, channels: channels.into_iter().map(Into::into).collect() }))
+        let name = dictionary_name(request.dictionary)?;
+        let options = options(request.options)?;
+        let measurement = measurement(request.measurement)?;
+        let answer = self.farm.ask(&name, move |d| fit::fit(d, &measurement, &options)).await?;
+        Ok(Response::new(FitResponse { fit: Some(answer.into()) }))
     }
+
+    async fn scale(&self, request: Request<ScaleRequest>) -> Result<Response<ScaleResponse>, Status> {
+        let request = request.into_inner();
+        let name = dictionary_name(request.dictionary)?;
+        let options = options(request.options)?;
+        let range = MuRange::try_from(request.mu.unwrap_or_default()).map_err(|e| e.within("mu"))?;
+        let materials = materials(request.materials)?;
+        let question = move |d: &fit::FitDictionary| {
+            let curve = fit::scale(d, &materials, &options, &range)?;
+            let options = options.with_mu(curve.best.mu, curve.std_error.unwrap_or(0.0))?;
+            let fits: Result<Vec<_>, Invalid> = materials.iter().map(|m| fit::fit(d, m, &options)).collect();
+            Ok((curve, fits?))
+        };
+        let (curve, fits) = self.farm.ask(&name, question).await?;
+        Ok(Response::new(ScaleResponse { scale: Some(curve.into()), materials: encoded(fits) }))
+    }
+
+    async fn similar(&self, request: Request<SimilarRequest>) -> Result<Response<SimilarResponse>, Status> {
+        let request = request.into_inner();
+        let medium = Medium::try_from(required("medium", request.medium)?).map_err(|e| e.within("medium"))?;
+        let similar = |(i, g): (usize, f64)| {
+            farm_proto::optics::check_g(g)
+                .and_then(|g| fit::similar(&medium, g))
+                .map(Into::into)
+                .map_err(|e| e.within(format_args!("g[{i}]")))
+        };
+        let media = request.g.into_iter().enumerate().map(similar).collect::<Result<_, _>>()?;
+        Ok(Response::new(SimilarResponse { media }))
+    }
+
+    async fn map(&self, request: Request<MapRequest>) -> Result<Response<MapResponse>, Status> {
+        let request = request.into_inner();
+        let name = dictionary_name(request.dictionary)?;
+        let options = options(request.options)?;
+        let measurement = measurement(request.measurement)?;
+        let maps = self.farm.ask(&name, move |d| fit::distance_map(d, &measurement, &options)).await?;
+        Ok(Response::new(MapResponse { maps: maps.into_iter().map(Into::into).collect() }))
+    }
+
+    async fn measure(&self, request: Request<MeasureRequest>) -> Result<Response<MeasureResponse>, Status> {
+        let request = request.into_inner();
+        let name = dictionary_name(request.dictionary)?;
+        let options = options(request.options)?;
+        let search_mu = request.search_mu.map(MuRange::try_from).transpose();
+        let search_mu = search_mu.map_err(|e| e.within("search_mu"))?;
+        let plan = MeasurePlan { search_mu, common_g: request.common_g };
+        let materials = materials(request.materials)?;
+        let answer = self.farm.ask(&name, move |d| fit::measure(d, &materials, &options, &plan)).await?;
+        Ok(Response::new(MeasureResponse {
+            scale: answer.scale.map(Into::into),
+            mu: answer.mu,
+            mu_std_error: answer.mu_std_error,
+            g: answer.g,
+            materials: encoded(answer.materials),
+        }))
+    }
+}
+
+fn dictionary_name(name: String) -> Result<DictionaryName, Invalid> {
+    DictionaryName::new(name).map_err(|e| e.within("dictionary"))
+}
+
+fn options(options: Option<wire::FitOptions>) -> Result<FitOptions, Invalid> {
+    FitOptions::try_from(options.unwrap_or_default()).map_err(|e| e.within("options"))
+}
+
+fn measurement(measurement: Option<wire::Measurement>) -> Result<Measurement, Status> {
+    let measurement = required("measurement", measurement)?;
+    Ok(Measurement::try_from(measurement).map_err(|e| e.within("measurement"))?)
+}
+
+fn materials(materials: Vec<wire::Measurement>) -> Result<Vec<Measurement>, Invalid> {
+    let n = materials.len();
+    if !(1..=RequestLimits::MATERIALS).contains(&n) {
+        let allowed = format!("1 to {} are allowed", RequestLimits::MATERIALS);
+        return Err(Invalid::new("materials", n, allowed));
+    }
+    let decode = |(i, m): (usize, wire::Measurement)| {
+        Measurement::try_from(m).map_err(|e| e.within(format_args!("materials[{i}]")))
+    };
+    materials.into_iter().enumerate().map(decode).collect()
+}
+
+fn encoded(fits: Vec<MaterialFit>) -> Vec<wire::MaterialFit> {
+    fits.into_iter().map(Into::into).collect()
 }

@@ -1,56 +1,108 @@
-//! Measurements, fit options, answers.
+//! Fit options and answers.
 
 use super::required;
-use crate::fit::{Candidate, ChannelFit, FitOptions, ThicknessError};
+use crate::fit::{
+    Bounds, Candidate, ChannelFit, Curve, FitCurves, FitOptions, FitSettings, Interval, MaterialFit, Outside,
+    Refined, ThicknessError, Wavelet,
+};
 use crate::invalid::{Invalid, Result, each};
-use crate::measurement::{MeasuredProfile, Measurement};
 use crate::wire;
 
-impl From<&Measurement> for wire::Measurement {
-    fn from(measurement: &Measurement) -> Self {
-        let profile = |p: &MeasuredProfile| wire::MeasuredProfile {
-            channel: p.channel().to_owned(),
-            thickness_mm: p.thickness_mm(),
-            x_mm: p.x_mm().to_vec(),
-            values: p.values().to_vec(),
-            std_errors: p.std_errors().unwrap_or_default().to_vec(),
+fn bounds(field: &str, bounds: Option<wire::Bounds>) -> Result<Bounds> {
+    let bounds = bounds.unwrap_or_default();
+    Bounds::new(field, bounds.min, bounds.max)
+}
+
+impl From<Bounds> for wire::Bounds {
+    fn from(bounds: Bounds) -> Self {
+        let end = |v: f64| v.is_finite().then_some(v);
+        Self { min: end(bounds.min()), max: end(bounds.max()) }
+    }
+}
+
+impl TryFrom<wire::FitOptions> for FitOptions {
+    type Error = Invalid;
+
+    fn try_from(options: wire::FitOptions) -> Result<Self> {
+        let default = FitSettings::default();
+        let wavelet = match wire::Wavelet::try_from(options.wavelet) {
+            Ok(wire::Wavelet::Unspecified | wire::Wavelet::QuadraticSpline) => Wavelet::QuadraticSpline,
+            Ok(wire::Wavelet::Haar) => Wavelet::Haar,
+            Err(_) => {
+                let allowed = "allowed are 1 (quadratic spline) and 2 (Haar)";
+                return Err(Invalid::new("wavelet", options.wavelet, allowed));
+            }
+        };
+        Self::new(FitSettings {
+            lambda: options.lambda.unwrap_or(default.lambda),
+            mu: options.mu.unwrap_or(default.mu),
+            mu_std_error: options.mu_std_error.unwrap_or(default.mu_std_error),
+            gain_std_error: options.gain_std_error.unwrap_or(default.gain_std_error),
+            wavelet,
+            level: options.level.unwrap_or(default.level),
+            sigma_t_per_mm: bounds("sigma_t_per_mm", options.sigma_t_per_mm)?,
+            albedo: bounds("albedo", options.albedo)?,
+            g: bounds("g", options.g)?,
+            top: options.top.unwrap_or(default.top),
+            refine: options.refine,
+            curves: options.curves,
+        })
+    }
+}
+
+impl From<&FitOptions> for wire::FitOptions {
+    fn from(options: &FitOptions) -> Self {
+        let s = options.settings();
+        let wavelet = match s.wavelet {
+            Wavelet::QuadraticSpline => wire::Wavelet::QuadraticSpline,
+            Wavelet::Haar => wire::Wavelet::Haar,
         };
         Self {
-            material: measurement.material().to_owned(),
-            profiles: measurement.profiles().iter().map(profile).collect(),
+            lambda: Some(s.lambda),
+            mu: Some(s.mu),
+            mu_std_error: Some(s.mu_std_error),
+            gain_std_error: Some(s.gain_std_error),
+            wavelet: wavelet.into(),
+            level: Some(s.level),
+            sigma_t_per_mm: Some(s.sigma_t_per_mm.into()),
+            albedo: Some(s.albedo.into()),
+            g: Some(s.g.into()),
+            top: Some(s.top),
+            refine: s.refine,
+            curves: s.curves,
         }
     }
 }
 
-impl TryFrom<wire::Measurement> for Measurement {
-    type Error = Invalid;
-
-    fn try_from(measurement: wire::Measurement) -> Result<Self> {
-        let profiles = each("profiles", measurement.profiles, |p| {
-            let std_errors = (!p.std_errors.is_empty()).then_some(p.std_errors);
-            MeasuredProfile::new(p.channel, p.thickness_mm, p.x_mm, p.values, std_errors)
-        })?;
-        Self::new(measurement.material, profiles)
+impl From<MaterialFit> for wire::MaterialFit {
+    fn from(fit: MaterialFit) -> Self {
+        Self { material: fit.material, channels: fit.channels.into_iter().map(Into::into).collect() }
     }
 }
 
-impl TryFrom<&wire::FitRequest> for FitOptions {
+impl TryFrom<wire::MaterialFit> for MaterialFit {
     type Error = Invalid;
 
-    fn try_from(request: &wire::FitRequest) -> Result<Self> {
-        let default = Self::default();
-        Self::new(
-            request.lambda.unwrap_or(default.lambda()),
-            request.mu.unwrap_or(default.mu()),
-            request.g,
-            request.top.unwrap_or(default.top() as u32),
-        )
+    fn try_from(fit: wire::MaterialFit) -> Result<Self> {
+        let channels = each("channels", fit.channels, ChannelFit::try_from)?;
+        Ok(Self { material: fit.material, channels })
     }
 }
 
 impl From<ChannelFit> for wire::ChannelFit {
     fn from(fit: ChannelFit) -> Self {
-        Self { channel: fit.channel, candidates: fit.candidates.into_iter().map(Into::into).collect() }
+        let outside = match fit.outside {
+            None => wire::Outside::Unspecified,
+            Some(Outside::Brighter) => wire::Outside::Brighter,
+            Some(Outside::Darker) => wire::Outside::Darker,
+        };
+        Self {
+            channel: fit.channel,
+            candidates: fit.candidates.into_iter().map(Into::into).collect(),
+            refined: fit.refined.map(Into::into),
+            outside: outside.into(),
+            curves: fit.curves.into_iter().map(Into::into).collect(),
+        }
     }
 }
 
@@ -58,8 +110,18 @@ impl TryFrom<wire::ChannelFit> for ChannelFit {
     type Error = Invalid;
 
     fn try_from(fit: wire::ChannelFit) -> Result<Self> {
-        let candidates = each("candidates", fit.candidates, Candidate::try_from)?;
-        Ok(Self { channel: fit.channel, candidates })
+        let outside = match wire::Outside::try_from(fit.outside) {
+            Ok(wire::Outside::Brighter) => Some(Outside::Brighter),
+            Ok(wire::Outside::Darker) => Some(Outside::Darker),
+            Ok(wire::Outside::Unspecified) | Err(_) => None,
+        };
+        Ok(Self {
+            candidates: each("candidates", fit.candidates, Candidate::try_from)?,
+            refined: fit.refined.map(Refined::try_from).transpose()?,
+            outside,
+            curves: each("curves", fit.curves, FitCurves::try_from)?,
+            channel: fit.channel,
+        })
     }
 }
 
@@ -69,7 +131,7 @@ impl From<Candidate> for wire::Candidate {
             thickness_mm: t.thickness_mm,
             value_rms: t.value_rms,
             gradient_rms: t.gradient_rms,
-            record: t.record as u32,
+            record: t.record.map(|r| r as u32),
         };
         Self {
             medium: Some(candidate.medium.into()),
@@ -88,13 +150,112 @@ impl TryFrom<wire::Candidate> for Candidate {
             thickness_mm: t.thickness_mm,
             value_rms: t.value_rms,
             gradient_rms: t.gradient_rms,
-            record: t.record as usize,
+            record: t.record.map(|r| r as usize),
         };
         Ok(Self {
             medium: required("medium", candidate.medium)?.try_into()?,
             sample_ior: candidate.sample_ior,
             error: candidate.error,
             thicknesses: candidate.thicknesses.into_iter().map(term).collect(),
+        })
+    }
+}
+
+impl From<Interval> for wire::Interval {
+    fn from(i: Interval) -> Self {
+        Self { low: i.low, high: i.high, open_low: i.open_low, open_high: i.open_high }
+    }
+}
+
+impl From<wire::Interval> for Interval {
+    fn from(i: wire::Interval) -> Self {
+        Self { low: i.low, high: i.high, open_low: i.open_low, open_high: i.open_high }
+    }
+}
+
+impl From<Refined> for wire::Refined {
+    fn from(r: Refined) -> Self {
+        Self {
+            best: Some(r.best.into()),
+            sigma_t_per_mm: Some(r.sigma_t_per_mm.into()),
+            albedo: Some(r.albedo.into()),
+            g: Some(r.g.into()),
+            reduced_scattering_per_mm: Some(r.reduced_scattering_per_mm.into()),
+            absorption_per_mm: Some(r.absorption_per_mm.into()),
+            covariance: r.covariance.as_flattened().to_vec(),
+            correlation: r.correlation,
+            valley: r.valley,
+            resolved: r.resolved,
+            measurement_noise: r.measurement_noise,
+            dictionary_share: r.dictionary_share,
+            misfit: r.misfit,
+        }
+    }
+}
+
+impl TryFrom<wire::Refined> for Refined {
+    type Error = Invalid;
+
+    fn try_from(r: wire::Refined) -> Result<Self> {
+        let interval = |field, i: Option<wire::Interval>| required(field, i).map(Interval::from);
+        let count = r.covariance.len();
+        let (rows, []) = r.covariance.as_chunks::<3>() else {
+            return Err(Invalid::new("covariance", count, "nine numbers are needed"));
+        };
+        Ok(Self {
+            best: required("best", r.best)?.try_into()?,
+            sigma_t_per_mm: interval("sigma_t_per_mm", r.sigma_t_per_mm)?,
+            albedo: interval("albedo", r.albedo)?,
+            g: interval("g", r.g)?,
+            reduced_scattering_per_mm: interval("reduced_scattering_per_mm", r.reduced_scattering_per_mm)?,
+            absorption_per_mm: interval("absorption_per_mm", r.absorption_per_mm)?,
+            covariance: rows
+                .try_into()
+                .map_err(|_| Invalid::new("covariance", count, "nine numbers are needed"))?,
+            correlation: r.correlation,
+            valley: r.valley,
+            resolved: r.resolved,
+            measurement_noise: r.measurement_noise,
+            dictionary_share: r.dictionary_share,
+            misfit: r.misfit,
+        })
+    }
+}
+
+impl From<Curve> for wire::Curve {
+    fn from(curve: Curve) -> Self {
+        Self { values: curve.values, gradient: curve.gradient }
+    }
+}
+
+impl From<wire::Curve> for Curve {
+    fn from(curve: wire::Curve) -> Self {
+        Self { values: curve.values, gradient: curve.gradient }
+    }
+}
+
+impl From<FitCurves> for wire::FitCurves {
+    fn from(curves: FitCurves) -> Self {
+        Self {
+            thickness_mm: curves.thickness_mm,
+            x_mm: curves.x_mm,
+            measured: Some(curves.measured.into()),
+            candidates: curves.candidates.into_iter().map(Into::into).collect(),
+            refined: curves.refined.map(Into::into),
+        }
+    }
+}
+
+impl TryFrom<wire::FitCurves> for FitCurves {
+    type Error = Invalid;
+
+    fn try_from(curves: wire::FitCurves) -> Result<Self> {
+        Ok(Self {
+            thickness_mm: curves.thickness_mm,
+            x_mm: curves.x_mm,
+            measured: required("measured", curves.measured)?.into(),
+            candidates: curves.candidates.into_iter().map(Into::into).collect(),
+            refined: curves.refined.map(Into::into),
         })
     }
 }

@@ -3,7 +3,9 @@
 
 mod fit;
 mod lease;
+mod measurement;
 mod model;
+mod scale;
 mod status;
 
 use crate::invalid::{Invalid, Result};

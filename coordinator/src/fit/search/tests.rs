@@ -1,60 +1,17 @@
-use farm_proto::grid::Axes;
-use farm_proto::scene::{Scene, Sensor};
-use farm_proto::{Estimate, Grid, MeasuredProfile, Profile, Record, Walks};
+use farm_proto::fit::{Bounds, Candidate, FitOptions, FitSettings, Outside, Wavelet};
+use farm_proto::{Estimate, MeasuredProfile, Measurement, Medium, Profile, Record};
 
-use super::*;
-use crate::fit::{DictionaryBuilder, Wavelet, derivative};
+use crate::fit::testing::{dictionary, measured, profile_value};
+use crate::fit::{DictionaryBuilder, FitDictionary, derivative, fit};
 
-/// Edge profiles that stand for simulated ones: smooth, and different for every parameter combination.
-fn profile_value(x: f64, sigma_t: f64, albedo: f64, g: f64, thickness: f64, channel: f64) -> f64 {
-    let width = 0.3 + thickness / (sigma_t * (1.0 - g));
-    let level = albedo * (0.2 + 0.1 * channel);
-    level + 0.3 * albedo * (x / width).tanh() / (1.0 + thickness)
-}
-
-fn dictionary(pixels: u32) -> FitDictionary {
-    let axes = Axes {
-        sigma_t_per_mm: vec![1.0, 2.0, 4.0, 8.0],
-        albedo: vec![0.3, 0.6, 0.9],
-        g: vec![0.0, 0.4],
-        thickness_mm: vec![0.5, 1.0],
-        sample_ior: vec![1.5],
-    };
-    let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
-    let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
-    let sensor = grid.scene().sensor();
-    let mut builder = DictionaryBuilder::new(grid.clone());
-    for index in (0..grid.record_count()).rev() {
-        let (point, medium) = grid.parameters(index);
-        let profile = |channel: usize| {
-            let value = |i| {
-                let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
-                profile_value(sensor.centre_mm(i), s, a, g, point.thickness_mm(), channel as f64) as f32
-            };
-            let values: Vec<f32> = (0..sensor.pixels()).map(value).collect();
-            let std_errors = vec![0.0; values.len()];
-            Profile { radiance_factor: Estimate::new(values, std_errors).unwrap(), derivatives: None }
-        };
-        builder.add(&Record { index, profiles: (0..3).map(profile).collect() });
-    }
-    builder.build()
-}
-
-/// A measurement of a medium at both thicknesses, in channel G, over `width` mm.
-fn measured(sigma_t: f64, albedo: f64, g: f64, pixels: usize, width: f64) -> Measurement {
-    let profile = |thickness: f64| {
-        let pitch = width / pixels as f64;
-        let x: Vec<f64> = (0..pixels).map(|i| (i as f64 + 0.5) * pitch - width / 2.0).collect();
-        let ripple = |i: usize| 0.003 * ((i * 7919) % 13) as f64 / 13.0;
-        let value = |(i, x): (usize, &f64)| profile_value(*x, sigma_t, albedo, g, thickness, 1.0) + ripple(i);
-        let values = x.iter().enumerate().map(value).collect();
-        MeasuredProfile::new("G", thickness, x, values, None).unwrap()
-    };
-    Measurement::new("test", vec![profile(0.5), profile(1.0)]).unwrap()
+fn options(change: impl FnOnce(&mut FitSettings)) -> FitOptions {
+    let mut settings = FitSettings::default();
+    change(&mut settings);
+    FitOptions::new(settings).unwrap()
 }
 
 fn best(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions) -> Vec<Candidate> {
-    fit(dictionary, m, options).unwrap().remove(0).candidates
+    fit(dictionary, m, options).unwrap().channels.remove(0).candidates
 }
 
 #[test]
@@ -82,7 +39,7 @@ fn brute_force(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions
                     let record = grid.record_at(0, s, g, t, a);
                     let simulated: Vec<f64> =
                         dictionary.values(record, 1).iter().map(|v| f64::from(*v)).collect();
-                    let f: Vec<f64> = profile.values().iter().map(|v| options.mu() * v).collect();
+                    let f: Vec<f64> = profile.values().iter().map(|v| options.settings().mu * v).collect();
                     let slope = |f: &[f64]| derivative(f, Wavelet::QuadraticSpline, 4);
                     let rms = |a: &[f64], b: &[f64]| {
                         (a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() / a.len() as f64).sqrt()
@@ -91,7 +48,7 @@ fn brute_force(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions
                     let scale = simulated.len() as f64 / 360.0;
                     let abs = |f: Vec<f64>| f.into_iter().map(|v| v.abs() * scale).collect::<Vec<_>>();
                     error += rms(&f, &simulated);
-                    error += options.lambda() * rms(&abs(slope(&f)), &abs(slope(&simulated)));
+                    error += options.settings().lambda * rms(&abs(slope(&f)), &abs(slope(&simulated)));
                 }
                 all.push((error, Medium::new(sigma_t, albedo, anisotropy).unwrap()));
             }
@@ -106,10 +63,16 @@ fn the_answer_is_that_of_brute_force() {
     for pixels in [360, 90] {
         let dictionary = dictionary(pixels);
         let m = measured(3.0, 0.7, 0.2, pixels as usize, 10.0);
-        for options in [FitOptions::default(), FitOptions::new(5.0, 0.9, None, 24).unwrap()] {
+        let all = options(|s| {
+            s.lambda = 5.0;
+            s.mu = 0.9;
+            s.top = 24;
+        });
+        let one = options(|s| s.top = 1);
+        for options in [FitOptions::default(), all, one] {
             let found = best(&dictionary, &m, &options);
             let expected = brute_force(&dictionary, &m, &options);
-            assert_eq!(found.len(), options.top());
+            assert_eq!(found.len(), options.settings().top as usize);
             for (candidate, (error, medium)) in found.iter().zip(&expected) {
                 assert_eq!(candidate.medium, *medium);
                 assert!((candidate.error - error).abs() < 1e-6, "{} {error}", candidate.error);
@@ -132,9 +95,9 @@ fn equal_errors_come_in_the_order_of_the_records() {
         let radiance_factor = Estimate::new(values, vec![0.0; 360]).unwrap();
         builder.add(&Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; 3] });
     }
-    let options = FitOptions::new(20.0, 1.0, None, 5).unwrap();
+    let options = FitOptions::default();
     let found = best(&builder.build(), &measured(4.0, 0.5, 0.0, 360, 10.0), &options);
-    let records: Vec<usize> = found.iter().map(|c| c.thicknesses[0].record).collect();
+    let records: Vec<usize> = found.iter().map(|c| c.thicknesses[0].record.unwrap()).collect();
     let first = grid.record_at(0, 2, 0, 0, 0);
     let next_g = grid.record_at(0, 2, 1, 0, 0);
     assert_eq!(records, [first, first + 1, first + 2, next_g, next_g + 1]);
@@ -147,22 +110,79 @@ fn an_error_is_the_sum_of_its_terms() {
     for candidate in best(&dictionary, &measured(3.0, 0.7, 0.2, 360, 10.0), &FitOptions::default()) {
         let sum: f64 = candidate.thicknesses.iter().map(|t| t.value_rms + 20.0 * t.gradient_rms).sum();
         assert!((sum - candidate.error).abs() < 1e-12);
-        let (point, medium) = dictionary.grid().parameters(candidate.thicknesses[1].record);
+        let (point, medium) = dictionary.grid().parameters(candidate.thicknesses[1].record.unwrap());
         assert_eq!((point.thickness_mm(), medium), (1.0, candidate.medium));
     }
 }
 
 #[test]
-fn a_fixed_anisotropy_is_kept_and_an_unknown_one_refused() {
+fn bounds_are_kept_and_those_outside_the_dictionary_refused() {
     let dictionary = dictionary(360);
     let m = measured(4.0, 0.9, 0.0, 360, 10.0);
-    let fixed = FitOptions::new(20.0, 1.0, Some(0.4), 24).unwrap();
+    let fixed = options(|s| {
+        s.g = Bounds::fixed(0.4);
+        s.top = 24;
+    });
     let found = best(&dictionary, &m, &fixed);
     assert_eq!(found.len(), 12);
     assert!(found.iter().all(|c| c.medium.g() == 0.4));
-    let unknown = FitOptions::new(20.0, 1.0, Some(0.3), 5).unwrap();
-    let error = fit(&dictionary, &m, &unknown).unwrap_err().to_string();
-    assert_eq!(error, "g = 0.3 is not valid: the dictionary has 0, 0.4");
+    let within = options(|s| {
+        s.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(1.5), Some(4.0)).unwrap();
+        s.albedo = Bounds::new("albedo", None, Some(0.6)).unwrap();
+        s.top = 24;
+    });
+    let found = best(&dictionary, &m, &within);
+    assert_eq!(found.len(), 2 * 2 * 2);
+    assert!(
+        found.iter().all(|c| (1.5..=4.0).contains(&c.medium.sigma_t_per_mm()) && c.medium.albedo() <= 0.6)
+    );
+    // Between two nodes both are looked at.
+    let between = options(|s| {
+        s.sigma_t_per_mm = Bounds::fixed(3.0);
+        s.top = 24;
+    });
+    let found = best(&dictionary, &m, &between);
+    assert_eq!(found.len(), 2 * 6);
+    assert!(found.iter().all(|c| [2.0, 4.0].contains(&c.medium.sigma_t_per_mm())));
+    let refuse =
+        |change: fn(&mut FitSettings)| fit(&dictionary, &m, &options(change)).unwrap_err().to_string();
+    assert_eq!(refuse(|s| s.g = Bounds::fixed(0.5)), "g = 0.5 is not valid: the dictionary has 0 to 0.4");
+    let above = refuse(|s| s.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(9.0), None).unwrap());
+    assert_eq!(above, "sigma_t_per_mm = 9 to inf is not valid: the dictionary has 1 to 8");
+}
+
+/// The view over a part of the pixels, and those of other wavelets, go through the same bounds and sums.
+#[test]
+fn parts_wavelets_and_levels_have_answers_of_their_own() {
+    let dictionary = dictionary(360);
+    let part = measured(8.0, 0.6, 0.4, 200, 6.0);
+    for (wavelet, level) in [(Wavelet::QuadraticSpline, 2), (Wavelet::Haar, 4), (Wavelet::QuadraticSpline, 4)]
+    {
+        let options = options(|s| {
+            s.wavelet = wavelet;
+            s.level = level;
+            s.top = 24;
+        });
+        let found = best(&dictionary, &part, &options);
+        assert_eq!(found[0].medium, Medium::new(8.0, 0.6, 0.4).unwrap());
+        assert!(found.windows(2).all(|w| w[0].error <= w[1].error));
+        let few = FitOptions::new(FitSettings { top: 3, ..*options.settings() }).unwrap();
+        assert_eq!(best(&dictionary, &part, &few), found[..3]);
+    }
+}
+
+#[test]
+fn profiles_beyond_all_records_are_fitted_and_marked() {
+    let dictionary = dictionary(360);
+    let outside = |factor: f64| {
+        let m = measured(4.0, 0.9, 0.0, 360, 10.0);
+        let scaled = options(|s| s.mu = factor);
+        let channel = fit(&dictionary, &m, &scaled).unwrap().channels.remove(0);
+        (channel.outside, channel.candidates.len())
+    };
+    assert_eq!(outside(1.0), (None, 5));
+    assert_eq!(outside(10.0), (Some(Outside::Brighter), 5));
+    assert_eq!(outside(0.01), (Some(Outside::Darker), 5));
 }
 
 #[test]

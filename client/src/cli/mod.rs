@@ -1,9 +1,15 @@
 //! The command line.
 
+mod bounds;
+mod fit;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
+
+pub use bounds::BoundsArg;
+pub use fit::{FitArgs, MapArgs, MeasureArgs, MuArgs, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg};
 
 /// Measures the optical parameters of translucent resins: computes dictionaries of simulated edge profiles and fits
 /// measured profiles to them.
@@ -21,7 +27,8 @@ pub struct Cli {
 const EXAMPLES: &str = "\
 Examples:
   farmctl submit                               compute the paper's dictionary here
-  farmctl fit examples/white.csv --g 0.4       fit a measurement to it
+  farmctl measure examples/white.csv --mu 1    measure a material with it
+  farmctl fit examples/white.csv --g 0.4       see the best fits one by one
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
 
 Exit codes: 0 success, 1 error, 2 wrong usage, 3 some jobs of the dictionary have failed, 130 interrupted.";
@@ -56,8 +63,16 @@ pub struct Global {
 pub enum Command {
     /// Compute a dictionary; one that exists with the same grid is continued.
     Submit(SubmitArgs),
-    /// Find the media that explain measured edge profiles.
+    /// Find the media that explain measured edge profiles, with error bars.
     Fit(FitArgs),
+    /// Find the scale factor and the anisotropy common to a set of materials.
+    Scale(ScaleArgs),
+    /// Measure a set of materials: scale factor, common anisotropy, media with error bars.
+    Measure(MeasureArgs),
+    /// Map the distance of measured profiles to every medium of a dictionary.
+    Map(MapArgs),
+    /// Tell which media similarity theory calls equal to one.
+    Similar(SimilarArgs),
     /// Simulate one edge profile, without a farm.
     Simulate(SimulateArgs),
     /// Show what the farm is doing.
@@ -82,27 +97,6 @@ pub struct SubmitArgs {
     /// Wait until the dictionary is done. Always so without a server.
     #[arg(long)]
     pub wait: bool,
-}
-
-#[derive(Debug, Args)]
-pub struct FitArgs {
-    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error.
-    pub measurement: PathBuf,
-    /// Dictionary to search.
-    #[arg(long, value_name = "NAME", default_value = "paper")]
-    pub dictionary: String,
-    /// Only media with this anisotropy [default: any].
-    #[arg(long, allow_negative_numbers = true)]
-    pub g: Option<f64>,
-    /// Factor on the measured values.
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
-    pub mu: f64,
-    /// Weight of the profiles' gradients.
-    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true)]
-    pub lambda: f64,
-    /// Number of best media to show per channel.
-    #[arg(long, value_name = "N", default_value_t = 5)]
-    pub top: u32,
 }
 
 #[derive(Debug, Args)]
@@ -146,12 +140,27 @@ pub struct SimulateArgs {
     /// Threads to use; the result is the same for any number [default: all cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: Option<u16>,
+    /// Also draw what a small change of σ_t, 1 − albedo and 1 − g does: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+    /// Relative size of these changes, above 0 and below 1.
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.2,
+        requires = "plot",
+        allow_negative_numbers = true
+    )]
+    pub change: f64,
 }
 
 #[derive(Debug, Args)]
 pub struct ShowArgs {
     /// Name of the dictionary.
     pub name: String,
+    /// Draw profiles from all over the dictionary: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]

@@ -1,0 +1,199 @@
+//! Arguments of the verbs that ask a dictionary.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use farm_proto::fit::{FitOptions, FitSettings, MuRange, Wavelet};
+
+use super::bounds::BoundsArg;
+
+/// What all questions to a dictionary have in common.
+#[derive(Debug, Args)]
+pub struct OptionArgs {
+    /// Dictionary to search.
+    #[arg(long, value_name = "NAME", default_value = "paper")]
+    pub dictionary: String,
+    /// Only this anisotropy, or a range as in 0.2..0.6 [default: any].
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
+    pub g: Option<BoundsArg>,
+    /// Only this extinction coefficient, or a range as in 4..8, per mm [default: any].
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
+    pub sigma_t: Option<BoundsArg>,
+    /// Only this albedo, or a range as in 0.9.. [default: any].
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
+    pub albedo: Option<BoundsArg>,
+    /// Weight of the profiles' gradients.
+    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true)]
+    pub lambda: f64,
+    /// Wavelet that takes the gradients.
+    #[arg(long, value_enum, default_value_t = WaveletArg::Spline)]
+    pub wavelet: WaveletArg,
+    /// Level of the wavelet: gradients are smoothed over about 2^LEVEL pixels.
+    #[arg(long, default_value_t = 4)]
+    pub level: u32,
+    /// Relative standard error of the scale of each profile on its own (exposure, illumination), to be contained in the
+    /// error bars.
+    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub gain_std_error: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum WaveletArg {
+    /// The quadratic spline.
+    Spline,
+    Haar,
+}
+
+impl OptionArgs {
+    pub fn settings(&self) -> farm_proto::Result<FitSettings> {
+        Ok(FitSettings {
+            lambda: self.lambda,
+            wavelet: match self.wavelet {
+                WaveletArg::Spline => Wavelet::QuadraticSpline,
+                WaveletArg::Haar => Wavelet::Haar,
+            },
+            level: self.level,
+            gain_std_error: self.gain_std_error,
+            sigma_t_per_mm: BoundsArg::check(self.sigma_t, "sigma_t_per_mm")?,
+            albedo: BoundsArg::check(self.albedo, "albedo")?,
+            g: BoundsArg::check(self.g, "g")?,
+            ..FitSettings::default()
+        })
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct FitArgs {
+    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error.
+    pub measurement: PathBuf,
+    #[command(flatten)]
+    pub options: OptionArgs,
+    /// Factor on the measured values.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    pub mu: f64,
+    /// Standard error of that factor, to be contained in the error bars.
+    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub mu_std_error: f64,
+    /// Number of best records to show per channel.
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    pub top: u32,
+    /// Stay with the records of the dictionary: no optimum between them, no error bars.
+    #[arg(long)]
+    pub no_refine: bool,
+    /// Draw profiles and gradients with their fits, one picture per material: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+}
+
+impl FitArgs {
+    pub fn options(&self) -> farm_proto::Result<FitOptions> {
+        FitOptions::new(FitSettings {
+            mu: self.mu,
+            mu_std_error: self.mu_std_error,
+            top: self.top,
+            refine: !self.no_refine,
+            curves: self.plot.is_some(),
+            ..self.options.settings()?
+        })
+    }
+}
+
+/// Scale factors to search.
+#[derive(Debug, Args)]
+pub struct MuArgs {
+    /// Least scale factor to try.
+    #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
+    pub mu_min: f64,
+    /// Greatest scale factor to try.
+    #[arg(long, value_name = "MU", default_value_t = 1.0, allow_negative_numbers = true)]
+    pub mu_max: f64,
+    /// Distance between scale factors.
+    #[arg(long, value_name = "STEP", default_value_t = 0.001, allow_negative_numbers = true)]
+    pub mu_step: f64,
+}
+
+impl MuArgs {
+    pub fn range(&self) -> farm_proto::Result<MuRange> {
+        MuRange::new(self.mu_min, self.mu_max, self.mu_step)
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct ScaleArgs {
+    /// CSV with the profiles of all materials of one set-up.
+    pub measurements: PathBuf,
+    #[command(flatten)]
+    pub options: OptionArgs,
+    #[command(flatten)]
+    pub mu: MuArgs,
+    /// Draw the error over the scale factor and over g: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct MeasureArgs {
+    /// CSV with the profiles of all materials of one set-up.
+    pub measurements: PathBuf,
+    #[command(flatten)]
+    pub options: OptionArgs,
+    /// Take this scale factor instead of searching for it.
+    #[arg(long, value_name = "MU", allow_negative_numbers = true, conflicts_with_all = ["mu_min", "mu_max", "mu_step"])]
+    pub mu: Option<f64>,
+    /// Standard error of that factor.
+    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true, requires = "mu")]
+    pub mu_std_error: f64,
+    #[command(flatten)]
+    pub search: MuArgs,
+    /// Let every channel have its own anisotropy; without this, and without --g, all share the best common one.
+    #[arg(long, conflicts_with = "g")]
+    pub free_g: bool,
+    /// Write a folder with table.csv, media for Mitsuba 3 (media.py, media.xml) and pbrt-v4 (media.pbrt).
+    #[arg(long, short, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+    /// Draw profiles and gradients with their fits, one picture per material: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct MapArgs {
+    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error.
+    pub measurement: PathBuf,
+    #[command(flatten)]
+    pub options: OptionArgs,
+    /// Factor on the measured values.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    pub mu: f64,
+    /// Only this material [default: all].
+    #[arg(long, value_name = "NAME")]
+    pub material: Option<String>,
+    /// Only this channel [default: all].
+    #[arg(long, value_name = "NAME")]
+    pub channel: Option<String>,
+    /// Draw the maps, one picture per material and channel: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct SimilarArgs {
+    /// Extinction coefficient, per mm.
+    #[arg(long, value_name = "PER_MM", allow_negative_numbers = true)]
+    pub sigma_t: f64,
+    /// Single-scattering albedo.
+    #[arg(long, allow_negative_numbers = true)]
+    pub albedo: f64,
+    /// Anisotropy.
+    #[arg(long, allow_negative_numbers = true)]
+    pub g: f64,
+    /// Anisotropies of the similar media, as in 0,0.4,0.8.
+    #[arg(
+        long,
+        value_name = "LIST",
+        value_delimiter = ',',
+        allow_negative_numbers = true,
+        default_value = "0,0.1,0.2,0.3,0.4,0.45,0.5,0.55,0.6,0.7,0.8"
+    )]
+    pub to: Vec<f64>,
+}

@@ -1,0 +1,121 @@
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use farm_proto::DictionaryName;
+use farm_proto::fit::{FitOptions, FitSettings, MaterialFit, ScaleCurve};
+use farm_proto::wire::{MeasureRequest, MeasureResponse};
+use serde::Serialize;
+
+use crate::answers::{MaterialJson, OptionsJson, ScaleJson, details, scale_text, table_csv, table_one};
+use crate::cli::{Global, MeasureArgs};
+use crate::connection::{Purpose, with_farm};
+use crate::figures;
+use crate::measurement_file::read_measurements;
+use crate::media;
+use crate::output::Output;
+use crate::plot::Picture;
+
+pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> Result<()> {
+    let settings = FitSettings {
+        mu: args.mu.unwrap_or(1.0),
+        mu_std_error: args.mu_std_error,
+        curves: args.plot.is_some(),
+        ..args.options.settings()?
+    };
+    let options = FitOptions::new(settings)?;
+    let range = args.search.range()?;
+    let dictionary = &args.options.dictionary;
+    DictionaryName::new(dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
+    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
+    let materials = read_measurements(&args.measurements)?;
+    let answer = with_farm(global, Purpose::Ask, async |connection| {
+        let request = MeasureRequest {
+            dictionary: dictionary.clone(),
+            materials: materials.iter().map(Into::into).collect(),
+            options: Some((&options).into()),
+            search_mu: args.mu.is_none().then(|| range.into()),
+            common_g: !args.free_g,
+        };
+        Ok(connection.fits().measure(request).await?.into_inner())
+    })
+    .await?;
+    let found = Found::try_from(answer)?;
+    if let Some(path) = &args.plot {
+        figures::write_fits(&found.materials, path)?;
+    }
+    if let Some(folder) = &args.output {
+        write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
+    }
+    let options = options.with_mu(found.mu, found.mu_std_error)?;
+    let data = JsonData {
+        options: OptionsJson::new(dictionary, &options),
+        common_g: found.g,
+        scale: found.scale.as_ref().map(Into::into),
+        materials: found.materials.iter().map(Into::into).collect(),
+    };
+    output.print("measure", &data, || text(&found, args.output.as_deref()))
+}
+
+/// A checked answer.
+struct Found {
+    scale: Option<ScaleCurve>,
+    mu: f64,
+    mu_std_error: f64,
+    g: Option<f64>,
+    materials: Vec<MaterialFit>,
+}
+
+impl TryFrom<MeasureResponse> for Found {
+    type Error = farm_proto::Invalid;
+
+    fn try_from(answer: MeasureResponse) -> Result<Self, Self::Error> {
+        Ok(Self {
+            scale: answer.scale.map(ScaleCurve::try_from).transpose()?,
+            mu: answer.mu,
+            mu_std_error: answer.mu_std_error,
+            g: answer.g,
+            materials: answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?,
+        })
+    }
+}
+
+fn text(found: &Found, folder: Option<&Path>) -> String {
+    let mut text = match &found.scale {
+        Some(scale) => scale_text(scale),
+        None => format!("scale factor μ = {}, as given", found.mu),
+    };
+    if let Some(g) = found.g {
+        text += &format!("\nall media with g = {g}");
+    }
+    text += &format!("\n\n{}\n\n{}", table_one(&found.materials), details(&found.materials));
+    if let Some(folder) = folder {
+        text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
+    }
+    text
+}
+
+fn write_folder(folder: &Path, found: &Found) -> Result<()> {
+    std::fs::create_dir_all(folder)?;
+    let media = media::measured(&found.materials);
+    let files = [
+        ("table.csv", table_csv(&found.materials)?),
+        ("media.py", media::mitsuba_dict(&media)),
+        ("media.xml", media::mitsuba_xml(&media)),
+        ("media.pbrt", media::pbrt(&media)),
+    ];
+    for (name, text) in files {
+        std::fs::write(folder.join(name), text).context(name)?;
+    }
+    Ok(())
+}
+
+#[derive(Debug, Serialize)]
+struct JsonData {
+    #[serde(flatten)]
+    options: OptionsJson,
+    /// Null if every channel has its own.
+    common_g: Option<f64>,
+    /// Null if the scale factor was given.
+    scale: Option<ScaleJson>,
+    materials: Vec<MaterialJson>,
+}

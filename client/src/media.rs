@@ -1,0 +1,316 @@
+//! Measured media as text for renderers, ready to paste: Mitsuba 3 (Python and XML) and pbrt-v4.
+//!
+//! Both renderers describe a homogeneous medium by coefficients that may differ between channels or wavelengths, and
+//! one Henyey–Greenstein g. A material becomes one medium where its channels are R, G and B or wavelengths in nm and
+//! have a common g, and one medium per channel otherwise.
+
+mod mitsuba;
+mod pbrt;
+
+use std::collections::HashSet;
+
+use farm_proto::fit::MaterialFit;
+
+pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
+pub(crate) use self::pbrt::pbrt;
+
+/// A material as it was fitted: at least one channel.
+#[derive(Debug, Clone)]
+pub(crate) struct MeasuredMedium {
+    pub material: String,
+    /// Common to the channels; where one of them has another, the material is split into its channels.
+    pub g: f64,
+    pub channels: Vec<ChannelMedium>,
+}
+
+/// One channel of a fit: σ_t ≥ 0, 0 ≤ albedo ≤ 1, |g| < 1, all finite.
+#[derive(Debug, Clone)]
+pub(crate) struct ChannelMedium {
+    /// R, G or B, a wavelength in nm, or any name.
+    pub channel: String,
+    pub sigma_t_per_mm: f64,
+    pub albedo: f64,
+    pub g: f64,
+    /// Whether the measurement determines the values; if not they are the best ones found.
+    pub resolved: bool,
+}
+
+/// The refined media of a measurement.
+pub(crate) fn measured(fits: &[MaterialFit]) -> Vec<MeasuredMedium> {
+    let medium = |fit: &MaterialFit| {
+        let channel = |c: &farm_proto::fit::ChannelFit| {
+            let refined = c.refined.as_ref()?;
+            let medium = &refined.best.medium;
+            Some(ChannelMedium {
+                channel: c.channel.clone(),
+                sigma_t_per_mm: medium.sigma_t_per_mm(),
+                albedo: medium.albedo(),
+                g: medium.g(),
+                resolved: refined.resolved,
+            })
+        };
+        let channels: Vec<_> = fit.channels.iter().filter_map(channel).collect();
+        let g = channels.first()?.g;
+        Some(MeasuredMedium { material: fit.material.clone(), g, channels })
+    };
+    fits.iter().filter_map(medium).collect()
+}
+
+/// Renderers sample these wavelengths, and take a spectrum for zero where it has no values: a medium would vanish
+/// there.
+const RENDERED_NM: (f64, f64) = (360.0, 830.0);
+
+/// Numbers outside of this range are names of channels, not wavelengths.
+const WAVELENGTHS_NM: std::ops::RangeInclusive<f64> = 100.0..=20_000.0;
+
+/// Names that mean something else among the keys of a scene.
+const RESERVED: [&str; 2] = ["id", "type"];
+
+/// One medium of a renderer.
+#[derive(Debug)]
+struct Block {
+    /// An ASCII identifier, unique in its file: it needs no quoting in Python, XML and pbrt.
+    name: String,
+    /// Lines for people, for a comment: names in them are quoted, with control characters escaped.
+    notes: Vec<String>,
+    values: Values,
+    g: f64,
+}
+
+#[derive(Debug, PartialEq)]
+enum Values {
+    /// In the order R, G, B.
+    Rgb([Coefficients; 3]),
+    /// By wavelength in nm, increasing, from end to end of what renderers sample.
+    Spectrum(Vec<(f64, Coefficients)>),
+    Scalar(Coefficients),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Coefficients {
+    sigma_t_per_mm: f64,
+    albedo: f64,
+}
+
+impl From<&ChannelMedium> for Coefficients {
+    fn from(c: &ChannelMedium) -> Self {
+        Self { sigma_t_per_mm: c.sigma_t_per_mm, albedo: c.albedo }
+    }
+}
+
+fn blocks(media: &[MeasuredMedium]) -> Vec<Block> {
+    let mut names = Names::default();
+    let mut blocks = Vec::new();
+    for medium in media {
+        let common_g = medium.channels.iter().all(|c| c.g == medium.g);
+        let joint =
+            if common_g { rgb(&medium.channels).or_else(|| spectrum(&medium.channels)) } else { None };
+        if let Some((values, what)) = joint {
+            let mut notes = vec![format!("{:?}: {what}", medium.material)];
+            notes.extend(unresolved(&medium.channels));
+            blocks.push(Block { name: names.take(&medium.material), notes, values, g: medium.g });
+            continue;
+        }
+        for channel in &medium.channels {
+            let mut notes = vec![format!("{:?}: channel {:?}", medium.material, channel.channel)];
+            notes.extend(unresolved(std::slice::from_ref(channel)));
+            if !common_g {
+                notes.push(
+                    "The channels differ in g and a medium takes one: one medium per channel.".to_owned(),
+                );
+            }
+            let name = names.take(&format!("{}_{}", medium.material, channel.channel));
+            blocks.push(Block { name, notes, values: Values::Scalar(channel.into()), g: channel.g });
+        }
+    }
+    blocks
+}
+
+/// The values of exactly R, G and B, and what to call them.
+fn rgb(channels: &[ChannelMedium]) -> Option<(Values, String)> {
+    let find = |name| channels.iter().find(|c| c.channel == name).map(Coefficients::from);
+    let values = [find("R")?, find("G")?, find("B")?];
+    (channels.len() == values.len()).then(|| (Values::Rgb(values), "R, G, B".to_owned()))
+}
+
+/// The values of channels that are all distinct wavelengths, and what to call them.
+fn spectrum(channels: &[ChannelMedium]) -> Option<(Values, String)> {
+    let sample = |c: &ChannelMedium| {
+        let nm = c.channel.trim().parse().ok().filter(|nm| WAVELENGTHS_NM.contains(nm))?;
+        Some((nm, Coefficients::from(c)))
+    };
+    let mut samples = channels.iter().map(sample).collect::<Option<Vec<(f64, _)>>>()?;
+    samples.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    if samples.windows(2).any(|pair| pair[0].0 == pair[1].0) {
+        return None;
+    }
+    let (&(first_nm, first), &(last_nm, last)) = (samples.first()?, samples.last()?);
+    let range =
+        if first_nm == last_nm { format!("at {first_nm}") } else { format!("from {first_nm} to {last_nm}") };
+    if first_nm > RENDERED_NM.0 {
+        samples.insert(0, (RENDERED_NM.0, first));
+    }
+    if last_nm < RENDERED_NM.1 {
+        samples.push((RENDERED_NM.1, last));
+    }
+    let what = format!("spectra, measured {range} nm and held constant beyond");
+    Some((Values::Spectrum(samples), what))
+}
+
+fn unresolved(channels: &[ChannelMedium]) -> Option<String> {
+    let names: Vec<_> = channels.iter().filter(|c| !c.resolved).map(|c| format!("{:?}", c.channel)).collect();
+    (!names.is_empty())
+        .then(|| format!("Unresolved: the measurement does not determine {}; best values.", names.join(", ")))
+}
+
+/// The names that a file has given to its media.
+#[derive(Debug, Default)]
+struct Names(HashSet<String>);
+
+impl Names {
+    /// An identifier like `wanted` that has not been taken before.
+    fn take(&mut self, wanted: &str) -> String {
+        let base = identifier(wanted);
+        let mut name = base.clone();
+        let mut n = 1;
+        while !self.0.insert(name.clone()) {
+            n += 1;
+            name = format!("{base}_{n}");
+        }
+        name
+    }
+}
+
+/// ASCII letters, digits and single underscores, beginning with a letter. Mitsuba reserves leading underscores and
+/// gives `.` and `$` a meaning.
+fn identifier(text: &str) -> String {
+    let words = text.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
+    let name = words.collect::<Vec<_>>().join("_");
+    if name.is_empty() {
+        "medium".to_owned()
+    } else if name.starts_with(|c: char| c.is_ascii_digit()) || RESERVED.contains(&name.as_str()) {
+        format!("medium_{name}")
+    } else {
+        name
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(super) fn channel(channel: &str, sigma_t_per_mm: f64, albedo: f64) -> ChannelMedium {
+        ChannelMedium { channel: channel.to_owned(), sigma_t_per_mm, albedo, g: 0.4, resolved: true }
+    }
+
+    pub(super) fn medium(material: &str, channels: Vec<ChannelMedium>) -> MeasuredMedium {
+        MeasuredMedium { material: material.to_owned(), g: 0.4, channels }
+    }
+
+    /// One of each kind: colours in any order of which one is unresolved, wavelengths, and a name.
+    pub(super) fn three_kinds() -> Vec<MeasuredMedium> {
+        let mut green = channel("G", 5.0, 0.99);
+        green.resolved = false;
+        vec![
+            medium("Clear resin", vec![channel("B", 4.0, 0.98), channel("R", 6.0, 0.9991), green]),
+            medium("Grey", vec![channel("650", 7.5, 0.5), channel("450", 9.0, 0.25)]),
+            medium("Wax", vec![channel("mean", 1e-7, 1.0)]),
+        ]
+    }
+
+    fn names(media: &[MeasuredMedium]) -> Vec<String> {
+        blocks(media).into_iter().map(|b| b.name).collect()
+    }
+
+    #[test]
+    fn colours_are_sorted_and_need_all_three_and_no_other() {
+        let one = |c: &str| channel(c, 1.0, 0.5);
+        let kind = |channels: &[&str]| {
+            let media = [medium("m", channels.iter().map(|c| one(c)).collect())];
+            names(&media).join(" ")
+        };
+        assert_eq!(kind(&["B", "R", "G"]), "m");
+        assert_eq!(kind(&["R", "G"]), "m_R m_G");
+        assert_eq!(kind(&["R", "G", "G"]), "m_R m_G m_G_2");
+        assert_eq!(kind(&["R", "G", "B", "B"]), "m_R m_G m_B m_B_2");
+        let Values::Rgb(values) = &blocks(&three_kinds())[0].values else { panic!("not rgb") };
+        assert_eq!(values.map(|c| c.sigma_t_per_mm), [6.0, 5.0, 4.0]);
+        assert_eq!(values.map(|c| c.albedo), [0.9991, 0.99, 0.98]);
+    }
+
+    #[test]
+    fn spectra_increase_and_reach_the_ends_that_renderers_sample() {
+        let samples = |wavelengths: &[&str]| {
+            let channels: Vec<_> =
+                wavelengths.iter().zip(1..).map(|(w, i)| channel(w, f64::from(i), 0.5)).collect();
+            match spectrum(&channels)?.0 {
+                Values::Spectrum(samples) => {
+                    Some(samples.iter().map(|(nm, c)| (*nm, c.sigma_t_per_mm)).collect::<Vec<_>>())
+                }
+                _ => None,
+            }
+        };
+        assert_eq!(
+            samples(&["650", " 450"]),
+            Some(vec![(360.0, 2.0), (450.0, 2.0), (650.0, 1.0), (830.0, 1.0)])
+        );
+        assert_eq!(samples(&["532.5"]), Some(vec![(360.0, 1.0), (532.5, 1.0), (830.0, 1.0)]));
+        assert_eq!(samples(&["300", "940"]), Some(vec![(300.0, 1.0), (940.0, 2.0)]));
+        assert_eq!(samples(&["360", "830"]), Some(vec![(360.0, 1.0), (830.0, 2.0)]));
+        for not_wavelengths in
+            [vec!["450", "450.0"], vec!["450", "G"], vec!["1", "2"], vec!["nan"], vec!["inf"], vec![]]
+        {
+            assert_eq!(samples(&not_wavelengths), None, "{not_wavelengths:?}");
+        }
+    }
+
+    #[test]
+    fn channels_that_differ_in_g_become_media_of_their_own() {
+        let mut media = three_kinds();
+        media[0].channels[1].g = -0.2;
+        let blocks = blocks(&media[..1]);
+        let told: Vec<_> = blocks.iter().map(|b| (b.name.as_str(), b.g)).collect();
+        assert_eq!(told, [("Clear_resin_B", 0.4), ("Clear_resin_R", -0.2), ("Clear_resin_G", 0.4)]);
+        for block in &blocks {
+            assert!(block.notes.iter().any(|n| n.contains("differ in g")), "{block:?}");
+        }
+        let expected = Coefficients { sigma_t_per_mm: 6.0, albedo: 0.9991 };
+        assert_eq!(blocks[1].values, Values::Scalar(expected));
+        let only_of_green: Vec<_> =
+            blocks.iter().map(|b| b.notes.iter().any(|n| n.contains("Unresolved"))).collect();
+        assert_eq!(only_of_green, [false, false, true]);
+    }
+
+    #[test]
+    fn unresolved_channels_are_named() {
+        let notes: Vec<_> = blocks(&three_kinds()).into_iter().map(|b| b.notes.join("\n")).collect();
+        assert!(notes[0].contains(r#"does not determine "G""#), "{}", notes[0]);
+        assert!(notes[1..].iter().all(|n| !n.contains("determine")), "{notes:?}");
+    }
+
+    #[test]
+    fn names_are_identifiers() {
+        let told =
+            ["Clear resin", "a.b$c--d", "_x_", "3D\n\"gel\"", "", "树脂", "type", "Größe"].map(identifier);
+        assert_eq!(
+            told,
+            ["Clear_resin", "a_b_c_d", "x", "medium_3D_gel", "medium", "medium", "medium_type", "Gr_e"]
+        );
+    }
+
+    #[test]
+    fn names_are_unique_even_if_one_looks_like_a_numbered_one() {
+        let rgb = || vec![channel("R", 1.0, 0.5), channel("G", 1.0, 0.5), channel("B", 1.0, 0.5)];
+        let media = ["a", "a_2", "a!", "a", "a 2"].map(|name| medium(name, rgb()));
+        assert_eq!(names(&media), ["a", "a_2", "a_3", "a_4", "a_2_2"]);
+        let clash = [medium("m_R", rgb()), medium("m", vec![channel("R", 1.0, 0.5)])];
+        assert_eq!(names(&clash), ["m_R", "m_R_2"]);
+    }
+
+    #[test]
+    fn notes_stay_on_their_line() {
+        let hostile = medium("a\nb\r\u{2028}\u{202e}\0\"", vec![channel("x\ny", 1.0, 0.5)]);
+        let note = &blocks(&[hostile])[0].notes[0];
+        assert_eq!(note, r#""a\nb\r\u{2028}\u{202e}\0\"": channel "x\ny""#);
+    }
+}

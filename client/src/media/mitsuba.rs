@@ -1,0 +1,219 @@
+//! Mitsuba 3, as a Python dictionary and as XML.
+//!
+//! The plugin is `homogeneous` with a nested `hg`: σ_t is in inverse scene units and multiplied by `scale`, which is
+//! 1000 for coefficients per mm in a scene in metres. Source: Mitsuba's documentation, "Participating media"
+//! (mitsuba.readthedocs.io, `generated/plugins_media`) and `src/media/homogeneous.cpp`; tried with 3.9.1:
+//!
+//! - An rgb value is a reflectance, and above 1 an error (mitsuba3 issue 1620). The ways around it, `unbounded` of the
+//!   plugin `srgb` and a nested `constvolume`, are right in RGB variants and silently wrong in spectral ones, where
+//!   such a colour is cut off at 1. Here σ_t is divided by a power of ten and `scale` multiplied by it, which is
+//!   right in RGB variants and as near in spectral ones as the smooth spectrum that Mitsuba makes of a colour.
+//! - A spectrum may exceed 1, but only in spectral variants; the others convert it to a colour and clamp that.
+//! - A spectrum needs two entries, and a number must be a float: an integer is an error.
+
+use super::{Block, Coefficients, MeasuredMedium, Values, blocks};
+
+const UNITS: &str =
+    "Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000.";
+
+/// A Python assignment, `media = {…}`, whose entries belong into the dictionary of a scene.
+pub(crate) fn mitsuba_dict(media: &[MeasuredMedium]) -> String {
+    let mut text = format!(
+        "# Measured media for Mitsuba 3: {{\"type\": \"scene\", **media, …}}\n# {UNITS}\nmedia = {{\n"
+    );
+    for block in blocks(media) {
+        let (name, scale, g) = (&block.name, scale(&block.values), block.g);
+        let sigma_t = python(&block.values, |c| c.sigma_t_per_mm / scale);
+        let albedo = python(&block.values, |c| c.albedo);
+        text += &notes(&block).map(|note| format!("    # {note}\n")).collect::<String>();
+        text += &format!(
+            "    \"{name}\": {{
+        \"type\": \"homogeneous\",
+        \"sigma_t\": {sigma_t},
+        \"albedo\": {albedo},
+        \"scale\": {scale:?},
+        \"phase\": {{\"type\": \"hg\", \"g\": {g:?}}},
+    }},\n"
+        );
+    }
+    text + "}\n"
+}
+
+/// Elements `<medium>`, which belong into a `<scene>`.
+pub(crate) fn mitsuba_xml(media: &[MeasuredMedium]) -> String {
+    let mut text = format!("<!-- Measured media for Mitsuba 3, to put into a scene. -->\n<!-- {UNITS} -->\n");
+    for block in blocks(media) {
+        let (name, scale, g) = (&block.name, scale(&block.values), block.g);
+        let sigma_t = xml("sigma_t", &block.values, |c| c.sigma_t_per_mm / scale);
+        let albedo = xml("albedo", &block.values, |c| c.albedo);
+        text += &notes(&block).map(|note| xml_comment(&note)).collect::<String>();
+        text += &format!(
+            "<medium type=\"homogeneous\" id=\"{name}\">
+    {sigma_t}
+    {albedo}
+    <float name=\"scale\" value=\"{scale:?}\"/>
+    <phase type=\"hg\">
+        <float name=\"g\" value=\"{g:?}\"/>
+    </phase>
+</medium>\n"
+        );
+    }
+    text
+}
+
+fn notes(block: &Block) -> impl Iterator<Item = String> {
+    let own = match block.values {
+        Values::Rgb(_) => Some(
+            "sigma_t is in units of scale: Mitsuba takes rgb up to 1. Spectral variants smooth the channels.",
+        ),
+        Values::Spectrum(_) => Some("For spectral variants only: the others clamp these spectra."),
+        Values::Scalar(_) => None,
+    };
+    block.notes.iter().cloned().chain(own.map(str::to_owned))
+}
+
+/// The power of ten by which rgb values of σ_t must be divided to be at most 1.
+fn scale(values: &Values) -> f64 {
+    let mut scale = 1.0;
+    if let Values::Rgb(values) = values {
+        let greatest = values.iter().map(|c| c.sigma_t_per_mm).fold(0.0, f64::max);
+        while scale < greatest {
+            scale *= 10.0;
+        }
+    }
+    scale
+}
+
+fn python(values: &Values, value: impl Fn(&Coefficients) -> f64) -> String {
+    match values {
+        Values::Rgb(rgb) => format!("{{\"type\": \"rgb\", \"value\": {:?}}}", rgb.each_ref().map(value)),
+        Values::Spectrum(samples) => {
+            let pairs: Vec<_> = samples.iter().map(|(nm, c)| format!("({nm}, {:?})", value(c))).collect();
+            format!("{{\"type\": \"spectrum\", \"value\": [{}]}}", pairs.join(", "))
+        }
+        Values::Scalar(c) => format!("{:?}", value(c)),
+    }
+}
+
+fn xml(name: &str, values: &Values, value: impl Fn(&Coefficients) -> f64) -> String {
+    let (tag, list) = match values {
+        Values::Rgb(rgb) => ("rgb", rgb.iter().map(|c| format!("{:?}", value(c))).collect::<Vec<_>>()),
+        Values::Spectrum(samples) => {
+            ("spectrum", samples.iter().map(|(nm, c)| format!("{nm}:{:?}", value(c))).collect())
+        }
+        Values::Scalar(c) => ("float", vec![format!("{:?}", value(c))]),
+    };
+    format!("<{tag} name=\"{name}\" value=\"{}\"/>", list.join(", "))
+}
+
+/// XML escapes nothing in a comment and forbids two hyphens in a row.
+fn xml_comment(text: &str) -> String {
+    let mut text = text.to_owned();
+    while text.contains("--") {
+        text = text.replace("--", "- -");
+    }
+    format!("<!-- {text} -->\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{channel, medium, three_kinds};
+    use super::*;
+
+    #[test]
+    fn a_dictionary_of_each_kind() {
+        let expected = r#"# Measured media for Mitsuba 3: {"type": "scene", **media, …}
+# Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000.
+media = {
+    # "Clear resin": R, G, B
+    # Unresolved: the measurement does not determine "G"; best values.
+    # sigma_t is in units of scale: Mitsuba takes rgb up to 1. Spectral variants smooth the channels.
+    "Clear_resin": {
+        "type": "homogeneous",
+        "sigma_t": {"type": "rgb", "value": [0.6, 0.5, 0.4]},
+        "albedo": {"type": "rgb", "value": [0.9991, 0.99, 0.98]},
+        "scale": 10.0,
+        "phase": {"type": "hg", "g": 0.4},
+    },
+    # "Grey": spectra, measured from 450 to 650 nm and held constant beyond
+    # For spectral variants only: the others clamp these spectra.
+    "Grey": {
+        "type": "homogeneous",
+        "sigma_t": {"type": "spectrum", "value": [(360, 9.0), (450, 9.0), (650, 7.5), (830, 7.5)]},
+        "albedo": {"type": "spectrum", "value": [(360, 0.25), (450, 0.25), (650, 0.5), (830, 0.5)]},
+        "scale": 1.0,
+        "phase": {"type": "hg", "g": 0.4},
+    },
+    # "Wax": channel "mean"
+    "Wax_mean": {
+        "type": "homogeneous",
+        "sigma_t": 1e-7,
+        "albedo": 1.0,
+        "scale": 1.0,
+        "phase": {"type": "hg", "g": 0.4},
+    },
+}
+"#;
+        assert_eq!(mitsuba_dict(&three_kinds()), expected);
+    }
+
+    #[test]
+    fn xml_of_each_kind() {
+        let expected = r#"<!-- Measured media for Mitsuba 3, to put into a scene. -->
+<!-- Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000. -->
+<!-- "Clear resin": R, G, B -->
+<!-- Unresolved: the measurement does not determine "G"; best values. -->
+<!-- sigma_t is in units of scale: Mitsuba takes rgb up to 1. Spectral variants smooth the channels. -->
+<medium type="homogeneous" id="Clear_resin">
+    <rgb name="sigma_t" value="0.6, 0.5, 0.4"/>
+    <rgb name="albedo" value="0.9991, 0.99, 0.98"/>
+    <float name="scale" value="10.0"/>
+    <phase type="hg">
+        <float name="g" value="0.4"/>
+    </phase>
+</medium>
+<!-- "Grey": spectra, measured from 450 to 650 nm and held constant beyond -->
+<!-- For spectral variants only: the others clamp these spectra. -->
+<medium type="homogeneous" id="Grey">
+    <spectrum name="sigma_t" value="360:9.0, 450:9.0, 650:7.5, 830:7.5"/>
+    <spectrum name="albedo" value="360:0.25, 450:0.25, 650:0.5, 830:0.5"/>
+    <float name="scale" value="1.0"/>
+    <phase type="hg">
+        <float name="g" value="0.4"/>
+    </phase>
+</medium>
+<!-- "Wax": channel "mean" -->
+<medium type="homogeneous" id="Wax_mean">
+    <float name="sigma_t" value="1e-7"/>
+    <float name="albedo" value="1.0"/>
+    <float name="scale" value="1.0"/>
+    <phase type="hg">
+        <float name="g" value="0.4"/>
+    </phase>
+</medium>
+"#;
+        assert_eq!(mitsuba_xml(&three_kinds()), expected);
+    }
+
+    #[test]
+    fn the_scale_brings_rgb_to_at_most_one_and_leaves_small_values_alone() {
+        let scale_for = |sigma_t: [f64; 3]| {
+            scale(&Values::Rgb(sigma_t.map(|sigma_t_per_mm| Coefficients { sigma_t_per_mm, albedo: 0.5 })))
+        };
+        let scales = [[0.0, 0.0, 0.0], [0.2, 1.0, 0.1], [0.2, 1.1, 0.1], [10.0, 2.0, 3.0], [2.0, 3.0, 10.1]];
+        assert_eq!(scales.map(scale_for), [1.0, 1.0, 10.0, 10.0, 100.0]);
+    }
+
+    #[test]
+    fn names_cannot_end_a_comment() {
+        let media = [medium("x --> <scene> \n---", vec![channel("c", 1.0, 0.5)])];
+        let text = mitsuba_xml(&media);
+        assert!(text.contains(r#"<!-- "x - -> <scene> \n- - -": channel "c" -->"#), "{text}");
+        for line in text.lines().filter_map(|line| line.strip_prefix("<!--")) {
+            assert!(!line.trim_end_matches("-->").contains("--"), "{line}");
+        }
+        let python = mitsuba_dict(&media);
+        assert!(python.lines().nth(3).is_some_and(|line| line.starts_with("    # ")), "{python}");
+        assert!(python.lines().nth(4).is_some_and(|line| line == r#"    "x_scene_c": {"#), "{python}");
+    }
+}

@@ -1,0 +1,104 @@
+//! pbrt-v4: a `MakeNamedMedium` for each medium.
+//!
+//! σ_a = σ_t (1 − α) and σ_s = σ_t α with the albedo α, both multiplied by `scale`, which is 1 unless given; the
+//! transformation at the place of the statement does not change them. Source: "pbrt-v4 Input File Format"
+//! (pbrt.org/fileformat-v4), and of mmp/pbrt-v4 `HomogeneousMedium::Create` in `src/pbrt/media.cpp`,
+//! `extractSpectrumArray` in `paramdict.cpp` and the tokenizer in `parser.cpp`:
+//!
+//! - There is no σ_t and no albedo: a parameter that the medium does not know stops pbrt. Without `sigma_a` or
+//!   `sigma_s` that coefficient is 1.
+//! - `preset` replaces both coefficients without a word, by measured ones of its own per mm whose scattering is the
+//!   reduced one, meant for g = 0. It must not be added to a measured medium.
+//! - pbrt renders spectrally. It makes a smooth spectrum of an rgb value, in which the channels are no more apart, and
+//!   equal values are not quite constant; so a scalar is written as a spectrum, as in pbrt's own scenes.
+
+use super::{Coefficients, MeasuredMedium, RENDERED_NM, Values, blocks};
+
+/// Statements that may stand before or after `WorldBegin`.
+pub(crate) fn pbrt(media: &[MeasuredMedium]) -> String {
+    let mut text = "# Measured media for pbrt-v4.\n\
+        # Coefficients are per mm, for a scene in mm; for one in metres set each scale to 1000.\n"
+        .to_owned();
+    for block in blocks(media) {
+        text += &block.notes.iter().map(|note| format!("# {note}\n")).collect::<String>();
+        if let Values::Rgb(_) = block.values {
+            text += "# pbrt turns rgb into smooth spectra: channels hold nearly, not exactly.\n";
+        }
+        let (name, g) = (&block.name, block.g);
+        let sigma_a = parameter("sigma_a", &block.values, |c| c.sigma_t_per_mm * (1.0 - c.albedo));
+        let sigma_s = parameter("sigma_s", &block.values, |c| c.sigma_t_per_mm * c.albedo);
+        text += &format!(
+            "MakeNamedMedium \"{name}\"
+    \"string type\" \"homogeneous\"
+    {sigma_a}
+    {sigma_s}
+    \"float g\" {g:?}
+    \"float scale\" 1.0\n"
+        );
+    }
+    text
+}
+
+/// The coefficients follow from the measured values, which leaves noise in their last digits: they are written in
+/// single precision, as pbrt reads them.
+fn parameter(name: &str, values: &Values, coefficient: impl Fn(&Coefficients) -> f64) -> String {
+    let number = |c: &Coefficients| format!("{:?}", coefficient(c) as f32);
+    let (kind, list): (_, Vec<_>) = match values {
+        Values::Rgb(rgb) => ("rgb", rgb.iter().map(number).collect()),
+        Values::Spectrum(samples) => {
+            ("spectrum", samples.iter().map(|(nm, c)| format!("{nm} {}", number(c))).collect())
+        }
+        Values::Scalar(c) => {
+            let (from, to) = RENDERED_NM;
+            ("spectrum", [from, to].map(|nm| format!("{nm} {}", number(c))).into())
+        }
+    };
+    format!("\"{kind} {name}\" [ {} ]", list.join("  "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{channel, medium, three_kinds};
+    use super::*;
+
+    #[test]
+    fn a_statement_of_each_kind() {
+        let expected = r#"# Measured media for pbrt-v4.
+# Coefficients are per mm, for a scene in mm; for one in metres set each scale to 1000.
+# "Clear resin": R, G, B
+# Unresolved: the measurement does not determine "G"; best values.
+# pbrt turns rgb into smooth spectra: channels hold nearly, not exactly.
+MakeNamedMedium "Clear_resin"
+    "string type" "homogeneous"
+    "rgb sigma_a" [ 0.0054  0.05  0.08 ]
+    "rgb sigma_s" [ 5.9946  4.95  3.92 ]
+    "float g" 0.4
+    "float scale" 1.0
+# "Grey": spectra, measured from 450 to 650 nm and held constant beyond
+MakeNamedMedium "Grey"
+    "string type" "homogeneous"
+    "spectrum sigma_a" [ 360 6.75  450 6.75  650 3.75  830 3.75 ]
+    "spectrum sigma_s" [ 360 2.25  450 2.25  650 3.75  830 3.75 ]
+    "float g" 0.4
+    "float scale" 1.0
+# "Wax": channel "mean"
+MakeNamedMedium "Wax_mean"
+    "string type" "homogeneous"
+    "spectrum sigma_a" [ 360 0.0  830 0.0 ]
+    "spectrum sigma_s" [ 360 1e-7  830 1e-7 ]
+    "float g" 0.4
+    "float scale" 1.0
+"#;
+        assert_eq!(pbrt(&three_kinds()), expected);
+    }
+
+    #[test]
+    fn names_cannot_leave_their_comment_or_their_quotes() {
+        let media = [medium("a\" \"string preset\" \"Skin1\n\rShape \"x", vec![channel("c", 1.0, 0.5)])];
+        let text = pbrt(&media);
+        let statements: Vec<_> = text.lines().filter(|line| !line.starts_with('#')).collect();
+        assert_eq!(statements[0], r#"MakeNamedMedium "a_string_preset_Skin1_Shape_x_c""#);
+        assert!(statements[1..].iter().all(|line| line.starts_with("    \"")), "{text}");
+        assert!(!text.contains('\r'), "{text:?}");
+    }
+}

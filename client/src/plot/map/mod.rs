@@ -1,0 +1,205 @@
+//! Fig. 9: maps of the distance over co-albedo and extinction, one for each g.
+
+mod nodes;
+mod overlay;
+mod plan;
+
+use anyhow::ensure;
+
+use super::canvas::Canvas;
+use super::head::{Head, MARGIN};
+use super::picture::Picture;
+use overlay::keys;
+use plan::Plan;
+
+/// Distances of one measurement from all records.
+#[derive(Clone, Debug)]
+pub(crate) struct MapFigure {
+    pub title: String,
+    pub sigma_t_per_mm: Vec<f64>,
+    pub albedo: Vec<f64>,
+    pub panels: Vec<MapPanel>,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct MapPanel {
+    pub g: f64,
+    /// Over [σ_t][albedo]; NaN where there is none.
+    pub distance: Vec<f64>,
+    /// The best record of all, if it has this g.
+    pub best: Option<MapPoint>,
+    pub best_of_g: MapPoint,
+    /// Where similarity theory expects the best record of this g; may lie outside the axes.
+    pub predicted: Option<MapPoint>,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MapPoint {
+    pub sigma_t_per_mm: f64,
+    pub albedo: f64,
+}
+
+pub(crate) fn map_figure(figure: &MapFigure) -> anyhow::Result<Picture> {
+    let cells = figure.sigma_t_per_mm.len() * figure.albedo.len();
+    for panel in &figure.panels {
+        let n = panel.distance.len();
+        ensure!(n == cells, "map for g = {}: {n} distances for {cells} cells", panel.g);
+    }
+    let plan = Plan::new(figure)?;
+    let keys = keys(figure, &plan.frame(0, 0.0));
+    let head = Head::new(&figure.title, &keys, plan.width - 2.0 * MARGIN);
+    let top = head.height().ceil();
+    let mut canvas = Canvas::new(plan.width, top + plan.height() + MARGIN);
+    head.draw(&mut canvas);
+    for (i, panel) in figure.panels.iter().enumerate() {
+        plan.draw_panel(&mut canvas, i, panel, top)?;
+    }
+    plan.draw_bar(&mut canvas, top)?;
+    Ok(canvas.finish())
+}
+
+#[cfg(test)]
+mod tests {
+    use base64::Engine as _;
+    use image::{Rgb, RgbImage};
+
+    use super::super::checks::{assert_well_laid_out, texts};
+    use super::super::color::Color;
+    use super::plan::FINENESS;
+    use super::*;
+
+    fn figure(gs: usize) -> MapFigure {
+        let sigma_t_per_mm = vec![1.0, 2.0, 4.0, 10.0, 30.0];
+        let albedo = vec![0.05, 0.5, 0.9, 0.99, 0.999, 0.99999];
+        let best = MapPoint { sigma_t_per_mm: 4.0, albedo: 0.99 };
+        let distance = |s: &f64| {
+            albedo
+                .clone()
+                .into_iter()
+                .map(move |a| 0.01 + (s / 4.0).ln().abs() + 5.0 * (a - 0.99_f64).abs())
+                .collect::<Vec<_>>()
+        };
+        let panel = |i: usize| MapPanel {
+            g: 0.1 * i as f64,
+            distance: sigma_t_per_mm.iter().flat_map(distance).collect(),
+            best: (i == 0).then_some(best),
+            best_of_g: best,
+            predicted: Some(MapPoint { sigma_t_per_mm: if i == 1 { 80.0 } else { 5.0 }, albedo: 0.995 }),
+        };
+        MapFigure {
+            title: "Vero White, R".into(),
+            panels: (0..gs).map(panel).collect(),
+            sigma_t_per_mm: sigma_t_per_mm.clone(),
+            albedo: albedo.clone(),
+        }
+    }
+
+    fn images(picture: &Picture) -> Vec<RgbImage> {
+        let document = roxmltree::Document::parse(picture.svg()).unwrap();
+        let images = document.descendants().filter_map(|node| node.attribute("href"));
+        let decode = |href: &str| {
+            let data = href.strip_prefix("data:image/png;base64,").unwrap();
+            let png = base64::engine::general_purpose::STANDARD.decode(data).unwrap();
+            image::load_from_memory(&png).unwrap().into_rgb8()
+        };
+        images.map(decode).collect()
+    }
+
+    #[test]
+    fn one_map_or_many_are_well_laid_out() {
+        for gs in [1, 2, 3, 4, 5, 11] {
+            let picture = map_figure(&figure(gs)).unwrap();
+            assert_well_laid_out(&picture);
+            let texts = texts(&picture);
+            assert_eq!(texts.iter().filter(|text| text.starts_with("g = ")).count(), gs);
+            for label in ["Vero White, R", "1 − α", "σt [1/mm]", "distance", "best fit", "similarity theory"]
+            {
+                assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
+            }
+            let outside = texts.iter().any(|text| text == "similarity theory, outside the grid");
+            assert_eq!(outside, gs > 1);
+        }
+    }
+
+    #[test]
+    fn colours_follow_the_distances_in_cells_between_geometric_midpoints() {
+        let figure = figure(1);
+        let plan = Plan::new(&figure).unwrap();
+        let frame = plan.frame(0, 0.0);
+        let pixels = images(&map_figure(&figure).unwrap()).remove(0);
+        let color = |sigma_t: f64, co_albedo: f64| {
+            let place = [frame.across(co_albedo) - frame.area.left, frame.up(sigma_t) - frame.area.top];
+            let [x, y] = place.map(|length| (FINENESS * length) as u32);
+            let Rgb([r, g, b]) = *pixels.get_pixel(x, y);
+            Color(r, g, b)
+        };
+        assert_eq!(color(4.0, 0.01), Color::viridis(0.0), "the smallest distance");
+        assert_eq!(color(30.0, 0.95), Color::viridis(1.0), "the largest distance");
+        // The edges beside the node are at √(2 · 4) and √(4 · 10), at √(0.001 · 0.01) and √(0.01 · 0.1).
+        for (sigma_t, co_albedo) in [(2.86, 0.01), (6.29, 0.01), (4.0, 0.0032), (4.0, 0.0314)] {
+            assert_eq!(color(sigma_t, co_albedo), color(4.0, 0.01));
+        }
+        for (sigma_t, co_albedo) in [(2.80, 0.01), (6.37, 0.01), (4.0, 0.0031), (4.0, 0.0319)] {
+            assert_ne!(color(sigma_t, co_albedo), color(4.0, 0.01));
+        }
+    }
+
+    #[test]
+    fn the_png_shows_the_maps_and_is_the_same_every_time() {
+        let figure = figure(2);
+        let dir = tempfile::tempdir().unwrap();
+        let png = |name: &str| {
+            let path = dir.path().join(name);
+            map_figure(&figure).unwrap().write(&path).unwrap();
+            std::fs::read(path).unwrap()
+        };
+        let bytes = png("a.png");
+        assert!(bytes == png("b.png"));
+        let drawn = image::load_from_memory(&bytes).unwrap().into_rgb8();
+        let map = &images(&map_figure(&figure).unwrap())[1];
+        let Rgb([r, g, b]) = *map.get_pixel(0, map.height() - 1);
+        let same = drawn.pixels().filter(|pixel| pixel.0 == [r, g, b]).count();
+        assert!(same > 100, "{same} pixels have the colour of the first cell");
+    }
+
+    #[test]
+    fn missing_distances_are_grey_and_told() {
+        let mut figure = figure(2);
+        figure.panels[1].distance.fill(f64::NAN);
+        let picture = map_figure(&figure).unwrap();
+        assert!(images(&picture)[1].pixels().all(|p| p.0 == [0xdd; 3]));
+        assert!(texts(&picture).iter().any(|text| text == "no record"));
+    }
+
+    #[test]
+    fn odd_grids_are_drawn_and_wrong_data_refused() {
+        let point = MapPoint { sigma_t_per_mm: 3.0, albedo: 0.9 };
+        let panel = |distance| MapPanel { g: -0.25, distance, best: None, best_of_g: point, predicted: None };
+        let mut figure = MapFigure {
+            title: String::new(),
+            sigma_t_per_mm: vec![3.0],
+            albedo: vec![1.0, 0.9],
+            panels: vec![panel(vec![0.0, 0.0])],
+        };
+        let picture = map_figure(&figure).unwrap();
+        assert_well_laid_out(&picture);
+        let texts = texts(&picture);
+        assert!(
+            texts.iter().any(|t| t.starts_with("α = 1 has no place"))
+                && texts.iter().any(|t| t == "g = −0.25")
+        );
+
+        figure.panels[0].distance.pop();
+        assert_eq!(
+            map_figure(&figure).unwrap_err().to_string(),
+            "map for g = -0.25: 1 distances for 2 cells"
+        );
+        figure.panels[0].distance = vec![f64::NAN; 2];
+        assert_eq!(map_figure(&figure).unwrap_err().to_string(), "no distances to draw");
+        figure.albedo.pop();
+        figure.panels[0].distance.pop();
+        assert_eq!(map_figure(&figure).unwrap_err().to_string(), "albedos");
+        figure.panels.clear();
+        assert_eq!(map_figure(&figure).unwrap_err().to_string(), "no maps to draw");
+    }
+}

@@ -1,0 +1,31 @@
+//! Figures for people: the paper's Figs. 3, 5, 6, 7 and 9 from plain data, as SVG or PNG.
+//!
+//! A figure function checks its data, lays panels out on a canvas in CSS pixels and gives a [`Picture`]. The same data
+//! gives the same bytes. Values that are not finite are left out.
+
+mod axis;
+mod canvas;
+mod changes;
+#[cfg(test)]
+mod checks;
+mod color;
+mod curve;
+mod fit;
+mod frame;
+mod head;
+mod legend;
+mod map;
+mod number;
+mod overview;
+mod picture;
+mod scale;
+mod sheet;
+mod text;
+
+pub(crate) use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
+pub(crate) use curve::Curve;
+pub(crate) use fit::{FitFigure, FitPanel, fit_figure};
+pub(crate) use map::{MapFigure, MapPanel, MapPoint, map_figure};
+pub(crate) use overview::{OverviewFigure, overview_figure};
+pub(crate) use picture::Picture;
+pub(crate) use scale::{ErrorAtG, ScaleFigure, scale_figure};

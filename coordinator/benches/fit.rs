@@ -1,0 +1,228 @@
+//! Speed of the fit with a whole dictionary: the engine alone, and over gRPC on loopback.
+//!
+//! `FARM_BENCH_DATA=DIR cargo bench -p farm-coordinator` takes the dictionary "paper" of a data directory, which
+//! `farmctl submit --data DIR` makes. Without it the paper's grid is filled by a formula, which serves to compare
+//! versions but prunes otherwise than simulated profiles.
+
+#![expect(clippy::unwrap_used, reason = "a benchmark may panic")]
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
+use farm_coordinator::fit::{self, DictionaryBuilder, FitDictionary};
+use farm_coordinator::store::{DataDir, Store};
+use farm_coordinator::{Config, Coordinator, load_dictionary};
+use farm_proto::fit::{Bounds, FitOptions, FitSettings, MuRange};
+use farm_proto::wire::FitRequest;
+use farm_proto::wire::fits_client::FitsClient;
+use farm_proto::{Estimate, Grid, MeasuredProfile, Measurement, Profile, Record};
+use tokio_util::sync::CancellationToken;
+use tonic::transport::{Channel, Endpoint};
+
+fn data() -> Option<PathBuf> {
+    std::env::var_os("FARM_BENCH_DATA").map(PathBuf::from)
+}
+
+fn runtime() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap()
+}
+
+fn load(runtime: &tokio::runtime::Runtime) -> FitDictionary {
+    let Some(data) = data() else { return made_up() };
+    runtime.block_on(async {
+        let store = Store::open(DataDir::lock(&data).unwrap()).await.unwrap();
+        let stored = store.dictionaries().await.unwrap();
+        let paper = stored.into_iter().find(|d| d.name.as_str() == "paper").expect("a dictionary \"paper\"");
+        let dictionary = load_dictionary(&store, paper.id, paper.grid).await.unwrap();
+        store.close().await;
+        dictionary
+    })
+}
+
+/// The paper's grid with profiles from a formula.
+fn made_up() -> FitDictionary {
+    let grid = Grid::paper();
+    let mut builder = DictionaryBuilder::new(grid.clone());
+    for index in 0..grid.record_count() {
+        let (point, medium) = grid.parameters(index);
+        let width = 0.3 + point.thickness_mm() / (medium.sigma_t_per_mm() * (1.0 - medium.g()));
+        let value = |i: usize| {
+            let x = grid.scene().sensor().centre_mm(i);
+            (medium.albedo() * (0.3 + 0.2 * (x / width).tanh() / point.thickness_mm())) as f32
+        };
+        let values: Vec<f32> = (0..grid.scene().sensor().pixels()).map(value).collect();
+        let estimate = Estimate::new(values.clone(), vec![0.0; values.len()]).unwrap();
+        let profile = Profile { radiance_factor: estimate, derivatives: None };
+        builder.add(&Record { index, profiles: vec![profile; 3] });
+    }
+    builder.build()
+}
+
+/// A smooth random-looking sequence of numbers from −1 to 1.
+fn noise(n: usize) -> f64 {
+    ((n as f64 * 12.9898).sin() * 43_758.547).fract()
+}
+
+/// The paper's Table 1: σ_t and α in R, G, B, at g = 0.4.
+const TABLE_1: [(&str, [(f64, f64); 3]); 5] = [
+    ("cyan", [(9.0, 0.05), (4.5, 0.7), (7.5, 0.98)]),
+    ("magenta", [(2.5, 0.98), (3.0, 0.1), (10.0, 0.9)]),
+    ("yellow", [(2.25, 0.997), (3.75, 0.995), (19.0, 0.15)]),
+    ("black", [(5.0, 0.35), (5.5, 0.35), (6.5, 0.35)]),
+    ("white", [(6.0, 0.9991), (9.0, 0.9997), (24.0, 0.999)]),
+];
+
+/// The record nearest to a medium with 1 % of noise, as a measurement at both thicknesses.
+fn measurement(
+    dictionary: &FitDictionary,
+    material: &str,
+    media: &[(usize, f64, f64)],
+    seed: usize,
+) -> Measurement {
+    let grid = dictionary.grid();
+    let nearest = |axis: &[f64], v: f64| {
+        let distance = |i: &usize| (axis[*i] - v).abs();
+        (0..axis.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap()
+    };
+    let mut profiles = Vec::new();
+    for &(channel, sigma_t, albedo) in media {
+        for (t, thickness) in grid.thickness_mm().iter().enumerate() {
+            let (s, a) = (nearest(grid.sigma_t_per_mm(), sigma_t), nearest(grid.albedo(), albedo));
+            let record = grid.record_at(0, s, nearest(grid.g(), 0.4), t, a);
+            let exact = dictionary.profile(record, channel);
+            let noisy = |(i, v): (usize, &f32)| f64::from(*v) * (1.0 + 0.017 * noise(seed + i + 1000 * t));
+            let values = exact.iter().enumerate().map(noisy).collect();
+            let x = (0..exact.len()).map(|i| grid.scene().sensor().centre_mm(i)).collect();
+            let name = grid.scene().channels()[channel].name();
+            profiles.push(MeasuredProfile::new(name, *thickness, x, values, None).unwrap());
+        }
+    }
+    Measurement::new(material, profiles).unwrap()
+}
+
+fn materials(dictionary: &FitDictionary) -> Vec<Measurement> {
+    let material = |(i, (name, media)): (usize, &(&str, [(f64, f64); 3]))| {
+        let media: Vec<_> = media.iter().enumerate().map(|(c, (s, a))| (c, *s, *a)).collect();
+        measurement(dictionary, name, &media, 7 * i)
+    };
+    TABLE_1.iter().enumerate().map(material).collect()
+}
+
+fn single(dictionary: &FitDictionary) -> Vec<Measurement> {
+    let mut all = Vec::new();
+    for (name, media) in &TABLE_1 {
+        for (channel, (sigma_t, albedo)) in media.iter().enumerate() {
+            all.push(measurement(dictionary, name, &[(channel, *sigma_t, *albedo)], 11 * all.len()));
+        }
+    }
+    all
+}
+
+fn engine(c: &mut Criterion) {
+    let runtime = runtime();
+    let mut group = c.benchmark_group("load");
+    group.sample_size(10);
+    group.bench_function("dictionary", |b| b.iter_with_large_drop(|| load(&runtime)));
+    group.finish();
+
+    let dictionary = load(&runtime);
+    let questions = single(&dictionary);
+    let mut group = c.benchmark_group("one channel, two thicknesses");
+    for (name, question) in [("white G", &questions[13]), ("cyan R", &questions[0])] {
+        group.bench_function(format!("search, {name}"), |b| {
+            b.iter(|| fit::fit(&dictionary, question, &FitOptions::default()).unwrap());
+        });
+    }
+    let mut next = questions.iter().cycle();
+    group.bench_function("search, all of Table 1 in turn", |b| {
+        b.iter(|| fit::fit(&dictionary, next.next().unwrap(), &FitOptions::default()).unwrap());
+    });
+    for (name, g) in [("g held", Bounds::fixed(0.4)), ("g free", Bounds::FREE)] {
+        let options = FitOptions::new(FitSettings { g, refine: true, ..FitSettings::default() }).unwrap();
+        group.bench_function(format!("search, refinement and certainty, {name}"), |b| {
+            b.iter(|| fit::fit(&dictionary, &questions[13], &options).unwrap());
+        });
+    }
+    group.bench_function("distance map", |b| {
+        b.iter(|| fit::distance_map(&dictionary, &questions[13], &FitOptions::default()).unwrap());
+    });
+    group.finish();
+
+    let materials = materials(&dictionary);
+    let mut group = c.benchmark_group("five materials, three channels");
+    group.sample_size(10);
+    group.bench_function("scale factor, 201 values", |b| {
+        b.iter(|| fit::scale(&dictionary, &materials, &FitOptions::default(), &MuRange::default()).unwrap());
+    });
+    let plan = fit::MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+    group.bench_function("the whole measurement", |b| {
+        b.iter(|| fit::measure(&dictionary, &materials, &FitOptions::default(), &plan).unwrap());
+    });
+}
+
+/// Queries that eight clients send in one go, each on a connection of its own.
+const CLIENTS: usize = 8;
+const QUERIES: usize = 25;
+
+async fn ask(mut client: FitsClient<Channel>, requests: Vec<FitRequest>) {
+    for request in requests {
+        client.fit(request).await.unwrap();
+    }
+}
+
+fn grpc(c: &mut Criterion) {
+    let Some(data) = data() else { return };
+    let runtime = runtime();
+    let questions = single(&load(&runtime));
+    let requests: Vec<FitRequest> = questions
+        .iter()
+        .map(|m| FitRequest { dictionary: "paper".to_owned(), measurement: Some(m.into()), options: None })
+        .collect();
+    let stop = CancellationToken::new();
+    let (clients, server) = runtime.block_on(async {
+        let coordinator = Coordinator::open(&Config::new(&data)).await.unwrap();
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let endpoint = Endpoint::from_shared(format!("http://{}", listener.local_addr().unwrap())).unwrap();
+        let server = tokio::spawn(coordinator.serve(listener, stop.clone()));
+        let mut clients = Vec::new();
+        for _ in 0..CLIENTS {
+            clients.push(FitsClient::new(endpoint.clone().tcp_nodelay(true).connect().await.unwrap()));
+        }
+        clients[0].fit(requests[0].clone()).await.unwrap();
+        (clients, server)
+    });
+    let mut group = c.benchmark_group("gRPC");
+    let mut next = requests.iter().cycle();
+    group.bench_function("one query, one client", |b| {
+        b.iter_batched(
+            || vec![next.next().unwrap().clone()],
+            |request| runtime.block_on(ask(clients[0].clone(), request)),
+            BatchSize::SmallInput,
+        );
+    });
+    group.throughput(Throughput::Elements((CLIENTS * QUERIES) as u64));
+    group.sample_size(20).measurement_time(Duration::from_secs(10));
+    group.bench_function("queries, eight clients", |b| {
+        b.iter_batched(
+            || (0..CLIENTS).map(|_| next.by_ref().take(QUERIES).cloned().collect()).collect::<Vec<Vec<_>>>(),
+            |batches| {
+                runtime.block_on(async {
+                    let tasks: Vec<_> =
+                        clients.iter().zip(batches).map(|(c, r)| tokio::spawn(ask(c.clone(), r))).collect();
+                    for task in tasks {
+                        task.await.unwrap();
+                    }
+                });
+            },
+            BatchSize::LargeInput,
+        );
+    });
+    group.finish();
+    drop(clients);
+    stop.cancel();
+    runtime.block_on(server).unwrap().unwrap();
+}
+
+criterion_group!(benches, engine, grpc);
+criterion_main!(benches);

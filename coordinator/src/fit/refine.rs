@@ -1,0 +1,265 @@
+//! From the best record to a continuous optimum of Eq. 1 over the smooth model of the dictionary.
+//!
+//! A sum of norms Σ c_b ‖r_b(x)‖ is decreased by iteratively reweighted least squares: ‖r‖ ≤ ‖r‖²/(2ρ) + ρ/2 with
+//! equality at ρ = ‖r‖, so a Gauss–Newton step of the weighted squares decreases the sum; it is shortened until it
+//! does.
+
+use farm_proto::Medium;
+use farm_proto::fit::{Bounds, Candidate, FitOptions};
+use glam::{DMat3, DVec3};
+
+use super::question::{Question, Term};
+use super::sum::{dot, rms};
+use super::surrogate::{
+    ALBEDO, Coordinates, G, Prediction, SIGMA_T, Surrogate, albedo, coordinates, g, sigma_t,
+};
+
+/// Steps that one optimisation may take.
+const MOST_STEPS: usize = 40;
+/// A step that lowers the error by less than this share is the last.
+const CONVERGED: f64 = 1e-8;
+
+/// Value and gradient part of one term of Eq. 1 at some coordinates.
+#[derive(Debug)]
+pub(super) struct Block {
+    /// Index of the term.
+    pub term: usize,
+    /// 1 for values, λ for gradients.
+    pub weight: f64,
+    /// What of the measurement the model leaves.
+    pub residual: Vec<f64>,
+    /// Derivatives of the model by the coordinates.
+    pub jacobian: [Vec<f64>; 3],
+    pub rms: f64,
+    /// Signs by which gradients became magnitudes, of the measured profile and of the model; none for values.
+    pub signs: Option<(Vec<f64>, Vec<f64>)>,
+}
+
+/// Eq. 1 as a function of continuous coordinates.
+#[derive(Debug)]
+pub(super) struct Objective<'a> {
+    pub question: &'a Question<'a>,
+    pub surrogate: Surrogate<'a>,
+    pub limits: [(f64, f64); 3],
+    /// Parameters that cannot move: by the bounds, or since the dictionary has one value only.
+    held: [Option<f64>; 3],
+    /// Signed gradients of the measured profiles.
+    slopes: Vec<Vec<f64>>,
+}
+
+#[derive(Debug)]
+pub(super) struct Optimum {
+    pub x: Coordinates,
+    pub error: f64,
+}
+
+fn held(question: &Question) -> [Option<f64>; 3] {
+    let (grid, settings) = (question.dictionary.grid(), question.options.settings());
+    let held = |axis: &[f64], bounds: Bounds| match axis {
+        [one] => Some(*one),
+        _ => bounds.is_fixed().then_some(bounds.min()),
+    };
+    [
+        held(grid.sigma_t_per_mm(), settings.sigma_t_per_mm),
+        held(grid.albedo(), settings.albedo),
+        held(grid.g(), settings.g),
+    ]
+}
+
+/// Least and greatest coordinates within both the dictionary and the bounds.
+fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64); 3] {
+    let settings = options.settings();
+    let within = |(low, high): (f64, f64), bounds: Bounds, forward: fn(f64) -> f64| {
+        let (a, b) = (forward(bounds.min()), forward(bounds.max()));
+        let (a, b) = if a.is_nan() || b.is_nan() { (low, high) } else { (a.min(b), a.max(b)) };
+        (a.clamp(low, high), b.clamp(low, high))
+    };
+    let [sigma_t, albedo, g] = surrogate.limits();
+    [
+        within(sigma_t, settings.sigma_t_per_mm, |v| if v > 0.0 { v.ln() } else { f64::NEG_INFINITY }),
+        within(albedo, settings.albedo, |v| if v < 1.0 { (1.0 - v).sqrt() } else { 0.0 }),
+        within(g, settings.g, |v| if v < 1.0 { (1.0 - v).ln() } else { f64::NEG_INFINITY }),
+    ]
+}
+
+impl<'a> Objective<'a> {
+    pub(super) fn new(question: &'a Question<'a>, start: &Candidate) -> Self {
+        let iors = question.dictionary.grid().sample_ior();
+        let ior = iors.iter().position(|v| *v == start.sample_ior).unwrap_or(0);
+        let surrogate = Surrogate::new(question.dictionary, question.channel, ior);
+        let limits = limits(&surrogate, &question.options);
+        let slopes = question.terms.iter().map(|t| t.view.slope().of(&t.values)).collect();
+        Self { question, surrogate, limits, held: held(question), slopes }
+    }
+
+    /// The parameter that a coordinate stands for; what is held comes back as it was given.
+    pub(super) fn parameter(&self, index: usize, x: f64) -> f64 {
+        self.held[index].unwrap_or_else(|| [sigma_t, albedo, g][index](x))
+    }
+
+    pub(super) fn medium(&self, x: Coordinates) -> Medium {
+        let [s, a, g] = PARAMETERS.map(|i| self.parameter(i, x[i]));
+        Medium::new(s, a, g).expect("the limits are those of a grid")
+    }
+
+    pub(super) fn start(&self, candidate: &Candidate) -> Coordinates {
+        self.clamp(coordinates(&candidate.medium))
+    }
+
+    pub(super) fn clamp(&self, mut x: Coordinates) -> Coordinates {
+        for (x, (low, high)) in x.iter_mut().zip(self.limits) {
+            *x = x.clamp(low, high);
+        }
+        x
+    }
+
+    /// Which coordinates may move.
+    pub(super) fn free(&self) -> [bool; 3] {
+        PARAMETERS.map(|i| self.held[i].is_none() && self.limits[i].1 > self.limits[i].0)
+    }
+
+    pub(super) fn predict(&self, term: &Term, x: Coordinates) -> Prediction {
+        self.surrogate.predict(term.thickness, term.view.pixels(), x)
+    }
+
+    pub(super) fn blocks(&self, x: Coordinates) -> Vec<Block> {
+        let lambda = self.question.options.settings().lambda;
+        let mut blocks = Vec::with_capacity(2 * self.question.terms.len());
+        for (i, term) in self.question.terms.iter().enumerate() {
+            let prediction = self.predict(term, x);
+            blocks.push(gradient_block(i, lambda, term, &self.slopes[i], &prediction));
+            let residual = difference(&term.values, &prediction.values);
+            let rms = rms(&residual);
+            blocks.push(Block {
+                term: i,
+                weight: 1.0,
+                residual,
+                jacobian: prediction.slopes,
+                rms,
+                signs: None,
+            });
+        }
+        blocks
+    }
+
+    /// Goes down from `x`, moving only the coordinates that are free, to a minimum of Eq. 1.
+    pub(super) fn descend(&self, mut x: Coordinates, free: [bool; 3]) -> Optimum {
+        let mut blocks = self.blocks(x);
+        let mut error = total(&blocks);
+        let mut damping = 1e-6;
+        for _ in 0..MOST_STEPS {
+            let Some(step) = self.step(x, &blocks, free, damping) else { break };
+            let there = self.clamp((DVec3::from(x) + step).into());
+            let new_blocks = self.blocks(there);
+            let new_error = total(&new_blocks);
+            let gain = error - new_error;
+            if gain <= 0.0 {
+                if damping > 1e4 || -gain < CONVERGED * error {
+                    break;
+                }
+                damping = (damping * 10.0).max(1e-3);
+                continue;
+            }
+            (x, blocks, error) = (there, new_blocks, new_error);
+            damping *= 0.1;
+            if gain < CONVERGED * error {
+                break;
+            }
+        }
+        Optimum { x, error }
+    }
+
+    /// A damped Gauss–Newton step; none where nothing may move.
+    fn step(&self, x: Coordinates, blocks: &[Block], mut free: [bool; 3], damping: f64) -> Option<DVec3> {
+        let mut downhill = DVec3::ZERO;
+        let mut normal = DMat3::ZERO;
+        for block in blocks {
+            let weight = block.weight / (block.residual.len() as f64 * block.rms.max(1e-9));
+            for i in 0..3 {
+                downhill[i] += weight * dot(&block.jacobian[i], &block.residual);
+                for j in 0..3 {
+                    normal.col_mut(i)[j] += weight * dot(&block.jacobian[i], &block.jacobian[j]);
+                }
+            }
+        }
+        for i in 0..3 {
+            let (low, high) = self.limits[i];
+            let outwards = (x[i] <= low && downhill[i] < 0.0) || (x[i] >= high && downhill[i] > 0.0);
+            free[i] &= !outwards;
+        }
+        for i in 0..3 {
+            let diagonal = normal.col(i)[i];
+            normal.col_mut(i)[i] = diagonal * (1.0 + damping) + 1e-12;
+        }
+        let inverse = invert(normal, free)?;
+        Some(inverse * DVec3::from_array(std::array::from_fn(|i| if free[i] { downhill[i] } else { 0.0 })))
+    }
+}
+
+/// The inverse over the free coordinates, zero in the others; none if nothing is free or it is singular.
+pub(super) fn invert(mut matrix: DMat3, free: [bool; 3]) -> Option<DMat3> {
+    if free == [false; 3] {
+        return None;
+    }
+    for i in 0..3 {
+        if !free[i] {
+            for j in 0..3 {
+                matrix.col_mut(i)[j] = 0.0;
+                matrix.col_mut(j)[i] = 0.0;
+            }
+            matrix.col_mut(i)[i] = 1.0;
+        }
+    }
+    let mut inverse = matrix.inverse();
+    if !inverse.is_finite() {
+        return None;
+    }
+    for i in 0..3 {
+        if !free[i] {
+            inverse.col_mut(i)[i] = 0.0;
+        }
+    }
+    Some(inverse)
+}
+
+fn gradient_block(i: usize, lambda: f64, term: &Term, measured: &[f64], prediction: &Prediction) -> Block {
+    let slope = term.view.slope();
+    let model = slope.of(&prediction.values);
+    let sign = |v: &f64| if *v < 0.0 { -1.0 } else { 1.0 };
+    let signs: Vec<f64> = model.iter().map(sign).collect();
+    let magnitudes: Vec<f64> = model.iter().map(|v| v.abs()).collect();
+    let jacobian = prediction.slopes.each_ref().map(|by| {
+        let mut by = slope.of(by);
+        by.iter_mut().zip(&signs).for_each(|(v, s)| *v *= s);
+        by
+    });
+    let residual = difference(&term.gradient, &magnitudes);
+    let rms = rms(&residual);
+    let signs = Some((measured.iter().map(sign).collect(), signs));
+    Block { term: i, weight: lambda, residual, jacobian, rms, signs }
+}
+
+fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+/// Eq. 1.
+pub(super) fn total(blocks: &[Block]) -> f64 {
+    blocks.iter().map(|b| b.weight * b.rms).sum()
+}
+
+/// The optimum that is reached from the best of several starts.
+pub(super) fn optimum(objective: &Objective, candidates: &[Candidate]) -> Optimum {
+    let free = objective.free();
+    let mut best: Option<Optimum> = None;
+    for candidate in candidates {
+        let found = objective.descend(objective.start(candidate), free);
+        if best.as_ref().is_none_or(|b| found.error < b.error) {
+            best = Some(found);
+        }
+    }
+    best.expect("there is a candidate")
+}
+
+/// Names of the coordinates' indices, for loops over parameters.
+pub(super) const PARAMETERS: [usize; 3] = [SIGMA_T, ALBEDO, G];

@@ -1,0 +1,110 @@
+//! The search of the scale factor, and distance maps.
+
+use super::required;
+use crate::fit::{DistanceMap, GError, MapLayer, MuRange, ScaleCurve, ScalePoint};
+use crate::invalid::{Invalid, Result, each};
+use crate::optics::Medium;
+use crate::wire;
+
+impl TryFrom<wire::MuRange> for MuRange {
+    type Error = Invalid;
+
+    fn try_from(range: wire::MuRange) -> Result<Self> {
+        let (min, max, step) = Self::default().parts();
+        Self::new(range.min.unwrap_or(min), range.max.unwrap_or(max), range.step.unwrap_or(step))
+    }
+}
+
+impl From<MuRange> for wire::MuRange {
+    fn from(range: MuRange) -> Self {
+        let (min, max, step) = range.parts();
+        Self { min: Some(min), max: Some(max), step: Some(step) }
+    }
+}
+
+impl From<ScalePoint> for wire::ScalePoint {
+    fn from(point: ScalePoint) -> Self {
+        Self { mu: point.mu, error: point.error }
+    }
+}
+
+impl From<wire::ScalePoint> for ScalePoint {
+    fn from(point: wire::ScalePoint) -> Self {
+        Self { mu: point.mu, error: point.error }
+    }
+}
+
+impl From<ScaleCurve> for wire::ScaleCurve {
+    fn from(curve: ScaleCurve) -> Self {
+        let by_g = |e: GError| wire::GError { g: e.g, error: e.error, best: Some(e.best.into()) };
+        Self {
+            points: curve.points.into_iter().map(Into::into).collect(),
+            best: Some(curve.best.into()),
+            std_error: curve.std_error,
+            curvature: curve.curvature,
+            at_end: curve.at_end,
+            by_g: curve.by_g.into_iter().map(by_g).collect(),
+            best_g: curve.best_g,
+        }
+    }
+}
+
+impl TryFrom<wire::ScaleCurve> for ScaleCurve {
+    type Error = Invalid;
+
+    fn try_from(curve: wire::ScaleCurve) -> Result<Self> {
+        let by_g =
+            |e: wire::GError| Ok(GError { g: e.g, error: e.error, best: required("best", e.best)?.into() });
+        Ok(Self {
+            points: curve.points.into_iter().map(Into::into).collect(),
+            best: required("best", curve.best)?.into(),
+            std_error: curve.std_error,
+            curvature: curve.curvature,
+            at_end: curve.at_end,
+            by_g: each("by_g", curve.by_g, by_g)?,
+            best_g: curve.best_g,
+        })
+    }
+}
+
+impl From<DistanceMap> for wire::DistanceMap {
+    fn from(map: DistanceMap) -> Self {
+        let layer = |layer: MapLayer| wire::MapLayer {
+            g: layer.g,
+            errors: layer.errors,
+            best: Some(layer.best.into()),
+            similar: layer.similar.map(Into::into),
+        };
+        Self {
+            channel: map.channel,
+            sigma_t_per_mm: map.sigma_t_per_mm,
+            albedo: map.albedo,
+            sample_ior: map.sample_ior,
+            best_layer: map.best_layer as u32,
+            layers: map.layers.into_iter().map(layer).collect(),
+        }
+    }
+}
+
+impl TryFrom<wire::DistanceMap> for DistanceMap {
+    type Error = Invalid;
+
+    fn try_from(map: wire::DistanceMap) -> Result<Self> {
+        let layers = each("layers", map.layers, |layer| {
+            Ok(MapLayer {
+                g: layer.g,
+                errors: layer.errors,
+                best: required("best", layer.best)?.try_into()?,
+                similar: layer.similar.map(Medium::try_from).transpose()?,
+            })
+        })?;
+        Ok(Self {
+            channel: map.channel,
+            sigma_t_per_mm: map.sigma_t_per_mm,
+            albedo: map.albedo,
+            sample_ior: map.sample_ior,
+            best_layer: map.best_layer as usize,
+            layers,
+        })
+    }
+}
