@@ -46,3 +46,44 @@ pub fn errors_of_neighbours(std_errors: &[f64]) -> Vec<f64> {
 pub fn chi2_per_pixel(a: &[Mean], b: &[Mean]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.z(*b).powi(2)).sum::<f64>() / a.len() as f64
 }
+
+/// The middle value.
+///
+/// # Panics
+/// Of nothing.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Factor on the length of tests that say more when they are longer: `FARM_TEST_EFFORT=16 cargo test …`.
+///
+/// # Panics
+/// If the variable is not a whole number.
+pub fn effort() -> u64 {
+    std::env::var("FARM_TEST_EFFORT").map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
+}
+
+/// Random numbers of a seed, for noise on top of traced profiles: a stream of SplitMix64.
+#[derive(Debug, Clone)]
+pub struct Normal(u64);
+
+impl Normal {
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0xD134_2543_DE82_EF95))
+    }
+
+    /// From 0 to 1.
+    pub fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// Standard normal, after Box and Muller.
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
+        radius * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}

@@ -5,7 +5,7 @@
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use farm_proto::fit::ChannelFit;
 use farm_proto::job::{JobSpec, Lease};
 use farm_proto::wire::complete_request::Part;
@@ -98,11 +98,10 @@ async fn a_simulated_measurement_is_fitted_to_its_own_record_over_grpc() -> Resu
     let request = FitRequest {
         dictionary: "small".to_owned(),
         measurement: Some((&measurement).into()),
-        mu: Some(0.9),
-        top: Some(3),
-        ..Default::default()
+        options: Some(wire::FitOptions { mu: Some(0.9), top: Some(3), ..Default::default() }),
     };
     let answer = farm.fits().fit(request).await?.into_inner();
+    let answer = answer.fit.context("a fit")?;
     let fit = ChannelFit::try_from(answer.channels[0].clone())?;
     let best = &fit.candidates[0];
     assert_eq!((answer.material.as_str(), fit.channel.as_str(), fit.candidates.len()), ("m", "G", 3));
@@ -234,7 +233,7 @@ async fn a_dictionary_that_is_not_complete_is_not_fitted_with() -> Result<()> {
     let x: Vec<f64> = (0..20).map(|i| f64::from(i) * 0.5 - 4.75).collect();
     let measurement = Measurement::new("m", vec![MeasuredProfile::new("R", 0.5, x.clone(), x, None)?])?;
     let measurement = Some((&measurement).into());
-    let request = FitRequest { dictionary: "small".to_owned(), measurement, ..Default::default() };
+    let request = FitRequest { dictionary: "small".to_owned(), measurement, options: None };
     let refused = farm.fits().fit(request).await.unwrap_err();
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("0 of 36 records are done"), "{}", refused.message());

@@ -11,7 +11,7 @@ use farm_proto::profile::{Profile, Record};
 use farm_proto::scene::{Channel, RingLight, Scene, Sensor};
 use farm_proto::{Digest, TransportPoint, Walks};
 use farm_tests::reference;
-use farm_tests::statistics::{Mean, chi2_per_pixel, errors_of_neighbours};
+use farm_tests::statistics::{Mean, chi2_per_pixel, effort, errors_of_neighbours};
 use farm_worker::tracer::{Kernel, trace, trace_with};
 
 struct Run {
@@ -64,11 +64,6 @@ fn at(profile: &Profile, pixel: usize) -> Mean {
         mean: f64::from(profile.radiance_factor.values()[pixel]),
         std_error: f64::from(profile.radiance_factor.std_errors()[pixel]),
     }
-}
-
-/// Factor on the number of walks where a long run says more: `FARM_TEST_EFFORT=16 cargo test …`.
-fn effort() -> u64 {
-    std::env::var("FARM_TEST_EFFORT").map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
 }
 
 /// 2 million walks a row: standard errors below 0.15 % of white.

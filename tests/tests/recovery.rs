@@ -15,6 +15,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use farm_tests::process::{Killed, farmctl, program, run};
+use farm_tests::statistics::effort;
 
 const GRID: &str = "\
 sigma_t_per_mm = [1, 2, 4, 8, 16, 24]
@@ -24,8 +25,7 @@ walks = 400000
 ";
 
 fn rounds() -> u64 {
-    6 * std::env::var("FARM_TEST_EFFORT")
-        .map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
+    6 * effort()
 }
 
 /// Moments from 0 to 1 that differ from round to round.

@@ -14,6 +14,7 @@ pub(crate) struct OptionsJson {
     mu: f64,
     mu_std_error: f64,
     gain_std_error: f64,
+    offset_std_error: f64,
     /// Null if free or a range.
     g: Option<f64>,
     g_range: RangeJson,
@@ -45,6 +46,7 @@ impl OptionsJson {
             mu: s.mu,
             mu_std_error: s.mu_std_error,
             gain_std_error: s.gain_std_error,
+            offset_std_error: s.offset_std_error,
             g: s.g.is_fixed().then_some(s.g.min()),
             g_range: s.g.into(),
             sigma_t_range: s.sigma_t_per_mm.into(),

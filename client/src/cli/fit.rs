@@ -35,6 +35,9 @@ pub struct OptionArgs {
     /// error bars.
     #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true)]
     pub gain_std_error: f64,
+    /// Standard error of the zero of each profile on its own (stray light, black level), as a radiance factor.
+    #[arg(long, value_name = "ERROR", default_value_t = 0.001, allow_negative_numbers = true)]
+    pub offset_std_error: f64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -54,6 +57,7 @@ impl OptionArgs {
             },
             level: self.level,
             gain_std_error: self.gain_std_error,
+            offset_std_error: self.offset_std_error,
             sigma_t_per_mm: BoundsArg::check(self.sigma_t, "sigma_t_per_mm")?,
             albedo: BoundsArg::check(self.albedo, "albedo")?,
             g: BoundsArg::check(self.g, "g")?,

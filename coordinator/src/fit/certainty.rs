@@ -2,8 +2,8 @@
 //!
 //! The optimum x of Eq. 1 is a function of the data: with H the second derivative of Eq. 1 at the optimum, a change δr
 //! of the residuals moves it by δx = H⁻¹ Σ_b K_b δr_b, K_b = c_b/(n ρ_b) Jᵀ(1 − r rᵀ/(n ρ_b²)), ρ_b being the root mean
-//! square of r_b. So every source of noise gives a covariance of x: the measurement's pixels, the records about, and
-//! the scale factor. Noise of the measurement that is smaller than the residuals is scaled up to them.
+//! square of r_b. So every source of noise gives a covariance of x: the measurement's pixels, the records about, the
+//! scale factor, and the gain and the zero of each profile. Noise of the measurement that is smaller than the residuals is scaled up to them.
 //!
 //! Intervals are not ±1.96 of these standard deviations but follow Eq. 1 as it is: a value belongs to the interval if
 //! the error with all else optimised rises no further than it would at ±1.96 standard deviations if profiles were linear
@@ -22,8 +22,8 @@ use super::view::REFERENCE_PITCH_MM;
 
 /// Two-sided 95 % of the normal distribution.
 const Z: f64 = 1.959_964;
-/// A channel is resolved if its interval of σ_t spans at most this factor …
-const RESOLVED_SIGMA_T: f64 = 2.0;
+/// A channel is resolved if its intervals of σ_t and of the albedo span at most this factor …
+const RESOLVED_FACTOR: f64 = 2.0;
 /// … and that of the albedo at most this.
 const RESOLVED_ALBEDO: f64 = 0.2;
 /// Correlation of ln σ_t with ln(1 − g) from which on they are said to trade off.
@@ -37,13 +37,21 @@ pub(super) fn refined(question: &Question, candidates: &[Candidate]) -> Refined 
     let noise = Noise::new(&objective, optimum.x, &blocks);
     let free = objective.free();
     let spread = noise.spread(free);
-    let intervals =
-        Intervals { objective: &objective, optimum: &optimum, blocks: &blocks, spread: &spread, free };
-    let [sigma_t_interval, albedo_interval, g_interval] = PARAMETERS.map(|i| intervals.of(i));
+    let intervals = Intervals {
+        objective: &objective,
+        optimum: &optimum,
+        blocks: &blocks,
+        spread: &spread,
+        systematic: spread.systematic,
+        free,
+    };
+    let [sigma_t_interval, albedo_interval, g_interval] = intervals.all(&noise);
     let resolved = if free[G] {
         let free = [free[SIGMA_T], free[ALBEDO], false];
-        let intervals = Intervals { spread: &noise.spread(free), free, ..intervals };
-        is_resolved(&intervals.of(SIGMA_T), &intervals.of(ALBEDO))
+        let spread = noise.spread(free);
+        let held = Intervals { spread: &spread, systematic: spread.systematic, free, ..intervals };
+        let [sigma_t, albedo, _] = held.all(&noise);
+        is_resolved(&sigma_t, &albedo)
     } else {
         is_resolved(&sigma_t_interval, &albedo_interval)
     };
@@ -69,8 +77,8 @@ pub(super) fn refined(question: &Question, candidates: &[Candidate]) -> Refined 
 }
 
 fn is_resolved(sigma_t: &Interval, albedo: &Interval) -> bool {
-    let closed = !sigma_t.open_low && !sigma_t.open_high;
-    closed && sigma_t.high <= RESOLVED_SIGMA_T * sigma_t.low && albedo.high - albedo.low <= RESOLVED_ALBEDO
+    let bounded = |i: &Interval| !i.open_low && i.high <= RESOLVED_FACTOR * i.low;
+    bounded(sigma_t) && !sigma_t.open_high && bounded(albedo) && albedo.high - albedo.low <= RESOLVED_ALBEDO
 }
 
 fn candidate(objective: &Objective, optimum: &Optimum, blocks: &[Block], sample_ior: f64) -> Candidate {
@@ -99,7 +107,7 @@ struct Noise {
     /// Covariances of Σ K δr, of each source.
     measurement: DMat3,
     dictionary: DMat3,
-    scale: DMat3,
+    systematic: DMat3,
     measured_rms: f64,
     misfit: f64,
 }
@@ -107,6 +115,10 @@ struct Noise {
 /// Covariance of the optimum.
 struct Spread {
     total: DMat3,
+    /// From noise: of the measurement's pixels and of the dictionary.
+    random: DMat3,
+    /// From the scale factor, and gain and zero of each profile.
+    systematic: DMat3,
     inverse_hessian: DMat3,
     dictionary_share: f64,
 }
@@ -118,7 +130,7 @@ impl Noise {
             hessian: DMat3::ZERO,
             measurement: DMat3::ZERO,
             dictionary: DMat3::ZERO,
-            scale: DMat3::ZERO,
+            systematic: DMat3::ZERO,
             measured_rms: 0.0,
             misfit: 0.0,
         };
@@ -139,7 +151,9 @@ impl Noise {
             let by_gain = DVec3::from_array(
                 PARAMETERS.map(|c| dot(&k_values[c], &term.values) + dot(&k_gradients[c], &term.gradient)),
             );
-            noise.scale += outer(by_gain * settings.gain_std_error);
+            noise.systematic += outer(by_gain * settings.gain_std_error);
+            let by_offset = DVec3::from_array(PARAMETERS.map(|c| k_values[c].iter().sum()));
+            noise.systematic += outer(by_offset * settings.offset_std_error * settings.mu);
             by_scale += by_gain;
             squares += dot(&values.residual, &values.residual);
             expected += term.resampled.variances(&std_errors).iter().sum::<f64>() * settings.mu.powi(2);
@@ -147,7 +161,7 @@ impl Noise {
             pixels += std_errors.len();
         }
         by_scale *= settings.mu_std_error / settings.mu;
-        noise.scale += outer(by_scale);
+        noise.systematic += outer(by_scale);
         noise.measured_rms = (measured / pixels as f64).sqrt();
         noise.misfit = (squares / expected.max(f64::MIN_POSITIVE)).sqrt();
         noise
@@ -160,9 +174,12 @@ impl Noise {
         let through = |source: DMat3| inverse_hessian * source * inverse_hessian.transpose();
         let dictionary = through(self.dictionary);
         let scaled_up = self.misfit.max(1.0).powi(2);
-        let total = through(self.measurement) * scaled_up + dictionary + through(self.scale);
+        let random = through(self.measurement) * scaled_up + dictionary;
+        let systematic = through(self.systematic);
+        let total = random + systematic;
         let (part, whole) = (dictionary.col(SIGMA_T)[SIGMA_T], total.col(SIGMA_T)[SIGMA_T]);
-        Spread { total, inverse_hessian, dictionary_share: if whole > 0.0 { part / whole } else { 0.0 } }
+        let dictionary_share = if whole > 0.0 { part / whole } else { 0.0 };
+        Spread { total, random, systematic, inverse_hessian, dictionary_share }
     }
 }
 
@@ -265,6 +282,8 @@ struct Intervals<'a> {
     /// At the optimum.
     blocks: &'a [Block],
     spread: &'a Spread,
+    /// Covariance from systematic errors.
+    systematic: DMat3,
     free: [bool; 3],
 }
 
@@ -275,6 +294,17 @@ struct End {
 }
 
 impl Intervals<'_> {
+    /// The intervals of all parameters. Where the data do not bound σ_t the albedo's systematic error is that at any
+    /// one σ_t: the linear theory would let it run along with the other.
+    fn all(&self, noise: &Noise) -> [Interval; 3] {
+        let sigma_t = self.of(SIGMA_T);
+        let mut others = *self;
+        if sigma_t.open_low || sigma_t.open_high {
+            others.systematic = noise.spread([false, self.free[ALBEDO], self.free[G]]).systematic;
+        }
+        [sigma_t, others.of(ALBEDO), others.of(G)]
+    }
+
     /// The 95 % interval of one parameter.
     fn of(&self, parameter: usize) -> Interval {
         let tell = |x: f64| self.objective.parameter(parameter, x);
@@ -288,12 +318,21 @@ impl Intervals<'_> {
         Interval { low: tell(low.x), high: tell(high.x), open_low: low.open, open_high: high.open }
     }
 
+    /// Where the noise alone ends the interval, and the systematic part in quadrature.
     fn end(&self, parameter: usize, side: f64) -> End {
         let from = self.optimum.x[parameter];
         let (low, high) = self.objective.limits[parameter];
         let furthest = if side < 0.0 { from - low } else { high - from };
-        let at = |distance: f64, open: bool| End { x: from + side * distance, open };
-        let deviation = self.spread.total.col(parameter)[parameter].sqrt();
+        let random = self.random_reach(parameter, side, furthest);
+        let systematic = Z * self.systematic.col(parameter)[parameter].sqrt();
+        let reach = random.hypot(systematic);
+        End { x: from + side * reach.min(furthest), open: reach >= furthest }
+    }
+
+    /// How far the noise lets the parameter go to a side; infinite if further than `furthest`.
+    fn random_reach(&self, parameter: usize, side: f64, furthest: f64) -> f64 {
+        let from = self.optimum.x[parameter];
+        let deviation = self.spread.random.col(parameter)[parameter].sqrt();
         // Roots of the rise are close to linear in the distance.
         let wanted = self.linear_rise(parameter, side * Z * deviation).sqrt();
         let mut free = self.free;
@@ -315,7 +354,7 @@ impl Intervals<'_> {
                 break (distance, rise);
             }
             if distance >= furthest {
-                return at(furthest, true);
+                return f64::INFINITY;
             }
             (inside, inside_rise) = (distance, rise);
             distance *= 1.5;
@@ -328,7 +367,7 @@ impl Intervals<'_> {
             let between = inside + share.clamp(0.05, 0.95) * (outside - inside);
             let rise = rise(between);
             if (rise - wanted).abs() < 0.01 * wanted {
-                return at(between, false);
+                return between;
             }
             if rise < wanted {
                 (inside, inside_rise) = (between, rise);
@@ -336,7 +375,7 @@ impl Intervals<'_> {
                 (outside, outside_rise) = (between, rise);
             }
         }
-        at(outside, false)
+        outside
     }
 
     /// By how much the error would rise at a distance from the optimum, all else optimised, if the model were linear.

@@ -94,7 +94,11 @@ impl<'a> Objective<'a> {
 
     /// The parameter that a coordinate stands for; what is held comes back as it was given.
     pub(super) fn parameter(&self, index: usize, x: f64) -> f64 {
-        self.held[index].unwrap_or_else(|| [sigma_t, albedo, g][index](x))
+        let grid = self.question.dictionary.grid();
+        let axis = [grid.sigma_t_per_mm(), grid.albedo(), grid.g()][index];
+        // Exponentials and logarithms come back a rounding beside the ends.
+        let within = |v: f64| v.clamp(axis[0], axis[axis.len() - 1]);
+        self.held[index].unwrap_or_else(|| within([sigma_t, albedo, g][index](x)))
     }
 
     pub(super) fn medium(&self, x: Coordinates) -> Medium {

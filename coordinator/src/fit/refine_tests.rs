@@ -8,7 +8,7 @@ use crate::fit::testing::coarse_axes;
 
 fn options(g: Option<f64>) -> FitOptions {
     let g = g.map_or(Bounds::FREE, Bounds::fixed);
-    FitOptions::new(FitSettings { g, refine: true, ..FitSettings::default() }).unwrap()
+    FitOptions::new(FitSettings { g, refine: true, offset_std_error: 0.0, ..FitSettings::default() }).unwrap()
 }
 
 fn answer(dictionary: &FitDictionary, medium: (f64, f64, f64), seed: u64, g: Option<f64>) -> ChannelFit {
@@ -125,6 +125,8 @@ fn scale_and_gain_errors_widen_the_intervals() {
     assert!((scale / expected - 1.0).abs() < 0.15, "{scale} {expected}");
     let gain = width(|s| s.gain_std_error = 0.01);
     assert!(plain < gain && gain < scale, "{plain} {gain} {scale}");
+    let offset = width(|s| s.offset_std_error = 0.002);
+    assert!(plain < offset, "{plain} {offset}");
 }
 
 #[test]
