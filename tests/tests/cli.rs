@@ -51,13 +51,73 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
     assert_eq!(keys(&show["grid"]), expected);
 
     let fit = json(&run(dir, &["fit", "m.csv", "--dictionary", "grid", "--json", "--top", "2"]), "fit");
-    assert_eq!(keys(&fit), ["dictionary", "g", "lambda", "materials", "mu"]);
+    let options = [
+        "albedo_range",
+        "dictionary",
+        "g",
+        "g_range",
+        "gain_std_error",
+        "lambda",
+        "level",
+        "mu",
+        "mu_std_error",
+        "offset_std_error",
+        "sigma_t_range",
+        "wavelet",
+    ];
+    let with = |more: &[&str]| {
+        let mut all: Vec<String> = options.iter().chain(more).map(|k| (*k).to_owned()).collect();
+        all.sort();
+        all
+    };
+    assert_eq!(keys(&fit), with(&["materials"]));
+    let channel = &fit["materials"][0]["channels"][0];
+    assert_eq!(keys(channel), ["candidates", "channel", "outside", "refined"]);
+    let expected = [
+        "absorption_interval",
+        "albedo",
+        "albedo_interval",
+        "correlation",
+        "covariance",
+        "dictionary_share",
+        "error",
+        "g",
+        "g_interval",
+        "measurement_noise",
+        "misfit",
+        "reduced_scattering_interval",
+        "resolved",
+        "sample_ior",
+        "sigma_t_interval",
+        "sigma_t_per_mm",
+        "thicknesses",
+        "valley",
+    ];
+    assert_eq!(keys(&channel["refined"]), expected);
     let candidates = &fit["materials"][0]["channels"][0]["candidates"];
     assert_eq!(candidates.as_array().unwrap().len(), 2);
     let expected = ["albedo", "error", "g", "sample_ior", "sigma_t_per_mm", "thicknesses"];
     assert_eq!(keys(&candidates[0]), expected);
     let expected = ["gradient_rms", "record", "thickness_mm", "value_rms"];
     assert_eq!(keys(&candidates[0]["thicknesses"][1]), expected);
+
+    let ask = |verb: &[&str]| run(dir, &[verb, &["m.csv", "--dictionary", "grid", "--json"][..]].concat());
+    let scale = json(&ask(&["scale"]), "scale");
+    assert_eq!(keys(&scale), with(&["materials", "scale"]));
+    let expected = ["at_end", "best_g", "by_g", "curvature", "curve", "error", "mu", "std_error"];
+    assert_eq!(keys(&scale["scale"]), expected);
+    assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 201);
+    let measure = json(&ask(&["measure"]), "measure");
+    assert_eq!(keys(&measure), with(&["common_g", "materials", "scale"]));
+    let map = json(&ask(&["map"]), "map");
+    assert_eq!(keys(&map), with(&["maps"]));
+    let expected = ["albedo", "best_layer", "channel", "layers", "material", "sample_ior", "sigma_t_per_mm"];
+    assert_eq!(keys(&map["maps"][0]), expected);
+    assert_eq!(keys(&map["maps"][0]["layers"][0]), ["best", "errors", "g", "similar"]);
+    let similar = ["similar", "--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--to", "0,0.8", "--json"];
+    let similar = json(&run(dir, &similar), "similar");
+    assert_eq!(keys(&similar), ["medium", "similar"]);
+    assert!((similar["similar"][0]["sigma_t_per_mm"].as_f64().unwrap() - 3.84).abs() < 1e-9);
 
     let medium = ["--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--thickness", "0.5"];
     let small = ["--walks", "5000", "--pixels", "12", "--json"];
@@ -186,11 +246,59 @@ fn export_writes_a_file_whole_and_stops_quietly_when_its_reader_goes() {
 }
 
 #[test]
+fn pictures_and_media_are_written() {
+    let farm = farm();
+    let dir = farm.path();
+    write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
+    let asked = ["m.csv", "--dictionary", "grid"];
+    let medium = ["--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--thickness", "0.5", "--walks", "5000"];
+    for (verb, arguments, file) in [
+        ("fit", &asked[..], "fit.svg"),
+        ("fit", &asked[..], "fit.png"),
+        ("scale", &asked[..], "scale.svg"),
+        ("map", &asked[..], "map.png"),
+        ("measure", &asked[..], "measure.svg"),
+        ("show", &["grid"][..], "show.svg"),
+        ("simulate", &medium[..], "changes.svg"),
+    ] {
+        let ran = run(dir, &[&[verb][..], arguments, &["--plot", file]].concat());
+        assert_eq!(ran.code, 0, "{verb}: {}", ran.stderr);
+        let bytes = std::fs::read(dir.join(file)).unwrap();
+        let head: &[u8] = if file.ends_with("svg") { b"<svg" } else { b"\x89PNG" };
+        assert!(bytes.starts_with(head) && bytes.len() > 5_000, "{file}: {} bytes", bytes.len());
+    }
+    assert_eq!(run(dir, &[&["measure"][..], &asked, &["-o", "out"]].concat()).code, 0);
+    for (file, text) in [
+        ("table.csv", "material,channel,sigma_t_per_mm,"),
+        ("media.py", "\"type\": \"homogeneous\""),
+        ("media.xml", "<medium type=\"homogeneous\""),
+        ("media.pbrt", "MakeNamedMedium"),
+    ] {
+        assert!(std::fs::read_to_string(dir.join("out").join(file)).unwrap().contains(text), "{file}");
+    }
+    fails(dir, &[&["fit"][..], &asked, &["--plot", "fit.pdf"]].concat(), &["fit.pdf", ".svg or .png"]);
+    assert!(!dir.join("fit.pdf").exists());
+}
+
+#[test]
 fn help_and_completions_are_there() {
     let dir = folder();
     let help = run(dir.path(), &["--help"]);
     assert_eq!(help.code, 0);
-    for verb in ["submit", "fit", "simulate", "status", "list", "show", "export", "completions"] {
+    for verb in [
+        "submit",
+        "fit",
+        "scale",
+        "measure",
+        "map",
+        "similar",
+        "simulate",
+        "status",
+        "list",
+        "show",
+        "export",
+        "completions",
+    ] {
         assert!(help.stdout.contains(verb), "{verb}");
         assert_eq!(run(dir.path(), &[verb, "--help"]).code, 0, "{verb}");
     }

@@ -108,6 +108,14 @@ fn bad_measurements_are_refused() {
             "x must be strictly rising",
         ),
         (HEAD.to_owned() + &rows("X", 0.5), "channel = X is not valid: the dictionary has R, G, B"),
+        (
+            HEAD.to_owned() + &good.lines().map(|l| far(l) + "\n").collect::<String>(),
+            "it covers 0 pixels of the dictionary's -5 to 5 mm, 8 are needed",
+        ),
+        (
+            HEAD.to_owned() + &good.lines().map(|l| flat(l) + "\n").collect::<String>(),
+            "a constant profile says nothing about the medium",
+        ),
         (HEAD.to_owned() + &rows("R", 0.7), "thickness_mm = 0.7 is not valid: the dictionary has 0.5, 1"),
     ] {
         write(dir, "m.csv", &text);
@@ -119,11 +127,27 @@ fn bad_measurements_are_refused() {
     for (option, message) in [
         ("--mu=0", "mu = 0 is not valid"),
         ("--lambda=-1", "lambda = -1 is not valid"),
-        ("--g=0.3", "g = 0.3 is not valid: the dictionary has 0.4"),
+        ("--g=0.3", "g = 0.3 is not valid: the dictionary has 0.4 alone"),
+        ("--g=0.6..0.2", "g = 0.6 to 0.2 is not valid: the lower bound must not exceed the upper"),
+        ("--sigma-t=50..", "sigma_t_per_mm = 50 to inf is not valid: the dictionary has"),
+        ("--albedo=1.5", "albedo = 1.5 is not valid: allowed are 0 to 1"),
+        ("--level=0", "level = 0 is not valid: allowed are 1 to 10"),
+        ("--offset-std-error=-1", "offset_std_error = -1 is not valid"),
         ("--top=0", "top = 0 is not valid"),
     ] {
         fails(dir, &["fit", "m.csv", "--dictionary", "grid", option], &[message]);
     }
+    for (verb, option, message) in [
+        ("scale", "--mu-min=0", "mu_min = 0 is not valid: allowed are numbers above 0"),
+        ("scale", "--mu-min=2", "mu_min = 2 to 1 is not valid: the lower bound must not exceed the upper"),
+        ("scale", "--mu-step=1e-9", "mu_step = 0.000000001 over 0.8 to 1 is not valid"),
+        ("measure", "--mu=-1", "mu = -1 is not valid"),
+        ("map", "--channel=X", "material resin has no channel X; it has R"),
+        ("map", "--material=x", "the file has no material x; it has resin"),
+    ] {
+        fails(dir, &[verb, "m.csv", "--dictionary", "grid", option], &[message]);
+    }
+    assert_eq!(run(dir, &["fit", "m.csv", "--g", "1..x"]).code, 2);
 }
 
 #[test]
@@ -210,4 +234,17 @@ fn the_other_programs_tell_their_errors_in_one_line() {
     assert!(data.starts_with("farm-coordinator: data directory /dev/null/farm: cannot be created"), "{data}");
     let url = first_line("farm-worker", &["--server", "not a url"]);
     assert!(url.contains("coordinator URL \"not a url\" is not valid"), "{url}");
+}
+
+/// A row whose place is 100 mm further to the right.
+fn far(row: &str) -> String {
+    let parts: Vec<&str> = row.split(',').collect();
+    let x: f64 = parts[3].parse().unwrap();
+    format!("{},{},{},{},{}", parts[0], parts[1], parts[2], x + 100.0, parts[4])
+}
+
+/// A row with the value 0.5.
+fn flat(row: &str) -> String {
+    let parts: Vec<&str> = row.split(',').collect();
+    format!("{},0.5", parts[..4].join(","))
 }

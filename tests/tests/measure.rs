@@ -156,8 +156,11 @@ fn a_free_anisotropy_is_told_to_trade_off() {
     assert!(valley >= 0.8 && sigma_t >= 0.7 && g >= 0.7 && off < 0.03);
 }
 
-/// The paper's Table 1: σ_t and α in R, G, B, at g = 0.4.
-const TABLE_1: [(&str, [(f64, f64); 3]); 5] = [
+/// A material and its σ_t and α in R, G, B.
+type Row = (&'static str, [(f64, f64); 3]);
+
+/// The paper's Table 1, at g = 0.4.
+const TABLE_1: [Row; 5] = [
     ("cyan", [(9.0, 0.05), (4.5, 0.7), (7.5, 0.98)]),
     ("magenta", [(2.5, 0.98), (3.0, 0.1), (10.0, 0.9)]),
     ("yellow", [(2.25, 0.997), (3.75, 0.995), (19.0, 0.15)]),
@@ -166,7 +169,7 @@ const TABLE_1: [(&str, [(f64, f64); 3]); 5] = [
 ];
 
 fn table_1(mu: f64, seed: u64) -> Vec<Measurement> {
-    let material = |(m, (name, media)): (usize, &(&str, [(f64, f64); 3]))| {
+    let material = |(m, (name, media)): (usize, &Row)| {
         let mut profiles = Vec::new();
         for (channel, (sigma_t, albedo)) in media.iter().enumerate() {
             let medium = Medium::new(*sigma_t, *albedo, 0.4).unwrap();

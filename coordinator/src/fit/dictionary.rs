@@ -66,7 +66,7 @@ pub struct FitDictionary {
     grid: Grid,
     /// `[channel][record][pixel]`.
     values: Vec<f32>,
-    /// The default first, then the most recently used.
+    /// The default first, then the last other one.
     views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
@@ -96,15 +96,15 @@ impl FitDictionary {
     pub(super) fn view(&self, key: &ViewKey) -> Arc<View> {
         let slot = {
             let mut views = self.views.lock().unwrap_or_else(PoisonError::into_inner);
-            match views.iter().position(|(other, _)| other == key) {
-                Some(i) => views[i].1.clone(),
-                None => {
-                    if views.len() > OTHER_VIEWS {
-                        views.remove(1);
-                    }
-                    views.push((key.clone(), Slot::default()));
-                    views[views.len() - 1].1.clone()
+            if let Some(i) = views.iter().position(|(other, _)| other == key) {
+                views[i].1.clone()
+            } else {
+                if views.len() > OTHER_VIEWS {
+                    views.remove(1);
                 }
+                let slot = Slot::default();
+                views.push((key.clone(), slot.clone()));
+                slot
             }
         };
         slot.get_or_init(|| Arc::new(View::new(self, key.clone()))).clone()

@@ -186,10 +186,9 @@ impl<'a> Objective<'a> {
                 }
             }
         }
-        for i in 0..3 {
-            let (low, high) = self.limits[i];
+        for (i, (free, (low, high))) in free.iter_mut().zip(self.limits).enumerate() {
             let outwards = (x[i] <= low && downhill[i] < 0.0) || (x[i] >= high && downhill[i] > 0.0);
-            free[i] &= !outwards;
+            *free &= !outwards;
         }
         for i in 0..3 {
             let diagonal = normal.col(i)[i];
@@ -205,23 +204,20 @@ pub(super) fn invert(mut matrix: DMat3, free: [bool; 3]) -> Option<DMat3> {
     if free == [false; 3] {
         return None;
     }
-    for i in 0..3 {
-        if !free[i] {
-            for j in 0..3 {
-                matrix.col_mut(i)[j] = 0.0;
-                matrix.col_mut(j)[i] = 0.0;
-            }
-            matrix.col_mut(i)[i] = 1.0;
+    let held = || PARAMETERS.into_iter().filter(|i| !free[*i]);
+    for i in held() {
+        for j in PARAMETERS {
+            matrix.col_mut(i)[j] = 0.0;
+            matrix.col_mut(j)[i] = 0.0;
         }
+        matrix.col_mut(i)[i] = 1.0;
     }
     let mut inverse = matrix.inverse();
     if !inverse.is_finite() {
         return None;
     }
-    for i in 0..3 {
-        if !free[i] {
-            inverse.col_mut(i)[i] = 0.0;
-        }
+    for i in held() {
+        inverse.col_mut(i)[i] = 0.0;
     }
     Some(inverse)
 }

@@ -78,14 +78,18 @@ fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
     if norm < 1e-9 {
         return None;
     }
-    unit.iter_mut().for_each(|v| *v /= norm);
+    for v in &mut unit {
+        *v /= norm;
+    }
     // Once more against all: rounding leaves a trace, and the bound lives on orthogonality.
     for direction in directions {
         let along = dot(&unit, direction);
         subtract(&mut unit, along, direction);
     }
     let norm = dot(&unit, &unit).sqrt();
-    unit.iter_mut().for_each(|v| *v /= norm);
+    for v in &mut unit {
+        *v /= norm;
+    }
     Some(unit)
 }
 

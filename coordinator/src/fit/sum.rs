@@ -4,7 +4,7 @@
 const LANES: usize = 8;
 
 /// Σ f(a_i, b_i). The terms i, i + 8, i + 16, … form one partial sum each; these are added up pairwise.
-#[inline(always)]
+#[inline]
 fn striped<A: Into<f64> + Copy, B: Into<f64> + Copy>(a: &[A], b: &[B], f: impl Fn(f64, f64) -> f64) -> f64 {
     debug_assert_eq!(a.len(), b.len());
     let mut sums = [0.0; LANES];

@@ -164,20 +164,19 @@ impl LocalAxis {
 fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
     for i in 0..n {
-        for j in i + 1..n {
-            let factor = a[j][i] / a[i][i];
-            for k in i..n {
-                let upper = a[i][k];
-                a[j][k] -= factor * upper;
+        let (above, below) = a.split_at_mut(i + 1);
+        let pivot = &above[i];
+        for (j, row) in (i + 1..n).zip(below) {
+            let factor = row[i] / pivot[i];
+            for (cell, upper) in row.iter_mut().zip(pivot).skip(i) {
+                *cell -= factor * upper;
             }
             b[j] -= factor * b[i];
         }
     }
     for i in (0..n).rev() {
-        for k in i + 1..n {
-            b[i] -= a[i][k] * b[k];
-        }
-        b[i] /= a[i][i];
+        let known: f64 = (i + 1..n).map(|k| a[i][k] * b[k]).sum();
+        b[i] = (b[i] - known) / a[i][i];
     }
     b
 }

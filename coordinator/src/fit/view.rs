@@ -29,14 +29,18 @@ impl Slope {
     pub(super) fn of(self, f: &[f64]) -> Vec<f64> {
         let scale = REFERENCE_PITCH_MM / self.pitch_mm;
         let mut slope = derivative(f, self.wavelet, self.level);
-        slope.iter_mut().for_each(|d| *d *= scale);
+        for d in &mut slope {
+            *d *= scale;
+        }
         slope
     }
 
     /// |∇f|.
     pub(super) fn magnitude(self, f: &[f64]) -> Vec<f64> {
         let mut slope = self.of(f);
-        slope.iter_mut().for_each(|d| *d = d.abs());
+        for d in &mut slope {
+            *d = d.abs();
+        }
         slope
     }
 }

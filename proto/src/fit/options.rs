@@ -118,7 +118,7 @@ impl Default for FitSettings {
 }
 
 /// Checked settings of Eqs. 1 and 2.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FitOptions(FitSettings);
 
 impl FitOptions {
@@ -154,12 +154,6 @@ impl FitOptions {
     /// The same with the anisotropy held at a value.
     pub fn with_g(self, g: f64) -> Result<Self> {
         Self::new(FitSettings { g: Bounds::fixed(g), ..self.0 })
-    }
-}
-
-impl Default for FitOptions {
-    fn default() -> Self {
-        Self(FitSettings::default())
     }
 }
 
