@@ -30,6 +30,14 @@ bench filter="":
 bench-dictionary walks="25000":
     FARM_BENCH_WALKS={{walks}} cargo bench -p farm-tests
 
+# Speed of the fit with the dictionary "paper" of a data folder (see `dictionary`).
+bench-fit folder="/tmp/farm-dictionary" filter="":
+    FARM_BENCH_DATA={{folder}} cargo bench -p farm-coordinator -- "{{filter}}"
+
+# 200 media traced afresh and fitted with the paper's whole dictionary: errors and coverage; some ten minutes.
+round-trip-long effort="8":
+    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test measure -- --nocapture --test-threads 1
+
 # Mitsuba 3 on the same scene, side by side; `python` must have the packages mitsuba and numpy.
 compare-mitsuba python="python3":
     cargo build --release

@@ -64,8 +64,11 @@ fn noise(n: usize) -> f64 {
     ((n as f64 * 12.9898).sin() * 43_758.547).fract()
 }
 
-/// The paper's Table 1: σ_t and α in R, G, B, at g = 0.4.
-const TABLE_1: [(&str, [(f64, f64); 3]); 5] = [
+/// A material and its σ_t and α in R, G, B.
+type Row = (&'static str, [(f64, f64); 3]);
+
+/// The paper's Table 1, at g = 0.4.
+const TABLE_1: [Row; 5] = [
     ("cyan", [(9.0, 0.05), (4.5, 0.7), (7.5, 0.98)]),
     ("magenta", [(2.5, 0.98), (3.0, 0.1), (10.0, 0.9)]),
     ("yellow", [(2.25, 0.997), (3.75, 0.995), (19.0, 0.15)]),
@@ -102,7 +105,7 @@ fn measurement(
 }
 
 fn materials(dictionary: &FitDictionary) -> Vec<Measurement> {
-    let material = |(i, (name, media)): (usize, &(&str, [(f64, f64); 3]))| {
+    let material = |(i, (name, media)): (usize, &Row)| {
         let media: Vec<_> = media.iter().enumerate().map(|(c, (s, a))| (c, *s, *a)).collect();
         measurement(dictionary, name, &media, 7 * i)
     };

@@ -14,6 +14,7 @@ use farm_proto::measurement::MIN_PIXELS;
 use glam::{DMat3, DVec3};
 
 use super::gradient::derivative_adjoint;
+use super::intervals::Intervals;
 use super::question::{Question, Term};
 use super::refine::{Block, Objective, Optimum, PARAMETERS, invert, optimum};
 use super::sum::dot;
@@ -21,7 +22,7 @@ use super::surrogate::{ALBEDO, Coordinates, G, SIGMA_T, albedo, coordinates, sig
 use super::view::REFERENCE_PITCH_MM;
 
 /// Two-sided 95 % of the normal distribution.
-const Z: f64 = 1.959_964;
+pub(super) const Z: f64 = 1.959_964;
 /// A channel is resolved if its intervals of σ_t and of the albedo span at most this factor …
 const RESOLVED_FACTOR: f64 = 2.0;
 /// … and that of the albedo at most this.
@@ -102,7 +103,7 @@ fn candidate(objective: &Objective, optimum: &Optimum, blocks: &[Block], sample_
 }
 
 /// The sources of noise as functionals of the residuals, before H⁻¹.
-struct Noise {
+pub(super) struct Noise {
     hessian: DMat3,
     /// Covariances of Σ K δr, of each source.
     measurement: DMat3,
@@ -113,13 +114,13 @@ struct Noise {
 }
 
 /// Covariance of the optimum.
-struct Spread {
-    total: DMat3,
+pub(super) struct Spread {
+    pub total: DMat3,
     /// From noise: of the measurement's pixels and of the dictionary.
-    random: DMat3,
+    pub random: DMat3,
     /// From the scale factor, and gain and zero of each profile.
-    systematic: DMat3,
-    inverse_hessian: DMat3,
+    pub systematic: DMat3,
+    pub inverse_hessian: DMat3,
     dictionary_share: f64,
 }
 
@@ -168,7 +169,7 @@ impl Noise {
     }
 
     /// The covariance of the coordinates that are free.
-    fn spread(&self, free: [bool; 3]) -> Spread {
+    pub(super) fn spread(&self, free: [bool; 3]) -> Spread {
         let ridge = DMat3::from_diagonal(DVec3::splat(1e-12));
         let inverse_hessian = invert(self.hessian + ridge, free).unwrap_or(DMat3::ZERO);
         let through = |source: DMat3| inverse_hessian * source * inverse_hessian.transpose();
@@ -272,129 +273,6 @@ fn measurement_noise(term: &Term, functionals: &[Vec<f64>; 3], std_errors: &[f64
         pulled
     });
     outer_sum(&pulled, &pulled)
-}
-
-/// What the ends of intervals are found with.
-#[derive(Clone, Copy)]
-struct Intervals<'a> {
-    objective: &'a Objective<'a>,
-    optimum: &'a Optimum,
-    /// At the optimum.
-    blocks: &'a [Block],
-    spread: &'a Spread,
-    /// Covariance from systematic errors.
-    systematic: DMat3,
-    free: [bool; 3],
-}
-
-/// One end of an interval in a coordinate; open if the limit is reached before the error has risen enough.
-struct End {
-    x: f64,
-    open: bool,
-}
-
-impl Intervals<'_> {
-    /// The intervals of all parameters. Where the data do not bound σ_t the albedo's systematic error is that at any
-    /// one σ_t: the linear theory would let it run along with the other.
-    fn all(&self, noise: &Noise) -> [Interval; 3] {
-        let sigma_t = self.of(SIGMA_T);
-        let mut others = *self;
-        if sigma_t.open_low || sigma_t.open_high {
-            others.systematic = noise.spread([false, self.free[ALBEDO], self.free[G]]).systematic;
-        }
-        [sigma_t, others.of(ALBEDO), others.of(G)]
-    }
-
-    /// The 95 % interval of one parameter.
-    fn of(&self, parameter: usize) -> Interval {
-        let tell = |x: f64| self.objective.parameter(parameter, x);
-        if !self.free[parameter] {
-            let value = tell(self.optimum.x[parameter]);
-            return Interval { low: value, high: value, open_low: false, open_high: false };
-        }
-        let (low, high) = (self.end(parameter, -1.0), self.end(parameter, 1.0));
-        // √(1 − α) and ln(1 − g) fall where the parameters rise.
-        let (low, high) = if parameter == SIGMA_T { (low, high) } else { (high, low) };
-        Interval { low: tell(low.x), high: tell(high.x), open_low: low.open, open_high: high.open }
-    }
-
-    /// Where the noise alone ends the interval, and the systematic part in quadrature.
-    fn end(&self, parameter: usize, side: f64) -> End {
-        let from = self.optimum.x[parameter];
-        let (low, high) = self.objective.limits[parameter];
-        let furthest = if side < 0.0 { from - low } else { high - from };
-        let random = self.random_reach(parameter, side, furthest);
-        let systematic = Z * self.systematic.col(parameter)[parameter].sqrt();
-        let reach = random.hypot(systematic);
-        End { x: from + side * reach.min(furthest), open: reach >= furthest }
-    }
-
-    /// How far the noise lets the parameter go to a side; infinite if further than `furthest`.
-    fn random_reach(&self, parameter: usize, side: f64, furthest: f64) -> f64 {
-        let from = self.optimum.x[parameter];
-        let deviation = self.spread.random.col(parameter)[parameter].sqrt();
-        // Roots of the rise are close to linear in the distance.
-        let wanted = self.linear_rise(parameter, side * Z * deviation).sqrt();
-        let mut free = self.free;
-        free[parameter] = false;
-        let mut warm = self.optimum.x;
-        let mut rise = |distance: f64| {
-            let mut x = warm;
-            x[parameter] = from + side * distance;
-            let found = self.objective.descend(x, free);
-            warm = found.x;
-            (found.error - self.optimum.error).max(0.0).sqrt()
-        };
-        let (mut inside, mut inside_rise) = (0.0, 0.0);
-        let mut distance = (Z * deviation).max(1e-9);
-        let (mut outside, mut outside_rise) = loop {
-            distance = distance.min(furthest);
-            let rise = rise(distance);
-            if rise >= wanted {
-                break (distance, rise);
-            }
-            if distance >= furthest {
-                return f64::INFINITY;
-            }
-            (inside, inside_rise) = (distance, rise);
-            distance *= 1.5;
-        };
-        for _ in 0..6 {
-            if outside - inside <= 0.02 * outside {
-                break;
-            }
-            let share = (wanted - inside_rise) / (outside_rise - inside_rise).max(f64::MIN_POSITIVE);
-            let between = inside + share.clamp(0.05, 0.95) * (outside - inside);
-            let rise = rise(between);
-            if (rise - wanted).abs() < 0.01 * wanted {
-                return between;
-            }
-            if rise < wanted {
-                (inside, inside_rise) = (between, rise);
-            } else {
-                (outside, outside_rise) = (between, rise);
-            }
-        }
-        outside
-    }
-
-    /// By how much the error would rise at a distance from the optimum, all else optimised, if the model were linear.
-    fn linear_rise(&self, parameter: usize, distance: f64) -> f64 {
-        let column = self.spread.inverse_hessian.col(parameter);
-        let step = column * (distance / column[parameter].max(f64::MIN_POSITIVE));
-        // The mean over both sides: at a bound the error need not be flat.
-        let rise = |block: &Block| {
-            let (mut below, mut above) = (0.0, 0.0);
-            for (i, r) in block.residual.iter().enumerate() {
-                let change: f64 = PARAMETERS.iter().map(|c| block.jacobian[*c][i] * step[*c]).sum();
-                below += (r - change).powi(2);
-                above += (r + change).powi(2);
-            }
-            let n = block.residual.len() as f64;
-            block.weight * (0.5 * ((below / n).sqrt() + (above / n).sqrt()) - block.rms)
-        };
-        self.blocks.iter().map(rise).sum::<f64>().max(0.0)
-    }
 }
 
 /// An interval of exp(f) with f linear in the coordinates, kept within what the dictionary has.

@@ -7,6 +7,8 @@ mod certainty;
 mod curves;
 mod dictionary;
 mod gradient;
+mod intervals;
+mod local_axis;
 mod map;
 mod measure;
 mod question;
