@@ -239,7 +239,7 @@ fn the_other_programs_tell_their_errors_in_one_line() {
 /// A row whose place is 100 mm further to the right.
 fn far(row: &str) -> String {
     let parts: Vec<&str> = row.split(',').collect();
-    let x: f64 = parts[3].parse().unwrap();
+    let x: f64 = parts[3].parse().expect("x is a number");
     format!("{},{},{},{},{}", parts[0], parts[1], parts[2], x + 100.0, parts[4])
 }
 
