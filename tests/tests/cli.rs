@@ -9,7 +9,6 @@ use farm_tests::process::{Ran, farmctl, program, run};
 fn every_verb_tells_its_result_in_one_stable_json_shape() {
     let farm = farm();
     let dir = farm.path();
-    write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
     let dictionary = [
         "created_unix_ms",
         "failed_jobs",
@@ -49,75 +48,6 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
         "walks",
     ];
     assert_eq!(keys(&show["grid"]), expected);
-
-    let fit = json(&run(dir, &["fit", "m.csv", "--dictionary", "grid", "--json", "--top", "2"]), "fit");
-    let options = [
-        "albedo_range",
-        "dictionary",
-        "g",
-        "g_range",
-        "gain_std_error",
-        "lambda",
-        "level",
-        "mu",
-        "mu_std_error",
-        "offset_std_error",
-        "sigma_t_range",
-        "wavelet",
-    ];
-    let with = |more: &[&str]| {
-        let mut all: Vec<String> = options.iter().chain(more).map(|k| (*k).to_owned()).collect();
-        all.sort();
-        all
-    };
-    assert_eq!(keys(&fit), with(&["materials"]));
-    let channel = &fit["materials"][0]["channels"][0];
-    assert_eq!(keys(channel), ["candidates", "channel", "outside", "refined"]);
-    let expected = [
-        "absorption_interval",
-        "albedo",
-        "albedo_interval",
-        "correlation",
-        "covariance",
-        "dictionary_share",
-        "error",
-        "g",
-        "g_interval",
-        "measurement_noise",
-        "misfit",
-        "reduced_scattering_interval",
-        "resolved",
-        "sample_ior",
-        "sigma_t_interval",
-        "sigma_t_per_mm",
-        "thicknesses",
-        "valley",
-    ];
-    assert_eq!(keys(&channel["refined"]), expected);
-    let candidates = &fit["materials"][0]["channels"][0]["candidates"];
-    assert_eq!(candidates.as_array().unwrap().len(), 2);
-    let expected = ["albedo", "error", "g", "sample_ior", "sigma_t_per_mm", "thicknesses"];
-    assert_eq!(keys(&candidates[0]), expected);
-    let expected = ["gradient_rms", "record", "thickness_mm", "value_rms"];
-    assert_eq!(keys(&candidates[0]["thicknesses"][1]), expected);
-
-    let ask = |verb: &[&str]| run(dir, &[verb, &["m.csv", "--dictionary", "grid", "--json"][..]].concat());
-    let scale = json(&ask(&["scale"]), "scale");
-    assert_eq!(keys(&scale), with(&["materials", "scale"]));
-    let expected = ["at_end", "best_g", "by_g", "curvature", "curve", "error", "mu", "std_error"];
-    assert_eq!(keys(&scale["scale"]), expected);
-    assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 201);
-    let measure = json(&ask(&["measure"]), "measure");
-    assert_eq!(keys(&measure), with(&["common_g", "materials", "scale"]));
-    let map = json(&ask(&["map"]), "map");
-    assert_eq!(keys(&map), with(&["maps"]));
-    let expected = ["albedo", "best_layer", "channel", "layers", "material", "sample_ior", "sigma_t_per_mm"];
-    assert_eq!(keys(&map["maps"][0]), expected);
-    assert_eq!(keys(&map["maps"][0]["layers"][0]), ["best", "errors", "g", "similar"]);
-    let similar = ["similar", "--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--to", "0,0.8", "--json"];
-    let similar = json(&run(dir, &similar), "similar");
-    assert_eq!(keys(&similar), ["medium", "similar"]);
-    assert!((similar["similar"][0]["sigma_t_per_mm"].as_f64().unwrap() - 3.84).abs() < 1e-9);
 
     let medium = ["--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--thickness", "0.5"];
     let small = ["--walks", "5000", "--pixels", "12", "--json"];
@@ -207,6 +137,81 @@ fn commands_in_one_folder_do_not_get_in_each_others_way() {
         assert_eq!(submit.code, 0, "{}", submit.stderr);
         assert_eq!(json(submit, "submit")["state"], "done");
     }
+}
+
+#[test]
+fn every_answer_of_the_fit_has_its_json_shape() {
+    let farm = farm();
+    let dir = farm.path();
+    write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
+    let fit = json(&run(dir, &["fit", "m.csv", "--dictionary", "grid", "--json", "--top", "2"]), "fit");
+    let options = [
+        "albedo_range",
+        "dictionary",
+        "g",
+        "g_range",
+        "gain_std_error",
+        "lambda",
+        "level",
+        "mu",
+        "mu_std_error",
+        "offset_std_error",
+        "sigma_t_range",
+        "wavelet",
+    ];
+    let with = |more: &[&str]| {
+        let mut all: Vec<String> = options.iter().chain(more).map(|k| (*k).to_owned()).collect();
+        all.sort();
+        all
+    };
+    assert_eq!(keys(&fit), with(&["materials"]));
+    let channel = &fit["materials"][0]["channels"][0];
+    assert_eq!(keys(channel), ["candidates", "channel", "outside", "refined"]);
+    let expected = [
+        "absorption_interval",
+        "albedo",
+        "albedo_interval",
+        "correlation",
+        "covariance",
+        "dictionary_share",
+        "error",
+        "g",
+        "g_interval",
+        "measurement_noise",
+        "misfit",
+        "reduced_scattering_interval",
+        "resolved",
+        "sample_ior",
+        "sigma_t_interval",
+        "sigma_t_per_mm",
+        "thicknesses",
+        "valley",
+    ];
+    assert_eq!(keys(&channel["refined"]), expected);
+    let candidates = &fit["materials"][0]["channels"][0]["candidates"];
+    assert_eq!(candidates.as_array().unwrap().len(), 2);
+    let expected = ["albedo", "error", "g", "sample_ior", "sigma_t_per_mm", "thicknesses"];
+    assert_eq!(keys(&candidates[0]), expected);
+    let expected = ["gradient_rms", "record", "thickness_mm", "value_rms"];
+    assert_eq!(keys(&candidates[0]["thicknesses"][1]), expected);
+
+    let ask = |verb: &[&str]| run(dir, &[verb, &["m.csv", "--dictionary", "grid", "--json"][..]].concat());
+    let scale = json(&ask(&["scale"]), "scale");
+    assert_eq!(keys(&scale), with(&["materials", "scale"]));
+    let expected = ["at_end", "best_g", "by_g", "curvature", "curve", "error", "mu", "std_error"];
+    assert_eq!(keys(&scale["scale"]), expected);
+    assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 201);
+    let measure = json(&ask(&["measure"]), "measure");
+    assert_eq!(keys(&measure), with(&["common_g", "materials", "scale"]));
+    let map = json(&ask(&["map"]), "map");
+    assert_eq!(keys(&map), with(&["maps"]));
+    let expected = ["albedo", "best_layer", "channel", "layers", "material", "sample_ior", "sigma_t_per_mm"];
+    assert_eq!(keys(&map["maps"][0]), expected);
+    assert_eq!(keys(&map["maps"][0]["layers"][0]), ["best", "errors", "g", "similar"]);
+    let similar = ["similar", "--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--to", "0,0.8", "--json"];
+    let similar = json(&run(dir, &similar), "similar");
+    assert_eq!(keys(&similar), ["medium", "similar"]);
+    assert!((similar["similar"][0]["sigma_t_per_mm"].as_f64().unwrap() - 3.84).abs() < 1e-9);
 }
 
 #[test]

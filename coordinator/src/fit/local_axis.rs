@@ -149,3 +149,71 @@ fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     }
     b
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn nodes(n: usize) -> Vec<f64> {
+        (0..n).map(|i| (1.0 + i as f64 + 0.3 * (i % 3) as f64).ln()).collect()
+    }
+
+    /// A local fit of degree k reproduces polynomials of degree k, and its slopes are their derivatives.
+    #[test]
+    fn polynomials_come_back_with_their_slopes() {
+        for (n, degree) in [(2, 1), (3, 2), (4, 3), (6, 2), (12, 2), (40, 3)] {
+            let axis = LocalAxis::new(nodes(n), 0.6);
+            let (low, high) = axis.range();
+            for share in [0.0, 0.21, 0.5, 0.83, 1.0] {
+                let x = low + share * (high - low);
+                let w = axis.weights(x);
+                for power in 0..=degree {
+                    let of = |weights: &[f64]| {
+                        let nodes = &axis.nodes[w.first..];
+                        weights.iter().zip(nodes).map(|(w, x)| w * x.powi(power)).sum::<f64>()
+                    };
+                    let slope = f64::from(power) * x.powi((power - 1).max(0));
+                    assert!((of(&w.values) - x.powi(power)).abs() < 1e-8, "{n} nodes, {x}^{power}");
+                    // At the ends the quotient is one-sided.
+                    assert!(
+                        (of(&w.slopes) - slope).abs() < 1e-3 * (1.0 + slope),
+                        "{n} nodes, slope of {x}^{power}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn weights_change_without_jumps() {
+        for n in [5, 9, 38] {
+            let axis = LocalAxis::new(nodes(n), 0.6);
+            let (low, high) = axis.range();
+            let padded = |x: f64| {
+                let w = axis.weights(x);
+                let mut all = vec![0.0; n];
+                all[w.first..w.first + w.values.len()].copy_from_slice(&w.values);
+                all
+            };
+            let steps = 20_000;
+            let at = |i: i32| padded(low + f64::from(i) / f64::from(steps) * (high - low));
+            let mut before = at(0);
+            for i in 1..=steps {
+                let now = at(i);
+                let jump = now.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                assert!(jump < 0.02, "{n} nodes, step {i}: {jump}");
+                before = now;
+            }
+        }
+    }
+
+    /// Smoothing over many nodes averages their noise; interpolation over few cannot.
+    #[test]
+    fn noise_is_averaged_where_nodes_are_dense() {
+        let leverage = |n: usize| {
+            let axis = LocalAxis::new((0..n).map(|i| i as f64 * 0.09).collect(), 0.6);
+            axis.weights(0.09 * (n / 2) as f64).values.iter().map(|w| w * w).sum::<f64>()
+        };
+        assert!(leverage(40) < 0.35 && leverage(4) > 0.9, "{} {}", leverage(40), leverage(4));
+    }
+}
