@@ -34,7 +34,7 @@ bench-dictionary walks="25000":
 bench-fit folder="/tmp/farm-dictionary" filter="":
     FARM_BENCH_DATA={{folder}} cargo bench -p farm-coordinator -- "{{filter}}"
 
-# 200 media traced afresh and fitted with the paper's whole dictionary: errors and coverage; some ten minutes.
+# 200 media traced afresh and fitted with the paper's whole dictionary: errors and coverage; some twelve minutes.
 round-trip-long effort="8":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test measure -- --nocapture --test-threads 1
 

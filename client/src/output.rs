@@ -88,6 +88,17 @@ pub(crate) fn is_closed_pipe(error: &anyhow::Error) -> bool {
         .any(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
+/// Writes beside the file and renames, so that the file is whole or not there.
+pub(crate) fn write_whole(path: &std::path::Path, bytes: &[u8]) -> std::io::Result<()> {
+    let draft = std::path::PathBuf::from(format!("{}.partial", path.display()));
+    let written = std::fs::write(&draft, bytes).and_then(|()| std::fs::rename(&draft, path));
+    if written.is_err() {
+        // The first error is the one to tell.
+        let _ = std::fs::remove_file(&draft);
+    }
+    written
+}
+
 /// A horizontal rule above and below the head and at the end.
 const RULED: TableStyle = {
     let rule = LineStyle::new('─', '─', '─', '─');

@@ -93,7 +93,7 @@ fn measurement(
         for (t, thickness) in grid.thickness_mm().iter().enumerate() {
             let (s, a) = (nearest(grid.sigma_t_per_mm(), sigma_t), nearest(grid.albedo(), albedo));
             let record = grid.record_at(0, s, nearest(grid.g(), 0.4), t, a);
-            let exact = dictionary.profile(record, channel);
+            let exact = dictionary.values(record, channel);
             let noisy = |(i, v): (usize, &f32)| f64::from(*v) * (1.0 + 0.017 * noise(seed + i + 1000 * t));
             let values = exact.iter().enumerate().map(noisy).collect();
             let x = (0..exact.len()).map(|i| grid.scene().sensor().centre_mm(i)).collect();

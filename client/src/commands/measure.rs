@@ -12,7 +12,7 @@ use crate::connection::{Purpose, with_farm};
 use crate::figures;
 use crate::measurement_file::read_measurements;
 use crate::media;
-use crate::output::Output;
+use crate::output::{Output, write_whole};
 use crate::plot::Picture;
 
 pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> Result<()> {
@@ -104,7 +104,7 @@ fn write_folder(folder: &Path, found: &Found) -> Result<()> {
         ("media.pbrt", media::pbrt(&media)),
     ];
     for (name, text) in files {
-        std::fs::write(folder.join(name), text).context(name)?;
+        write_whole(&folder.join(name), text.as_bytes()).context(name)?;
     }
     Ok(())
 }

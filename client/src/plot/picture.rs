@@ -1,11 +1,13 @@
 //! A finished figure and its files.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
 use anyhow::{Context as _, bail};
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{self, fontdb};
+
+use crate::output::write_whole;
 
 /// Pixels of a PNG for one CSS pixel, so that text is sharp.
 const PNG_SCALE: f32 = 2.0;
@@ -45,13 +47,7 @@ impl Picture {
             Format::Svg => self.svg.clone().into_bytes(),
             Format::Png => self.png().with_context(|| format!("figure {}", path.display()))?,
         };
-        let draft = PathBuf::from(format!("{}.partial", path.display()));
-        let written = std::fs::write(&draft, bytes).and_then(|()| std::fs::rename(&draft, path));
-        if written.is_err() {
-            // The first error is the one to tell.
-            let _ = std::fs::remove_file(&draft);
-        }
-        written.with_context(|| format!("figure {}", path.display()))
+        write_whole(path, &bytes).with_context(|| format!("figure {}", path.display()))
     }
 
     #[cfg(test)]

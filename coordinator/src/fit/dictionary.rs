@@ -76,11 +76,7 @@ impl FitDictionary {
     }
 
     /// Radiance factors of a record in one channel.
-    pub fn profile(&self, record: usize, channel: usize) -> &[f32] {
-        self.values(record, channel)
-    }
-
-    pub(super) fn values(&self, record: usize, channel: usize) -> &[f32] {
+    pub fn values(&self, record: usize, channel: usize) -> &[f32] {
         let pixels = self.grid.scene().sensor().pixels();
         let start = (channel * self.grid.record_count() + record) * pixels;
         &self.values[start..start + pixels]

@@ -35,20 +35,25 @@ pub fn measure(
     plan: &MeasurePlan,
 ) -> Result<Measured, Invalid> {
     let settings = *options.settings();
-    let range = match plan.search_mu {
-        Some(range) => range,
-        None => MuRange::new(settings.mu, settings.mu, 1.0)?,
+    let held_g = settings.g.is_fixed().then_some(settings.g.min());
+    // One value of μ is enough to compare anisotropies.
+    let range = plan.search_mu.map_or_else(|| MuRange::new(settings.mu, settings.mu, 1.0), Ok)?;
+    let wants_g = plan.common_g && held_g.is_none();
+    let searched = if plan.search_mu.is_some() || wants_g {
+        Some(scale(dictionary, materials, options, &range)?)
+    } else {
+        None
     };
-    let searched = scale(dictionary, materials, options, &range)?;
-    let (mu, mu_std_error) = match plan.search_mu {
-        Some(_) => (searched.best.mu, searched.std_error.unwrap_or(0.0)),
+    let common_g = searched.as_ref().filter(|_| wants_g).map(|s| s.best_g);
+    let found_mu = searched.filter(|_| plan.search_mu.is_some());
+    let (mu, mu_std_error) = match &found_mu {
+        Some(scale) => (scale.best.mu, scale.std_error.unwrap_or(0.0)),
         None => (settings.mu, settings.mu_std_error),
     };
-    let g =
-        if settings.g.is_fixed() { Some(settings.g.min()) } else { plan.common_g.then_some(searched.best_g) };
+    let g = held_g.or(common_g);
     let options = FitOptions::new(FitSettings { mu, mu_std_error, refine: true, ..settings })?;
     let options = if let Some(g) = g { options.with_g(g)? } else { options };
     let fit = |material: &Measurement| super::fit(dictionary, material, &options);
     let fits = materials.iter().map(fit).collect::<Result<_, _>>()?;
-    Ok(Measured { scale: plan.search_mu.is_some().then_some(searched), mu, mu_std_error, g, materials: fits })
+    Ok(Measured { scale: found_mu, mu, mu_std_error, g, materials: fits })
 }
