@@ -1,16 +1,19 @@
 //! Compiles `proto/farm/v1/*.proto` with protox, so that no `protoc` is needed on the machine.
 
-const FILES: [&str; 5] = [
+const FILES: [&str; 6] = [
     "farm/v1/model.proto",
     "farm/v1/dictionaries.proto",
     "farm/v1/leases.proto",
     "farm/v1/fits.proto",
     "farm/v1/farm.proto",
+    "farm/v1/admin.proto",
 ];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo:rerun-if-changed=proto");
     let descriptors = protox::compile(FILES, ["proto"])?;
+    let out = std::path::PathBuf::from(std::env::var("OUT_DIR")?);
+    std::fs::write(out.join("descriptors.bin"), prost::Message::encode_to_vec(&descriptors))?;
     tonic_prost_build::configure().compile_fds(descriptors)?;
     Ok(())
 }

@@ -1,14 +1,23 @@
 //! The verbs, one module each.
 
+pub(crate) mod access;
 pub(crate) mod completions;
+pub(crate) mod doctor;
+pub(crate) mod events;
+pub(crate) mod explain;
 pub(crate) mod export;
 pub(crate) mod fit;
+pub(crate) mod health;
 pub(crate) mod list;
+pub(crate) mod manage;
 pub(crate) mod map;
 pub(crate) mod measure;
 pub(crate) mod scale;
 pub(crate) mod show;
 pub(crate) mod similar;
 pub(crate) mod simulate;
+pub(crate) mod slurm;
 pub(crate) mod status;
 pub(crate) mod submit;
+pub(crate) mod watch;
+pub(crate) mod workers;

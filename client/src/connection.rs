@@ -7,13 +7,14 @@ use anyhow::{Context, Result, bail};
 use farm_coordinator::store::DataDir;
 use farm_coordinator::{Config, Coordinator, Error, StoreError};
 use farm_proto::RequestLimits;
+use farm_proto::access::{ClientAccess, Link, Target};
+use farm_proto::wire::admin_client::AdminClient;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
 use farm_proto::wire::fits_client::FitsClient;
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
-use tonic::transport::{Channel, Endpoint};
 
 use crate::cli::Global;
 
@@ -28,7 +29,7 @@ pub(crate) enum Purpose {
 
 #[derive(Debug)]
 pub(crate) struct Connection {
-    channel: Channel,
+    link: Link,
     address: String,
     place: Place,
 }
@@ -80,24 +81,23 @@ fn is_gone(error: &anyhow::Error) -> bool {
 #[derive(Debug)]
 struct Embedded {
     coordinator: JoinHandle<Result<(), Error>>,
-    worker: Option<JoinHandle<Result<(), farm_worker::Error>>>,
+    worker: Option<JoinHandle<Result<farm_worker::Ended, farm_worker::Error>>>,
     stop_coordinator: CancellationToken,
     stop_worker: CancellationToken,
 }
 
 impl Connection {
     pub(crate) async fn open(global: &Global, purpose: Purpose) -> Result<Self> {
-        match &global.server {
-            Some(url) if !global.local => Self::remote(url.clone()).await,
-            _ => Self::local(&global.data, purpose).await,
+        if global.local || (global.server.is_none() && global.access.is_none()) {
+            return Self::local(&global.data, purpose).await;
         }
+        let access = global.access.as_deref().map(ClientAccess::read).transpose()?;
+        Self::remote(&Target::new(access.as_ref(), global.server.as_deref())?).await
     }
 
-    async fn remote(url: String) -> Result<Self> {
-        let endpoint = Endpoint::from_shared(url.clone()).with_context(|| format!("server URL {url:?}"))?;
-        let endpoint = endpoint.connect_timeout(Duration::from_secs(10)).tcp_nodelay(true);
-        let endpoint = endpoint.http2_keep_alive_interval(Duration::from_secs(20));
-        let channel = endpoint
+    async fn remote(target: &Target) -> Result<Self> {
+        let url = target.url().to_owned();
+        let link = target
             .connect()
             .await
             .map_err(|error| {
@@ -106,7 +106,7 @@ impl Connection {
                 anyhow::anyhow!("{}", cause.map_or_else(String::new, ToString::to_string))
             })
             .with_context(|| format!("no coordinator answers at {url}"))?;
-        Ok(Self { channel, address: url, place: Place::Server })
+        Ok(Self { link, address: url, place: Place::Server })
     }
 
     async fn local(data: &Path, purpose: Purpose) -> Result<Self> {
@@ -126,7 +126,7 @@ impl Connection {
             }
             // The holder may have started a moment ago and not listen yet, or be about to end.
             if let Some(address) = DataDir::address(data)
-                && let Ok(connection) = Self::remote(format!("http://{address}")).await
+                && let Ok(connection) = Self::remote(&loopback(&address)?).await
             {
                 return Ok(Self { place: Place::Neighbour, ..connection });
             }
@@ -136,11 +136,11 @@ impl Connection {
 
     async fn embed(coordinator: Coordinator, purpose: Purpose) -> Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0").await.context("opening a port on loopback")?;
-        let url = format!("http://{}", listener.local_addr()?);
+        let target = loopback(&listener.local_addr()?.to_string())?;
         let (stop_coordinator, stop_worker) = (CancellationToken::new(), CancellationToken::new());
         let coordinator = tokio::spawn(coordinator.serve(listener, stop_coordinator.clone()));
         let worker = (purpose == Purpose::Compute).then(|| {
-            let work = farm_worker::run(farm_worker::Config::new(url.clone()), stop_worker.clone());
+            let work = farm_worker::run(farm_worker::Config::new(target.clone()), stop_worker.clone());
             let stop_coordinator = stop_coordinator.clone();
             tokio::spawn(async move {
                 let ended = work.await;
@@ -152,7 +152,7 @@ impl Connection {
             })
         });
         let embedded = Embedded { coordinator, worker, stop_coordinator, stop_worker };
-        match Self::remote(url).await {
+        match Self::remote(&target).await {
             Ok(connection) => Ok(Self { place: Place::Embedded(embedded), ..connection }),
             Err(error) => {
                 // Why it does not answer is the better explanation.
@@ -176,21 +176,25 @@ impl Connection {
         matches!(self.place, Place::Server)
     }
 
-    pub(crate) fn dictionaries(&self) -> DictionariesClient<Channel> {
-        DictionariesClient::new(self.channel.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
+    pub(crate) fn dictionaries(&self) -> DictionariesClient<Link> {
+        DictionariesClient::new(self.link.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
     }
 
-    pub(crate) fn fits(&self) -> FitsClient<Channel> {
-        FitsClient::new(self.channel.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
+    pub(crate) fn fits(&self) -> FitsClient<Link> {
+        FitsClient::new(self.link.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
     }
 
-    pub(crate) fn farm(&self) -> FarmClient<Channel> {
-        FarmClient::new(self.channel.clone())
+    pub(crate) fn admin(&self) -> AdminClient<Link> {
+        AdminClient::new(self.link.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
+    }
+
+    pub(crate) fn farm(&self) -> FarmClient<Link> {
+        FarmClient::new(self.link.clone())
     }
 
     /// Stops what lives in this process: the worker hands its leases back, the coordinator closes its database.
     pub(crate) async fn close(self) -> Result<()> {
-        drop(self.channel);
+        drop(self.link);
         match self.place {
             Place::Embedded(embedded) => embedded.close().await,
             Place::Server | Place::Neighbour => Ok(()),
@@ -198,11 +202,16 @@ impl Connection {
     }
 }
 
+/// A farm of this machine that is open to whoever is on it.
+fn loopback(address: &str) -> Result<Target> {
+    Ok(Target::new(None, Some(&format!("http://{address}")))?)
+}
+
 impl Embedded {
     async fn close(self) -> Result<()> {
         self.stop_worker.cancel();
         let worker = match self.worker {
-            Some(worker) => worker.await.context("the embedded worker")?,
+            Some(worker) => worker.await.context("the embedded worker")?.map(drop),
             None => Ok(()),
         };
         self.stop_coordinator.cancel();

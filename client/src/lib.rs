@@ -1,9 +1,11 @@
 //! `farmctl`: submits grids, fits measurements, simulates profiles; on one machine or against a farm.
 
+pub mod access_files;
 mod answers;
 pub mod cli;
 mod commands;
 mod connection;
+mod exit;
 mod figures;
 mod grid_file;
 mod measurement_file;
@@ -11,6 +13,7 @@ mod media;
 mod output;
 mod plot;
 mod progress;
+mod slurm;
 
 use std::process::ExitCode;
 
@@ -21,7 +24,7 @@ pub use grid_file::{read_grid, read_scene};
 pub use measurement_file::read_measurements;
 
 /// Runs a command. Errors are told on standard error (or, with `--json`, as an object on standard output) and by the
-/// exit code: 1 for an error, 3 for a dictionary with failed jobs, 130 for an interruption.
+/// exit code, see [`exit`].
 pub async fn run(cli: Cli) -> ExitCode {
     let output = Output::new(cli.global.json);
     match dispatch(cli, &output).await {
@@ -46,6 +49,21 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Simulate(args) => commands::simulate::run(args, output).await?,
         Command::Status => commands::status::run(global, output).await?,
         Command::List => commands::list::run(global, output).await?,
+        Command::Watch(args) => return commands::watch::watch(global, &args.name, output).await,
+        Command::Wait(args) => return commands::watch::wait(global, args, output).await,
+        Command::Explain(args) => commands::explain::run(global, &args.name, output).await?,
+        Command::Pause(args) => commands::manage::pause(global, &args.name, output).await?,
+        Command::Resume(args) => commands::manage::resume(global, &args.name, output).await?,
+        Command::Cancel(args) => commands::manage::cancel(global, args, output).await?,
+        Command::Retry(args) => commands::manage::retry(global, &args.name, output).await?,
+        Command::Priority(args) => commands::manage::priority(global, args, output).await?,
+        Command::Delete(args) => commands::manage::delete(global, args, output).await?,
+        Command::Workers(args) => commands::workers::run(global, args, output).await?,
+        Command::Events(args) => commands::events::run(global, args, output).await?,
+        Command::Doctor(args) => return commands::doctor::run(global, &args, output).await,
+        Command::Access(command) => commands::access::run(command, output)?,
+        Command::Slurm(command) => commands::slurm::run(global, command, output)?,
+        Command::Health => commands::health::run(global, output).await?,
         Command::Show(args) => commands::show::run(global, args, output).await?,
         Command::Export(args) => commands::export::run(global, args, output).await?,
         Command::Completions(args) => commands::completions::run(&args),

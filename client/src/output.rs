@@ -145,6 +145,19 @@ pub(crate) fn duration(d: std::time::Duration) -> String {
     }
 }
 
+/// A moment as "2026-11-21T09:30:00Z".
+pub(crate) fn utc(unix_ms: u64) -> String {
+    jiff::Timestamp::from_second((unix_ms / 1000) as i64)
+        .map_or_else(|_| unix_ms.to_string(), |t| t.to_string())
+}
+
+/// Seconds since 1970.
+#[expect(clippy::disallowed_methods, reason = "certificates hold from now on")]
+pub(crate) fn now_unix_s() -> i64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    since.map_or(0, |d| d.as_secs() as i64)
+}
+
 /// Progress of a dictionary, as `list`, `submit` and `show` tell it.
 #[derive(Debug, Serialize)]
 pub(crate) struct DictionaryJson {
@@ -160,17 +173,28 @@ pub(crate) struct DictionaryJson {
     created_unix_ms: u64,
     grid_digest: String,
     records_digest: Option<String>,
+    records_reused: usize,
+    priority: i32,
+    eta_s: Option<f64>,
+    reason: String,
+    walks_min: u64,
+    walks_max: u64,
 }
 
 #[derive(Debug, Serialize)]
 struct FailedJobJson {
     job: u32,
     reason: String,
+    quarantined: bool,
 }
 
 impl From<&DictionaryStatus> for DictionaryJson {
     fn from(d: &DictionaryStatus) -> Self {
-        let failed = d.failed.iter().map(|f| FailedJobJson { job: f.job, reason: f.reason.clone() });
+        let failed = d.failed.iter().map(|f| FailedJobJson {
+            job: f.job,
+            reason: f.reason.clone(),
+            quarantined: f.quarantined,
+        });
         Self {
             name: d.name.to_string(),
             state: d.state().as_str(),
@@ -184,6 +208,12 @@ impl From<&DictionaryStatus> for DictionaryJson {
             created_unix_ms: d.created_unix_ms,
             grid_digest: d.grid_digest.to_string(),
             records_digest: d.records_digest.map(|d| d.to_string()),
+            records_reused: d.records_reused,
+            priority: d.priority,
+            eta_s: d.eta_s,
+            reason: d.reason.clone(),
+            walks_min: d.walks.0,
+            walks_max: d.walks.1,
         }
     }
 }
@@ -196,6 +226,8 @@ pub(crate) struct WorkerJson {
     leases: u32,
     jobs_done: u64,
     silent_ms: u64,
+    state: String,
+    version: String,
 }
 
 impl From<&WorkerStatus> for WorkerJson {
@@ -207,6 +239,8 @@ impl From<&WorkerStatus> for WorkerJson {
             leases: w.leases,
             jobs_done: w.jobs_done,
             silent_ms: w.silent_ms,
+            state: w.state.to_string(),
+            version: w.version.clone(),
         }
     }
 }

@@ -11,13 +11,12 @@ use crate::output::{duration, grouped};
 /// Time between plain lines.
 const LINE: Duration = Duration::from_secs(10);
 
-/// Tells records done, their rate, and when the rest will be done, from the share of work done since the start.
+/// Tells records done, their rate since the start, and when the rest will be done at the farm's present pace.
 #[derive(Debug)]
 pub(crate) struct Progress {
     look: Look,
     start: tokio::time::Instant,
     records_at_start: usize,
-    work_at_start: f64,
 }
 
 #[derive(Debug)]
@@ -40,8 +39,7 @@ impl Progress {
         } else {
             Look::Lines { last: None }
         };
-        let (records_at_start, work_at_start) = (first.records_done(), first.work_done);
-        Self { look, start: tokio::time::Instant::now(), records_at_start, work_at_start }
+        Self { look, start: tokio::time::Instant::now(), records_at_start: first.records_done() }
     }
 
     pub(crate) fn show(&mut self, status: &DictionaryStatus) {
@@ -72,13 +70,9 @@ impl Progress {
         let (done, total) = (status.records_done(), status.records_total());
         let count = format!("{} of {} records", grouped(done as u64), grouped(total as u64));
         let elapsed = self.start.elapsed();
-        let work = status.work_done - self.work_at_start;
         // Before the first jobs are back there is nothing to measure a rate with.
-        if work <= 0.0 || elapsed < Duration::from_secs(1) {
-            return count;
-        }
+        let Some(left) = status.eta_s.filter(|_| elapsed >= Duration::from_secs(1)) else { return count };
         let rate = (done - self.records_at_start) as f64 / elapsed.as_secs_f64();
-        let left = elapsed.mul_f64((1.0 - status.work_done).max(0.0) / work);
-        format!("{count}, {rate:.0} records/s, {} left", duration(left))
+        format!("{count}, {rate:.0} records/s, {} left", duration(Duration::from_secs_f64(left)))
     }
 }

@@ -31,10 +31,10 @@ fn runtime() -> tokio::runtime::Runtime {
 fn load(runtime: &tokio::runtime::Runtime) -> FitDictionary {
     let Some(data) = data() else { return made_up() };
     runtime.block_on(async {
-        let store = Store::open(DataDir::lock(&data).unwrap()).await.unwrap();
+        let store = Store::open(DataDir::lock(&data).unwrap(), |_| {}).await.unwrap();
         let stored = store.dictionaries().await.unwrap();
         let paper = stored.into_iter().find(|d| d.name.as_str() == "paper").expect("a dictionary \"paper\"");
-        let dictionary = load_dictionary(&store, paper.id, paper.grid).await.unwrap();
+        let dictionary = load_dictionary(&store, &paper.name, paper.id, &paper.grid).await.unwrap();
         store.close().await;
         dictionary
     })

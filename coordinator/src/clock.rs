@@ -2,6 +2,10 @@
 
 use std::time::Duration;
 
+use farm_proto::ids::Token;
+
+use crate::dispatch::Chance;
+
 /// Reads the machine's clocks.
 #[derive(Debug, Clone)]
 pub struct Clock {
@@ -27,12 +31,31 @@ impl Clock {
     }
 }
 
-/// 128 random bits in hexadecimal: lease tokens and worker ids.
+/// 128 random bits in hexadecimal: worker ids.
 ///
 /// # Panics
 /// If the operating system has no randomness to give.
 pub fn random_token() -> String {
+    format!("{:032x}", random())
+}
+
+fn random() -> u128 {
     let mut bytes = [0_u8; 16];
     getrandom::fill(&mut bytes).expect("the operating system gives random numbers");
-    format!("{:032x}", u128::from_be_bytes(bytes))
+    u128::from_be_bytes(bytes)
+}
+
+/// The operating system's randomness.
+#[derive(Debug, Clone, Copy)]
+pub struct Random;
+
+impl Chance for Random {
+    fn token(&mut self) -> Token {
+        // 0 is no token.
+        Token(random().max(1))
+    }
+
+    fn share(&mut self) -> f64 {
+        (random() >> 75) as f64 / (1_u64 << 53) as f64
+    }
 }

@@ -1,7 +1,10 @@
 //! Settings of the coordinator.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
+
+use farm_proto::access::CoordinatorAccess;
 
 #[derive(Debug, Clone)]
 pub struct Config {
@@ -11,10 +14,23 @@ pub struct Config {
     pub lease: Duration,
     /// Attempts after which a job is given up.
     pub max_attempts: u32,
+    /// Share of the results that a second worker computes too, for comparison; 0 to 1.
+    pub check_share: f64,
+    /// Certificate and tokens; without, everybody who reaches the port may do everything.
+    pub access: Option<Arc<CoordinatorAccess>>,
+    /// Connections beyond this many are refused.
+    pub max_connections: usize,
 }
 
 impl Config {
     pub fn new(data_dir: impl Into<PathBuf>) -> Self {
-        Self { data_dir: data_dir.into(), lease: Duration::from_secs(30), max_attempts: 3 }
+        Self {
+            data_dir: data_dir.into(),
+            lease: Duration::from_secs(30),
+            max_attempts: 3,
+            check_share: 0.01,
+            access: None,
+            max_connections: 4096,
+        }
     }
 }

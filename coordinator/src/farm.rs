@@ -1,26 +1,30 @@
 //! What the coordinator can do, each operation once: dispatch, store and fit tied together.
 
+mod events;
 mod fit_cache;
+mod manage;
+mod records;
+mod work;
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use farm_proto::ids::WorkerId;
-use farm_proto::job::{Lease, LeaseKey};
-use farm_proto::profile::RecordShape;
+use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
-use farm_proto::{DictionaryName, Digest, Grid, Invalid, PHYSICS_VERSION, Record};
+use farm_proto::{DictionaryName, Grid, Invalid, PHYSICS_VERSION};
 use tokio::sync::watch;
 
-use crate::clock::{Clock, random_token};
+use crate::clock::{Clock, Random};
 use crate::config::Config;
-use crate::dispatch::{self, Dictionary, DispatchError, Settings};
-use crate::fit::FitDictionary;
-use crate::store::{Completion, Store, StoreError};
+use crate::dispatch::{self, Dictionary, DispatchError, Event, EventKind, Origin, Settings};
+use crate::store::{Store, StoreError};
+use events::Recorder;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
+pub(crate) use records::read_chunk;
+pub(crate) use work::{Outcome, Received};
 
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum FarmError {
+pub enum FarmError {
     #[error(transparent)]
     Invalid(#[from] Invalid),
     #[error(transparent)]
@@ -39,10 +43,14 @@ pub(crate) enum FarmError {
         "this worker computes physics version {found}, the coordinator version {PHYSICS_VERSION}: install the same"
     )]
     PhysicsVersion { found: u32 },
+    #[error("dictionary {name} is {state}: {allowed}")]
+    WrongState { name: DictionaryName, state: &'static str, allowed: &'static str },
+    #[error("worker {which:?}: {why}")]
+    Worker { which: String, why: String },
     #[error(
-        "job {job} is done already, with other records than these: this worker or an earlier one computes wrongly"
+        "job {job} of dictionary {name} was damaged on the disk ({what}): it is computed again, try later"
     )]
-    Conflict { job: u32 },
+    Damaged { name: DictionaryName, job: u32, what: String },
 }
 
 fn hint(known: &[String]) -> String {
@@ -55,40 +63,80 @@ fn hint(known: &[String]) -> String {
 
 type Result<T, E = FarmError> = std::result::Result<T, E>;
 
+/// Counts over all dictionaries and workers.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Overview {
+    pub jobs_pending: usize,
+    pub jobs_leased: usize,
+    pub jobs_done: u64,
+    pub dictionaries: usize,
+    pub workers: usize,
+    pub threads: u64,
+    pub uptime_ms: u64,
+    pub database_bytes: u64,
+    /// Comparisons between workers: equal, unequal, and waiting.
+    pub checks: (u64, u64, usize),
+    pub store_fault: Option<String>,
+}
+
 #[derive(Debug)]
 pub(crate) struct Farm {
     store: Store,
-    dispatch: Mutex<dispatch::Farm>,
-    /// Keeps two submissions of one name from racing.
-    submitting: tokio::sync::Mutex<()>,
+    dispatch: Mutex<dispatch::Dispatcher>,
+    /// Keeps changes of one dictionary from racing.
+    managing: tokio::sync::Mutex<()>,
     clock: Clock,
     fits: FitCache,
-    /// Told whenever there is new work or progress.
+    recorder: Recorder,
+    /// Told whenever there is progress.
     changed: watch::Sender<()>,
+    /// Told whenever there is work for workers that wait.
+    work: watch::Sender<()>,
+    /// Why the last result could not be stored.
+    store_fault: Mutex<Option<String>>,
 }
 
 impl Farm {
     pub(crate) async fn load(store: Store, config: &Config) -> Result<Self, StoreError> {
-        let settings = Settings { lease: config.lease, max_attempts: config.max_attempts };
-        let mut dispatch = dispatch::Farm::new(settings);
+        let settings = Settings {
+            lease: config.lease,
+            max_attempts: config.max_attempts,
+            check_share: config.check_share,
+        };
+        let mut dispatch = dispatch::Dispatcher::new(settings);
+        for (worker, reason) in store.fenced().await? {
+            dispatch.remember_fence(Origin(worker), reason);
+        }
+        let mut ids = Vec::new();
         for stored in store.dictionaries().await? {
-            let ended = store.ended_jobs(stored.id).await?;
-            let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
-            let mut dictionary = Dictionary::new(stored, ended);
-            if outdated && dictionary.pending() > 0 {
-                tracing::warn!(name = %dictionary.name(), "begun with another physics version: it is not continued");
-                dictionary.suspend();
+            let ended = store.ended_jobs(stored.id, stored.grid.walks()).await?;
+            let dictionary = Dictionary::new(stored, &ended);
+            if !dictionary.is_active() && dictionary.pending() > 0 {
+                tracing::info!(name = %dictionary.name(), state = dictionary.state().as_str(), "not continued");
             }
+            ids.push(dictionary.id());
             dispatch.add_dictionary(dictionary);
         }
-        Ok(Self {
+        let recorder = Recorder::start(store.clone());
+        recorder.record(
+            "",
+            &Event::of_farm(EventKind::CoordinatorStarted, format!("version {}", env!("CARGO_PKG_VERSION"))),
+        );
+        let farm = Self {
             store,
             dispatch: Mutex::new(dispatch),
-            submitting: tokio::sync::Mutex::new(()),
+            managing: tokio::sync::Mutex::new(()),
             clock: Clock::start(),
             fits: FitCache::default(),
+            recorder,
             changed: watch::channel(()).0,
-        })
+            work: watch::channel(()).0,
+            store_fault: Mutex::default(),
+        };
+        for id in ids {
+            farm.find_blocks(id).await?;
+        }
+        Ok(farm)
     }
 
     pub(crate) fn store(&self) -> &Store {
@@ -100,171 +148,81 @@ impl Farm {
         self.changed.subscribe()
     }
 
-    /// Creates a dictionary, or finds the one of the same name and grid.
-    pub(crate) async fn submit(&self, name: DictionaryName, grid: Grid) -> Result<DictionaryStatus> {
-        let _one_at_a_time = self.submitting.lock().await;
-        if let Some(existing) = self.dispatch().by_name(&name) {
-            if existing.grid_digest() == Digest::of_grid(&grid) {
-                return Ok(existing.status());
-            }
-            return Err(FarmError::NameTaken { name });
-        }
-        let stored = self.store.create_dictionary(name.clone(), grid, Clock::unix_ms()).await?;
-        tracing::info!(%name, jobs = stored.grid.job_count(), records = stored.grid.record_count(), "new dictionary");
-        let dictionary = Dictionary::new(stored, Vec::new());
-        self.dispatch().add_dictionary(dictionary);
-        self.changed.send_replace(());
-        self.status(&name)
+    /// Wakes up whenever there may be work for a worker that waits.
+    pub(crate) fn work(&self) -> watch::Receiver<()> {
+        self.work.subscribe()
     }
 
     pub(crate) fn status(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
         let dispatch = self.dispatch();
-        dispatch.status(name).ok_or_else(|| not_found(&dispatch, name))
+        dispatch.status(self.clock.now(), name).ok_or_else(|| not_found(&dispatch, name))
     }
 
-    pub(crate) fn statuses(&self) -> Vec<DictionaryStatus> {
-        self.dispatch().dictionaries().map(Dictionary::status).collect()
+    /// Dictionaries in the order of their numbers, from the one after `after` on, and the number of the last.
+    pub(crate) fn statuses(
+        &self,
+        after: DictionaryId,
+        most: usize,
+    ) -> (Vec<DictionaryStatus>, Option<DictionaryId>) {
+        let (dispatch, now) = (self.dispatch(), self.clock.now());
+        let mut rest = dispatch.dictionaries().filter(|d| d.id() > after);
+        let page: Vec<&Dictionary> = rest.by_ref().take(most).collect();
+        let last = rest.next().and(page.last()).map(|d| d.id());
+        (page.into_iter().map(|d| d.status(dispatch.eta_s(now, d))).collect(), last)
     }
 
-    pub(crate) fn workers(&self) -> Vec<WorkerStatus> {
-        self.dispatch().workers(self.clock.now())
+    /// Workers in the order of their ids, from the one after `after` on.
+    pub(crate) fn workers(&self, after: &WorkerId, most: usize) -> Vec<WorkerStatus> {
+        self.dispatch().workers(self.clock.now(), after, most)
     }
 
-    /// Jobs that wait and jobs that are leased, over all dictionaries.
-    pub(crate) fn job_counts(&self) -> (usize, usize) {
+    pub(crate) fn overview(&self) -> Overview {
+        let database_bytes = self.store.bytes();
+        let store_fault = self.store_fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let dispatch = self.dispatch();
-        let sum = |count: fn(&Dictionary) -> usize| dispatch.dictionaries().map(count).sum();
-        (sum(Dictionary::pending), sum(Dictionary::leased))
-    }
-
-    pub(crate) fn register(
-        &self,
-        label: String,
-        threads: u32,
-        physics_version: u32,
-    ) -> Result<(WorkerId, Settings)> {
-        if physics_version != PHYSICS_VERSION {
-            return Err(FarmError::PhysicsVersion { found: physics_version });
+        let (jobs_pending, jobs_leased) = dispatch.load();
+        let (workers, threads) = dispatch.strength();
+        Overview {
+            jobs_pending,
+            jobs_leased,
+            jobs_done: dispatch.jobs_done(),
+            dictionaries: dispatch.dictionaries().count(),
+            workers,
+            threads,
+            uptime_ms: self.clock.now().as_millis() as u64,
+            database_bytes,
+            checks: dispatch.checks(),
+            store_fault,
         }
-        let id = WorkerId(random_token());
-        tracing::info!(worker = %id, label, threads, "worker registered");
-        let mut dispatch = self.dispatch();
-        dispatch.register(self.clock.now(), id.clone(), label, threads);
-        Ok((id, dispatch.settings()))
     }
 
-    pub(crate) fn acquire(&self, worker: &WorkerId, max: usize) -> Result<Vec<Lease>> {
-        Ok(self.dispatch().acquire(self.clock.now(), worker, max, random_token)?)
+    /// Writes what is still to be written and closes the database.
+    pub(crate) async fn close(&self) {
+        self.recorder.finish().await;
+        self.store.close().await;
     }
 
-    pub(crate) fn renew(&self, worker: &WorkerId, leases: Vec<LeaseKey>) -> Result<Vec<LeaseKey>> {
-        Ok(self.dispatch().renew(self.clock.now(), worker, leases)?)
-    }
-
-    /// The grid that the records of a completion must belong to, if the lease still counts.
-    pub(crate) fn grid_of(&self, key: &LeaseKey) -> Result<Grid> {
-        Ok(self.dispatch().check_completion(key)?.grid().clone())
-    }
-
-    /// Stores a job's records. True if the same were stored before.
-    pub(crate) async fn complete(&self, key: &LeaseKey, records: &[Record]) -> Result<bool> {
-        let digest = Digest::of_records(records);
-        // The lease may have been lost while the records came in; what decides is the store's transaction.
-        let dictionary = self.dispatch().check_completion(key)?.id();
-        let completion = self.store.complete_job(dictionary, key.job, digest, records).await?;
-        if completion == Completion::Conflict {
-            tracing::error!(job = key.job, attempt = key.attempt, "two attempts gave different records");
-            return Err(FarmError::Conflict { job: key.job });
-        }
-        self.dispatch().completed(self.clock.now(), key, digest);
-        self.changed.send_replace(());
-        Ok(completion == Completion::Duplicate)
-    }
-
-    /// Takes leases back; a worker that leaves gives all of its leases back, also those it has not heard of.
-    pub(crate) fn hand_back(&self, worker: &WorkerId, leases: &[LeaseKey], leaving: bool) {
-        let mut dispatch = self.dispatch();
-        dispatch.hand_back(leases);
-        if leaving {
-            dispatch.leave(worker);
-        }
-        drop(dispatch);
-        self.changed.send_replace(());
-    }
-
-    pub(crate) async fn failed(&self, key: &LeaseKey, reason: &str) -> Result<()> {
-        let given_up = self.dispatch().reasons_to_give_up(key, reason)?;
-        tracing::warn!(
-            job = key.job,
-            attempt = key.attempt,
-            reason,
-            given_up = given_up.is_some(),
-            "attempt failed"
-        );
-        if let Some(reasons) = given_up {
-            self.store.fail_job(key.dictionary, key.job, &reasons).await?;
-        }
-        let counted = self.dispatch().failed(key, reason);
-        self.changed.send_replace(());
-        Ok(counted?)
-    }
-
-    pub(crate) fn expire(&self) -> usize {
-        let freed = self.dispatch().expire(self.clock.now());
-        if freed > 0 {
-            self.changed.send_replace(());
-        }
-        freed
-    }
-
-    /// Finished records of a dictionary among the numbers of a range, in order.
-    pub(crate) async fn records(
-        &self,
-        name: &DictionaryName,
-        range: std::ops::Range<usize>,
-    ) -> Result<Vec<Record>> {
-        let (id, shape) = {
-            let dispatch = self.dispatch();
-            let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;
-            (dictionary.id(), RecordShape::of(dictionary.grid()))
-        };
-        Ok(self.store.records(id, range, shape).await?)
-    }
-
-    /// Answers a question to a complete dictionary, off the async threads.
-    pub(crate) async fn ask<T: Send + 'static>(
-        &self,
-        name: &DictionaryName,
-        question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
-    ) -> Result<T> {
-        let (id, grid) = {
-            let dispatch = self.dispatch();
-            let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;
-            if !dictionary.is_complete() {
-                let status = dictionary.status();
-                let (done, total) = (status.records_done(), status.records_total());
-                return Err(FarmError::NotComplete { name: name.clone(), done, total });
-            }
-            (dictionary.id(), dictionary.grid().clone())
-        };
-        let dictionary = self.fits.get(&self.store, name, id, grid).await?;
-        Ok(blocking(move || question(&dictionary)).await?)
-    }
-
-    fn dispatch(&self) -> MutexGuard<'_, dispatch::Farm> {
+    fn dispatch(&self) -> MutexGuard<'_, dispatch::Dispatcher> {
         // Transitions do not panic half-way; a poisoned lock still guards consistent data.
         self.dispatch.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    /// Number and grid of a dictionary.
+    fn found(&self, name: &DictionaryName) -> Result<(DictionaryId, Arc<Grid>)> {
+        let dispatch = self.dispatch();
+        let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;
+        Ok((dictionary.id(), dictionary.grid().clone()))
+    }
 }
 
-fn not_found(dispatch: &dispatch::Farm, name: &DictionaryName) -> FarmError {
+fn not_found(dispatch: &dispatch::Dispatcher, name: &DictionaryName) -> FarmError {
     let known = dispatch.dictionaries().take(10).map(|d| d.name().to_string()).collect();
     FarmError::NotFound { name: name.to_string(), known }
 }
 
-/// Records of a grid that are read at a time: some 8 MiB.
-pub(crate) fn read_chunk(grid: &Grid) -> usize {
-    ((8 << 20) / grid.record_bytes()).clamp(1, 1024)
+/// A source of randomness for one call.
+fn chance() -> Random {
+    Random
 }
 
 /// Runs numerics off the async threads; a panic there is passed on.

@@ -3,11 +3,14 @@
 //! `rpc → (dispatch, fit) → store`, never back; [`farm::Farm`] ties them together. The caller owns the port
 //! and the stop signal.
 
-mod clock;
+pub mod clock;
 pub mod config;
 pub mod dispatch;
 mod farm;
 pub mod fit;
+pub mod gate;
+pub mod incoming;
+mod muffle;
 mod rpc;
 pub mod store;
 
@@ -19,7 +22,7 @@ use tokio_util::sync::CancellationToken;
 
 pub use config::Config;
 use farm::Farm;
-pub use farm::load_dictionary;
+pub use farm::{FarmError, load_dictionary};
 pub use store::StoreError;
 use store::{DataDir, Store};
 
@@ -40,14 +43,15 @@ pub enum Error {
 #[derive(Debug)]
 pub struct Coordinator {
     farm: Arc<Farm>,
+    config: Config,
 }
 
 impl Coordinator {
     /// Takes the data directory, creating it if need be, and takes up the work that is left in it.
     pub async fn open(config: &Config) -> Result<Self, Error> {
-        let store = Store::open(DataDir::lock(&config.data_dir)?).await?;
+        let store = Store::open(DataDir::lock(&config.data_dir)?, |_| {}).await?;
         let farm = Farm::load(store, config).await?;
-        Ok(Self { farm: Arc::new(farm) })
+        Ok(Self { farm: Arc::new(farm), config: config.clone() })
     }
 
     /// Serves until `shutdown`, then closes the database.
@@ -58,11 +62,11 @@ impl Coordinator {
         }
         tracing::info!(%address, "coordinator is serving");
         let reaper = tokio::spawn(reap(self.farm.clone(), shutdown.clone()));
-        let served = rpc::serve(self.farm.clone(), listener, shutdown.clone()).await;
+        let served = rpc::serve(self.farm.clone(), &self.config, listener, shutdown.clone()).await;
         shutdown.cancel();
         let _ = reaper.await;
         self.farm.store().dir().forget_address();
-        self.farm.store().close().await;
+        self.farm.close().await;
         Ok(served?)
     }
 }
@@ -75,7 +79,7 @@ async fn reap(farm: Arc<Farm>, shutdown: CancellationToken) {
             () = shutdown.cancelled() => return,
             _ = tick.tick() => {}
         }
-        let freed = farm.expire();
+        let freed = farm.expire().await;
         if freed > 0 {
             tracing::warn!(freed, "leases have expired: their workers were silent too long");
         }

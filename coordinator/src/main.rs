@@ -3,10 +3,12 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Parser;
 use farm_coordinator::{Config, Coordinator};
+use farm_proto::access::CoordinatorAccess;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
@@ -15,7 +17,7 @@ use tracing_subscriber::EnvFilter;
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Args {
-    /// Address to listen on. Without encryption other machines are let in only with --insecure.
+    /// Address to listen on. Beyond this machine only with --access or --insecure.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7700", env = "FARM_LISTEN")]
     listen: SocketAddr,
     /// Folder of the database; not on a network filesystem.
@@ -27,6 +29,15 @@ struct Args {
     /// Failed attempts after which a job is given up.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     max_attempts: u32,
+    /// Share of the results that a second worker computes too, for comparison.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.01, value_parser = share)]
+    verify_share: f64,
+    /// Connections beyond this many are refused.
+    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    max_connections: u32,
+    /// The coordinator's access file: certificate and tokens, made by `farmctl access create`.
+    #[arg(long, value_name = "FILE", env = "FARM_ACCESS")]
+    access: Option<PathBuf>,
     /// Listen for other machines although nothing is encrypted and nobody is asked for a password.
     #[arg(long)]
     insecure: bool,
@@ -47,14 +58,18 @@ async fn run(args: Args) -> anyhow::Result<()> {
     let filter = EnvFilter::try_from_env("FARM_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     anyhow::ensure!(
-        args.listen.ip().is_loopback() || args.insecure,
-        "{} can be reached from other machines, without encryption: add --insecure if the network is trusted",
+        args.listen.ip().is_loopback() || args.insecure || args.access.is_some(),
+        "{} can be reached from other machines, unencrypted and without a password: make access files with \
+         `farmctl access create` and name the coordinator's with --access, or add --insecure if you trust the network",
         args.listen
     );
     let config = Config {
         data_dir: args.data,
         lease: Duration::from_secs(args.lease),
         max_attempts: args.max_attempts,
+        check_share: args.verify_share,
+        access: args.access.as_deref().map(CoordinatorAccess::read).transpose()?.map(Arc::new),
+        max_connections: args.max_connections as usize,
     };
     let coordinator = Coordinator::open(&config).await?;
     let listener = TcpListener::bind(args.listen)
@@ -63,6 +78,11 @@ async fn run(args: Args) -> anyhow::Result<()> {
     let shutdown = CancellationToken::new();
     tokio::spawn(stop_on_signal(shutdown.clone()));
     Ok(coordinator.serve(listener, shutdown).await?)
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let share = text.parse::<f64>().ok().filter(|s| (0.0..=1.0).contains(s));
+    share.ok_or_else(|| "a number from 0 to 1 is needed".to_owned())
 }
 
 async fn stop_on_signal(shutdown: CancellationToken) {

@@ -5,6 +5,7 @@ use std::fmt;
 use prost::Message;
 
 use crate::grid::Grid;
+use crate::job::JobSpec;
 use crate::optics::TransportPoint;
 use crate::profile::Record;
 use crate::{PHYSICS_VERSION, wire};
@@ -37,6 +38,25 @@ impl Digest {
             hasher.update(&bytes);
         }
         Self(hasher.finalize().into())
+    }
+
+    /// Identity of a set of walks: scene, transport point, number of walks, seed, derivatives, physics version.
+    pub fn of_walks(job: &JobSpec) -> Self {
+        let mut hasher = blake3::Hasher::new_derive_key("farm.v1 walks");
+        hasher.update(&PHYSICS_VERSION.to_le_bytes());
+        for number in [job.walks().get(), job.seed(), u64::from(job.derivatives())] {
+            hasher.update(&number.to_le_bytes());
+        }
+        for number in numbers_of(&job.point()) {
+            hasher.update(&number.to_le_bytes());
+        }
+        hasher.update(&wire::Scene::from(job.scene()).encode_to_vec());
+        Self(hasher.finalize().into())
+    }
+
+    /// Digest of any bytes.
+    pub fn of_bytes(bytes: &[u8]) -> Self {
+        Self(blake3::hash(bytes).into())
     }
 
     /// Digest of a whole dictionary from the digests of its jobs, in order.
@@ -72,13 +92,17 @@ impl fmt::Display for Digest {
 pub fn stream_key(seed: u64, point: &TransportPoint) -> [u32; 2] {
     let mut hasher = blake3::Hasher::new_derive_key("farm.v1 random streams");
     hasher.update(&seed.to_le_bytes());
-    for v in [point.sigma_t_per_mm(), point.g(), point.thickness_mm(), point.sample_ior()] {
-        // Adding 0 turns -0 into 0, which is the same anisotropy.
-        hasher.update(&(v + 0.0).to_le_bytes());
+    for number in numbers_of(point) {
+        hasher.update(&number.to_le_bytes());
     }
     let hash = hasher.finalize();
     let word = |i: usize| u32::from_le_bytes(hash.as_bytes()[4 * i..][..4].try_into().expect("4 bytes"));
     [word(0), word(1)]
+}
+
+fn numbers_of(point: &TransportPoint) -> [f64; 4] {
+    // Adding 0 turns -0 into 0, which is the same anisotropy.
+    [point.sigma_t_per_mm(), point.g(), point.thickness_mm(), point.sample_ior()].map(|v| v + 0.0)
 }
 
 #[cfg(test)]

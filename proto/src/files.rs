@@ -2,9 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::grid::{Axes, Grid, Walks};
+use crate::grid::{Axes, Grid, Quality, Walks};
 use crate::invalid::{Invalid, Result};
 use crate::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
+
+/// Most walks of a transport point under a quality target, unless the file says otherwise.
+const MAX_WALKS: u64 = 25_000_000;
 
 /// Content of a grid file. Lists that are left out are the paper's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -21,6 +24,17 @@ pub struct GridFile {
     pub seed: Option<u64>,
     #[serde(default)]
     pub derivatives: bool,
+    pub quality: Option<QualityTable>,
+}
+
+/// Trace more walks where the noise is above a target.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QualityTable {
+    /// Root mean square of a profile's standard errors over its mean, for the noisiest albedo and channel.
+    pub relative_std_error: f64,
+    /// Where to stop in any case; 25 million if left out.
+    pub max_walks: Option<u64>,
 }
 
 /// `"paper"`, `"smooth"`, the path of a scene file, or a whole scene in place.
@@ -75,7 +89,11 @@ impl GridFile {
             sample_ior: or(self.sample_ior, paper.sample_ior()),
         };
         let walks = self.walks.map_or(Ok(Walks::PAPER), Walks::new)?;
-        Grid::new(scene, axes, walks, self.seed.unwrap_or(paper.seed()), self.derivatives)
+        let grid = Grid::new(scene, axes, walks, self.seed.unwrap_or(paper.seed()), self.derivatives)?;
+        let Some(table) = self.quality else { return Ok(grid) };
+        let max_walks = Walks::new(table.max_walks.unwrap_or(MAX_WALKS.max(walks.get())));
+        let max_walks = max_walks.map_err(|e| e.renamed("quality.max_walks"))?;
+        grid.with_quality(Quality::new(table.relative_std_error, max_walks).map_err(|e| e.within("quality"))?)
     }
 }
 

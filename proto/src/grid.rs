@@ -5,10 +5,14 @@ use crate::optics::{
     Medium, TransportPoint, check_albedo, check_g, check_ior, check_optical_thickness, check_sigma_t,
     check_thickness,
 };
+use crate::profile::{Estimate, Record};
 use crate::scene::Scene;
 
 /// Walks of one batch: the unit of the random streams and of the standard errors.
 pub const BATCH_WALKS: u64 = 2500;
+/// Batches of one block: what a divided job's parts trace, each on its own. Part of the physics version, since sums are
+/// added up within blocks first.
+pub const BLOCK_BATCHES: u64 = 400;
 /// Most records of one dictionary.
 pub const MAX_RECORDS: u64 = 4_000_000;
 /// Most bytes of one job's records: what a worker holds and the coordinator buffers.
@@ -42,6 +46,67 @@ impl Walks {
     pub fn batches(self) -> u64 {
         self.0 / BATCH_WALKS
     }
+
+    /// Blocks that the batches fill; the last may be smaller.
+    pub fn blocks(self) -> u32 {
+        self.batches().div_ceil(BLOCK_BATCHES) as u32
+    }
+
+    /// Batches of a block.
+    pub fn batches_of_block(self, block: u32) -> u64 {
+        BLOCK_BATCHES.min(self.batches().saturating_sub(u64::from(block) * BLOCK_BATCHES))
+    }
+}
+
+/// When to stop tracing a transport point: see [`Quality::noise_of`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Quality {
+    relative_std_error: f64,
+    max_walks: Walks,
+}
+
+impl Quality {
+    pub fn new(relative_std_error: f64, max_walks: Walks) -> Result<Self> {
+        if !(1e-6..=1.0).contains(&relative_std_error) {
+            let allowed = "allowed are 0.000001 to 1";
+            return Err(Invalid::new("relative_std_error", relative_std_error, allowed));
+        }
+        Ok(Self { relative_std_error, max_walks })
+    }
+
+    pub fn relative_std_error(self) -> f64 {
+        self.relative_std_error
+    }
+
+    pub fn max_walks(self) -> Walks {
+        self.max_walks
+    }
+
+    /// Largest over records and channels of the root mean square of a profile's standard errors over its mean; 0 for
+    /// a profile that is 0 everywhere.
+    pub fn noise_of(records: &[Record]) -> f64 {
+        let noise = |estimate: &Estimate| {
+            let n = estimate.values().len() as f64;
+            let mean = estimate.values().iter().map(|v| f64::from(*v)).sum::<f64>() / n;
+            let square = estimate.std_errors().iter().map(|e| f64::from(*e).powi(2)).sum::<f64>() / n;
+            if mean > 0.0 { square.sqrt() / mean } else { 0.0 }
+        };
+        let profiles = records.iter().flat_map(|r| &r.profiles);
+        profiles.map(|p| noise(&p.radiance_factor)).fold(0.0, f64::max)
+    }
+
+    /// How many walks to trace after a round of `walks` that left this noise; None if it is enough.
+    ///
+    /// Noise falls with the root of the walks; a tenth is added, so that one more round mostly suffices. The answer
+    /// depends on nothing but the records, so that it is the same everywhere.
+    pub fn more_walks(self, walks: Walks, noise: f64) -> Option<Walks> {
+        if noise <= self.relative_std_error || walks.get() >= self.max_walks.get() {
+            return None;
+        }
+        let wanted = walks.get() as f64 * (noise / self.relative_std_error).powi(2) * 1.1;
+        let batches = ((wanted / BATCH_WALKS as f64).ceil() as u64).max(walks.batches() + 1);
+        Some(Walks((batches * BATCH_WALKS).min(self.max_walks.get())))
+    }
 }
 
 /// Everything that a dictionary depends on: axes, scene, effort and seed.
@@ -59,6 +124,7 @@ pub struct Grid {
     walks: Walks,
     seed: u64,
     derivatives: bool,
+    quality: Option<Quality>,
 }
 
 /// The axes of a grid; each must be strictly rising and not empty.
@@ -83,6 +149,7 @@ impl Grid {
             walks,
             seed,
             derivatives,
+            quality: None,
         };
         let last = |axis: &[f64]| axis[axis.len() - 1];
         check_optical_thickness(last(&grid.sigma_t_per_mm), last(&grid.thickness_mm))?;
@@ -127,6 +194,19 @@ impl Grid {
             sample_ior: vec![1.53],
         };
         Self::new(Scene::paper(), axes, Walks::PAPER, 1, false).expect("the paper's grid is valid")
+    }
+
+    /// The same grid with more walks where the noise is above a target.
+    pub fn with_quality(self, quality: Quality) -> Result<Self> {
+        if quality.max_walks.get() < self.walks.get() {
+            let allowed = format!("at least `walks`, {}, are needed", self.walks.get());
+            return Err(Invalid::new("quality.max_walks", quality.max_walks.get(), allowed));
+        }
+        Ok(Self { quality: Some(quality), ..self })
+    }
+
+    pub fn quality(&self) -> Option<Quality> {
+        self.quality
     }
 
     pub fn scene(&self) -> &Scene {

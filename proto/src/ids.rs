@@ -46,6 +46,23 @@ impl fmt::Display for WorkerId {
     }
 }
 
+/// Random number that proves that a lease was given. 0 is none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Token(pub u128);
+
+impl Token {
+    /// 32 hexadecimal digits; what is no token is none.
+    pub fn parse(text: &str) -> Self {
+        Self(if text.len() == 32 { u128::from_str_radix(text, 16).unwrap_or(0) } else { 0 })
+    }
+}
+
+impl fmt::Display for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:032x}", self.0)
+    }
+}
+
 /// Bounds of what one gRPC message or call may ask for.
 #[derive(Debug)]
 pub struct RequestLimits;
@@ -55,6 +72,10 @@ impl RequestLimits {
     pub const MESSAGE_BYTES: usize = 16 << 20;
     /// Most leases of one call.
     pub const LEASES: u32 = 1024;
+    /// Lowest and highest priority of a dictionary.
+    pub const PRIORITY: std::ops::RangeInclusive<i32> = -1000..=1000;
+    /// Longest label, reason or other text for people that is kept, in bytes.
+    pub const TEXT_BYTES: usize = 1000;
     /// Longest wait for work.
     pub const WAIT_MS: u64 = 30_000;
     /// Most neighbours of one fit.

@@ -28,6 +28,12 @@ impl Invalid {
         &self.allowed
     }
 
+    /// The same complaint about a field of another name.
+    #[must_use]
+    pub fn renamed(self, field: impl Into<String>) -> Self {
+        Self { field: field.into(), ..self }
+    }
+
     /// Prefixes the path with the place that holds the value.
     #[must_use]
     pub fn within(mut self, place: impl fmt::Display) -> Self {

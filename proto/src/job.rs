@@ -1,20 +1,23 @@
 //! Jobs and leases as coordinator and worker see them.
 
+use crate::digest::Digest;
 use crate::grid::{Grid, Walks};
-use crate::ids::DictionaryId;
+use crate::ids::{DictionaryId, Token};
 use crate::invalid::{Invalid, Result, each};
 use crate::optics::{TransportPoint, check_albedo};
 use crate::scene::Scene;
 
 /// Identifies one attempt at one job.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct LeaseKey {
     pub dictionary: DictionaryId,
     pub job: u32,
     /// Counts the leases of the job, from 1.
     pub attempt: u32,
     /// Random; proves that the holder was given this attempt.
-    pub token: String,
+    pub token: Token,
+    /// Which part of the job: the block of walks if it is divided, else 0.
+    pub part: u32,
 }
 
 /// All that a worker needs to compute a job.
@@ -27,6 +30,7 @@ pub struct JobSpec {
     seed: u64,
     derivatives: bool,
     first_record: usize,
+    block: Option<u32>,
 }
 
 impl JobSpec {
@@ -42,7 +46,7 @@ impl JobSpec {
             return Err(Invalid::new("albedo", "0 values", "at least one is needed"));
         }
         let albedo = each("albedo", albedo, check_albedo)?;
-        Ok(Self { scene, point, albedo, walks, seed, derivatives, first_record: 0 })
+        Ok(Self { scene, point, albedo, walks, seed, derivatives, first_record: 0, block: None })
     }
 
     /// The job of a grid.
@@ -58,7 +62,28 @@ impl JobSpec {
             seed: grid.seed(),
             derivatives: grid.derivatives(),
             first_record: grid.first_record(job),
+            block: None,
         }
+    }
+
+    /// The same job with another number of walks.
+    #[must_use]
+    pub fn with_walks(self, walks: Walks) -> Self {
+        Self { walks, ..self }
+    }
+
+    /// One block of a divided job.
+    pub fn with_block(self, block: u32) -> Result<Self> {
+        let blocks = self.walks.blocks();
+        if block >= blocks {
+            return Err(Invalid::new("block", block, format!("the job has blocks 0 to {}", blocks - 1)));
+        }
+        Ok(Self { block: Some(block), ..self })
+    }
+
+    /// What the job's records depend on, albedos and numbers apart: those with the same identity and albedo are equal.
+    pub fn identity(&self) -> Digest {
+        Digest::of_walks(self)
     }
 
     /// Numbers the job's records from `first_record` on.
@@ -93,6 +118,11 @@ impl JobSpec {
 
     pub fn first_record(&self) -> usize {
         self.first_record
+    }
+
+    /// The block to trace, if the job is divided.
+    pub fn block(&self) -> Option<u32> {
+        self.block
     }
 }
 

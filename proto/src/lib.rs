@@ -4,6 +4,7 @@
 //! [`Scene`] holds a correct one. The generated wire types are in [`wire`]; `convert` is the only
 //! place that turns one into the other.
 
+pub mod access;
 pub mod digest;
 pub mod fit;
 pub mod grid;
@@ -15,13 +16,15 @@ pub mod optics;
 pub mod profile;
 pub mod scene;
 pub mod status;
+pub mod sums;
+pub mod walltime;
 
 mod convert;
 mod files;
 
 pub use digest::Digest;
 pub use files::{GridFile, SceneFile, SceneRef};
-pub use grid::{Grid, Walks};
+pub use grid::{Grid, Quality, Walks};
 pub use ids::{DictionaryName, RequestLimits};
 pub use invalid::{Invalid, Result};
 pub use measurement::{MeasuredProfile, Measurement};
@@ -31,10 +34,13 @@ pub use scene::Scene;
 
 /// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
 /// Workers and coordinator must agree on it.
-pub const PHYSICS_VERSION: u32 = 2;
+pub const PHYSICS_VERSION: u32 = 3;
 
 /// Generated from `proto/farm/v1/*.proto`.
 #[expect(clippy::pedantic, clippy::allow_attributes, reason = "generated code")]
 pub mod wire {
     tonic::include_proto!("farm.v1");
+
+    /// The package's file descriptors, for reflection.
+    pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 }

@@ -87,6 +87,20 @@ impl RecordShape {
         }
     }
 
+    pub fn of_job(job: &crate::job::JobSpec) -> Self {
+        Self {
+            channels: job.scene().channels().len(),
+            pixels: job.scene().sensor().pixels(),
+            derivatives: job.derivatives(),
+        }
+    }
+
+    /// Bytes of one record's numbers.
+    pub fn bytes(&self) -> usize {
+        let estimates = if self.derivatives { 3 } else { 1 };
+        self.channels * self.pixels * estimates * 2 * size_of::<f32>()
+    }
+
     /// Refuses a record of another shape.
     pub fn check(&self, record: &Record) -> Result<()> {
         let found = |profile: &Profile| Self {

@@ -1,24 +1,43 @@
 //! How far dictionaries and workers are.
 
+use std::fmt;
+
 use crate::digest::Digest;
 use crate::grid::Grid;
 use crate::ids::{DictionaryName, WorkerId};
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum DictionaryState {
     Running,
     Done,
-    /// All other jobs are done, some have failed for good.
+    /// All other jobs are done, some have been given up.
     Failed,
+    /// No jobs are given out until it is resumed.
+    Paused,
+    /// Ended by someone; what was finished stays.
+    Cancelled,
+    /// Begun with another physics version: not continued.
+    Outdated,
 }
 
 impl DictionaryState {
+    pub const ALL: [Self; 6] =
+        [Self::Running, Self::Done, Self::Failed, Self::Paused, Self::Cancelled, Self::Outdated];
+
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Running => "running",
             Self::Done => "done",
             Self::Failed => "failed",
+            Self::Paused => "paused",
+            Self::Cancelled => "cancelled",
+            Self::Outdated => "outdated",
         }
+    }
+
+    /// Whether it may go on without anyone doing anything.
+    pub fn is_open(self) -> bool {
+        matches!(self, Self::Running | Self::Paused)
     }
 }
 
@@ -27,6 +46,8 @@ impl DictionaryState {
 pub struct FailedJob {
     pub job: u32,
     pub reason: String,
+    /// Workers fell silent while they computed it; otherwise they reported that they could not.
+    pub quarantined: bool,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -37,11 +58,22 @@ pub struct DictionaryStatus {
     /// Digest of all records; present when all jobs are done.
     pub records_digest: Option<Digest>,
     pub created_unix_ms: u64,
+    pub state: DictionaryState,
     pub jobs_done: usize,
     pub jobs_leased: usize,
     pub failed: Vec<FailedJob>,
     /// Share of the estimated work that is done, 0 to 1.
     pub work_done: f64,
+    /// Higher goes first.
+    pub priority: i32,
+    /// Why it was cancelled; empty if it was not.
+    pub reason: String,
+    /// Time that the rest takes at the present pace.
+    pub eta_s: Option<f64>,
+    /// Records that were there before it was submitted.
+    pub records_reused: usize,
+    /// Fewest and most walks of the points that are done; zeros before.
+    pub walks: (u64, u64),
 }
 
 impl DictionaryStatus {
@@ -58,13 +90,33 @@ impl DictionaryStatus {
     }
 
     pub fn state(&self) -> DictionaryState {
-        if self.jobs_done == self.jobs_total() {
-            DictionaryState::Done
-        } else if self.jobs_done + self.failed.len() == self.jobs_total() {
-            DictionaryState::Failed
-        } else {
-            DictionaryState::Running
-        }
+        self.state
+    }
+
+    /// Whether among the jobs given up are some whose workers died.
+    pub fn has_quarantined(&self) -> bool {
+        self.failed.iter().any(|f| f.quarantined)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum WorkerState {
+    Working,
+    Idle,
+    /// Finishes what it has and leaves.
+    Draining,
+    /// Computed wrongly: gets no more jobs.
+    Fenced,
+}
+
+impl fmt::Display for WorkerState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Working => "working",
+            Self::Idle => "idle",
+            Self::Draining => "draining",
+            Self::Fenced => "fenced",
+        })
     }
 }
 
@@ -76,4 +128,6 @@ pub struct WorkerStatus {
     pub leases: u32,
     pub jobs_done: u64,
     pub silent_ms: u64,
+    pub state: WorkerState,
+    pub version: String,
 }

@@ -6,18 +6,20 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use farm_coordinator::{Config, Coordinator};
+use farm_proto::access::Target;
 use farm_proto::grid::Axes;
 use farm_proto::scene::{Channel, Scene, Sensor};
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::fits_client::FitsClient;
-use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{SubmitRequest, WatchRequest};
 use farm_proto::{Grid, Walks};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tonic::transport::Channel as Link;
+
+use crate::hand::HandWorker;
 
 /// A grid of 12 jobs and 36 records that takes a second of one core.
 pub fn small_grid() -> Grid {
@@ -75,12 +77,13 @@ impl TestCoordinator {
 #[derive(Debug)]
 pub struct TestWorker {
     stop: CancellationToken,
-    task: JoinHandle<Result<(), farm_worker::Error>>,
+    task: JoinHandle<Result<farm_worker::Ended, farm_worker::Error>>,
 }
 
 impl TestWorker {
     pub fn start(url: &str) -> Self {
-        let config = farm_worker::Config { threads: 1, ..farm_worker::Config::new(url) };
+        let target = Target::new(None, Some(url)).unwrap();
+        let config = farm_worker::Config { threads: 1, ..farm_worker::Config::new(target) };
         let stop = CancellationToken::new();
         let task = tokio::spawn(farm_worker::run(config, stop.clone()));
         Self { stop, task }
@@ -88,7 +91,8 @@ impl TestWorker {
 
     pub async fn stop(self) -> Result<()> {
         self.stop.cancel();
-        Ok(self.task.await??)
+        self.task.await??;
+        Ok(())
     }
 }
 
@@ -112,6 +116,10 @@ impl TestFarm {
         Ok(Self { dir, coordinator, link })
     }
 
+    pub fn link(&self) -> Link {
+        self.link.clone()
+    }
+
     pub fn data(&self) -> PathBuf {
         self.dir.path().join("data")
     }
@@ -124,8 +132,9 @@ impl TestFarm {
         DictionariesClient::new(self.link.clone())
     }
 
-    pub fn leases(&self) -> LeasesClient<Link> {
-        LeasesClient::new(self.link.clone())
+    /// A worker by hand.
+    pub async fn hand(&self, label: &str) -> Result<HandWorker, tonic::Status> {
+        HandWorker::register(self.link.clone(), label).await
     }
 
     pub fn fits(&self) -> FitsClient<Link> {
@@ -133,7 +142,7 @@ impl TestFarm {
     }
 
     pub async fn submit(&self, name: &str, grid: &Grid) -> Result<DictionaryStatus> {
-        let request = SubmitRequest { name: name.to_owned(), grid: Some(grid.into()) };
+        let request = SubmitRequest { name: name.to_owned(), grid: Some(grid.into()), priority: 0 };
         Ok(self.dictionaries().submit(request).await?.into_inner().try_into()?)
     }
 

@@ -5,6 +5,7 @@
 
 pub mod cli;
 pub mod farm;
+pub mod hand;
 pub mod process;
 pub mod reference;
 pub mod statistics;

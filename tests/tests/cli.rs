@@ -11,16 +11,22 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
     let dir = farm.path();
     let dictionary = [
         "created_unix_ms",
+        "eta_s",
         "failed_jobs",
         "grid_digest",
         "jobs_done",
         "jobs_leased",
         "jobs_total",
         "name",
+        "priority",
+        "reason",
         "records_digest",
         "records_done",
+        "records_reused",
         "records_total",
         "state",
+        "walks_max",
+        "walks_min",
         "work_done",
     ];
     let submit = json(&run(dir, &["submit", "grid.toml", "--json"]), "submit");
@@ -31,8 +37,21 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
     assert_eq!(keys(&list["dictionaries"][0]), dictionary);
 
     let status = json(&run(dir, &["status", "--json"]), "status");
-    let expected =
-        ["address", "dictionaries", "jobs_leased", "jobs_pending", "physics_version", "version", "workers"];
+    let expected = [
+        "address",
+        "checks_agreed",
+        "checks_disputed",
+        "database_bytes",
+        "dictionaries",
+        "jobs_done",
+        "jobs_leased",
+        "jobs_pending",
+        "physics_version",
+        "store_fault",
+        "uptime_ms",
+        "version",
+        "workers",
+    ];
     assert_eq!(keys(&status), expected);
 
     let show = json(&run(dir, &["show", "grid", "--json"]), "show");

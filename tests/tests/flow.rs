@@ -1,26 +1,20 @@
 //! Work flowing through a real farm, and the ways in which it must not.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
 
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use farm_proto::fit::ChannelFit;
 use farm_proto::job::{JobSpec, Lease};
-use farm_proto::wire::complete_request::Part;
+use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
-    AcquireRequest, CompleteRequest, ExportRequest, FitRequest, GetRequest, RegisterRequest, SubmitRequest,
+    CompletionKind, ExportRequest, FitRequest, GetRequest, RegisterRequest, SubmitRequest,
 };
-use farm_proto::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Record, wire};
+use farm_proto::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Record, Walks, wire};
 use farm_tests::farm::{TestCoordinator, TestFarm, TestWorker, done, small_grid};
-use farm_worker::tracer::trace;
-use tonic::{Code, Status};
+use farm_tests::hand::{falsified, on_wire, traced};
+use tonic::Code;
 use tonic_types::StatusExt;
-
-fn traced(grid: &Grid, job: usize) -> Vec<Record> {
-    trace(&JobSpec::of(grid, job), &AtomicBool::new(false)).unwrap()
-}
 
 fn all_records(grid: &Grid) -> Vec<Vec<Record>> {
     (0..grid.job_count()).map(|job| traced(grid, job)).collect()
@@ -38,30 +32,6 @@ async fn exported(farm: &TestFarm, name: &str) -> Result<Vec<Record>> {
         records.push(Record::try_from(record)?);
     }
     Ok(records)
-}
-
-/// A worker by hand, which does what the test wants.
-async fn register(farm: &TestFarm) -> Result<String> {
-    let request =
-        RegisterRequest { label: "by hand".to_owned(), threads: 1, physics_version: PHYSICS_VERSION };
-    Ok(farm.leases().register(request).await?.into_inner().worker_id)
-}
-
-async fn acquire(farm: &TestFarm, worker_id: &str, max_leases: u32) -> Result<Vec<Lease>> {
-    let request = AcquireRequest { worker_id: worker_id.to_owned(), max_leases, wait_ms: 0 };
-    let leases = farm.leases().acquire(request).await?.into_inner().leases;
-    Ok(leases.into_iter().map(Lease::try_from).collect::<Result<_, _>>()?)
-}
-
-async fn complete(farm: &TestFarm, lease: &Lease, records: Vec<wire::Record>) -> Result<bool, Status> {
-    let key = CompleteRequest { part: Some(Part::Lease(lease.key.clone().into())) };
-    let records = records.into_iter().map(|r| CompleteRequest { part: Some(Part::Record(r)) });
-    let parts: Vec<_> = std::iter::once(key).chain(records).collect();
-    Ok(farm.leases().complete(tokio_stream::iter(parts)).await?.into_inner().duplicate)
-}
-
-fn on_wire(records: &[Record]) -> Vec<wire::Record> {
-    records.iter().cloned().map(Into::into).collect()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -138,16 +108,13 @@ async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
 async fn the_job_of_a_silent_worker_goes_to_another_and_its_late_result_is_a_duplicate() -> Result<()> {
     let (farm, grid) = (TestFarm::with_lease(Duration::from_millis(400)).await?, small_grid());
     farm.submit("small", &grid).await?;
-    let silent = register(&farm).await?;
-    let lease = acquire(&farm, &silent, 1).await?.remove(0);
+    let mut silent = farm.hand("silent").await?;
+    let lease = silent.acquire(1).await?.remove(0);
     let records = traced(&grid, lease.key.job as usize);
     let worker = farm.worker();
     farm.done("small").await?;
-    assert!(complete(&farm, &lease, on_wire(&records)).await?, "the same bytes are a duplicate");
-    let mut other = on_wire(&records);
-    other[0].profiles[0].radiance_factor.as_mut().unwrap().values[0] += 1.0;
-    let refused = complete(&farm, &lease, other).await.unwrap_err();
-    assert_eq!(refused.code(), Code::DataLoss);
+    assert_eq!(silent.complete(&lease, on_wire(&records)).await?, CompletionKind::Duplicate);
+    assert_eq!(silent.complete(&lease, falsified(&records)).await?, CompletionKind::Conflict);
     assert_eq!(exported(&farm, "small").await?, all_records(&grid).concat());
     worker.stop().await?;
     farm.coordinator.stop().await
@@ -157,8 +124,8 @@ async fn the_job_of_a_silent_worker_goes_to_another_and_its_late_result_is_a_dup
 async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Result<()> {
     let (farm, grid) = (TestFarm::start().await?, small_grid());
     farm.submit("small", &grid).await?;
-    let worker = register(&farm).await?;
-    let lease = acquire(&farm, &worker, 1).await?.remove(0);
+    let mut worker = farm.hand("by hand").await?;
+    let lease = worker.acquire(1).await?.remove(0);
     let good = on_wire(&traced(&grid, lease.key.job as usize));
 
     let mut not_a_number = good.clone();
@@ -177,19 +144,16 @@ async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Re
         (good[..2].to_vec(), "records"),
     ];
     for (records, field) in bad {
-        let refused = complete(&farm, &lease, records).await.unwrap_err();
+        let refused = worker.complete(&lease, records).await.unwrap_err();
         assert_eq!(refused.code(), Code::InvalidArgument);
         let details = refused.get_details_bad_request().expect("the field is named in the details");
         assert!(details.field_violations[0].field.contains(field), "{details:?}");
     }
-    let forged = Lease {
-        key: farm_proto::job::LeaseKey { token: "0".repeat(32), ..lease.key.clone() },
-        ..lease.clone()
-    };
-    let refused = complete(&farm, &forged, good.clone()).await.unwrap_err();
-    assert_eq!(refused.code(), Code::FailedPrecondition);
+    let other = JobSpec::of(&grid, lease.key.job as usize).with_walks(Walks::new(50_000)?);
+    let other = Lease { job: other, ..lease.clone() };
+    assert_eq!(worker.complete(&other, good.clone()).await?, CompletionKind::Refused);
     assert!(exported(&farm, "small").await?.is_empty());
-    assert!(!complete(&farm, &lease, good).await?, "the lease still counts");
+    assert_eq!(worker.complete(&lease, good).await?, CompletionKind::Stored);
     assert_eq!(exported(&farm, "small").await?.len(), 3);
     farm.coordinator.stop().await
 }
@@ -197,8 +161,12 @@ async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Re
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_of_another_physics_version_is_refused() -> Result<()> {
     let farm = TestFarm::start().await?;
-    let request = RegisterRequest { label: String::new(), threads: 1, physics_version: PHYSICS_VERSION + 1 };
-    let refused = farm.leases().register(request).await.unwrap_err();
+    let request = RegisterRequest {
+        physics_version: PHYSICS_VERSION + 1,
+        instance: "i".to_owned(),
+        ..RegisterRequest::default()
+    };
+    let refused = LeasesClient::new(farm.link()).register(request).await.unwrap_err();
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("install the same"), "{}", refused.message());
     farm.coordinator.stop().await
@@ -211,10 +179,10 @@ async fn submitting_is_idempotent_and_names_belong_to_one_grid() -> Result<()> {
     assert_eq!(farm.submit("small", &grid).await?, first);
     let mut other = wire::Grid::from(&grid);
     other.seed += 1;
-    let request = SubmitRequest { name: "small".to_owned(), grid: Some(other.clone()) };
+    let request = SubmitRequest { name: "small".to_owned(), grid: Some(other.clone()), priority: 0 };
     assert_eq!(farm.dictionaries().submit(request).await.unwrap_err().code(), Code::AlreadyExists);
     other.g = vec![1.0];
-    let request = SubmitRequest { name: "new".to_owned(), grid: Some(other) };
+    let request = SubmitRequest { name: "new".to_owned(), grid: Some(other), priority: 0 };
     let refused = farm.dictionaries().submit(request).await.unwrap_err();
     let details = refused.get_details_bad_request().expect("the field is named in the details");
     assert_eq!(details.field_violations[0].field, "grid.g[0]");

@@ -1,20 +1,46 @@
 //! Settings of a worker.
 
-/// Where to get jobs from and how much to compute at a time.
+use std::time::Duration;
+
+use farm_proto::access::Target;
+
+/// Where to get jobs from, how much to compute at a time and when to stop.
 #[derive(Debug, Clone)]
 pub struct Config {
-    /// URL of the coordinator, as in `http://127.0.0.1:7700`.
-    pub coordinator: String,
+    /// The coordinator, and how to connect to it.
+    pub coordinator: Target,
     /// Threads that trace.
     pub threads: usize,
     /// Tells people which worker this is.
     pub label: String,
+    /// Memory for results that wait to be delivered: when it is full, tracing waits.
+    pub buffer_bytes: usize,
+    /// How long jobs may go on that are being traced when the worker is told to stop.
+    pub grace: Duration,
+    /// Stop so long before this time after the start that everything is handed back in time.
+    pub time_limit: Option<Duration>,
+    /// Stop when there was no work for so long.
+    pub idle_exit: Option<Duration>,
 }
 
 impl Config {
-    /// A worker on all cores, named after its process.
-    pub fn new(coordinator: impl Into<String>) -> Self {
+    /// A worker on all cores, named after its machine and process, that stops at once when it is told to.
+    pub fn new(coordinator: Target) -> Self {
         let threads = std::thread::available_parallelism().map_or(1, Into::into);
-        Self { coordinator: coordinator.into(), threads, label: format!("process {}", std::process::id()) }
+        Self {
+            coordinator,
+            threads,
+            label: format!("{}:{}", host(), std::process::id()),
+            buffer_bytes: 256 << 20,
+            grace: Duration::ZERO,
+            time_limit: None,
+            idle_exit: None,
+        }
     }
+}
+
+fn host() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let name = name.trim();
+    if name.is_empty() { "worker".to_owned() } else { name.to_owned() }
 }

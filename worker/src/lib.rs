@@ -5,11 +5,13 @@
 
 mod agent;
 mod config;
+mod delivery;
 mod heartbeat;
+mod held;
 mod pool;
 mod session;
 pub mod tracer;
 
-pub use agent::run;
+pub use agent::{Ended, run};
 pub use config::Config;
 pub use session::Error;

@@ -1,51 +1,100 @@
 //! `farm-worker`: parses the command line, runs the library until a signal.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::Parser;
-use farm_worker::Config;
+use farm_proto::access::{AccessError, ClientAccess, Target};
+use farm_proto::walltime::{parse_span, parse_time_limit};
+use farm_worker::{Config, Ended, Error};
 use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
 
+/// The coordinator does not want this worker: starting it again is of no use.
+const REFUSED: u8 = 4;
+
 /// Leases jobs from a coordinator and traces them on all cores.
+///
+/// Ends with exit code 0 when it is told to (SIGTERM, `farmctl workers drain`), before its time limit, or when it was
+/// idle for long enough; with 4 if the coordinator refuses it for good; with 1 on any other error.
 #[derive(Debug, Parser)]
 #[command(version)]
 struct Args {
-    /// URL of the coordinator.
-    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7700", env = "FARM_SERVER")]
-    server: String,
+    /// URL of the coordinator [default: the access file's, or http://127.0.0.1:7700].
+    #[arg(long, value_name = "URL", env = "FARM_SERVER")]
+    server: Option<String>,
+    /// Access file: the coordinator's URL and certificate, and this worker's token.
+    #[arg(long, value_name = "FILE", env = "FARM_ACCESS")]
+    access: Option<PathBuf>,
     /// Threads that trace [default: all cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     threads: Option<u16>,
-    /// Name that people see [default: the process number].
+    /// Name that people see [default: machine and process].
     #[arg(long, value_name = "TEXT")]
     label: Option<String>,
+    /// End in time before this is over, as in 90s, 2h or 1-12:00:00.
+    #[arg(long, value_name = "DURATION", env = "FARM_TIME_LIMIT", value_parser = parse_time_limit)]
+    time_limit: Option<Duration>,
+    /// How long jobs may go on that are being traced when the worker is to end.
+    #[arg(long, value_name = "DURATION", env = "FARM_GRACE", default_value = "10s", value_parser = parse_span)]
+    grace: Duration,
+    /// End when there was no work for so long.
+    #[arg(long, value_name = "DURATION", value_parser = parse_time_limit)]
+    idle_exit: Option<Duration>,
+    /// Memory in MiB for results that wait for a coordinator that is away; when it is full, tracing waits.
+    #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    buffer: u32,
 }
 
 #[tokio::main]
 async fn main() -> ExitCode {
-    match run(Args::parse()).await {
-        Ok(()) => ExitCode::SUCCESS,
+    let args = Args::parse();
+    let filter = EnvFilter::try_from_env("FARM_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let config = match config(args) {
+        Ok(config) => config,
         Err(error) => {
             eprintln!("farm-worker: {error}");
-            ExitCode::FAILURE
+            return ExitCode::FAILURE;
+        }
+    };
+    let shutdown = CancellationToken::new();
+    tokio::spawn(stop_on_signal(shutdown.clone()));
+    match farm_worker::run(config, shutdown).await {
+        Ok(ended) => {
+            tracing::info!("{}", text(ended));
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("farm-worker: {error}");
+            if matches!(error, Error::Refused(_)) { ExitCode::from(REFUSED) } else { ExitCode::FAILURE }
         }
     }
 }
 
-async fn run(args: Args) -> Result<(), farm_worker::Error> {
-    let filter = EnvFilter::try_from_env("FARM_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
-    let mut config = Config::new(args.server);
-    if let Some(threads) = args.threads {
-        config.threads = usize::from(threads);
+fn config(args: Args) -> Result<Config, AccessError> {
+    let access = args.access.as_deref().map(ClientAccess::read).transpose()?;
+    let default = access.is_none().then_some("http://127.0.0.1:7700");
+    let config = Config::new(Target::new(access.as_ref(), args.server.as_deref().or(default))?);
+    Ok(Config {
+        threads: args.threads.map_or(config.threads, usize::from),
+        label: args.label.unwrap_or(config.label),
+        time_limit: args.time_limit,
+        grace: args.grace,
+        idle_exit: args.idle_exit,
+        buffer_bytes: (args.buffer as usize) << 20,
+        coordinator: config.coordinator,
+    })
+}
+
+fn text(ended: Ended) -> &'static str {
+    match ended {
+        Ended::Stopped => "stopped",
+        Ended::Drained => "left, as the coordinator asked",
+        Ended::TimeLimit => "ended before the time limit",
+        Ended::Idle => "ended for want of work",
     }
-    if let Some(label) = args.label {
-        config.label = label;
-    }
-    let shutdown = CancellationToken::new();
-    tokio::spawn(stop_on_signal(shutdown.clone()));
-    farm_worker::run(config, shutdown).await
 }
 
 async fn stop_on_signal(shutdown: CancellationToken) {

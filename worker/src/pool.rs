@@ -3,18 +3,28 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering;
 
 use farm_proto::Record;
 use farm_proto::job::JobSpec;
+use farm_proto::sums::Sums;
 use tokio::sync::oneshot;
 
-use crate::tracer::{Stopped, trace};
+use crate::held::Switches;
+use crate::tracer::{Stopped, trace, trace_block};
+
+/// What a job came to.
+#[derive(Debug, Clone)]
+pub(crate) enum Traced {
+    Records(Vec<Record>),
+    /// Of one block of a divided job.
+    Sums(Sums),
+}
 
 /// How tracing a job ended.
 #[derive(Debug)]
 pub(crate) enum Outcome {
-    Traced(Vec<Record>),
+    Traced(Traced),
     Stopped,
     /// The tracer panicked: a defect, told to the coordinator.
     Panicked(String),
@@ -29,19 +39,31 @@ impl Pool {
         Ok(Self(Arc::new(rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build()?)))
     }
 
-    /// Traces a job; `stop` ends it early.
-    pub(crate) async fn trace(&self, job: JobSpec, stop: Arc<AtomicBool>) -> Outcome {
+    /// Traces a job; its switch ends it early.
+    pub(crate) async fn trace(&self, job: JobSpec, switches: Arc<Switches>) -> Outcome {
         let (sender, receiver) = oneshot::channel();
         self.0.spawn(move || {
-            let outcome = match catch_unwind(AssertUnwindSafe(|| trace(&job, &stop))) {
-                Ok(Ok(records)) => Outcome::Traced(records),
-                Ok(Err(Stopped)) => Outcome::Stopped,
-                Err(panic) => Outcome::Panicked(message(panic.as_ref())),
-            };
             // Nobody listens any more if the agent was dropped.
-            let _ = sender.send(outcome);
+            let _ = sender.send(trace_now(&job, &switches));
         });
         receiver.await.unwrap_or(Outcome::Stopped)
+    }
+}
+
+fn trace_now(job: &JobSpec, switches: &Switches) -> Outcome {
+    // First this, then a look at the stop switch: whoever stops what is not running cannot miss it.
+    switches.running.store(true, Ordering::SeqCst);
+    if switches.stop.load(Ordering::SeqCst) {
+        return Outcome::Stopped;
+    }
+    let traced = catch_unwind(AssertUnwindSafe(|| match job.block() {
+        Some(block) => trace_block(job, block, &switches.stop).map(Traced::Sums),
+        None => trace(job, &switches.stop).map(Traced::Records),
+    }));
+    match traced {
+        Ok(Ok(traced)) => Outcome::Traced(traced),
+        Ok(Err(Stopped)) => Outcome::Stopped,
+        Err(panic) => Outcome::Panicked(message(panic.as_ref())),
     }
 }
 

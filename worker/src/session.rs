@@ -4,32 +4,27 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use backon::{ExponentialBuilder, Retryable};
+use farm_proto::access::Link;
 use farm_proto::job::{Lease, LeaseKey};
-use farm_proto::wire::complete_request::Part;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
-    AcquireRequest, CompleteRequest, FailRequest, HandBackRequest, RegisterRequest, RenewRequest,
+    AcquireRequest, CompleteRequest, CompletionOutcome, FailRequest, HandBackRequest, HeldLease,
+    RegisterRequest, RenewRequest,
 };
-use farm_proto::{PHYSICS_VERSION, Profile, Record, RequestLimits};
+use farm_proto::{Digest, PHYSICS_VERSION, RequestLimits};
 use tokio_util::sync::CancellationToken;
-use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
 
 use crate::config::Config;
+use crate::delivery::time_for;
 
 /// Longest time a call may take that neither carries records nor holds leases.
 const CALL: Duration = Duration::from_mins(1);
 /// Longest time to take leave: whoever stops a worker waits for it.
 const LEAVE: Duration = Duration::from_secs(5);
-/// Slowest link, in bytes a second, over which records are delivered before the call is given up and repeated.
-const SLOWEST: f64 = 50_000.0;
-/// HTTP/2 pings find links that were cut without a word.
-const KEEPALIVE: Duration = Duration::from_secs(20);
 
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    #[error("coordinator URL {url:?} is not valid: {source}")]
-    Url { url: String, source: tonic::transport::Error },
     #[error("the coordinator refused this worker: {}", .0.message())]
     Refused(Status),
     #[error("starting the tracing threads: {0}")]
@@ -39,8 +34,10 @@ pub enum Error {
 /// A registered connection. Registers anew by itself when the coordinator has forgotten the worker.
 #[derive(Debug)]
 pub(crate) struct Session {
-    client: LeasesClient<Channel>,
+    client: LeasesClient<Link>,
     config: Config,
+    /// Tells the coordinator that this is the same process when it registers again.
+    instance: String,
     worker_id: Mutex<String>,
     lease: Duration,
 }
@@ -48,16 +45,12 @@ pub(crate) struct Session {
 impl Session {
     /// Connects and registers, waiting for the coordinator as long as it takes; None if `shutdown` comes first.
     pub(crate) async fn open(config: Config, shutdown: &CancellationToken) -> Result<Option<Self>, Error> {
-        let endpoint = Endpoint::from_shared(config.coordinator.clone())
-            .map_err(|source| Error::Url { url: config.coordinator.clone(), source })?
-            .connect_timeout(Duration::from_secs(10))
-            .http2_keep_alive_interval(KEEPALIVE)
-            .keep_alive_timeout(KEEPALIVE)
-            .tcp_nodelay(true);
-        let client = LeasesClient::new(endpoint.connect_lazy())
+        let client = LeasesClient::new(config.coordinator.connect_lazy())
             .max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
             .max_encoding_message_size(RequestLimits::MESSAGE_BYTES);
-        let mut session = Self { client, config, worker_id: Mutex::default(), lease: Duration::ZERO };
+        let instance = instance();
+        let mut session =
+            Self { client, config, instance, worker_id: Mutex::default(), lease: Duration::ZERO };
         let registered = tokio::select! {
             registered = repeat(|| session.register()) => registered.map_err(Error::Refused)?,
             () = shutdown.cancelled() => return Ok(None),
@@ -76,6 +69,8 @@ impl Session {
             label: self.config.label.clone(),
             threads: self.config.threads as u32,
             physics_version: PHYSICS_VERSION,
+            instance: self.instance.clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         let response = self.client.clone().register(timed(request, CALL)).await?.into_inner();
         *self.worker_id.lock().unwrap_or_else(PoisonError::into_inner) = response.worker_id;
@@ -86,10 +81,11 @@ impl Session {
         self.worker_id.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Registers again if that is what an answer asks for.
-    async fn known<T>(&self, answer: Result<T, Status>) -> Result<T, Status> {
+    /// Registers again if that is what an answer to a call in the name of `worker` asks for.
+    async fn known<T>(&self, worker: &str, answer: Result<T, Status>) -> Result<T, Status> {
         if let Err(status) = &answer
-            && status.code() == Code::Unauthenticated
+            && status.code() == Code::Aborted
+            && worker == self.worker_id()
         {
             tracing::warn!("the coordinator does not know this worker: registering again");
             self.register().await?;
@@ -97,58 +93,79 @@ impl Session {
         answer
     }
 
-    /// Waits up to `wait` for jobs.
-    pub(crate) async fn acquire(&self, max: usize, wait: Duration) -> Result<Vec<Lease>, Status> {
+    /// Waits up to `wait` for jobs; tells also whether the worker is to leave.
+    pub(crate) async fn acquire(&self, max: usize, wait: Duration) -> Result<(Vec<Lease>, bool), Status> {
+        let worker_id = self.worker_id();
         let request = AcquireRequest {
-            worker_id: self.worker_id(),
+            worker_id: worker_id.clone(),
             max_leases: max.min(RequestLimits::LEASES as usize) as u32,
             wait_ms: wait.as_millis() as u64,
         };
         let answer = self.client.clone().acquire(timed(request, CALL)).await;
-        let leases = self.known(answer).await?.into_inner().leases;
-        leases.into_iter().map(|l| Lease::try_from(l).map_err(|e| e.to_status())).collect()
+        let answer = self.known(&worker_id, answer).await?.into_inner();
+        let leases = answer.leases.into_iter().map(|l| Lease::try_from(l).map_err(|e| e.to_status()));
+        Ok((leases.collect::<Result<_, _>>()?, answer.drain))
     }
 
-    /// Extends leases; returns those that are lost.
-    pub(crate) async fn renew(&self, leases: Vec<LeaseKey>) -> Result<Vec<LeaseKey>, Status> {
-        let leases = leases.into_iter().map(Into::into).collect();
-        let request = RenewRequest { worker_id: self.worker_id(), leases };
-        // A call that is stuck must leave time for another before the leases end.
-        let answer = self.client.clone().renew(timed(request, self.lease / 4)).await;
-        Ok(self.known(answer).await?.into_inner().lost.into_iter().map(Into::into).collect())
-    }
-
-    /// Delivers records until they are acknowledged or refused for good.
-    pub(crate) async fn complete(&self, key: &LeaseKey, records: &[Record]) -> Result<(), Status> {
-        let estimates = records.iter().flat_map(|r| &r.profiles).flat_map(Profile::estimates);
-        let bytes = estimates.map(|e| 8 * e.values().len());
-        let limit = CALL + Duration::from_secs_f64(bytes.sum::<usize>() as f64 / SLOWEST);
-        repeat(|| async {
-            let lease = CompleteRequest { part: Some(Part::Lease(key.clone().into())) };
-            let part = |r: &Record| CompleteRequest { part: Some(Part::Record(r.clone().into())) };
-            let parts: Vec<_> = std::iter::once(lease).chain(records.iter().map(part)).collect();
-            let answer = self.client.clone().complete(timed(tokio_stream::iter(parts), limit)).await?;
-            if answer.into_inner().duplicate {
-                tracing::info!(job = key.job, attempt = key.attempt, "these records were stored before");
+    /// Extends leases; returns those that are lost, and whether the worker is to leave.
+    pub(crate) async fn renew(
+        &self,
+        leases: Vec<(LeaseKey, bool, Digest)>,
+    ) -> Result<(Vec<LeaseKey>, bool), Status> {
+        let worker_id = self.worker_id();
+        let held = |(key, running, identity): (LeaseKey, bool, Digest)| HeldLease {
+            key: Some(key.into()),
+            running,
+            identity: identity.as_bytes().to_vec(),
+        };
+        let mut leases: Vec<HeldLease> = leases.into_iter().map(held).collect();
+        let (mut lost, mut drain) = (Vec::new(), false);
+        // Also without leases: a worker must be heard of.
+        loop {
+            let rest = leases.split_off(leases.len().min(RequestLimits::LEASES as usize));
+            let request = RenewRequest { worker_id: worker_id.clone(), leases };
+            // A heartbeat that comes late is worth nothing.
+            let answer = self.client.clone().renew(timed(request, self.lease / 2)).await;
+            let answer = self.known(&worker_id, answer).await?.into_inner();
+            lost.extend(answer.lost.into_iter().map(LeaseKey::from));
+            drain |= answer.drain;
+            leases = rest;
+            if leases.is_empty() {
+                return Ok((lost, drain));
             }
-            Ok(())
+        }
+    }
+
+    /// Delivers results until they are acknowledged or refused for good; `parts` makes the messages for a worker's id.
+    pub(crate) async fn complete(
+        &self,
+        parts: impl Fn(&str) -> Vec<CompleteRequest>,
+        bytes: usize,
+    ) -> Result<Vec<CompletionOutcome>, Status> {
+        repeat(|| async {
+            let worker_id = self.worker_id();
+            let parts = tokio_stream::iter(parts(&worker_id));
+            let answer = self.client.clone().complete(timed(parts, time_for(bytes))).await;
+            Ok(self.known(&worker_id, answer).await?.into_inner().outcomes)
         })
         .await
     }
 
     pub(crate) async fn fail(&self, key: &LeaseKey, reason: &str) -> Result<(), Status> {
         repeat(|| async {
-            let lease = Some(key.clone().into());
-            let request = FailRequest { worker_id: self.worker_id(), lease, reason: reason.to_owned() };
-            self.client.clone().fail(timed(request, CALL)).await.map(drop)
+            let worker_id = self.worker_id();
+            let lease = Some((*key).into());
+            let request = FailRequest { worker_id: worker_id.clone(), lease, reason: reason.to_owned() };
+            let answer = self.client.clone().fail(timed(request, CALL)).await;
+            self.known(&worker_id, answer).await.map(drop)
         })
         .await
     }
 
-    /// Hands all leases back for good. One try: if it does not get through, they expire by themselves.
-    pub(crate) async fn leave(&self, leases: Vec<LeaseKey>) -> Result<(), Status> {
+    /// Hands leases back, for good if the worker leaves. One try: if it does not get through, they expire.
+    pub(crate) async fn hand_back(&self, leases: Vec<LeaseKey>, leaving: bool) -> Result<(), Status> {
         let leases = leases.into_iter().map(Into::into).collect();
-        let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving: true };
+        let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving };
         self.client.clone().hand_back(timed(request, LEAVE)).await.map(drop)
     }
 }
@@ -157,6 +174,16 @@ fn timed<T>(message: T, limit: Duration) -> tonic::Request<T> {
     let mut request = tonic::Request::new(message);
     request.set_timeout(limit);
     request
+}
+
+/// 128 random bits, in hexadecimal.
+fn instance() -> String {
+    let mut bytes = [0_u8; 16];
+    if getrandom::fill(&mut bytes).is_err() {
+        // Without randomness the process number must do.
+        bytes[..4].copy_from_slice(&std::process::id().to_le_bytes());
+    }
+    format!("{:032x}", u128::from_be_bytes(bytes))
 }
 
 /// Whether the same call may succeed later.
@@ -171,6 +198,11 @@ pub(crate) fn is_passing(status: &Status) -> bool {
             | Code::ResourceExhausted
             | Code::Unknown
     )
+}
+
+/// Whether the coordinator does not want this worker, now or later.
+pub(crate) fn is_refusal(status: &Status) -> bool {
+    matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied | Code::FailedPrecondition)
 }
 
 /// Calls until the answer is not a passing fault, with growing pauses of random length.

@@ -1,7 +1,9 @@
 //! The command line.
 
 mod bounds;
+mod farm;
 mod fit;
+mod slurm;
 
 use std::path::PathBuf;
 
@@ -9,12 +11,17 @@ use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
 pub use bounds::BoundsArg;
+pub use farm::{
+    AccessCommand, AccessCreateArgs, CancelArgs, DeleteArgs, DoctorArgs, DrainArgs, EventsArgs, NameArgs,
+    PriorityArgs, WaitArgs, WorkersArgs, WorkersCommand,
+};
 pub use fit::{FitArgs, MapArgs, MeasureArgs, MuArgs, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg};
+pub use slurm::{SlurmCommand, SlurmSubmitArgs};
 
 /// Measures the optical parameters of translucent resins: computes dictionaries of simulated edge profiles and fits
 /// measured profiles to them.
 ///
-/// Without --server everything runs in this process, with its data in ./farm-data.
+/// Without --server or --access everything runs in this process, with its data in ./farm-data.
 #[derive(Debug, Parser)]
 #[command(name = "farmctl", version, after_help = EXAMPLES)]
 pub struct Cli {
@@ -31,13 +38,17 @@ Examples:
   farmctl fit examples/white.csv --g 0.4       see the best fits one by one
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
 
-Exit codes: 0 success, 1 error, 2 wrong usage, 3 some jobs of the dictionary have failed, 130 interrupted.";
+Exit codes: 0 success, 1 error, 2 wrong usage; of a dictionary: 3 some jobs have failed, 4 some jobs are in
+quarantine, 5 cancelled, 6 still running when the time to wait was over; 130 interrupted.";
 
 #[derive(Debug, Args)]
 pub struct Global {
     /// URL of a coordinator, as in http://farm:7700.
     #[arg(long, value_name = "URL", env = "FARM_SERVER", global = true, help_heading = "General options")]
     pub server: Option<String>,
+    /// Access file of a coordinator: its URL, its certificate and a token.
+    #[arg(long, value_name = "FILE", env = "FARM_ACCESS", global = true, help_heading = "General options")]
+    pub access: Option<PathBuf>,
     /// Run in this process even if a server is configured.
     #[arg(long, global = true, help_heading = "General options")]
     pub local: bool,
@@ -79,6 +90,38 @@ pub enum Command {
     Status,
     /// List the dictionaries.
     List,
+    /// Follow a dictionary until it has ended; the exit code tells how.
+    Watch(NameArgs),
+    /// Wait without a word until dictionaries have ended; the exit code tells how.
+    Wait(WaitArgs),
+    /// Tell why a dictionary is not done.
+    Explain(NameArgs),
+    /// Give out no more jobs of a dictionary; those under way are finished.
+    Pause(NameArgs),
+    /// Go on with a dictionary that was paused or cancelled.
+    Resume(NameArgs),
+    /// End the work on a dictionary; finished records stay.
+    Cancel(CancelArgs),
+    /// Try the jobs of a dictionary again that were given up.
+    Retry(NameArgs),
+    /// Say which dictionaries go first.
+    Priority(PriorityArgs),
+    /// Delete a dictionary, and the records that no other one uses.
+    Delete(DeleteArgs),
+    /// List the workers, or let one leave.
+    Workers(WorkersArgs),
+    /// Show what has happened.
+    Events(EventsArgs),
+    /// Look for what is wrong: connection, versions, disk, every record.
+    Doctor(DoctorArgs),
+    /// Ask whether the coordinator serves; for health checks.
+    Health,
+    /// Make the files by which coordinator, workers and people know each other.
+    #[command(subcommand)]
+    Access(AccessCommand),
+    /// Run workers on a Slurm cluster.
+    #[command(subcommand)]
+    Slurm(SlurmCommand),
     /// Show one dictionary.
     Show(ShowArgs),
     /// Write the finished records of a dictionary as CSV.
@@ -97,6 +140,9 @@ pub struct SubmitArgs {
     /// Wait until the dictionary is done. Always so without a server.
     #[arg(long)]
     pub wait: bool,
+    /// Dictionaries of higher priority go first: -1000 to 1000.
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
+    pub priority: i32,
 }
 
 #[derive(Debug, Args)]

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::output::{DictionaryJson, Output, grouped, table};
+use crate::output::{DictionaryJson, Output, duration, grouped, table};
 
 #[derive(Debug, Serialize)]
 struct ListJson {
@@ -19,24 +19,36 @@ pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
 }
 
 pub(crate) async fn fetch(connection: &Connection) -> Result<Vec<DictionaryStatus>> {
-    let list = connection.dictionaries().list(ListRequest {}).await?.into_inner().dictionaries;
-    Ok(list.into_iter().map(TryInto::try_into).collect::<Result<_, _>>()?)
+    let (mut dictionaries, mut page_token) = (Vec::new(), String::new());
+    loop {
+        let request = ListRequest { page_size: 0, page_token };
+        let page = connection.dictionaries().list(request).await?.into_inner();
+        for dictionary in page.dictionaries {
+            dictionaries.push(dictionary.try_into()?);
+        }
+        page_token = page.next_page_token;
+        if page_token.is_empty() {
+            return Ok(dictionaries);
+        }
+    }
 }
 
 pub(crate) fn text(dictionaries: &[DictionaryStatus]) -> String {
     if dictionaries.is_empty() {
         return "no dictionaries yet: `farmctl submit` computes one".to_owned();
     }
-    let head = ["dictionary", "state", "records", "of", "done", "failed jobs"];
+    let head = ["dictionary", "state", "priority", "records", "of", "done", "left", "failed jobs"];
     let row = |d: &DictionaryStatus| {
         vec![
             d.name.to_string(),
             d.state().as_str().to_owned(),
+            d.priority.to_string(),
             grouped(d.records_done() as u64),
             grouped(d.records_total() as u64),
             format!("{:.1} %", 100.0 * d.work_done),
+            d.eta_s.map_or_else(String::new, |s| duration(std::time::Duration::from_secs_f64(s))),
             d.failed.len().to_string(),
         ]
     };
-    table(&head, &[2, 3, 4, 5], dictionaries.iter().map(row))
+    table(&head, &[2, 3, 4, 5, 6, 7], dictionaries.iter().map(row))
 }

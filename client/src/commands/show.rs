@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use farm_proto::status::DictionaryStatus;
+use farm_proto::status::{DictionaryStatus, FailedJob};
 use farm_proto::wire::{ExportRequest, GetRequest};
 use farm_proto::{DictionaryName, Record, SceneFile};
 use serde::Serialize;
@@ -105,7 +105,31 @@ fn text(status: &DictionaryStatus) -> String {
         ("grid digest", status.grid_digest.to_string()),
         ("records digest", digest),
     ];
-    lines.extend(status.failed.iter().map(|f| ("failed job", format!("{}: {}", f.job, f.reason))));
+    if status.records_reused > 0 {
+        lines
+            .push(("reused", format!("{} records were there before", grouped(status.records_reused as u64))));
+    }
+    if let Some(quality) = grid.quality() {
+        let (fewest, most) = status.walks;
+        lines.push((
+            "quality",
+            format!(
+                "noise of {} or up to {} walks; so far {} to {}",
+                quality.relative_std_error(),
+                grouped(quality.max_walks().get()),
+                grouped(fewest),
+                grouped(most)
+            ),
+        ));
+    }
+    if !status.reason.is_empty() {
+        lines.push(("reason", status.reason.clone()));
+    }
+    let failed = |f: &FailedJob| {
+        let name = if f.quarantined { "quarantined" } else { "failed job" };
+        (name, format!("job {}: {}", f.job, f.reason))
+    };
+    lines.extend(status.failed.iter().map(failed));
     lines.iter().map(|(name, value)| format!("{name:<15} {value}\n")).collect()
 }
 

@@ -3,10 +3,10 @@ use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use farm_proto::wire::{StatusRequest, StatusResponse};
 use serde::Serialize;
 
-use super::list;
+use super::{list, workers};
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::output::{DictionaryJson, Output, WorkerJson, grouped, table};
+use crate::output::{DictionaryJson, Output, WorkerJson, grouped};
 
 #[derive(Debug, Serialize)]
 struct StatusJson {
@@ -15,6 +15,12 @@ struct StatusJson {
     physics_version: u32,
     jobs_pending: u64,
     jobs_leased: u64,
+    jobs_done: u64,
+    uptime_ms: u64,
+    database_bytes: u64,
+    checks_agreed: u64,
+    checks_disputed: u64,
+    store_fault: Option<String>,
     workers: Vec<WorkerJson>,
     dictionaries: Vec<DictionaryJson>,
 }
@@ -27,6 +33,12 @@ pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
         physics_version: status.physics_version,
         jobs_pending: status.jobs_pending,
         jobs_leased: status.jobs_leased,
+        jobs_done: status.jobs_done,
+        uptime_ms: status.uptime_ms,
+        database_bytes: status.database_bytes,
+        checks_agreed: status.checks_agreed,
+        checks_disputed: status.checks_disputed,
+        store_fault: (!status.store_fault.is_empty()).then(|| status.store_fault.clone()),
         workers: workers.iter().map(Into::into).collect(),
         dictionaries: dictionaries.iter().map(Into::into).collect(),
     };
@@ -38,9 +50,8 @@ type Answer = (Option<String>, StatusResponse, Vec<WorkerStatus>, Vec<Dictionary
 async fn fetch(connection: &Connection) -> Result<Answer> {
     // A coordinator that this command has just started for itself is not one that runs.
     let address = (!connection.is_embedded()).then(|| connection.address().to_owned());
-    let mut status = connection.farm().status(StatusRequest {}).await?.into_inner();
-    let workers = std::mem::take(&mut status.workers).into_iter().map(Into::into).collect();
-    Ok((address, status, workers, list::fetch(connection).await?))
+    let status = connection.farm().status(StatusRequest {}).await?.into_inner();
+    Ok((address, status, workers::fetch(connection).await?, list::fetch(connection).await?))
 }
 
 fn text(
@@ -58,20 +69,13 @@ fn text(
         grouped(status.jobs_pending),
         grouped(status.jobs_leased)
     );
-    let mut text = format!("{place}\n{jobs}\n\n{}", list::text(dictionaries));
+    let fault = match status.store_fault.as_str() {
+        "" => String::new(),
+        fault => format!("\nresults cannot be stored: {fault}"),
+    };
+    let mut text = format!("{place}\n{jobs}{fault}\n\n{}", list::text(dictionaries));
     if !workers.is_empty() {
-        let row = |w: &WorkerStatus| {
-            let silent = format!("{:.1} s", w.silent_ms as f64 / 1000.0);
-            vec![
-                w.label.clone(),
-                w.threads.to_string(),
-                w.leases.to_string(),
-                w.jobs_done.to_string(),
-                silent,
-            ]
-        };
-        let head = ["worker", "threads", "leases", "jobs done", "silent for"];
-        text += &format!("\n\n{}", table(&head, &[1, 2, 3, 4], workers.iter().map(row)));
+        text += &format!("\n\n{}", workers::text(workers));
     }
     text
 }

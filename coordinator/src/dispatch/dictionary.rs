@@ -1,82 +1,77 @@
 //! The jobs of one dictionary and their states.
 
 use std::collections::BTreeSet;
-use std::time::Duration;
+use std::sync::Arc;
 
-use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::job::LeaseKey;
+use farm_proto::ids::DictionaryId;
+use farm_proto::job::JobSpec;
 use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
-use farm_proto::{DictionaryName, Digest, Grid};
+use farm_proto::{DictionaryName, Digest, Grid, Walks};
 
-use super::plan;
-use crate::store::{EndedJob, StoredDictionary};
+use super::job::{Job, Part, Stage, Strike};
+use super::{Origin, PartId, plan};
+use crate::store::{Desire, EndedJob, StoredDictionary};
 
-#[derive(Debug)]
-enum State {
-    Pending,
-    Leased(Held),
-    Done(Digest),
-    Failed(String),
-}
-
-/// Who holds a lease, and until when.
-#[derive(Debug)]
-pub(super) struct Held {
-    pub worker: WorkerId,
-    pub token: String,
-    pub deadline: Duration,
-}
-
-#[derive(Debug)]
-struct Job {
-    state: State,
-    /// Leases given out so far.
-    attempts: u32,
-    /// Why attempts failed.
-    reasons: Vec<String>,
-    /// Place in the order of work.
-    rank: u32,
-    cost: f64,
+/// Numbers that change with every job, kept so that nobody has to count.
+#[derive(Debug, Default, Clone, Copy, PartialEq)]
+pub(super) struct Counts {
+    pub done: usize,
+    pub reused: usize,
+    pub given_up: usize,
+    pub cost_done: f64,
+    pub cost: f64,
+    /// Fewest and most walks of a job that is done.
+    pub walks: Option<(u64, u64)>,
 }
 
 /// A dictionary and the state of each of its jobs.
 #[derive(Debug)]
 pub struct Dictionary {
     stored: StoredDictionary,
+    outdated: bool,
     jobs: Vec<Job>,
-    /// Pending jobs as (rank, job).
-    pending: BTreeSet<(u32, u32)>,
-    leased: BTreeSet<u32>,
-    total_cost: f64,
+    /// Parts that wait, as (rank, job, part).
+    pending: BTreeSet<(u32, u32, u32)>,
+    counts: Counts,
+    /// Parts that are leased; the dispatcher keeps who holds them.
+    pub(super) leased: usize,
 }
 
 impl Dictionary {
     /// Takes up a dictionary as the store has it: what has not ended is pending.
-    pub fn new(stored: StoredDictionary, ended: Vec<EndedJob>) -> Self {
-        let new_job = |job: usize| Job {
-            state: State::Pending,
-            attempts: 0,
-            reasons: Vec::new(),
-            rank: 0,
-            cost: plan::cost(&stored.grid.point(job)),
-        };
-        let mut jobs: Vec<Job> = (0..stored.grid.job_count()).map(new_job).collect();
-        for (rank, job) in plan::longest_first(&stored.grid).into_iter().enumerate() {
+    pub fn new(stored: StoredDictionary, ended: &[EndedJob]) -> Self {
+        let grid = &stored.grid;
+        let mut jobs: Vec<Job> = (0..grid.job_count())
+            .map(|job| Job::new(grid.walks(), plan::cost_per_walk(&grid.point(job))))
+            .collect();
+        for (rank, job) in plan::longest_first(grid).into_iter().enumerate() {
             jobs[job as usize].rank = rank as u32;
         }
         for end in ended {
-            let (job, state) = match end {
-                EndedJob::Done { job, records } => (job, State::Done(records)),
-                EndedJob::Failed { job, reason } => (job, State::Failed(reason)),
-            };
-            if let Some(job) = jobs.get_mut(job as usize) {
-                job.state = state;
+            if let Some(job) = jobs.get_mut(end.job() as usize) {
+                job.end(end);
             }
         }
-        let pending = jobs.iter().zip(0..).filter(|(j, _)| matches!(j.state, State::Pending));
-        let pending = pending.map(|(j, i)| (j.rank, i)).collect();
-        let total_cost = jobs.iter().map(|j| j.cost).sum();
-        Self { stored, jobs, pending, leased: BTreeSet::new(), total_cost }
+        let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
+        let mut dictionary =
+            Self { stored, outdated, jobs, pending: BTreeSet::new(), counts: Counts::default(), leased: 0 };
+        dictionary.count();
+        dictionary
+    }
+
+    /// Counts everything afresh.
+    fn count(&mut self) {
+        self.counts = Counts::default();
+        self.pending.clear();
+        for (job, index) in self.jobs.iter().zip(0..) {
+            self.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
+            self.counts.cost += job.cost;
+            match &job.stage {
+                Stage::Done { reused, .. } => self.counts.add_done(job, *reused),
+                Stage::GivenUp { .. } => self.counts.given_up += 1,
+                Stage::Open { .. } => {}
+            }
+        }
     }
 
     pub fn id(&self) -> DictionaryId {
@@ -87,7 +82,7 @@ impl Dictionary {
         &self.stored.name
     }
 
-    pub fn grid(&self) -> &Grid {
+    pub fn grid(&self) -> &Arc<Grid> {
         &self.stored.grid
     }
 
@@ -95,159 +90,274 @@ impl Dictionary {
         self.stored.grid_digest
     }
 
+    pub fn priority(&self) -> i32 {
+        self.stored.priority
+    }
+
+    pub fn reason(&self) -> &str {
+        &self.stored.reason
+    }
+
+    /// Jobs that have not ended.
+    pub fn open_jobs(&self) -> usize {
+        self.jobs.len() - self.counts.done - self.counts.given_up
+    }
+
+    /// Parts that wait for a worker.
     pub fn pending(&self) -> usize {
         self.pending.len()
     }
 
-    pub fn leased(&self) -> usize {
-        self.leased.len()
+    pub fn jobs(&self) -> usize {
+        self.jobs.len()
+    }
+
+    /// Jobs that are done, and that were given up.
+    pub fn ended(&self) -> (usize, usize) {
+        (self.counts.done, self.counts.given_up)
+    }
+
+    /// Whether parts of it may be given out.
+    pub fn is_active(&self) -> bool {
+        self.stored.desire == Desire::Run && !self.outdated
     }
 
     pub fn state(&self) -> DictionaryState {
-        self.status().state()
+        if self.counts.done == self.jobs.len() {
+            return DictionaryState::Done;
+        }
+        if self.outdated {
+            return DictionaryState::Outdated;
+        }
+        match self.stored.desire {
+            Desire::Cancel => DictionaryState::Cancelled,
+            _ if self.open_jobs() == 0 => DictionaryState::Failed,
+            Desire::Pause => DictionaryState::Paused,
+            Desire::Run => DictionaryState::Running,
+        }
     }
 
     /// Whether every record is there.
     pub fn is_complete(&self) -> bool {
-        self.pending.is_empty()
-            && self.leased.is_empty()
-            && self.jobs.iter().all(|j| matches!(j.state, State::Done(_)))
+        self.state() == DictionaryState::Done
     }
 
-    pub fn status(&self) -> DictionaryStatus {
-        let done = || self.jobs.iter().filter(|j| matches!(j.state, State::Done(_)));
-        let failed = self.jobs.iter().zip(0..).filter_map(|(j, job)| match &j.state {
-            State::Failed(reason) => Some(FailedJob { job, reason: reason.clone() }),
-            _ => None,
-        });
-        let digests: Option<Vec<Digest>> = self
-            .jobs
-            .iter()
-            .map(|j| if let State::Done(digest) = j.state { Some(digest) } else { None })
-            .collect();
+    /// Work that is left, in scatterings.
+    pub fn cost_left(&self) -> f64 {
+        (self.counts.cost - self.counts.cost_done).max(0.0)
+    }
+
+    pub fn work_done(&self) -> f64 {
+        if self.counts.done == self.jobs.len() { 1.0 } else { self.counts.cost_done / self.counts.cost }
+    }
+
+    pub fn status(&self, eta_s: Option<f64>) -> DictionaryStatus {
         DictionaryStatus {
             name: self.stored.name.clone(),
-            grid: self.stored.grid.clone(),
+            grid: (*self.stored.grid).clone(),
             grid_digest: self.stored.grid_digest,
-            records_digest: digests.map(Digest::of_jobs),
+            records_digest: self.records_digest(),
             created_unix_ms: self.stored.created_unix_ms,
-            jobs_done: done().count(),
-            jobs_leased: self.leased.len(),
-            failed: failed.collect(),
-            work_done: done().map(|j| j.cost).sum::<f64>() / self.total_cost,
+            state: self.state(),
+            jobs_done: self.counts.done,
+            jobs_leased: self.leased,
+            failed: self.given_up(),
+            work_done: self.work_done(),
+            priority: self.stored.priority,
+            reason: self.stored.reason.clone(),
+            eta_s: eta_s.filter(|_| self.state() == DictionaryState::Running),
+            records_reused: self.counts.reused * self.grid().albedo().len(),
+            walks: self.counts.walks.unwrap_or_default(),
         }
     }
 
-    pub(super) fn has_job(&self, job: u32) -> bool {
-        (job as usize) < self.jobs.len()
+    fn records_digest(&self) -> Option<Digest> {
+        if self.counts.done < self.jobs.len() {
+            return None;
+        }
+        let digest = |job: &Job| match job.stage {
+            Stage::Done { records, .. } => Some(records),
+            _ => None,
+        };
+        self.jobs.iter().map(digest).collect::<Option<Vec<_>>>().map(Digest::of_jobs)
     }
 
-    pub(super) fn is_done(&self, job: u32) -> bool {
-        matches!(self.jobs[job as usize].state, State::Done(_))
+    fn given_up(&self) -> Vec<FailedJob> {
+        if self.counts.given_up == 0 {
+            return Vec::new();
+        }
+        let failed = |(job, index): (&Job, u32)| match &job.stage {
+            Stage::GivenUp { reason, quarantined } => {
+                Some(FailedJob { job: index, reason: reason.clone(), quarantined: *quarantined })
+            }
+            _ => None,
+        };
+        self.jobs.iter().zip(0..).filter_map(failed).collect()
     }
 
-    pub(super) fn holds(&self, key: &LeaseKey) -> bool {
-        self.jobs.get(key.job as usize).is_some_and(|job| match &job.state {
-            State::Leased(held) => held.token == key.token && job.attempts == key.attempt,
-            _ => false,
-        })
+    /// The job that a part belongs to, if there is such a part.
+    pub(super) fn job(&self, id: PartId) -> Option<&Job> {
+        self.jobs.get(id.job as usize).filter(|job| job.has_part(id.part))
     }
 
-    pub(super) fn leases_of(&self, worker: &WorkerId) -> usize {
-        self.leased.iter().filter(|job| self.is_held_by(**job, worker)).count()
+    pub(super) fn open_parts(&self, index: u32) -> Vec<u32> {
+        self.jobs.get(index as usize).map(|job| job.open_parts().collect()).unwrap_or_default()
     }
 
-    fn is_held_by(&self, job: u32, worker: &WorkerId) -> bool {
-        matches!(&self.jobs[job as usize].state, State::Leased(held) if held.worker == *worker)
+    /// Jobs that are divided and open, whose blocks may be in the store already.
+    pub fn divided_jobs(&self) -> Vec<u32> {
+        let wanted = |job: &Job| job.is_divided() && matches!(job.stage, Stage::Open { .. });
+        self.jobs.iter().zip(0..).filter(|(job, _)| wanted(job)).map(|(_, index)| index).collect()
     }
 
-    /// Leases the next pending job: its number, attempt and token.
-    pub(super) fn lease_next(&mut self, held: Held) -> Option<(u32, u32, String)> {
-        let (_, index) = self.pending.pop_first()?;
+    /// What a worker needs to compute a part.
+    pub fn spec(&self, index: u32, part: u32) -> JobSpec {
+        let job = &self.jobs[index as usize];
+        let spec = JobSpec::of(self.grid(), index as usize).with_walks(job.walks);
+        if job.is_divided() { spec.with_block(part).expect("the job has this block") } else { spec }
+    }
+
+    /// Takes the next part that waits, and counts the attempt.
+    pub(super) fn take_next(&mut self) -> Option<(u32, u32, u32)> {
+        let (_, index, part) = self.pending.pop_first()?;
+        Some((index, part, self.attempt(index)))
+    }
+
+    /// Counts one more attempt at a job; its number.
+    pub(super) fn attempt(&mut self, index: u32) -> u32 {
         let job = &mut self.jobs[index as usize];
         job.attempts += 1;
-        let token = held.token.clone();
-        job.state = State::Leased(held);
-        self.leased.insert(index);
-        Some((index, job.attempts, token))
+        job.attempts
     }
 
-    pub(super) fn extend(&mut self, key: &LeaseKey, until: Duration) -> bool {
-        let holds = self.holds(key);
-        if holds && let State::Leased(held) = &mut self.jobs[key.job as usize].state {
-            held.deadline = until;
-        }
-        holds
+    /// Whether a part was given out before and came to nothing.
+    pub(super) fn is_retry(&self, index: u32) -> bool {
+        let job = &self.jobs[index as usize];
+        job.attempts > job.walks.blocks()
     }
 
-    /// Ends a job; returns the worker that held it.
-    pub(super) fn finish(&mut self, index: u32, records: Digest) -> Option<WorkerId> {
+    /// Takes a certain part that waits; false if it does not.
+    pub(super) fn take(&mut self, index: u32, part: u32, attempt: u32) -> bool {
         let job = &mut self.jobs[index as usize];
-        self.pending.remove(&(job.rank, index));
-        self.leased.remove(&index);
-        match std::mem::replace(&mut job.state, State::Done(records)) {
-            State::Leased(held) => Some(held.worker),
-            _ => None,
+        job.attempts = job.attempts.max(attempt);
+        self.pending.remove(&(job.rank, index, part))
+    }
+
+    /// A part that nobody holds any more waits again, if it is still to be done.
+    pub(super) fn put_back(&mut self, index: u32, part: u32) {
+        let job = &self.jobs[index as usize];
+        if matches!(&job.stage, Stage::Open { parts } if parts.get(part as usize) == Some(&Part::Open)) {
+            self.pending.insert((job.rank, index, part));
         }
     }
 
-    pub(super) fn hand_back(&mut self, key: &LeaseKey) {
-        if self.holds(key) {
-            self.free(key.job);
+    /// Notes that a block of a divided job is stored; false if it was before.
+    pub(super) fn part_stored(&mut self, index: u32, part: u32) -> bool {
+        let job = &mut self.jobs[index as usize];
+        self.pending.remove(&(job.rank, index, part));
+        let Stage::Open { parts } = &mut job.stage else { return false };
+        parts.get_mut(part as usize).is_some_and(|p| std::mem::replace(p, Part::Stored) == Part::Open)
+    }
+
+    /// Notes that a job's records are stored.
+    pub(super) fn finish(&mut self, index: u32, records: Digest, by: Option<Origin>) {
+        let job = &mut self.jobs[index as usize];
+        for part in 0..job.walks.blocks() {
+            self.pending.remove(&(job.rank, index, part));
         }
+        match job.stage {
+            Stage::Done { .. } => return,
+            Stage::GivenUp { .. } => self.counts.given_up -= 1,
+            Stage::Open { .. } => {}
+        }
+        job.stage = Stage::Done { records, by, reused: false };
+        job.strikes.clear();
+        self.counts.add_done(job, false);
     }
 
-    /// Reasons of all failed attempts, with that of the one that holds the lease; None if it does not hold it.
-    pub(super) fn reasons_with(&self, key: &LeaseKey, reason: &str) -> Option<Vec<String>> {
-        let job = self.jobs.get(key.job as usize).filter(|_| self.holds(key))?;
-        let this = format!("attempt {}: {reason}", key.attempt);
-        Some(job.reasons.iter().cloned().chain([this]).collect())
-    }
-
-    /// Ends the attempt that holds the lease: the job is given up for the reasons given, or pending again.
-    pub(super) fn fail(&mut self, key: &LeaseKey, reason: &str, give_up: Option<String>) {
-        let Some(reasons) = self.reasons_with(key, reason) else { return };
-        let job = &mut self.jobs[key.job as usize];
-        job.reasons = reasons;
-        match give_up {
-            None => self.free(key.job),
-            Some(reasons) => {
-                job.state = State::Failed(reasons);
-                self.leased.remove(&key.job);
+    /// Begins jobs again.
+    pub(super) fn reopen(&mut self, jobs: &[u32]) {
+        let walks = self.stored.grid.walks();
+        for index in jobs {
+            if let Some(job) = self.jobs.get_mut(*index as usize) {
+                job.reopen(walks);
             }
         }
+        self.count();
     }
 
-    pub(super) fn free_leases_of(&mut self, worker: &WorkerId) {
-        let held: Vec<u32> =
-            self.leased.iter().copied().filter(|job| self.is_held_by(*job, worker)).collect();
-        for job in held {
-            self.free(job);
-        }
-    }
-
-    /// Gives out no more of its jobs.
-    pub fn suspend(&mut self) {
-        self.pending.clear();
-    }
-
-    /// Frees leases past their deadline. A worker that fell silent is not counted as the job's failure.
-    pub(super) fn expire(&mut self, now: Duration) -> usize {
-        let past = |job: &u32| match &self.jobs[*job as usize].state {
-            State::Leased(held) => held.deadline <= now,
-            _ => false,
-        };
-        let late: Vec<u32> = self.leased.iter().copied().filter(past).collect();
-        for job in &late {
-            self.free(*job);
-        }
-        late.len()
-    }
-
-    fn free(&mut self, index: u32) {
+    /// Begins a job that is open again with more walks.
+    pub(super) fn prolong(&mut self, index: u32, walks: Walks) {
         let job = &mut self.jobs[index as usize];
-        job.state = State::Pending;
-        self.leased.remove(&index);
-        self.pending.insert((job.rank, index));
+        for part in 0..job.walks.blocks() {
+            self.pending.remove(&(job.rank, index, part));
+        }
+        self.counts.cost -= job.cost;
+        job.reopen(walks);
+        self.counts.cost += job.cost;
+        self.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
+    }
+
+    /// Counts an attempt that came to nothing. If these are too many the job is given up: all reasons, and whether
+    /// it was for silence.
+    pub(super) fn strike(&mut self, index: u32, strike: Strike, max: u32) -> Option<(String, bool)> {
+        let job = &mut self.jobs[index as usize];
+        if !matches!(job.stage, Stage::Open { .. }) {
+            return None;
+        }
+        job.strikes.push(strike);
+        if job.strikes.len() < max as usize {
+            return None;
+        }
+        let reasons: Vec<_> = job.strikes.iter().map(|s| s.reason.as_str()).collect();
+        let (reason, quarantined) = (reasons.join("; "), job.strikes.iter().any(|s| s.silent));
+        for part in 0..job.walks.blocks() {
+            self.pending.remove(&(job.rank, index, part));
+        }
+        job.stage = Stage::GivenUp { reason: reason.clone(), quarantined };
+        self.counts.given_up += 1;
+        Some((reason, quarantined))
+    }
+
+    /// Takes back the blame for silence: the worker has been heard of again.
+    pub(super) fn forgive(&mut self, index: u32, worker: Origin) {
+        if let Some(job) = self.jobs.get_mut(index as usize) {
+            job.strikes.retain(|s| !(s.silent && s.worker == Some(worker)));
+        }
+    }
+
+    /// Gives the jobs that were given up another chance; their numbers.
+    pub(super) fn retry(&mut self) -> Vec<u32> {
+        let given_up = |job: &Job| matches!(job.stage, Stage::GivenUp { .. });
+        let again: Vec<u32> =
+            self.jobs.iter().zip(0..).filter(|(job, _)| given_up(job)).map(|(_, index)| index).collect();
+        self.reopen(&again);
+        again
+    }
+
+    pub(super) fn set_desire(&mut self, desire: Desire, reason: String) {
+        self.stored.desire = desire;
+        self.stored.reason = reason;
+    }
+
+    pub(super) fn set_priority(&mut self, priority: i32) {
+        self.stored.priority = priority;
+    }
+
+    /// The job with the most failed attempts that is still tried, with their reasons.
+    pub(super) fn most_troubled(&self) -> Option<(u32, &[Strike])> {
+        let open = self.jobs.iter().zip(0..).filter(|(job, _)| matches!(job.stage, Stage::Open { .. }));
+        let worst = open.max_by_key(|(job, _)| job.strikes.len())?;
+        (!worst.0.strikes.is_empty()).then_some((worst.1, &worst.0.strikes[..]))
+    }
+}
+
+impl Counts {
+    fn add_done(&mut self, job: &Job, reused: bool) {
+        self.done += 1;
+        self.reused += usize::from(reused);
+        self.cost_done += job.cost;
+        let walks = job.walks.get();
+        self.walks = Some(self.walks.map_or((walks, walks), |(a, b)| (a.min(walks), b.max(walks))));
     }
 }

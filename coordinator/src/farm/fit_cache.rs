@@ -3,7 +3,6 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::profile::RecordShape;
 use farm_proto::{DictionaryName, Grid};
 use tokio::sync::OnceCell;
 
@@ -28,7 +27,7 @@ impl FitCache {
         store: &Store,
         name: &DictionaryName,
         id: DictionaryId,
-        grid: Grid,
+        grid: Arc<Grid>,
     ) -> Result<Arc<FitDictionary>> {
         let pixels = grid.scene().channels().len() * grid.scene().sensor().pixels();
         let bytes = grid.record_count().saturating_mul(pixels).saturating_mul(3 * size_of::<f32>());
@@ -36,8 +35,14 @@ impl FitCache {
             return Err(FarmError::TooLarge { name: name.clone(), bytes, limit: LARGEST_BYTES });
         }
         let slot = self.slot(id);
-        let loaded = slot.get_or_try_init(async || load_dictionary(store, id, grid).await.map(Arc::new));
+        let loaded =
+            slot.get_or_try_init(async || load_dictionary(store, name, id, &grid).await.map(Arc::new));
         Ok(loaded.await?.clone())
+    }
+
+    /// Drops a dictionary whose records have changed.
+    pub(super) fn forget(&self, id: DictionaryId) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|(other, _)| *other != id);
     }
 
     fn slot(&self, id: DictionaryId) -> Slot {
@@ -54,21 +59,41 @@ impl FitCache {
     }
 }
 
-/// Reads a complete dictionary into memory.
-///
-/// # Panics
-/// If records are missing.
+/// Reads a complete dictionary into memory, and compares its records with their digests.
 pub async fn load_dictionary(
     store: &Store,
+    name: &DictionaryName,
     id: DictionaryId,
-    grid: Grid,
-) -> Result<FitDictionary, StoreError> {
-    let (count, shape) = (grid.record_count(), RecordShape::of(&grid));
-    let chunk = read_chunk(&grid);
-    let mut builder = DictionaryBuilder::new(grid);
-    for first in (0..count).step_by(chunk) {
-        for record in store.records(id, first..(first + chunk).min(count), shape).await? {
-            builder.add(&record);
+    grid: &Arc<Grid>,
+) -> Result<FitDictionary> {
+    let (jobs, albedos) = (grid.job_count(), grid.albedo().len());
+    let chunk = (read_chunk(grid) / albedos).max(1);
+    let mut builder = DictionaryBuilder::new((**grid).clone());
+    for first in (0..jobs).step_by(chunk) {
+        let range = first..(first + chunk).min(jobs);
+        let mut expected = range.clone();
+        let damaged =
+            |job: usize, what: String| FarmError::Damaged { name: name.clone(), job: job as u32, what };
+        let stored = match store.jobs_with_records(id, grid, range).await {
+            Err(error @ StoreError::Corrupt { table: "records", .. }) => {
+                return Err(damaged(first, error.to_string()));
+            }
+            stored => stored?,
+        };
+        for job in stored {
+            let wanted = expected.next();
+            if wanted != Some(job.job as usize) {
+                return Err(damaged(wanted.unwrap_or(first), "its records are missing".to_owned()));
+            }
+            if let Some(what) = job.damage(albedos) {
+                return Err(damaged(job.job as usize, what));
+            }
+            for record in &job.records {
+                builder.add(record);
+            }
+        }
+        if let Some(missing) = expected.next() {
+            return Err(damaged(missing, "its records are missing".to_owned()));
         }
     }
     Ok(blocking(move || builder.build()).await)

@@ -2,22 +2,30 @@
 
 use std::time::Duration;
 
-use farm_proto::status::{DictionaryState, DictionaryStatus};
+use farm_proto::ids::DictionaryId;
+use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::dictionaries_server::Dictionaries;
 use farm_proto::wire::{
-    Dictionary, ExportRequest, GetRequest, ListRequest, ListResponse, Record, SubmitRequest, WatchRequest,
+    CancelRequest, DeleteRequest, DeleteResponse, Dictionary, ExplainRequest, ExplainResponse, ExportRequest,
+    GetRequest, ListRequest, ListResponse, PauseRequest, Reason, Record, ResumeRequest, RetryRequest,
+    SetPriorityRequest, SubmitRequest, WatchRequest,
 };
-use farm_proto::{DictionaryName, Grid, Invalid};
+use farm_proto::{DictionaryName, Grid, Invalid, RequestLimits};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::Context;
+use super::page::{page_size, page_token};
 use super::status::required;
 use crate::farm::{detached, read_chunk};
 
 /// Changes closer together than this are told as one.
 const WATCH_PAUSE: Duration = Duration::from_millis(100);
+/// Most dictionaries of one page.
+const DICTIONARIES: u32 = 100;
+/// How long a client may take to read one item of a stream.
+const PATIENCE: Duration = Duration::from_mins(2);
 /// Records on their way to a client that exports.
 const EXPORT_QUEUE: usize = 4;
 
@@ -27,8 +35,9 @@ impl Dictionaries for Context {
         let request = request.into_inner();
         let name = DictionaryName::new(request.name)?;
         let grid = Grid::try_from(required("grid", request.grid)?).map_err(|e| e.within("grid"))?;
+        let priority = priority(request.priority)?;
         let farm = self.farm.clone();
-        let status = detached(async move { farm.submit(name, grid).await }).await?;
+        let status = detached(async move { farm.submit(name, grid, priority).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
@@ -37,9 +46,73 @@ impl Dictionaries for Context {
         Ok(Response::new((&self.farm.status(&name)?).into()))
     }
 
-    async fn list(&self, _: Request<ListRequest>) -> Result<Response<ListResponse>, Status> {
-        let dictionaries = self.farm.statuses().iter().map(Into::into).collect();
-        Ok(Response::new(ListResponse { dictionaries }))
+    async fn list(&self, request: Request<ListRequest>) -> Result<Response<ListResponse>, Status> {
+        let request = request.into_inner();
+        let most = page_size(request.page_size, DICTIONARIES, DICTIONARIES);
+        let (page, last) = self.farm.statuses(DictionaryId(page_token(&request.page_token)?), most);
+        Ok(Response::new(ListResponse {
+            dictionaries: page.iter().map(Into::into).collect(),
+            next_page_token: last.map(|id| id.0.to_string()).unwrap_or_default(),
+        }))
+    }
+
+    async fn pause(&self, request: Request<PauseRequest>) -> Result<Response<Dictionary>, Status> {
+        let name = DictionaryName::new(request.into_inner().name)?;
+        let farm = self.farm.clone();
+        let status = detached(async move { farm.pause(&name).await }).await?;
+        Ok(Response::new((&status).into()))
+    }
+
+    async fn resume(&self, request: Request<ResumeRequest>) -> Result<Response<Dictionary>, Status> {
+        let name = DictionaryName::new(request.into_inner().name)?;
+        let farm = self.farm.clone();
+        let status = detached(async move { farm.resume(&name).await }).await?;
+        Ok(Response::new((&status).into()))
+    }
+
+    async fn cancel(&self, request: Request<CancelRequest>) -> Result<Response<Dictionary>, Status> {
+        let request = request.into_inner();
+        let name = DictionaryName::new(request.name)?;
+        if request.reason.len() > RequestLimits::TEXT_BYTES {
+            let given = format!("{} bytes", request.reason.len());
+            let allowed = format!("at most {} are allowed", RequestLimits::TEXT_BYTES);
+            return Err(Invalid::new("reason", given, allowed).to_status());
+        }
+        let farm = self.farm.clone();
+        let status = detached(async move { farm.cancel(&name, &request.reason).await }).await?;
+        Ok(Response::new((&status).into()))
+    }
+
+    async fn retry(&self, request: Request<RetryRequest>) -> Result<Response<Dictionary>, Status> {
+        let name = DictionaryName::new(request.into_inner().name)?;
+        let farm = self.farm.clone();
+        let status = detached(async move { farm.retry(&name).await }).await?;
+        Ok(Response::new((&status).into()))
+    }
+
+    async fn set_priority(
+        &self,
+        request: Request<SetPriorityRequest>,
+    ) -> Result<Response<Dictionary>, Status> {
+        let request = request.into_inner();
+        let (name, priority) = (DictionaryName::new(request.name)?, priority(request.priority)?);
+        let farm = self.farm.clone();
+        let status = detached(async move { farm.set_priority(&name, priority).await }).await?;
+        Ok(Response::new((&status).into()))
+    }
+
+    async fn delete(&self, request: Request<DeleteRequest>) -> Result<Response<DeleteResponse>, Status> {
+        let name = DictionaryName::new(request.into_inner().name)?;
+        let farm = self.farm.clone();
+        let records_deleted = detached(async move { farm.delete(&name).await }).await?;
+        Ok(Response::new(DeleteResponse { records_deleted }))
+    }
+
+    async fn explain(&self, request: Request<ExplainRequest>) -> Result<Response<ExplainResponse>, Status> {
+        let name = DictionaryName::new(request.into_inner().name)?;
+        let reasons = self.farm.explain(&name)?.into_iter();
+        let reasons = reasons.map(|r| Reason { code: r.code.to_owned(), text: r.text }).collect();
+        Ok(Response::new(ExplainResponse { reasons }))
     }
 
     type WatchStream = ReceiverStream<Result<Dictionary, Status>>;
@@ -49,8 +122,13 @@ impl Dictionaries for Context {
         // Before the first look, so that no change falls between the two.
         let changes = self.farm.changes();
         let first = self.farm.status(&name)?;
+        let place = self.limits.stream()?;
         let (sender, receiver) = mpsc::channel(1);
-        tokio::spawn(watch(self.clone(), name, first, changes, sender));
+        let watching = watch(self.clone(), name, first, changes, sender);
+        tokio::spawn(async move {
+            watching.await;
+            drop(place);
+        });
         Ok(Response::new(ReceiverStream::new(receiver)))
     }
 
@@ -70,10 +148,24 @@ impl Dictionaries for Context {
         } else {
             request.indices.into_iter().map(|n| n as usize..n as usize + 1).collect()
         };
+        let place = self.limits.stream()?;
         let (sender, receiver) = mpsc::channel(EXPORT_QUEUE);
-        tokio::spawn(export(self.clone(), name, ranges, sender));
+        let exporting = export(self.clone(), name, ranges, sender);
+        tokio::spawn(async move {
+            exporting.await;
+            drop(place);
+        });
         Ok(Response::new(ReceiverStream::new(receiver)))
     }
+}
+
+fn priority(priority: i32) -> Result<i32, Invalid> {
+    let range = RequestLimits::PRIORITY;
+    if range.contains(&priority) {
+        return Ok(priority);
+    }
+    let allowed = format!("allowed are {} to {}", range.start(), range.end());
+    Err(Invalid::new("priority", priority, allowed))
 }
 
 /// Hands an item to the client; false if it has gone or the coordinator stops, which must not wait for slow readers.
@@ -88,7 +180,7 @@ async fn deliver<T>(
             let _ = sender.try_send(Err(Status::unavailable("the coordinator is stopping")));
             false
         }
-        sent = sender.send(item) => sent.is_ok(),
+        sent = tokio::time::timeout(PATIENCE, sender.send(item)) => sent.is_ok_and(|sent| sent.is_ok()),
     }
 }
 
@@ -101,7 +193,7 @@ async fn watch(
     sender: mpsc::Sender<Result<Dictionary, Status>>,
 ) {
     loop {
-        let running = status.state() == DictionaryState::Running;
+        let running = status.state().is_open();
         if !deliver(&context, &sender, Ok((&status).into())).await || !running {
             return;
         }
@@ -117,7 +209,7 @@ async fn watch(
             tokio::time::sleep(WATCH_PAUSE).await;
             changes.mark_unchanged();
             match context.farm.status(&name) {
-                Ok(now) if now == status => {}
+                Ok(now) if same(&now, &status) => {}
                 Ok(now) => {
                     status = now;
                     break;
@@ -129,6 +221,11 @@ async fn watch(
             }
         }
     }
+}
+
+/// Whether nothing has changed but the time that is left.
+fn same(a: &DictionaryStatus, b: &DictionaryStatus) -> bool {
+    DictionaryStatus { eta_s: None, ..a.clone() } == DictionaryStatus { eta_s: None, ..b.clone() }
 }
 
 /// Sends the records of ranges of numbers, as fast as the client takes them.

@@ -11,6 +11,7 @@ use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::status::required;
+use crate::fit::FitDictionary;
 use crate::fit::{self, MeasurePlan};
 
 #[tonic::async_trait]
@@ -20,7 +21,7 @@ impl Fits for Context {
         let name = dictionary_name(request.dictionary)?;
         let options = options(request.options)?;
         let measurement = measurement(request.measurement)?;
-        let answer = self.farm.ask(&name, move |d| fit::fit(d, &measurement, &options)).await?;
+        let answer = self.ask(&name, move |d| fit::fit(d, &measurement, &options)).await?;
         Ok(Response::new(FitResponse { fit: Some(answer.into()) }))
     }
 
@@ -36,7 +37,7 @@ impl Fits for Context {
             let fits: Result<Vec<_>, Invalid> = materials.iter().map(|m| fit::fit(d, m, &options)).collect();
             Ok((curve, fits?))
         };
-        let (curve, fits) = self.farm.ask(&name, question).await?;
+        let (curve, fits) = self.ask(&name, question).await?;
         Ok(Response::new(ScaleResponse { scale: Some(curve.into()), materials: encoded(fits) }))
     }
 
@@ -58,7 +59,7 @@ impl Fits for Context {
         let name = dictionary_name(request.dictionary)?;
         let options = options(request.options)?;
         let measurement = measurement(request.measurement)?;
-        let maps = self.farm.ask(&name, move |d| fit::distance_map(d, &measurement, &options)).await?;
+        let maps = self.ask(&name, move |d| fit::distance_map(d, &measurement, &options)).await?;
         Ok(Response::new(MapResponse { maps: maps.into_iter().map(Into::into).collect() }))
     }
 
@@ -70,7 +71,7 @@ impl Fits for Context {
         let search_mu = search_mu.map_err(|e| e.within("search_mu"))?;
         let plan = MeasurePlan { search_mu, common_g: request.common_g };
         let materials = materials(request.materials)?;
-        let answer = self.farm.ask(&name, move |d| fit::measure(d, &materials, &options, &plan)).await?;
+        let answer = self.ask(&name, move |d| fit::measure(d, &materials, &options, &plan)).await?;
         Ok(Response::new(MeasureResponse {
             scale: answer.scale.map(Into::into),
             mu: answer.mu,
@@ -78,6 +79,18 @@ impl Fits for Context {
             g: answer.g,
             materials: encoded(answer.materials),
         }))
+    }
+}
+
+impl Context {
+    /// Asks a dictionary when a core is free.
+    async fn ask<T: Send + 'static>(
+        &self,
+        name: &DictionaryName,
+        question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
+    ) -> Result<T, Status> {
+        let _core = self.limits.fit().await?;
+        Ok(self.farm.ask(name, question).await?)
     }
 }
 

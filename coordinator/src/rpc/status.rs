@@ -10,16 +10,19 @@ impl From<FarmError> for Status {
     fn from(error: FarmError) -> Self {
         let code = match &error {
             FarmError::Invalid(invalid) => return invalid.to_status(),
-            FarmError::NotFound { .. } | FarmError::Dispatch(DispatchError::UnknownDictionary(_)) => {
-                Code::NotFound
-            }
+            FarmError::NotFound { .. }
+            | FarmError::Worker { .. }
+            | FarmError::Dispatch(DispatchError::UnknownJob(_)) => Code::NotFound,
             FarmError::NameTaken { .. } => Code::AlreadyExists,
-            FarmError::Dispatch(DispatchError::UnknownWorker(_)) => Code::Unauthenticated,
+            // Not UNAUTHENTICATED, which is about tokens: this is cured by registering again.
+            FarmError::Dispatch(DispatchError::UnknownWorker(_)) => Code::Aborted,
+            FarmError::Dispatch(DispatchError::Fenced(_)) => Code::PermissionDenied,
             FarmError::Dispatch(DispatchError::LeaseLost { .. })
             | FarmError::NotComplete { .. }
+            | FarmError::WrongState { .. }
             | FarmError::PhysicsVersion { .. } => Code::FailedPrecondition,
             FarmError::TooLarge { .. } => Code::ResourceExhausted,
-            FarmError::Conflict { .. } => Code::DataLoss,
+            FarmError::Damaged { .. } => Code::DataLoss,
             FarmError::Store(store) => {
                 tracing::error!(error = %store, "the store failed");
                 Code::Internal

@@ -1,18 +1,42 @@
 //! Table `dictionaries`.
 
+use std::sync::Arc;
+
 use farm_proto::ids::DictionaryId;
 use farm_proto::{DictionaryName, Digest, Grid, wire};
 use prost::Message;
 
 use super::{Result, Store, StoreError, doing};
 
+/// What people want of a dictionary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Desire {
+    Run,
+    Pause,
+    Cancel,
+}
+
+impl Desire {
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Run => "run",
+            Self::Pause => "pause",
+            Self::Cancel => "cancel",
+        }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredDictionary {
     pub id: DictionaryId,
     pub name: DictionaryName,
-    pub grid: Grid,
+    pub grid: Arc<Grid>,
     pub grid_digest: Digest,
     pub created_unix_ms: u64,
+    pub priority: i32,
+    pub desire: Desire,
+    /// Why it was cancelled.
+    pub reason: String,
 }
 
 #[derive(sqlx::FromRow)]
@@ -22,6 +46,9 @@ struct DictionaryRow {
     grid: Vec<u8>,
     grid_digest: Vec<u8>,
     created_unix_ms: i64,
+    priority: i64,
+    desire: String,
+    reason: String,
 }
 
 impl TryFrom<DictionaryRow> for StoredDictionary {
@@ -33,12 +60,17 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
         let grid = wire::Grid::decode(&row.grid[..]).map_err(|e| corrupt("grid", e.to_string()))?;
         let digest = <[u8; 32]>::try_from(&row.grid_digest[..])
             .map_err(|_| corrupt("grid_digest", format!("{} bytes", row.grid_digest.len())))?;
+        let desire =
+            [Desire::Run, Desire::Pause, Desire::Cancel].into_iter().find(|d| d.as_str() == row.desire);
         Ok(Self {
             id: DictionaryId(row.id),
             name: DictionaryName::new(row.name.clone()).map_err(|e| corrupt("name", e.to_string()))?,
-            grid: Grid::try_from(grid).map_err(|e| corrupt("grid", e.to_string()))?,
+            grid: Arc::new(Grid::try_from(grid).map_err(|e| corrupt("grid", e.to_string()))?),
             grid_digest: Digest::from_bytes(digest),
             created_unix_ms: row.created_unix_ms as u64,
+            priority: row.priority as i32,
+            desire: desire.ok_or_else(|| corrupt("desire", row.desire.clone()))?,
+            reason: row.reason.clone(),
         })
     }
 }
@@ -46,7 +78,8 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
 impl Store {
     pub async fn dictionaries(&self) -> Result<Vec<StoredDictionary>> {
         let rows: Vec<DictionaryRow> = sqlx::query_as(
-            "SELECT id, name, grid, grid_digest, created_unix_ms FROM dictionaries ORDER BY id",
+            "SELECT id, name, grid, grid_digest, created_unix_ms, priority, desire, reason \
+             FROM dictionaries ORDER BY id",
         )
         .fetch_all(&self.read)
         .await
@@ -59,16 +92,20 @@ impl Store {
         &self,
         name: DictionaryName,
         grid: Grid,
+        priority: i32,
         created_unix_ms: u64,
     ) -> Result<StoredDictionary> {
         let grid_digest = Digest::of_grid(&grid);
+        // A number that was used before may stand in a late result: it must not come again.
         let insert = sqlx::query(
-            "INSERT INTO dictionaries (name, grid, grid_digest, created_unix_ms) VALUES (?, ?, ?, ?)",
+            "INSERT INTO dictionaries (id, name, grid, grid_digest, created_unix_ms, priority) \
+             VALUES (max(?1, (SELECT coalesce(max(id), 0) + 1 FROM dictionaries)), ?2, ?3, ?4, ?1, ?5)",
         )
+        .bind(created_unix_ms as i64)
         .bind(name.as_str())
         .bind(wire::Grid::from(&grid).encode_to_vec())
         .bind(&grid_digest.as_bytes()[..])
-        .bind(created_unix_ms as i64)
+        .bind(priority)
         .execute(&self.write)
         .await;
         let done = insert.map_err(|source| match &source {
@@ -78,9 +115,67 @@ impl Store {
         Ok(StoredDictionary {
             id: DictionaryId(done.last_insert_rowid()),
             name,
-            grid,
+            grid: Arc::new(grid),
             grid_digest,
             created_unix_ms,
+            priority,
+            desire: Desire::Run,
+            reason: String::new(),
         })
+    }
+
+    pub async fn set_desire(&self, id: DictionaryId, desire: Desire, reason: &str) -> Result<()> {
+        sqlx::query("UPDATE dictionaries SET desire = ?, reason = ? WHERE id = ?")
+            .bind(desire.as_str())
+            .bind(reason)
+            .bind(id.0)
+            .execute(&self.write)
+            .await
+            .map_err(doing("storing what is wanted of a dictionary"))?;
+        Ok(())
+    }
+
+    pub async fn set_priority(&self, id: DictionaryId, priority: i32) -> Result<()> {
+        sqlx::query("UPDATE dictionaries SET priority = ? WHERE id = ?")
+            .bind(priority)
+            .bind(id.0)
+            .execute(&self.write)
+            .await
+            .map_err(doing("storing a priority"))?;
+        Ok(())
+    }
+
+    /// Removes a dictionary and the records that no other one uses; returns the number of these.
+    pub async fn delete_dictionary(&self, id: DictionaryId) -> Result<u64> {
+        let mut tx = self.begin().await?;
+        let what = doing("deleting a dictionary");
+        let deleted = async {
+            let points = "SELECT point_id FROM jobs WHERE dictionary_id = ?1 AND point_id IS NOT NULL \
+                          EXCEPT SELECT point_id FROM jobs WHERE dictionary_id <> ?1 AND point_id IS NOT NULL";
+            sqlx::query("CREATE TEMP TABLE IF NOT EXISTS unused (point_id INTEGER PRIMARY KEY)")
+                .execute(&mut *tx)
+                .await?;
+            sqlx::query("DELETE FROM unused").execute(&mut *tx).await?;
+            sqlx::query(sqlx::AssertSqlSafe(format!("INSERT INTO unused {points}")))
+                .bind(id.0)
+                .execute(&mut *tx)
+                .await?;
+            sqlx::query("DELETE FROM jobs WHERE dictionary_id = ?").bind(id.0).execute(&mut *tx).await?;
+            let records =
+                sqlx::query("DELETE FROM records WHERE point_id IN unused").execute(&mut *tx).await?;
+            for delete in [
+                "DELETE FROM sums WHERE point_id IN unused",
+                "DELETE FROM contributions WHERE point_id IN unused",
+                "DELETE FROM points WHERE id IN unused",
+            ] {
+                sqlx::query(delete).execute(&mut *tx).await?;
+            }
+            sqlx::query("DELETE FROM dictionaries WHERE id = ?").bind(id.0).execute(&mut *tx).await?;
+            Ok(records.rows_affected())
+        }
+        .await
+        .map_err(what)?;
+        tx.commit().await.map_err(doing("deleting a dictionary"))?;
+        Ok(deleted)
     }
 }

@@ -1,129 +1,119 @@
 //! Table `jobs`: those that have ended.
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::{Digest, Record};
-use sqlx::{Connection, SqliteConnection};
+use farm_proto::{Digest, Walks};
 
-use super::{Result, Store, StoreError, doing, records};
+use super::{Result, Store, StoreError, doing};
 
 /// How a job ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndedJob {
-    Done { job: u32, records: Digest },
-    Failed { job: u32, reason: String },
+    Done {
+        job: u32,
+        walks: Walks,
+        records: Digest,
+        /// Row of the worker that computed it, if one did it alone.
+        by: Option<i64>,
+        /// Its records were there before.
+        reused: bool,
+    },
+    GivenUp {
+        job: u32,
+        reason: String,
+        quarantined: bool,
+    },
 }
 
-/// What became of a job's records.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Completion {
-    /// They are stored, durably.
-    Stored,
-    /// The same records were stored before.
-    Duplicate,
-    /// Other records were stored before; these are refused.
-    Conflict,
+impl EndedJob {
+    pub fn job(&self) -> u32 {
+        match self {
+            Self::Done { job, .. } | Self::GivenUp { job, .. } => *job,
+        }
+    }
 }
 
 #[derive(sqlx::FromRow)]
 struct JobRow {
     job: i64,
+    walks: Option<i64>,
     records_digest: Option<Vec<u8>>,
+    reused: bool,
     failure: Option<String>,
+    quarantined: bool,
+    worker: Option<i64>,
 }
 
-impl TryFrom<JobRow> for EndedJob {
-    type Error = StoreError;
-
-    fn try_from(row: JobRow) -> Result<Self> {
-        let job = row.job as u32;
-        match (row.records_digest, row.failure) {
-            (Some(digest), None) => Ok(Self::Done { job, records: decode_digest(row.job, &digest)? }),
-            (None, Some(reason)) => Ok(Self::Failed { job, reason }),
-            _ => Err(corrupt(row.job, "neither done nor failed".to_owned())),
+impl JobRow {
+    fn decode(self, of_grid: Walks) -> Result<EndedJob> {
+        let job = self.job as u32;
+        match (self.records_digest, self.failure) {
+            (Some(digest), None) => {
+                // The first schema did not note the walks: all jobs had those of the grid.
+                let walks = self.walks.map_or(Ok(of_grid), |walks| {
+                    Walks::new(walks as u64).map_err(|e| corrupt(self.job, "walks", e.to_string()))
+                })?;
+                let records = decode_digest(self.job, &digest)?;
+                Ok(EndedJob::Done { job, walks, records, by: self.worker, reused: self.reused })
+            }
+            (None, Some(reason)) => Ok(EndedJob::GivenUp { job, reason, quarantined: self.quarantined }),
+            _ => Err(corrupt(self.job, "records_digest", "neither done nor failed".to_owned())),
         }
     }
 }
 
-fn corrupt(row: i64, why: String) -> StoreError {
-    StoreError::Corrupt { table: "jobs", row, column: "records_digest", why }
+fn corrupt(row: i64, column: &'static str, why: String) -> StoreError {
+    StoreError::Corrupt { table: "jobs", row, column, why }
 }
 
-fn decode_digest(job: i64, bytes: &[u8]) -> Result<Digest> {
-    let bytes = bytes.try_into().map_err(|_| corrupt(job, format!("{} bytes", bytes.len())))?;
+pub(super) fn decode_digest(job: i64, bytes: &[u8]) -> Result<Digest> {
+    let bytes =
+        bytes.try_into().map_err(|_| corrupt(job, "records_digest", format!("{} bytes", bytes.len())))?;
     Ok(Digest::from_bytes(bytes))
 }
 
 impl Store {
-    pub async fn ended_jobs(&self, dictionary: DictionaryId) -> Result<Vec<EndedJob>> {
+    /// Jobs of a dictionary that have ended; `of_grid` is the number of walks that its grid asks for.
+    pub async fn ended_jobs(&self, dictionary: DictionaryId, of_grid: Walks) -> Result<Vec<EndedJob>> {
         let rows: Vec<JobRow> = sqlx::query_as(
-            "SELECT job, records_digest, failure FROM jobs WHERE dictionary_id = ? ORDER BY job",
+            "SELECT job, walks, records_digest, reused, failure, quarantined, \
+             (SELECT CASE count(*) WHEN 1 THEN min(worker_id) END FROM contributions \
+              WHERE contributions.point_id = jobs.point_id) AS worker \
+             FROM jobs WHERE dictionary_id = ? ORDER BY job",
         )
         .bind(dictionary.0)
         .fetch_all(&self.read)
         .await
         .map_err(doing("reading the jobs"))?;
-        rows.into_iter().map(TryInto::try_into).collect()
+        rows.into_iter().map(|row| row.decode(of_grid)).collect()
     }
 
-    /// Commits a job's records and its end in one transaction. A job that is done already keeps the records it
-    /// has; one that was given up becomes done.
-    pub async fn complete_job(
+    pub async fn give_up_job(
         &self,
         dictionary: DictionaryId,
         job: u32,
-        digest: Digest,
-        records: &[Record],
-    ) -> Result<Completion> {
-        let mut connection = self.write.acquire().await.map_err(doing("waiting for the database"))?;
-        let completed = complete_in(&mut connection, dictionary, job, digest, records).await;
-        if completed.is_err() {
-            // On a full disk SQLite ends the transaction by itself and sqlx still counts it as open: the connection
-            // would refuse every later one.
-            connection.close_on_drop();
-        }
-        completed
-    }
-
-    pub async fn fail_job(&self, dictionary: DictionaryId, job: u32, reason: &str) -> Result<()> {
-        sqlx::query("INSERT OR IGNORE INTO jobs (dictionary_id, job, failure) VALUES (?, ?, ?)")
-            .bind(dictionary.0)
-            .bind(job)
-            .bind(reason)
-            .execute(&self.write)
-            .await
-            .map_err(doing("storing the failure of a job"))?;
-        Ok(())
-    }
-}
-
-async fn complete_in(
-    connection: &mut SqliteConnection,
-    dictionary: DictionaryId,
-    job: u32,
-    digest: Digest,
-    records: &[Record],
-) -> Result<Completion> {
-    let mut tx =
-        connection.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to store records"))?;
-    let stored: Option<(Option<Vec<u8>>,)> =
-        sqlx::query_as("SELECT records_digest FROM jobs WHERE dictionary_id = ? AND job = ?")
-            .bind(dictionary.0)
-            .bind(job)
-            .fetch_optional(&mut *tx)
-            .await
-            .map_err(doing("looking for the job"))?;
-    if let Some((Some(stored),)) = stored {
-        let same = decode_digest(i64::from(job), &stored)? == digest;
-        return Ok(if same { Completion::Duplicate } else { Completion::Conflict });
-    }
-    sqlx::query("INSERT OR REPLACE INTO jobs (dictionary_id, job, records_digest) VALUES (?, ?, ?)")
+        reason: &str,
+        quarantined: bool,
+    ) -> Result<()> {
+        sqlx::query(
+            "INSERT OR IGNORE INTO jobs (dictionary_id, job, failure, quarantined) VALUES (?, ?, ?, ?)",
+        )
         .bind(dictionary.0)
         .bind(job)
-        .bind(&digest.as_bytes()[..])
-        .execute(&mut *tx)
+        .bind(reason)
+        .bind(quarantined)
+        .execute(&self.write)
         .await
-        .map_err(doing("storing the end of a job"))?;
-    records::insert(&mut tx, dictionary, records).await?;
-    tx.commit().await.map_err(doing("committing records"))?;
-    Ok(Completion::Stored)
+        .map_err(doing("storing the failure of a job"))?;
+        Ok(())
+    }
+
+    /// Forgets that jobs were given up.
+    pub async fn retry_jobs(&self, dictionary: DictionaryId) -> Result<u64> {
+        let deleted = sqlx::query("DELETE FROM jobs WHERE dictionary_id = ? AND failure IS NOT NULL")
+            .bind(dictionary.0)
+            .execute(&self.write)
+            .await
+            .map_err(doing("trying jobs again"))?;
+        Ok(deleted.rows_affected())
+    }
 }

@@ -1,23 +1,33 @@
-//! The SQLite store: dictionaries, ended jobs, records.
+//! The SQLite store: dictionaries, ended jobs, points and their records, workers, events.
 //!
 //! One connection writes, a read-only pool reads. A job's records and its end are committed together, with
 //! `synchronous=FULL`, before anyone is told.
 
+mod adopt;
 mod codec;
 mod data_dir;
 mod dictionaries;
+mod events;
 mod jobs;
-mod records;
+mod points;
+mod sums;
+mod workers;
+mod writer;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Row, SqlitePool};
+use sqlx::{Connection, Row, SqlitePool};
+use tokio::sync::mpsc;
 
 pub use data_dir::{ADDRESS_FILE, DataDir};
-pub use dictionaries::StoredDictionary;
-pub use jobs::{Completion, EndedJob};
+pub use dictionaries::{Desire, StoredDictionary};
+pub use events::StoredEvent;
+pub use jobs::EndedJob;
+pub use points::StoredJob;
+pub use writer::{Commit, Completion, Content, Stored};
 
 /// Older versions can corrupt a WAL database at a reset of the log.
 const OLDEST_SQLITE: &str = "3.51.3";
@@ -42,6 +52,8 @@ pub enum StoreError {
     Corrupt { table: &'static str, row: i64, column: &'static str, why: String },
     #[error("a dictionary with this name exists already")]
     NameTaken,
+    #[error("the database is closed")]
+    Closed,
 }
 
 pub type Result<T, E = StoreError> = std::result::Result<T, E>;
@@ -51,16 +63,19 @@ fn doing(what: &'static str) -> impl FnOnce(sqlx::Error) -> StoreError {
     move |source| StoreError::Query { what, source }
 }
 
-#[derive(Debug)]
+/// Clones share the database.
+#[derive(Debug, Clone)]
 pub struct Store {
     write: SqlitePool,
     read: SqlitePool,
-    dir: DataDir,
+    dir: Arc<DataDir>,
+    completions: mpsc::Sender<writer::Request>,
 }
 
 impl Store {
-    /// Takes the lock of a data directory, opens or creates its database and brings the schema up to date.
-    pub async fn open(dir: DataDir) -> Result<Self> {
+    /// Takes the lock of a data directory, opens or creates its database and brings the schema up to date. `committed`
+    /// is told of every commit of results.
+    pub async fn open(dir: DataDir, committed: impl Fn(Commit) + Send + 'static) -> Result<Self> {
         let file = dir.database_file();
         let options = SqliteConnectOptions::new().filename(&file).busy_timeout(Duration::from_secs(10));
         let open = |what| {
@@ -76,6 +91,9 @@ impl Store {
             .foreign_keys(true);
         let write = SqlitePoolOptions::new()
             .max_connections(1)
+            // On a full disk SQLite ends a transaction by itself and sqlx still counts it as open: such a connection
+            // would refuse every later one.
+            .after_release(|connection, _| Box::pin(async move { Ok(!connection.is_in_transaction()) }))
             .connect_with(writer)
             .await
             .map_err(open("opening for writing"))?;
@@ -89,12 +107,35 @@ impl Store {
             .connect_with(options.read_only(true))
             .await
             .map_err(open("opening for reading"))?;
-        Ok(Self { write, read, dir })
+        let (completions, queue) = writer::queue();
+        tokio::spawn(writer::run(write.clone(), queue, committed));
+        let store = Self { write, read, dir: Arc::new(dir), completions };
+        store.adopt_first_schema().await?;
+        Ok(store)
+    }
+
+    /// A transaction of the one connection that writes.
+    async fn begin(&self) -> Result<sqlx::Transaction<'static, sqlx::Sqlite>> {
+        self.write.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to write"))
+    }
+
+    /// Size of the database on the disk, without its log.
+    pub fn bytes(&self) -> u64 {
+        std::fs::metadata(self.dir.database_file()).map_or(0, |m| m.len())
     }
 
     /// The folder whose lock this store holds.
     pub fn dir(&self) -> &DataDir {
         &self.dir
+    }
+
+    /// What SQLite finds wrong with the file; empty if nothing.
+    pub async fn faults(&self) -> Result<Vec<String>> {
+        let rows: Vec<(String,)> = sqlx::query_as("PRAGMA integrity_check(20)")
+            .fetch_all(&self.read)
+            .await
+            .map_err(doing("checking the database"))?;
+        Ok(rows.into_iter().map(|row| row.0).filter(|line| line != "ok").collect())
     }
 
     /// Waits for running queries and closes the database, merging its log.

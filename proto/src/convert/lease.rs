@@ -2,7 +2,7 @@
 
 use super::required;
 use crate::grid::Walks;
-use crate::ids::DictionaryId;
+use crate::ids::{DictionaryId, Token};
 use crate::invalid::{Invalid, Result};
 use crate::job::{JobSpec, Lease, LeaseKey};
 use crate::optics::TransportPoint;
@@ -11,14 +11,21 @@ use crate::wire;
 
 impl From<LeaseKey> for wire::LeaseKey {
     fn from(key: LeaseKey) -> Self {
-        Self { dictionary_id: key.dictionary.0, job: key.job, attempt: key.attempt, token: key.token }
+        let LeaseKey { dictionary, job, attempt, token, part } = key;
+        Self { dictionary_id: dictionary.0, job, attempt, token: token.to_string(), part }
     }
 }
 
 impl From<wire::LeaseKey> for LeaseKey {
     fn from(key: wire::LeaseKey) -> Self {
         let dictionary = DictionaryId(key.dictionary_id);
-        Self { dictionary, job: key.job, attempt: key.attempt, token: key.token }
+        Self {
+            dictionary,
+            job: key.job,
+            attempt: key.attempt,
+            token: Token::parse(&key.token),
+            part: key.part,
+        }
     }
 }
 
@@ -32,6 +39,8 @@ impl From<&JobSpec> for wire::JobSpec {
             seed: job.seed(),
             derivatives: job.derivatives(),
             first_record: job.first_record() as u32,
+            block: job.block(),
+            identity: job.identity().as_bytes().to_vec(),
         }
     }
 }
@@ -43,8 +52,12 @@ impl TryFrom<wire::JobSpec> for JobSpec {
         let scene = Scene::try_from(required("scene", job.scene)?).map_err(|e| e.within("scene"))?;
         let point = TransportPoint::try_from(required("point", job.point)?).map_err(|e| e.within("point"))?;
         let walks = Walks::new(job.walks)?;
-        Ok(Self::new(scene, point, job.albedo, walks, job.seed, job.derivatives)?
-            .numbered_from(job.first_record as usize))
+        let whole = Self::new(scene, point, job.albedo, walks, job.seed, job.derivatives)?
+            .numbered_from(job.first_record as usize);
+        match job.block {
+            Some(block) => whole.with_block(block),
+            None => Ok(whole),
+        }
     }
 }
 

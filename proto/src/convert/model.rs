@@ -1,7 +1,7 @@
 //! Scenes, grids, points, profiles, records.
 
 use super::required;
-use crate::grid::{Axes, Grid, Walks};
+use crate::grid::{Axes, Grid, Quality, Walks};
 use crate::invalid::{Invalid, Result, each};
 use crate::optics::{Medium, TransportPoint};
 use crate::profile::{Derivatives, Estimate, Profile, Record};
@@ -72,6 +72,10 @@ impl From<&Grid> for wire::Grid {
             walks: grid.walks().get(),
             seed: grid.seed(),
             derivatives: grid.derivatives(),
+            quality: grid.quality().map(|q| wire::Quality {
+                relative_std_error: q.relative_std_error(),
+                max_walks: q.max_walks().get(),
+            }),
         }
     }
 }
@@ -88,7 +92,13 @@ impl TryFrom<wire::Grid> for Grid {
             thickness_mm: grid.thickness_mm,
             sample_ior: grid.sample_ior,
         };
-        Grid::new(scene, axes, Walks::new(grid.walks)?, grid.seed, grid.derivatives)
+        let quality = grid.quality.map(|q| {
+            let max_walks = Walks::new(q.max_walks).map_err(|e| e.renamed("quality.max_walks"))?;
+            Quality::new(q.relative_std_error, max_walks).map_err(|e| e.within("quality"))
+        });
+        let quality = quality.transpose()?;
+        let grid = Grid::new(scene, axes, Walks::new(grid.walks)?, grid.seed, grid.derivatives)?;
+        quality.map_or(Ok(grid.clone()), |q| grid.with_quality(q))
     }
 }
 

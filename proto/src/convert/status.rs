@@ -5,8 +5,11 @@ use crate::digest::Digest;
 use crate::grid::Grid;
 use crate::ids::{DictionaryName, WorkerId};
 use crate::invalid::{Invalid, Result};
-use crate::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerStatus};
+use crate::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerState, WorkerStatus};
 use crate::wire;
+
+/// Most jobs given up that one message tells.
+const FAILED_JOBS: usize = 1000;
 
 impl From<DictionaryState> for wire::DictionaryState {
     fn from(state: DictionaryState) -> Self {
@@ -14,27 +17,54 @@ impl From<DictionaryState> for wire::DictionaryState {
             DictionaryState::Running => Self::Running,
             DictionaryState::Done => Self::Done,
             DictionaryState::Failed => Self::Failed,
+            DictionaryState::Paused => Self::Paused,
+            DictionaryState::Cancelled => Self::Cancelled,
+            DictionaryState::Outdated => Self::Outdated,
+        }
+    }
+}
+
+fn state(number: i32) -> Result<DictionaryState> {
+    match wire::DictionaryState::try_from(number) {
+        Ok(wire::DictionaryState::Running) => Ok(DictionaryState::Running),
+        Ok(wire::DictionaryState::Done) => Ok(DictionaryState::Done),
+        Ok(wire::DictionaryState::Failed) => Ok(DictionaryState::Failed),
+        Ok(wire::DictionaryState::Paused) => Ok(DictionaryState::Paused),
+        Ok(wire::DictionaryState::Cancelled) => Ok(DictionaryState::Cancelled),
+        Ok(wire::DictionaryState::Outdated) => Ok(DictionaryState::Outdated),
+        Ok(wire::DictionaryState::Unspecified) | Err(_) => {
+            Err(Invalid::new("state", number, "a state that this version knows is needed"))
         }
     }
 }
 
 impl From<&DictionaryStatus> for wire::Dictionary {
     fn from(status: &DictionaryStatus) -> Self {
-        let failed = |f: &FailedJob| wire::FailedJob { job: f.job, reason: f.reason.clone() };
+        let failed = |f: &FailedJob| wire::FailedJob {
+            job: f.job,
+            reason: f.reason.clone(),
+            quarantined: f.quarantined,
+        };
         Self {
             name: status.name.to_string(),
             grid: Some((&status.grid).into()),
             grid_digest: status.grid_digest.to_string(),
             records_digest: status.records_digest.map(|d| d.to_string()).unwrap_or_default(),
             created_unix_ms: status.created_unix_ms,
-            state: wire::DictionaryState::from(status.state()).into(),
+            state: wire::DictionaryState::from(status.state).into(),
             records_total: status.records_total() as u64,
             records_done: status.records_done() as u64,
             jobs_total: status.jobs_total() as u64,
             jobs_done: status.jobs_done as u64,
             jobs_leased: status.jobs_leased as u64,
-            failed: status.failed.iter().map(failed).collect(),
+            failed: status.failed.iter().take(FAILED_JOBS).map(failed).collect(),
             work_done: status.work_done,
+            priority: status.priority,
+            reason: status.reason.clone(),
+            eta_s: status.eta_s,
+            records_reused: status.records_reused as u64,
+            walks_min: status.walks.0,
+            walks_max: status.walks.1,
         }
     }
 }
@@ -46,7 +76,8 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
         let digest = |field: &str, hex: &str| {
             Digest::from_hex(hex).ok_or_else(|| Invalid::new(field, hex, "64 hexadecimal digits are needed"))
         };
-        let failed = |f: wire::FailedJob| FailedJob { job: f.job, reason: f.reason };
+        let failed =
+            |f: wire::FailedJob| FailedJob { job: f.job, reason: f.reason, quarantined: f.quarantined };
         Ok(Self {
             name: DictionaryName::new(d.name)?,
             grid: Grid::try_from(required("grid", d.grid)?).map_err(|e| e.within("grid"))?,
@@ -56,11 +87,28 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
                 hex => Some(digest("records_digest", hex)?),
             },
             created_unix_ms: d.created_unix_ms,
+            state: state(d.state)?,
             jobs_done: d.jobs_done as usize,
             jobs_leased: d.jobs_leased as usize,
             failed: d.failed.into_iter().map(failed).collect(),
             work_done: d.work_done,
+            priority: d.priority,
+            reason: d.reason,
+            eta_s: d.eta_s,
+            records_reused: d.records_reused as usize,
+            walks: (d.walks_min, d.walks_max),
         })
+    }
+}
+
+impl From<WorkerState> for wire::WorkerState {
+    fn from(state: WorkerState) -> Self {
+        match state {
+            WorkerState::Working => Self::Working,
+            WorkerState::Idle => Self::Idle,
+            WorkerState::Draining => Self::Draining,
+            WorkerState::Fenced => Self::Fenced,
+        }
     }
 }
 
@@ -73,19 +121,34 @@ impl From<WorkerStatus> for wire::Worker {
             leases: w.leases,
             jobs_done: w.jobs_done,
             silent_ms: w.silent_ms,
+            state: wire::WorkerState::from(w.state).into(),
+            version: w.version,
         }
     }
 }
 
-impl From<wire::Worker> for WorkerStatus {
-    fn from(w: wire::Worker) -> Self {
-        Self {
+impl TryFrom<wire::Worker> for WorkerStatus {
+    type Error = Invalid;
+
+    fn try_from(w: wire::Worker) -> Result<Self> {
+        let state = match wire::WorkerState::try_from(w.state) {
+            Ok(wire::WorkerState::Working) => WorkerState::Working,
+            Ok(wire::WorkerState::Idle) => WorkerState::Idle,
+            Ok(wire::WorkerState::Draining) => WorkerState::Draining,
+            Ok(wire::WorkerState::Fenced) => WorkerState::Fenced,
+            Ok(wire::WorkerState::Unspecified) | Err(_) => {
+                return Err(Invalid::new("state", w.state, "a state that this version knows is needed"));
+            }
+        };
+        Ok(Self {
             id: WorkerId(w.worker_id),
             label: w.label,
             threads: w.threads,
             leases: w.leases,
             jobs_done: w.jobs_done,
             silent_ms: w.silent_ms,
-        }
+            state,
+            version: w.version,
+        })
     }
 }

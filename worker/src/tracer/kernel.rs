@@ -3,11 +3,12 @@
 use std::fmt;
 use std::sync::atomic::AtomicBool;
 
+use farm_proto::sums::Sums;
 use fearless_simd::{Level, dispatch};
 
 use super::exits::{Chunk, Exit, Exits};
 use super::stack::Stack;
-use super::tally::{Partial, Tally};
+use super::tally::Tally;
 use super::{Stopped, walk, wavefront};
 
 /// How walks are run. All kernels give the same bits.
@@ -92,7 +93,7 @@ impl Kernel {
         self,
         tally: &mut Tally<'_>,
         exits: impl Iterator<Item = Exit<'a>>,
-        partial: &mut Partial,
+        partial: &mut Sums,
     ) {
         let level = match self.0 {
             Way::Scalar => Level::baseline(),

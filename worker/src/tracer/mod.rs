@@ -5,7 +5,8 @@
 //! channels differ in the base alone. See ARCHITECTURE.md.
 //!
 //! The result is a function of the job alone. Walks draw from counter-based streams; batches are grouped into
-//! chunks of a fixed size and the chunks' sums merged in their order, whichever thread was done first.
+//! chunks of a fixed size, chunks into blocks, and sums merged in their order, whichever thread or machine was done
+//! first.
 
 mod exits;
 mod fresnel;
@@ -31,20 +32,23 @@ mod wavefront;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use farm_proto::digest::stream_key;
-use farm_proto::grid::BATCH_WALKS;
+use farm_proto::grid::{BATCH_WALKS, BLOCK_BATCHES};
 use farm_proto::job::JobSpec;
 use farm_proto::profile::Record;
+use farm_proto::sums::Sums;
 use rayon::prelude::*;
 
 use exits::{Chunk, Exits};
 pub use kernel::Kernel;
 use powers::AlbedoPowers;
 use stack::Stack;
-use tally::{Partial, Tally};
+use tally::Tally;
 
 /// Batches whose walks share a chunk: a unit of parallel work, whose sums are added up one after the other. Part of
 /// the physics version, since it fixes the streams and the order of sums.
 const CHUNK_BATCHES: u64 = 10;
+
+const _: () = assert!(BLOCK_BATCHES.is_multiple_of(CHUNK_BATCHES), "a block holds whole chunks");
 
 /// Memory of the sums that may wait to be merged, per job.
 const WAVE_BYTES: usize = 64 << 20;
@@ -62,31 +66,21 @@ pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
 
 /// Traces a job with a kernel of one's choice: the records are the same to the last bit, whichever it is.
 pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
-    let tracer = Tracer {
-        kernel,
-        job,
-        stack: Stack::new(job.scene(), &job.point()),
-        powers: AlbedoPowers::new(job.albedo()),
-        key: stream_key(job.seed(), &job.point()),
-        stop,
-    };
-    let batches = job.walks().batches();
-    let chunks = batches.div_ceil(CHUNK_BATCHES);
-    let mut total = Partial::new(job);
-    // Waves bound the memory: sums of one wave at a time wait for their turn.
-    let most = 2 * rayon::current_num_threads().max(1);
-    let wave = (WAVE_BYTES / total.bytes()).clamp(1, most) as u64;
-    for first in (0..chunks).step_by(wave as usize) {
-        let wave = first..(first + wave).min(chunks);
-        let sums: Vec<Result<Partial, Stopped>> = wave
-            .into_par_iter()
-            .map(|chunk| tracer.chunk(chunk, CHUNK_BATCHES.min(batches - chunk * CHUNK_BATCHES)))
-            .collect();
-        for sum in sums {
-            total.merge(&sum?);
-        }
+    let tracer = Tracer::new(kernel, job, stop);
+    let mut total = Sums::new(job);
+    for block in 0..job.walks().blocks() {
+        total.merge(&tracer.block(block)?);
     }
     Ok(total.into_records(job))
+}
+
+/// Traces one block of a job's walks. The sums of all blocks, merged in their order, make the job's records.
+///
+/// # Panics
+/// If the job has no such block.
+pub fn trace_block(job: &JobSpec, block: u32, stop: &AtomicBool) -> Result<Sums, Stopped> {
+    assert!(block < job.walks().blocks(), "block {block} is not of this job");
+    Tracer::new(Kernel::fastest(), job, stop).block(block)
 }
 
 struct Tracer<'a> {
@@ -98,13 +92,47 @@ struct Tracer<'a> {
     stop: &'a AtomicBool,
 }
 
-impl Tracer<'_> {
-    fn chunk(&self, index: u64, batches: u64) -> Result<Partial, Stopped> {
+impl<'a> Tracer<'a> {
+    fn new(kernel: Kernel, job: &'a JobSpec, stop: &'a AtomicBool) -> Self {
+        Self {
+            kernel,
+            job,
+            stack: Stack::new(job.scene(), &job.point()),
+            powers: AlbedoPowers::new(job.albedo()),
+            key: stream_key(job.seed(), &job.point()),
+            stop,
+        }
+    }
+
+    /// Sums of a block, chunk after chunk.
+    fn block(&self, block: u32) -> Result<Sums, Stopped> {
+        const CHUNKS: u64 = BLOCK_BATCHES / CHUNK_BATCHES;
+        let batches = self.job.walks().batches();
+        let chunks =
+            u64::from(block) * CHUNKS..((u64::from(block) + 1) * CHUNKS).min(batches.div_ceil(CHUNK_BATCHES));
+        let mut total = Sums::new(self.job);
+        // Waves bound the memory: sums of one wave at a time wait for their turn.
+        let most = 2 * rayon::current_num_threads().max(1);
+        let wave = (WAVE_BYTES / Sums::bytes(self.job)).clamp(1, most) as u64;
+        for first in chunks.clone().step_by(wave as usize) {
+            let wave = first..(first + wave).min(chunks.end);
+            let sums: Vec<Result<Sums, Stopped>> = wave
+                .into_par_iter()
+                .map(|chunk| self.chunk(chunk, CHUNK_BATCHES.min(batches - chunk * CHUNK_BATCHES)))
+                .collect();
+            for sum in sums {
+                total.merge(&sum?);
+            }
+        }
+        Ok(total)
+    }
+
+    fn chunk(&self, index: u64, batches: u64) -> Result<Sums, Stopped> {
         let walks = (batches * BATCH_WALKS) as u32;
         let chunk = Chunk { key: self.key, index, walks };
         let mut exits = Exits::default();
         self.kernel.run_chunk(&self.stack, chunk, self.stop, &mut exits)?;
-        let mut partial = Partial::new(self.job);
+        let mut partial = Sums::new(self.job);
         let mut tally = Tally::new(self.job, &self.powers);
         let mut exits = exits.in_order(walks).peekable();
         for batch in 1..=batches {

@@ -5,12 +5,13 @@ use std::sync::atomic::AtomicBool;
 use farm_proto::digest::stream_key;
 use farm_proto::grid::BATCH_WALKS;
 use farm_proto::job::JobSpec;
+use farm_proto::sums::Sums;
 
 use super::exits::{Chunk, Exits};
 use super::kernel::Kernel;
 use super::powers::AlbedoPowers;
 use super::stack::Stack;
-use super::tally::{Partial, Tally};
+use super::tally::Tally;
 use super::walk::{self, Events};
 use super::{CHUNK_BATCHES, Stopped};
 
@@ -53,10 +54,10 @@ impl<'a> Scoring<'a> {
 
     /// Scores the walks as one batch; returns the memory that the sums take.
     pub fn score(&mut self) -> usize {
-        let mut partial = Partial::new(self.job);
+        let mut partial = Sums::new(self.job);
         let mut tally = Tally::new(self.job, &self.powers);
         let exits = self.exits.in_order(first_chunk(self.job).walks);
         self.kernel.score(&mut tally, exits, &mut partial);
-        partial.bytes()
+        Sums::bytes(self.job)
     }
 }

@@ -1,7 +1,7 @@
 //! A scene and a transport point made ready for the walk: slabs, interfaces, sensor and ring in single
 //! precision.
 
-use farm_proto::scene::LayerMedium;
+use farm_proto::scene::{LayerMedium, sin2};
 use farm_proto::{Scene, TransportPoint};
 use glam::Vec3;
 
@@ -75,37 +75,9 @@ impl Stack {
     }
 }
 
-/// sin²θ_outer − sin²θ_inner: irradiance of the ring over π times its radiance.
-pub fn ring_measure(scene: &Scene) -> f64 {
-    sin2(scene.light().outer_deg()) - sin2(scene.light().inner_deg())
-}
-
-/// sin² of an angle in degrees, by a series that gives the same bits on every machine.
-fn sin2(degrees: f64) -> f64 {
-    if degrees > 45.0 {
-        return 1.0 - sin2(90.0 - degrees);
-    }
-    let x = degrees.to_radians();
-    // x ≤ π/4: the terms fall below 1e-17 of the sum after 9 of them.
-    let (mut term, mut sum) = (x, x);
-    for k in 1..10 {
-        term *= -x * x / f64::from(2 * k * (2 * k + 1));
-        sum += term;
-    }
-    sum * sum
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn sin2_agrees_with_the_library() {
-        for i in 0..=900 {
-            let degrees = f64::from(i) / 10.0;
-            assert!((sin2(degrees) - degrees.to_radians().sin().powi(2)).abs() < 1e-15, "{degrees}");
-        }
-    }
 
     #[test]
     fn the_papers_scene_has_five_interfaces_with_the_sample_third() {

@@ -12,19 +12,12 @@
     reason = "what is not inlined is not compiled for the instruction set that was chosen at run time"
 )]
 
-use farm_proto::grid::BATCH_WALKS;
-use farm_proto::profile::{Derivatives, Estimate, Profile, Record};
+use farm_proto::job::JobSpec;
 use farm_proto::scene::Sensor;
+use farm_proto::sums::{Sums, quantities};
 
 use super::exits::Exit;
 use super::powers::{AlbedoPowers, GrowingPowers};
-use super::stack::ring_measure;
-use farm_proto::job::JobSpec;
-
-/// Quantities estimated per albedo: the radiance factor, and ∂/∂α and ∂/∂σ_t if asked for.
-fn quantities(job: &JobSpec) -> usize {
-    if job.derivatives() { 3 } else { 1 }
-}
 
 /// Steps of one batch of walks: `[cell][channel][quantity][albedo]`, with one cell more than pixels.
 #[derive(Debug)]
@@ -67,7 +60,7 @@ impl<'a> Tally<'a> {
 
     /// Adds the walks of a batch that have left into the ring, and the batch to `partial`.
     #[inline(always)]
-    pub fn add_batch<'b>(&mut self, exits: impl Iterator<Item = Exit<'b>>, partial: &mut Partial) {
+    pub fn add_batch<'b>(&mut self, exits: impl Iterator<Item = Exit<'b>>, partial: &mut Sums) {
         for exit in exits {
             self.add(&exit);
         }
@@ -140,7 +133,7 @@ impl<'a> Tally<'a> {
 
     /// Integrates the steps to profiles, adds them to `partial` as one batch, and starts afresh.
     #[inline(always)]
-    fn finish_batch(&mut self, partial: &mut Partial) {
+    fn finish_batch(&mut self, partial: &mut Sums) {
         let row = self.reflectances.len() * self.columns;
         let mut level = vec![0.0; row];
         let cells = self.steps.chunks_exact_mut(row);
@@ -155,77 +148,6 @@ impl<'a> Tally<'a> {
         }
         let beyond = self.steps.len() - row;
         self.steps[beyond..].fill(0.0);
-        partial.batches += 1;
-    }
-}
-
-/// Sums over batches of a profile's numbers and of their squares: `[pixel][channel][quantity][albedo]`.
-///
-/// Addition of floating-point numbers depends on the order, so partial sums are always merged in the order of
-/// their batches.
-#[derive(Debug, Clone)]
-pub struct Partial {
-    sums: Vec<f64>,
-    squares: Vec<f64>,
-    batches: u64,
-}
-
-impl Partial {
-    pub fn new(job: &JobSpec) -> Self {
-        let scene = job.scene();
-        let len = scene.sensor().pixels() * scene.channels().len() * quantities(job) * job.albedo().len();
-        Self { sums: vec![0.0; len], squares: vec![0.0; len], batches: 0 }
-    }
-
-    /// Memory that the sums take.
-    pub fn bytes(&self) -> usize {
-        (self.sums.len() + self.squares.len()) * size_of::<f64>()
-    }
-
-    /// Adds the batches that follow this sum's.
-    pub fn merge(&mut self, next: &Self) {
-        for (a, b) in self.sums.iter_mut().zip(&next.sums) {
-            *a += b;
-        }
-        for (a, b) in self.squares.iter_mut().zip(&next.squares) {
-            *a += b;
-        }
-        self.batches += next.batches;
-    }
-
-    /// Mean and standard error per pixel, one record per albedo.
-    pub fn into_records(self, job: &JobSpec) -> Vec<Record> {
-        let scene = job.scene();
-        let (pixels, channels, albedos) =
-            (scene.sensor().pixels(), scene.channels().len(), job.albedo().len());
-        let quantities = quantities(job);
-        let row = channels * quantities * albedos;
-        let batches = self.batches as f64;
-        let scale = 1.0 / (BATCH_WALKS as f64 * ring_measure(scene));
-        let estimate = |channel: usize, quantity: usize, albedo: usize| {
-            let column = (channel * quantities + quantity) * albedos + albedo;
-            let (values, std_errors) = (0..pixels)
-                .map(|pixel| {
-                    let (sum, square) = (self.sums[pixel * row + column], self.squares[pixel * row + column]);
-                    let mean = sum / batches;
-                    let variance = ((square - sum * mean) / (batches - 1.0)).max(0.0);
-                    ((mean * scale) as f32, ((variance / batches).sqrt() * scale) as f32)
-                })
-                .unzip();
-            Estimate::new(values, std_errors).expect("sums of finite numbers are finite")
-        };
-        let profile = |channel: usize, albedo: usize| Profile {
-            radiance_factor: estimate(channel, 0, albedo),
-            derivatives: job.derivatives().then(|| Derivatives {
-                albedo: estimate(channel, 1, albedo),
-                sigma_t: estimate(channel, 2, albedo),
-            }),
-        };
-        (0..albedos)
-            .map(|albedo| Record {
-                index: job.first_record() + albedo,
-                profiles: (0..channels).map(|channel| profile(channel, albedo)).collect(),
-            })
-            .collect()
+        partial.batch_added();
     }
 }

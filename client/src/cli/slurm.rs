@@ -1,0 +1,72 @@
+//! Arguments of `farmctl slurm`.
+
+use std::num::NonZeroU32;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+
+use crate::slurm::{LogPattern, OneLine, SbatchOption};
+use farm_proto::walltime::{Walltime, parse_span, parse_time_limit};
+
+#[derive(Debug, Subcommand)]
+pub enum SlurmCommand {
+    /// Submit workers as an array job; each ends by itself before its walltime or when there is no work.
+    Submit(SlurmSubmitArgs),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct SlurmSubmitArgs {
+    /// Number of workers; each is one task of the array.
+    #[arg(long, value_name = "N", value_parser = at_most_a_million)]
+    pub workers: NonZeroU32,
+    /// How many of them may run at the same time [default: all]. The others follow as these end, so that
+    /// work which is longer than the walltime needs one submission only.
+    #[arg(long, value_name = "N", value_parser = at_most_a_million)]
+    pub at_once: Option<NonZeroU32>,
+    /// Walltime of each worker: minutes, MM:SS, HH:MM:SS, D-HH, D-HH:MM or D-HH:MM:SS.
+    #[arg(long, value_name = "TIME")]
+    pub time: Walltime,
+    /// Threads of each worker, and so the cores that it gets.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub threads: u16,
+    /// Partition to run in [default: the cluster's].
+    #[arg(long, value_name = "NAME")]
+    pub partition: Option<OneLine>,
+    /// How long running jobs of the farm may go on once a worker must stop.
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_span)]
+    pub grace: Duration,
+    /// End a worker that had no work for so long.
+    #[arg(long, value_name = "DURATION", default_value = "5m", value_parser = parse_time_limit)]
+    pub idle_exit: Duration,
+    /// The workers' access file, on a filesystem that the nodes share [default: worker.toml beside --access].
+    #[arg(long, value_name = "FILE")]
+    pub worker_access: Option<PathBuf>,
+    /// The worker's program, on a filesystem that the nodes share [default: farm-worker beside this program, or
+    /// on the nodes' PATH].
+    #[arg(long, value_name = "PATH")]
+    pub worker: Option<PathBuf>,
+    /// Name of the job in Slurm.
+    #[arg(long, value_name = "NAME", default_value = "farm-worker")]
+    pub job_name: OneLine,
+    /// Log file of each worker; %A is the job's number, %a the task's.
+    #[arg(long, value_name = "PATTERN", default_value = "farm-worker-%A_%a.log")]
+    pub log: LogPattern,
+    /// A further option for sbatch, as in --sbatch-option=--account=lab; can be given several times.
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    pub sbatch_option: Vec<SbatchOption>,
+    /// Print the job script and submit nothing.
+    #[arg(long)]
+    pub dry_run: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  farmctl slurm submit --workers 8 --time 2:00:00 --threads 16 --worker-access ~/farm/worker.toml
+  farmctl slurm submit --workers 100 --at-once 8 --time 1:00:00 --server https://farm:7700 --dry-run";
+
+fn at_most_a_million(text: &str) -> Result<NonZeroU32, String> {
+    let number = text.parse::<NonZeroU32>().ok().filter(|n| n.get() <= 1_000_000);
+    number.ok_or_else(|| "a whole number from 1 to 1000000 is allowed".to_owned())
+}

@@ -1,0 +1,121 @@
+//! Looks at everything that can be wrong, and says what to do.
+
+use std::process::ExitCode;
+
+use anyhow::Result;
+use farm_proto::PHYSICS_VERSION;
+use farm_proto::wire::{InspectRequest, InspectResponse, StatusRequest, StatusResponse};
+use serde::Serialize;
+
+use super::workers;
+use crate::cli::{DoctorArgs, Global};
+use crate::connection::{Purpose, with_farm};
+use crate::exit;
+use crate::output::{Output, grouped};
+
+#[derive(Debug, Serialize)]
+struct DoctorJson {
+    healthy: bool,
+    findings: Vec<Finding>,
+}
+
+/// One thing that was looked at.
+#[derive(Debug, Serialize)]
+struct Finding {
+    what: &'static str,
+    ok: bool,
+    text: String,
+}
+
+fn finding(what: &'static str, ok: bool, text: impl Into<String>) -> Finding {
+    Finding { what, ok, text: text.into() }
+}
+
+pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> Result<ExitCode> {
+    let findings = with_farm(global, Purpose::Ask, async |connection| {
+        let mut findings =
+            vec![finding("connection", true, format!("coordinator at {}", connection.address()))];
+        let status = connection.farm().status(StatusRequest {}).await?.into_inner();
+        findings.extend(about_coordinator(&status));
+        if !connection.is_embedded() {
+            let workers = workers::fetch(connection).await?;
+            findings.push(finding(
+                "workers",
+                !workers.is_empty(),
+                match workers.len() {
+                    0 => "no worker is registered: start farm-worker".to_owned(),
+                    n => format!("{n} registered, {} threads", status.threads),
+                },
+            ));
+            findings.extend(
+                workers.iter().filter(|w| w.state == farm_proto::status::WorkerState::Fenced).map(|w| {
+                    finding(
+                        "workers",
+                        false,
+                        format!("{} is fenced off: it computed wrongly; check its machine", w.label),
+                    )
+                }),
+            );
+        }
+        let inspected =
+            connection.admin().inspect(InspectRequest { repair: args.repair }).await?.into_inner();
+        findings.extend(about_records(&inspected, args.repair));
+        Ok(findings)
+    })
+    .await?;
+    let healthy = findings.iter().all(|f| f.ok);
+    let data = DoctorJson { healthy, findings };
+    output.print("doctor", &data, || {
+        let line =
+            |f: &Finding| format!("{}  {:<12} {}\n", if f.ok { "ok   " } else { "WRONG" }, f.what, f.text);
+        data.findings.iter().map(line).collect()
+    })?;
+    Ok(if healthy { ExitCode::SUCCESS } else { ExitCode::from(exit::FAILED) })
+}
+
+fn about_coordinator(status: &StatusResponse) -> Vec<Finding> {
+    let own = env!("CARGO_PKG_VERSION");
+    let version = format!("coordinator {}, this program {own}", status.version);
+    let physics = format!("coordinator {}, this program {PHYSICS_VERSION}", status.physics_version);
+    let mib = status.database_bytes / (1 << 20);
+    let store = match status.store_fault.as_str() {
+        "" => finding("store", true, format!("database of {} MiB", grouped(mib))),
+        fault => finding("store", false, format!("results cannot be stored: {fault}")),
+    };
+    let checks = format!(
+        "{} results compared between workers: {} unequal; {} comparisons wait for another worker",
+        grouped(status.checks_agreed + status.checks_disputed),
+        grouped(status.checks_disputed),
+        grouped(status.checks_waiting)
+    );
+    vec![
+        finding("version", status.version == own, version),
+        finding("physics", status.physics_version == PHYSICS_VERSION, physics),
+        store,
+        finding("checks", status.checks_disputed == 0, checks),
+    ]
+}
+
+fn about_records(inspected: &InspectResponse, repair: bool) -> Vec<Finding> {
+    let mut findings: Vec<Finding> = inspected
+        .faults
+        .iter()
+        .map(|fault| finding("database", false, format!("{fault}: restore a backup")))
+        .collect();
+    let again =
+        if repair { "; they are computed again" } else { "; `farmctl doctor --repair` computes them again" };
+    findings.extend(
+        inspected.damaged.iter().map(|d| {
+            finding("records", false, format!("job {} of {}: {}{again}", d.job, d.dictionary, d.what))
+        }),
+    );
+    if findings.is_empty() {
+        let text = format!(
+            "{} records of {} jobs are as they were stored",
+            grouped(inspected.records),
+            grouped(inspected.jobs)
+        );
+        findings.push(finding("records", true, text));
+    }
+    findings
+}

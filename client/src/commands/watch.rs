@@ -1,0 +1,150 @@
+//! Following dictionaries until they have ended.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use farm_proto::DictionaryName;
+use farm_proto::status::DictionaryStatus;
+use farm_proto::wire::{GetRequest, WatchRequest};
+use serde::Serialize;
+
+use crate::cli::{Global, WaitArgs};
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::exit;
+use crate::output::{DictionaryJson, Output, grouped};
+use crate::progress::Progress;
+
+/// How following a dictionary ended.
+pub(crate) enum End {
+    /// It is done, failed or cancelled.
+    Ended(Duration),
+    Interrupted,
+}
+
+/// Shows progress until the dictionary has ended or somebody interrupts; its last state.
+pub(crate) async fn follow(
+    connection: &Connection,
+    mut status: DictionaryStatus,
+    quiet: bool,
+) -> Result<(DictionaryStatus, End)> {
+    let start = tokio::time::Instant::now();
+    let mut progress = Progress::new(&status, quiet);
+    let name = status.name.to_string();
+    let request = WatchRequest { name: name.clone() };
+    let mut updates = connection.dictionaries().watch(request).await?.into_inner();
+    let mut interrupt = std::pin::pin!(interrupted());
+    loop {
+        let update = tokio::select! {
+            update = updates.message() => update?,
+            () = &mut interrupt => {
+                progress.end();
+                return Ok((status, End::Interrupted));
+            }
+        };
+        let Some(update) = update else { break };
+        status = update.try_into()?;
+        progress.show(&status);
+    }
+    progress.end();
+    if status.state().is_open() {
+        let message =
+            format!("the coordinator stopped before {name} was done: run the same command again to go on");
+        return Err(tonic::Status::unavailable(message).into());
+    }
+    Ok((status, End::Ended(start.elapsed())))
+}
+
+/// Ends when the process is asked to stop.
+async fn interrupted() {
+    use tokio::signal::unix::{SignalKind, signal};
+    match signal(SignalKind::terminate()) {
+        Ok(mut terminate) => tokio::select! {
+            _ = tokio::signal::ctrl_c() => {}
+            _ = terminate.recv() => {}
+        },
+        Err(_) => {
+            let _ = tokio::signal::ctrl_c().await;
+        }
+    }
+}
+
+pub(crate) async fn watch(global: &Global, name: &str, output: &Output) -> Result<ExitCode> {
+    let name = DictionaryName::new(name)?;
+    let (status, end) = with_farm(global, Purpose::Ask, async |connection| {
+        let status = get(connection, &name).await?;
+        must_progress(connection, &status)?;
+        follow(connection, status, global.quiet).await
+    })
+    .await?;
+    let code = match end {
+        End::Interrupted => ExitCode::from(exit::INTERRUPTED),
+        End::Ended(_) => exit::code_of(&status),
+    };
+    output.print("watch", &DictionaryJson::from(&status), || line(&status))?;
+    Ok(code)
+}
+
+#[derive(Debug, Serialize)]
+struct WaitJson {
+    dictionaries: Vec<DictionaryJson>,
+    timed_out: bool,
+}
+
+pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Result<ExitCode> {
+    let names: Vec<DictionaryName> =
+        args.names.into_iter().map(DictionaryName::new).collect::<Result<_, _>>()?;
+    let limit = Duration::from_secs(args.timeout.unwrap_or(u32::MAX.into()));
+    let deadline = tokio::time::Instant::now() + limit;
+    let (statuses, timed_out) = with_farm(global, Purpose::Ask, async |connection| {
+        let mut statuses = Vec::new();
+        let mut timed_out = false;
+        for name in &names {
+            let status = get(connection, name).await?;
+            must_progress(connection, &status)?;
+            let followed = tokio::time::timeout_at(deadline, follow(connection, status, true)).await;
+            let Ok(followed) = followed else {
+                timed_out = true;
+                statuses.push(get(connection, name).await?);
+                continue;
+            };
+            let (status, end) = followed?;
+            if matches!(end, End::Interrupted) {
+                bail!("interrupted");
+            }
+            statuses.push(status);
+        }
+        Ok((statuses, timed_out))
+    })
+    .await?;
+    let worst = statuses.iter().map(exit::number_of).max().unwrap_or(0);
+    let data = WaitJson { dictionaries: statuses.iter().map(Into::into).collect(), timed_out };
+    output.print("wait", &data, || statuses.iter().map(|s| format!("{}\n", line(s))).collect())?;
+    Ok(ExitCode::from(if timed_out { exit::TIMEOUT } else { worst }))
+}
+
+pub(crate) async fn get(connection: &Connection, name: &DictionaryName) -> Result<DictionaryStatus> {
+    let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
+    Ok(answer.into_inner().try_into()?)
+}
+
+/// A coordinator that this command has just started for itself computes nothing.
+fn must_progress(connection: &Connection, status: &DictionaryStatus) -> Result<()> {
+    if connection.is_embedded() && status.state().is_open() {
+        bail!("nothing is running in this folder: `farmctl submit` goes on with {}", status.name);
+    }
+    Ok(())
+}
+
+/// What there is to say of a dictionary in a line.
+pub(crate) fn line(status: &DictionaryStatus) -> String {
+    let (done, total) = (grouped(status.records_done() as u64), grouped(status.records_total() as u64));
+    let mut line = format!("{}: {}, {done} of {total} records", status.name, status.state().as_str());
+    if !status.failed.is_empty() {
+        line += &format!(", {} jobs given up", status.failed.len());
+    }
+    if !status.reason.is_empty() {
+        line += &format!(" ({})", status.reason);
+    }
+    line
+}

@@ -1,0 +1,78 @@
+use anyhow::Result;
+use farm_proto::status::WorkerStatus;
+use farm_proto::wire::{DrainWorkerRequest, ListWorkersRequest};
+use serde::Serialize;
+
+use crate::cli::{Global, WorkersArgs, WorkersCommand};
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::output::{Output, WorkerJson, table};
+
+#[derive(Debug, Serialize)]
+struct WorkersJson {
+    workers: Vec<WorkerJson>,
+}
+
+#[derive(Debug, Serialize)]
+struct DrainJson {
+    worker_id: String,
+}
+
+pub(crate) async fn run(global: &Global, args: WorkersArgs, output: &Output) -> Result<()> {
+    match args.command {
+        None | Some(WorkersCommand::List) => list(global, output).await,
+        Some(WorkersCommand::Drain(args)) => drain(global, &args.worker, output).await,
+    }
+}
+
+async fn list(global: &Global, output: &Output) -> Result<()> {
+    let workers = with_farm(global, Purpose::Ask, fetch).await?;
+    let data = WorkersJson { workers: workers.iter().map(Into::into).collect() };
+    output.print("workers", &data, || text(&workers))
+}
+
+async fn drain(global: &Global, worker: &str, output: &Output) -> Result<()> {
+    let worker_id = with_farm(global, Purpose::Ask, async |connection| {
+        let request = DrainWorkerRequest { worker: worker.to_owned() };
+        Ok(connection.admin().drain_worker(request).await?.into_inner().worker_id)
+    })
+    .await?;
+    output.print("drain", &DrainJson { worker_id }, || format!("{worker} finishes what it has and ends"))
+}
+
+pub(crate) async fn fetch(connection: &Connection) -> Result<Vec<WorkerStatus>> {
+    let (mut workers, mut page_token) = (Vec::new(), String::new());
+    loop {
+        let request = ListWorkersRequest { page_size: 0, page_token };
+        let page = connection.farm().list_workers(request).await?.into_inner();
+        for worker in page.workers {
+            workers.push(worker.try_into()?);
+        }
+        page_token = page.next_page_token;
+        if page_token.is_empty() {
+            return Ok(workers);
+        }
+    }
+}
+
+pub(crate) fn text(workers: &[WorkerStatus]) -> String {
+    if workers.is_empty() {
+        return "no worker is registered".to_owned();
+    }
+    let row = |w: &WorkerStatus| {
+        let silent = format!("{:.1} s", w.silent_ms as f64 / 1000.0);
+        let state = w.state.to_string();
+        let id = w.id.0.chars().take(8).collect();
+        vec![
+            w.label.clone(),
+            id,
+            state,
+            w.threads.to_string(),
+            w.leases.to_string(),
+            w.jobs_done.to_string(),
+            silent,
+            w.version.clone(),
+        ]
+    };
+    let head = ["worker", "id", "state", "threads", "leases", "jobs done", "silent for", "version"];
+    table(&head, &[3, 4, 5, 6], workers.iter().map(row))
+}

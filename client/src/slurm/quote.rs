@@ -1,0 +1,74 @@
+//! Text that two parsers read back as it was: bash, and sbatch in its `#SBATCH` lines.
+
+/// One word of a shell command, whatever it holds.
+pub(crate) fn shell_quoted(text: &str) -> String {
+    let plain = |b: u8| b.is_ascii_alphanumeric() || b"@%+=:,./_-".contains(&b);
+    if !text.is_empty() && text.bytes().all(plain) {
+        return text.to_owned();
+    }
+    format!("'{}'", text.replace('\'', r"'\''"))
+}
+
+/// The value of an option in an `#SBATCH` line, where unquoted blanks end a word and an unquoted `#` the line. The text
+/// must be of one line.
+pub(crate) fn sbatch_quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('\\', r"\\").replace('"', "\\\""))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::Command;
+
+    use super::*;
+
+    const AWKWARD: [&str; 16] = [
+        "",
+        "plain",
+        "/scratch/a b/farm-worker",
+        "it's",
+        "'",
+        "''\"\"",
+        r#"say "hi""#,
+        "$HOME and ${PATH} and $(id) and `id`",
+        r"back\slash\",
+        "-n",
+        "~/x",
+        "*?[a]{b,c}",
+        "a;b&c|d<e>f(g)",
+        "!history #comment",
+        "two\nlines\tand a tab ",
+        "σ_t 日本",
+    ];
+
+    #[test]
+    fn bash_reads_quoted_text_as_it_was() -> std::io::Result<()> {
+        for text in AWKWARD {
+            let script = format!("printf '<%s>' {}", shell_quoted(text));
+            let output = Command::new("bash").args(["-c", &script]).output()?;
+            assert!(output.status.success(), "{text:?}");
+            assert_eq!(String::from_utf8_lossy(&output.stdout), format!("<{text}>"));
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn bash_reads_quoted_text_as_one_word_beside_others() -> std::io::Result<()> {
+        let words: Vec<_> = AWKWARD.map(shell_quoted).into();
+        let script = format!("set -- {}; echo $#; printf '<%s>' \"$@\"", words.join(" "));
+        let output = Command::new("bash").args(["-c", &script]).output()?;
+        let wanted: String = AWKWARD.map(|text| format!("<{text}>")).concat();
+        assert_eq!(String::from_utf8_lossy(&output.stdout), format!("{}\n{wanted}", AWKWARD.len()));
+        Ok(())
+    }
+
+    #[test]
+    fn plain_words_stay_readable() {
+        assert_eq!(shell_quoted("https://farm.example:7700"), "https://farm.example:7700");
+        assert_eq!(shell_quoted("a b"), "'a b'");
+    }
+
+    #[test]
+    fn quotes_and_backslashes_are_escaped_for_sbatch() {
+        assert_eq!(sbatch_quoted(r#"a "b" \c #d"#), r#""a \"b\" \\c #d""#);
+    }
+}

@@ -1,0 +1,162 @@
+use std::process::Command;
+
+use super::*;
+
+fn submission() -> Result<Submission, Box<dyn std::error::Error>> {
+    Ok(Submission {
+        workers: NonZeroU32::new(3).ok_or("zero")?,
+        at_once: None,
+        walltime: "2:00:00".parse()?,
+        threads: 4,
+        grace: Duration::from_secs(10),
+        idle_exit: Duration::from_mins(5),
+        job_name: "farm-worker".parse()?,
+        partition: None,
+        log: "farm-%A_%a.log".parse()?,
+        options: Vec::new(),
+        program: "farm-worker".to_owned(),
+        coordinator: Coordinator { server: Some("https://farm:7700".to_owned()), access: None },
+    })
+}
+
+/// What the worker is called with when bash runs the script under these settings.
+fn called(script: &str, settings: &[(&str, &str)]) -> Result<Vec<String>, Box<dyn std::error::Error>> {
+    let dir = tempfile::tempdir()?;
+    let program = dir.path().join("the worker's");
+    write_program(&program, "printf '%s\\n' \"$@\" \"${FARM_SERVER-unset}\"")?;
+    let script = script.replace("exec farm-worker", &format!("exec {}", shell_quoted(path_text(&program)?)));
+    let mut bash = Command::new("bash");
+    bash.args(["-c", &script]).env("FARM_SERVER", "http://of-the-submitter");
+    bash.envs([("SLURM_ARRAY_JOB_ID", "17"), ("SLURM_ARRAY_TASK_ID", "2"), ("SLURM_CPUS_PER_TASK", "4")]);
+    bash.env("SLURMD_NODENAME", "node1").env_remove("SLURM_JOB_END_TIME").envs(settings.iter().copied());
+    let output = bash.output()?;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Ok(String::from_utf8(output.stdout)?.lines().map(str::to_owned).collect())
+}
+
+fn path_text(path: &std::path::Path) -> Result<&str, &'static str> {
+    path.to_str().ok_or("not UTF-8")
+}
+
+fn write_program(path: &std::path::Path, body: &str) -> std::io::Result<()> {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::write(path, format!("#!/bin/bash\n{body}\n"))?;
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755))
+}
+
+/// A folder with a squeue that answers so, to stand first in PATH.
+fn squeue(answer: &str) -> Result<(tempfile::TempDir, String), Box<dyn std::error::Error>> {
+    let dir = tempfile::tempdir()?;
+    write_program(&dir.path().join("squeue"), &format!("[[ $* == *--jobs=17_2* ]] && {answer}"))?;
+    let path = format!("{}:/usr/bin:/bin", dir.path().display());
+    Ok((dir, path))
+}
+
+fn value<'a>(call: &'a [String], option: &str) -> Option<&'a str> {
+    let at = call.iter().position(|word| word == option)?;
+    call.get(at + 1).map(String::as_str)
+}
+
+#[test]
+fn the_head_asks_for_the_array_and_the_warning() -> Result<(), Box<dyn std::error::Error>> {
+    let mut submission = submission()?;
+    submission.at_once = NonZeroU32::new(2);
+    submission.partition = Some("long".parse()?);
+    submission.options = vec!["--account=lab".parse()?];
+    let head = "#!/bin/bash\n\
+        #SBATCH --job-name=\"farm-worker\"\n\
+        #SBATCH --array=1-3%2\n\
+        #SBATCH --time=0-02:00:00\n\
+        #SBATCH --nodes=1\n\
+        #SBATCH --ntasks=1\n\
+        #SBATCH --cpus-per-task=4\n\
+        #SBATCH --signal=B:TERM@25\n\
+        #SBATCH --output=\"farm-%A_%a.log\"\n\
+        #SBATCH --open-mode=append\n\
+        #SBATCH --requeue\n\
+        #SBATCH --partition=\"long\"\n\
+        #SBATCH --account=lab\n\n";
+    assert_eq!(submission.script().get(..head.len()), Some(head));
+    Ok(())
+}
+
+#[test]
+fn the_worker_gets_its_options_and_not_the_submitters_environment() -> Result<(), Box<dyn std::error::Error>>
+{
+    let mut submission = submission()?;
+    submission.coordinator.access = Some("/home/it's me/a \"b\"/$x.toml".to_owned());
+    let call = called(&submission.script(), &[])?;
+    assert_eq!(value(&call, "--access"), Some("/home/it's me/a \"b\"/$x.toml"));
+    assert_eq!(value(&call, "--server"), Some("https://farm:7700"));
+    assert_eq!(value(&call, "--threads"), Some("4"));
+    assert_eq!(value(&call, "--label"), Some("slurm:17.2@node1"));
+    assert_eq!(value(&call, "--grace"), Some("10s"));
+    assert_eq!(value(&call, "--idle-exit"), Some("5m"));
+    assert_eq!(call.last().map(String::as_str), Some("unset"));
+    Ok(())
+}
+
+#[test]
+fn the_time_limit_is_what_slurm_leaves() -> Result<(), Box<dyn std::error::Error>> {
+    let script = submission()?.script();
+    for left in ["1-23:59:59", "1:59:30", "0:30"] {
+        let (_dir, path) = squeue(&format!("echo {left}"))?;
+        assert_eq!(value(&called(&script, &[("PATH", &path)])?, "--time-limit"), Some(left));
+    }
+    Ok(())
+}
+
+#[test]
+fn without_an_answer_the_time_limit_is_the_walltime_asked_for() -> Result<(), Box<dyn std::error::Error>> {
+    let script = submission()?.script();
+    let answers = [
+        "exit 1",
+        "true",
+        "echo UNLIMITED",
+        "echo INVALID",
+        "echo NOT_SET",
+        "echo 0:00",
+        "printf '1:00\\n1:00\\n'",
+    ];
+    for answer in answers {
+        let (_dir, path) = squeue(answer)?;
+        let call = called(&script, &[("PATH", &path)])?;
+        assert_eq!(value(&call, "--time-limit"), Some("0-02:00:00"), "{answer}");
+    }
+    Ok(())
+}
+
+#[test]
+fn the_end_that_slurm_tells_comes_first() -> Result<(), Box<dyn std::error::Error>> {
+    let script = submission()?.script();
+    // The year 2100: the clock of this machine is surely before it.
+    let call = called(&script, &[("SLURM_JOB_END_TIME", "4102444800")])?;
+    let left = value(&call, "--time-limit").and_then(|t| t.strip_suffix('s')).ok_or("no seconds")?;
+    assert!((1..4_102_444_800).contains(&left.parse::<u64>()?), "{left}");
+    let late = called(&script, &[("SLURM_JOB_END_TIME", "1000")])?;
+    assert_eq!(value(&late, "--time-limit"), Some("1s"));
+    Ok(())
+}
+
+#[test]
+fn further_options_are_checked() {
+    for option in ["--account=lab", "--mem 4G", "--exclusive", "--nodelist=a", "--no-kill", "--time-min=5"] {
+        assert!(option.parse::<SbatchOption>().is_ok(), "{option}");
+    }
+    for option in ["", "-A lab", "--", "account", "--a\n#SBATCH --b", "--a\rb", " --account=lab"] {
+        assert!(option.parse::<SbatchOption>().is_err(), "{option:?}");
+    }
+    for option in ["--array=1-9", "--arr=1-9", "--time=5", "--time 5", "--signal=USR1", "--cpus-per-task=2"] {
+        assert!(matches!(option.parse::<SbatchOption>(), Err(InvalidOption::Own { .. })), "{option}");
+    }
+}
+
+#[test]
+fn log_patterns_that_mix_tasks_are_refused() {
+    for pattern in ["farm-%A_%a.log", "a b/%j", "/dev/null"] {
+        assert!(pattern.parse::<LogPattern>().is_ok(), "{pattern}");
+    }
+    for pattern in ["", "farm.log", "%A.log", "%%A_%%a", r"a\%A_%a", "%A\n%a"] {
+        assert!(pattern.parse::<LogPattern>().is_err(), "{pattern:?}");
+    }
+}

@@ -1,0 +1,110 @@
+//! Why a dictionary is not done yet.
+
+use std::time::Duration;
+
+use farm_proto::DictionaryName;
+use farm_proto::status::DictionaryState;
+
+use super::{Dictionary, Dispatcher, PartId, Purpose};
+
+/// A reason, with a code that programs can rely on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reason {
+    pub code: &'static str,
+    pub text: String,
+}
+
+fn reason(code: &'static str, text: impl Into<String>) -> Reason {
+    Reason { code, text: text.into() }
+}
+
+impl Dispatcher {
+    /// Why it is not done, the most important first; None if there is no such dictionary.
+    pub fn explain(&self, now: Duration, name: &DictionaryName) -> Option<Vec<Reason>> {
+        let dictionary = self.by_name(name)?;
+        let mut reasons = Vec::new();
+        match dictionary.state() {
+            DictionaryState::Done => reasons.push(reason("DONE", "all of its jobs are done")),
+            DictionaryState::Cancelled => {
+                let why =
+                    if dictionary.reason().is_empty() { "no reason given" } else { dictionary.reason() };
+                reasons
+                    .push(reason("CANCELLED", format!("it was cancelled: {why}; `farmctl resume` goes on")));
+            }
+            DictionaryState::Outdated => reasons.push(reason(
+                "OUTDATED",
+                "it was begun with another physics version: submit its grid under another name",
+            )),
+            DictionaryState::Paused => {
+                reasons.push(reason("PAUSED", "it is paused: `farmctl resume` goes on"));
+            }
+            DictionaryState::Failed => {}
+            DictionaryState::Running => self.explain_running(now, dictionary, &mut reasons),
+        }
+        let (_, given_up) = dictionary.ended();
+        if given_up > 0 {
+            reasons.push(reason(
+                "JOBS_GIVEN_UP",
+                format!("{given_up} jobs were given up: `farmctl show` tells why, `farmctl retry` tries them again"),
+            ));
+        }
+        Some(reasons)
+    }
+
+    fn explain_running(&self, now: Duration, dictionary: &Dictionary, reasons: &mut Vec<Reason>) {
+        let registered = self.workers.len();
+        let active = self.workers.active().count();
+        if registered == 0 {
+            reasons.push(reason("NO_WORKERS", "no worker is registered: start farm-worker"));
+        } else if active == 0 {
+            let text = format!("all {registered} workers are draining or fenced off: start others");
+            reasons.push(reason("NO_WORKERS", text));
+        } else if self.workers.active().all(|(_, w)| now.saturating_sub(w.last_seen) > self.settings.lease) {
+            let text =
+                format!("none of {active} workers has been heard of for {} s", self.settings.lease.as_secs());
+            reasons.push(reason("WORKERS_SILENT", text));
+        }
+        let first = (std::cmp::Reverse(dictionary.priority()), dictionary.id());
+        let before = self.order.range(..first).filter_map(|(_, id)| self.dictionaries.get(id));
+        let before: Vec<_> = before.filter(|d| d.is_active() && d.pending() > 0).collect();
+        if let (Some(next), true) = (before.first(), dictionary.pending() > 0) {
+            let (count, waiting) = (before.len(), before.iter().map(|d| d.pending()).sum::<usize>());
+            let text = format!(
+                "{waiting} jobs of {count} others go first, {} with priority {}",
+                next.name(),
+                next.priority()
+            );
+            reasons.push(reason("HIGHER_PRIORITY", text));
+        }
+        let held =
+            self.leases.iter().filter(|h| h.key.dictionary == dictionary.id() && h.purpose != Purpose::Check);
+        if let Some(oldest) = held.min_by_key(|h| h.since) {
+            let label = self.workers.get(&oldest.worker).map_or("", |w| w.about.label.as_str());
+            let (job, age) = (oldest.key.job, now.saturating_sub(oldest.since).as_secs_f64());
+            let text = format!(
+                "{} jobs are being computed, the oldest (job {job}) for {age:.1} s by {label}",
+                dictionary.leased
+            );
+            reasons.push(reason("COMPUTING", text));
+        }
+        if dictionary.pending() > 0 {
+            let busy = "wait for a worker that is free";
+            reasons.push(reason("WAITING", format!("{} jobs {busy}", dictionary.pending())));
+        }
+        if let Some((job, strikes)) = dictionary.most_troubled() {
+            let last = strikes.last().map_or("", |s| s.reason.as_str());
+            let text = format!(
+                "job {job} has failed {} times, of {} allowed: {last}",
+                strikes.len(),
+                self.settings.max_attempts
+            );
+            reasons.push(reason("RETRYING", text));
+        }
+        let disputed = (0..dictionary.jobs() as u32)
+            .find(|job| self.checks.is_disputed(PartId { dictionary: dictionary.id(), job: *job, part: 0 }));
+        if let Some(job) = disputed {
+            let text = format!("two workers disagree about job {job}: a third must decide");
+            reasons.push(reason("DISPUTED", text));
+        }
+    }
+}

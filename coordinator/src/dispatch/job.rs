@@ -1,0 +1,107 @@
+//! One job of a dictionary and how far it is.
+
+use farm_proto::{Digest, Walks};
+
+use super::Origin;
+use crate::store::EndedJob;
+
+/// A block of a divided job, or the whole of one that is not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Part {
+    Open,
+    Stored,
+}
+
+#[derive(Debug)]
+pub(super) enum Stage {
+    Open { parts: Vec<Part> },
+    Done { records: Digest, by: Option<Origin>, reused: bool },
+    GivenUp { reason: String, quarantined: bool },
+}
+
+/// Why an attempt came to nothing.
+#[derive(Debug, Clone)]
+pub(super) struct Strike {
+    pub worker: Option<Origin>,
+    /// The worker fell silent while it computed; it may still come back.
+    pub silent: bool,
+    pub reason: String,
+}
+
+#[derive(Debug)]
+pub(super) struct Job {
+    pub stage: Stage,
+    pub walks: Walks,
+    /// Leases given out so far.
+    pub attempts: u32,
+    pub strikes: Vec<Strike>,
+    /// Place in the order of work.
+    pub rank: u32,
+    /// Expected time of the whole job, in scatterings.
+    pub cost: f64,
+}
+
+impl Job {
+    /// A job of which nothing is done.
+    pub fn new(walks: Walks, cost_per_walk: f64) -> Self {
+        Self {
+            stage: open(walks),
+            walks,
+            attempts: 0,
+            strikes: Vec::new(),
+            rank: 0,
+            cost: cost_per_walk * walks.get() as f64,
+        }
+    }
+
+    pub fn is_divided(&self) -> bool {
+        self.walks.blocks() > 1
+    }
+
+    pub fn has_part(&self, part: u32) -> bool {
+        part < self.walks.blocks()
+    }
+
+    /// Parts that have still to be computed.
+    pub fn open_parts(&self) -> impl Iterator<Item = u32> {
+        let parts = match &self.stage {
+            Stage::Open { parts } => &parts[..],
+            _ => &[],
+        };
+        parts.iter().zip(0..).filter(|(part, _)| **part == Part::Open).map(|(_, i)| i)
+    }
+
+    /// Cost of one part.
+    pub fn part_cost(&self) -> f64 {
+        self.cost / f64::from(self.walks.blocks())
+    }
+
+    /// Takes up how the job ended, as the store has it.
+    pub fn end(&mut self, end: &EndedJob) {
+        self.stage = match end {
+            EndedJob::Done { walks, records, by, reused, .. } => {
+                self.set_walks(*walks);
+                Stage::Done { records: *records, by: by.map(Origin), reused: *reused }
+            }
+            EndedJob::GivenUp { reason, quarantined, .. } => {
+                Stage::GivenUp { reason: reason.clone(), quarantined: *quarantined }
+            }
+        };
+    }
+
+    /// Begins again, with as many walks as given.
+    pub fn reopen(&mut self, walks: Walks) {
+        self.set_walks(walks);
+        self.stage = open(walks);
+        self.strikes.clear();
+    }
+
+    fn set_walks(&mut self, walks: Walks) {
+        self.cost *= walks.get() as f64 / self.walks.get() as f64;
+        self.walks = walks;
+    }
+}
+
+fn open(walks: Walks) -> Stage {
+    Stage::Open { parts: vec![Part::Open; walks.blocks() as usize] }
+}

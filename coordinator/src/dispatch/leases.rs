@@ -1,0 +1,144 @@
+//! Who holds which lease, and until when.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use farm_proto::ids::{DictionaryId, Token, WorkerId};
+use farm_proto::job::LeaseKey;
+
+/// A unit of work: a job, or one block of a divided job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PartId {
+    pub dictionary: DictionaryId,
+    pub job: u32,
+    pub part: u32,
+}
+
+impl From<&LeaseKey> for PartId {
+    fn from(key: &LeaseKey) -> Self {
+        Self { dictionary: key.dictionary, job: key.job, part: key.part }
+    }
+}
+
+/// What a lease was given out for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Purpose {
+    First,
+    /// After an attempt that came to nothing.
+    Retry,
+    /// A second copy of a part whose first takes too long.
+    Copy,
+    /// To compare with a result that is stored.
+    Check,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Held {
+    pub key: LeaseKey,
+    pub worker: WorkerId,
+    pub purpose: Purpose,
+    pub since: Duration,
+    pub deadline: Duration,
+    /// The worker has said that it traces it now.
+    pub running: bool,
+}
+
+/// All leases that are out, found by token, deadline, part and worker.
+#[derive(Debug, Default)]
+pub(super) struct Leases {
+    all: BTreeMap<Token, Held>,
+    deadlines: BTreeSet<(Duration, Token)>,
+    of_parts: BTreeMap<PartId, Vec<Token>>,
+    of_workers: BTreeMap<WorkerId, BTreeSet<Token>>,
+}
+
+impl Leases {
+    pub fn insert(&mut self, held: Held) {
+        let token = held.key.token;
+        self.deadlines.insert((held.deadline, token));
+        self.of_parts.entry(PartId::from(&held.key)).or_default().push(token);
+        self.of_workers.entry(held.worker.clone()).or_default().insert(token);
+        self.all.insert(token, held);
+    }
+
+    pub fn remove(&mut self, token: Token) -> Option<Held> {
+        let held = self.all.remove(&token)?;
+        self.deadlines.remove(&(held.deadline, token));
+        let part = PartId::from(&held.key);
+        if let Some(tokens) = self.of_parts.get_mut(&part) {
+            tokens.retain(|t| *t != token);
+            if tokens.is_empty() {
+                self.of_parts.remove(&part);
+            }
+        }
+        if let Some(tokens) = self.of_workers.get_mut(&held.worker) {
+            tokens.remove(&token);
+            if tokens.is_empty() {
+                self.of_workers.remove(&held.worker);
+            }
+        }
+        Some(held)
+    }
+
+    /// The lease of this key, if it is held by this worker.
+    pub fn get(&self, key: &LeaseKey) -> Option<&Held> {
+        self.all.get(&key.token).filter(|held| held.key == *key)
+    }
+
+    /// Ends all leases of a part.
+    pub fn remove_part(&mut self, part: PartId) -> Vec<Held> {
+        let tokens = self.of_parts.get(&part).cloned().unwrap_or_default();
+        tokens.into_iter().filter_map(|token| self.remove(token)).collect()
+    }
+
+    /// Ends all leases of a dictionary.
+    pub fn remove_dictionary(&mut self, dictionary: DictionaryId) {
+        let of_it = |held: &&Held| held.key.dictionary == dictionary;
+        let tokens: Vec<Token> = self.all.values().filter(of_it).map(|h| h.key.token).collect();
+        for token in tokens {
+            self.remove(token);
+        }
+    }
+
+    pub fn of_part(&self, part: PartId) -> impl Iterator<Item = &Held> {
+        self.of_parts.get(&part).into_iter().flatten().filter_map(|token| self.all.get(token))
+    }
+
+    pub fn of_worker(&self, worker: &WorkerId) -> Vec<Token> {
+        self.of_workers.get(worker).map(|t| t.iter().copied().collect()).unwrap_or_default()
+    }
+
+    pub fn count_of(&self, worker: &WorkerId) -> usize {
+        self.of_workers.get(worker).map_or(0, BTreeSet::len)
+    }
+
+    pub fn len(&self) -> usize {
+        self.all.len()
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = &Held> {
+        self.all.values()
+    }
+
+    pub fn extend(&mut self, token: Token, deadline: Duration, running: bool) {
+        if let Some(held) = self.all.get_mut(&token) {
+            self.deadlines.remove(&(held.deadline, token));
+            self.deadlines.insert((deadline, token));
+            held.deadline = deadline;
+            held.running = running;
+        }
+    }
+
+    /// Leases whose deadline has come.
+    pub fn expired(&self, now: Duration) -> Vec<Token> {
+        self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|(_, token)| *token).collect()
+    }
+
+    /// Moves all deadlines.
+    pub fn postpone(&mut self, by: Duration) {
+        self.deadlines = self.deadlines.iter().map(|(deadline, token)| (*deadline + by, *token)).collect();
+        for held in self.all.values_mut() {
+            held.deadline += by;
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! Events on their way to the store, in batches, so that no operation waits for them.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+
+use crate::clock::Clock;
+use crate::dispatch::Event;
+use crate::store::{Store, StoredEvent};
+
+/// Events that may wait; more are dropped, and logged.
+const QUEUE: usize = 10_000;
+/// Events of one transaction.
+const BATCH: usize = 500;
+/// How long events are gathered before they are written.
+const PAUSE: Duration = Duration::from_millis(200);
+
+#[derive(Debug)]
+pub(super) struct Recorder {
+    queue: Mutex<Option<mpsc::Sender<StoredEvent>>>,
+    writer: tokio::sync::Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Recorder {
+    pub(super) fn start(store: Store) -> Self {
+        let (queue, events) = mpsc::channel(QUEUE);
+        let writer = tokio::spawn(write(store, events));
+        Self { queue: Mutex::new(Some(queue)), writer: tokio::sync::Mutex::new(Some(writer)) }
+    }
+
+    /// Notes an event; `dictionary` is the name of the one it concerns.
+    pub(super) fn record(&self, dictionary: &str, event: &Event) {
+        let Event { kind, job, worker, message, .. } = event;
+        tracing::info!(kind = kind.as_str(), dictionary, job, worker, "{message}");
+        let stored = StoredEvent {
+            id: 0,
+            unix_ms: Clock::unix_ms() as i64,
+            kind: kind.as_str().to_owned(),
+            dictionary: dictionary.to_owned(),
+            job: job.map(i64::from),
+            worker: worker.clone(),
+            message: message.clone(),
+        };
+        let queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        if queue.as_ref().is_some_and(|queue| queue.try_send(stored).is_err()) {
+            tracing::warn!("too many events at once: this one is not kept");
+        }
+    }
+
+    /// Writes what waits and ends.
+    pub(super) async fn finish(&self) {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(writer) = self.writer.lock().await.take() {
+            let _ = writer.await;
+        }
+    }
+}
+
+async fn write(store: Store, mut events: mpsc::Receiver<StoredEvent>) {
+    let mut batch = Vec::with_capacity(BATCH);
+    while events.recv_many(&mut batch, BATCH).await > 0 {
+        if let Err(error) = store.add_events(&batch).await {
+            tracing::warn!(%error, lost = batch.len(), "events could not be stored");
+        }
+        batch.clear();
+        if !events.is_closed() {
+            tokio::time::sleep(PAUSE).await;
+        }
+    }
+}

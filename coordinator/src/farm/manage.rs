@@ -1,0 +1,195 @@
+//! What people ask for: submit, pause, resume, cancel, retry, delete, explain, drain.
+
+use farm_proto::ids::{DictionaryId, WorkerId};
+use farm_proto::status::{DictionaryState, DictionaryStatus};
+use farm_proto::{DictionaryName, Digest, Grid};
+
+use super::{Farm, FarmError, Result, blocking, not_found};
+use crate::clock::Clock;
+use crate::dispatch::{Dictionary, Event, EventKind, Reason};
+use crate::store::{Desire, StoreError, StoredEvent};
+
+impl Farm {
+    /// Creates a dictionary, or finds the one of the same name and grid. Records that exist already are used.
+    pub(crate) async fn submit(
+        &self,
+        name: DictionaryName,
+        grid: Grid,
+        priority: i32,
+    ) -> Result<DictionaryStatus> {
+        let _one_at_a_time = self.managing.lock().await;
+        let existing = self.dispatch().by_name(&name).map(Dictionary::grid_digest);
+        if let Some(existing) = existing {
+            if existing == Digest::of_grid(&grid) {
+                return self.status(&name);
+            }
+            return Err(FarmError::NameTaken { name });
+        }
+        let stored = self.store.create_dictionary(name.clone(), grid, priority, Clock::unix_ms()).await?;
+        let (id, grid) = (stored.id, stored.grid.clone());
+        let reused = if grid.quality().is_some() {
+            // How many walks a point ends with is not known before.
+            0
+        } else {
+            let of_jobs = grid.clone();
+            let identities = blocking(move || identities(&of_jobs)).await;
+            self.store.reuse(id, &grid, &identities).await?
+        };
+        let ended = self.store.ended_jobs(id, grid.walks()).await?;
+        let dictionary = Dictionary::new(stored, &ended);
+        self.dispatch().add_dictionary(dictionary);
+        self.find_blocks(id).await?;
+        let (jobs, records) = (grid.job_count(), grid.record_count());
+        let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
+        self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Submitted, id, message));
+        self.changed.send_replace(());
+        self.work.send_replace(());
+        self.status(&name)
+    }
+
+    /// Takes up blocks of divided jobs that the store holds.
+    pub(super) async fn find_blocks(&self, id: DictionaryId) -> Result<(), StoreError> {
+        let wanted: Vec<(u32, Digest)> = {
+            let dispatch = self.dispatch();
+            let dictionary = dispatch.by_id(id);
+            dictionary.map_or_else(Vec::new, |d| {
+                d.divided_jobs().into_iter().map(|job| (job, d.spec(job, 0).identity())).collect()
+            })
+        };
+        for (job, identity) in wanted {
+            let blocks = self.store.stored_blocks(identity).await?;
+            self.dispatch().parts_stored(id, job, blocks);
+        }
+        Ok(())
+    }
+
+    pub(crate) async fn pause(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
+        self.change(name, Desire::Pause, "", &[DictionaryState::Running, DictionaryState::Paused]).await
+    }
+
+    pub(crate) async fn resume(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
+        let from = [DictionaryState::Paused, DictionaryState::Cancelled, DictionaryState::Running];
+        self.change(name, Desire::Run, "", &from).await
+    }
+
+    pub(crate) async fn cancel(&self, name: &DictionaryName, reason: &str) -> Result<DictionaryStatus> {
+        let from = [DictionaryState::Running, DictionaryState::Paused, DictionaryState::Cancelled];
+        self.change(name, Desire::Cancel, reason, &from).await
+    }
+
+    async fn change(
+        &self,
+        name: &DictionaryName,
+        desire: Desire,
+        reason: &str,
+        from: &[DictionaryState],
+    ) -> Result<DictionaryStatus> {
+        let _one_at_a_time = self.managing.lock().await;
+        let status = self.status(name)?;
+        if !from.contains(&status.state()) {
+            let allowed = match desire {
+                Desire::Run => {
+                    "only one that is paused or cancelled can be resumed; `retry` is for failed jobs"
+                }
+                Desire::Pause => "only one that is running can be paused",
+                Desire::Cancel => "only one that is running or paused can be cancelled",
+            };
+            return Err(FarmError::WrongState {
+                name: name.clone(),
+                state: status.state().as_str(),
+                allowed,
+            });
+        }
+        let (id, _) = self.found(name)?;
+        self.store.set_desire(id, desire, reason).await?;
+        self.dispatch().set_desire(id, desire, reason.to_owned());
+        let kind = match desire {
+            Desire::Run => EventKind::Resumed,
+            Desire::Pause => EventKind::Paused,
+            Desire::Cancel => EventKind::Cancelled,
+        };
+        self.recorder.record(name.as_str(), &Event::of_dictionary(kind, id, reason));
+        self.work.send_replace(());
+        self.changed.send_replace(());
+        self.status(name)
+    }
+
+    pub(crate) async fn retry(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
+        let _one_at_a_time = self.managing.lock().await;
+        let (id, _) = self.found(name)?;
+        self.store.retry_jobs(id).await?;
+        let again = self.dispatch().retry(id);
+        let message = format!("{again} jobs are tried again");
+        self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Retried, id, message));
+        self.work.send_replace(());
+        self.changed.send_replace(());
+        self.status(name)
+    }
+
+    pub(crate) async fn set_priority(
+        &self,
+        name: &DictionaryName,
+        priority: i32,
+    ) -> Result<DictionaryStatus> {
+        let _one_at_a_time = self.managing.lock().await;
+        let (id, _) = self.found(name)?;
+        self.store.set_priority(id, priority).await?;
+        self.dispatch().set_priority(id, priority);
+        let message = format!("priority {priority}");
+        self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::PriorityChanged, id, message));
+        self.changed.send_replace(());
+        self.status(name)
+    }
+
+    /// Removes a dictionary that does not run; returns how many records went with it.
+    pub(crate) async fn delete(&self, name: &DictionaryName) -> Result<u64> {
+        let _one_at_a_time = self.managing.lock().await;
+        let state = self.status(name)?.state();
+        if state.is_open() {
+            let allowed = "cancel it before it is deleted";
+            return Err(FarmError::WrongState { name: name.clone(), state: state.as_str(), allowed });
+        }
+        let (id, _) = self.found(name)?;
+        let records = self.store.delete_dictionary(id).await?;
+        self.dispatch().remove_dictionary(id);
+        self.fits.forget(id);
+        let message = format!("{records} records deleted");
+        self.recorder.record(name.as_str(), &Event::of_farm(EventKind::Deleted, message));
+        self.changed.send_replace(());
+        Ok(records)
+    }
+
+    pub(crate) fn explain(&self, name: &DictionaryName) -> Result<Vec<Reason>> {
+        let fault = self.overview().store_fault;
+        let dispatch = self.dispatch();
+        let mut reasons =
+            dispatch.explain(self.clock.now(), name).ok_or_else(|| not_found(&dispatch, name))?;
+        if let Some(fault) = fault {
+            let text = format!("results cannot be stored: {fault}; workers keep them and try again");
+            reasons.insert(0, Reason { code: "STORE_FAULT", text });
+        }
+        Ok(reasons)
+    }
+
+    pub(crate) async fn drain(&self, which: &str) -> Result<WorkerId> {
+        let drained = self.dispatch().drain(which);
+        self.settle().await;
+        // One that waits for work is to hear of it at once.
+        self.work.send_replace(());
+        drained.map_err(|why| FarmError::Worker { which: which.to_owned(), why })
+    }
+
+    pub(crate) async fn events(&self, after: i64, dictionary: &str, most: u32) -> Result<Vec<StoredEvent>> {
+        Ok(self.store.events_after(after, dictionary, most).await?)
+    }
+
+    pub(crate) async fn newest_events(&self, dictionary: &str, most: u32) -> Result<Vec<StoredEvent>> {
+        Ok(self.store.newest_events(dictionary, most).await?)
+    }
+}
+
+/// Identities of all jobs of a grid, in their order.
+fn identities(grid: &Grid) -> Vec<Digest> {
+    use farm_proto::job::JobSpec;
+    (0..grid.job_count()).map(|job| JobSpec::of(grid, job).identity()).collect()
+}

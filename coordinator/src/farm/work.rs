@@ -1,0 +1,257 @@
+//! What workers ask for: leases, renewals, and the way of a result from the wire to the disk.
+
+use std::sync::PoisonError;
+
+use farm_proto::ids::WorkerId;
+use farm_proto::job::{JobSpec, LeaseKey};
+use farm_proto::{Digest, PHYSICS_VERSION, Record};
+
+use super::{Farm, FarmError, Result, chance};
+use crate::clock::random_token;
+use crate::dispatch::{Admission, Effect, Grant, Origin, Registration, Settings};
+use crate::store::{Completion, Content, StoreError, Stored};
+
+/// The content of a result, as it came in.
+#[derive(Debug)]
+pub(crate) enum Received {
+    Records(Vec<Record>),
+    Sums(Vec<u8>),
+}
+
+/// What became of a result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Outcome {
+    Stored,
+    Duplicate,
+    Conflict,
+}
+
+impl Received {
+    fn digest(&self) -> Digest {
+        match self {
+            Self::Records(records) => Digest::of_records(records),
+            Self::Sums(bytes) => Digest::of_bytes(bytes),
+        }
+    }
+}
+
+impl Farm {
+    pub(crate) async fn register(
+        &self,
+        instance: &str,
+        about: Registration,
+        physics_version: u32,
+    ) -> Result<(WorkerId, Settings)> {
+        if physics_version != PHYSICS_VERSION {
+            return Err(FarmError::PhysicsVersion { found: physics_version });
+        }
+        let origin = Origin(self.store.worker(instance, &about.label).await?);
+        let id = WorkerId(random_token());
+        let settings = {
+            let mut dispatch = self.dispatch();
+            dispatch.register(self.clock.now(), id.clone(), origin, about)?;
+            dispatch.settings()
+        };
+        self.settle().await;
+        // It may have held leases before it forgot them.
+        self.work.send_replace(());
+        Ok((id, settings))
+    }
+
+    pub(crate) fn acquire(&self, worker: &WorkerId, max: usize) -> Result<Grant> {
+        Ok(self.dispatch().acquire(self.clock.now(), worker, max, &mut chance())?)
+    }
+
+    /// Extends leases: those that are lost, and whether the worker is to leave.
+    pub(crate) fn renew(
+        &self,
+        worker: &WorkerId,
+        leases: Vec<(LeaseKey, bool, Digest)>,
+    ) -> Result<(Vec<LeaseKey>, bool)> {
+        Ok(self.dispatch().renew(self.clock.now(), worker, leases)?)
+    }
+
+    /// Whether a result is wanted, and what it must look like.
+    pub(crate) fn admit(&self, worker: &WorkerId, key: &LeaseKey, identity: Digest) -> Result<Admission> {
+        Ok(self.dispatch().admit(self.clock.now(), worker, key, identity)?)
+    }
+
+    /// Stores a result, or compares it with what is stored.
+    pub(crate) async fn complete(
+        &self,
+        worker: WorkerId,
+        key: LeaseKey,
+        admission: Admission,
+        received: Received,
+    ) -> Result<Outcome> {
+        let outcome = match admission {
+            Admission::Store { job, by } => self.store_result(&worker, &key, job, by, received).await?,
+            Admission::Compare { stored, .. } => self.compare(&worker, &key, stored, received.digest()),
+            Admission::Repeated { .. } => Outcome::Duplicate,
+        };
+        self.settle().await;
+        self.changed.send_replace(());
+        Ok(outcome)
+    }
+
+    async fn store_result(
+        &self,
+        worker: &WorkerId,
+        key: &LeaseKey,
+        job: JobSpec,
+        by: Origin,
+        received: Received,
+    ) -> Result<Outcome> {
+        let quality = self.dispatch().by_id(key.dictionary).and_then(|d| d.grid().quality());
+        let digest = received.digest();
+        let content = match received {
+            Received::Records(records) => Content::Records(records),
+            Received::Sums(bytes) => Content::Sums(bytes),
+        };
+        let completion = Completion {
+            dictionary: key.dictionary,
+            job_number: key.job,
+            job,
+            worker: by.0,
+            content,
+            quality,
+        };
+        let stored = self.store.complete(completion).await;
+        self.note_store_fault(stored.as_ref().err());
+        let now = self.clock.now();
+        match stored? {
+            Stored::Finished { records } => {
+                self.dispatch().finished(now, worker, key, records, &mut chance());
+                if self.dispatch().checks().2 > 0 {
+                    self.work.send_replace(());
+                }
+            }
+            Stored::Part => self.dispatch().part_finished(now, worker, key),
+            Stored::MoreWalks(walks) => {
+                self.dispatch().prolong(now, worker, key, walks);
+                self.find_blocks_of(key).await?;
+                self.work.send_replace(());
+            }
+            Stored::Before { records } => return Ok(self.compare(worker, key, records, digest)),
+        }
+        Ok(Outcome::Stored)
+    }
+
+    async fn find_blocks_of(&self, key: &LeaseKey) -> Result<(), StoreError> {
+        let identity = self.dispatch().by_id(key.dictionary).map(|d| d.spec(key.job, 0).identity());
+        if let Some(identity) = identity {
+            let blocks = self.store.stored_blocks(identity).await?;
+            self.dispatch().parts_stored(key.dictionary, key.job, blocks);
+        }
+        Ok(())
+    }
+
+    fn compare(&self, worker: &WorkerId, key: &LeaseKey, stored: Digest, new: Digest) -> Outcome {
+        if self.dispatch().compared(worker, key, stored, new) {
+            Outcome::Duplicate
+        } else {
+            Outcome::Conflict
+        }
+    }
+
+    fn note_store_fault(&self, error: Option<&StoreError>) {
+        let mut fault = self.store_fault.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(error) = error
+            && fault.is_none()
+        {
+            tracing::error!(%error, "results cannot be stored: workers keep them and try again");
+        }
+        if error.is_none() && fault.is_some() {
+            tracing::info!("results can be stored again");
+        }
+        *fault = error.map(ToString::to_string);
+    }
+
+    /// Takes leases back; a worker that leaves gives all of its leases back, also those it has not heard of.
+    pub(crate) async fn hand_back(&self, worker: &WorkerId, leases: &[LeaseKey], leaving: bool) {
+        {
+            let mut dispatch = self.dispatch();
+            dispatch.hand_back(leases);
+            if leaving {
+                dispatch.leave(worker);
+            }
+        }
+        self.settle().await;
+        self.work.send_replace(());
+        self.changed.send_replace(());
+    }
+
+    pub(crate) async fn failed(&self, worker: &WorkerId, key: &LeaseKey, reason: &str) -> Result<()> {
+        let counted = self.dispatch().failed(self.clock.now(), worker, key, reason);
+        self.settle().await;
+        self.work.send_replace(());
+        self.changed.send_replace(());
+        Ok(counted?)
+    }
+
+    /// Frees leases of workers that are silent.
+    pub(crate) async fn expire(&self) -> usize {
+        let (freed, copies) = {
+            let mut dispatch = self.dispatch();
+            (dispatch.expire(self.clock.now()), dispatch.wants_copies())
+        };
+        self.settle().await;
+        if freed > 0 || copies {
+            self.work.send_replace(());
+            self.changed.send_replace(());
+        }
+        freed
+    }
+
+    /// Makes durable what the dispatcher has decided, and notes what has happened.
+    pub(super) async fn settle(&self) {
+        loop {
+            let (effects, events) = {
+                let mut dispatch = self.dispatch();
+                let events: Vec<_> = dispatch.take_events();
+                let named = events.into_iter().map(|event| {
+                    let dictionary = event.dictionary.and_then(|id| dispatch.by_id(id));
+                    (dictionary.map(|d| d.name().to_string()).unwrap_or_default(), event)
+                });
+                let named: Vec<_> = named.collect();
+                (dispatch.take_effects(), named)
+            };
+            for (dictionary, event) in events {
+                self.recorder.record(&dictionary, &event);
+            }
+            if effects.is_empty() {
+                return;
+            }
+            for effect in effects {
+                if let Err(error) = self.perform(effect).await {
+                    tracing::error!(%error, "a decision could not be stored: it holds until the next start");
+                }
+            }
+            self.work.send_replace(());
+            self.changed.send_replace(());
+        }
+    }
+
+    async fn perform(&self, effect: Effect) -> Result<(), StoreError> {
+        let forgotten = match effect {
+            Effect::GiveUp { dictionary, job, reason, quarantined } => {
+                return self.store.give_up_job(dictionary, job, &reason, quarantined).await;
+            }
+            Effect::Recompute { dictionary, job } => self.store.forget_job(dictionary, job).await?,
+            Effect::Fence { worker, reason } => self.store.fence(worker.0, &reason).await?,
+        };
+        self.reopen(forgotten);
+        Ok(())
+    }
+
+    /// Begins jobs again whose records the store has forgotten.
+    pub(super) fn reopen(&self, mut jobs: Vec<(farm_proto::ids::DictionaryId, u32)>) {
+        jobs.sort_unstable();
+        let mut dispatch = self.dispatch();
+        for of_one in jobs.chunk_by(|a, b| a.0 == b.0) {
+            let numbers: Vec<u32> = of_one.iter().map(|(_, job)| *job).collect();
+            dispatch.reopen(of_one[0].0, &numbers);
+            self.fits.forget(of_one[0].0);
+        }
+    }
+}

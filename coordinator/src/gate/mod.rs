@@ -1,0 +1,155 @@
+//! What every call passes on its way in and out: a request id, the question who may do it, and an observer.
+//!
+//! [`GateLayer`] goes around all services (`Server::builder().layer(…)`), so that a service added later is guarded
+//! without a word: what is not known to be for others is for admins.
+
+mod permission;
+mod report;
+mod request_id;
+
+use std::fmt;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use farm_proto::access::CoordinatorAccess;
+use http::header::AUTHORIZATION;
+use http::{Request, Response};
+use tonic::Status;
+use tonic::body::Body;
+use tower::{Layer, Service};
+use tracing::Instrument as _;
+
+use crate::clock::Clock;
+use crate::muffle::Muffle;
+
+pub use permission::Caller;
+pub use report::ObservedBody;
+pub use request_id::RequestId;
+
+use report::Report;
+
+/// The method that observers are told of calls which no service has answered: their paths are whatever callers like.
+pub const OTHER_METHOD: &str = "other";
+
+/// Refused calls are told of in the log at most this often.
+const TELL_REFUSED: Duration = Duration::from_secs(10);
+
+/// Makes [`Gate`]s. With an access file, calls need its tokens; without, everybody may do everything.
+#[derive(Clone)]
+pub struct GateLayer {
+    shared: Arc<Shared>,
+}
+
+type Observer = dyn Fn(&str, i32, Duration) + Send + Sync;
+
+/// What the gates of all connections share.
+struct Shared {
+    access: Option<Arc<CoordinatorAccess>>,
+    observer: Box<Observer>,
+    clock: Clock,
+    refused: Muffle,
+}
+
+impl GateLayer {
+    /// `observer` is told of every call once, when it has ended: the method's path or [`OTHER_METHOD`], the gRPC code
+    /// (1, cancelled, if the caller has gone before the end), and how long it took.
+    pub fn new(
+        access: Option<Arc<CoordinatorAccess>>,
+        observer: impl Fn(&str, i32, Duration) + Send + Sync + 'static,
+    ) -> Self {
+        let observer = Box::new(observer);
+        let shared = Shared { access, observer, clock: Clock::start(), refused: Muffle::new(TELL_REFUSED) };
+        Self { shared: Arc::new(shared) }
+    }
+}
+
+impl fmt::Debug for GateLayer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("GateLayer").field("access", &self.shared.access).finish_non_exhaustive()
+    }
+}
+
+impl<S> Layer<S> for GateLayer {
+    type Service = Gate<S>;
+
+    fn layer(&self, inner: S) -> Gate<S> {
+        Gate { inner, shared: self.shared.clone() }
+    }
+}
+
+/// A service behind the gate. Handlers find [`RequestId`] and, with an access file, [`Caller`] in the extensions of
+/// their request.
+#[derive(Clone)]
+pub struct Gate<S> {
+    inner: S,
+    shared: Arc<Shared>,
+}
+
+impl<S: fmt::Debug> fmt::Debug for Gate<S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Gate").field("inner", &self.inner).finish_non_exhaustive()
+    }
+}
+
+impl<S, B> Service<Request<B>> for Gate<S>
+where
+    S: Service<Request<B>, Response = Response<Body>>,
+    S::Future: Send + 'static,
+{
+    type Response = Response<ObservedBody>;
+    type Error = S::Error;
+    type Future = Pin<Box<dyn Future<Output = Result<Self::Response, S::Error>> + Send>>;
+
+    fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
+        self.inner.poll_ready(cx)
+    }
+
+    fn call(&mut self, mut request: Request<B>) -> Self::Future {
+        let method = request.uri().path().to_owned();
+        let id = RequestId::of(request.headers());
+        let span = tracing::info_span!("call", %method, request_id = %id, caller = tracing::field::Empty);
+        let admitted = self.shared.admit(&request);
+        let report = Report::start(self.shared.clone(), method, span.clone());
+        // Handlers need not see it, and what they do not see they cannot log.
+        request.headers_mut().remove(AUTHORIZATION);
+        match admitted {
+            Ok(caller) => {
+                if let Some(caller) = caller {
+                    span.record("caller", caller.name());
+                    request.extensions_mut().insert(caller);
+                }
+                request.extensions_mut().insert(id.clone());
+                // The call itself may do work before it gives its future.
+                let answer = span.in_scope(|| self.inner.call(request));
+                Box::pin(async move { report.pass(answer.await, &id) }.instrument(span))
+            }
+            Err(status) => {
+                span.in_scope(|| self.shared.tell_refused(&request, &status));
+                let response = report.refuse(status, &id);
+                Box::pin(async move { Ok(response) })
+            }
+        }
+    }
+}
+
+impl Shared {
+    fn admit<B>(&self, request: &Request<B>) -> Result<Option<Caller>, Status> {
+        match &self.access {
+            Some(access) => permission::admit(access, request.uri().path(), request.headers()),
+            None => Ok(None),
+        }
+    }
+
+    fn tell_refused<B>(&self, request: &Request<B>, status: &Status) {
+        if let Some(calls) = self.refused.count(self.clock.now()) {
+            let peer = permission::peer(request.extensions());
+            let (code, reason) = (status.code(), status.message());
+            tracing::warn!(calls, peer, ?code, reason, "calls have been refused; this is the last of them");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,130 @@
+//! Which roles may call what.
+
+use std::net::SocketAddr;
+
+use farm_proto::access::{CoordinatorAccess, Role};
+use http::header::AUTHORIZATION;
+use http::{Extensions, HeaderMap};
+use tonic::Status;
+use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
+
+/// Who makes a call, by its token.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Caller {
+    name: String,
+    role: Role,
+}
+
+impl Caller {
+    /// The token's name in the coordinator's access file.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub fn role(&self) -> Role {
+        self.role
+    }
+}
+
+/// Paths begin with these. The first that fits counts, and what fits none is for admins.
+const RULES: [(&str, Needed); 5] = [
+    ("/grpc.health.v1.Health/", Needed::Nothing),
+    ("/grpc.reflection.", Needed::Nothing),
+    ("/farm.v1.Leases/", Needed::OneOf(&[Role::Worker, Role::Admin])),
+    ("/farm.v1.Admin/", Needed::OneOf(&[Role::Admin])),
+    ("/farm.v1.", Needed::OneOf(&[Role::Client, Role::Admin])),
+];
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Needed {
+    Nothing,
+    OneOf(&'static [Role]),
+}
+
+fn needed(path: &str) -> Needed {
+    let rule = RULES.iter().find(|(prefix, _)| path.starts_with(prefix));
+    rule.map_or(Needed::OneOf(&[Role::Admin]), |&(_, needed)| needed)
+}
+
+/// Who the caller is, or why the call is refused. Calls that are open to all have no caller, whatever they carry.
+pub(super) fn admit(
+    access: &CoordinatorAccess,
+    path: &str,
+    headers: &HeaderMap,
+) -> Result<Option<Caller>, Status> {
+    let Needed::OneOf(roles) = needed(path) else { return Ok(None) };
+    let wanted = roles.iter().map(|role| role.as_str()).collect::<Vec<_>>().join(" or ");
+    let Some(token) = bearer_token(headers) else {
+        return Err(Status::unauthenticated(format!(
+            "this call needs the token of a {wanted}, and there is none: use an access file (--access FILE)"
+        )));
+    };
+    let Some((role, name)) = access.role_of(token) else {
+        return Err(Status::unauthenticated(format!(
+            "this call needs the token of a {wanted}, and this coordinator does not know the one given: \
+             ask for an access file that is valid"
+        )));
+    };
+    if !roles.contains(&role) {
+        return Err(Status::permission_denied(format!(
+            "this call needs the token of a {wanted}, and the one given ({name}) is of a {role}"
+        )));
+    }
+    Ok(Some(Caller { name: name.to_owned(), role }))
+}
+
+/// The token in `authorization: Bearer TOKEN`.
+fn bearer_token(headers: &HeaderMap) -> Option<&str> {
+    let (scheme, token) = headers.get(AUTHORIZATION)?.to_str().ok()?.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then_some(token.trim_start())
+}
+
+/// The other end of a call's connection, for the log.
+pub(super) fn peer(extensions: &Extensions) -> Option<String> {
+    let plain = extensions.get::<TcpConnectInfo>().map(TcpConnectInfo::remote_addr);
+    let encrypted =
+        || extensions.get::<TlsConnectInfo<TcpConnectInfo>>().map(|tls| tls.get_ref().remote_addr());
+    plain.or_else(encrypted).flatten().map(|address: SocketAddr| address.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_belong_to_their_roles_and_unknown_ones_to_admins() {
+        let cases: [(&str, &[Role]); 9] = [
+            ("/farm.v1.Leases/Acquire", &[Role::Worker, Role::Admin]),
+            ("/farm.v1.Admin/Drain", &[Role::Admin]),
+            ("/farm.v1.Fits/Fit", &[Role::Client, Role::Admin]),
+            ("/farm.v1.LeasesOfMine/X", &[Role::Client, Role::Admin]),
+            ("/farm.v2.Fits/Fit", &[Role::Admin]),
+            ("//farm.v1.Fits/Fit", &[Role::Admin]),
+            ("/grpc.health.v1.HealthX/Check", &[Role::Admin]),
+            ("/", &[Role::Admin]),
+            ("", &[Role::Admin]),
+        ];
+        for (path, roles) in cases {
+            assert_eq!(needed(path), Needed::OneOf(roles), "{path}");
+        }
+        for path in
+            ["/grpc.health.v1.Health/Watch", "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo"]
+        {
+            assert_eq!(needed(path), Needed::Nothing, "{path}");
+        }
+    }
+
+    #[test]
+    fn a_token_is_read_from_a_bearer_header_alone() {
+        let token = |value: &str| {
+            let headers = HeaderMap::from_iter([(AUTHORIZATION, value.parse().unwrap())]);
+            bearer_token(&headers).map(str::to_owned)
+        };
+        assert_eq!(token("Bearer abc").as_deref(), Some("abc"));
+        assert_eq!(token("bearer  abc").as_deref(), Some("abc"));
+        for value in ["abc", "Basic abc", "Bearer", ""] {
+            assert_eq!(token(value), None, "{value:?}");
+        }
+        assert_eq!(bearer_token(&HeaderMap::new()), None);
+    }
+}

@@ -1,0 +1,99 @@
+use std::convert::Infallible;
+use std::sync::Mutex;
+
+use http_body::Frame;
+use http_body_util::{BodyExt as _, StreamBody};
+
+use super::*;
+
+type Told = Arc<Mutex<Vec<(String, i32)>>>;
+
+fn gate<S>(service: S) -> (Gate<S>, Told) {
+    let told = Told::default();
+    let into = told.clone();
+    let layer =
+        GateLayer::new(None, move |method, code, _| into.lock().unwrap().push((method.to_owned(), code)));
+    (layer.layer(service), told)
+}
+
+fn request(path: &str) -> Request<Body> {
+    Request::builder().uri(path).header("authorization", "Bearer x").body(Body::empty()).unwrap()
+}
+
+/// A service that gives what it is asked for, and the extensions and headers of its request.
+fn answering(
+    make: impl Fn(&Request<Body>) -> Response<Body> + Clone,
+) -> impl Service<
+    Request<Body>,
+    Response = Response<Body>,
+    Error = Infallible,
+    Future = std::future::Ready<Result<Response<Body>, Infallible>>,
+> {
+    tower::service_fn(move |request: Request<Body>| std::future::ready(Ok(make(&request))))
+}
+
+/// A message, and trailers with a code if there is one.
+fn stream(code: Option<&'static str>) -> Response<Body> {
+    let message = Frame::data(bytes::Bytes::from_static(b"\0\0\0\0\0"));
+    let trailers = code.map(|code| {
+        Frame::trailers(http::HeaderMap::from_iter([(Status::GRPC_STATUS, code.parse().unwrap())]))
+    });
+    let frames = std::iter::once(message).chain(trailers).map(Ok::<_, Status>);
+    Response::new(Body::new(StreamBody::new(tokio_stream::iter(frames.collect::<Vec<_>>()))))
+}
+
+#[tokio::test]
+async fn a_stream_is_told_of_when_its_trailers_have_come() {
+    let (mut gate, told) = gate(answering(|_| stream(Some("5"))));
+    let response = gate.call(request("/farm.v1.Fits/Fit")).await.unwrap();
+    assert!(told.lock().unwrap().is_empty(), "the stream has not ended");
+    response.into_body().collect().await.unwrap();
+    assert_eq!(*told.lock().unwrap(), [("/farm.v1.Fits/Fit".to_owned(), 5)]);
+}
+
+#[tokio::test]
+async fn a_stream_that_is_let_go_of_is_cancelled_and_one_without_code_unknown() {
+    let (mut gate, told) = gate(answering(|_| stream(None)));
+    let mut body = gate.call(request("/a")).await.unwrap().into_body();
+    body.frame().await.unwrap().unwrap();
+    drop(body);
+    gate.call(request("/b")).await.unwrap().into_body().collect().await.unwrap();
+    assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1), ("/b".to_owned(), 2)]);
+}
+
+#[tokio::test]
+async fn a_call_that_is_let_go_of_before_its_answer_is_cancelled() {
+    let (mut gate, told) = gate(tower::service_fn(|_: Request<Body>| {
+        std::future::pending::<Result<Response<Body>, Infallible>>()
+    }));
+    drop(gate.call(request("/a")));
+    assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1)]);
+}
+
+#[tokio::test]
+async fn an_answer_without_body_is_told_of_by_its_header() {
+    let (mut gate, told) = gate(answering(|_| Status::not_found("no").into_http()));
+    drop(gate.call(request("/a")).await.unwrap());
+    assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 5)]);
+}
+
+#[tokio::test]
+async fn paths_where_nothing_is_are_told_of_together() {
+    let (mut gate, told) = gate(answering(|_| Status::unimplemented("no").into_http()));
+    drop(gate.call(request("/made/up")).await.unwrap());
+    assert_eq!(*told.lock().unwrap(), [(OTHER_METHOD.to_owned(), 12)]);
+}
+
+#[tokio::test]
+async fn handlers_see_the_request_id_and_not_the_token() {
+    let (mut gate, _) = gate(answering(|request| {
+        assert!(request.headers().get("authorization").is_none());
+        assert!(request.extensions().get::<Caller>().is_none(), "nobody is asked who he is");
+        assert_eq!(request.extensions().get::<RequestId>().unwrap().as_str(), "my-id");
+        stream(Some("0"))
+    }));
+    let mut request = request("/a");
+    request.headers_mut().insert("x-request-id", "my-id".parse().unwrap());
+    let response = gate.call(request).await.unwrap();
+    assert_eq!(response.headers().get("x-request-id").unwrap(), "my-id");
+}

@@ -1,0 +1,205 @@
+//! A connection that ends when its other end is silent for too long.
+
+use std::io::{self, IoSlice};
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::sync::OwnedSemaphorePermit;
+use tokio::time::{Instant, Sleep};
+use tonic::transport::server::Connected;
+
+/// Length of the greeting that begins every HTTP/2 connection. That of TLS is longer. A first byte alone would not do: it
+/// costs nothing to send.
+const GREETING_BYTES: usize = 24;
+
+/// A connection, its place among those allowed, and its deadline. Under TLS it is what TLS runs on.
+#[derive(Debug)]
+pub struct Guarded<IO> {
+    io: IO,
+    watch: Watch,
+    /// Given back when the connection is dropped.
+    _place: OwnedSemaphorePermit,
+}
+
+#[derive(Debug)]
+struct Watch {
+    /// When the other end was last heard of, or the start while its greeting is incomplete.
+    heard: Instant,
+    greeting_left: usize,
+    hello: Duration,
+    silence: Duration,
+    /// Wakes the reader. May be early, since it is set anew only when it has rung: reads are many, deadlines few.
+    alarm: Pin<Box<Sleep>>,
+}
+
+impl<IO> Guarded<IO> {
+    pub(super) fn new(io: IO, place: OwnedSemaphorePermit, hello: Duration, silence: Duration) -> Self {
+        let alarm = Box::pin(tokio::time::sleep(hello.min(silence)));
+        let heard = Instant::now();
+        let watch = Watch { heard, greeting_left: GREETING_BYTES, hello, silence, alarm };
+        Self { io, watch, _place: place }
+    }
+}
+
+impl Watch {
+    fn hear(&mut self, bytes: usize) {
+        self.greeting_left = self.greeting_left.saturating_sub(bytes);
+        if bytes > 0 && self.greeting_left == 0 {
+            self.heard = Instant::now();
+        }
+    }
+
+    /// Ready when the other end has been silent for too long.
+    fn poll_overdue(&mut self, cx: &mut Context<'_>) -> Poll<io::Error> {
+        let (limit, what) = match self.greeting_left {
+            0 => (self.silence, "the other end is silent"),
+            _ => (self.hello, "the other end does not begin"),
+        };
+        let deadline = self.heard + limit;
+        loop {
+            if Instant::now() >= deadline {
+                return Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, what));
+            }
+            ready!(self.alarm.as_mut().poll(cx));
+            self.alarm.as_mut().reset(deadline);
+        }
+    }
+}
+
+impl<IO: AsyncRead + Unpin> AsyncRead for Guarded<IO> {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let this = self.get_mut();
+        let before = buf.filled().len();
+        // What has come counts, even if it is fetched late: then it was this end that had no time.
+        match Pin::new(&mut this.io).poll_read(cx, buf) {
+            Poll::Ready(read) => {
+                this.watch.hear(buf.filled().len() - before);
+                Poll::Ready(read)
+            }
+            Poll::Pending => this.watch.poll_overdue(cx).map(Err),
+        }
+    }
+}
+
+impl<IO: AsyncWrite + Unpin> AsyncWrite for Guarded<IO> {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.get_mut().io).poll_write(cx, buf)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.get_mut().io).poll_flush(cx)
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.get_mut().io).poll_shutdown(cx)
+    }
+
+    fn poll_write_vectored(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bufs: &[IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.get_mut().io).poll_write_vectored(cx, bufs)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.io.is_write_vectored()
+    }
+}
+
+impl<IO: Connected> Connected for Guarded<IO> {
+    type ConnectInfo = IO::ConnectInfo;
+
+    fn connect_info(&self) -> Self::ConnectInfo {
+        self.io.connect_info()
+    }
+}
+
+#[cfg(test)]
+impl Guarded<tokio::net::TcpStream> {
+    pub(super) fn nodelay(&self) -> bool {
+        self.io.nodelay().unwrap()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, DuplexStream};
+    use tokio::sync::Semaphore;
+    use tokio::time::{advance, timeout};
+
+    use super::*;
+
+    const HELLO: Duration = Duration::from_secs(10);
+    const SILENCE: Duration = Duration::from_mins(1);
+
+    async fn pair() -> (Guarded<DuplexStream>, DuplexStream) {
+        let place = Arc::new(Semaphore::new(1)).acquire_owned().await.unwrap();
+        let (here, there) = tokio::io::duplex(1024);
+        (Guarded::new(here, place, HELLO, SILENCE), there)
+    }
+
+    /// How long it takes until a read fails, which it must by being overdue.
+    async fn overdue_after(guarded: &mut Guarded<DuplexStream>) -> Duration {
+        let start = Instant::now();
+        let error = loop {
+            match timeout(SILENCE * 2, guarded.read(&mut [0; 64])).await.expect("it ends") {
+                Ok(bytes) => assert!(bytes > 0),
+                Err(error) => break error,
+            }
+        };
+        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+        start.elapsed()
+    }
+
+    fn about(found: Duration, expected: Duration) {
+        assert!(found.abs_diff(expected) < Duration::from_millis(10), "{found:?} is not {expected:?}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn who_does_not_begin_is_overdue_after_the_hello_time() {
+        let (mut guarded, _there) = pair().await;
+        about(overdue_after(&mut guarded).await, HELLO);
+        about(overdue_after(&mut guarded).await, Duration::ZERO);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_beginning_that_trickles_gains_no_time() {
+        let (mut guarded, mut there) = pair().await;
+        let trickle = tokio::spawn(async move {
+            for _ in 1..GREETING_BYTES {
+                tokio::time::sleep(Duration::from_secs(1)).await;
+                let _ = there.write_all(b"P").await;
+            }
+            there
+        });
+        about(overdue_after(&mut guarded).await, HELLO);
+        drop(trickle.await);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn after_the_greeting_silence_counts_from_the_last_byte() {
+        let (mut guarded, mut there) = pair().await;
+        there.write_all(&[0; GREETING_BYTES]).await.unwrap();
+        guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();
+        for _ in 0..5 {
+            let quiet = timeout(SILENCE.mul_f64(0.9), guarded.read_u8()).await;
+            assert!(quiet.is_err(), "it is not overdue yet");
+            there.write_all(&[0]).await.unwrap();
+            guarded.read_u8().await.unwrap();
+        }
+        about(overdue_after(&mut guarded).await, SILENCE);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn bytes_that_wait_are_read_however_late() {
+        let (mut guarded, mut there) = pair().await;
+        there.write_all(&[7; GREETING_BYTES]).await.unwrap();
+        advance(SILENCE * 2).await;
+        assert_eq!(guarded.read_u8().await.unwrap(), 7);
+    }
+}

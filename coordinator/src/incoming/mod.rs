@@ -1,0 +1,157 @@
+//! Accepting connections, within bounds.
+//!
+//! Each connection holds memory and a file descriptor for as long as its other end likes. So there is a number of places;
+//! who comes when all are taken is sent away at once, and who takes one must show that he is alive.
+
+mod guarded;
+
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::time::Sleep;
+use tokio_stream::Stream;
+
+use crate::clock::Clock;
+use crate::muffle::Muffle;
+
+pub use guarded::Guarded;
+
+/// After an error that others will follow, as when there are no file descriptors left: time for some to be freed.
+const PAUSE: Duration = Duration::from_millis(100);
+/// Connections sent away, and errors, are told of in the log at most this often.
+const TELL: Duration = Duration::from_secs(10);
+
+/// What connections may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// How many there may be at a time, at least 1.
+    pub connections: usize,
+    /// Longest time until a connection has sent its greeting.
+    pub hello: Duration,
+    /// Longest silence after that. The server's HTTP/2 pings, which every live peer answers, must come more often.
+    pub silence: Duration,
+}
+
+impl Limits {
+    pub fn new(connections: usize) -> Self {
+        Self { connections, hello: Duration::from_secs(10), silence: Duration::from_mins(1) }
+    }
+}
+
+/// How many connections there are and were sent away; for metrics.
+#[derive(Debug, Clone)]
+pub struct Connections {
+    counts: Arc<Counts>,
+}
+
+#[derive(Debug)]
+struct Counts {
+    most: usize,
+    places: Arc<Semaphore>,
+    refused: AtomicU64,
+}
+
+impl Connections {
+    pub fn open(&self) -> usize {
+        self.counts.most - self.counts.places.available_permits()
+    }
+
+    /// Connections sent away since the start because all places were taken.
+    pub fn refused(&self) -> u64 {
+        self.counts.refused.load(Ordering::Relaxed)
+    }
+}
+
+/// The stream of connections, for `serve_with_incoming_shutdown`. It never ends and never fails.
+#[derive(Debug)]
+pub struct Incoming {
+    listener: TcpListener,
+    limits: Limits,
+    counts: Arc<Counts>,
+    pause: Option<Pin<Box<Sleep>>>,
+    clock: Clock,
+    refusals: Muffle,
+    errors: Muffle,
+}
+
+impl Incoming {
+    pub fn new(listener: TcpListener, limits: Limits) -> Self {
+        let most = limits.connections.clamp(1, Semaphore::MAX_PERMITS);
+        let places = Arc::new(Semaphore::new(most));
+        let counts = Arc::new(Counts { most, places, refused: AtomicU64::new(0) });
+        Self {
+            listener,
+            limits,
+            counts,
+            pause: None,
+            clock: Clock::start(),
+            refusals: Muffle::new(TELL),
+            errors: Muffle::new(TELL),
+        }
+    }
+
+    pub fn connections(&self) -> Connections {
+        Connections { counts: self.counts.clone() }
+    }
+
+    /// A place for the connection; if there is none, it is closed. Left to the system's queue it would wait without knowing
+    /// for what, and those behind it too.
+    fn admit(&self, stream: TcpStream, peer: std::net::SocketAddr) -> Option<Guarded<TcpStream>> {
+        let Ok(place) = self.counts.places.clone().try_acquire_owned() else {
+            self.counts.refused.fetch_add(1, Ordering::Relaxed);
+            if let Some(connections) = self.refusals.count(self.clock.now()) {
+                let limit = self.counts.most;
+                tracing::warn!(connections, limit, %peer, "connections have been refused: there are too many");
+            }
+            return None;
+        };
+        if let Err(error) = stream.set_nodelay(true) {
+            // It has most likely gone already, which its first read will tell.
+            tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
+        }
+        Some(Guarded::new(stream, place, self.limits.hello, self.limits.silence))
+    }
+
+    fn failed(&mut self, error: &io::Error) {
+        use io::ErrorKind::{ConnectionAborted, ConnectionReset, Interrupted};
+        // These concern one connection, which has gone before it was accepted.
+        if matches!(error.kind(), ConnectionAborted | ConnectionReset | Interrupted) {
+            return;
+        }
+        if let Some(times) = self.errors.count(self.clock.now()) {
+            tracing::error!(%error, times, "accepting connections fails; it is tried again");
+        }
+        self.pause = Some(Box::pin(tokio::time::sleep(PAUSE)));
+    }
+}
+
+impl Stream for Incoming {
+    type Item = io::Result<Guarded<TcpStream>>;
+
+    fn poll_next(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let this = self.get_mut();
+        loop {
+            if let Some(pause) = &mut this.pause {
+                ready!(pause.as_mut().poll(cx));
+                this.pause = None;
+            }
+            match ready!(this.listener.poll_accept(cx)) {
+                Ok((stream, peer)) => {
+                    if let Some(connection) = this.admit(stream, peer) {
+                        return Poll::Ready(Some(Ok(connection)));
+                    }
+                }
+                Err(error) => this.failed(&error),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,102 @@
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::time::timeout;
+use tokio_stream::StreamExt as _;
+use tonic::transport::server::Connected as _;
+
+use super::*;
+
+const SOON: Duration = Duration::from_secs(5);
+
+async fn listen(connections: usize) -> (Incoming, std::net::SocketAddr) {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    (Incoming::new(listener, Limits::new(connections)), address)
+}
+
+async fn next(incoming: &mut Incoming) -> Guarded<TcpStream> {
+    timeout(SOON, incoming.next()).await.unwrap().unwrap().unwrap()
+}
+
+/// Whether the other end has closed the connection.
+async fn is_closed(stream: &mut TcpStream) -> bool {
+    matches!(timeout(SOON, stream.read(&mut [0])).await, Ok(Ok(0) | Err(_)))
+}
+
+#[tokio::test]
+async fn one_too_many_is_closed_and_the_others_go_on() {
+    let (mut incoming, address) = listen(2).await;
+    let connections = incoming.connections();
+    let mut clients =
+        [TcpStream::connect(address).await.unwrap(), TcpStream::connect(address).await.unwrap()];
+    let mut places = vec![next(&mut incoming).await, next(&mut incoming).await];
+    assert_eq!((connections.open(), connections.refused()), (2, 0));
+
+    let waiting = tokio::spawn(async move { (next(&mut incoming).await, incoming) });
+    for refused in 1..=3 {
+        assert!(is_closed(&mut TcpStream::connect(address).await.unwrap()).await);
+        assert_eq!((connections.open(), connections.refused()), (2, refused));
+    }
+    clients[0].write_all(b"still here").await.unwrap();
+    let mut heard = [0; 10];
+    places[0].read_exact(&mut heard).await.unwrap();
+    assert_eq!(&heard, b"still here");
+
+    places.pop();
+    assert_eq!(connections.open(), 1);
+    let _another = TcpStream::connect(address).await.unwrap();
+    let (_place, _incoming) = timeout(SOON, waiting).await.unwrap().unwrap();
+    assert_eq!((connections.open(), connections.refused()), (2, 3));
+}
+
+#[tokio::test]
+async fn connections_know_their_ends_and_do_not_delay() {
+    let (mut incoming, address) = listen(1).await;
+    let client = TcpStream::connect(address).await.unwrap();
+    let connection = next(&mut incoming).await;
+    assert_eq!(connection.connect_info().remote_addr(), client.local_addr().ok());
+    assert!(connection.nodelay());
+}
+
+#[tokio::test(start_paused = true)]
+async fn errors_of_the_listener_make_a_pause_and_no_end() {
+    let (mut incoming, address) = listen(1).await;
+    // EMFILE: the process has no file descriptors left.
+    incoming.failed(&io::Error::from_raw_os_error(24));
+    assert!(incoming.pause.is_some());
+    incoming.pause = None;
+    incoming.failed(&io::ErrorKind::ConnectionAborted.into());
+    assert!(incoming.pause.is_none(), "the next connection has nothing to do with it");
+    incoming.failed(&io::Error::from_raw_os_error(24));
+    let start = tokio::time::Instant::now();
+    let _client = TcpStream::connect(address).await.unwrap();
+    next(&mut incoming).await;
+    assert!(start.elapsed() >= PAUSE);
+}
+
+/// Runs the next test in a process of its own, since it takes all file descriptors that there are.
+#[test]
+fn without_file_descriptors_connections_wait_until_there_are_some() {
+    let script = "ulimit -n 64 && exec \"$0\" --exact incoming::tests::descriptors_run_out --ignored";
+    let this = std::env::current_exe().unwrap();
+    let output = std::process::Command::new("sh").arg("-c").arg(script).arg(this).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && told.contains("1 passed"), "{told}");
+}
+
+#[tokio::test]
+#[ignore = "takes all file descriptors: another test runs it in a process of its own"]
+async fn descriptors_run_out() {
+    let (mut incoming, address) = listen(8).await;
+    let mut clients = vec![];
+    for _ in 0..3 {
+        clients.push(TcpStream::connect(address).await.unwrap());
+    }
+    let taken: Vec<_> = std::iter::from_fn(|| std::fs::File::open("/dev/null").ok()).collect();
+    assert!(taken.len() > 3, "the limit is reached with {}", taken.len());
+    assert!(timeout(PAUSE * 5, incoming.next()).await.is_err(), "there is no descriptor for a connection");
+    assert!(incoming.pause.is_some());
+    drop(taken);
+    for _ in &clients {
+        next(&mut incoming).await;
+    }
+}

@@ -1,0 +1,49 @@
+//! Warnings that outsiders can cause at will, and that must not fill the log.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+/// Counts events, and says now and then that it is time to tell how many there were.
+#[derive(Debug)]
+pub(crate) struct Muffle {
+    every: Duration,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    told_at: Option<Duration>,
+    untold: u64,
+}
+
+impl Muffle {
+    pub(crate) fn new(every: Duration) -> Self {
+        Self { every, state: Mutex::default() }
+    }
+
+    /// Counts an event at the time `now`. Returns the number since the last telling, if that is long enough ago.
+    pub(crate) fn count(&self, now: Duration) -> Option<u64> {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.untold += 1;
+        if state.told_at.is_some_and(|told_at| now.saturating_sub(told_at) < self.every) {
+            return None;
+        }
+        state.told_at = Some(now);
+        Some(std::mem::take(&mut state.untold))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_is_told_at_once_and_the_others_are_told_together() {
+        let muffle = Muffle::new(Duration::from_secs(10));
+        let at = |seconds| muffle.count(Duration::from_secs(seconds));
+        assert_eq!(
+            [at(5), at(5), at(14), at(15), at(16), at(99)],
+            [Some(1), None, None, Some(3), None, Some(2)]
+        );
+    }
+}

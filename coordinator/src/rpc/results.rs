@@ -1,0 +1,194 @@
+//! Results as they come in: headers, records and sums of one stream, checked piece by piece.
+
+use std::time::Duration;
+
+use farm_proto::ids::WorkerId;
+use farm_proto::job::{JobSpec, LeaseKey};
+use farm_proto::profile::RecordShape;
+use farm_proto::sums::Sums;
+use farm_proto::wire::complete_request::Content;
+use farm_proto::wire::{CompleteRequest, CompletionKind, CompletionOutcome, ResultHeader};
+use farm_proto::{Digest, Invalid, Record, RequestLimits};
+use tonic::{Code, Status, Streaming};
+
+use super::Context;
+use super::leases::identity;
+use super::status::required;
+use crate::dispatch::Admission;
+use crate::farm::{Outcome, Received};
+
+/// How long a client may take for the next piece of a result.
+const PATIENCE: Duration = Duration::from_mins(1);
+
+/// Receives all results of a stream, storing each while the next comes in; what became of them, in their order.
+pub(super) async fn receive(
+    context: &Context,
+    mut stream: Streaming<CompleteRequest>,
+) -> Result<Vec<CompletionOutcome>, Status> {
+    let mut tasks = Vec::new();
+    let mut next = next(&mut stream).await?;
+    if next.is_none() {
+        return Err(Invalid::new("content", "nothing", "a header comes first").to_status());
+    }
+    while let Some(content) = next.take() {
+        let Content::Header(header) = content else {
+            return Err(Invalid::new("content", "no header", "a header comes before each result").to_status());
+        };
+        if tasks.len() == RequestLimits::LEASES as usize {
+            let allowed = format!("at most {} in one call are allowed", RequestLimits::LEASES);
+            return Err(Invalid::new("results", tasks.len() + 1, allowed).to_status());
+        }
+        let key = LeaseKey::from(required("key", header.key.clone())?);
+        let worker = WorkerId(header.worker_id.clone());
+        match admit(context, &header, &worker, &key) {
+            Ok(admission) => {
+                let room = context.limits.room(bytes_of(admission.job())).await?;
+                let received;
+                (received, next) = content_of(&mut stream, admission.job()).await?;
+                let farm = context.farm.clone();
+                tasks.push(Task::Storing(tokio::spawn(async move {
+                    let _room = room;
+                    farm.complete(worker, key, admission, received).await
+                })));
+            }
+            // Only this one is not wanted; the others of the stream are.
+            Err(status) if status.code() == Code::FailedPrecondition || status.code() == Code::NotFound => {
+                tasks.push(Task::Refused(status.message().to_owned()));
+                next = skip(&mut stream).await?;
+            }
+            Err(status) => return Err(status),
+        }
+    }
+    let mut outcomes = Vec::with_capacity(tasks.len());
+    for task in tasks {
+        outcomes.push(task.outcome().await?);
+    }
+    Ok(outcomes)
+}
+
+enum Task {
+    Storing(tokio::task::JoinHandle<Result<Outcome, crate::farm::FarmError>>),
+    Refused(String),
+}
+
+impl Task {
+    async fn outcome(self) -> Result<CompletionOutcome, Status> {
+        let (kind, message) = match self {
+            Self::Refused(message) => (CompletionKind::Refused, message),
+            Self::Storing(task) => {
+                let stored = task.await.map_err(|_| Status::internal("storing a result failed"))?;
+                match stored? {
+                    Outcome::Stored => (CompletionKind::Stored, String::new()),
+                    Outcome::Duplicate => (CompletionKind::Duplicate, String::new()),
+                    Outcome::Conflict => {
+                        let message = "other records than these are stored: this worker or an earlier one \
+                                       computes wrongly";
+                        (CompletionKind::Conflict, message.to_owned())
+                    }
+                }
+            }
+        };
+        Ok(CompletionOutcome { kind: kind.into(), message })
+    }
+}
+
+fn admit(
+    context: &Context,
+    header: &ResultHeader,
+    worker: &WorkerId,
+    key: &LeaseKey,
+) -> Result<Admission, Status> {
+    let identity: Digest = identity(&header.identity)?;
+    Ok(context.farm.admit(worker, key, identity)?)
+}
+
+async fn next(stream: &mut Streaming<CompleteRequest>) -> Result<Option<Content>, Status> {
+    let message = tokio::time::timeout(PATIENCE, stream.message()).await;
+    let message =
+        message.map_err(|_| Status::deadline_exceeded("the next piece of the result did not come"))??;
+    message.map(|m| required("content", m.content)).transpose()
+}
+
+/// Bytes that a job's result takes.
+fn bytes_of(job: &JobSpec) -> usize {
+    match job.block() {
+        Some(_) => Sums::bytes(job),
+        None => job.albedo().len() * RecordShape::of_job(job).bytes(),
+    }
+}
+
+/// The content of one result, and what comes after it.
+async fn content_of(
+    stream: &mut Streaming<CompleteRequest>,
+    job: &JobSpec,
+) -> Result<(Received, Option<Content>), Status> {
+    if job.block().is_some() { sums(stream, job).await } else { records(stream, job).await }
+}
+
+/// All records of a job, in order, none too many and none of another shape.
+async fn records(
+    stream: &mut Streaming<CompleteRequest>,
+    job: &JobSpec,
+) -> Result<(Received, Option<Content>), Status> {
+    let (shape, first, count) = (RecordShape::of_job(job), job.first_record(), job.albedo().len());
+    let mut records = Vec::with_capacity(count);
+    let after = loop {
+        let record = match next(stream).await? {
+            Some(Content::Record(record)) => Record::try_from(record)?,
+            Some(Content::Sums(_)) => {
+                let allowed = "the job is not divided: records are wanted";
+                return Err(Invalid::new("content", "sums", allowed).to_status());
+            }
+            after => break after,
+        };
+        let expected = first + records.len();
+        if records.len() == count || record.index != expected {
+            let allowed = format!("records {first} to {} are wanted, in order", first + count - 1);
+            return Err(Invalid::new("record.index", record.index, allowed).to_status());
+        }
+        shape.check(&record)?;
+        records.push(record);
+    };
+    if records.len() < count {
+        let allowed = format!("{count} are needed");
+        return Err(Invalid::new("records", records.len(), allowed).to_status());
+    }
+    Ok((Received::Records(records), after))
+}
+
+/// The sums of a block, in pieces.
+async fn sums(
+    stream: &mut Streaming<CompleteRequest>,
+    job: &JobSpec,
+) -> Result<(Received, Option<Content>), Status> {
+    let wanted = Sums::bytes(job);
+    let mut bytes = Vec::with_capacity(wanted);
+    let after = loop {
+        let piece = match next(stream).await? {
+            Some(Content::Sums(piece)) => piece,
+            Some(Content::Record(_)) => {
+                let allowed = "the job is divided: sums are wanted";
+                return Err(Invalid::new("content", "a record", allowed).to_status());
+            }
+            after => break after,
+        };
+        if bytes.len() + piece.len() > wanted {
+            let given = format!("more than {wanted} bytes");
+            return Err(Invalid::new("sums", given, format!("{wanted} are needed")).to_status());
+        }
+        bytes.extend_from_slice(&piece);
+    };
+    // Refused here rather than when they are merged.
+    Sums::from_le_bytes(job, 1, &bytes)?;
+    Ok((Received::Sums(bytes), after))
+}
+
+/// Passes over the content of a result that is not wanted.
+async fn skip(stream: &mut Streaming<CompleteRequest>) -> Result<Option<Content>, Status> {
+    loop {
+        match next(stream).await? {
+            Some(Content::Record(_) | Content::Sums(_)) => {}
+            after => return Ok(after),
+        }
+    }
+}

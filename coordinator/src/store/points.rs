@@ -1,0 +1,253 @@
+//! Tables `points` and `records`: what was computed, whoever asked for it.
+
+use std::collections::HashMap;
+use std::ops::Range;
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::profile::RecordShape;
+use farm_proto::{Digest, Grid, Profile, Record};
+use sqlx::SqliteConnection;
+
+use super::{Result, Store, StoreError, codec, doing, jobs};
+
+/// Identities that one query looks up.
+const LOOKUP: usize = 500;
+
+/// A job's records as they were read, with the digest that they had when they were stored.
+#[derive(Debug)]
+pub struct StoredJob {
+    pub job: u32,
+    pub records: Vec<Record>,
+    pub digest: Digest,
+}
+
+impl StoredJob {
+    /// Why the records are not those that were stored.
+    pub fn damage(&self, albedos: usize) -> Option<String> {
+        if self.records.len() != albedos {
+            return Some(format!("{} records of {albedos} are there", self.records.len()));
+        }
+        let found = Digest::of_records(&self.records);
+        (found != self.digest).then(|| "its records differ from what was stored".to_owned())
+    }
+}
+
+#[derive(sqlx::FromRow)]
+struct RecordRow {
+    id: i64,
+    job: i64,
+    records_digest: Vec<u8>,
+    albedo: f64,
+    profiles: Vec<u8>,
+}
+
+/// Row of a point, made if need be.
+pub(super) async fn point(connection: &mut SqliteConnection, identity: Digest) -> Result<i64> {
+    let what = "storing a point";
+    let found: Option<(i64,)> = sqlx::query_as("SELECT id FROM points WHERE identity = ?")
+        .bind(&identity.as_bytes()[..])
+        .fetch_optional(&mut *connection)
+        .await
+        .map_err(doing(what))?;
+    if let Some((id,)) = found {
+        return Ok(id);
+    }
+    let inserted = sqlx::query("INSERT INTO points (identity) VALUES (?)")
+        .bind(&identity.as_bytes()[..])
+        .execute(&mut *connection)
+        .await
+        .map_err(doing(what))?;
+    Ok(inserted.last_insert_rowid())
+}
+
+pub(super) async fn contribute(connection: &mut SqliteConnection, point: i64, worker: i64) -> Result<()> {
+    sqlx::query("INSERT OR IGNORE INTO contributions (point_id, worker_id) VALUES (?, ?)")
+        .bind(point)
+        .bind(worker)
+        .execute(connection)
+        .await
+        .map_err(doing("storing who computed a point"))?;
+    Ok(())
+}
+
+/// Stores the records of a point; those that are there stay, and are equal.
+pub(super) async fn insert_records(
+    connection: &mut SqliteConnection,
+    point: i64,
+    albedo: &[f64],
+    records: &[Record],
+) -> Result<()> {
+    for (record, albedo) in records.iter().zip(albedo) {
+        sqlx::query("INSERT OR IGNORE INTO records (point_id, albedo, profiles) VALUES (?, ?, ?)")
+            .bind(point)
+            .bind(albedo)
+            .bind(codec::encode(record))
+            .execute(&mut *connection)
+            .await
+            .map_err(doing("storing a record"))?;
+    }
+    Ok(())
+}
+
+impl Store {
+    /// The finished jobs of a dictionary among a range of jobs, with their records in the order of their numbers.
+    pub async fn jobs_with_records(
+        &self,
+        dictionary: DictionaryId,
+        grid: &Grid,
+        range: Range<usize>,
+    ) -> Result<Vec<StoredJob>> {
+        let rows: Vec<RecordRow> = sqlx::query_as(
+            "SELECT records.id, job, records_digest, albedo, profiles \
+             FROM jobs JOIN records ON records.point_id = jobs.point_id \
+             WHERE dictionary_id = ? AND job >= ? AND job < ? AND records_digest IS NOT NULL ORDER BY job, albedo",
+        )
+        .bind(dictionary.0)
+        .bind(range.start as i64)
+        .bind(range.end as i64)
+        .fetch_all(&self.read)
+        .await
+        .map_err(doing("reading records"))?;
+        let shape = RecordShape::of(grid);
+        let mut found: Vec<StoredJob> = Vec::new();
+        for row in rows {
+            let digest = jobs::decode_digest(row.job, &row.records_digest)?;
+            if found.last().is_none_or(|last| i64::from(last.job) != row.job) {
+                found.push(StoredJob { job: row.job as u32, records: Vec::new(), digest });
+            }
+            // The point may hold more albedos than this dictionary asks for.
+            let Some(place) = grid.albedo().iter().position(|a| *a == row.albedo) else { continue };
+            let index = grid.first_record(row.job as usize) + place;
+            let last = found.last_mut().expect("one was just pushed");
+            last.records.push(Record { index, profiles: profiles(&row, shape)? });
+        }
+        Ok(found)
+    }
+
+    /// Points that the store has, by their identities.
+    pub(super) async fn points_of(&self, identities: &[Digest]) -> Result<HashMap<Digest, i64>> {
+        let mut found = HashMap::new();
+        for some in identities.chunks(LOOKUP) {
+            let marks = vec!["?"; some.len()].join(",");
+            let query = format!("SELECT identity, id FROM points WHERE identity IN ({marks})");
+            let mut query = sqlx::query_as::<_, (Vec<u8>, i64)>(sqlx::AssertSqlSafe(query));
+            for identity in some {
+                query = query.bind(&identity.as_bytes()[..]);
+            }
+            let rows = query.fetch_all(&self.read).await.map_err(doing("looking for points"))?;
+            for (identity, id) in rows {
+                if let Ok(bytes) = <[u8; 32]>::try_from(&identity[..]) {
+                    found.insert(Digest::from_bytes(bytes), id);
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    /// Ends those jobs of a new dictionary whose records are there already. `identities` are those of its jobs, in
+    /// their order. Returns the number of jobs.
+    pub async fn reuse(&self, dictionary: DictionaryId, grid: &Grid, identities: &[Digest]) -> Result<usize> {
+        let points = self.points_of(identities).await?;
+        let mut reused = Vec::new();
+        for (job, identity) in identities.iter().enumerate() {
+            let Some(point) = points.get(identity) else { continue };
+            if let Some(records) = self.records_of_point(*point, grid, job).await? {
+                reused.push((job, *point, Digest::of_records(&records)));
+            }
+        }
+        let mut tx = self.begin().await?;
+        for (job, point, digest) in &reused {
+            sqlx::query(
+                "INSERT INTO jobs (dictionary_id, job, point_id, walks, records_digest, reused) \
+                 VALUES (?, ?, ?, ?, ?, 1)",
+            )
+            .bind(dictionary.0)
+            .bind(*job as i64)
+            .bind(point)
+            .bind(grid.walks().get() as i64)
+            .bind(&digest.as_bytes()[..])
+            .execute(&mut *tx)
+            .await
+            .map_err(doing("storing a job that needs no computing"))?;
+        }
+        tx.commit().await.map_err(doing("storing jobs that need no computing"))?;
+        Ok(reused.len())
+    }
+
+    /// All records that a job asks for, if the point has them.
+    async fn records_of_point(&self, point: i64, grid: &Grid, job: usize) -> Result<Option<Vec<Record>>> {
+        let rows: Vec<(i64, f64, Vec<u8>)> =
+            sqlx::query_as("SELECT id, albedo, profiles FROM records WHERE point_id = ? ORDER BY albedo")
+                .bind(point)
+                .fetch_all(&self.read)
+                .await
+                .map_err(doing("reading the records of a point"))?;
+        let shape = RecordShape::of(grid);
+        let mut records = Vec::new();
+        for (albedo, index) in grid.albedo().iter().zip(grid.first_record(job)..) {
+            let Some((id, _, bytes)) = rows.iter().find(|row| row.1 == *albedo) else { return Ok(None) };
+            // What cannot be read is computed again.
+            let Ok(profiles) = codec::decode(bytes, shape) else {
+                tracing::warn!(record = id, "a stored record is damaged: it is not used again");
+                return Ok(None);
+            };
+            records.push(Record { index, profiles });
+        }
+        Ok(Some(records))
+    }
+
+    /// Forgets the records of a job, in all dictionaries that share them: the jobs to be computed again.
+    pub async fn forget_job(&self, dictionary: DictionaryId, job: u32) -> Result<Vec<(DictionaryId, u32)>> {
+        let mut tx = self.begin().await?;
+        let points =
+            "SELECT point_id FROM jobs WHERE dictionary_id = ?1 AND job = ?2 AND point_id IS NOT NULL";
+        let forgotten = forget_points(&mut tx, points, [dictionary.0, i64::from(job)]).await?;
+        tx.commit().await.map_err(doing("forgetting a job's records"))?;
+        Ok(forgotten)
+    }
+}
+
+/// Deletes all that belongs to the points that a query finds, and the jobs that they ended.
+pub(super) async fn forget_points<const N: usize>(
+    tx: &mut SqliteConnection,
+    points: &str,
+    parameters: [i64; N],
+) -> Result<Vec<(DictionaryId, u32)>> {
+    let what = "forgetting records";
+    let query = |text: String| {
+        let mut query = sqlx::query(sqlx::AssertSqlSafe(text));
+        for parameter in parameters {
+            query = query.bind(parameter);
+        }
+        query
+    };
+    query("CREATE TEMP TABLE IF NOT EXISTS forgotten (point_id INTEGER PRIMARY KEY)".to_owned())
+        .execute(&mut *tx)
+        .await
+        .map_err(doing(what))?;
+    sqlx::query("DELETE FROM forgotten").execute(&mut *tx).await.map_err(doing(what))?;
+    query(format!("INSERT INTO forgotten {points}")).execute(&mut *tx).await.map_err(doing(what))?;
+    let jobs: Vec<(i64, i64)> =
+        sqlx::query_as("DELETE FROM jobs WHERE point_id IN forgotten RETURNING dictionary_id, job")
+            .fetch_all(&mut *tx)
+            .await
+            .map_err(doing(what))?;
+    for delete in [
+        "DELETE FROM records WHERE point_id IN forgotten",
+        "DELETE FROM sums WHERE point_id IN forgotten",
+        "DELETE FROM contributions WHERE point_id IN forgotten",
+        "DELETE FROM points WHERE id IN forgotten",
+    ] {
+        sqlx::query(delete).execute(&mut *tx).await.map_err(doing(what))?;
+    }
+    Ok(jobs.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect())
+}
+
+fn profiles(row: &RecordRow, shape: RecordShape) -> Result<Vec<Profile>> {
+    codec::decode(&row.profiles, shape).map_err(|why| StoreError::Corrupt {
+        table: "records",
+        row: row.id,
+        column: "profiles",
+        why,
+    })
+}

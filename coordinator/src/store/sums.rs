@@ -1,0 +1,117 @@
+//! Table `sums`: blocks of divided jobs, merged in their order as they come in.
+
+use farm_proto::Digest;
+use farm_proto::job::JobSpec;
+use farm_proto::sums::Sums;
+use sqlx::SqliteConnection;
+
+use super::{Result, Store, StoreError, doing};
+
+/// Adds a block's sums. When all blocks are there, returns their total and forgets them.
+///
+/// Blocks that follow each other from the first on are merged into one row at once, so that a job of many blocks
+/// takes little room; since they are always added from left to right the total has the same bits in whatever order they
+/// came in.
+pub(super) async fn add(
+    tx: &mut SqliteConnection,
+    point: i64,
+    job: &JobSpec,
+    block: u32,
+    bytes: &[u8],
+) -> Result<Option<Sums>> {
+    let blocks = job.walks().blocks();
+    let (mut merged, mut total) = match merged(tx, point).await? {
+        Some((merged, bytes)) => (merged, Some(decode(job, batches_before(job, merged), point, &bytes)?)),
+        None => (0, None),
+    };
+    if block < merged {
+        return Ok(None);
+    }
+    if block > merged {
+        insert(tx, point, i64::from(block), bytes).await?;
+        return Ok(None);
+    }
+    let mut next = Some(bytes.to_vec());
+    while let Some(bytes) = next {
+        let sums = decode(job, job.walks().batches_of_block(merged), point, &bytes)?;
+        total.get_or_insert_with(|| Sums::new(job)).merge(&sums);
+        merged += 1;
+        next = take(tx, point, i64::from(merged)).await?;
+    }
+    sqlx::query("DELETE FROM sums WHERE point_id = ? AND block < 0")
+        .bind(point)
+        .execute(&mut *tx)
+        .await
+        .map_err(doing("merging sums"))?;
+    if merged == blocks {
+        return Ok(total);
+    }
+    if let Some(total) = total {
+        insert(tx, point, -1 - i64::from(merged), &total.to_le_bytes()).await?;
+    }
+    Ok(None)
+}
+
+/// Batches of the first blocks.
+fn batches_before(job: &JobSpec, blocks: u32) -> u64 {
+    (0..blocks).map(|block| job.walks().batches_of_block(block)).sum()
+}
+
+fn decode(job: &JobSpec, batches: u64, point: i64, bytes: &[u8]) -> Result<Sums> {
+    Sums::from_le_bytes(job, batches, bytes).map_err(|error| StoreError::Corrupt {
+        table: "sums",
+        row: point,
+        column: "sums",
+        why: error.to_string(),
+    })
+}
+
+/// How many blocks are merged, and their sums.
+async fn merged(tx: &mut SqliteConnection, point: i64) -> Result<Option<(u32, Vec<u8>)>> {
+    let row: Option<(i64, Vec<u8>)> =
+        sqlx::query_as("SELECT block, sums FROM sums WHERE point_id = ? AND block < 0")
+            .bind(point)
+            .fetch_optional(tx)
+            .await
+            .map_err(doing("reading merged sums"))?;
+    Ok(row.map(|(block, sums)| ((-1 - block) as u32, sums)))
+}
+
+async fn take(tx: &mut SqliteConnection, point: i64, block: i64) -> Result<Option<Vec<u8>>> {
+    let row: Option<(Vec<u8>,)> =
+        sqlx::query_as("DELETE FROM sums WHERE point_id = ? AND block = ? RETURNING sums")
+            .bind(point)
+            .bind(block)
+            .fetch_optional(tx)
+            .await
+            .map_err(doing("taking a block's sums"))?;
+    Ok(row.map(|row| row.0))
+}
+
+async fn insert(tx: &mut SqliteConnection, point: i64, block: i64, bytes: &[u8]) -> Result<()> {
+    sqlx::query("INSERT OR REPLACE INTO sums (point_id, block, sums) VALUES (?, ?, ?)")
+        .bind(point)
+        .bind(block)
+        .bind(bytes)
+        .execute(tx)
+        .await
+        .map_err(doing("storing a block's sums"))?;
+    Ok(())
+}
+
+impl Store {
+    /// Blocks of a divided job that are stored.
+    pub async fn stored_blocks(&self, identity: Digest) -> Result<Vec<u32>> {
+        let rows: Vec<(i64,)> = sqlx::query_as(
+            "SELECT block FROM sums JOIN points ON points.id = point_id WHERE identity = ? ORDER BY block",
+        )
+        .bind(&identity.as_bytes()[..])
+        .fetch_all(&self.read)
+        .await
+        .map_err(doing("looking for blocks"))?;
+        let blocks = rows.into_iter().flat_map(|(block,)| {
+            if block < 0 { 0..(-1 - block) as u32 } else { block as u32..block as u32 + 1 }
+        });
+        Ok(blocks.collect())
+    }
+}

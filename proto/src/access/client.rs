@@ -1,0 +1,213 @@
+//! The access file of a worker, a client or an admin.
+
+use std::path::{Path, PathBuf};
+
+use secrecy::{ExposeSecret as _, SecretString};
+use serde::Deserialize;
+use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
+
+use super::error::{AccessError, root_cause};
+use super::target::{Bearer, checked_endpoint};
+use super::{HANDSHAKE, Role, TOKEN_BYTES, file, pem};
+
+/// How to reach a coordinator, how to know it, and the token to show it.
+///
+/// ```toml
+/// role = "worker"                      # or "client", "admin"
+/// server = "https://farm.example.org:7700"
+/// token = "…"
+/// ca_certificate = '''-----BEGIN CERTIFICATE----- …'''
+/// # Only if the coordinator asks for certificates (mutual TLS):
+/// certificate = '''-----BEGIN CERTIFICATE----- …'''
+/// key = '''-----BEGIN PRIVATE KEY----- …'''
+/// # Only if the coordinator's certificate has another name than the URL:
+/// server_name = "farm.example.org"
+/// ```
+#[derive(Debug, Clone)]
+pub struct ClientAccess {
+    path: PathBuf,
+    content: Content,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Content {
+    role: Role,
+    server: String,
+    ca_certificate: String,
+    token: SecretString,
+    certificate: Option<String>,
+    key: Option<SecretString>,
+    server_name: Option<String>,
+}
+
+impl ClientAccess {
+    /// Reads and checks a file; what it says is known to be usable afterwards.
+    pub fn read(path: &Path) -> Result<Self, AccessError> {
+        let content: Content = file::read_secret(path, "the file of a worker, a client or an admin")?;
+        let access = Self { path: path.to_owned(), content };
+        access.check_fields()?;
+        access.endpoint(None)?;
+        Ok(access)
+    }
+
+    pub fn role(&self) -> Role {
+        self.content.role
+    }
+
+    /// The coordinator's URL.
+    pub fn server(&self) -> &str {
+        &self.content.server
+    }
+
+    /// Adds the token to calls.
+    pub fn bearer(&self) -> Bearer {
+        Bearer::of(self.content.token.expose_secret())
+    }
+
+    /// The coordinator, or the one at `override_url`, with encryption. A URL without is taken on loopback only, since the
+    /// token would be there for all to read.
+    pub fn endpoint(&self, override_url: Option<&str>) -> Result<Endpoint, AccessError> {
+        let url = override_url.unwrap_or(&self.content.server);
+        let (endpoint, place) = checked_endpoint(url)?;
+        if place.encrypted {
+            return endpoint.tls_config(self.tls()).map_err(|error| self.unusable(&error));
+        }
+        if place.loopback {
+            return Ok(endpoint);
+        }
+        let problem =
+            "is not encrypted, so that the token could be read on the way: it must begin with https://";
+        Err(AccessError::Url { url: url.to_owned(), problem: problem.to_owned() })
+    }
+
+    fn tls(&self) -> ClientTlsConfig {
+        let authority = Certificate::from_pem(&self.content.ca_certificate);
+        let mut tls = ClientTlsConfig::new().ca_certificate(authority).timeout(HANDSHAKE);
+        if let (Some(certificate), Some(key)) = (&self.content.certificate, &self.content.key) {
+            tls = tls.identity(Identity::from_pem(certificate, key.expose_secret()));
+        }
+        match &self.content.server_name {
+            Some(name) => tls.domain_name(name),
+            None => tls,
+        }
+    }
+
+    fn check_fields(&self) -> Result<(), AccessError> {
+        let content = &self.content;
+        let wrong = |field, problem| self.wrong(field, problem);
+        pem::check_certificates(&content.ca_certificate).map_err(|p| wrong("ca_certificate", p))?;
+        check_token(content.token.expose_secret()).map_err(|p| wrong("token", p))?;
+        match (&content.certificate, &content.key) {
+            (Some(certificate), Some(key)) => {
+                pem::check_certificates(certificate).map_err(|p| wrong("certificate", p))?;
+                pem::check_key(key.expose_secret()).map_err(|p| wrong("key", p))
+            }
+            (Some(_), None) => Err(wrong("key", "is missing: a certificate needs its key".to_owned())),
+            (None, Some(_)) => {
+                Err(wrong("certificate", "is missing: a key needs its certificate".to_owned()))
+            }
+            (None, None) => Ok(()),
+        }
+    }
+
+    fn wrong(&self, field: &str, problem: String) -> AccessError {
+        AccessError::Field { path: self.path.clone(), field: field.to_owned(), problem }
+    }
+
+    fn unusable(&self, error: &tonic::transport::Error) -> AccessError {
+        let problem = format!("certificate, key and server_name cannot be used: {}", root_cause(error));
+        AccessError::Content { path: self.path.clone(), problem }
+    }
+}
+
+/// Says what is allowed, and not what was given.
+fn check_token(token: &str) -> Result<(), String> {
+    if TOKEN_BYTES.contains(&token.len()) && token.bytes().all(|b| b.is_ascii_graphic()) {
+        return Ok(());
+    }
+    let (least, most) = (TOKEN_BYTES.start(), TOKEN_BYTES.end());
+    Err(format!("must be {least} to {most} visible ASCII characters without spaces"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{TOKEN, ca, certificate, key, private_file};
+    use super::*;
+
+    fn content(more: &str) -> String {
+        format!(
+            "role = \"worker\"\nserver = \"https://farm.example.org:7700\"\ntoken = \"{TOKEN}\"\nca_certificate = '''\n{}'''\n{more}",
+            ca()
+        )
+    }
+
+    fn read(text: &str) -> Result<ClientAccess, String> {
+        let file = private_file(text);
+        ClientAccess::read(file.path()).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_whole_file_is_read_and_its_secrets_are_not_shown() {
+        let identity = format!("certificate = '''\n{}'''\nkey = '''\n{}'''\n", certificate(), key());
+        let access = read(&content(&identity)).unwrap();
+        assert_eq!((access.role(), access.server()), (Role::Worker, "https://farm.example.org:7700"));
+        let shown = format!("{access:?} {:?}", access.bearer());
+        assert!(!shown.contains(TOKEN) && !shown.contains("PRIVATE KEY"), "{shown}");
+    }
+
+    #[test]
+    fn errors_name_the_file_the_line_and_the_field_but_no_secret() {
+        let file = private_file(&content("colour = \"red\"\n"));
+        let error = ClientAccess::read(file.path()).unwrap_err().to_string();
+        assert!(error.contains(&file.path().display().to_string()), "{error}");
+        let line = content("").lines().count() + 1;
+        assert!(error.contains(&format!("line {line}: unknown field `colour`")), "{error}");
+
+        let cases = [
+            (content("").replace("token =", "tokn ="), "unknown field `tokn`"),
+            (content("").replace("token = ", "token : "), "line 3"),
+            (content("").replace("\"worker\"", "\"boss\""), "expected one of `worker`, `client`, `admin`"),
+            (content("").replace("https://farm", "farm"), "must begin with https:// or http://"),
+            (content("").replace("https:", "http:"), "must begin with https://"),
+            (content("").replace("BEGIN CERT", "BEGIN CART"), "ca_certificate must hold a certificate"),
+            (content(&format!("key = '''\n{}'''\n", key())), "certificate is missing"),
+            (content(&format!("certificate = '''\n{}'''\n", ca())), "key is missing"),
+            (content(&format!("certificate = '''\n{}'''\nkey = \"{TOKEN}\"\n", ca())), "key must hold"),
+            (
+                content(&format!("certificate = '''\n{}'''\nkey = '''\n{}'''\n", ca(), key())),
+                "cannot be used",
+            ),
+            (content("server_name = \"a b\"\n"), "server_name cannot be used"),
+        ];
+        for (text, expected) in cases {
+            let error = read(&text).unwrap_err();
+            assert!(error.contains(expected), "{expected:?} is not in {error:?}");
+            assert!(!error.contains(TOKEN), "{error}");
+        }
+    }
+
+    #[test]
+    fn short_tokens_and_those_that_fit_in_no_header_are_refused() {
+        for token in
+            ["short".to_owned(), format!("{TOKEN} {TOKEN}"), TOKEN.replace('0', "é"), "x".repeat(513)]
+        {
+            let error = read(&content("").replace(TOKEN, &token)).unwrap_err();
+            assert!(error.contains("token must be 32 to 512"), "{error}");
+            assert!(!error.contains(&token), "{error}");
+        }
+    }
+
+    #[test]
+    fn another_url_must_be_encrypted_too_unless_it_is_loopback() {
+        let access = read(&content("")).unwrap();
+        assert!(access.endpoint(Some("https://10.0.0.1:7700")).is_ok());
+        for url in ["http://127.0.0.1:7700", "http://localhost:7700", "http://[::1]:7700"] {
+            assert!(access.endpoint(Some(url)).is_ok(), "{url}");
+        }
+        for url in ["http://10.0.0.1:7700", "http://localhost.example.org", "http://[::2]:7700"] {
+            let error = access.endpoint(Some(url)).unwrap_err().to_string();
+            assert!(error.contains(url) && error.contains("not encrypted"), "{error}");
+        }
+    }
+}

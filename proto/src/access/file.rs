@@ -1,0 +1,45 @@
+//! Reading a secret file in TOML.
+
+use std::fs::File;
+use std::io::{self, Read as _};
+use std::os::unix::fs::MetadataExt as _;
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+
+use super::error::AccessError;
+
+/// Nobody's certificates are longer.
+const LONGEST_BYTES: u64 = 1 << 20;
+
+/// The permissions of everybody who is neither the owner nor of the group. The group may read, since that is how
+/// Kubernetes mounts a secret for a user that is not root.
+const OTHERS: u32 = 0o007;
+
+/// Reads a file that only its owner and group can open. `expected` says whose it should be.
+pub(super) fn read_secret<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T, AccessError> {
+    let failed = |source| AccessError::Read { path: path.to_owned(), source };
+    let file = File::open(path).map_err(failed)?;
+    let metadata = file.metadata().map_err(failed)?;
+    if !metadata.is_file() {
+        return Err(failed(io::Error::other("it is not a regular file")));
+    }
+    if metadata.mode() & OTHERS != 0 {
+        return Err(AccessError::TooOpen { path: path.to_owned(), mode: metadata.mode() & 0o7777 });
+    }
+    if metadata.len() > LONGEST_BYTES {
+        return Err(failed(io::Error::other(format!("it is longer than {LONGEST_BYTES} bytes"))));
+    }
+    let mut text = String::new();
+    file.take(LONGEST_BYTES).read_to_string(&mut text).map_err(failed)?;
+    toml::from_str(&text).map_err(|error| AccessError::Content {
+        path: path.to_owned(),
+        problem: format!("{}{} (this should be {expected})", place(&text, &error), error.message()),
+    })
+}
+
+/// The line of an error. What stands there is not shown, as the parser would by itself: it may be a secret.
+fn place(text: &str, error: &toml::de::Error) -> String {
+    let before = error.span().and_then(|span| text.get(..span.start));
+    before.map_or_else(String::new, |before| format!("line {}: ", before.matches('\n').count() + 1))
+}

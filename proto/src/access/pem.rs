@@ -1,0 +1,24 @@
+//! Certificates and keys as text.
+
+use rustls_pki_types::pem::PemObject as _;
+use rustls_pki_types::{CertificateDer, PrivateKeyDer};
+
+/// What is wrong with a text that should hold certificates; to be said after the field's name.
+pub(super) fn check_certificates(pem: &str) -> Result<(), String> {
+    let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem.as_bytes()).collect();
+    match certificates {
+        Ok(list) if !list.is_empty() => Ok(()),
+        // The parser's own words show bytes of the text.
+        _ => Err("must hold a certificate in PEM: -----BEGIN CERTIFICATE----- …".to_owned()),
+    }
+}
+
+/// What is wrong with a text that should hold a private key. Does not show it.
+pub(super) fn check_key(pem: &str) -> Result<(), String> {
+    match PrivateKeyDer::from_pem_slice(pem.as_bytes()) {
+        Ok(_) => Ok(()),
+        Err(_) => {
+            Err("must hold an unencrypted private key in PEM: -----BEGIN PRIVATE KEY----- …".to_owned())
+        }
+    }
+}

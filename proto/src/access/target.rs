@@ -1,0 +1,177 @@
+//! Where to connect to, and what to show there; with an access file or without.
+
+use std::net::IpAddr;
+use std::time::Duration;
+
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Request, Status};
+
+use super::client::ClientAccess;
+use super::error::{AccessError, root_cause};
+
+const CONNECT: Duration = Duration::from_secs(10);
+/// HTTP/2 pings find links that were cut without a word.
+const KEEPALIVE: Duration = Duration::from_secs(20);
+
+/// A connection on which every call carries the token, if there is one.
+pub type Link = InterceptedService<Channel, Bearer>;
+
+/// A coordinator that can be connected to.
+#[derive(Debug, Clone)]
+pub struct Target {
+    endpoint: Endpoint,
+    bearer: Bearer,
+    url: String,
+}
+
+impl Target {
+    /// The coordinator of an access file, or at a URL, or both: then the URL counts, and the file says how to know the
+    /// coordinator there. A bare URL is never encrypted, for there is nothing to know the other side by.
+    pub fn new(access: Option<&ClientAccess>, url: Option<&str>) -> Result<Self, AccessError> {
+        let (endpoint, bearer) = match (access, url) {
+            (Some(access), url) => (access.endpoint(url)?, access.bearer()),
+            (None, Some(url)) => (bare_endpoint(url)?, Bearer::default()),
+            (None, None) => return Err(AccessError::NoServer),
+        };
+        let url = url.or(access.map(ClientAccess::server)).unwrap_or_default().to_owned();
+        Ok(Self { endpoint, bearer, url })
+    }
+
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// Connects now.
+    pub async fn connect(&self) -> Result<Link, tonic::transport::Error> {
+        Ok(InterceptedService::new(self.endpoint.connect().await?, self.bearer.clone()))
+    }
+
+    /// Connects at the first call. Must be called within a tokio runtime.
+    pub fn connect_lazy(&self) -> Link {
+        InterceptedService::new(self.endpoint.connect_lazy(), self.bearer.clone())
+    }
+}
+
+/// Adds `authorization: Bearer TOKEN` to every call; without a token, nothing.
+#[derive(Debug, Clone, Default)]
+pub struct Bearer {
+    header: Option<MetadataValue<Ascii>>,
+}
+
+impl Bearer {
+    /// A token that has been checked to consist of visible characters.
+    pub(super) fn of(token: &str) -> Self {
+        let mut header: Option<MetadataValue<Ascii>> = format!("Bearer {token}").parse().ok();
+        if let Some(header) = &mut header {
+            // Keeps it out of logs, and out of HTTP/2's tables of headers that were sent before.
+            header.set_sensitive(true);
+        }
+        Self { header }
+    }
+}
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        if let Some(header) = &self.header {
+            request.metadata_mut().insert("authorization", header.clone());
+        }
+        Ok(request)
+    }
+}
+
+/// What matters of a URL.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place {
+    pub(super) encrypted: bool,
+    pub(super) loopback: bool,
+}
+
+/// The endpoint at a URL, with everything but encryption.
+pub(super) fn checked_endpoint(url: &str) -> Result<(Endpoint, Place), AccessError> {
+    let wrong = |problem: String| AccessError::Url { url: url.to_owned(), problem };
+    // Other schemes, such as `unix:`, mean something to the transport but not to the farm.
+    if !["http://", "https://"].iter().any(|scheme| url.starts_with(scheme)) {
+        return Err(wrong(
+            "must begin with https:// or http://, as in https://farm.example.org:7700".to_owned(),
+        ));
+    }
+    let endpoint = Endpoint::from_shared(url.to_owned())
+        .map_err(|error| wrong(format!("is not valid: {}", root_cause(&error))))?;
+    let uri = endpoint.uri();
+    let Some(host) = uri.host().filter(|host| !host.is_empty()) else {
+        return Err(wrong("names no host".to_owned()));
+    };
+    if !matches!(uri.path(), "" | "/") || uri.query().is_some() {
+        return Err(wrong("must end after host and port".to_owned()));
+    }
+    let place = Place { encrypted: url.starts_with("https://"), loopback: is_loopback(host) };
+    let endpoint = endpoint
+        .connect_timeout(CONNECT)
+        .http2_keep_alive_interval(KEEPALIVE)
+        .keep_alive_timeout(KEEPALIVE)
+        .tcp_nodelay(true);
+    Ok((endpoint, place))
+}
+
+fn bare_endpoint(url: &str) -> Result<Endpoint, AccessError> {
+    let (endpoint, place) = checked_endpoint(url)?;
+    if place.encrypted {
+        let problem = "is encrypted, which needs an access file (--access FILE or FARM_ACCESS): it holds the \
+                       certificate to know the coordinator by, and a token";
+        return Err(AccessError::Url { url: url.to_owned(), problem: problem.to_owned() });
+    }
+    Ok(endpoint)
+}
+
+fn is_loopback(host: &str) -> bool {
+    let address = host.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
+    host.eq_ignore_ascii_case("localhost") || address.is_ok_and(|ip| ip.to_canonical().is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bare_url_is_taken_without_encryption_only() {
+        let target = Target::new(None, Some("http://10.0.0.1:7700")).unwrap();
+        assert_eq!(target.url(), "http://10.0.0.1:7700");
+        let error = Target::new(None, Some("https://10.0.0.1:7700")).unwrap_err().to_string();
+        assert!(error.contains("needs an access file"), "{error}");
+        let error = Target::new(None, None).unwrap_err().to_string();
+        assert!(error.contains("no server is named"), "{error}");
+    }
+
+    #[test]
+    fn what_is_no_url_of_a_coordinator_is_refused() {
+        for url in
+            ["", "farm:7700", "unix:/tmp/farm", "ftp://farm", "http://", "http://farm/path", "http://a b"]
+        {
+            let error = Target::new(None, Some(url)).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("server URL {url:?} ")), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_bearer_adds_a_sensitive_header_or_none() {
+        let request = Bearer::of("0123456789").call(Request::new(())).unwrap();
+        let header = request.metadata().get("authorization").unwrap();
+        assert_eq!(header.to_str().unwrap(), "Bearer 0123456789");
+        assert!(header.is_sensitive());
+        assert!(!format!("{:?}", Bearer::of("0123456789")).contains("0123"));
+        assert!(Bearer::default().call(Request::new(())).unwrap().metadata().is_empty());
+    }
+
+    #[test]
+    fn loopback_is_known_by_name_and_by_number() {
+        for host in ["localhost", "LOCALHOST", "127.0.0.1", "127.8.9.1", "[::1]", "[::ffff:127.0.0.1]"] {
+            assert!(is_loopback(host), "{host}");
+        }
+        for host in ["localhost.org", "128.0.0.1", "[::]", "0.0.0.0", "127.0.0.1.org"] {
+            assert!(!is_loopback(host), "{host}");
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! Certificates and files for the tests of this module.
+
+use std::io::Write as _;
+use std::sync::LazyLock;
+
+use rcgen::{CertificateParams, KeyPair};
+
+pub(super) const TOKEN: &str = "0123456789abcdef0123456789abcdef";
+
+struct Pair {
+    certificate: String,
+    key: String,
+}
+
+fn pair() -> Pair {
+    let key = KeyPair::generate().unwrap();
+    let params = CertificateParams::new(["localhost".to_owned()]).unwrap();
+    Pair { certificate: params.self_signed(&key).unwrap().pem(), key: key.serialize_pem() }
+}
+
+static AUTHORITY: LazyLock<Pair> = LazyLock::new(pair);
+static MEMBER: LazyLock<Pair> = LazyLock::new(pair);
+
+/// A certificate whose key nobody has here.
+pub(super) fn ca() -> &'static str {
+    &AUTHORITY.certificate
+}
+
+pub(super) fn certificate() -> &'static str {
+    &MEMBER.certificate
+}
+
+/// The key of [`certificate`].
+pub(super) fn key() -> &'static str {
+    &MEMBER.key
+}
+
+/// A file that only its owner can open.
+pub(super) fn private_file(text: &str) -> tempfile::NamedTempFile {
+    let mut file = tempfile::NamedTempFile::new().unwrap();
+    file.write_all(text.as_bytes()).unwrap();
+    file
+}

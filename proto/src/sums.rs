@@ -1,0 +1,118 @@
+//! Sums over batches of walks: what tallies add up to, and what records are made of.
+
+use crate::grid::BATCH_WALKS;
+use crate::invalid::{Invalid, Result};
+use crate::job::JobSpec;
+use crate::profile::{Derivatives, Estimate, Profile, Record};
+
+/// Sums of a profile's numbers over batches, and of their squares: `[pixel][channel][quantity][albedo]`.
+///
+/// Addition of floating-point numbers depends on the order, so sums are merged in the order of their batches,
+/// wherever they were computed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sums {
+    pub sums: Vec<f64>,
+    pub squares: Vec<f64>,
+    batches: u64,
+}
+
+impl Sums {
+    /// Sums over no batch.
+    pub fn new(job: &JobSpec) -> Self {
+        let len = Self::len(job);
+        Self { sums: vec![0.0; len], squares: vec![0.0; len], batches: 0 }
+    }
+
+    fn len(job: &JobSpec) -> usize {
+        let scene = job.scene();
+        scene.sensor().pixels() * scene.channels().len() * quantities(job) * job.albedo().len()
+    }
+
+    /// Bytes that a job's sums take, in memory and on the wire.
+    pub fn bytes(job: &JobSpec) -> usize {
+        2 * Self::len(job) * size_of::<f64>()
+    }
+
+    /// Counts one more batch, whose numbers have been added.
+    pub fn batch_added(&mut self) {
+        self.batches += 1;
+    }
+
+    /// Adds the batches that follow these.
+    ///
+    /// # Panics
+    /// If they belong to a job of another shape.
+    pub fn merge(&mut self, next: &Self) {
+        assert_eq!(self.sums.len(), next.sums.len(), "sums of one shape are merged");
+        for (a, b) in self.sums.iter_mut().zip(&next.sums) {
+            *a += b;
+        }
+        for (a, b) in self.squares.iter_mut().zip(&next.squares) {
+            *a += b;
+        }
+        self.batches += next.batches;
+    }
+
+    /// Sums, then squares: 64-bit floats, little endian.
+    pub fn to_le_bytes(&self) -> Vec<u8> {
+        self.sums.iter().chain(&self.squares).flat_map(|v| v.to_le_bytes()).collect()
+    }
+
+    /// The sums of a job over a number of batches, as [`Self::to_le_bytes`] wrote them.
+    pub fn from_le_bytes(job: &JobSpec, batches: u64, bytes: &[u8]) -> Result<Self> {
+        if bytes.len() != Self::bytes(job) {
+            let allowed = format!("{} are needed", Self::bytes(job));
+            return Err(Invalid::new("sums", format_args!("{} bytes", bytes.len()), allowed));
+        }
+        let number = |b: &[u8]| f64::from_le_bytes(b.try_into().expect("8 bytes"));
+        let mut sums: Vec<f64> = bytes.chunks_exact(8).map(number).collect();
+        if let Some(i) = sums.iter().position(|v| !v.is_finite()) {
+            return Err(Invalid::new(format!("sums[{i}]"), sums[i], "numbers must be finite"));
+        }
+        let squares = sums.split_off(sums.len() / 2);
+        Ok(Self { sums, squares, batches })
+    }
+
+    /// Mean and standard error per pixel, one record per albedo.
+    ///
+    /// The mean over n batches is Σb / n; its standard error √((Σb² − (Σb)²/n) / (n (n − 1))).
+    pub fn into_records(self, job: &JobSpec) -> Vec<Record> {
+        let scene = job.scene();
+        let (pixels, channels, albedos) =
+            (scene.sensor().pixels(), scene.channels().len(), job.albedo().len());
+        let quantities = quantities(job);
+        let row = channels * quantities * albedos;
+        let batches = self.batches as f64;
+        let scale = 1.0 / (BATCH_WALKS as f64 * scene.light().measure());
+        let estimate = |channel: usize, quantity: usize, albedo: usize| {
+            let column = (channel * quantities + quantity) * albedos + albedo;
+            let (values, std_errors) = (0..pixels)
+                .map(|pixel| {
+                    let (sum, square) = (self.sums[pixel * row + column], self.squares[pixel * row + column]);
+                    let mean = sum / batches;
+                    let variance = ((square - sum * mean) / (batches - 1.0)).max(0.0);
+                    ((mean * scale) as f32, ((variance / batches).sqrt() * scale) as f32)
+                })
+                .unzip();
+            Estimate::new(values, std_errors).expect("sums of finite numbers are finite")
+        };
+        let profile = |channel: usize, albedo: usize| Profile {
+            radiance_factor: estimate(channel, 0, albedo),
+            derivatives: job.derivatives().then(|| Derivatives {
+                albedo: estimate(channel, 1, albedo),
+                sigma_t: estimate(channel, 2, albedo),
+            }),
+        };
+        (0..albedos)
+            .map(|albedo| Record {
+                index: job.first_record() + albedo,
+                profiles: (0..channels).map(|channel| profile(channel, albedo)).collect(),
+            })
+            .collect()
+    }
+}
+
+/// Quantities estimated per albedo: the radiance factor, and ∂/∂α and ∂/∂σ_t if asked for.
+pub fn quantities(job: &JobSpec) -> usize {
+    if job.derivatives() { 3 } else { 1 }
+}

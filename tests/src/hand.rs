@@ -1,0 +1,93 @@
+//! A worker by hand, which does what a test wants.
+
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Result;
+use farm_proto::job::{JobSpec, Lease};
+use farm_proto::wire::complete_request::Content;
+use farm_proto::wire::leases_client::LeasesClient;
+use farm_proto::wire::{
+    AcquireRequest, CompleteRequest, CompletionKind, CompletionOutcome, HeldLease, RegisterRequest,
+    RenewRequest, ResultHeader,
+};
+use farm_proto::{Grid, PHYSICS_VERSION, Record, wire};
+use farm_worker::tracer::trace;
+use tonic::Status;
+use tonic::transport::Channel;
+
+/// The records of a job of a grid, as the tracer makes them.
+pub fn traced(grid: &Grid, job: usize) -> Vec<Record> {
+    trace(&JobSpec::of(grid, job), &AtomicBool::new(false)).unwrap()
+}
+
+pub fn on_wire(records: &[Record]) -> Vec<wire::Record> {
+    records.iter().cloned().map(Into::into).collect()
+}
+
+/// The same records but for one number.
+pub fn falsified(records: &[Record]) -> Vec<wire::Record> {
+    let mut records = on_wire(records);
+    records[0].profiles[0].radiance_factor.as_mut().unwrap().values[0] += 1.0;
+    records
+}
+
+#[derive(Debug, Clone)]
+pub struct HandWorker {
+    client: LeasesClient<Channel>,
+    pub id: String,
+}
+
+impl HandWorker {
+    /// Registers; the label is also the instance.
+    pub async fn register(link: Channel, label: &str) -> Result<Self, Status> {
+        let mut client = LeasesClient::new(link).max_decoding_message_size(16 << 20);
+        let request = RegisterRequest {
+            label: label.to_owned(),
+            threads: 1,
+            physics_version: PHYSICS_VERSION,
+            instance: label.to_owned(),
+            version: "by hand".to_owned(),
+        };
+        let id = client.register(request).await?.into_inner().worker_id;
+        Ok(Self { client, id })
+    }
+
+    pub async fn acquire(&mut self, max_leases: u32) -> Result<Vec<Lease>, Status> {
+        let request = AcquireRequest { worker_id: self.id.clone(), max_leases, wait_ms: 0 };
+        let leases = self.client.acquire(request).await?.into_inner().leases;
+        Ok(leases.into_iter().map(Lease::try_from).collect::<Result<_, _>>()?)
+    }
+
+    /// Whether the lease is still held.
+    pub async fn renew(&mut self, lease: &Lease, running: bool) -> Result<bool, Status> {
+        let identity = lease.job.identity().as_bytes().to_vec();
+        let held = HeldLease { key: Some(lease.key.into()), running, identity };
+        let request = RenewRequest { worker_id: self.id.clone(), leases: vec![held] };
+        Ok(self.client.renew(request).await?.into_inner().lost.is_empty())
+    }
+
+    /// The messages that deliver a result.
+    pub fn parts(&self, lease: &Lease, records: Vec<wire::Record>) -> Vec<CompleteRequest> {
+        let header = ResultHeader {
+            worker_id: self.id.clone(),
+            key: Some(lease.key.into()),
+            identity: lease.job.identity().as_bytes().to_vec(),
+        };
+        let contents =
+            std::iter::once(Content::Header(header)).chain(records.into_iter().map(Content::Record));
+        contents.map(|content| CompleteRequest { content: Some(content) }).collect()
+    }
+
+    pub async fn complete(
+        &mut self,
+        lease: &Lease,
+        records: Vec<wire::Record>,
+    ) -> Result<CompletionKind, Status> {
+        let outcomes = self.deliver(self.parts(lease, records)).await?;
+        Ok(outcomes[0].kind())
+    }
+
+    pub async fn deliver(&mut self, parts: Vec<CompleteRequest>) -> Result<Vec<CompletionOutcome>, Status> {
+        Ok(self.client.complete(tokio_stream::iter(parts)).await?.into_inner().outcomes)
+    }
+}

@@ -1,0 +1,255 @@
+//! A server with the farm's gate and connections, real access files, and services that only say who called them.
+
+use std::convert::Infallible;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::pin::Pin;
+use std::sync::{Arc, Mutex};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use bytes::Bytes;
+use farm_coordinator::gate::{Caller, GateLayer, RequestId};
+use farm_coordinator::incoming::{Connections, Incoming, Limits};
+use farm_proto::access::{ClientAccess, CoordinatorAccess, Link, Role, Target};
+use http_body_util::BodyExt as _;
+use http_body_util::Full;
+use tokio::net::TcpListener;
+use tokio_util::sync::{CancellationToken, DropGuard};
+use tonic::body::Body;
+use tonic::client::GrpcService;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Server};
+use tonic::{Code, Request, Response, Status};
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_client::HealthClient;
+
+/// How often the server pings.
+pub const PING: Duration = Duration::from_millis(300);
+
+/// How a farm lets people in.
+#[derive(Debug, Clone, Copy)]
+pub enum Access {
+    Open,
+    Tokens,
+    Mutual,
+}
+
+pub struct Farm {
+    pub address: SocketAddr,
+    pub connections: Connections,
+    observed: Arc<Mutex<Vec<(String, i32)>>>,
+    dir: tempfile::TempDir,
+    encrypted: bool,
+    _stop: DropGuard,
+}
+
+impl Farm {
+    pub async fn start(access: Access) -> Self {
+        Self::start_with(access, Limits::new(64)).await
+    }
+
+    pub async fn start_with(access: Access, limits: Limits) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let coordinator = coordinator_access(access, &dir.path().join("access"), address.port());
+        let observed = Arc::new(Mutex::new(vec![]));
+        let into = observed.clone();
+        let gate = GateLayer::new(coordinator.clone(), move |method, code, took| {
+            assert!(took < Duration::from_mins(1));
+            into.lock().unwrap().push((method.to_owned(), code));
+        });
+        let incoming = Incoming::new(listener, limits);
+        let connections = incoming.connections();
+        let mut server = Server::builder().http2_keepalive_interval(Some(PING)).layer(gate);
+        if let Some(coordinator) = coordinator {
+            server = server.tls_config(coordinator.server_tls()).unwrap();
+        }
+        let stop = CancellationToken::new();
+        let router = server
+            .add_service(tonic_health::server::health_reporter().1)
+            .add_service(WhoCalled::<0>)
+            .add_service(WhoCalled::<1>)
+            .add_service(WhoCalled::<2>);
+        tokio::spawn(router.serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned()));
+        let encrypted = !matches!(access, Access::Open);
+        Self { address, connections, observed, dir, encrypted, _stop: stop.drop_guard() }
+    }
+
+    pub fn url(&self) -> String {
+        format!("https://localhost:{}", self.address.port())
+    }
+
+    pub fn file(&self, role: Role) -> PathBuf {
+        self.dir.path().join("access").join(format!("{role}.toml"))
+    }
+
+    pub fn target(&self, role: Role) -> Target {
+        Target::new(Some(&ClientAccess::read(&self.file(role)).unwrap()), None).unwrap()
+    }
+
+    /// As with an access file of another content.
+    pub fn target_of_text(&self, text: &str) -> Target {
+        let file = tempfile::NamedTempFile::new_in(self.dir.path()).unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        Target::new(Some(&ClientAccess::read(file.path()).unwrap()), None).unwrap()
+    }
+
+    pub async fn any_link(&self) -> Link {
+        let target = if self.encrypted {
+            self.target(Role::Client)
+        } else {
+            Target::new(None, Some(&format!("http://{}", self.address))).unwrap()
+        };
+        target.connect().await.unwrap()
+    }
+
+    pub async fn tls_channel_without_token(&self) -> Channel {
+        let text = std::fs::read_to_string(self.file(Role::Client)).unwrap();
+        let authority = &text[text.find("-----BEGIN").unwrap()..];
+        let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(authority));
+        Endpoint::from_shared(self.url()).unwrap().tls_config(tls).unwrap().connect().await.unwrap()
+    }
+
+    pub async fn wait_for_open(&self, connections: usize) {
+        wait(|| self.connections.open() == connections).await;
+    }
+
+    /// What the observer has been told, once it is of so many calls.
+    pub async fn observed(&self, calls: usize) -> Vec<(String, i32)> {
+        wait(|| self.observed.lock().unwrap().len() >= calls).await;
+        self.observed.lock().unwrap().clone()
+    }
+}
+
+fn coordinator_access(access: Access, dir: &Path, port: u16) -> Option<Arc<CoordinatorAccess>> {
+    let mutual = match access {
+        Access::Open => return None,
+        Access::Tokens => false,
+        Access::Mutual => true,
+    };
+    let hosts = ["localhost", "farm.example.org"].map(str::to_owned);
+    let created = farmctl::access_files::create(dir, &hosts, port, mutual, now_unix_s()).unwrap();
+    Some(Arc::new(CoordinatorAccess::read(&created.coordinator).unwrap()))
+}
+
+fn now_unix_s() -> i64 {
+    farm_coordinator::clock::Clock::unix_ms() as i64 / 1000
+}
+
+async fn wait(until: impl Fn() -> bool) {
+    let waited = async {
+        while !until() {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    tokio::time::timeout(super::SOON, waited).await.expect("it happens in time");
+}
+
+pub async fn call<S>(service: &S, path: &'static str) -> Result<Response<()>, Status>
+where
+    S: GrpcService<Body> + Clone,
+    S::ResponseBody: http_body::Body<Data = Bytes, Error: Into<tonic::codegen::StdError>> + Send + 'static,
+{
+    call_with(service, path, Request::new(())).await
+}
+
+/// A unary call of messages without content.
+pub async fn call_with<S>(
+    service: &S,
+    path: &'static str,
+    request: Request<()>,
+) -> Result<Response<()>, Status>
+where
+    S: GrpcService<Body> + Clone,
+    S::ResponseBody: http_body::Body<Data = Bytes, Error: Into<tonic::codegen::StdError>> + Send + 'static,
+{
+    let mut client = tonic::client::Grpc::new(service.clone());
+    client.ready().await.map_err(|error| Status::unavailable(format!("{:?}", error.into())))?;
+    let codec = tonic_prost::ProstCodec::<(), ()>::default();
+    client.unary(request, http::uri::PathAndQuery::from_static(path), codec).await
+}
+
+/// Connects and calls; where it fails, with all that is known of it, since peers are refused at either.
+pub async fn try_call(target: &Target, path: &'static str) -> Result<(), String> {
+    let link = target.connect().await.map_err(|error| format!("{error:?}"))?;
+    call(&link, path).await.map(drop).map_err(|status| format!("{status:?}"))
+}
+
+pub async fn health<S>(service: S) -> Result<(), Status>
+where
+    S: GrpcService<Body>,
+    S::ResponseBody:
+        http_body::Body<Data = Bytes, Error: Into<tonic::codegen::StdError> + Send> + Send + 'static,
+{
+    HealthClient::new(service).check(HealthCheckRequest::default()).await.map(drop)
+}
+
+/// What is logged in this thread.
+#[derive(Debug, Clone, Default)]
+pub struct Log {
+    bytes: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Log {
+    pub fn subscribe(&self) -> tracing::subscriber::DefaultGuard {
+        let log = self.clone();
+        let subscriber = tracing_subscriber::fmt()
+            .with_max_level(tracing::Level::TRACE)
+            .with_ansi(false)
+            .with_writer(move || log.clone());
+        tracing::subscriber::set_default(subscriber.finish())
+    }
+
+    pub fn text(&self) -> String {
+        String::from_utf8(self.bytes.lock().unwrap().clone()).unwrap()
+    }
+}
+
+impl std::io::Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.bytes.lock().unwrap().write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+const SERVICES: [&str; 3] = ["farm.v1.Leases", "farm.v1.Fits", "farm.v1.Admin"];
+
+/// Answers every method with who called it. `Slow` takes for ever.
+#[derive(Debug, Clone)]
+struct WhoCalled<const SERVICE: usize>;
+
+impl<const SERVICE: usize> tonic::server::NamedService for WhoCalled<SERVICE> {
+    const NAME: &'static str = SERVICES[SERVICE];
+}
+
+impl<const SERVICE: usize> tower::Service<http::Request<Body>> for WhoCalled<SERVICE> {
+    type Response = http::Response<Body>;
+    type Error = Infallible;
+    type Future = Pin<Box<dyn Future<Output = Result<http::Response<Body>, Infallible>> + Send>>;
+
+    fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn call(&mut self, request: http::Request<Body>) -> Self::Future {
+        Box::pin(async move {
+            if request.uri().path().ends_with("/Slow") {
+                std::future::pending::<()>().await;
+            }
+            tracing::info!("handling");
+            assert!(request.extensions().get::<RequestId>().is_some());
+            let caller = request.extensions().get::<Caller>();
+            let name = caller.map_or("nobody".to_owned(), |c| format!("{} {}", c.name(), c.role()));
+            let trailers = http::HeaderMap::from_iter([(Status::GRPC_STATUS, (Code::Ok as i32).into())]);
+            let message = Full::new(Bytes::from_static(&[0; 5]));
+            let body = message.with_trailers(std::future::ready(Some(Ok(trailers))));
+            let answer =
+                http::Response::builder().header("content-type", "application/grpc").header("x-caller", name);
+            Ok(answer.body(Body::new(body)).unwrap())
+        })
+    }
+}

@@ -1,0 +1,259 @@
+//! Who gets in: encryption, tokens and roles, certificates, and the number of connections; over real sockets.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+mod farm;
+
+use std::time::Duration;
+
+use farm_coordinator::incoming::Limits;
+use farm_proto::access::{ClientAccess, Role, Target};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+use tokio::time::{Instant, timeout};
+use tonic::{Code, Request};
+
+use farm::{Access, Farm, call, health, try_call};
+
+/// Longest time for what should not take long.
+const SOON: Duration = Duration::from_secs(8);
+
+const LEASES: &str = "/farm.v1.Leases/Acquire";
+const FITS: &str = "/farm.v1.Fits/Fit";
+const ADMIN: &str = "/farm.v1.Admin/Drain";
+
+#[tokio::test]
+async fn each_role_may_do_what_is_its_own_and_is_told_what_it_lacks() {
+    let farm = Farm::start(Access::Tokens).await;
+    let cases = [
+        (LEASES, [Ok(()), Err("worker or admin"), Ok(())]),
+        (FITS, [Err("client or admin"), Ok(()), Ok(())]),
+        (ADMIN, [Err("admin"), Err("admin"), Ok(())]),
+    ];
+    for (role_index, role) in Role::ALL.into_iter().enumerate() {
+        let link = farm.target(role).connect().await.unwrap();
+        for (path, allowed) in &cases {
+            match (call(&link, path).await, allowed[role_index]) {
+                (Ok(answer), Ok(())) => {
+                    let seen = answer.metadata().get("x-caller").unwrap().to_str().unwrap();
+                    assert_eq!(seen, format!("{role} {role}"), "the handler sees who calls");
+                }
+                (Err(status), Err(needed)) => {
+                    assert_eq!(status.code(), Code::PermissionDenied, "{status}");
+                    let expected =
+                        format!("the token of a {needed}, and the one given ({role}) is of a {role}");
+                    assert!(status.message().contains(&expected), "{status}");
+                }
+                (answer, allowed) => panic!("{role} {path}: {answer:?} instead of {allowed:?}"),
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn without_a_token_or_with_a_wrong_one_only_health_is_told() {
+    let farm = Farm::start(Access::Tokens).await;
+    let anonymous = farm.tls_channel_without_token().await;
+    let status = call(&anonymous, FITS).await.unwrap_err();
+    assert_eq!(status.code(), Code::Unauthenticated);
+    assert!(status.message().contains("needs the token of a client or admin, and there is none"), "{status}");
+    health(anonymous).await.unwrap();
+
+    let text = std::fs::read_to_string(farm.file(Role::Client)).unwrap();
+    let token = text.lines().find(|line| line.starts_with("token")).unwrap();
+    let forged = text.replace(token, &format!("token = \"{}\"", "0".repeat(64)));
+    let link = farm.target_of_text(&forged).connect().await.unwrap();
+    let status = call(&link, FITS).await.unwrap_err();
+    assert_eq!(status.code(), Code::Unauthenticated);
+    assert!(status.message().contains("does not know the one given"), "{status}");
+    let status = call(&link, "/farm.v1.Nothing/Here").await.unwrap_err();
+    assert_eq!(status.code(), Code::Unauthenticated, "strangers do not learn what there is");
+    health(link).await.unwrap();
+}
+
+#[tokio::test]
+async fn who_trusts_another_authority_does_not_connect() {
+    let (farm, other) = (Farm::start(Access::Tokens).await, Farm::start(Access::Tokens).await);
+    let access = ClientAccess::read(&other.file(Role::Client)).unwrap();
+    let error =
+        timeout(SOON, Target::new(Some(&access), Some(&farm.url())).unwrap().connect()).await.unwrap();
+    assert!(format!("{:?}", error.unwrap_err()).contains("UnknownIssuer"));
+}
+
+#[tokio::test]
+async fn with_mutual_tls_a_certificate_is_needed_besides_the_token() {
+    let farm = Farm::start(Access::Mutual).await;
+    call(&farm.target(Role::Worker).connect().await.unwrap(), LEASES).await.unwrap();
+
+    let text = std::fs::read_to_string(farm.file(Role::Worker)).unwrap();
+    let without = &text[..=text.find("\ncertificate = ").unwrap()];
+    let error = try_call(&farm.target_of_text(without), LEASES).await.unwrap_err();
+    assert!(error.contains("CertificateRequired"), "{error}");
+
+    // A certificate of another farm's authority is none, though the token is right.
+    let other = Farm::start(Access::Mutual).await;
+    let theirs = std::fs::read_to_string(other.file(Role::Worker)).unwrap();
+    let mixed = format!("{without}{}", &theirs[theirs.find("\ncertificate = ").unwrap() + 1..]);
+    assert!(try_call(&farm.target_of_text(&mixed), LEASES).await.is_err());
+}
+
+#[tokio::test]
+async fn a_certificate_holds_for_the_hosts_that_were_named() {
+    let farm = Farm::start(Access::Tokens).await;
+    let access = ClientAccess::read(&farm.file(Role::Client)).unwrap();
+    for host in ["localhost", "127.0.0.1"] {
+        let url = format!("https://{host}:{}", farm.address.port());
+        call(&Target::new(Some(&access), Some(&url)).unwrap().connect().await.unwrap(), FITS).await.unwrap();
+    }
+    let text = std::fs::read_to_string(farm.file(Role::Client)).unwrap();
+    let under =
+        |name: &str| farm.target_of_text(&text.replacen("role", &format!("server_name = {name:?}\nrole"), 1));
+    call(&under("farm.example.org").connect().await.unwrap(), FITS).await.unwrap();
+    let error = under("other.example.org").connect().await.unwrap_err();
+    assert!(format!("{error:?}").contains("NotValidForName"), "{error:?}");
+}
+
+#[tokio::test]
+async fn who_mistakes_encryption_learns_it_quickly() {
+    let start = Instant::now();
+    let encrypted = Farm::start(Access::Tokens).await;
+    let plain_url = format!("http://{}", encrypted.address);
+    timeout(SOON, try_call(&Target::new(None, Some(&plain_url)).unwrap(), FITS)).await.unwrap().unwrap_err();
+
+    let plain = Farm::start(Access::Open).await;
+    let access = ClientAccess::read(&encrypted.file(Role::Client)).unwrap();
+    let wrong =
+        Target::new(Some(&access), Some(&format!("https://localhost:{}", plain.address.port()))).unwrap();
+    timeout(SOON, try_call(&wrong, FITS)).await.unwrap().unwrap_err();
+    assert!(start.elapsed() < SOON);
+}
+
+#[tokio::test]
+async fn an_open_farm_takes_bare_urls() {
+    let farm = Farm::start(Access::Open).await;
+    let target = Target::new(None, Some(&format!("http://{}", farm.address))).unwrap();
+    for path in [LEASES, FITS, ADMIN] {
+        let answer = call(&target.connect_lazy(), path).await.unwrap();
+        assert_eq!(answer.metadata().get("x-caller").unwrap(), "nobody");
+    }
+}
+
+#[tokio::test]
+async fn calls_are_observed_and_carry_request_ids() {
+    let farm = Farm::start(Access::Tokens).await;
+    let link = farm.target(Role::Client).connect().await.unwrap();
+    let answer = call(&link, FITS).await.unwrap();
+    assert_eq!(answer.metadata().get("x-request-id").unwrap().len(), 32);
+    let status = call(&link, "/farm.v1.Invented/Path").await.unwrap_err();
+    assert_eq!(status.code(), Code::Unimplemented);
+    let status = call(&link, LEASES).await.unwrap_err();
+    assert_eq!(status.metadata().get("x-request-id").unwrap().len(), 32, "refused calls have one too");
+    let expected = [(FITS, 0), ("other", 12), ("other", 7)].map(|(method, code)| (method.to_owned(), code));
+    assert_eq!(farm.observed(3).await, expected);
+}
+
+#[tokio::test]
+async fn what_a_handler_logs_carries_method_request_id_and_caller() {
+    let farm = Farm::start(Access::Tokens).await;
+    let log = farm::Log::default();
+    let _logged = log.subscribe();
+    let link = farm.target(Role::Worker).connect().await.unwrap();
+    let mut request = Request::new(());
+    request.metadata_mut().insert("x-request-id", "run-7".parse().unwrap());
+    farm::call_with(&link, LEASES, request).await.unwrap();
+    let text = log.text();
+    let line = text.lines().find(|line| line.contains("handling")).expect("the handler's line");
+    for part in [LEASES, "request_id=run-7", "caller=\"worker\""] {
+        assert!(line.contains(part), "{part:?} is not in {line:?}");
+    }
+    let token = std::fs::read_to_string(farm.file(Role::Worker)).unwrap();
+    let token = token.split('"').find(|word| word.len() == 64).unwrap();
+    call(&link, ADMIN).await.unwrap_err();
+    let text = log.text();
+    assert!(text.contains("calls have been refused") && text.contains("peer=\"127.0.0.1:"), "{text}");
+    assert!(!text.contains(token), "tokens are not logged");
+}
+
+#[tokio::test]
+async fn a_call_that_its_caller_gives_up_is_observed_as_cancelled() {
+    let farm = Farm::start(Access::Tokens).await;
+    let link = farm.target(Role::Client).connect().await.unwrap();
+    let slow = "/farm.v1.Fits/Slow";
+    assert!(timeout(Duration::from_millis(300), call(&link, slow)).await.is_err());
+    let mut request = Request::new(());
+    request.set_timeout(Duration::from_millis(100));
+    farm::call_with(&link, slow, request).await.unwrap_err();
+    assert_eq!(farm.observed(2).await, [(slow.to_owned(), 1), (slow.to_owned(), 1)]);
+}
+
+#[tokio::test]
+async fn who_says_nothing_is_sent_away_and_his_place_is_free_again() {
+    let limits = Limits { hello: Duration::from_millis(500), ..Limits::new(2) };
+    for access in [Access::Tokens, Access::Open] {
+        let farm = Farm::start_with(access, limits).await;
+        let start = Instant::now();
+        let mut silent = [
+            TcpStream::connect(farm.address).await.unwrap(),
+            TcpStream::connect(farm.address).await.unwrap(),
+        ];
+        // A few bytes that could begin something do not help.
+        silent[1].write_all(&[0x16, 3, 1]).await.unwrap();
+        for stream in &mut silent {
+            let mut left = Vec::new();
+            let _ = timeout(SOON, stream.read_to_end(&mut left)).await.expect("it is closed");
+        }
+        assert!(start.elapsed() >= limits.hello, "{:?}", start.elapsed());
+        health(farm.any_link().await).await.unwrap();
+        assert_eq!(farm.connections.refused(), 0);
+    }
+}
+
+#[tokio::test]
+async fn one_connection_too_many_is_refused_while_the_others_go_on() {
+    let farm = Farm::start_with(Access::Tokens, Limits::new(2)).await;
+    let first = farm.target(Role::Client).connect().await.unwrap();
+    let second = farm.target(Role::Worker).connect().await.unwrap();
+    call(&first, FITS).await.unwrap();
+    call(&second, LEASES).await.unwrap();
+
+    let third = timeout(SOON, farm.target(Role::Admin).connect()).await.expect("it is told at once");
+    third.unwrap_err();
+    assert_eq!((farm.connections.open(), farm.connections.refused()), (2, 1));
+    call(&first, FITS).await.unwrap();
+    call(&second, LEASES).await.unwrap();
+
+    drop(second);
+    farm.wait_for_open(1).await;
+    let third = farm.target(Role::Admin).connect().await.unwrap();
+    call(&third, ADMIN).await.unwrap();
+    call(&first, FITS).await.unwrap();
+}
+
+#[tokio::test]
+async fn idle_but_live_connections_are_kept_and_dead_ones_are_not() {
+    // The greeting of HTTP/2 with empty settings, and then no answer to pings.
+    keeps_the_live_and_ends_the_dead(Access::Open, b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0")
+        .await;
+}
+
+#[tokio::test]
+async fn under_encryption_it_is_the_same() {
+    // The beginning of a handshake whose rest never comes.
+    let hello = [&[0x16, 3, 1, 2, 0, 1, 0, 1, 0xfc, 3, 3][..], &[7; 20]].concat();
+    keeps_the_live_and_ends_the_dead(Access::Tokens, &hello).await;
+}
+
+async fn keeps_the_live_and_ends_the_dead(access: Access, greeting: &[u8]) {
+    // The server of these tests pings five times in that span.
+    let limits = Limits { silence: farm::PING * 5, ..Limits::new(8) };
+    let farm = Farm::start_with(access, limits).await;
+    let link = farm.any_link().await;
+    health(link.clone()).await.unwrap();
+    let mut dead = TcpStream::connect(farm.address).await.unwrap();
+    dead.write_all(greeting).await.unwrap();
+    farm.wait_for_open(2).await;
+    farm.wait_for_open(1).await;
+    tokio::time::sleep(limits.silence * 2).await;
+    assert_eq!(farm.connections.open(), 1, "the live one answers pings");
+    health(link).await.unwrap();
+}

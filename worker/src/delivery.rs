@@ -1,0 +1,156 @@
+//! Results on their way to the coordinator: kept until they are acknowledged, sent together when several wait.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use farm_proto::job::{JobSpec, LeaseKey};
+use farm_proto::profile::RecordShape;
+use farm_proto::sums::Sums;
+use farm_proto::wire::complete_request::Content;
+use farm_proto::wire::{CompleteRequest, CompletionKind, CompletionOutcome, ResultHeader};
+use farm_proto::{Digest, RequestLimits};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tonic::{Code, Status};
+
+use crate::held::Held;
+use crate::pool::Traced;
+use crate::session::Session;
+
+/// Bytes after which a call takes no more results.
+const BATCH_BYTES: usize = 16 << 20;
+/// Bytes of one piece of a job's sums.
+const PIECE: usize = 1 << 20;
+
+/// A result that waits, with its room in the buffer.
+#[derive(Debug)]
+pub(crate) struct Finished {
+    pub key: LeaseKey,
+    pub identity: Digest,
+    pub traced: Traced,
+    pub bytes: usize,
+    pub room: OwnedSemaphorePermit,
+}
+
+/// Memory of all results that wait, in KiB.
+#[derive(Debug, Clone)]
+pub(crate) struct Buffer {
+    room: Arc<Semaphore>,
+    kib: u32,
+}
+
+impl Buffer {
+    pub(crate) fn new(bytes: usize) -> Self {
+        let kib = (bytes / 1024).clamp(1, u32::MAX as usize >> 4) as u32;
+        Self { room: Arc::new(Semaphore::new(kib as usize)), kib }
+    }
+
+    /// Waits until there is room for a job's result. One that is larger than the whole buffer gets all of it.
+    pub(crate) async fn take(&self, bytes: usize) -> Option<OwnedSemaphorePermit> {
+        let kib = (bytes.div_ceil(1024) as u32).min(self.kib);
+        self.room.clone().acquire_many_owned(kib).await.ok()
+    }
+}
+
+/// Bytes of a job's result.
+pub(crate) fn bytes_of(job: &JobSpec) -> usize {
+    match job.block() {
+        Some(_) => Sums::bytes(job),
+        None => job.albedo().len() * RecordShape::of_job(job).bytes(),
+    }
+}
+
+/// Delivers until the queue is closed and empty.
+pub(crate) async fn deliver(
+    session: Arc<Session>,
+    held: Arc<Held>,
+    mut queue: mpsc::UnboundedReceiver<Finished>,
+) {
+    let mut batch = Vec::new();
+    while let Some(first) = queue.recv().await {
+        let mut bytes = first.bytes;
+        batch.push(first);
+        while bytes < BATCH_BYTES
+            && batch.len() < RequestLimits::LEASES as usize
+            && let Ok(next) = queue.try_recv()
+        {
+            bytes += next.bytes;
+            batch.push(next);
+        }
+        send(&session, &batch).await;
+        for finished in batch.drain(..) {
+            held.remove(&finished.key);
+            drop(finished.room);
+        }
+    }
+}
+
+/// Sends results until they are acknowledged or refused for good.
+async fn send(session: &Session, batch: &[Finished]) {
+    match session.complete(|worker| parts(worker, batch), batch.iter().map(|f| f.bytes).sum()).await {
+        Ok(outcomes) => {
+            for (finished, outcome) in batch.iter().zip(outcomes) {
+                tell(&finished.key, &outcome);
+            }
+        }
+        // One of them is not as it should be; the others must not suffer.
+        Err(status) if batch.len() > 1 && status.code() == Code::InvalidArgument => {
+            for finished in batch {
+                Box::pin(send(session, std::slice::from_ref(finished))).await;
+            }
+        }
+        Err(status) => {
+            for finished in batch {
+                refused(&finished.key, &status);
+            }
+        }
+    }
+}
+
+fn tell(key: &LeaseKey, outcome: &CompletionOutcome) {
+    let (job, attempt, message) = (key.job, key.attempt, outcome.message.as_str());
+    match outcome.kind() {
+        CompletionKind::Stored => tracing::debug!(job, attempt, "job done"),
+        CompletionKind::Duplicate => tracing::debug!(job, attempt, "these records were stored before"),
+        CompletionKind::Refused | CompletionKind::Unspecified => {
+            tracing::info!(job, attempt, message, "this result is not wanted any more");
+        }
+        CompletionKind::Conflict => tracing::error!(job, attempt, message, "result refused"),
+    }
+}
+
+fn refused(key: &LeaseKey, status: &Status) {
+    tracing::error!(job = key.job, attempt = key.attempt, message = status.message(), "result refused");
+}
+
+/// The messages of a call that delivers results.
+fn parts(worker: &str, batch: &[Finished]) -> Vec<CompleteRequest> {
+    let mut parts = Vec::new();
+    let mut push = |content| parts.push(CompleteRequest { content: Some(content) });
+    for Finished { key, identity, traced, .. } in batch {
+        push(Content::Header(ResultHeader {
+            worker_id: worker.to_owned(),
+            key: Some((*key).into()),
+            identity: identity.as_bytes().to_vec(),
+        }));
+        match traced {
+            Traced::Records(records) => {
+                for record in records {
+                    push(Content::Record(record.clone().into()));
+                }
+            }
+            Traced::Sums(sums) => {
+                for piece in sums.to_le_bytes().chunks(PIECE) {
+                    push(Content::Sums(piece.to_vec()));
+                }
+            }
+        }
+    }
+    parts
+}
+
+/// How long a delivery may take.
+pub(crate) fn time_for(bytes: usize) -> Duration {
+    /// Slowest link, in bytes a second, over which results are delivered before the call is given up and repeated.
+    const SLOWEST: f64 = 50_000.0;
+    Duration::from_mins(1) + Duration::from_secs_f64(bytes as f64 / SLOWEST)
+}
