@@ -1,6 +1,7 @@
 //! The verbs, one module each.
 
 pub(crate) mod access;
+pub(crate) mod backup;
 pub(crate) mod completions;
 pub(crate) mod doctor;
 pub(crate) mod events;

@@ -138,7 +138,7 @@ impl Connection {
         let listener = TcpListener::bind("127.0.0.1:0").await.context("opening a port on loopback")?;
         let target = loopback(&listener.local_addr()?.to_string())?;
         let (stop_coordinator, stop_worker) = (CancellationToken::new(), CancellationToken::new());
-        let coordinator = tokio::spawn(coordinator.serve(listener, stop_coordinator.clone()));
+        let coordinator = tokio::spawn(coordinator.serve(listener, None, stop_coordinator.clone()));
         let worker = (purpose == Purpose::Compute).then(|| {
             let work = farm_worker::run(farm_worker::Config::new(target.clone()), stop_worker.clone());
             let stop_coordinator = stop_coordinator.clone();

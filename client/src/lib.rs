@@ -61,6 +61,8 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Workers(args) => commands::workers::run(global, args, output).await?,
         Command::Events(args) => commands::events::run(global, args, output).await?,
         Command::Doctor(args) => return commands::doctor::run(global, &args, output).await,
+        Command::Backup(args) => commands::backup::backup(global, args, output).await?,
+        Command::Restore(args) => commands::backup::restore(global, args, output).await?,
         Command::Access(command) => commands::access::run(command, output)?,
         Command::Slurm(command) => commands::slurm::run(global, command, output)?,
         Command::Health => commands::health::run(global, output).await?,

@@ -187,7 +187,7 @@ fn grpc(c: &mut Criterion) {
         let coordinator = Coordinator::open(&Config::new(&data)).await.unwrap();
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let endpoint = Endpoint::from_shared(format!("http://{}", listener.local_addr().unwrap())).unwrap();
-        let server = tokio::spawn(coordinator.serve(listener, stop.clone()));
+        let server = tokio::spawn(coordinator.serve(listener, None, stop.clone()));
         let mut clients = Vec::new();
         for _ in 0..CLIENTS {
             clients.push(FitsClient::new(endpoint.clone().tcp_nodelay(true).connect().await.unwrap()));

@@ -1,6 +1,8 @@
 //! What the coordinator can do, each operation once: dispatch, store and fit tied together.
 
+mod backup;
 mod events;
+mod figures;
 mod fit_cache;
 mod manage;
 mod records;
@@ -17,6 +19,8 @@ use crate::clock::{Clock, Random};
 use crate::config::Config;
 use crate::dispatch::{self, Dictionary, DispatchError, Event, EventKind, Origin, Settings};
 use crate::store::{Store, StoreError};
+use crate::web::Metrics;
+pub(crate) use backup::Backup;
 use events::Recorder;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
@@ -88,6 +92,7 @@ pub(crate) struct Farm {
     clock: Clock,
     fits: FitCache,
     recorder: Recorder,
+    metrics: Metrics,
     /// Told whenever there is progress.
     changed: watch::Sender<()>,
     /// Told whenever there is work for workers that wait.
@@ -97,7 +102,7 @@ pub(crate) struct Farm {
 }
 
 impl Farm {
-    pub(crate) async fn load(store: Store, config: &Config) -> Result<Self, StoreError> {
+    pub(crate) async fn load(store: Store, config: &Config, metrics: Metrics) -> Result<Self, StoreError> {
         let settings = Settings {
             lease: config.lease,
             max_attempts: config.max_attempts,
@@ -129,6 +134,7 @@ impl Farm {
             clock: Clock::start(),
             fits: FitCache::default(),
             recorder,
+            metrics,
             changed: watch::channel(()).0,
             work: watch::channel(()).0,
             store_fault: Mutex::default(),
@@ -137,6 +143,10 @@ impl Farm {
             farm.find_blocks(id).await?;
         }
         Ok(farm)
+    }
+
+    pub(crate) fn metrics(&self) -> &Metrics {
+        &self.metrics
     }
 
     pub(crate) fn store(&self) -> &Store {

@@ -13,6 +13,7 @@ pub mod incoming;
 mod muffle;
 mod rpc;
 pub mod store;
+mod web;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,8 +24,10 @@ use tokio_util::sync::CancellationToken;
 pub use config::Config;
 use farm::Farm;
 pub use farm::{FarmError, load_dictionary};
+use farm_proto::PHYSICS_VERSION;
 pub use store::StoreError;
-use store::{DataDir, Store};
+use store::{Commit, DataDir, Store};
+use web::{BuildInfo, Metrics, Web};
 
 /// How often expired leases are looked for.
 const REAP: Duration = Duration::from_secs(1);
@@ -49,25 +52,50 @@ pub struct Coordinator {
 impl Coordinator {
     /// Takes the data directory, creating it if need be, and takes up the work that is left in it.
     pub async fn open(config: &Config) -> Result<Self, Error> {
-        let store = Store::open(DataDir::lock(&config.data_dir)?, |_| {}).await?;
-        let farm = Farm::load(store, config).await?;
+        let build = BuildInfo {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            physics_version: PHYSICS_VERSION.to_string(),
+        };
+        let metrics = Metrics::new(build, rpc::METHODS);
+        let of_commits = metrics.clone();
+        let committed = move |commit: Commit| {
+            of_commits.committed(commit.took, commit.results as u64, commit.records as u64);
+        };
+        let store = Store::open(DataDir::lock(&config.data_dir)?, committed).await?;
+        let farm = Farm::load(store, config, metrics).await?;
         Ok(Self { farm: Arc::new(farm), config: config.clone() })
     }
 
-    /// Serves until `shutdown`, then closes the database.
-    pub async fn serve(self, listener: TcpListener, shutdown: CancellationToken) -> Result<(), Error> {
+    /// Serves until `shutdown`, then closes the database. Figures are told over HTTP on a listener of their own, if
+    /// there is one.
+    pub async fn serve(
+        self,
+        listener: TcpListener,
+        figures: Option<TcpListener>,
+        shutdown: CancellationToken,
+    ) -> Result<(), Error> {
         let address = listener.local_addr().map_err(Error::Address)?;
         if let Err(error) = self.farm.store().dir().publish_address(address) {
             tracing::warn!(%error, "commands in the same folder will not find this coordinator");
         }
         tracing::info!(%address, "coordinator is serving");
+        let figures =
+            figures.map(|listener| tokio::spawn(web::serve(listener, self.web(), shutdown.clone())));
         let reaper = tokio::spawn(reap(self.farm.clone(), shutdown.clone()));
         let served = rpc::serve(self.farm.clone(), &self.config, listener, shutdown.clone()).await;
         shutdown.cancel();
         let _ = reaper.await;
+        if let Some(figures) = figures {
+            let _ = figures.await;
+        }
         self.farm.store().dir().forget_address();
         self.farm.close().await;
         Ok(served?)
+    }
+
+    fn web(&self) -> Web {
+        let (figures, ready) = (self.farm.clone(), self.farm.clone());
+        Web::new(self.farm.metrics().clone(), move || figures.figures(), move || ready.ready())
     }
 }
 

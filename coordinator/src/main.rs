@@ -9,9 +9,9 @@ use std::time::Duration;
 use clap::Parser;
 use farm_coordinator::{Config, Coordinator};
 use farm_proto::access::CoordinatorAccess;
+use farm_proto::logs::{self, LogFormat};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
-use tracing_subscriber::EnvFilter;
 
 /// Splits parameter grids into jobs for workers, stores the records and answers fits.
 #[derive(Debug, Parser)]
@@ -20,6 +20,9 @@ struct Args {
     /// Address to listen on. Beyond this machine only with --access or --insecure.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7700", env = "FARM_LISTEN")]
     listen: SocketAddr,
+    /// Address for figures and health over HTTP: /metrics, /livez, /readyz [default: none].
+    #[arg(long, value_name = "ADDR", env = "FARM_METRICS")]
+    metrics: Option<SocketAddr>,
     /// Folder of the database; not on a network filesystem.
     #[arg(long, value_name = "DIR", default_value = "farm-data", env = "FARM_DATA")]
     data: PathBuf,
@@ -38,6 +41,9 @@ struct Args {
     /// The coordinator's access file: certificate and tokens, made by `farmctl access create`.
     #[arg(long, value_name = "FILE", env = "FARM_ACCESS")]
     access: Option<PathBuf>,
+    /// Log lines as text or as JSON objects; FARM_LOG tells which, as in FARM_LOG=debug.
+    #[arg(long, value_name = "FORMAT", env = "FARM_LOG_FORMAT", default_value = "text")]
+    log_format: LogFormat,
     /// Listen for other machines although nothing is encrypted and nobody is asked for a password.
     #[arg(long)]
     insecure: bool,
@@ -55,8 +61,7 @@ async fn main() -> ExitCode {
 }
 
 async fn run(args: Args) -> anyhow::Result<()> {
-    let filter = EnvFilter::try_from_env("FARM_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    logs::init(args.log_format, "info")?;
     anyhow::ensure!(
         args.listen.ip().is_loopback() || args.insecure || args.access.is_some(),
         "{} can be reached from other machines, unencrypted and without a password: make access files with \
@@ -75,9 +80,16 @@ async fn run(args: Args) -> anyhow::Result<()> {
     let listener = TcpListener::bind(args.listen)
         .await
         .map_err(|error| anyhow::anyhow!("listening on {}: {error}", args.listen))?;
+    let figures = match args.metrics {
+        Some(address) => {
+            let listener = TcpListener::bind(address).await;
+            Some(listener.map_err(|error| anyhow::anyhow!("listening on {address} for figures: {error}"))?)
+        }
+        None => None,
+    };
     let shutdown = CancellationToken::new();
     tokio::spawn(stop_on_signal(shutdown.clone()));
-    Ok(coordinator.serve(listener, shutdown).await?)
+    Ok(coordinator.serve(listener, figures, shutdown).await?)
 }
 
 fn share(text: &str) -> Result<f64, String> {

@@ -11,6 +11,7 @@ pub mod grid;
 pub mod ids;
 pub mod invalid;
 pub mod job;
+pub mod logs;
 pub mod measurement;
 pub mod optics;
 pub mod profile;

@@ -51,7 +51,7 @@ impl TestCoordinator {
         let listener = TcpListener::bind(("127.0.0.1", port)).await?;
         let address = listener.local_addr()?;
         let stop = CancellationToken::new();
-        let task = tokio::spawn(coordinator.serve(listener, stop.clone()));
+        let task = tokio::spawn(coordinator.serve(listener, None, stop.clone()));
         Ok(Self { address, stop, task })
     }
 

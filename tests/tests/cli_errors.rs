@@ -227,13 +227,13 @@ fn the_other_programs_tell_their_errors_in_one_line() {
     };
     let open = first_line("farm-coordinator", &["--listen", "0.0.0.0:0"]);
     assert!(
-        open.contains("can be reached from other machines, without encryption: add --insecure"),
+        open.contains("can be reached from other machines, unencrypted and without a password"),
         "{open}"
     );
     let data = first_line("farm-coordinator", &["--listen", "127.0.0.1:0", "--data", "/dev/null/farm"]);
     assert!(data.starts_with("farm-coordinator: data directory /dev/null/farm: cannot be created"), "{data}");
     let url = first_line("farm-worker", &["--server", "not a url"]);
-    assert!(url.contains("coordinator URL \"not a url\" is not valid"), "{url}");
+    assert!(url.contains("\"not a url\" must begin with https:// or http://"), "{url}");
 }
 
 /// A row whose place is 100 mm further to the right.

@@ -1,6 +1,5 @@
 //! Work flowing through a real farm, and the ways in which it must not.
 
-
 use std::time::Duration;
 
 use anyhow::{Context, Result};

@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use clap::Parser;
 use farm_proto::access::{AccessError, ClientAccess, Target};
+use farm_proto::logs::{self, LogFormat};
 use farm_proto::walltime::{parse_span, parse_time_limit};
 use farm_worker::{Config, Ended, Error};
 use tokio_util::sync::CancellationToken;
-use tracing_subscriber::EnvFilter;
 
 /// The coordinator does not want this worker: starting it again is of no use.
 const REFUSED: u8 = 4;
@@ -45,13 +45,18 @@ struct Args {
     /// Memory in MiB for results that wait for a coordinator that is away; when it is full, tracing waits.
     #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     buffer: u32,
+    /// Log lines as text or as JSON objects; FARM_LOG tells which, as in FARM_LOG=debug.
+    #[arg(long, value_name = "FORMAT", env = "FARM_LOG_FORMAT", default_value = "text")]
+    log_format: LogFormat,
 }
 
 #[tokio::main]
 async fn main() -> ExitCode {
     let args = Args::parse();
-    let filter = EnvFilter::try_from_env("FARM_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    if let Err(error) = logs::init(args.log_format, "info") {
+        eprintln!("farm-worker: {error}");
+        return ExitCode::FAILURE;
+    }
     let config = match config(args) {
         Ok(config) => config,
         Err(error) => {

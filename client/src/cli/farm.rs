@@ -108,3 +108,15 @@ pub struct DoctorArgs {
     #[arg(long)]
     pub repair: bool,
 }
+
+#[derive(Debug, Args)]
+pub struct BackupArgs {
+    /// File to write; it must not exist. Its checksum goes beside it, as FILE.b3.
+    pub file: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub struct RestoreArgs {
+    /// The backup. It becomes the database of the folder that --data names.
+    pub file: PathBuf,
+}

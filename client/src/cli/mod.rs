@@ -12,8 +12,8 @@ use clap_complete::Shell;
 
 pub use bounds::BoundsArg;
 pub use farm::{
-    AccessCommand, AccessCreateArgs, CancelArgs, DeleteArgs, DoctorArgs, DrainArgs, EventsArgs, NameArgs,
-    PriorityArgs, WaitArgs, WorkersArgs, WorkersCommand,
+    AccessCommand, AccessCreateArgs, BackupArgs, CancelArgs, DeleteArgs, DoctorArgs, DrainArgs, EventsArgs,
+    NameArgs, PriorityArgs, RestoreArgs, WaitArgs, WorkersArgs, WorkersCommand,
 };
 pub use fit::{FitArgs, MapArgs, MeasureArgs, MuArgs, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg};
 pub use slurm::{SlurmCommand, SlurmSubmitArgs};
@@ -114,6 +114,10 @@ pub enum Command {
     Events(EventsArgs),
     /// Look for what is wrong: connection, versions, disk, every record.
     Doctor(DoctorArgs),
+    /// Copy the whole database to a file, verified, while the farm goes on.
+    Backup(BackupArgs),
+    /// Make a backup the database of a folder that has none.
+    Restore(RestoreArgs),
     /// Ask whether the coordinator serves; for health checks.
     Health,
     /// Make the files by which coordinator, workers and people know each other.

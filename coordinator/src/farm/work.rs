@@ -8,8 +8,9 @@ use farm_proto::{Digest, PHYSICS_VERSION, Record};
 
 use super::{Farm, FarmError, Result, chance};
 use crate::clock::random_token;
-use crate::dispatch::{Admission, Effect, Grant, Origin, Registration, Settings};
+use crate::dispatch::{Admission, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings};
 use crate::store::{Completion, Content, StoreError, Stored};
+use crate::web::{JobFailure, JobOutcome, LeaseKind, VerificationOutcome};
 
 /// The content of a result, as it came in.
 #[derive(Debug)]
@@ -59,7 +60,17 @@ impl Farm {
     }
 
     pub(crate) fn acquire(&self, worker: &WorkerId, max: usize) -> Result<Grant> {
-        Ok(self.dispatch().acquire(self.clock.now(), worker, max, &mut chance())?)
+        let grant = self.dispatch().acquire(self.clock.now(), worker, max, &mut chance())?;
+        for purpose in &grant.purposes {
+            let kind = match purpose {
+                Purpose::First => LeaseKind::First,
+                Purpose::Retry => LeaseKind::Retry,
+                Purpose::Copy => LeaseKind::Speculative,
+                Purpose::Check => LeaseKind::Verification,
+            };
+            self.metrics.leases_granted(kind, 1);
+        }
+        Ok(grant)
     }
 
     /// Extends leases: those that are lost, and whether the worker is to leave.
@@ -91,6 +102,11 @@ impl Farm {
         };
         self.settle().await;
         self.changed.send_replace(());
+        self.metrics.job_completed(match outcome {
+            Outcome::Stored => JobOutcome::Stored,
+            Outcome::Duplicate => JobOutcome::Duplicate,
+            Outcome::Conflict => JobOutcome::Conflict,
+        });
         Ok(outcome)
     }
 
@@ -147,11 +163,17 @@ impl Farm {
     }
 
     fn compare(&self, worker: &WorkerId, key: &LeaseKey, stored: Digest, new: Digest) -> Outcome {
-        if self.dispatch().compared(worker, key, stored, new) {
-            Outcome::Duplicate
-        } else {
-            Outcome::Conflict
+        let mut dispatch = self.dispatch();
+        let before = dispatch.checks();
+        let equal = dispatch.compared(worker, key, stored, new);
+        let after = dispatch.checks();
+        if after.0 > before.0 {
+            self.metrics.verified(VerificationOutcome::Agreed);
         }
+        if after.1 > before.1 {
+            self.metrics.verified(VerificationOutcome::Disputed);
+        }
+        if equal { Outcome::Duplicate } else { Outcome::Conflict }
     }
 
     fn note_store_fault(&self, error: Option<&StoreError>) {
@@ -196,6 +218,7 @@ impl Farm {
             (dispatch.expire(self.clock.now()), dispatch.wants_copies())
         };
         self.settle().await;
+        self.metrics.leases_expired(freed as u64);
         if freed > 0 || copies {
             self.work.send_replace(());
             self.changed.send_replace(());
@@ -217,6 +240,11 @@ impl Farm {
                 (dispatch.take_effects(), named)
             };
             for (dictionary, event) in events {
+                match event.kind {
+                    EventKind::JobFailed => self.metrics.job_failed(JobFailure::Failed),
+                    EventKind::JobQuarantined => self.metrics.job_failed(JobFailure::Quarantined),
+                    _ => {}
+                }
                 self.recorder.record(&dictionary, &event);
             }
             if effects.is_empty() {

@@ -1,15 +1,25 @@
 //! Service `farm.v1.Admin`.
 
+use std::time::Duration;
+
 use farm_proto::wire::admin_server::Admin;
+use farm_proto::wire::backup_piece::Content;
 use farm_proto::wire::{
-    BackupPiece, BackupRequest, DamagedJob, DrainWorkerRequest, DrainWorkerResponse, InspectRequest,
-    InspectResponse,
+    BackupHeader, BackupPiece, BackupRequest, DamagedJob, DrainWorkerRequest, DrainWorkerResponse,
+    InspectRequest, InspectResponse,
 };
+use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::Context;
-use crate::farm::detached;
+use crate::farm::{Backup, detached};
+use crate::store::copy::BackupReport;
+
+/// Bytes of one piece of a backup.
+const PIECE: usize = 1 << 20;
+/// How long a client may take to read a piece.
+const PATIENCE: Duration = Duration::from_mins(2);
 
 #[tonic::async_trait]
 impl Admin for Context {
@@ -24,7 +34,14 @@ impl Admin for Context {
     type BackupStream = ReceiverStream<Result<BackupPiece, Status>>;
 
     async fn backup(&self, _: Request<BackupRequest>) -> Result<Response<Self::BackupStream>, Status> {
-        Err(Status::unimplemented("backup"))
+        let place = self.limits.stream()?;
+        let (backup, report) = self.farm.backup().await?;
+        let (sender, receiver) = mpsc::channel(2);
+        tokio::spawn(async move {
+            send(&backup, &report, &sender).await;
+            drop((backup, place));
+        });
+        Ok(Response::new(ReceiverStream::new(receiver)))
     }
 
     async fn inspect(&self, request: Request<InspectRequest>) -> Result<Response<InspectResponse>, Status> {
@@ -39,5 +56,34 @@ impl Admin for Context {
                 .collect(),
             faults: found.faults,
         }))
+    }
+}
+
+/// Sends a backup, header first, as fast as the client takes it.
+async fn send(backup: &Backup, report: &BackupReport, sender: &mpsc::Sender<Result<BackupPiece, Status>>) {
+    let header = BackupHeader {
+        bytes: report.bytes,
+        digest: report.blake3_hex.clone(),
+        dictionaries: report.content.dictionaries,
+        jobs: report.content.jobs,
+        records: report.content.records,
+    };
+    let mut next = Some(Ok(Content::Header(header)));
+    let mut offset = 0;
+    while let Some(piece) = next.take() {
+        let piece = piece.map(|content| BackupPiece { content: Some(content) });
+        let failed = piece.is_err();
+        let sent = tokio::time::timeout(PATIENCE, sender.send(piece)).await;
+        if failed || !matches!(sent, Ok(Ok(()))) {
+            return;
+        }
+        next = match backup.piece(offset, PIECE).await {
+            Ok(data) if data.is_empty() => None,
+            Ok(data) => {
+                offset += data.len() as u64;
+                Some(Ok(Content::Data(data)))
+            }
+            Err(error) => Some(Err(Status::internal(format!("reading the backup: {error}")))),
+        };
     }
 }

@@ -90,7 +90,10 @@ impl Context {
         question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
     ) -> Result<T, Status> {
         let _core = self.limits.fit().await?;
-        Ok(self.farm.ask(name, question).await?)
+        let start = tokio::time::Instant::now();
+        let answer = self.farm.ask(name, question).await?;
+        self.farm.metrics().fitted(start.elapsed());
+        Ok(answer)
     }
 }
 

@@ -26,11 +26,15 @@ use tonic::transport::Server;
 use crate::config::Config;
 use crate::farm::Farm;
 use crate::gate::GateLayer;
-use crate::incoming::{self, Incoming};
+use crate::incoming::{self, Connections, Incoming};
+use crate::web::Metrics;
 use limits::Limits;
 
 /// HTTP/2 pings find links that were cut without a word.
 const KEEPALIVE: Duration = Duration::from_secs(20);
+
+/// How often the number of refused connections is looked at.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// How long a stop waits for calls that are under way.
 const GRACE: Duration = Duration::from_secs(3);
@@ -52,9 +56,11 @@ pub(crate) async fn serve(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), tonic::transport::Error> {
+    let metrics = farm.metrics().clone();
     let context = Context { farm, shutdown: shutdown.clone(), limits: Limits::default() };
     let limit = RequestLimits::MESSAGE_BYTES;
     let connections = Incoming::new(listener, incoming::Limits::new(config.max_connections));
+    tokio::spawn(count_refused(connections.connections(), metrics.clone(), shutdown.clone()));
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<DictionariesServer<Context>>().await;
     health.set_serving::<LeasesServer<Context>>().await;
@@ -70,7 +76,9 @@ pub(crate) async fn serve(
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))
         .max_concurrent_streams(STREAMS)
-        .layer(GateLayer::new(config.access.clone(), |_, _, _| {}));
+        .layer(GateLayer::new(config.access.clone(), move |method, code, took| {
+            metrics.rpc(method, code, took);
+        }));
     if let Some(access) = &config.access {
         server = server.tls_config(access.server_tls())?;
     }
@@ -92,5 +100,71 @@ pub(crate) async fn serve(
             tracing::warn!("clients did not let go in time: their connections are cut");
             Ok(())
         }
+    }
+}
+
+/// Carries the number of connections refused over to the figures.
+async fn count_refused(connections: Connections, metrics: Metrics, shutdown: CancellationToken) {
+    let mut told = 0;
+    while !shutdown.is_cancelled() {
+        let refused = connections.refused();
+        (told..refused).for_each(|_| metrics.connection_refused());
+        told = refused;
+        tokio::select! {
+            () = shutdown.cancelled() => {}
+            () = tokio::time::sleep(LOOK) => {}
+        }
+    }
+}
+
+/// Methods that figures tell by their names.
+pub(crate) const METHODS: [&str; 29] = [
+    "/farm.v1.Admin/Backup",
+    "/farm.v1.Admin/DrainWorker",
+    "/farm.v1.Admin/Inspect",
+    "/farm.v1.Dictionaries/Cancel",
+    "/farm.v1.Dictionaries/Delete",
+    "/farm.v1.Dictionaries/Explain",
+    "/farm.v1.Dictionaries/Export",
+    "/farm.v1.Dictionaries/Get",
+    "/farm.v1.Dictionaries/List",
+    "/farm.v1.Dictionaries/Pause",
+    "/farm.v1.Dictionaries/Resume",
+    "/farm.v1.Dictionaries/Retry",
+    "/farm.v1.Dictionaries/SetPriority",
+    "/farm.v1.Dictionaries/Submit",
+    "/farm.v1.Dictionaries/Watch",
+    "/farm.v1.Farm/ListEvents",
+    "/farm.v1.Farm/ListWorkers",
+    "/farm.v1.Farm/Status",
+    "/farm.v1.Fits/Fit",
+    "/farm.v1.Fits/Map",
+    "/farm.v1.Fits/Measure",
+    "/farm.v1.Fits/Scale",
+    "/farm.v1.Fits/Similar",
+    "/farm.v1.Leases/Acquire",
+    "/farm.v1.Leases/Complete",
+    "/farm.v1.Leases/Fail",
+    "/farm.v1.Leases/HandBack",
+    "/farm.v1.Leases/Register",
+    "/farm.v1.Leases/Renew",
+];
+
+#[cfg(test)]
+mod tests {
+    use prost::Message;
+    use prost_types::FileDescriptorSet;
+
+    use super::*;
+
+    #[test]
+    fn figures_know_all_methods() {
+        let set = FileDescriptorSet::decode(wire::DESCRIPTORS).unwrap();
+        let services = set.file.iter().flat_map(|file| &file.service);
+        let mut methods: Vec<String> = services
+            .flat_map(|s| s.method.iter().map(move |m| format!("/farm.v1.{}/{}", s.name(), m.name())))
+            .collect();
+        methods.sort();
+        assert_eq!(methods, METHODS);
     }
 }

@@ -4,7 +4,7 @@ use std::fs::{File, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use super::{Result, StoreError};
+use super::{Result, StoreError, filesystem};
 
 /// File that tells where the coordinator that holds the lock listens.
 pub const ADDRESS_FILE: &str = "coordinator.addr";
@@ -19,6 +19,9 @@ pub struct DataDir {
 impl DataDir {
     pub fn lock(path: &Path) -> Result<Self> {
         let fault = |what| move |source| StoreError::DataDir { dir: path.to_owned(), what, source };
+        if let Some(warning) = filesystem::refuse_network_filesystem(path)? {
+            tracing::warn!("{warning}");
+        }
         std::fs::create_dir_all(path).map_err(fault("cannot be created"))?;
         let lock = File::options()
             .create(true)
@@ -36,12 +39,30 @@ impl DataDir {
         }
         let dir = Self { path: path.to_owned(), _lock: lock };
         dir.forget_address();
+        dir.remove_leftovers();
         Ok(dir)
     }
 
     /// Where the coordinator that holds this directory listens, if it has said so.
     pub fn address(path: &Path) -> Option<String> {
         std::fs::read_to_string(path.join(ADDRESS_FILE)).ok().filter(|a| !a.is_empty())
+    }
+
+    /// How the names of backups begin that are on their way to a client.
+    pub const BACKUP_PREFIX: &str = "backup-";
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Removes backups that a coordinator which was killed has left behind.
+    fn remove_leftovers(&self) {
+        let Ok(entries) = std::fs::read_dir(&self.path) else { return };
+        for entry in entries.flatten() {
+            if entry.file_name().to_string_lossy().starts_with(Self::BACKUP_PREFIX) {
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
     }
 
     pub fn database_file(&self) -> PathBuf {

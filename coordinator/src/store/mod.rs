@@ -5,16 +5,18 @@
 
 mod adopt;
 mod codec;
+pub mod copy;
 mod data_dir;
 mod dictionaries;
 mod events;
+pub mod filesystem;
 mod jobs;
 mod points;
 mod sums;
 mod workers;
 mod writer;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -54,6 +56,10 @@ pub enum StoreError {
     NameTaken,
     #[error("the database is closed")]
     Closed,
+    #[error(transparent)]
+    Copy(#[from] copy::CopyError),
+    #[error(transparent)]
+    Filesystem(#[from] filesystem::FilesystemError),
 }
 
 pub type Result<T, E = StoreError> = std::result::Result<T, E>;
@@ -119,9 +125,16 @@ impl Store {
         self.write.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to write"))
     }
 
-    /// Size of the database on the disk, without its log.
+    /// Size of the database on the disk, with its log.
     pub fn bytes(&self) -> u64 {
-        std::fs::metadata(self.dir.database_file()).map_or(0, |m| m.len())
+        let file = self.dir.database_file();
+        let log = file.with_extension("db-wal");
+        [file, log].iter().map(|f| std::fs::metadata(f).map_or(0, |m| m.len())).sum()
+    }
+
+    /// A verified copy of the database as it is now, in a new file.
+    pub async fn backup(&self, destination: &Path) -> Result<copy::BackupReport> {
+        Ok(copy::backup(&self.read, destination, newest_schema()).await?)
     }
 
     /// The folder whose lock this store holds.
@@ -143,6 +156,11 @@ impl Store {
         self.read.close().await;
         self.write.close().await;
     }
+}
+
+/// The newest schema that this program knows.
+pub fn newest_schema() -> i64 {
+    sqlx::migrate!().iter().map(|m| m.version).max().unwrap_or(0)
 }
 
 async fn check_version(pool: &SqlitePool) -> Result<()> {

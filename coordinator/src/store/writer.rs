@@ -59,6 +59,7 @@ pub enum Stored {
 #[derive(Debug, Clone, Copy)]
 pub struct Commit {
     pub results: usize,
+    pub records: usize,
     pub took: Duration,
 }
 
@@ -111,7 +112,12 @@ pub(super) async fn run(
         let start = tokio::time::Instant::now();
         let (completions, senders): (Vec<_>, Vec<_>) = requests.drain(..).unzip();
         let results = write_all(&pool, &completions).await;
-        committed(Commit { results: completions.len(), took: start.elapsed() });
+        let finished = |(completion, result): (&Completion, &Result<Stored>)| match result {
+            Ok(Stored::Finished { .. }) => completion.job.albedo().len(),
+            _ => 0,
+        };
+        let records = completions.iter().zip(&results).map(finished).sum();
+        committed(Commit { results: completions.len(), records, took: start.elapsed() });
         for (sender, result) in senders.into_iter().zip(results) {
             // Whoever asked may have gone; the result is stored nevertheless.
             let _ = sender.send(result);

@@ -1,0 +1,104 @@
+//! Backup and restore of the whole database.
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use farm_coordinator::store::{DataDir, copy, newest_schema};
+use farm_proto::wire::backup_piece::Content;
+use farm_proto::wire::{BackupHeader, BackupRequest};
+use serde::Serialize;
+
+use crate::cli::{BackupArgs, Global, RestoreArgs};
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::output::{Output, grouped};
+
+#[derive(Debug, Serialize)]
+struct CopyJson {
+    file: String,
+    bytes: u64,
+    blake3: String,
+    dictionaries: u64,
+    jobs: u64,
+    records: u64,
+}
+
+pub(crate) async fn backup(global: &Global, args: BackupArgs, output: &Output) -> Result<()> {
+    let file = args.file;
+    ensure!(!file.exists(), "{} exists: name another file, or move it away", file.display());
+    let header = with_farm(global, Purpose::Ask, async |connection| receive(connection, &file).await).await?;
+    let data = CopyJson {
+        file: file.display().to_string(),
+        bytes: header.bytes,
+        blake3: header.digest,
+        dictionaries: header.dictionaries,
+        jobs: header.jobs,
+        records: header.records,
+    };
+    output.print("backup", &data, || {
+        format!(
+            "{}: {} records of {} dictionaries, {} bytes, verified\nBLAKE3 {}",
+            data.file,
+            grouped(data.records),
+            grouped(data.dictionaries),
+            grouped(data.bytes),
+            data.blake3
+        )
+    })
+}
+
+/// Receives a backup into a draft, verifies it, and gives it its name and its checksum.
+async fn receive(connection: &Connection, file: &Path) -> Result<BackupHeader> {
+    let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut draft = tempfile::NamedTempFile::new_in(folder)
+        .with_context(|| format!("{}: cannot be written to", folder.display()))?;
+    let mut pieces = connection.admin().backup(BackupRequest {}).await?.into_inner();
+    let Some(Content::Header(header)) = pieces.message().await?.and_then(|piece| piece.content) else {
+        bail!("the coordinator sent no header");
+    };
+    while let Some(piece) = pieces.message().await? {
+        let Some(Content::Data(data)) = piece.content else { bail!("the coordinator sent two headers") };
+        draft.write_all(&data).with_context(|| file.display().to_string())?;
+    }
+    draft.as_file().sync_all().with_context(|| file.display().to_string())?;
+    let verified = copy::verify(draft.path(), newest_schema()).await?;
+    let found = verified.digest.to_hex().to_string();
+    ensure!(found == header.digest, "the backup came in damaged (BLAKE3 {found}, not {})", header.digest);
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let checksum = file.with_file_name(format!("{name}.b3"));
+    std::fs::write(&checksum, format!("{found}  {name}\n"))
+        .with_context(|| checksum.display().to_string())?;
+    draft.persist_noclobber(file).with_context(|| file.display().to_string())?;
+    Ok(header)
+}
+
+pub(crate) async fn restore(global: &Global, args: RestoreArgs, output: &Output) -> Result<()> {
+    ensure!(
+        global.server.is_none() && global.access.is_none() || global.local,
+        "a backup is restored on the coordinator's machine, while it does not run: name its folder with --data and add \
+         --local"
+    );
+    let dir = DataDir::lock(&global.data)?;
+    let report = copy::restore(&args.file, &dir, newest_schema()).await?;
+    let data = CopyJson {
+        file: report.database.display().to_string(),
+        bytes: report.bytes,
+        blake3: report.blake3_hex,
+        dictionaries: report.content.dictionaries,
+        jobs: report.content.jobs,
+        records: report.content.records,
+    };
+    let unchecked = report.checksum == copy::Checksum::Absent;
+    output.print("restore", &data, || {
+        let mut text = format!(
+            "{}: {} records of {} dictionaries restored",
+            data.file,
+            grouped(data.records),
+            grouped(data.dictionaries)
+        );
+        if unchecked {
+            text += "\nthere was no checksum (.b3) beside the backup: `farmctl doctor` looks at every record";
+        }
+        text
+    })
+}

@@ -1,0 +1,71 @@
+//! The two text formats that scrapers ask for.
+//!
+//! OpenMetrics describes a counter without the `_total` of its samples, the older format with it; a reader of the
+//! older one would take our counters for figures without type or help.
+
+use std::collections::HashSet;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Format {
+    /// For those that ask for it, as Prometheus does.
+    OpenMetrics,
+    /// For all others: people with curl, `promtool check metrics`, older collectors.
+    Prometheus,
+}
+
+impl Format {
+    /// Quality factors do not matter: who names OpenMetrics can read it.
+    pub(super) fn best_of<'a>(accepted: impl IntoIterator<Item = &'a str>) -> Self {
+        let types = accepted.into_iter().flat_map(|line| line.split(','));
+        let mut names = types.filter_map(|kind| kind.split(';').next());
+        let open = names.any(|name| name.trim().eq_ignore_ascii_case("application/openmetrics-text"));
+        if open { Self::OpenMetrics } else { Self::Prometheus }
+    }
+
+    pub(super) fn content_type(self) -> &'static str {
+        match self {
+            Self::OpenMetrics => "application/openmetrics-text; version=1.0.0; charset=utf-8",
+            Self::Prometheus => "text/plain; version=0.0.4; charset=utf-8",
+        }
+    }
+}
+
+/// Rewrites OpenMetrics without units, exemplars and timestamps as the older format.
+pub(super) fn to_prometheus(text: &str) -> String {
+    let counter = |line: &'_ str| Some(line.strip_prefix("# TYPE ")?.strip_suffix(" counter")?.to_owned());
+    let counters: HashSet<String> = text.lines().filter_map(counter).collect();
+    let mut rewritten = String::with_capacity(text.len());
+    for line in text.lines().filter(|line| *line != "# EOF") {
+        rewritten.push_str(&described(line, &counters).unwrap_or_else(|| line.to_owned()));
+        rewritten.push('\n');
+    }
+    rewritten
+}
+
+fn described(line: &str, counters: &HashSet<String>) -> Option<String> {
+    let mark = ["# HELP ", "# TYPE "].into_iter().find(|mark| line.starts_with(mark))?;
+    let (name, rest) = line[mark.len()..].split_once(' ')?;
+    counters.contains(name).then(|| format!("{mark}{name}_total {rest}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counters_are_described_by_the_names_of_their_samples() {
+        let open = "# HELP a Text a b.\n# TYPE a counter\na_total{x=\"a\"} 1\n# HELP b B.\n# TYPE b gauge\nb 2\n# EOF\n";
+        let old = "# HELP a_total Text a b.\n# TYPE a_total counter\na_total{x=\"a\"} 1\n# HELP b B.\n# TYPE b gauge\nb 2\n";
+        assert_eq!(to_prometheus(open), old);
+    }
+
+    #[test]
+    fn open_metrics_is_for_those_who_ask() {
+        let prometheus =
+            "application/openmetrics-text;version=1.0.0;q=0.5,text/plain;version=0.0.4;q=0.4,*/*;q=0.1";
+        assert_eq!(Format::best_of([prometheus]), Format::OpenMetrics);
+        assert_eq!(Format::best_of(["text/plain", "Application/OpenMetrics-Text"]), Format::OpenMetrics);
+        assert_eq!(Format::best_of(["*/*"]), Format::Prometheus);
+        assert_eq!(Format::best_of([]), Format::Prometheus);
+    }
+}

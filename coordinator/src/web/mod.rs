@@ -1,0 +1,183 @@
+//! Figures and health over plain HTTP, on a port of its own: `/metrics`, `/livez`, `/readyz`.
+//!
+//! Whoever can reach the port can read the names of dictionaries and how much is done; nothing can be changed.
+
+mod exposition;
+mod figures;
+mod metrics;
+mod process;
+
+#[cfg(test)]
+mod tests;
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::State;
+use axum::http::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::task::{JoinError, JoinSet};
+use tokio_util::sync::CancellationToken;
+
+use self::exposition::Format;
+
+pub use self::figures::{DictionaryFigures, Figures, JobFigures, WorkerFigures};
+pub use self::metrics::{BuildInfo, JobFailure, JobOutcome, LeaseKind, Metrics, VerificationOutcome};
+
+/// What a request may take to arrive, and how long a connection may wait for the next one.
+const HEADER_TIMEOUT: Duration = Duration::from_secs(15);
+/// Ends connections whose other side does not read what it asked for.
+const CONNECTION_TIMEOUT: Duration = Duration::from_mins(5);
+/// What a running answer may take after the signal to stop.
+const STOP_TIMEOUT: Duration = Duration::from_secs(1);
+/// Further ones wait to be accepted.
+const MOST_CONNECTIONS: usize = 64;
+const BUFFER_BYTES: usize = 16_384;
+const MOST_HEADERS: usize = 64;
+
+const PATHS: &str = "not found; there are:
+/metrics  figures for Prometheus
+/livez    whether the process answers
+/readyz   whether it can serve
+";
+
+type Ask<T> = Arc<dyn Fn() -> T + Send + Sync>;
+
+/// What the port tells. Both closures are called for each request on a thread that serves others: they must be quick.
+#[derive(Clone)]
+pub struct Web {
+    metrics: Metrics,
+    figures: Ask<Figures>,
+    ready: Ask<Result<(), String>>,
+}
+
+impl Web {
+    /// `ready` tells why the caller cannot serve, if it cannot.
+    pub fn new(
+        metrics: Metrics,
+        figures: impl Fn() -> Figures + Send + Sync + 'static,
+        ready: impl Fn() -> Result<(), String> + Send + Sync + 'static,
+    ) -> Self {
+        Self { metrics, figures: Arc::new(figures), ready: Arc::new(ready) }
+    }
+}
+
+impl fmt::Debug for Web {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Web").field("metrics", &self.metrics).finish_non_exhaustive()
+    }
+}
+
+/// Answers until the token is cancelled, and ends within two seconds then, whatever is connected.
+pub async fn serve(listener: TcpListener, state: Web, shutdown: CancellationToken) {
+    let router = router(state);
+    let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let mut connections = JoinSet::new();
+    loop {
+        tokio::select! {
+            () = shutdown.cancelled() => break,
+            Some(ended) = connections.join_next() => report(ended),
+            (stream, permit) = accept(&listener, &room) => {
+                let connection = converse(stream, router.clone(), shutdown.clone());
+                connections.spawn(async move {
+                    connection.await;
+                    drop(permit);
+                });
+            }
+        }
+    }
+    drop(listener);
+    // What runs on is cut off; one of the caller's closures that hangs is left to end with the process.
+    let _ = tokio::time::timeout(STOP_TIMEOUT, async {
+        while let Some(ended) = connections.join_next().await {
+            report(ended);
+        }
+    })
+    .await;
+}
+
+fn router(state: Web) -> Router {
+    Router::new()
+        .route("/metrics", get(metrics))
+        .route("/livez", get(|| async { "ok" }))
+        .route("/readyz", get(ready))
+        .fallback(|| async { (StatusCode::NOT_FOUND, PATHS) })
+        .with_state(state)
+}
+
+async fn metrics(State(web): State<Web>, headers: HeaderMap) -> Response {
+    let accepted = headers.get_all(ACCEPT).iter().filter_map(|value| value.to_str().ok());
+    let format = Format::best_of(accepted);
+    match web.metrics.expose((web.figures)(), format) {
+        Ok(text) => {
+            ([(CONTENT_TYPE, format.content_type()), (CACHE_CONTROL, "no-store")], text).into_response()
+        }
+        // Writing to a string does not fail; a metric that breaks the library's rules would.
+        Err(error) => {
+            (StatusCode::INTERNAL_SERVER_ERROR, format!("writing the figures: {error}\n")).into_response()
+        }
+    }
+}
+
+async fn ready(State(web): State<Web>) -> Response {
+    match (web.ready)() {
+        Ok(()) => "ok".into_response(),
+        Err(reason) => (StatusCode::SERVICE_UNAVAILABLE, reason).into_response(),
+    }
+}
+
+/// The permit comes first: who cannot be served is not taken from the queue.
+async fn accept(
+    listener: &TcpListener,
+    room: &Arc<Semaphore>,
+) -> (TcpStream, tokio::sync::OwnedSemaphorePermit) {
+    loop {
+        let Ok(permit) = Arc::clone(room).acquire_owned().await else {
+            // Nobody closes the semaphore.
+            std::future::pending().await
+        };
+        match listener.accept().await {
+            Ok((stream, _)) => return (stream, permit),
+            Err(error) => {
+                tracing::warn!(%error, "metrics port: a connection was not accepted");
+                // Out of files, for example: asking again at once would only burn time.
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+        }
+    }
+}
+
+async fn converse(stream: TcpStream, router: Router, shutdown: CancellationToken) {
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEADER_TIMEOUT)
+        .max_buf_size(BUFFER_BYTES)
+        .max_headers(MOST_HEADERS)
+        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router));
+    let mut connection = std::pin::pin!(connection);
+    let ended = tokio::select! {
+        ended = tokio::time::timeout(CONNECTION_TIMEOUT, connection.as_mut()) => ended,
+        () = shutdown.cancelled() => {
+            connection.as_mut().graceful_shutdown();
+            Ok(connection.await)
+        }
+    };
+    if let Ok(Err(error)) = ended {
+        tracing::debug!(%error, "metrics port: a connection broke");
+    }
+}
+
+fn report(ended: Result<(), JoinError>) {
+    if let Err(error) = ended {
+        tracing::error!(%error, "metrics port: an answer failed");
+    }
+}

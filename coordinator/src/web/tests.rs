@@ -1,0 +1,260 @@
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+
+use super::figures::MOST_RATIOS;
+use super::*;
+
+const FIT: &str = "/farm.v1.Fits/Fit";
+
+fn fresh() -> Metrics {
+    let build = BuildInfo { version: "1.2.3".to_owned(), physics_version: "7".to_owned() };
+    Metrics::new(build, [FIT, "/farm.v1.Leases/Take"])
+}
+
+fn figures() -> Figures {
+    Figures {
+        jobs: JobFigures { pending: 5, leased: 4, done: 3, failed: 2 },
+        workers: WorkerFigures { working: 6, ..WorkerFigures::default() },
+        dictionaries: DictionaryFigures { cancelled: 1, ..DictionaryFigures::default() },
+        work_done: (0..150).map(|n| (format!("d-{n}"), f64::from(n) / 150.0)).collect(),
+        database_bytes: 65_536,
+    }
+}
+
+struct Served {
+    address: SocketAddr,
+    stop: CancellationToken,
+    task: JoinHandle<()>,
+}
+
+async fn start(web: Web) -> Served {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let (address, stop) = (listener.local_addr().unwrap(), CancellationToken::new());
+    let task = tokio::spawn(serve(listener, web, stop.clone()));
+    Served { address, stop, task }
+}
+
+impl Served {
+    /// Status line and headers, body.
+    async fn get(&self, path: &str, headers: &str) -> (String, String) {
+        let mut stream = TcpStream::connect(self.address).await.unwrap();
+        let request = format!("GET {path} HTTP/1.1\r\nHost: farm\r\nConnection: close\r\n{headers}\r\n");
+        stream.write_all(request.as_bytes()).await.unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).await.unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        (head.to_owned(), body.to_owned())
+    }
+
+    async fn metrics(&self) -> String {
+        let (head, body) = self.get("/metrics", "").await;
+        assert!(head.starts_with("HTTP/1.1 200 "), "{head}");
+        assert!(head.contains("content-type: text/plain; version=0.0.4"), "{head}");
+        body
+    }
+}
+
+fn has(text: &str, line: &str) {
+    assert!(text.lines().any(|there| there == line), "`{line}` is not in\n{text}");
+}
+
+#[tokio::test]
+async fn what_was_counted_is_told() {
+    let metrics = fresh();
+    metrics.rpc(FIT, 0, Duration::from_micros(200));
+    metrics.rpc(FIT, 5, Duration::from_secs(100));
+    metrics.job_completed(JobOutcome::Duplicate);
+    metrics.job_failed(JobFailure::Quarantined);
+    metrics.leases_expired(2);
+    metrics.leases_granted(LeaseKind::Speculative, 8);
+    metrics.verified(VerificationOutcome::Disputed);
+    metrics.committed(Duration::from_millis(3), 4, 36);
+    metrics.connection_refused();
+    metrics.fitted(Duration::from_micros(300));
+    let served = start(Web::new(metrics.clone(), figures, || Ok(()))).await;
+    let text = served.metrics().await;
+    for line in [
+        r#"farm_rpc_seconds_bucket{le="0.0001",method="/farm.v1.Fits/Fit",code="OK"} 0"#,
+        r#"farm_rpc_seconds_bucket{le="0.00025",method="/farm.v1.Fits/Fit",code="OK"} 1"#,
+        r#"farm_rpc_seconds_bucket{le="60.0",method="/farm.v1.Fits/Fit",code="NOT_FOUND"} 0"#,
+        r#"farm_rpc_seconds_bucket{le="+Inf",method="/farm.v1.Fits/Fit",code="NOT_FOUND"} 1"#,
+        "# TYPE farm_jobs_completed_total counter",
+        r#"farm_jobs_completed_total{outcome="stored"} 0"#,
+        r#"farm_jobs_completed_total{outcome="duplicate"} 1"#,
+        r#"farm_jobs_failed_total{kind="quarantined"} 1"#,
+        "farm_leases_expired_total 2",
+        r#"farm_leases_granted_total{kind="speculative"} 8"#,
+        r#"farm_verifications_total{outcome="disputed"} 1"#,
+        "farm_records_stored_total 36",
+        "farm_commits_total 1",
+        "farm_commit_seconds_count 1",
+        r#"farm_commit_jobs_bucket{le="4.0"} 1"#,
+        r#"farm_commit_jobs_bucket{le="2.0"} 0"#,
+        "farm_connections_refused_total 1",
+        "farm_fit_seconds_count 1",
+        r#"farm_build_info{version="1.2.3",physics_version="7"} 1"#,
+    ] {
+        has(&text, line);
+    }
+    metrics.leases_expired(1);
+    has(&served.metrics().await, "farm_leases_expired_total 3");
+}
+
+#[tokio::test]
+async fn what_holds_now_is_told_for_a_hundred_dictionaries_at_most() {
+    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let text = served.metrics().await;
+    for line in [
+        r#"farm_jobs{state="pending"} 5"#,
+        r#"farm_jobs{state="failed"} 2"#,
+        r#"farm_workers{state="working"} 6"#,
+        r#"farm_workers{state="silent"} 0"#,
+        r#"farm_dictionaries{state="cancelled"} 1"#,
+        r#"farm_work_done_ratio{dictionary="d-75"} 0.5"#,
+        "farm_database_bytes 65536",
+        "# HELP farm_database_bytes Size of the database with its log.",
+        "# TYPE process_cpu_seconds_total counter",
+    ] {
+        has(&text, line);
+    }
+    assert_eq!(text.matches("\nfarm_work_done_ratio{").count(), MOST_RATIOS);
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn the_process_tells_what_it_takes() {
+    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let text = served.metrics().await;
+    let value = |name: &str| {
+        let line = text.lines().find_map(|line| line.strip_prefix(&format!("{name} "))).unwrap();
+        line.parse::<f64>().unwrap()
+    };
+    assert!((1e6..1e12).contains(&value("process_resident_memory_bytes")));
+    assert!((3.0..1e6).contains(&value("process_open_fds")));
+    assert!((1e-6..1e6).contains(&value("process_cpu_seconds_total")));
+}
+
+#[tokio::test]
+async fn no_caller_can_make_the_figures_grow() {
+    let metrics = fresh();
+    for n in 0..1000 {
+        metrics.rpc(&format!("/made.up/{n}\"\n"), n - 500, Duration::ZERO);
+    }
+    let served = start(Web::new(metrics, Figures::default, || Ok(()))).await;
+    let text = served.metrics().await;
+    let counts: Vec<_> = text.lines().filter(|line| line.starts_with("farm_rpc_seconds_count{")).collect();
+    assert!(counts.iter().all(|line| line.contains("method=\"other\"")), "{counts:?}");
+    assert_eq!(counts.len(), 17, "{counts:?}");
+}
+
+#[tokio::test]
+async fn every_metric_has_a_sentence_of_help_and_a_type() {
+    let metrics = fresh();
+    metrics.rpc(FIT, 0, Duration::ZERO);
+    let served = start(Web::new(metrics, figures, || Ok(()))).await;
+    let text = served.metrics().await;
+    let types = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
+    let names: Vec<_> = types.map(|line| line.split(' ').next().unwrap()).collect();
+    assert_eq!(names.len(), if cfg!(target_os = "linux") { 21 } else { 19 }, "{names:?}");
+    for name in names {
+        let help = text.lines().find_map(|line| line.strip_prefix(&format!("# HELP {name} "))).unwrap();
+        assert!(
+            help.ends_with('.') && !help.ends_with("..") && help.starts_with(char::is_uppercase),
+            "{name}: {help}"
+        );
+    }
+}
+
+#[tokio::test]
+async fn who_asks_for_open_metrics_gets_it() {
+    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let (head, body) =
+        served.get("/metrics", "Accept: application/openmetrics-text;version=1.0.0,*/*\r\n").await;
+    assert!(head.contains("content-type: application/openmetrics-text; version=1.0.0"), "{head}");
+    has(&body, "# TYPE farm_commits counter");
+    assert!(body.ends_with("# EOF\n"));
+}
+
+#[tokio::test]
+async fn health_is_told_with_the_reason_and_other_paths_are_listed() {
+    let served = start(Web::new(fresh(), figures, || Err("the database is being opened".to_owned()))).await;
+    let (head, body) = served.get("/livez", "").await;
+    assert!(head.starts_with("HTTP/1.1 200 ") && body == "ok", "{head} {body}");
+    let (head, body) = served.get("/readyz", "").await;
+    assert!(head.starts_with("HTTP/1.1 503 ") && body == "the database is being opened", "{head} {body}");
+    let (head, body) = served.get("/favicon.ico", "").await;
+    assert!(head.starts_with("HTTP/1.1 404 "), "{head}");
+    assert!(["/metrics", "/livez", "/readyz"].iter().all(|path| body.contains(path)), "{body}");
+    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let (head, body) = served.get("/readyz", "").await;
+    assert!(head.starts_with("HTTP/1.1 200 ") && body == "ok", "{head} {body}");
+}
+
+#[tokio::test]
+async fn it_stops_at_once_whatever_is_connected() {
+    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let _silent = TcpStream::connect(served.address).await.unwrap();
+    let mut halting = TcpStream::connect(served.address).await.unwrap();
+    halting.write_all(b"GET /livez HTTP/1.1\r\nHost:").await.unwrap();
+    let mut idle = TcpStream::connect(served.address).await.unwrap();
+    idle.write_all(b"GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
+    let mut answer = [0; 15];
+    idle.read_exact(&mut answer).await.unwrap();
+    assert_eq!(&answer, b"HTTP/1.1 200 OK");
+    served.stop.cancel();
+    timeout(Duration::from_secs(2), served.task).await.expect("it still runs after two seconds").unwrap();
+    assert!(TcpStream::connect(served.address).await.is_err());
+}
+
+#[tokio::test]
+async fn idle_connections_alone_do_not_delay_the_stop() {
+    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let mut idle = TcpStream::connect(served.address).await.unwrap();
+    idle.write_all(b"GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
+    let mut answer = [0; 15];
+    idle.read_exact(&mut answer).await.unwrap();
+    served.stop.cancel();
+    timeout(Duration::from_millis(300), served.task).await.expect("it waits for an idle connection").unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_answer_that_hangs_does_not_delay_the_stop() {
+    let (entered, inside) = std::sync::mpsc::channel();
+    let hang = move || {
+        entered.send(()).unwrap();
+        std::thread::sleep(Duration::from_secs(4));
+        Figures::default()
+    };
+    let served = start(Web::new(fresh(), hang, || Ok(()))).await;
+    let mut stream = TcpStream::connect(served.address).await.unwrap();
+    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
+    tokio::task::spawn_blocking(move || inside.recv().unwrap()).await.unwrap();
+    served.stop.cancel();
+    timeout(Duration::from_secs(2), served.task).await.expect("it waits for the answer").unwrap();
+}
+
+#[tokio::test]
+async fn an_answer_that_panics_ends_its_connection_alone() {
+    let served = start(Web::new(fresh(), || panic!("no figures"), || Ok(()))).await;
+    let mut stream = TcpStream::connect(served.address).await.unwrap();
+    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).await.unwrap();
+    assert!(answer.is_empty());
+    assert_eq!(served.get("/livez", "").await.1, "ok");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_request_that_does_not_arrive_is_not_waited_for() {
+    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let mut stream = TcpStream::connect(served.address).await.unwrap();
+    stream.write_all(b"GET /livez HTTP/1.1\r\n").await.unwrap();
+    let mut answer = Vec::new();
+    timeout(2 * HEADER_TIMEOUT, stream.read_to_end(&mut answer)).await.expect("it is waited for").unwrap();
+}

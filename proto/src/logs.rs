@@ -1,0 +1,196 @@
+//! Logs of the programs: text for people or JSON lines for machines, on standard error.
+
+use std::fmt;
+use std::io::IsTerminal;
+use std::str::FromStr;
+
+use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, filter};
+
+/// Variable that tells what is logged, such as `info,farm_coordinator=debug`.
+pub const FILTER_VARIABLE: &str = "FARM_LOG";
+
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    #[error("log format `{0}`: `text` or `json` is allowed")]
+    Format(String),
+    #[error(
+        "{FILTER_VARIABLE}=`{filter}`: {source}; allowed are a level (error, warn, info, debug, trace, off) or \
+         levels by module, such as `info,farm_coordinator=debug`"
+    )]
+    Filter { filter: String, source: filter::ParseError },
+    #[error("{FILTER_VARIABLE}: is not UTF-8 text")]
+    NotText,
+    #[error("logs have been set up already")]
+    Twice,
+}
+
+/// How a line of the log looks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LogFormat {
+    /// For people; in colour on a terminal, unless `NO_COLOR` is set.
+    #[default]
+    Text,
+    /// One object a line, with the fields of the event and of the spans around it.
+    Json,
+}
+
+impl FromStr for LogFormat {
+    type Err = LogError;
+
+    fn from_str(text: &str) -> Result<Self, LogError> {
+        match text {
+            "text" => Ok(Self::Text),
+            "json" => Ok(Self::Json),
+            other => Err(LogError::Format(other.to_owned())),
+        }
+    }
+}
+
+impl fmt::Display for LogFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Text => "text",
+            Self::Json => "json",
+        })
+    }
+}
+
+/// Starts logging to standard error: what `FARM_LOG` asks for or, without it, `default_filter`.
+pub fn init(format: LogFormat, default_filter: &str) -> Result<(), LogError> {
+    let asked = match std::env::var(FILTER_VARIABLE) {
+        Ok(filter) => Some(filter),
+        Err(std::env::VarError::NotPresent) => None,
+        Err(std::env::VarError::NotUnicode(_)) => return Err(LogError::NotText),
+    };
+    let filter = parse_filter(asked.as_deref(), default_filter)?;
+    let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let color = std::io::stderr().is_terminal() && !no_color;
+    match format {
+        LogFormat::Text => text(filter, color, std::io::stderr).try_init(),
+        LogFormat::Json => json(filter, std::io::stderr).try_init(),
+    }
+    .map_err(|_| LogError::Twice)
+}
+
+fn parse_filter(asked: Option<&str>, default_filter: &str) -> Result<EnvFilter, LogError> {
+    let filter = asked.map(str::trim).filter(|f| !f.is_empty()).unwrap_or(default_filter);
+    EnvFilter::builder()
+        .parse(filter)
+        .map_err(|source| LogError::Filter { filter: filter.to_owned(), source })
+}
+
+fn text<W>(filter: EnvFilter, color: bool, writer: W) -> impl tracing::Subscriber + Send + Sync
+where
+    W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
+{
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(color).with_writer(writer).finish()
+}
+
+/// The list of spans holds the current one too, so that this is not written a second time.
+fn json<W>(filter: EnvFilter, writer: W) -> impl tracing::Subscriber + Send + Sync
+where
+    W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
+{
+    tracing_subscriber::fmt()
+        .json()
+        .with_current_span(false)
+        .with_span_list(true)
+        .with_env_filter(filter)
+        .with_writer(writer)
+        .finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+
+    #[derive(Clone, Default)]
+    struct Page(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Page {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap().write(bytes)
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Page {
+        fn text(&self) -> String {
+            String::from_utf8(self.0.lock().unwrap().clone()).unwrap()
+        }
+    }
+
+    fn talk() {
+        let span = tracing::info_span!(
+            "rpc",
+            request_id = "r-1",
+            method = "/farm.v1.Leases/Take",
+            caller = tracing::field::Empty
+        );
+        let _entered = span.enter();
+        span.record("caller", "worker");
+        tracing::info!(jobs = 3, "granted\n\u{1b}[31m");
+        tracing::debug!("not asked for");
+    }
+
+    fn logged(subscriber: impl FnOnce(Page) -> Box<dyn tracing::Subscriber + Send + Sync>) -> String {
+        let page = Page::default();
+        tracing::subscriber::with_default(subscriber(page.clone()), talk);
+        page.text()
+    }
+
+    fn info() -> EnvFilter {
+        parse_filter(None, "info").unwrap()
+    }
+
+    fn to(page: Page) -> impl Fn() -> Page {
+        move || page.clone()
+    }
+
+    #[test]
+    fn a_json_line_holds_the_fields_of_the_event_and_of_its_spans() {
+        let lines = logged(|page| Box::new(json(info(), to(page))));
+        assert_eq!(lines.lines().count(), 1, "{lines}");
+        let line: serde_json::Value = serde_json::from_str(&lines).unwrap();
+        assert_eq!(line["level"], "INFO");
+        assert_eq!(line["fields"]["jobs"], 3);
+        let span = &line["spans"][0];
+        assert_eq!(span["name"], "rpc");
+        assert_eq!(span["request_id"], "r-1");
+        assert_eq!(span["method"], "/farm.v1.Leases/Take");
+        assert_eq!(span["caller"], "worker");
+    }
+
+    #[test]
+    fn text_holds_the_same_without_colours_or_control_characters() {
+        let lines = logged(|page| Box::new(text(info(), false, to(page))));
+        for part in ["INFO", "request_id=\"r-1\"", "caller=\"worker\"", "jobs=3"] {
+            assert!(lines.contains(part), "{part} is not in {lines}");
+        }
+        assert!(!lines.contains('\u{1b}') && !lines.contains("not asked for"), "{lines}");
+    }
+
+    #[test]
+    fn the_variable_wins_over_the_default_unless_it_is_empty() {
+        assert_eq!(parse_filter(Some("farm=debug"), "info").unwrap().to_string(), "farm=debug");
+        assert_eq!(parse_filter(Some(" "), "info").unwrap().to_string(), "info");
+    }
+
+    #[test]
+    fn a_wrong_filter_or_format_is_refused_with_what_is_allowed() {
+        let error = parse_filter(Some("farm=loud"), "info").unwrap_err().to_string();
+        assert!(error.starts_with("FARM_LOG=`farm=loud`: ") && error.contains("off"), "{error}");
+        let error = "xml".parse::<LogFormat>().unwrap_err().to_string();
+        assert_eq!(error, "log format `xml`: `text` or `json` is allowed");
+        for format in [LogFormat::Text, LogFormat::Json] {
+            assert_eq!(format.to_string().parse::<LogFormat>().unwrap(), format);
+        }
+    }
+}
