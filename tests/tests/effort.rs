@@ -1,0 +1,121 @@
+//! How much is traced: divided jobs, target errors, and records that are there already.
+
+use anyhow::Result;
+use farm_proto::grid::Axes;
+use farm_proto::job::JobSpec;
+use farm_proto::{Digest, Grid, Quality, Record, Walks};
+use farm_tests::farm::{TestFarm, small_grid};
+use farm_tests::hand::traced;
+use farm_worker::tracer::{trace, trace_block};
+use std::sync::atomic::AtomicBool;
+
+/// One transport point, few pixels, so that many walks are cheap.
+fn one_point(walks: u64) -> Result<Grid> {
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0],
+        albedo: vec![0.5, 0.99],
+        g: vec![0.4],
+        thickness_mm: vec![0.5],
+        sample_ior: vec![1.53],
+    };
+    let sensor = farm_proto::scene::Sensor::new(10.0, 12, 0.0)?;
+    let scene = small_grid().scene().clone().with_sensor(sensor);
+    Ok(Grid::new(scene, axes, Walks::new(walks)?, 1, false)?)
+}
+
+#[test]
+fn blocks_traced_apart_make_the_records_of_the_whole() -> Result<()> {
+    let job = JobSpec::of(&one_point(2_250_000)?, 0);
+    let stop = AtomicBool::new(false);
+    let whole = trace(&job, &stop)?;
+    let mut total = farm_proto::sums::Sums::new(&job);
+    let blocks: Vec<_> = [2, 0, 1].map(|block| (block, trace_block(&job, block, &stop))).into();
+    for wanted in 0..3 {
+        let sums = blocks.iter().find(|(block, _)| *block == wanted).map(|(_, sums)| sums.clone());
+        total.merge(&sums.expect("all three were traced")?);
+    }
+    assert_eq!(total.into_records(&job), whole);
+    Ok(())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_divided_job_of_several_workers_has_the_undivided_jobs_bytes() -> Result<()> {
+    let (farm, grid) = (TestFarm::start().await?, one_point(4_250_000)?);
+    let workers = [farm.worker(), farm.worker()];
+    farm.submit("divided", &grid).await?;
+    let status = farm.done("divided").await?;
+    let whole = Digest::of_jobs([Digest::of_records(&traced(&grid, 0))]);
+    assert_eq!(status.records_digest, Some(whole));
+    for worker in workers {
+        worker.stop().await?;
+    }
+    farm.coordinator.stop().await
+}
+
+fn noise(records: &[Record]) -> f64 {
+    Quality::noise_of(records)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn points_are_traced_until_the_target_error_and_have_the_bytes_of_as_many_walks() -> Result<()> {
+    let farm = TestFarm::start().await?;
+    let plain = small_grid();
+    let first: Vec<f64> = (0..plain.job_count()).map(|job| noise(&traced(&plain, job))).collect();
+    let target = 0.6 * first.iter().copied().fold(0.0, f64::max);
+    let grid = plain.clone().with_quality(Quality::new(target, Walks::new(1_000_000)?)?)?;
+    let worker = farm.worker();
+    farm.submit("quality", &grid).await?;
+    let status = farm.done("quality").await?;
+    let (fewest, most) = status.walks;
+    assert_eq!(fewest, plain.walks().get(), "some points are quiet enough at once");
+    assert!(most > 2 * plain.walks().get(), "the noisiest need (1/0.6)² times as many: {most}");
+
+    let mut digests = Vec::new();
+    for (job, first) in first.iter().enumerate() {
+        // What a plain grid with as many walks as the rule asks for would have.
+        let mut spec = JobSpec::of(&plain, job);
+        let mut records = traced(&plain, job);
+        while let Some(more) =
+            Quality::new(target, Walks::new(1_000_000)?)?.more_walks(spec.walks(), noise(&records))
+        {
+            spec = spec.with_walks(more);
+            records = trace(&spec, &AtomicBool::new(false))?;
+        }
+        assert!(noise(&records) <= target, "job {job}: {} after {first}", noise(&records));
+        digests.push(Digest::of_records(&records));
+    }
+    assert_eq!(status.records_digest, Some(Digest::of_jobs(digests)));
+    worker.stop().await?;
+    farm.coordinator.stop().await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_finer_grid_computes_only_what_is_missing_and_has_the_same_bytes() -> Result<()> {
+    let farm = TestFarm::start().await?;
+    let worker = farm.worker();
+    let coarse = small_grid();
+    farm.submit("coarse", &coarse).await?;
+    farm.done("coarse").await?;
+    let finer = |sigma_t: Vec<f64>, albedo: Vec<f64>| {
+        let axes = Axes {
+            sigma_t_per_mm: sigma_t,
+            albedo,
+            g: coarse.g().to_vec(),
+            thickness_mm: coarse.thickness_mm().to_vec(),
+            sample_ior: coarse.sample_ior().to_vec(),
+        };
+        Grid::new(coarse.scene().clone(), axes, coarse.walks(), coarse.seed(), false)
+    };
+    // One extinction is new, and one albedo is left out, which changes nothing for the others.
+    let fine = finer(vec![1.0, 4.0, 6.0, 8.0], vec![0.5, 0.99])?;
+    let submitted = farm.submit("fine", &fine).await?;
+    assert_eq!((submitted.jobs_done, submitted.jobs_total()), (12, 16));
+    assert_eq!(submitted.records_reused, 24);
+    let status = farm.done("fine").await?;
+    let digests = (0..fine.job_count()).map(|job| Digest::of_records(&traced(&fine, job)));
+    assert_eq!(status.records_digest, Some(Digest::of_jobs(digests)));
+    // The same grid under another name needs nothing at all.
+    assert_eq!(farm.submit("again", &coarse).await?.jobs_done, 12);
+    worker.stop().await?;
+    farm.coordinator.stop().await
+}
