@@ -56,18 +56,18 @@ pub(super) fn admit(
     let wanted = roles.iter().map(|role| role.as_str()).collect::<Vec<_>>().join(" or ");
     let Some(token) = bearer_token(headers) else {
         return Err(Status::unauthenticated(format!(
-            "this call needs the token of a {wanted}, and there is none: use an access file (--access FILE)"
+            "this call needs a token of role {wanted}, and there is none: use an access file (--access FILE)"
         )));
     };
     let Some((role, name)) = access.role_of(token) else {
         return Err(Status::unauthenticated(format!(
-            "this call needs the token of a {wanted}, and this coordinator does not know the one given: \
+            "this call needs a token of role {wanted}, and this coordinator does not know the one given: \
              ask for an access file that is valid"
         )));
     };
     if !roles.contains(&role) {
         return Err(Status::permission_denied(format!(
-            "this call needs the token of a {wanted}, and the one given ({name}) is of a {role}"
+            "this call needs a token of role {wanted}, and the one given ({name}) has role {role}"
         )));
     }
     Ok(Some(Caller { name: name.to_owned(), role }))

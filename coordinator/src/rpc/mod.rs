@@ -67,11 +67,14 @@ pub(crate) async fn serve(
     health.set_serving::<FitsServer<Context>>().await;
     health.set_serving::<FarmServer<Context>>().await;
     health.set_serving::<AdminServer<Context>>().await;
-    let reflection = tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        .build_v1()
-        .expect("the descriptors were made by the compiler");
+    let descriptors = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
+    // Older tools ask by the older name.
+    let reflection = descriptors().build_v1().expect("the descriptors were made by the compiler");
+    let older_reflection = descriptors().build_v1alpha().expect("the descriptors were made by the compiler");
     let mut server = Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))
@@ -85,6 +88,7 @@ pub(crate) async fn serve(
     let server = server
         .add_service(health_service)
         .add_service(reflection)
+        .add_service(older_reflection)
         .add_service(DictionariesServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(LeasesServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(FitsServer::new(context.clone()).max_decoding_message_size(limit))

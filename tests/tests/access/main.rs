@@ -41,7 +41,7 @@ async fn each_role_may_do_what_is_its_own_and_is_told_what_it_lacks() {
                 (Err(status), Err(needed)) => {
                     assert_eq!(status.code(), Code::PermissionDenied, "{status}");
                     let expected =
-                        format!("the token of a {needed}, and the one given ({role}) is of a {role}");
+                        format!("a token of role {needed}, and the one given ({role}) has role {role}");
                     assert!(status.message().contains(&expected), "{status}");
                 }
                 (answer, allowed) => panic!("{role} {path}: {answer:?} instead of {allowed:?}"),
@@ -56,7 +56,10 @@ async fn without_a_token_or_with_a_wrong_one_only_health_is_told() {
     let anonymous = farm.tls_channel_without_token().await;
     let status = call(&anonymous, FITS).await.unwrap_err();
     assert_eq!(status.code(), Code::Unauthenticated);
-    assert!(status.message().contains("needs the token of a client or admin, and there is none"), "{status}");
+    assert!(
+        status.message().contains("needs a token of role client or admin, and there is none"),
+        "{status}"
+    );
     health(anonymous).await.unwrap();
 
     let text = std::fs::read_to_string(farm.file(Role::Client)).unwrap();
