@@ -1,23 +1,43 @@
-use anyhow::Result;
-use farm_proto::wire::StatusRequest;
+//! Asks the coordinator's health service, which answers whoever may connect.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use farm_proto::access::{ClientAccess, Target};
 use serde::Serialize;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
 
 use crate::cli::Global;
-use crate::connection::{Purpose, with_farm};
 use crate::output::Output;
+
+/// Whoever asks for health wants a quick answer.
+const PATIENCE: Duration = Duration::from_secs(8);
 
 #[derive(Debug, Serialize)]
 struct HealthJson {
     serving: bool,
-    version: String,
+    server: String,
 }
 
 pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
-    let version = with_farm(global, Purpose::Ask, async |connection| {
-        Ok(connection.farm().status(StatusRequest {}).await?.into_inner().version)
-    })
-    .await?;
-    output.print("health", &HealthJson { serving: true, version: version.clone() }, || {
-        format!("serving, version {version}")
+    ensure!(
+        global.server.is_some() || global.access.is_some(),
+        "name the coordinator with --server or --access: a farm in this process is as healthy as the process"
+    );
+    let access = global.access.as_deref().map(ClientAccess::read).transpose()?;
+    let target = Target::new(access.as_ref(), global.server.as_deref())?;
+    let url = target.url().to_owned();
+    let answer = tokio::time::timeout(PATIENCE, async {
+        let mut client = HealthClient::new(target.connect_lazy());
+        client.check(HealthCheckRequest { service: String::new() }).await
+    });
+    let answer = answer.await.with_context(|| format!("{url}: no answer within {} s", PATIENCE.as_secs()))?;
+    let status = answer.with_context(|| format!("no coordinator answers at {url}"))?.into_inner().status();
+    ensure!(status == ServingStatus::Serving, "the coordinator at {url} is not serving");
+    let data = HealthJson { serving: true, server: url };
+    output.print("health", &data, || {
+        if global.quiet { String::new() } else { format!("{} is serving", data.server) }
     })
 }

@@ -139,11 +139,36 @@ pub(super) struct Question<'a> {
 }
 
 /// One question per channel of a measurement.
+/// Most ranges of pixels that one request may compare: each takes a description of all records, some 150 MB for the
+/// paper's dictionary.
+const RANGES: usize = 4;
+
+/// Refuses profiles that cover too many different ranges of the dictionary's pixels.
+pub(super) fn check_ranges<'a>(
+    dictionary: &FitDictionary,
+    materials: impl IntoIterator<Item = &'a Measurement>,
+) -> Result<(), Invalid> {
+    let sensor = dictionary.grid().scene().sensor();
+    let profiles = materials.into_iter().flat_map(Measurement::profiles);
+    let mut ranges: Vec<(usize, usize)> =
+        profiles.map(|p| resample(p, sensor).pixels).map(|pixels| (pixels.start, pixels.end)).collect();
+    ranges.sort_unstable();
+    ranges.dedup();
+    if ranges.len() > RANGES {
+        let given = format!("{} different ranges of the dictionary's pixels", ranges.len());
+        let allowed =
+            format!("at most {RANGES} in one request are allowed: cut the profiles to the same range");
+        return Err(Invalid::new("x_mm", given, allowed));
+    }
+    Ok(())
+}
+
 pub(super) fn questions<'a>(
     dictionary: &'a FitDictionary,
     measurement: &'a Measurement,
     options: &FitOptions,
 ) -> Result<Vec<Question<'a>>, Invalid> {
+    check_ranges(dictionary, [measurement])?;
     let admissible = Admissible::new(dictionary, options)?;
     let question = |name| Question::new(dictionary, measurement, name, options, admissible.clone());
     measurement.channels().into_iter().map(question).collect()

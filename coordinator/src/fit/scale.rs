@@ -9,7 +9,7 @@ use farm_proto::{Invalid, Measurement};
 use rayon::prelude::*;
 
 use super::dictionary::FitDictionary;
-use super::question::{Place, Question, Term, questions};
+use super::question::{Place, Question, Term, check_ranges, questions};
 use super::sum::{mean_product, mean_square};
 
 /// Searches the scale factor that is common to all materials, with its options' bounds; their μ is not used.
@@ -20,6 +20,7 @@ pub fn scale(
     range: &MuRange,
 ) -> Result<ScaleCurve, Invalid> {
     let unscaled = options.with_mu(1.0, 0.0)?;
+    check_ranges(dictionary, materials)?;
     let mut all: Vec<Question> = Vec::new();
     for (i, material) in materials.iter().enumerate() {
         let asked = questions(dictionary, material, &unscaled);

@@ -1,8 +1,8 @@
-use farm_proto::fit::{Bounds, Candidate, FitOptions, FitSettings, Outside, Wavelet};
+use farm_proto::fit::{Bounds, Candidate, FitOptions, FitSettings, MuRange, Outside, Wavelet};
 use farm_proto::{Estimate, MeasuredProfile, Measurement, Medium, Profile, Record};
 
 use crate::fit::testing::{dictionary, measured, profile_value};
-use crate::fit::{DictionaryBuilder, FitDictionary, derivative, fit};
+use crate::fit::{DictionaryBuilder, FitDictionary, derivative, fit, scale};
 
 fn options(change: impl FnOnce(&mut FitSettings)) -> FitOptions {
     let mut settings = FitSettings::default();
@@ -199,4 +199,14 @@ fn unknown_channels_and_thicknesses_and_foreign_ranges_are_refused() {
     assert_eq!(refuse("R", 0.7, 0.0), "thickness_mm = 0.7 is not valid: the dictionary has 0.5, 1");
     let range = refuse("R", 0.5, 100.0);
     assert!(range.contains("it covers 0 pixels of the dictionary's -5 to 5 mm, 8 are needed"), "{range}");
+}
+
+#[test]
+fn profiles_of_too_many_ranges_are_refused() {
+    let dictionary = dictionary(360);
+    let several: Vec<_> = [10.0, 9.5, 9.0, 8.5, 8.0].map(|width| measured(4.0, 0.9, 0.0, 180, width)).into();
+    let (options, range) = (FitOptions::default(), MuRange::new(1.0, 1.0, 1.0).unwrap());
+    assert!(scale(&dictionary, &several[..4], &options, &range).is_ok());
+    let error = scale(&dictionary, &several, &options, &range).unwrap_err().to_string();
+    assert!(error.contains("x_mm = 5 different ranges"), "{error}");
 }
