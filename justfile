@@ -42,3 +42,18 @@ round-trip-long effort="8":
 compare-mitsuba python="python3":
     cargo build --release
     {{python}} tests/mitsuba/compare.py
+
+# The deployment files against the programs, schemas and engines; some parts need root.
+deploy-check:
+    cargo build --workspace --bins
+    BIN=target/debug deploy/check all
+
+# Coordinator and worker on two network namespaces, over TLS, with a link that goes down; needs root and iproute2.
+two-hosts:
+    cargo build --release --workspace --bins
+    deploy/two-hosts
+
+# A private one-node Slurm cluster whose workers finish two dictionaries; needs root, munge, slurmctld, slurmd. Five minutes.
+slurm-check:
+    cargo build --release --workspace --bins
+    deploy/slurm/check
