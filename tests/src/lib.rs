@@ -5,7 +5,9 @@
 
 pub mod cli;
 pub mod farm;
+pub mod farm_processes;
 pub mod hand;
 pub mod process;
+pub mod proxy;
 pub mod reference;
 pub mod statistics;

@@ -107,14 +107,17 @@ async fn send(session: &Session, batch: &[Finished]) {
 }
 
 fn tell(key: &LeaseKey, outcome: &CompletionOutcome) {
-    let (job, attempt, message) = (key.job, key.attempt, outcome.message.as_str());
+    let (dictionary, job, attempt) = (key.dictionary.0, key.job, key.attempt);
+    let message = outcome.message.as_str();
     match outcome.kind() {
-        CompletionKind::Stored => tracing::debug!(job, attempt, "job done"),
-        CompletionKind::Duplicate => tracing::debug!(job, attempt, "these records were stored before"),
-        CompletionKind::Refused | CompletionKind::Unspecified => {
-            tracing::info!(job, attempt, message, "this result is not wanted any more");
+        CompletionKind::Stored => tracing::debug!(dictionary, job, attempt, "job done"),
+        CompletionKind::Duplicate => {
+            tracing::debug!(dictionary, job, attempt, "these records were stored before");
         }
-        CompletionKind::Conflict => tracing::error!(job, attempt, message, "result refused"),
+        CompletionKind::Refused | CompletionKind::Unspecified => {
+            tracing::info!(dictionary, job, attempt, message, "this result is not wanted any more");
+        }
+        CompletionKind::Conflict => tracing::error!(dictionary, job, attempt, message, "result refused"),
     }
 }
 

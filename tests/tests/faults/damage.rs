@@ -1,0 +1,93 @@
+//! A bit that flips on the disk.
+
+use farm_tests::farm_processes::{FarmProcesses, SOON, grid_of, undisturbed, wait_for};
+use farm_tests::hand::traced;
+
+use super::GRID;
+
+const DAMAGED: u32 = 5;
+
+/// Flips one bit of a profile of a job's first record, in the file.
+fn flip(farm: &FarmProcesses) {
+    let records = traced(&grid_of(GRID), DAMAGED as usize);
+    let estimate = &records[0].profiles[0].radiance_factor;
+    let known: Vec<u8> = estimate.values().iter().flat_map(|v| v.to_le_bytes()).collect();
+    let mut file = std::fs::read(farm.database()).unwrap();
+    let found: Vec<_> = file.windows(known.len()).enumerate().filter(|(_, w)| *w == known).collect();
+    assert_eq!(found.len(), 1, "the record is in the file once");
+    let place = found[0].0 + 4 * 100;
+    // The lowest bit of a number: it stays a number, and in range.
+    file[place] ^= 1;
+    std::fs::write(farm.database(), file).unwrap();
+}
+
+/// A farm with a dictionary that is done, stopped, damaged, and started again.
+fn damaged() -> FarmProcesses {
+    let mut farm = FarmProcesses::start(&["--verify-share", "0"]);
+    farm.submit("grid", GRID);
+    let worker = farm.worker("worker", &[]);
+    farm.done("grid");
+    drop(worker);
+    assert_eq!(farm.stop_coordinator(), 0);
+    flip(&farm);
+    farm.start_coordinator();
+    farm
+}
+
+fn mended(farm: &FarmProcesses) {
+    let worker = farm.worker("mender", &[]);
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    let exported = farm.farmctl(&["export", "grid", "-o", "all.csv"]);
+    assert_eq!(exported.code, 0, "{}", exported.stderr);
+    let doctor = farm.farmctl(&["doctor"]);
+    assert_eq!(doctor.code, 0, "{}", doctor.stdout);
+    drop(worker);
+}
+
+#[test]
+fn damaged_records_are_never_handed_out_but_named_and_computed_again() {
+    let farm = damaged();
+    let refused = farm.farmctl(&["export", "grid"]);
+    assert_eq!(refused.code, 1, "{}", refused.stderr);
+    assert!(refused.stderr.contains(&format!("job {DAMAGED} of dictionary grid was damaged")), "{}", refused.stderr);
+    assert_eq!(farm.show("grid")["jobs_done"].as_u64(), Some(super::JOBS - 1));
+    wait_for("the event", SOON, || (farm.events("JOB_DAMAGED").len() == 1).then_some(()));
+    mended(&farm);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_fit_with_damaged_records_is_refused_as_data_loss() {
+    use farm_proto::wire::fits_client::FitsClient;
+    use farm_proto::{MeasuredProfile, Measurement};
+    let farm = damaged();
+    let link = tonic::transport::Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap();
+    let (grid, records) = (grid_of(GRID), traced(&grid_of(GRID), 0));
+    let sensor = grid.scene().sensor();
+    let x = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
+    let values = records[0].profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect();
+    let channel = grid.scene().channels()[0].name().to_owned();
+    let profile = MeasuredProfile::new(&channel, grid.thickness_mm()[0], x, values, None).unwrap();
+    let measurement = Measurement::new("m", vec![profile]).unwrap();
+    let request = farm_proto::wire::FitRequest {
+        dictionary: "grid".to_owned(),
+        measurement: Some((&measurement).into()),
+        options: None,
+    };
+    let refused = FitsClient::new(link).fit(request).await.unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::DataLoss, "{refused}");
+    assert!(refused.message().contains(&format!("job {DAMAGED} of dictionary grid")), "{refused}");
+    mended(&farm);
+}
+
+#[test]
+fn the_doctor_finds_a_flipped_bit_and_mends_it_if_told_to() {
+    let farm = damaged();
+    for _ in 0..2 {
+        // Looking alone changes nothing.
+        let doctor = farm.farmctl(&["doctor"]);
+        assert_eq!(doctor.code, 3, "{}", doctor.stdout);
+        assert!(doctor.stdout.contains(&format!("job {DAMAGED} of grid")), "{}", doctor.stdout);
+    }
+    assert_eq!(farm.farmctl(&["doctor", "--repair"]).code, 3);
+    mended(&farm);
+}

@@ -1,0 +1,94 @@
+//! A disk that fills up.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use farm_tests::farm_processes::{FarmProcesses, LONG, SOON, undisturbed, wait_for};
+use serde_json::Value;
+
+use super::{JOBS, RECORDS};
+
+/// Records that do not fit.
+const GRID: &str = "\
+sigma_t_per_mm = [2, 8]
+albedo = [0.5, 0.9, 0.99]
+g = [0.0, 0.4, 0.8]
+walks = 25000
+derivatives = true
+";
+
+/// A filesystem in memory. Unmounted when dropped.
+struct Small(PathBuf);
+
+impl Small {
+    /// None if this process may not mount.
+    fn mount(folder: PathBuf, size: &str) -> Option<Self> {
+        std::fs::create_dir(&folder).unwrap();
+        let path = folder.to_str().unwrap();
+        let size = format!("size={size}");
+        let mounted = run(Command::new("mount").args(["-t", "tmpfs", "-o", &size, "tmpfs", path]));
+        mounted.then_some(Self(folder))
+    }
+
+    fn enlarge(&self, size: &str) {
+        let option = format!("remount,size={size}");
+        assert!(run(Command::new("mount").args(["-o", &option]).arg(&self.0)));
+    }
+}
+
+impl Drop for Small {
+    fn drop(&mut self) {
+        run(Command::new("umount").arg("--lazy").arg(&self.0));
+    }
+}
+
+fn run(command: &mut Command) -> bool {
+    command.output().is_ok_and(|output| output.status.success())
+}
+
+fn acknowledged(farm: &FarmProcesses) -> u64 {
+    farm.worker_logs().iter().filter(|line| line.to_string().contains("job done")).count() as u64
+}
+
+fn done(farm: &FarmProcesses) -> u64 {
+    farm.show("grid")["jobs_done"].as_u64().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn on_a_full_disk_nothing_is_acknowledged_all_say_why_and_with_room_work_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let Some(disk) = Small::mount(data.clone(), "2200k") else {
+        eprintln!("SKIPPED: only root may mount the small disk that this test needs");
+        return;
+    };
+    let mut farm = FarmProcesses::with_data(folder, data, &["--verify-share", "0", "--lease", "2"]);
+    farm.submit("grid", GRID);
+    let mut worker = farm.worker("worker", &[]);
+    let (_, reason) = wait_for("the disk is full", LONG, || farm.page("/readyz").filter(|(code, _)| *code == 503));
+    assert!(reason.contains("results cannot be stored") && reason.contains("full"), "{reason}");
+    let status = farm.ask(&["status"]);
+    assert!(status["store_fault"].as_str().is_some_and(|fault| fault.contains("full")), "{status}");
+    let status = farm.farmctl(&["status"]).stdout;
+    assert!(status.contains("results cannot be stored"), "{status}");
+    let explained: Value = farm.ask(&["explain", "grid"]);
+    assert_eq!(explained["reasons"][0]["code"], "STORE_FAULT", "{explained}");
+    let before = done(&farm);
+    assert!(before < JOBS, "the disk was too large for this test");
+    assert!(acknowledged(&farm) <= before, "acknowledged and not stored");
+    assert!(worker.is_running());
+    disk.enlarge("256m");
+    let digest = farm.done("grid");
+    assert_eq!(digest, undisturbed(GRID));
+    wait_for("it is ready again", SOON, || farm.page("/readyz").filter(|(code, _)| *code == 200));
+    assert_eq!(acknowledged(&farm), JOBS, "the worker kept what was not stored");
+    assert!(farm.events("ATTEMPT_FAILED").is_empty());
+    // What is done is on the disk, not only in memory.
+    farm.kill_coordinator();
+    farm.start_coordinator();
+    assert_eq!(farm.done("grid"), digest);
+    assert_eq!(farm.stop_coordinator(), 0);
+    assert_eq!(farm.record_rows().await, (RECORDS, 0));
+    drop((worker, farm));
+    drop(disk);
+}

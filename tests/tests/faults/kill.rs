@@ -1,0 +1,110 @@
+//! `kill -9` at moments and of victims that a seed tells.
+//!
+//! SIGKILL proves that what a process had not yet written is not missed; it does not prove that data survive a power
+//! cut.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use farm_tests::farm_processes::{FarmProcesses, Process, SOON, undisturbed, wait_for};
+use farm_tests::statistics::{Normal, effort};
+
+use super::{JOBS, RECORDS};
+
+const SEED: u64 = 20_261_121;
+/// Longest time between two kills.
+const PAUSE: Duration = Duration::from_millis(600);
+
+/// 12 in the short form, up to 200 in the long form.
+fn rounds() -> u64 {
+    (12 * effort()).min(200)
+}
+
+/// The grid of a dictionary: each has other records than those before.
+fn grid(number: u64) -> String {
+    format!("{}seed = {number}\n", super::GRID)
+}
+
+fn name(number: u64) -> String {
+    format!("grid-{number}")
+}
+
+fn records_done(farm: &FarmProcesses, number: u64) -> u64 {
+    let listed = wait_for("the coordinator answers after a kill", SOON, || farm.listed(&name(number)));
+    listed["records_done"].as_u64().unwrap()
+}
+
+/// Results that workers saw acknowledged as stored, by dictionary and job. A worker writes this down when it has the
+/// answer in hand.
+fn acknowledged(farm: &FarmProcesses) -> BTreeMap<(u64, u64), u64> {
+    let mut counts = BTreeMap::new();
+    for line in farm.worker_logs() {
+        let text = line.to_string();
+        if text.contains("job done") {
+            let field = |name: &str| find_number(&line, name).expect("the line tells it");
+            *counts.entry((field("dictionary"), field("job"))).or_default() += 1;
+        }
+    }
+    counts
+}
+
+/// A field of a log line, wherever the format puts it.
+fn find_number(line: &serde_json::Value, name: &str) -> Option<u64> {
+    line[name].as_u64().or_else(|| line["fields"][name].as_u64())
+}
+
+#[test]
+fn after_kills_at_random_moments_every_acknowledged_record_exists_exactly_once() {
+    // Workers that are killed are silent ones: no job is to be given up for it here.
+    let mut farm = FarmProcesses::start(&["--lease", "1", "--max-attempts", "1000", "--verify-share", "0"]);
+    let mut random = Normal::new(SEED);
+    let mut started = 0;
+    let mut worker = |farm: &FarmProcesses| {
+        started += 1;
+        farm.worker(&format!("w{started}"), &[])
+    };
+    let mut workers: [Process; 2] = [worker(&farm), worker(&farm)];
+    let (mut number, mut stored, mut kills) = (1, 0, [0, 0]);
+    farm.submit(&name(number), &grid(number));
+    for _ in 0..rounds() {
+        std::thread::sleep(PAUSE.mul_f64(random.uniform()));
+        match (random.uniform() * 3.0) as usize {
+            0 => {
+                farm.kill_coordinator();
+                farm.start_coordinator();
+                kills[0] += 1;
+            }
+            victim => {
+                workers[victim - 1].kill();
+                workers[victim - 1] = worker(&farm);
+                kills[1] += 1;
+            }
+        }
+        let now = records_done(&farm, number);
+        assert!(now >= stored, "{stored} records were stored, {now} are left after a kill");
+        stored = now;
+        // Kills must come in the middle to prove anything.
+        if now == RECORDS {
+            (number, stored) = (number + 1, 0);
+            farm.submit(&name(number), &grid(number));
+        }
+    }
+    assert!(kills.iter().all(|k| *k > 0), "both kinds must be killed: {kills:?}");
+    let digests: Vec<_> = (1..=number).map(|n| farm.done(&name(n))).collect();
+    assert_eq!(farm.stop_coordinator(), 0);
+    check_rows(&farm, number);
+    let acknowledged = acknowledged(&farm);
+    let lost: Vec<_> = acknowledged.iter().filter(|(_, times)| **times > 1).collect();
+    assert!(lost.is_empty(), "stored, acknowledged, lost and stored again: {lost:?}");
+    assert!(acknowledged.len() as u64 >= JOBS / 2, "workers tell what was acknowledged");
+    for (n, digest) in (1..).zip(digests) {
+        assert_eq!(digest, undisturbed(&grid(n)), "the bytes differ from the undisturbed run's");
+    }
+    println!("{} kills of the coordinator, {} of workers, {number} dictionaries", kills[0], kills[1]);
+}
+
+fn check_rows(farm: &FarmProcesses, dictionaries: u64) {
+    let (rows, doubled) =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(farm.record_rows());
+    assert_eq!((rows, doubled), (dictionaries * RECORDS, 0));
+}

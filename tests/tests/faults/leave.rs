@@ -1,0 +1,98 @@
+//! Workers that leave as they are asked to.
+
+use std::time::Duration;
+
+use farm_tests::farm_processes::{FarmProcesses, SOON, Signal, undisturbed, wait_for};
+use tokio::time::Instant;
+
+use super::{GRID, LONG_JOBS};
+
+/// Leases that are not handed back are lost for longer than any of these tests.
+const LEASE: [&str; 2] = ["--lease", "3600"];
+
+fn leases(farm: &FarmProcesses) -> u64 {
+    farm.show("grid")["jobs_leased"].as_u64().unwrap()
+}
+
+fn jobs_done(farm: &FarmProcesses) -> u64 {
+    farm.show("grid")["jobs_done"].as_u64().unwrap()
+}
+
+fn nobody_is_blamed(farm: &FarmProcesses) {
+    assert_eq!(leases(farm), 0, "all leases are handed back");
+    for kind in ["ATTEMPT_FAILED", "JOB_FAILED", "JOB_QUARANTINED"] {
+        assert!(farm.events(kind).is_empty(), "{kind}");
+    }
+    assert_eq!(farm.figure("farm_leases_expired_total"), 0);
+}
+
+#[test]
+fn a_worker_told_to_stop_finishes_what_it_traces_and_hands_the_rest_back_at_once() {
+    let farm = FarmProcesses::start(&LEASE);
+    farm.submit("grid", LONG_JOBS);
+    let mut worker = farm.worker("worker", &["--grace", "60s"]);
+    // One is traced, the next waits.
+    farm.leased("grid", 2);
+    worker.signal(Signal::TERM);
+    wait_for("the one that waits is handed back", Duration::from_secs(2), || (leases(&farm) == 1).then_some(()));
+    assert_eq!(jobs_done(&farm), 0, "the other is still being traced");
+    assert_eq!(worker.exit_within(Duration::from_secs(60)), 0);
+    assert_eq!(jobs_done(&farm), 1, "what was being traced is stored");
+    nobody_is_blamed(&farm);
+    let second = farm.worker("second", &[]);
+    assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
+    drop(second);
+}
+
+#[test]
+fn a_worker_without_grace_stops_at_once_and_its_job_is_not_blamed() {
+    let farm = FarmProcesses::start(&LEASE);
+    farm.submit("grid", LONG_JOBS);
+    let mut worker = farm.worker("worker", &["--grace", "0s"]);
+    farm.leased("grid", 2);
+    worker.signal(Signal::TERM);
+    assert_eq!(worker.exit_within(Duration::from_secs(5)), 0);
+    assert_eq!(jobs_done(&farm), 0);
+    nobody_is_blamed(&farm);
+}
+
+#[test]
+fn a_worker_ends_before_its_time_limit_and_nobody_is_blamed() {
+    let farm = FarmProcesses::start(&LEASE);
+    // More than can be done in the time.
+    farm.submit("grid", &format!("{LONG_JOBS}sample_ior = [1.3, 1.4, 1.5, 1.6]\n"));
+    let start = Instant::now();
+    let mut worker = farm.worker("worker", &["--time-limit", "8s", "--grace", "1s"]);
+    assert_eq!(worker.exit_within(Duration::from_secs(8)), 0);
+    let worked = start.elapsed();
+    assert!(worked > Duration::from_secs(2), "it worked for {worked:?} only");
+    assert!(worker.log().contains("ended before the time limit"), "{}", worker.log());
+    nobody_is_blamed(&farm);
+}
+
+#[test]
+fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
+    let farm = FarmProcesses::start(&["--lease", "4"]);
+    farm.submit("grid", LONG_JOBS);
+    let mut worker = farm.worker("old", &["--grace", "60s"]);
+    farm.leased("grid", 2);
+    farm.ask(&["workers", "drain", "old"]);
+    let second = farm.worker("young", &[]);
+    assert_eq!(worker.exit_within(SOON * 2), 0);
+    assert!(worker.log().contains("left, as the coordinator asked"), "{}", worker.log());
+    assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
+    nobody_is_blamed(&farm);
+    assert_eq!(farm.farmctl(&["workers", "drain", "old"]).code, 1, "it is known no more");
+    drop(second);
+}
+
+#[test]
+fn a_worker_for_which_there_is_no_work_ends_if_it_may() {
+    let farm = FarmProcesses::start(&LEASE);
+    farm.submit("grid", GRID);
+    let mut worker = farm.worker("worker", &["--idle-exit", "1s"]);
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    assert_eq!(worker.exit_within(SOON), 0);
+    assert!(worker.log().contains("ended for want of work"), "{}", worker.log());
+    nobody_is_blamed(&farm);
+}

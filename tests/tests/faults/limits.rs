@@ -1,0 +1,114 @@
+//! Messages that are too large, connections that are too many.
+
+use std::convert::Infallible;
+use std::io::Read;
+use std::net::TcpStream;
+use std::time::Duration;
+
+use bytes::Bytes;
+use farm_proto::wire::GetRequest;
+use farm_proto::wire::dictionaries_client::DictionariesClient;
+use farm_tests::farm_processes::{FarmProcesses, SOON, undisturbed, wait_for};
+use http_body_util::StreamBody;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Status};
+
+use super::{GRID, JOBS};
+
+const MIB: u64 = 1024;
+const REFUSED: &str = "farm_connections_refused_total";
+
+async fn link(farm: &FarmProcesses) -> Channel {
+    Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap()
+}
+
+/// Sends one message of 1 GiB as a call of `path`, piece by piece, for as long as the other end takes it.
+async fn send_huge(mut link: Channel, path: &str) -> Status {
+    use tower::{Service, ServiceExt};
+    const PIECE: usize = 64 << 10;
+    let prefix = [&[0_u8][..], &(1_u32 << 30).to_be_bytes()].concat();
+    let pieces = std::iter::once(Bytes::from(prefix))
+        .chain(std::iter::repeat_n(Bytes::from_static(&[0; PIECE]), (1 << 30) / PIECE));
+    let frames = pieces.map(|piece| Ok::<_, Infallible>(http_body::Frame::data(piece)));
+    let body = tonic::body::Body::new(StreamBody::new(tokio_stream::iter(frames)));
+    let request = http::Request::post(path).header("content-type", "application/grpc").header("te", "trailers");
+    let answer = link.ready().await.unwrap().call(request.body(body).unwrap()).await.unwrap();
+    let (head, body) = answer.into_parts();
+    if let Some(status) = Status::from_header_map(&head.headers) {
+        return status;
+    }
+    use http_body_util::BodyExt;
+    let end = tokio::time::timeout(SOON, body.collect()).await.expect("the call ends").unwrap();
+    Status::from_header_map(end.trailers().expect("a call ends with trailers")).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_of_1_gb_is_refused_without_taking_its_memory() {
+    let farm = FarmProcesses::start(&[]);
+    farm.submit("grid", GRID);
+    let before = farm.coordinator().resident_kib();
+    let root = format!("{}/farm.v1.", farm.url());
+    for method in ["Dictionaries/Submit", "Fits/Fit", "Leases/Complete", "Leases/Renew"] {
+        let status = send_huge(link(&farm).await, &format!("{root}{method}")).await;
+        assert!(matches!(status.code(), Code::OutOfRange | Code::ResourceExhausted), "{method}: {status:?}");
+    }
+    let grown = farm.coordinator().peak_kib().saturating_sub(before);
+    println!("the coordinator grew by {} MiB at most", grown / MIB);
+    assert!(grown < 64 * MIB, "it grew by {grown} KiB");
+    let worker = farm.worker("worker", &[]);
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    drop(worker);
+}
+
+/// Lets this process open more files, if the system does; how many connections there may be.
+fn files_allowed() -> usize {
+    let limit = getrlimit(Resource::Nofile);
+    let wanted = Rlimit { current: limit.maximum, maximum: limit.maximum };
+    // If it may not, the limit stays as it was.
+    let _ = setrlimit(Resource::Nofile, wanted);
+    getrlimit(Resource::Nofile).current.map_or(usize::MAX, |n| n as usize)
+}
+
+/// Whether the other end has closed a connection; waits a little.
+fn is_closed(stream: &mut TcpStream) -> bool {
+    stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+    match stream.read(&mut [0; 64]) {
+        Ok(bytes) => bytes == 0,
+        Err(error) => !matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ten_thousand_idle_connections_keep_nobody_from_work_who_was_there_before() {
+    const PLACES: usize = 256;
+    let count = 10_000.min(files_allowed().saturating_sub(1000));
+    if count < 10_000 {
+        eprintln!("only {count} connections: this process may not open more files");
+    }
+    let farm = FarmProcesses::start(&["--max-connections", &PLACES.to_string()]);
+    farm.submit("grid", GRID);
+    let mut dictionaries = DictionariesClient::new(link(&farm).await);
+    let mut get = async || dictionaries.get(GetRequest { name: "grid".to_owned() }).await;
+    let worker = farm.worker("worker", &[]);
+    farm.leased("grid", 1);
+    get().await.unwrap();
+    let before = farm.coordinator().resident_kib();
+    let port = farm.port();
+    let mut idle: Vec<TcpStream> = (0..count).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
+    let least = (count - PLACES) as u64;
+    wait_for("the rest is sent away", SOON, || (farm.figure(REFUSED) >= least).then_some(()));
+    let closed = idle.iter_mut().skip(PLACES).filter_map(|s| is_closed(s).then_some(())).count();
+    assert!(closed >= count - 2 * PLACES, "{closed} of {count} were closed");
+    // Who was there before goes on: a client and a worker.
+    get().await.unwrap();
+    let stored = r#"farm_jobs_completed_total{outcome="stored"}"#;
+    wait_for("the worker's results come in", SOON * 2, || (farm.figure(stored) == JOBS).then_some(()));
+    let grown = farm.coordinator().peak_kib().saturating_sub(before);
+    println!("{count} connections: the coordinator grew by {} MiB at most", grown / MIB);
+    assert!(grown < 64 * MIB, "it grew by {grown} KiB");
+    // Idle ones without a greeting must go by themselves; when they have, others get in.
+    wait_for("a new client gets in", SOON, || (farm.farmctl(&["list"]).code == 0).then_some(()));
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    drop((idle, worker));
+}

@@ -1,0 +1,128 @@
+//! Links that fail without a word.
+
+use std::time::Duration;
+
+use farm_tests::farm_processes::{FarmProcesses, LONG, SOON, Signal, undisturbed, wait_for};
+use farm_tests::proxy::{Direction, Proxy};
+use farm_tests::statistics::effort;
+
+use super::{GRID, JOBS, LONG_JOBS, RECORDS, short_or_long};
+
+const RENEWED: &str = r#"farm_rpc_seconds_count{method="/farm.v1.Leases/Renew",code="OK"}"#;
+const DUPLICATES: &str = r#"farm_jobs_completed_total{outcome="duplicate"}"#;
+const CONFLICTS: &str = r#"farm_jobs_completed_total{outcome="conflict"}"#;
+
+async fn proxy(farm: &FarmProcesses) -> Proxy {
+    Proxy::start(([127, 0, 0, 1], farm.port()).into()).await
+}
+
+/// Waits until the worker has told that it traces.
+fn renewed(farm: &FarmProcesses) {
+    let before = farm.figure(RENEWED);
+    wait_for("leases are renewed", SOON, || (farm.figure(RENEWED) > before + 2).then_some(()));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_stopped_past_its_lease_delivers_a_duplicate_and_no_job_is_blamed_twice() {
+    let farm = FarmProcesses::start(&["--lease", "1"]);
+    let link = proxy(&farm).await;
+    farm.submit("grid", LONG_JOBS);
+    let stopped = farm.worker_at(&link.url(), "stopped", &[]);
+    farm.leased("grid", 1);
+    renewed(&farm);
+    link.hold(Direction::Requests);
+    stopped.signal(Signal::STOP);
+    let other = farm.worker("other", &[]);
+    assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
+    // It goes on where it was; its result is let through when it is there, so that it is late for sure.
+    let before = link.held_bytes();
+    stopped.signal(Signal::CONT);
+    wait_for("the late result", LONG, || (link.held_bytes() > before + 20_000).then_some(()));
+    link.heal();
+    wait_for("the duplicate", SOON, || (farm.figure(DUPLICATES) > 0).then_some(()));
+    assert_eq!(farm.figure(CONFLICTS), 0);
+    let mut blamed: Vec<_> = farm.events("ATTEMPT_FAILED").iter().map(|e| e["job"].as_u64().unwrap()).collect();
+    let all = blamed.len();
+    assert!((1..=2).contains(&all), "silence while it computed is told of once a job");
+    blamed.dedup();
+    assert_eq!(blamed.len(), all, "a job was blamed twice");
+    assert!(farm.events("JOB_QUARANTINED").is_empty());
+    assert_eq!(farm.show("grid")["records_digest"], undisturbed(LONG_JOBS));
+    drop((stopped, other));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_result_whose_acknowledgment_is_lost_is_sent_again_and_counts_as_a_duplicate() {
+    let mut farm = FarmProcesses::start(&["--lease", "2"]);
+    let link = proxy(&farm).await;
+    farm.submit("grid", GRID);
+    let worker = farm.worker_at(&link.url(), "worker", &[]);
+    farm.leased("grid", 1);
+    let before = farm.show("grid")["records_done"].as_u64().unwrap();
+    link.hold(Direction::Answers);
+    wait_for("a commit that nobody learns of", SOON, || {
+        (farm.show("grid")["records_done"].as_u64()? > before).then_some(())
+    });
+    link.cut();
+    link.heal();
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    wait_for("the duplicate", SOON, || (farm.figure(DUPLICATES) > 0).then_some(()));
+    assert_eq!(farm.figure(CONFLICTS), 0);
+    drop(worker);
+    assert_eq!(farm.stop_coordinator(), 0);
+    assert_eq!(farm.record_rows().await, (RECORDS, 0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn work_goes_on_after_a_link_swallowed_packets() {
+    let farm = FarmProcesses::start(&["--lease", "1"]);
+    let link = proxy(&farm).await;
+    farm.submit("grid", GRID);
+    let worker = farm.worker_at(&link.url(), "worker", &[]);
+    farm.leased("grid", 1);
+    link.hold(Direction::Requests);
+    link.hold(Direction::Answers);
+    // Past the lease; in the long form past the pings of both ends.
+    std::thread::sleep(short_or_long(Duration::from_secs(3), Duration::from_secs(50)));
+    link.heal();
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    drop(worker);
+}
+
+/// Such as when a router forgets a connection: it never heals, nobody is told, new ones pass.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_leaves_a_connection_that_is_dead_without_a_word() {
+    if effort() == 1 {
+        eprintln!("skipped in the short form: pings take 40 s to find a dead connection");
+        return;
+    }
+    let farm = FarmProcesses::start(&["--lease", "1"]);
+    let link = proxy(&farm).await;
+    farm.submit("grid", GRID);
+    let worker = farm.worker_at(&link.url(), "worker", &[]);
+    farm.leased("grid", 1);
+    link.freeze();
+    let before = link.accepted();
+    // Twice 20 s, and a pause between two attempts.
+    wait_for("a new connection", Duration::from_secs(55), || (link.accepted() > before).then_some(()));
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    drop(worker);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn results_get_through_a_link_that_breaks_off_again_and_again() {
+    let farm = FarmProcesses::start(&["--lease", "2", "--max-attempts", "1000"]);
+    let link = proxy(&farm).await;
+    farm.submit("grid", GRID);
+    let worker = farm.worker_at(&link.url(), "worker", &[]);
+    for bytes in [100, 5_000, 20_000, 60_000] {
+        farm.leased("grid", 1);
+        link.hold_after(Direction::Requests, bytes);
+        std::thread::sleep(Duration::from_millis(300));
+        link.cut();
+        link.heal();
+    }
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    assert!(farm.figure(r#"farm_jobs_completed_total{outcome="stored"}"#) == JOBS);
+    drop(worker);
+}

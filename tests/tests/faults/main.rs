@@ -1,0 +1,46 @@
+//! A farm of real processes, and what befalls farms: each test is named after the promise that it proves.
+//!
+//! Short by default; `FARM_TEST_EFFORT=20` makes rounds more and pauses longer, up to what real links and real
+//! keepalives take.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+mod away;
+mod damage;
+mod disk;
+mod kill;
+mod leave;
+mod links;
+mod limits;
+mod poison;
+mod refused;
+mod slow;
+mod trust;
+
+use std::time::Duration;
+
+use farm_tests::statistics::effort;
+
+/// 12 jobs of 36 records, each job some tenths of a second.
+const GRID: &str = "\
+sigma_t_per_mm = [2, 8]
+albedo = [0.5, 0.9, 0.99]
+g = [0.0, 0.4, 0.8]
+walks = 100000
+";
+const JOBS: u64 = 12;
+const RECORDS: u64 = 36;
+
+/// Jobs of some seconds each.
+const LONG_JOBS: &str = "\
+sigma_t_per_mm = [8, 9]
+albedo = [0.9, 0.999]
+g = [0.4]
+thickness_mm = [1.0]
+walks = 1000000
+";
+
+/// A short pause in the short form, a long one in the long form.
+fn short_or_long(short: Duration, long: Duration) -> Duration {
+    if effort() > 1 { long } else { short }
+}

@@ -1,0 +1,56 @@
+//! A job that makes its worker die.
+
+use std::time::Duration;
+
+use farm_tests::farm_processes::{FarmProcesses, SOON, undisturbed, wait_for};
+
+use super::{GRID, JOBS};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_whose_workers_die_is_quarantined_with_reasons_and_the_others_are_done() {
+    let farm = FarmProcesses::start(&["--lease", "1", "--max-attempts", "3"]);
+    farm.submit("grid", GRID);
+    let mut poison = None;
+    for death in 1..=3_usize {
+        let mut victim = farm.hand(&format!("victim-{death}")).await.unwrap();
+        let lease = victim.acquire(1).await.unwrap().remove(0);
+        assert_eq!(*poison.get_or_insert(lease.key.job), lease.key.job, "what failed goes first again");
+        assert!(victim.renew(&lease, true).await.unwrap());
+        // It says no more from here on.
+        wait_for("its death is noticed", SOON, || (farm.events("ATTEMPT_FAILED").len() == death).then_some(()));
+    }
+    let quarantined = farm.events("JOB_QUARANTINED");
+    assert_eq!((quarantined.len(), quarantined[0]["job"].as_u64()), (1, poison.map(u64::from)));
+    let worker = farm.worker("worker", &[]);
+    let waited = farm.farmctl(&["wait", "grid", "--timeout", "120"]);
+    assert_eq!(waited.code, 4, "{} {}", waited.stdout, waited.stderr);
+    let show = farm.show("grid");
+    assert_eq!((show["state"].as_str(), show["jobs_done"].as_u64()), (Some("failed"), Some(JOBS - 1)));
+    let told = show.to_string();
+    for death in 1..=3 {
+        assert!(told.contains(&format!("victim-{death} fell silent while it computed this job")), "{told}");
+    }
+    let explained = farm.farmctl(&["explain", "grid"]).stdout;
+    assert!(explained.contains("1 jobs were given up") && explained.contains("farmctl retry"), "{explained}");
+    farm.ask(&["retry", "grid"]);
+    let waited = farm.farmctl(&["wait", "grid", "--timeout", "120"]);
+    assert_eq!(waited.code, 0, "{} {}", waited.stdout, waited.stderr);
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    drop(worker);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_dies_with_jobs_it_has_not_begun_brings_no_blame_on_them() {
+    let farm = FarmProcesses::start(&["--lease", "1", "--max-attempts", "1"]);
+    farm.submit("grid", GRID);
+    let mut victim = farm.hand("victim").await.unwrap();
+    let leases = victim.acquire(3).await.unwrap();
+    assert!(victim.renew(&leases[0], false).await.unwrap());
+    wait_for("its leases expire", Duration::from_secs(10), || {
+        (farm.figure("farm_leases_expired_total") == 3).then_some(())
+    });
+    let worker = farm.worker("worker", &[]);
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    assert!(farm.events("ATTEMPT_FAILED").is_empty());
+    drop(worker);
+}

@@ -1,0 +1,89 @@
+//! Clients that take their time.
+
+use std::convert::Infallible;
+use std::time::Duration;
+
+use bytes::Bytes;
+use farm_proto::wire::ExportRequest;
+use farm_proto::wire::dictionaries_client::DictionariesClient;
+use farm_tests::farm_processes::{FarmProcesses, undisturbed};
+use farm_tests::hand::{on_wire, traced};
+use http_body_util::StreamBody;
+use prost::Message;
+use tokio_stream::StreamExt;
+use tonic::transport::{Channel, Endpoint};
+use tower::{Service, ServiceExt};
+
+use super::GRID;
+
+/// 96 records of some 0.4 MB: far more than what links hold on their way.
+const LARGE: &str = "\
+sigma_t_per_mm = [1, 2, 4, 8]
+albedo = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+g = [0.0, 0.1, 0.2]
+thickness_mm = [0.5]
+walks = 5000
+derivatives = true
+";
+
+async fn link(farm: &FarmProcesses) -> Channel {
+    Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap()
+}
+
+/// A call that delivers a good result byte by byte, and would take hours.
+async fn trickle(farm: &FarmProcesses) -> tokio::task::JoinHandle<()> {
+    let grid = farm_tests::farm_processes::grid_of(GRID);
+    let mut worker = farm.hand("slow").await.unwrap();
+    let lease = worker.acquire(1).await.unwrap().remove(0);
+    let parts = worker.parts(&lease, on_wire(&traced(&grid, lease.key.job as usize)));
+    let mut bytes = Vec::new();
+    for part in parts {
+        let message = part.encode_to_vec();
+        bytes.push(0);
+        bytes.extend((message.len() as u32).to_be_bytes());
+        bytes.extend(message);
+    }
+    let frames = tokio_stream::iter(bytes)
+        .map(|byte| Ok::<_, Infallible>(http_body::Frame::data(Bytes::from(vec![byte]))))
+        .throttle(Duration::from_millis(20));
+    let body = tonic::body::Body::new(StreamBody::new(frames));
+    let request = http::Request::post(format!("{}/farm.v1.Leases/Complete", farm.url()))
+        .header("content-type", "application/grpc")
+        .header("te", "trailers");
+    let (mut link, request) = (link(farm).await, request.body(body).unwrap());
+    tokio::spawn(async move {
+        // It ends with the coordinator.
+        let _ = link.ready().await.unwrap().call(request).await;
+    })
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn slow_clients_hinder_nobody_take_little_memory_and_do_not_hold_up_a_stop() {
+    let mut farm = FarmProcesses::start(&["--lease", "2"]);
+    farm.submit("large", LARGE);
+    let worker = farm.worker("worker", &[]);
+    farm.done("large");
+    drop(worker);
+    farm.submit("grid", GRID);
+    let before = farm.coordinator().resident_kib();
+    let mut slow = Vec::new();
+    for _ in 0..4 {
+        slow.push(trickle(&farm).await);
+    }
+    // Clients that ask for everything and read one record.
+    let mut unread = Vec::new();
+    for _ in 0..32 {
+        let request = ExportRequest { name: "large".to_owned(), indices: vec![] };
+        let mut stream = DictionariesClient::new(link(&farm).await).export(request).await.unwrap().into_inner();
+        assert!(stream.message().await.unwrap().is_some());
+        unread.push(stream);
+    }
+    let worker = farm.worker("worker", &[]);
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    assert_eq!(farm.farmctl(&["export", "large", "-o", "all.csv"]).code, 0);
+    let grown = farm.coordinator().peak_kib().saturating_sub(before);
+    println!("36 slow clients: the coordinator grew by {} MiB at most", grown / 1024);
+    assert!(grown < 512 << 10, "it grew by {grown} KiB");
+    assert_eq!(farm.stop_coordinator(), 0, "it ends within 10 s");
+    drop((slow, unread, worker));
+}

@@ -1,0 +1,48 @@
+//! A worker whose records are wrong.
+
+use farm_tests::farm_processes::{FarmProcesses, LONG, SOON, grid_of, undisturbed, wait_for};
+use farm_tests::hand::{HandWorker, falsified, traced};
+use tonic::Code;
+
+use super::{GRID, JOBS};
+
+async fn refused(farm: &FarmProcesses, liar: &mut HandWorker) {
+    let acquired = liar.acquire(1).await.unwrap_err();
+    assert!(matches!(acquired.code(), Code::PermissionDenied | Code::Aborted), "{acquired}");
+    let registered = farm.hand("liar").await.map(drop).unwrap_err();
+    assert_eq!(registered.code(), Code::PermissionDenied, "{registered}");
+    assert!(registered.message().contains("two other results agree"), "{registered}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_with_wrong_records_is_found_and_fenced_off_and_its_jobs_are_computed_again() {
+    let mut farm = FarmProcesses::start(&["--lease", "2", "--verify-share", "1"]);
+    farm.submit("grid", GRID);
+    let grid = grid_of(GRID);
+    let mut liar = farm.hand("liar").await.unwrap();
+    for lease in liar.acquire(3).await.unwrap() {
+        let records = falsified(&traced(&grid, lease.key.job as usize));
+        liar.complete(&lease, records).await.unwrap();
+    }
+    let honest = [farm.worker("a", &[]), farm.worker("b", &[])];
+    let fenced = wait_for("the liar is fenced off", LONG, || farm.events("WORKER_FENCED").pop());
+    assert_eq!(fenced["worker"], "liar");
+    assert_eq!(liar.acquire(1).await.unwrap_err().code(), Code::PermissionDenied);
+    refused(&farm, &mut liar).await;
+    // Every result is compared, those that were computed again too.
+    wait_for("all is compared", LONG, || {
+        let status = farm.ask(&["status"]);
+        let agreed = status["checks_agreed"].as_u64()? >= JOBS;
+        (agreed && status["dictionaries"][0]["state"] == "done").then_some(())
+    });
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    assert_eq!(farm.events("WORKER_FENCED").len(), 1, "the honest ones are not fenced off");
+    assert_eq!(farm.stop_coordinator(), 0);
+    farm.start_coordinator();
+    wait_for("the honest ones are back", SOON, || {
+        (farm.ask(&["workers"])["workers"].as_array()?.len() == 2).then_some(())
+    });
+    refused(&farm, &mut liar).await;
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    drop(honest);
+}
