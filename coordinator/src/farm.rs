@@ -120,7 +120,7 @@ impl Farm {
                 tracing::info!(name = %dictionary.name(), state = dictionary.state().as_str(), "not continued");
             }
             ids.push(dictionary.id());
-            dispatch.add_dictionary(dictionary);
+            dispatch.take_up_dictionary(dictionary);
         }
         let recorder = Recorder::start(store.clone());
         recorder.record(

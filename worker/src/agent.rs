@@ -42,16 +42,17 @@ pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, E
     let limit = tokio::time::Instant::now()
         + config.time_limit.map_or(Duration::MAX / 4, |limit| working_time(&config, limit));
     let grace = config.grace;
+    let held: Arc<Held> = Arc::default();
     let agent = Agent {
         // One job more than threads: the next is there when one ends.
         places: Arc::new(Semaphore::new(config.threads + 1)),
         buffer: Buffer::new(config.buffer_bytes),
         idle_exit: config.idle_exit,
-        session: match Session::open(config, &shutdown).await? {
+        session: match Session::open(config, held.clone(), &shutdown).await? {
             Some(session) => Arc::new(session),
             None => return Ok(Ended::Stopped),
         },
-        held: Arc::default(),
+        held,
         pool,
         drain: CancellationToken::new(),
     };

@@ -1,6 +1,6 @@
 //! The worker's side of `farm.v1.Leases`: registration, and calls that are repeated until they get an answer.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use backon::{ExponentialBuilder, Retryable};
@@ -17,6 +17,7 @@ use tonic::{Code, Status};
 
 use crate::config::Config;
 use crate::delivery::time_for;
+use crate::held::Held;
 
 /// Longest time a call may take that neither carries records nor holds leases.
 const CALL: Duration = Duration::from_mins(1);
@@ -40,17 +41,22 @@ pub(crate) struct Session {
     instance: String,
     worker_id: Mutex<String>,
     lease: Duration,
+    held: Arc<Held>,
 }
 
 impl Session {
     /// Connects and registers, waiting for the coordinator as long as it takes; None if `shutdown` comes first.
-    pub(crate) async fn open(config: Config, shutdown: &CancellationToken) -> Result<Option<Self>, Error> {
+    pub(crate) async fn open(
+        config: Config,
+        held: Arc<Held>,
+        shutdown: &CancellationToken,
+    ) -> Result<Option<Self>, Error> {
         let client = LeasesClient::new(config.coordinator.connect_lazy())
             .max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
             .max_encoding_message_size(RequestLimits::MESSAGE_BYTES);
         let instance = instance();
         let mut session =
-            Self { client, config, instance, worker_id: Mutex::default(), lease: Duration::ZERO };
+            Self { client, config, instance, worker_id: Mutex::default(), lease: Duration::ZERO, held };
         let registered = tokio::select! {
             registered = repeat(|| session.register()) => registered.map_err(Error::Refused)?,
             () = shutdown.cancelled() => return Ok(None),
@@ -89,8 +95,25 @@ impl Session {
         {
             tracing::warn!("the coordinator does not know this worker: registering again");
             self.register().await?;
+            self.announce().await;
         }
         answer
+    }
+
+    /// Tells a coordinator that was restarted what this worker has in hand, before it asks for more: otherwise it could
+    /// be given its own jobs again.
+    async fn announce(&self) {
+        let worker_id = self.worker_id();
+        let mut leases = self.held.all().into_iter().map(on_wire).peekable();
+        while leases.peek().is_some() {
+            let leases = leases.by_ref().take(RequestLimits::LEASES as usize).collect();
+            let request = RenewRequest { worker_id: worker_id.clone(), leases };
+            // What is lost the next heartbeat finds out.
+            if let Err(status) = self.client.clone().renew(timed(request, self.lease / 2)).await {
+                tracing::warn!(message = status.message(), "leases could not be announced");
+                return;
+            }
+        }
     }
 
     /// Waits up to `wait` for jobs; tells also whether the worker is to leave.
@@ -113,12 +136,7 @@ impl Session {
         leases: Vec<(LeaseKey, bool, Digest)>,
     ) -> Result<(Vec<LeaseKey>, bool), Status> {
         let worker_id = self.worker_id();
-        let held = |(key, running, identity): (LeaseKey, bool, Digest)| HeldLease {
-            key: Some(key.into()),
-            running,
-            identity: identity.as_bytes().to_vec(),
-        };
-        let mut leases: Vec<HeldLease> = leases.into_iter().map(held).collect();
+        let mut leases: Vec<HeldLease> = leases.into_iter().map(on_wire).collect();
         let (mut lost, mut drain) = (Vec::new(), false);
         // Also without leases: a worker must be heard of.
         loop {
@@ -168,6 +186,10 @@ impl Session {
         let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving };
         self.client.clone().hand_back(timed(request, LEAVE)).await.map(drop)
     }
+}
+
+fn on_wire((key, running, identity): (LeaseKey, bool, Digest)) -> HeldLease {
+    HeldLease { key: Some(key.into()), running, identity: identity.as_bytes().to_vec() }
 }
 
 fn timed<T>(message: T, limit: Duration) -> tonic::Request<T> {

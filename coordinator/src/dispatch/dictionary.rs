@@ -217,9 +217,9 @@ impl Dictionary {
         if job.is_divided() { spec.with_block(part).expect("the job has this block") } else { spec }
     }
 
-    /// Takes the next part that waits, and counts the attempt.
-    pub(super) fn take_next(&mut self) -> Option<(u32, u32, u32)> {
-        let (_, index, part) = self.pending.pop_first()?;
+    /// Takes the next part that waits, the costliest or the cheapest, and counts the attempt.
+    pub(super) fn take_next(&mut self, cheapest: bool) -> Option<(u32, u32, u32)> {
+        let (_, index, part) = if cheapest { self.pending.pop_last() } else { self.pending.pop_first() }?;
         Some((index, part, self.attempt(index)))
     }
 

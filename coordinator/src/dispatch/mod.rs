@@ -95,6 +95,8 @@ pub struct Dispatcher {
     pace: Pace,
     /// Parts that take too long, found at the last look.
     late: Vec<PartId>,
+    /// Dictionaries that were begun before the coordinator's start.
+    taken_up: BTreeSet<DictionaryId>,
     last_look: Option<Duration>,
     effects: Vec<Effect>,
     events: Vec<Event>,
@@ -112,6 +114,7 @@ impl Dispatcher {
             checks: Checks::default(),
             pace: Pace::default(),
             late: Vec::new(),
+            taken_up: BTreeSet::new(),
             last_look: None,
             effects: Vec::new(),
             events: Vec::new(),
@@ -128,12 +131,19 @@ impl Dispatcher {
         self.dictionaries.entry(dictionary.id()).or_insert(dictionary);
     }
 
+    /// Takes up a dictionary that workers may have been working on before the coordinator's start, which is time 0.
+    pub fn take_up_dictionary(&mut self, dictionary: Dictionary) {
+        self.taken_up.insert(dictionary.id());
+        self.add_dictionary(dictionary);
+    }
+
     pub fn remove_dictionary(&mut self, id: DictionaryId) {
         if let Some(dictionary) = self.dictionaries.remove(&id) {
             self.order.remove(&(std::cmp::Reverse(dictionary.priority()), id));
             self.leases.remove_dictionary(id);
             self.checks.retain(|part| part.dictionary != id);
             self.late.retain(|part| part.dictionary != id);
+            self.taken_up.remove(&id);
         }
     }
 
@@ -215,11 +225,13 @@ impl Dispatcher {
         }
         let order: Vec<DictionaryId> = self.order.iter().map(|(_, id)| *id).collect();
         for id in order {
+            // Workers that outlived a restart may have the costliest of these in hand, and have not said so yet.
+            let returning = now < self.settings.lease && self.taken_up.contains(&id);
             while grant.leases.len() < max {
                 let Some(dictionary) = self.dictionaries.get_mut(&id).filter(|d| d.is_active()) else {
                     break;
                 };
-                let Some((job, part, attempt)) = dictionary.take_next() else { break };
+                let Some((job, part, attempt)) = dictionary.take_next(returning) else { break };
                 let purpose = if dictionary.is_retry(job) { Purpose::Retry } else { Purpose::First };
                 dictionary.leased += 1;
                 let part = PartId { dictionary: id, job, part };
