@@ -106,8 +106,9 @@ impl Process {
     /// # Panics
     /// If it does not end in time.
     pub fn exit_within(&mut self, limit: Duration) -> i32 {
-        let status =
-            wait_for(&format!("{} ends", self.name), limit, || self.child.try_wait().expect("it can be waited for"));
+        let status = wait_for(&format!("{} ends", self.name), limit, || {
+            self.child.try_wait().expect("it can be waited for")
+        });
         status.code().unwrap_or(-1)
     }
 
@@ -261,7 +262,8 @@ impl FarmProcesses {
     /// Logs of all workers so far, as JSON objects.
     pub fn worker_logs(&self) -> Vec<Value> {
         let files = std::fs::read_dir(self.folder.path()).unwrap().map(|entry| entry.unwrap().path());
-        let logs = files.filter(|f| f.extension().is_some_and(|e| e == "log") && !f.ends_with("coordinator.log"));
+        let logs =
+            files.filter(|f| f.extension().is_some_and(|e| e == "log") && !f.ends_with("coordinator.log"));
         let texts: Vec<String> = logs.map(|f| std::fs::read_to_string(f).unwrap()).collect();
         // A worker that was killed may have left half a line.
         texts.iter().flat_map(|t| t.lines()).filter_map(|line| serde_json::from_str(line).ok()).collect()

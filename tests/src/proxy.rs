@@ -64,7 +64,8 @@ impl Proxy {
         let rules = Rules { requests: Rule::Pass, answers: Rule::Pass, cut_before: 0, frozen_before: 0 };
         let rules = Arc::new(watch::channel(rules).0);
         let (accepted, held_bytes) = (Arc::<AtomicU64>::default(), Arc::<AtomicU64>::default());
-        let task = tokio::spawn(accept(listener, target, rules.clone(), accepted.clone(), held_bytes.clone()));
+        let task =
+            tokio::spawn(accept(listener, target, rules.clone(), accepted.clone(), held_bytes.clone()));
         Self { address, rules, accepted, held_bytes, task }
     }
 
@@ -132,8 +133,10 @@ async fn accept(
             // Who cannot be led on is sent away.
             let Ok(server) = TcpStream::connect(target).await else { return };
             let _ = (client.set_nodelay(true), server.set_nodelay(true));
-            let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
-            let pump = |direction| Pump { number, direction, rules: rules.clone(), held_bytes: held_bytes.clone() };
+            let ((from_client, to_client), (from_server, to_server)) =
+                (client.into_split(), server.into_split());
+            let pump =
+                |direction| Pump { number, direction, rules: rules.clone(), held_bytes: held_bytes.clone() };
             // When one direction ends, so does the other: both halves are dropped.
             tokio::select! {
                 () = pump(Direction::Requests).run(from_client, to_server) => {}

@@ -4,11 +4,20 @@ use std::time::Duration;
 
 use farm_tests::farm_processes::{FarmProcesses, undisturbed};
 
-use super::{GRID, JOBS, short_or_long};
+use super::short_or_long;
+
+/// 24 jobs of some tenths of a second: more than one worker does in the time in which the other comes back.
+const GRID: &str = "\
+sigma_t_per_mm = [6, 7, 8, 9]
+albedo = [0.5, 0.99]
+g = [0.0, 0.2, 0.4]
+walks = 300000
+";
+const JOBS: u64 = 24;
 
 #[test]
 fn workers_outlive_an_absence_and_nothing_in_hand_is_computed_twice() {
-    let mut farm = FarmProcesses::start(&["--verify-share", "0"]);
+    let mut farm = FarmProcesses::start(&["--verify-share", "0", "--lease", "8"]);
     farm.submit("grid", GRID);
     let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
     farm.leased("grid", 2);

@@ -49,7 +49,11 @@ fn damaged_records_are_never_handed_out_but_named_and_computed_again() {
     let farm = damaged();
     let refused = farm.farmctl(&["export", "grid"]);
     assert_eq!(refused.code, 1, "{}", refused.stderr);
-    assert!(refused.stderr.contains(&format!("job {DAMAGED} of dictionary grid was damaged")), "{}", refused.stderr);
+    assert!(
+        refused.stderr.contains(&format!("job {DAMAGED} of dictionary grid was damaged")),
+        "{}",
+        refused.stderr
+    );
     assert_eq!(farm.show("grid")["jobs_done"].as_u64(), Some(super::JOBS - 1));
     wait_for("the event", SOON, || (farm.events("JOB_DAMAGED").len() == 1).then_some(()));
     mended(&farm);

@@ -6,16 +6,16 @@ use std::process::Command;
 use farm_tests::farm_processes::{FarmProcesses, LONG, SOON, undisturbed, wait_for};
 use serde_json::Value;
 
-use super::{JOBS, RECORDS};
-
-/// Records that do not fit.
+/// 240 records of 26 kB, which do not fit.
 const GRID: &str = "\
-sigma_t_per_mm = [2, 8]
-albedo = [0.5, 0.9, 0.99]
+sigma_t_per_mm = [2, 4, 8, 10]
+albedo = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.99]
 g = [0.0, 0.4, 0.8]
-walks = 25000
+walks = 10000
 derivatives = true
 ";
+const JOBS: u64 = 24;
+const RECORDS: u64 = 240;
 
 /// A filesystem in memory. Unmounted when dropped.
 struct Small(PathBuf);
@@ -58,14 +58,15 @@ fn done(farm: &FarmProcesses) -> u64 {
 async fn on_a_full_disk_nothing_is_acknowledged_all_say_why_and_with_room_work_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
-    let Some(disk) = Small::mount(data.clone(), "2200k") else {
+    let Some(disk) = Small::mount(data.clone(), "6m") else {
         eprintln!("SKIPPED: only root may mount the small disk that this test needs");
         return;
     };
     let mut farm = FarmProcesses::with_data(folder, data, &["--verify-share", "0", "--lease", "2"]);
     farm.submit("grid", GRID);
     let mut worker = farm.worker("worker", &[]);
-    let (_, reason) = wait_for("the disk is full", LONG, || farm.page("/readyz").filter(|(code, _)| *code == 503));
+    let (_, reason) =
+        wait_for("the disk is full", LONG, || farm.page("/readyz").filter(|(code, _)| *code == 503));
     assert!(reason.contains("results cannot be stored") && reason.contains("full"), "{reason}");
     let status = farm.ask(&["status"]);
     assert!(status["store_fault"].as_str().is_some_and(|fault| fault.contains("full")), "{status}");

@@ -104,7 +104,10 @@ fn after_kills_at_random_moments_every_acknowledged_record_exists_exactly_once()
 }
 
 fn check_rows(farm: &FarmProcesses, dictionaries: u64) {
-    let (rows, doubled) =
-        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(farm.record_rows());
+    let (rows, doubled) = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap()
+        .block_on(farm.record_rows());
     assert_eq!((rows, doubled), (dictionaries * RECORDS, 0));
 }

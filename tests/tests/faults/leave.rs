@@ -34,7 +34,9 @@ fn a_worker_told_to_stop_finishes_what_it_traces_and_hands_the_rest_back_at_once
     // One is traced, the next waits.
     farm.leased("grid", 2);
     worker.signal(Signal::TERM);
-    wait_for("the one that waits is handed back", Duration::from_secs(2), || (leases(&farm) == 1).then_some(()));
+    wait_for("the one that waits is handed back", Duration::from_secs(2), || {
+        (leases(&farm) == 1).then_some(())
+    });
     assert_eq!(jobs_done(&farm), 0, "the other is still being traced");
     assert_eq!(worker.exit_within(Duration::from_secs(60)), 0);
     assert_eq!(jobs_done(&farm), 1, "what was being traced is stored");

@@ -32,7 +32,8 @@ async fn send_huge(mut link: Channel, path: &str) -> Status {
         .chain(std::iter::repeat_n(Bytes::from_static(&[0; PIECE]), (1 << 30) / PIECE));
     let frames = pieces.map(|piece| Ok::<_, Infallible>(http_body::Frame::data(piece)));
     let body = tonic::body::Body::new(StreamBody::new(tokio_stream::iter(frames)));
-    let request = http::Request::post(path).header("content-type", "application/grpc").header("te", "trailers");
+    let request =
+        http::Request::post(path).header("content-type", "application/grpc").header("te", "trailers");
     let answer = link.ready().await.unwrap().call(request.body(body).unwrap()).await.unwrap();
     let (head, body) = answer.into_parts();
     if let Some(status) = Status::from_header_map(&head.headers) {
@@ -95,7 +96,9 @@ async fn ten_thousand_idle_connections_keep_nobody_from_work_who_was_there_befor
     get().await.unwrap();
     let before = farm.coordinator().resident_kib();
     let port = farm.port();
-    let mut idle: Vec<TcpStream> = (0..count).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
+    let mut idle: Vec<TcpStream> =
+        (0..count).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
+    println!("connected, {} are refused", farm.figure(REFUSED));
     let least = (count - PLACES) as u64;
     wait_for("the rest is sent away", SOON, || (farm.figure(REFUSED) >= least).then_some(()));
     let closed = idle.iter_mut().skip(PLACES).filter_map(|s| is_closed(s).then_some(())).count();

@@ -41,7 +41,8 @@ async fn a_worker_stopped_past_its_lease_delivers_a_duplicate_and_no_job_is_blam
     link.heal();
     wait_for("the duplicate", SOON, || (farm.figure(DUPLICATES) > 0).then_some(()));
     assert_eq!(farm.figure(CONFLICTS), 0);
-    let mut blamed: Vec<_> = farm.events("ATTEMPT_FAILED").iter().map(|e| e["job"].as_u64().unwrap()).collect();
+    let mut blamed: Vec<_> =
+        farm.events("ATTEMPT_FAILED").iter().map(|e| e["job"].as_u64().unwrap()).collect();
     let all = blamed.len();
     assert!((1..=2).contains(&all), "silence while it computed is told of once a job");
     blamed.dedup();

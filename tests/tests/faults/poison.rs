@@ -17,7 +17,9 @@ async fn a_job_whose_workers_die_is_quarantined_with_reasons_and_the_others_are_
         assert_eq!(*poison.get_or_insert(lease.key.job), lease.key.job, "what failed goes first again");
         assert!(victim.renew(&lease, true).await.unwrap());
         // It says no more from here on.
-        wait_for("its death is noticed", SOON, || (farm.events("ATTEMPT_FAILED").len() == death).then_some(()));
+        wait_for("its death is noticed", SOON, || {
+            (farm.events("ATTEMPT_FAILED").len() == death).then_some(())
+        });
     }
     let quarantined = farm.events("JOB_QUARANTINED");
     assert_eq!((quarantined.len(), quarantined[0]["job"].as_u64()), (1, poison.map(u64::from)));

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use farm_proto::wire::leases_server::{Leases, LeasesServer};
 use farm_proto::wire::{
-    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, FailRequest, FailResponse, HandBackRequest,
-    HandBackResponse, RegisterRequest, RegisterResponse, RenewRequest, RenewResponse,
+    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, FailRequest, FailResponse,
+    HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse, RenewRequest, RenewResponse,
 };
 use farm_tests::farm_processes::{Process, SOON, Signal, free_port, wait_for};
 use farm_tests::process::{Ran, farmctl};
@@ -26,7 +26,10 @@ impl Leases for Newer {
     async fn renew(&self, _: Request<RenewRequest>) -> Result<Response<RenewResponse>, Status> {
         Err(Status::unimplemented(""))
     }
-    async fn complete(&self, _: Request<Streaming<CompleteRequest>>) -> Result<Response<CompleteResponse>, Status> {
+    async fn complete(
+        &self,
+        _: Request<Streaming<CompleteRequest>>,
+    ) -> Result<Response<CompleteResponse>, Status> {
         Err(Status::unimplemented(""))
     }
     async fn hand_back(&self, _: Request<HandBackRequest>) -> Result<Response<HandBackResponse>, Status> {
@@ -70,7 +73,8 @@ impl Closed {
             assert_eq!(created.code, 0, "{}", created.stderr);
         }
         let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-        let (listen, access, data) = (format!("127.0.0.1:{port}"), path("own/coordinator.toml"), path("data"));
+        let (listen, access, data) =
+            (format!("127.0.0.1:{port}"), path("own/coordinator.toml"), path("data"));
         let args = ["--listen", &listen, "--access", &access, "--data", &data];
         let coordinator = Process::start("farm-coordinator", &args, &folder.path().join("coordinator.log"));
         let closed = Self { folder, _coordinator: coordinator, port };
@@ -141,8 +145,11 @@ fn who_shows_a_wrong_token_or_has_another_role_is_told_so_and_does_not_try_again
 fn who_does_not_know_the_coordinators_certificate_does_not_talk_to_it() {
     let farm = Closed::start(&[]);
     fails(&farm.farmctl("strange/client.toml", &["list"]), &["certificate"]);
-    let plain: Ran =
-        farmctl(farm.folder.path()).args(["list", "--server", &format!("http://127.0.0.1:{}", farm.port)]).output().unwrap().into();
+    let plain: Ran = farmctl(farm.folder.path())
+        .args(["list", "--server", &format!("http://127.0.0.1:{}", farm.port)])
+        .output()
+        .unwrap()
+        .into();
     fails(&plain, &[]);
 }
 
