@@ -2,7 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::time::Duration;
 
 use farm_proto::access::{ClientAccess, Target};
@@ -34,7 +34,7 @@ impl Site {
         std::fs::write(folder.path().join("grid.toml"), GRID).unwrap();
         std::fs::write(folder.path().join("other.toml"), format!("{GRID}seed = 2\n")).unwrap();
         let coordinator =
-            serve(folder.path().join("keys/coordinator.toml"), port, folder.path().join("data"));
+            serve(&folder.path().join("keys/coordinator.toml"), port, &folder.path().join("data"));
         let site = Self { folder, port, data: "data", coordinator };
         site.answers();
         site
@@ -80,7 +80,7 @@ impl Site {
         assert_eq!(self.coordinator.exit_within(Duration::from_secs(10)), 0);
         self.data = data;
         let keys = self.folder.path().join("keys/coordinator.toml");
-        self.coordinator = serve(keys, self.port, self.folder.path().join(data));
+        self.coordinator = serve(&keys, self.port, &self.folder.path().join(data));
         self.answers();
     }
 
@@ -110,7 +110,7 @@ impl Site {
     }
 }
 
-fn serve(access: PathBuf, port: u16, data: PathBuf) -> Process {
+fn serve(access: &Path, port: u16, data: &Path) -> Process {
     let (listen, log) = (format!("127.0.0.1:{port}"), data.with_extension("log"));
     let (access, data) = (access.to_str().unwrap(), data.to_str().unwrap());
     let args =
