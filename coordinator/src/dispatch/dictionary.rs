@@ -259,20 +259,6 @@ impl Dictionary {
         parts.get_mut(part as usize).is_some_and(|p| std::mem::replace(p, Part::Stored) == Part::Open)
     }
 
-    /// Notes that the store has lost blocks of a divided job: those that it has not are to be done again.
-    pub(super) fn parts_lost(&mut self, index: u32, there: &[u32]) -> Vec<u32> {
-        let Some(job) = self.jobs.get_mut(index as usize) else { return Vec::new() };
-        let Stage::Open { parts } = &mut job.stage else { return Vec::new() };
-        let mut lost = Vec::new();
-        for (part, number) in parts.iter_mut().zip(0..) {
-            if *part == Part::Stored && !there.contains(&number) {
-                *part = Part::Open;
-                lost.push(number);
-            }
-        }
-        lost
-    }
-
     /// Notes that a job's records are stored.
     pub(super) fn finish(&mut self, index: u32, records: Digest, by: Option<Origin>) {
         let job = &mut self.jobs[index as usize];

@@ -544,16 +544,6 @@ impl Dispatcher {
         }
     }
 
-    /// Notes which blocks of an open job the store still holds, after it has forgotten a worker's.
-    pub fn only_parts_stored(&mut self, id: DictionaryId, job: u32, there: &[u32]) {
-        let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
-        for part in dictionary.parts_lost(job, there) {
-            if self.leases.of_part(PartId { dictionary: id, job, part }).next().is_none() {
-                dictionary.put_back(job, part);
-            }
-        }
-    }
-
     fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<(), DispatchError> {
         let (origin, returned) = self.workers.seen(now, id)?;
         for (dictionary, job) in returned {

@@ -398,9 +398,6 @@ fn a_divided_job_is_given_out_block_by_block() {
     assert_eq!(last.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(2)]);
     bench.farm.part_finished(seconds(1), &worker("b"), &last[0].key);
     assert!(matches!(bench.admit("b", &last[0]), Ok(Admission::Repeated { .. })));
-    bench.farm.only_parts_stored(DictionaryId(1), 0, &[]);
-    assert_eq!(bench.acquire(2, "b", 5)[0].job.block(), Some(2), "the store has forgotten it");
-    bench.farm.part_finished(seconds(2), &worker("b"), &last[0].key);
     bench.farm.expire(seconds(4));
     bench.farm.hand_back(&[leases[0].key]);
     assert_eq!(bench.acquire(5, "c", 5)[0].job.block(), Some(0));

@@ -8,9 +8,7 @@ use farm_proto::{Digest, PHYSICS_VERSION, Record};
 
 use super::{Farm, FarmError, Result, chance};
 use crate::clock::random_token;
-use crate::dispatch::{
-    Admission, Dictionary, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings,
-};
+use crate::dispatch::{Admission, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings};
 use crate::store::{Completion, Content, StoreError, Stored};
 use crate::web::{JobFailure, JobOutcome, LeaseKind, VerificationOutcome};
 
@@ -271,23 +269,6 @@ impl Farm {
             Effect::Fence { worker, reason } => self.store.fence(worker.0, &reason).await?,
         };
         self.reopen(forgotten);
-        self.find_lost_blocks().await
-    }
-
-    /// Blocks of open jobs that were forgotten with their worker are to be done again.
-    async fn find_lost_blocks(&self) -> Result<(), StoreError> {
-        let divided: Vec<_> = {
-            let dispatch = self.dispatch();
-            let of = |d: &Dictionary| {
-                let identity = |job: u32| (d.id(), job, d.spec(job, 0).identity());
-                d.divided_jobs().into_iter().map(identity).collect::<Vec<_>>()
-            };
-            dispatch.dictionaries().flat_map(of).collect()
-        };
-        for (id, job, identity) in divided {
-            let there = self.store.stored_blocks(identity).await?;
-            self.dispatch().only_parts_stored(id, job, &there);
-        }
         Ok(())
     }
 
