@@ -205,9 +205,16 @@ impl Dictionary {
     }
 
     /// Jobs that are divided and open, whose blocks may be in the store already.
-    pub fn divided_jobs(&self) -> Vec<u32> {
+    pub fn divided_jobs(&self) -> Vec<(u32, JobSpec)> {
         let wanted = |job: &Job| job.is_divided() && matches!(job.stage, Stage::Open { .. });
-        self.jobs.iter().zip(0..).filter(|(job, _)| wanted(job)).map(|(_, index)| index).collect()
+        let open = self.jobs.iter().zip(0..).filter(|(job, _)| wanted(job));
+        open.map(|(_, index)| (index, self.spec(index, 0))).collect()
+    }
+
+    /// Whether a part waits for a worker.
+    #[cfg(test)]
+    pub(super) fn waits(&self, index: u32, part: u32) -> bool {
+        self.pending.contains(&(self.jobs[index as usize].rank, index, part))
     }
 
     /// What a worker needs to compute a part.
@@ -257,6 +264,16 @@ impl Dictionary {
         self.pending.remove(&(job.rank, index, part));
         let Stage::Open { parts } = &mut job.stage else { return false };
         parts.get_mut(part as usize).is_some_and(|p| std::mem::replace(p, Part::Stored) == Part::Open)
+    }
+
+    /// Notes that a block of a divided job is not stored, or not any more; it waits unless it is held.
+    pub(super) fn part_missing(&mut self, index: u32, part: u32, held: bool) {
+        let job = &mut self.jobs[index as usize];
+        let Stage::Open { parts } = &mut job.stage else { return };
+        parts[part as usize] = Part::Open;
+        if !held {
+            self.pending.insert((job.rank, index, part));
+        }
     }
 
     /// Notes that a job's records are stored.

@@ -25,7 +25,7 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::job::{Lease, LeaseKey};
 use farm_proto::status::DictionaryStatus;
-use farm_proto::{DictionaryName, Digest};
+use farm_proto::{DictionaryName, Digest, Walks};
 
 use crate::store::Desire;
 use checks::Checks;
@@ -535,11 +535,24 @@ impl Dispatcher {
         self.checks.retain(|part| part.dictionary != id || !jobs.contains(&part.job));
     }
 
-    /// Notes blocks of a divided job that the store holds already.
-    pub fn parts_stored(&mut self, id: DictionaryId, job: u32, parts: impl IntoIterator<Item = u32>) {
-        if let Some(dictionary) = self.dictionaries.get_mut(&id) {
-            for part in parts {
-                dictionary.part_stored(job, part);
+    /// Notes which blocks of a divided job of so many walks the store holds, and that it holds no others.
+    pub fn parts_stored(&mut self, id: DictionaryId, job: u32, walks: Walks, stored: &BTreeSet<u32>) {
+        let of_job = |d: &Dictionary| d.job(PartId { dictionary: id, job, part: 0 }).map(|j| j.walks);
+        if self.by_id(id).and_then(of_job) != Some(walks) {
+            return;
+        }
+        for part in 0..walks.blocks() {
+            let whole = PartId { dictionary: id, job, part };
+            if stored.contains(&part) {
+                self.end_leases(whole);
+            }
+            let held = self.leases.of_part(whole).any(|held| held.purpose != Purpose::Check);
+            if let Some(dictionary) = self.dictionaries.get_mut(&id) {
+                if stored.contains(&part) {
+                    dictionary.part_stored(job, part);
+                } else {
+                    dictionary.part_missing(job, part, held);
+                }
             }
         }
     }

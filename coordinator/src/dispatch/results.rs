@@ -64,16 +64,18 @@ impl Dispatcher {
         }
     }
 
-    /// Notes that a job's records are stored.
+    /// Notes that a job's records are stored. `by` computed them, whether or not the worker is still known.
+    #[expect(clippy::too_many_arguments, reason = "all of them describe one result")]
     pub fn finished(
         &mut self,
         now: Duration,
         worker: &WorkerId,
+        by: Origin,
         key: &LeaseKey,
         records: Digest,
         chance: &mut impl Chance,
     ) {
-        let by = self.workers.get(worker).ok().map(|w| w.origin);
+        let by = Some(by);
         self.result_came(now, worker, key);
         self.jobs_done += 1;
         let part = PartId::from(key);

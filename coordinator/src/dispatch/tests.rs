@@ -66,6 +66,11 @@ fn worker(name: &str) -> WorkerId {
     WorkerId(name.to_owned())
 }
 
+/// That of a, b, c in the bench.
+fn origin(name: &str) -> Origin {
+    Origin(i64::from(name.as_bytes()[0] - b'a' + 1))
+}
+
 fn about(label: &str) -> Registration {
     Registration { label: label.to_owned(), threads: 2, version: String::new() }
 }
@@ -90,7 +95,8 @@ impl Bench {
     }
 
     fn finish(&mut self, at: u64, name: &str, lease: &Lease) {
-        self.farm.finished(seconds(at), &worker(name), &lease.key, DIGEST, &mut self.chance);
+        let (worker, by) = (worker(name), origin(name));
+        self.farm.finished(seconds(at), &worker, by, &lease.key, DIGEST, &mut self.chance);
     }
 
     fn admit(&mut self, name: &str, lease: &Lease) -> Result<Admission, DispatchError> {
@@ -342,7 +348,7 @@ fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let wrong = Digest::from_bytes([9; 32]);
     let lease = bench.acquire(0, "a", 1);
-    bench.farm.finished(seconds(1), &worker("a"), &lease[0].key, wrong, &mut bench.chance);
+    bench.farm.finished(seconds(1), &worker("a"), origin("a"), &lease[0].key, wrong, &mut bench.chance);
     assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not its own result");
     let check = bench.acquire(2, "b", 1);
     assert_eq!(check[0].key.job, lease[0].key.job);

@@ -49,16 +49,10 @@ impl Farm {
 
     /// Takes up blocks of divided jobs that the store holds.
     pub(super) async fn find_blocks(&self, id: DictionaryId) -> Result<(), StoreError> {
-        let wanted: Vec<(u32, Digest)> = {
-            let dispatch = self.dispatch();
-            let dictionary = dispatch.by_id(id);
-            dictionary.map_or_else(Vec::new, |d| {
-                d.divided_jobs().into_iter().map(|job| (job, d.spec(job, 0).identity())).collect()
-            })
-        };
-        for (job, identity) in wanted {
-            let blocks = self.store.stored_blocks(identity).await?;
-            self.dispatch().parts_stored(id, job, blocks);
+        let wanted = self.dispatch().by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs);
+        for (job, spec) in wanted {
+            let blocks = self.store.stored_blocks(spec.identity()).await?.into_iter().collect();
+            self.dispatch().parts_stored(id, job, spec.walks(), &blocks);
         }
         Ok(())
     }

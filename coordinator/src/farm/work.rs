@@ -137,7 +137,7 @@ impl Farm {
         let now = self.clock.now();
         match stored? {
             Stored::Finished { records } => {
-                self.dispatch().finished(now, worker, key, records, &mut chance());
+                self.dispatch().finished(now, worker, by, key, records, &mut chance());
                 if self.dispatch().checks().2 > 0 {
                     self.work.send_replace(());
                 }
@@ -154,10 +154,10 @@ impl Farm {
     }
 
     async fn find_blocks_of(&self, key: &LeaseKey) -> Result<(), StoreError> {
-        let identity = self.dispatch().by_id(key.dictionary).map(|d| d.spec(key.job, 0).identity());
-        if let Some(identity) = identity {
-            let blocks = self.store.stored_blocks(identity).await?;
-            self.dispatch().parts_stored(key.dictionary, key.job, blocks);
+        let job = self.dispatch().by_id(key.dictionary).map(|d| d.spec(key.job, 0));
+        if let Some(job) = job.filter(|job| job.block().is_some()) {
+            let blocks = self.store.stored_blocks(job.identity()).await?.into_iter().collect();
+            self.dispatch().parts_stored(key.dictionary, key.job, job.walks(), &blocks);
         }
         Ok(())
     }

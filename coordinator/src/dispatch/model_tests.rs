@@ -1,1 +1,0 @@
-//! The state machine against a model, under random operations.

@@ -1,0 +1,151 @@
+//! The store of the model: what has ended, which blocks are there, who computed what, who is fenced off.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use farm_proto::grid::Axes;
+use farm_proto::ids::DictionaryId;
+use farm_proto::job::JobSpec;
+use farm_proto::{DictionaryName, Digest, Grid, Scene, Walks};
+
+use super::super::Origin;
+use crate::store::{Desire, EndedJob, Stored, StoredDictionary};
+
+/// Blocks of a job with so many walks, and who computed them.
+type Blocks = BTreeMap<u32, Origin>;
+
+#[derive(Debug, Clone)]
+pub struct DoneJob {
+    pub walks: Walks,
+    pub records: Digest,
+    pub by: BTreeSet<Origin>,
+}
+
+#[derive(Debug, Default)]
+pub struct ModelStore {
+    pub dictionaries: BTreeMap<DictionaryId, StoredDictionary>,
+    pub done: BTreeMap<(DictionaryId, u32), DoneJob>,
+    pub given_up: BTreeMap<(DictionaryId, u32), (String, bool)>,
+    pub blocks: BTreeMap<(DictionaryId, u32, u64), Blocks>,
+    pub fenced: BTreeMap<Origin, String>,
+    pub wrong: BTreeSet<Origin>,
+    last_id: i64,
+}
+
+/// How many walks the jobs of a kind of dictionary end with; the others need no more than they begin with.
+fn walks_needed(kind: u64) -> Option<Walks> {
+    let walks = match kind {
+        2 => 500_000,
+        3 => 2_500_000,
+        _ => return None,
+    };
+    Some(Walks::new(walks).unwrap())
+}
+
+impl ModelStore {
+    /// One of five kinds: undivided, divided, begun with too few walks (twice), and of an older physics version.
+    pub fn create(&mut self, kind: usize) -> DictionaryId {
+        self.last_id += 1;
+        let id = DictionaryId(self.last_id);
+        let axes = Axes {
+            sigma_t_per_mm: if kind == 0 { vec![1.0, 2.0, 30.0] } else { vec![1.0, 2.0] },
+            albedo: vec![0.5],
+            g: vec![0.0],
+            thickness_mm: vec![1.0],
+            sample_ior: vec![1.5],
+        };
+        let walks = if kind == 1 { Walks::new(2_500_000).unwrap() } else { Walks::PAPER };
+        let grid = Grid::new(Scene::paper(), axes, walks, kind as u64, false).unwrap();
+        let digest = if kind == 4 { Digest::from_bytes([1; 32]) } else { Digest::of_grid(&grid) };
+        let stored = StoredDictionary {
+            id,
+            name: DictionaryName::new(format!("d{}", id.0)).unwrap(),
+            grid_digest: digest,
+            grid: Arc::new(grid),
+            created_unix_ms: 0,
+            priority: 0,
+            desire: Desire::Run,
+            reason: String::new(),
+        };
+        self.dictionaries.insert(id, stored);
+        id
+    }
+
+    pub fn delete(&mut self, id: DictionaryId) {
+        self.dictionaries.remove(&id);
+        self.done.retain(|(of, _), _| *of != id);
+        self.given_up.retain(|(of, _), _| *of != id);
+        self.blocks.retain(|(of, ..), _| *of != id);
+    }
+
+    pub fn ended(&self, id: DictionaryId) -> Vec<EndedJob> {
+        let of_it = |job: &(DictionaryId, u32)| job.0 == id;
+        let done = self.done.iter().filter(|(job, _)| of_it(job)).map(|((_, job), done)| EndedJob::Done {
+            job: *job,
+            walks: done.walks,
+            records: done.records,
+            by: if done.by.len() == 1 { done.by.first().map(|o| o.0) } else { None },
+            reused: false,
+        });
+        let given_up = self.given_up.iter().filter(|(job, _)| of_it(job)).map(
+            |((_, job), (reason, quarantined))| EndedJob::GivenUp {
+                job: *job,
+                reason: reason.clone(),
+                quarantined: *quarantined,
+            },
+        );
+        done.chain(given_up).collect()
+    }
+
+    /// The digest of what these workers compute together.
+    pub fn digest(&self, dictionary: DictionaryId, job: u32, spec: &JobSpec, by: &BTreeSet<Origin>) -> Digest {
+        let wrong: Vec<_> = by.iter().filter(|o| self.wrong.contains(o)).collect();
+        let walks = spec.walks().get();
+        Digest::of_bytes(format!("{dictionary:?} {job} {walks} {wrong:?}").as_bytes())
+    }
+
+    pub fn stored_blocks(&self, id: DictionaryId, job: u32, walks: Walks) -> BTreeSet<u32> {
+        self.blocks.get(&(id, job, walks.get())).map(|b| b.keys().copied().collect()).unwrap_or_default()
+    }
+
+    /// Stores a result as the real one does; None if it cannot be: the dictionary or the worker may not any more.
+    pub fn complete(&mut self, id: DictionaryId, job: u32, spec: &JobSpec, by: Origin) -> Option<Stored> {
+        let dictionary = self.dictionaries.get(&id)?;
+        if self.fenced.contains_key(&by) {
+            return None;
+        }
+        if let Some(done) = self.done.get(&(id, job)) {
+            return (done.walks == spec.walks()).then_some(Stored::Before { records: done.records });
+        }
+        let mut by = BTreeSet::from([by]);
+        if let Some(block) = spec.block() {
+            let place = (id, job, spec.walks().get());
+            let blocks = self.blocks.entry(place).or_default();
+            blocks.entry(block).or_insert(*by.first().unwrap());
+            if blocks.len() < spec.walks().blocks() as usize {
+                return Some(Stored::Part);
+            }
+            by = self.blocks.remove(&place).unwrap().into_values().collect();
+        }
+        let needed = walks_needed(dictionary.grid.seed());
+        if let Some(more) = needed.filter(|needed| needed.get() > spec.walks().get()) {
+            return Some(Stored::MoreWalks(more));
+        }
+        let records = self.digest(id, job, spec, &by);
+        self.given_up.remove(&(id, job));
+        self.done.insert((id, job), DoneJob { walks: spec.walks(), records, by });
+        Some(Stored::Finished { records })
+    }
+
+    /// Forgets a worker's part in everything: the jobs to be computed again.
+    pub fn fence(&mut self, worker: Origin, reason: String) -> Vec<(DictionaryId, u32)> {
+        self.fenced.insert(worker, reason);
+        self.blocks.retain(|_, blocks| !blocks.values().any(|by| *by == worker));
+        let its = |(_, done): &(&(DictionaryId, u32), &DoneJob)| done.by.contains(&worker);
+        let forgotten: Vec<_> = self.done.iter().filter(its).map(|(job, _)| *job).collect();
+        for job in &forgotten {
+            self.done.remove(job);
+        }
+        forgotten
+    }
+}

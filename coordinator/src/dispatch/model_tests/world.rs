@@ -1,0 +1,569 @@
+//! The farm around the dispatcher: its store, its workers, and what a step does.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use farm_proto::ids::{DictionaryId, Token, WorkerId};
+use farm_proto::job::{JobSpec, Lease, LeaseKey};
+use farm_proto::{Digest, Walks};
+
+use super::super::tests::Counted;
+use super::super::{
+    Admission, Dictionary, DispatchError, Dispatcher, Effect, Origin, Purpose, Registration, STALL,
+    Settings,
+};
+use super::ops::Op;
+use super::store::ModelStore;
+use crate::store::{Desire, Stored};
+
+pub const LEASE: Duration = Duration::from_secs(8);
+pub const MAX_ATTEMPTS: u32 = 2;
+const WORKERS: usize = 5;
+const DICTIONARIES: usize = 4;
+
+/// A worker's process.
+#[derive(Debug, Clone)]
+pub struct Process {
+    pub origin: Origin,
+    pub id: WorkerId,
+    pub held: Vec<Lease>,
+    /// Leases that it holds no more, whose results may still come.
+    old: Vec<Lease>,
+    pub wrong: bool,
+}
+
+/// A result that was admitted and not stored yet.
+#[derive(Debug)]
+struct Arriving {
+    worker: WorkerId,
+    by: Origin,
+    key: LeaseKey,
+    job: JobSpec,
+}
+
+pub struct World {
+    pub farm: Dispatcher,
+    pub store: ModelStore,
+    pub processes: Vec<Process>,
+    pub now: Duration,
+    pub settings: Settings,
+    /// Failed attempts of open jobs: by whom, and whether for silence.
+    pub strikes: BTreeMap<(DictionaryId, u32), Vec<(Origin, bool)>>,
+    /// Walks of jobs that were begun again with more.
+    pub walks: BTreeMap<(DictionaryId, u32), Walks>,
+    pub restarted: bool,
+    arriving: Vec<Arriving>,
+    chance: Counted,
+    tokens: BTreeSet<Token>,
+    origins: BTreeMap<WorkerId, Origin>,
+    draining: BTreeSet<WorkerId>,
+    last_look: Option<Duration>,
+    numbers: i64,
+    /// What went wrong within a step.
+    pub complaint: Option<String>,
+}
+
+impl World {
+    pub fn new(wrong: usize, check_share: f64) -> Self {
+        let settings = Settings { lease: LEASE, max_attempts: MAX_ATTEMPTS, check_share };
+        let mut world = Self {
+            farm: Dispatcher::new(settings),
+            store: ModelStore::default(),
+            processes: Vec::new(),
+            now: Duration::ZERO,
+            settings,
+            strikes: BTreeMap::new(),
+            walks: BTreeMap::new(),
+            restarted: false,
+            arriving: Vec::new(),
+            chance: Counted { tokens: 0, share: 0.5 },
+            tokens: BTreeSet::new(),
+            origins: BTreeMap::new(),
+            draining: BTreeSet::new(),
+            last_look: None,
+            numbers: 0,
+            complaint: None,
+        };
+        for i in 0..WORKERS {
+            let process = world.process(i < wrong);
+            world.processes.push(process);
+            world.register(i);
+        }
+        world.submit(0);
+        world.submit(1);
+        world
+    }
+
+    fn process(&mut self, wrong: bool) -> Process {
+        self.numbers += 1;
+        let origin = Origin(self.numbers);
+        if wrong {
+            self.store.wrong.insert(origin);
+        }
+        Process { origin, id: WorkerId(String::new()), held: Vec::new(), old: Vec::new(), wrong }
+    }
+
+    fn insist(&mut self, holds: bool, what: impl FnOnce() -> String) {
+        if !holds && self.complaint.is_none() {
+            self.complaint = Some(what());
+        }
+    }
+
+    pub fn step(&mut self, op: &Op) {
+        match *op {
+            Op::Register(worker) => self.register(worker),
+            Op::Acquire { worker, max } => self.acquire(worker, max),
+            Op::Renew { worker, which, running } => self.renew(worker, which, running),
+            Op::Forge { worker, lease, how } => self.forge(worker, lease, how),
+            Op::Deliver { worker, lease } => {
+                self.begin(worker, lease);
+                self.end(usize::MAX);
+            }
+            Op::Begin { worker, lease } => self.begin(worker, lease),
+            Op::End(which) => self.end(which),
+            Op::DeliverOld { worker, lease } => self.deliver_old(worker, lease),
+            Op::DeliverAlien { worker, lease } => self.deliver_alien(worker, lease),
+            Op::Fail { worker, lease } => self.fail(worker, lease),
+            Op::HandBack { worker, lease } => {
+                if let Some(lease) = self.take_lease(worker, lease) {
+                    self.farm.hand_back(&[lease.key]);
+                }
+            }
+            Op::Leave(worker) => self.leave(worker),
+            Op::Drain(worker) => {
+                let id = self.processes[worker].id.clone();
+                if self.farm.drain(&id.0).is_ok() {
+                    self.draining.insert(id);
+                }
+            }
+            Op::Die(worker) => self.replace(worker, self.processes[worker].wrong),
+            Op::Expire(tenths) => self.expire(Duration::from_millis(100 * tenths)),
+            Op::Stall(seconds) => self.expire(Duration::from_secs(seconds)),
+            Op::Restart => self.restart(),
+            Op::Submit(kind) => self.submit(kind),
+            Op::Pause(at) => self.set_desire(at, Desire::Pause),
+            Op::Resume(at) => self.set_desire(at, Desire::Run),
+            Op::Cancel(at) => self.set_desire(at, Desire::Cancel),
+            Op::Priority(at, to) => {
+                if let Some(id) = self.dictionary(at) {
+                    self.store.dictionaries.get_mut(&id).unwrap().priority = to;
+                    self.farm.set_priority(id, to);
+                }
+            }
+            Op::Retry(at) => self.dictionary(at).into_iter().for_each(|id| self.retry(id)),
+            Op::Delete(at) => self.delete(at),
+            Op::Damage { dictionary, job } => {
+                let id = self.dictionary(dictionary);
+                id.into_iter().for_each(|id| self.recompute(id, job));
+            }
+        }
+        self.settle();
+    }
+
+    fn dictionary(&self, at: usize) -> Option<DictionaryId> {
+        self.store.dictionaries.keys().nth(at).copied()
+    }
+
+    pub fn origin(&self, id: &WorkerId) -> Option<Origin> {
+        self.origins.get(id).copied()
+    }
+
+    /// Takes a process's place with a new one; its leases are left as they are.
+    fn replace(&mut self, worker: usize, wrong: bool) {
+        let process = self.process(wrong);
+        self.processes[worker] = process;
+    }
+
+    fn register(&mut self, worker: usize) {
+        self.numbers += 1;
+        let (id, origin) = (WorkerId(format!("w{}", self.numbers)), self.processes[worker].origin);
+        let about = Registration { label: String::new(), threads: 1, version: String::new() };
+        let answer = self.farm.register(self.now, id.clone(), origin, about);
+        let fenced = self.store.fenced.contains_key(&origin);
+        self.insist(answer.is_err() == fenced, || format!("{origin:?} registers: {answer:?}"));
+        if fenced {
+            return self.replace(worker, false);
+        }
+        let before = std::mem::replace(&mut self.processes[worker].id, id.clone());
+        if self.draining.contains(&before) && self.farm.workers.get(&id).is_ok_and(|w| w.draining) {
+            self.draining.insert(id.clone());
+        }
+        self.origins.insert(id, origin);
+    }
+
+    /// What a worker makes of an answer: None if it has to begin again.
+    fn answer<T>(&mut self, worker: usize, answer: Result<T, DispatchError>) -> Option<T> {
+        match answer {
+            Err(DispatchError::UnknownWorker(_)) => {
+                self.register(worker);
+                None
+            }
+            Err(DispatchError::Fenced(_)) => {
+                let origin = self.processes[worker].origin;
+                self.insist(self.store.fenced.contains_key(&origin), || "fenced off for nothing".to_owned());
+                self.register(worker);
+                None
+            }
+            answer => {
+                let origin = self.processes[worker].origin;
+                for strikes in self.strikes.values_mut() {
+                    strikes.retain(|(by, silent)| !(*silent && *by == origin));
+                }
+                answer.ok()
+            }
+        }
+    }
+
+    fn acquire(&mut self, worker: usize, max: usize) {
+        let id = self.processes[worker].id.clone();
+        let answer = self.farm.acquire(self.now, &id, max, &mut self.chance);
+        let Some(grant) = self.answer(worker, answer) else { return };
+        self.insist(grant.leases.len() <= max, || "too many leases".to_owned());
+        let drains = self.draining.contains(&id);
+        self.insist(grant.drain == drains && (grant.leases.is_empty() || !drains), || {
+            format!("{id} drains: {drains}, but got {grant:?}")
+        });
+        for (lease, purpose) in grant.leases.into_iter().zip(grant.purposes) {
+            let key = lease.key;
+            let new = self.tokens.insert(key.token);
+            self.insist(new, || format!("{key:?} has a token that was used before"));
+            let dictionary = self.farm.by_id(key.dictionary);
+            let serves = dictionary
+                .is_some_and(|d| d.is_active() || purpose == Purpose::Check && d.is_complete());
+            self.insist(serves, || format!("{key:?} is of a dictionary that is not served"));
+            if purpose == Purpose::Check {
+                let done = self.store.done.get(&(key.dictionary, key.job));
+                let own = done.is_none_or(|d| d.by.contains(&self.processes[worker].origin));
+                self.insist(!own, || format!("{key:?} lets a worker check itself, or nothing"));
+            }
+            self.processes[worker].held.push(lease);
+        }
+    }
+
+    fn take_lease(&mut self, worker: usize, lease: usize) -> Option<Lease> {
+        let process = &mut self.processes[worker];
+        if lease >= process.held.len() {
+            return None;
+        }
+        let lease = process.held.remove(lease);
+        process.old.push(lease.clone());
+        if process.old.len() > 6 {
+            process.old.remove(0);
+        }
+        Some(lease)
+    }
+
+    fn renew(&mut self, worker: usize, which: u8, running: u8) {
+        let Process { id, held, .. } = self.processes[worker].clone();
+        let bit = |bits: u8, i: usize| bits >> (i % 8) & 1 == 1;
+        let chosen = held.iter().enumerate().filter(|(i, _)| bit(which, *i));
+        let leases: Vec<_> =
+            chosen.map(|(i, l)| (l.key, bit(running, i), l.job.identity())).collect();
+        let mine = |farm: &Dispatcher, key: &LeaseKey| farm.leases.get(key).is_some_and(|h| h.worker == id);
+        let valid: Vec<_> = leases.iter().filter(|l| mine(&self.farm, &l.0)).map(|l| l.0).collect();
+        let answer = self.farm.renew(self.now, &id, leases.clone());
+        let Some((lost, _)) = self.answer(worker, answer) else { return };
+        for (key, running, _) in leases {
+            let is_lost = lost.contains(&key);
+            self.insist(!(is_lost && valid.contains(&key)), || format!("{key:?} was valid and is lost"));
+            let held = self.farm.leases.get(&key).filter(|h| h.worker == id);
+            let noted = held.is_some_and(|h| h.running == running && h.deadline >= self.now + LEASE);
+            self.insist(is_lost || noted, || format!("{key:?} is not lost and not noted"));
+        }
+        for key in lost {
+            if let Some(i) = self.processes[worker].held.iter().position(|l| l.key == key) {
+                self.take_lease(worker, i);
+            }
+        }
+    }
+
+    /// Keys as nobody got them: of another's lease, with another token, job, part, attempt or identity.
+    fn forge(&mut self, worker: usize, lease: usize, how: u8) {
+        let other = (worker + 1) % WORKERS;
+        let from = if how == 0 { other } else { worker };
+        let Some(Lease { mut key, job }) = self.processes[from].held.get(lease).cloned() else { return };
+        match how {
+            0 => {}
+            1 => key.token = Token(key.token.0 ^ 1 << 100),
+            2 => key.job += 1,
+            3 => key.attempt = u32::MAX,
+            _ => key.part += 1,
+        }
+        let before = self.farm.leases.get(&key).cloned();
+        let id = self.processes[worker].id.clone();
+        let answer = self.farm.renew(self.now, &id, vec![(key, true, job.identity())]);
+        if let Some((lost, _)) = self.answer(worker, answer) {
+            // A key with a token of its own may be right, for all that the coordinator knows after a restart.
+            let kept = before.is_some_and(|held| held.worker != id) || how >= 2 && self.is_held(key.token);
+            self.insist(!kept || !lost.is_empty(), || format!("{key:?} was forged and is renewed"));
+            if lost.is_empty() {
+                self.tokens.insert(key.token);
+                self.farm.hand_back(&[key]);
+            }
+        }
+        let answer = self.farm.failed(self.now, &id, &key, "sabotage");
+        self.insist(answer.is_err(), || format!("{key:?} was forged and has failed"));
+        self.answer(worker, answer);
+    }
+
+    fn is_held(&self, token: Token) -> bool {
+        self.farm.leases.iter().any(|held| held.key.token == token)
+    }
+
+    fn begin(&mut self, worker: usize, lease: usize) {
+        if let Some(lease) = self.take_lease(worker, lease) {
+            self.admit(worker, lease);
+        }
+    }
+
+    fn deliver_old(&mut self, worker: usize, lease: usize) {
+        if let Some(lease) = self.processes[worker].old.get(lease).cloned() {
+            self.admit(worker, lease);
+            self.end(usize::MAX);
+        }
+    }
+
+    fn deliver_alien(&mut self, worker: usize, lease: usize) {
+        if let Some(Lease { key, .. }) = self.take_lease(worker, lease) {
+            let id = self.processes[worker].id.clone();
+            let answer = self.farm.admit(self.now, &id, &key, Digest::from_bytes([0; 32]));
+            self.insist(answer.is_err(), || format!("{key:?} is admitted with another identity"));
+            self.answer(worker, answer);
+        }
+    }
+
+    fn admit(&mut self, worker: usize, lease: Lease) {
+        let (id, origin) = (self.processes[worker].id.clone(), self.processes[worker].origin);
+        let answer = self.farm.admit(self.now, &id, &lease.key, lease.job.identity());
+        let key = lease.key;
+        match self.answer(worker, answer) {
+            Some(Admission::Store { job, by }) => {
+                self.insist(by == origin, || format!("{key:?} came from {origin:?}, not {by:?}"));
+                self.arriving.push(Arriving { worker: id, by, key, job });
+            }
+            Some(Admission::Compare { job, stored }) => self.compare(&id, origin, &key, &job, stored),
+            Some(Admission::Repeated { .. }) | None => {}
+        }
+    }
+
+    fn compare(&mut self, worker: &WorkerId, by: Origin, key: &LeaseKey, job: &JobSpec, stored: Digest) {
+        let new = self.store.digest(key.dictionary, key.job, job, &BTreeSet::from([by]));
+        let equal = self.farm.compared(worker, key, stored, new);
+        self.insist(equal == (stored == new), || format!("{key:?} is compared wrongly"));
+    }
+
+    /// A result reaches the store.
+    fn end(&mut self, which: usize) {
+        let last = self.arriving.len().saturating_sub(1);
+        if self.arriving.is_empty() {
+            return;
+        }
+        let Arriving { worker, by, key, job } = self.arriving.remove(which.min(last));
+        let place = (key.dictionary, key.job);
+        match self.store.complete(key.dictionary, key.job, &job, by) {
+            None => {}
+            Some(Stored::Finished { records }) => {
+                self.strikes.remove(&place);
+                self.walks.insert(place, job.walks());
+                self.farm.finished(self.now, &worker, by, &key, records, &mut self.chance);
+            }
+            Some(Stored::Part) => self.farm.part_finished(self.now, &worker, &key),
+            Some(Stored::MoreWalks(walks)) => {
+                self.farm.prolong(self.now, &worker, &key, walks);
+                if !self.store.given_up.contains_key(&place) && self.walks_of(place) < walks.get() {
+                    self.walks.insert(place, walks);
+                    self.strikes.remove(&place);
+                }
+                self.find_blocks();
+            }
+            Some(Stored::Before { .. }) if job.block().is_some() => {}
+            Some(Stored::Before { records }) => self.compare(&worker, by, &key, &job, records),
+        }
+    }
+
+    pub fn walks_of(&self, place: (DictionaryId, u32)) -> u64 {
+        let of_grid = self.store.dictionaries[&place.0].grid.walks();
+        self.walks.get(&place).copied().unwrap_or(of_grid).get()
+    }
+
+    fn fail(&mut self, worker: usize, lease: usize) {
+        let Some(Lease { key, .. }) = self.take_lease(worker, lease) else { return };
+        let Process { id, origin, .. } = self.processes[worker].clone();
+        let held = self.farm.leases.get(&key).filter(|h| h.worker == id).map(|h| h.purpose);
+        let answer = self.farm.failed(self.now, &id, &key, "boom");
+        self.insist(answer.is_err() || held.is_some(), || format!("{key:?} fails and is not held"));
+        if self.answer(worker, answer).is_some() && held != Some(Purpose::Check) {
+            self.strike(key.dictionary, key.job, origin, false);
+        }
+    }
+
+    fn strike(&mut self, id: DictionaryId, job: u32, by: Origin, silent: bool) {
+        self.strikes.entry((id, job)).or_default().push((by, silent));
+    }
+
+    fn leave(&mut self, worker: usize) {
+        let Process { id, origin, wrong, .. } = self.processes[worker].clone();
+        if self.farm.workers.get(&id).is_ok() {
+            for strikes in self.strikes.values_mut() {
+                strikes.retain(|(by, silent)| !(*silent && *by == origin));
+            }
+        }
+        self.farm.leave(&id);
+        let left = !self.farm.leases.iter().any(|held| held.worker == id);
+        self.insist(left, || format!("{id} has left and holds leases"));
+        self.replace(worker, wrong);
+    }
+
+    pub fn expire(&mut self, after: Duration) {
+        self.now += after;
+        let stalled = self.last_look.map_or(Duration::ZERO, |last| self.now.saturating_sub(last));
+        let stalled = if stalled > STALL { stalled } else { Duration::ZERO };
+        self.last_look = Some(self.now);
+        let mut due: Vec<_> =
+            self.farm.leases.iter().filter(|h| h.deadline + stalled <= self.now).cloned().collect();
+        due.sort_by_key(|held| (held.deadline, held.key.token));
+        let freed = self.farm.expire(self.now);
+        self.insist(freed == due.len(), || format!("{freed} leases are freed, not {}", due.len()));
+        for held in due.iter().filter(|h| h.running && h.purpose != Purpose::Check) {
+            let (id, job) = (held.key.dictionary, held.key.job);
+            let given_up = self.strikes.get(&(id, job)).is_some_and(|s| s.len() >= MAX_ATTEMPTS as usize);
+            if !given_up {
+                self.strike(id, job, self.origins[&held.worker], true);
+            }
+        }
+    }
+
+    pub fn settle(&mut self) {
+        self.farm.take_events();
+        for effect in self.farm.take_effects() {
+            match effect {
+                Effect::GiveUp { dictionary, job, reason, quarantined } => {
+                    let strikes = self.strikes.remove(&(dictionary, job)).unwrap_or_default();
+                    let silent = strikes.iter().any(|s| s.1);
+                    self.insist(strikes.len() == MAX_ATTEMPTS as usize && silent == quarantined, || {
+                        format!("job {job} is given up for {strikes:?}")
+                    });
+                    self.walks.insert((dictionary, job), self.store.dictionaries[&dictionary].grid.walks());
+                    self.store.given_up.insert((dictionary, job), (reason, quarantined));
+                }
+                Effect::Recompute { dictionary, job } => self.recompute(dictionary, job),
+                Effect::Fence { worker, reason } => {
+                    for (id, job) in self.store.fence(worker, reason) {
+                        self.reopen(id, job);
+                    }
+                    self.find_blocks();
+                }
+            }
+        }
+    }
+
+    fn recompute(&mut self, id: DictionaryId, job: u32) {
+        if self.store.done.remove(&(id, job)).is_some() {
+            self.reopen(id, job);
+            self.find_blocks();
+        }
+    }
+
+    fn reopen(&mut self, id: DictionaryId, job: u32) {
+        self.strikes.remove(&(id, job));
+        self.walks.remove(&(id, job));
+        self.farm.reopen(id, &[job]);
+    }
+
+    /// Tells the dispatcher which blocks there are.
+    fn find_blocks(&mut self) {
+        for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
+            for (job, spec) in self.farm.by_id(id).unwrap().divided_jobs() {
+                let blocks = self.store.stored_blocks(id, job, spec.walks());
+                self.farm.parts_stored(id, job, spec.walks(), &blocks);
+            }
+        }
+    }
+
+    fn submit(&mut self, kind: usize) {
+        if self.store.dictionaries.len() < DICTIONARIES {
+            let id = self.store.create(kind);
+            self.farm.add_dictionary(Dictionary::new(self.store.dictionaries[&id].clone(), &[]));
+        }
+    }
+
+    fn set_desire(&mut self, at: usize, desire: Desire) {
+        let Some(id) = self.dictionary(at) else { return };
+        if self.farm.by_id(id).unwrap().open_jobs() > 0 {
+            self.store.dictionaries.get_mut(&id).unwrap().desire = desire;
+            self.farm.set_desire(id, desire, String::new());
+        }
+    }
+
+    pub fn retry(&mut self, id: DictionaryId) {
+        let of_it: Vec<_> = self.store.given_up.keys().filter(|job| job.0 == id).copied().collect();
+        for place in &of_it {
+            self.store.given_up.remove(place);
+            self.walks.remove(place);
+            self.strikes.remove(place);
+        }
+        let again = self.farm.retry(id);
+        self.insist(again == of_it.len(), || format!("{again} jobs are tried again, not {}", of_it.len()));
+        self.find_blocks();
+    }
+
+    fn delete(&mut self, at: usize) {
+        let Some(id) = self.dictionary(at) else { return };
+        self.set_desire(at, Desire::Cancel);
+        self.store.delete(id);
+        self.strikes.retain(|(of, _), _| *of != id);
+        self.farm.remove_dictionary(id);
+    }
+
+    /// A new coordinator on the same store.
+    fn restart(&mut self) {
+        self.restarted = true;
+        self.farm = Dispatcher::new(self.settings);
+        for (worker, reason) in &self.store.fenced {
+            self.farm.remember_fence(*worker, reason.clone());
+        }
+        for (id, stored) in &self.store.dictionaries {
+            self.farm.add_dictionary(Dictionary::new(stored.clone(), &self.store.ended(*id)));
+        }
+        self.arriving.clear();
+        self.strikes.clear();
+        self.draining.clear();
+        self.last_look = None;
+        self.walks = self.store.done.iter().map(|(place, done)| (*place, done.walks)).collect();
+        self.find_blocks();
+    }
+
+    /// Three honest workers finish what is left.
+    pub fn finish_all(&mut self) -> Result<(), String> {
+        while !self.arriving.is_empty() {
+            self.end(0);
+            self.settle();
+        }
+        for worker in 0..WORKERS {
+            self.replace(worker, false);
+        }
+        for at in 0..self.store.dictionaries.len() {
+            self.set_desire(at, Desire::Run);
+        }
+        for _ in 0..300 {
+            self.step(&Op::Expire(20));
+            for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
+                self.retry(id);
+            }
+            for worker in 0..3 {
+                self.step(&Op::Renew { worker, which: 255, running: 255 });
+                self.step(&Op::Acquire { worker, max: 2 });
+                self.step(&Op::Deliver { worker, lease: 0 });
+            }
+            self.check()?;
+            let active = |id: &&DictionaryId| self.farm.by_id(**id).unwrap().is_active();
+            let done = self.store.dictionaries.keys().filter(active).all(|id| {
+                self.farm.by_id(*id).unwrap().is_complete()
+            });
+            if done && self.farm.checks().2 == 0 && self.farm.load() == (0, 0) {
+                return self.check_digests();
+            }
+        }
+        Err(format!("the work is not done in time: {:?} {:?}", self.farm.load(), self.farm.checks()))
+    }
+}
