@@ -82,7 +82,11 @@ impl Checks {
                 }
                 return Verdict::Repeated;
             }
-            self.open.remove(&part);
+            // What it said before counts no more; what others said is still to be settled.
+            votes.remove(same);
+            if votes.is_empty() {
+                self.open.remove(&part);
+            }
             self.disputed += 1;
             return Verdict::Wrong(vec![new.by]);
         }

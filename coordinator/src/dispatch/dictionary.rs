@@ -55,16 +55,17 @@ impl Dictionary {
         let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
         let mut dictionary =
             Self { stored, outdated, jobs, pending: BTreeSet::new(), counts: Counts::default(), leased: 0 };
+        for (job, index) in dictionary.jobs.iter().zip(0..) {
+            dictionary.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
+        }
         dictionary.count();
         dictionary
     }
 
-    /// Counts everything afresh.
+    /// Counts afresh what has ended. What waits is not counted: that depends on who holds what.
     fn count(&mut self) {
         self.counts = Counts::default();
-        self.pending.clear();
-        for (job, index) in self.jobs.iter().zip(0..) {
-            self.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
+        for job in &self.jobs {
             self.counts.cost += job.cost;
             match &job.stage {
                 Stage::Done { reused, .. } => self.counts.add_done(job, *reused),
@@ -115,6 +116,11 @@ impl Dictionary {
     /// Jobs that are done, and that were given up.
     pub fn ended(&self) -> (usize, usize) {
         (self.counts.done, self.counts.given_up)
+    }
+
+    /// Whether results are wanted. What was leased before a pause may still be finished.
+    pub(super) fn takes_results(&self) -> bool {
+        self.stored.desire != Desire::Cancel && !self.outdated
     }
 
     /// Whether parts of it may be given out.
@@ -233,7 +239,7 @@ impl Dictionary {
     /// Counts one more attempt at a job; its number.
     pub(super) fn attempt(&mut self, index: u32) -> u32 {
         let job = &mut self.jobs[index as usize];
-        job.attempts += 1;
+        job.attempts = job.attempts.saturating_add(1);
         job.attempts
     }
 
@@ -246,8 +252,11 @@ impl Dictionary {
     /// Takes a certain part that waits; false if it does not.
     pub(super) fn take(&mut self, index: u32, part: u32, attempt: u32) -> bool {
         let job = &mut self.jobs[index as usize];
-        job.attempts = job.attempts.max(attempt);
-        self.pending.remove(&(job.rank, index, part))
+        let waits = self.pending.remove(&(job.rank, index, part));
+        if waits {
+            job.attempts = job.attempts.max(attempt);
+        }
+        waits
     }
 
     /// A part that nobody holds any more waits again, if it is still to be done.
@@ -276,19 +285,21 @@ impl Dictionary {
         }
     }
 
-    /// Notes that a job's records are stored.
-    pub(super) fn finish(&mut self, index: u32, records: Digest, by: Option<Origin>) {
+    /// Notes that a job's records are stored, from so many walks.
+    pub(super) fn finish(&mut self, index: u32, walks: Walks, records: Digest, by: Origin) {
         let job = &mut self.jobs[index as usize];
-        for part in 0..job.walks.blocks() {
-            self.pending.remove(&(job.rank, index, part));
-        }
         match job.stage {
             Stage::Done { .. } => return,
             Stage::GivenUp { .. } => self.counts.given_up -= 1,
             Stage::Open { .. } => {}
         }
-        job.stage = Stage::Done { records, by, reused: false };
-        job.strikes.clear();
+        // Since the result was admitted the job may have been begun again with other walks.
+        self.begin_again(index, walks);
+        let job = &mut self.jobs[index as usize];
+        for part in job.open_parts().collect::<Vec<_>>() {
+            self.pending.remove(&(job.rank, index, part));
+        }
+        job.stage = Stage::Done { records, by: Some(by), reused: false };
         self.counts.add_done(job, false);
     }
 
@@ -296,8 +307,8 @@ impl Dictionary {
     pub(super) fn reopen(&mut self, jobs: &[u32]) {
         let walks = self.stored.grid.walks();
         for index in jobs {
-            if let Some(job) = self.jobs.get_mut(*index as usize) {
-                job.reopen(walks);
+            if (*index as usize) < self.jobs.len() {
+                self.begin_again(*index, walks);
             }
         }
         self.count();
@@ -305,6 +316,11 @@ impl Dictionary {
 
     /// Begins a job that is open again with more walks.
     pub(super) fn prolong(&mut self, index: u32, walks: Walks) {
+        self.begin_again(index, walks);
+    }
+
+    /// All parts of a job wait; nobody holds them.
+    fn begin_again(&mut self, index: u32, walks: Walks) {
         let job = &mut self.jobs[index as usize];
         for part in 0..job.walks.blocks() {
             self.pending.remove(&(job.rank, index, part));
@@ -313,6 +329,11 @@ impl Dictionary {
         job.reopen(walks);
         self.counts.cost += job.cost;
         self.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
+    }
+
+    /// Whether a job has not ended.
+    pub(super) fn is_open(&self, index: u32) -> bool {
+        self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Open { .. }))
     }
 
     /// Counts an attempt that came to nothing. If these are too many the job is given up: all reasons, and whether

@@ -80,6 +80,11 @@ impl Leases {
         Some(held)
     }
 
+    /// Whether some lease has this token.
+    pub fn has(&self, token: Token) -> bool {
+        self.all.contains_key(&token)
+    }
+
     /// The lease of this key, if it is held by this worker.
     pub fn get(&self, key: &LeaseKey) -> Option<&Held> {
         self.all.get(&key.token).filter(|held| held.key == *key)

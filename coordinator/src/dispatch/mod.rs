@@ -37,7 +37,7 @@ use job::Strike;
 use leases::{Held, Leases};
 pub use leases::{PartId, Purpose};
 use pace::Pace;
-pub use results::Admission;
+pub use results::{Admission, Arrived};
 pub use workers::Registration;
 use workers::Workers;
 
@@ -247,15 +247,17 @@ impl Dispatcher {
     }
 
     fn may_check(&self, part: PartId) -> bool {
-        let exists = self.dictionaries.get(&part.dictionary).is_some_and(|d| d.job(part).is_some());
-        exists && self.leases.of_part(part).all(|held| held.purpose != Purpose::Check)
+        let serves = |d: &Dictionary| d.job(part).is_some() && (d.is_active() || d.is_complete());
+        self.dictionaries.get(&part.dictionary).is_some_and(serves) && self.leases.of_part(part).all(|held| held.purpose != Purpose::Check)
     }
 
     /// A part that takes too long, and is not this worker's own.
     fn next_late(&mut self, worker: &WorkerId) -> Option<PartId> {
+        let served = |id| self.dictionaries.get(&id).is_some_and(Dictionary::is_active);
         let fits = |leases: &Leases, part: PartId| {
+            // A part whose result is only checked any more is not late.
             let mut holders = leases.of_part(part);
-            matches!((holders.next(), holders.next()), (Some(held), None) if held.worker != *worker)
+            served(part.dictionary) && matches!((holders.next(), holders.next()), (Some(held), None) if held.purpose != Purpose::Check && held.worker != *worker)
         };
         let place = self.late.iter().position(|part| fits(&self.leases, *part))?;
         Some(self.late.swap_remove(place))
@@ -332,7 +334,8 @@ impl Dispatcher {
             return own;
         }
         let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) else { return false };
-        let wanted = dictionary.job(PartId::from(key)).is_some()
+        let wanted = !self.leases.has(key.token)
+            && dictionary.job(PartId::from(key)).is_some()
             && dictionary.is_active()
             && dictionary.spec(key.job, key.part).identity() == identity;
         if !wanted || !dictionary.take(key.job, key.part, key.attempt) {
@@ -558,12 +561,17 @@ impl Dispatcher {
     }
 
     fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<(), DispatchError> {
-        let (origin, returned) = self.workers.seen(now, id)?;
-        for (dictionary, job) in returned {
+        let origin = self.workers.seen(now, id)?;
+        self.forgive(origin);
+        Ok(())
+    }
+
+    /// A worker has been heard of: nothing failed for its silence.
+    fn forgive(&mut self, origin: Origin) {
+        for (dictionary, job) in self.workers.returned(origin) {
             if let Some(dictionary) = self.dictionaries.get_mut(&dictionary) {
                 dictionary.forgive(job, origin);
             }
         }
-        Ok(())
     }
 }

@@ -16,7 +16,7 @@ pub enum Admission {
     /// Store it.
     Store { job: JobSpec, by: Origin },
     /// The job is done: compare it with what is stored.
-    Compare { job: JobSpec, stored: Digest },
+    Compare { job: JobSpec, by: Origin, stored: Digest },
     /// A block that is stored already, or was merged: nothing is left to compare with.
     Repeated { job: JobSpec },
 }
@@ -28,6 +28,17 @@ impl Admission {
             Self::Store { job, .. } | Self::Compare { job, .. } | Self::Repeated { job } => job,
         }
     }
+}
+
+/// A result that has reached the store.
+#[derive(Debug)]
+pub struct Arrived<'a> {
+    pub worker: &'a WorkerId,
+    /// The worker's process, also if the worker is not known any more.
+    pub by: Origin,
+    pub key: &'a LeaseKey,
+    /// Of its whole job.
+    pub walks: Walks,
 }
 
 impl Dispatcher {
@@ -42,6 +53,16 @@ impl Dispatcher {
     ) -> Result<Admission, DispatchError> {
         self.seen(now, worker)?;
         let by = self.workers.get(worker)?.origin;
+        let admitted = self.wanted(key, identity, by);
+        let unused = matches!(admitted, Err(_) | Ok(Admission::Repeated { .. }));
+        if unused && self.leases.get(key).is_some_and(|held| held.worker == *worker) {
+            // The worker drops the result and forgets the lease: nobody must be blamed for its end.
+            self.free(key.token);
+        }
+        admitted
+    }
+
+    fn wanted(&self, key: &LeaseKey, identity: Digest, by: Origin) -> Result<Admission, DispatchError> {
         let part = PartId::from(key);
         let lost = DispatchError::LeaseLost { job: key.job, attempt: key.attempt };
         let dictionary =
@@ -53,65 +74,76 @@ impl Dispatcher {
         }
         match &job.stage {
             Stage::Done { .. } if job.is_divided() => Ok(Admission::Repeated { job: spec }),
-            Stage::Done { records, .. } => Ok(Admission::Compare { job: spec, stored: *records }),
+            Stage::Done { records, .. } => Ok(Admission::Compare { job: spec, by, stored: *records }),
             Stage::Open { .. } if !dictionary.open_parts(key.job).contains(&key.part) => {
                 Ok(Admission::Repeated { job: spec })
             }
-            Stage::Open { .. } | Stage::GivenUp { .. } if dictionary.is_active() => {
+            Stage::Open { .. } | Stage::GivenUp { .. } if dictionary.takes_results() => {
                 Ok(Admission::Store { job: spec, by })
             }
             Stage::Open { .. } | Stage::GivenUp { .. } => Err(lost),
         }
     }
 
-    /// Notes that a job's records are stored. `by` computed them, whether or not the worker is still known.
-    #[expect(clippy::too_many_arguments, reason = "all of them describe one result")]
-    pub fn finished(
-        &mut self,
-        now: Duration,
-        worker: &WorkerId,
-        by: Origin,
-        key: &LeaseKey,
-        records: Digest,
-        chance: &mut impl Chance,
-    ) {
-        let by = Some(by);
-        self.result_came(now, worker, key);
+    /// Notes that a job's records are stored.
+    pub fn finished(&mut self, now: Duration, arrived: &Arrived, records: Digest, chance: &mut impl Chance) {
+        let Arrived { by, key, walks, .. } = *arrived;
+        self.result_came(now, arrived);
         self.jobs_done += 1;
-        let part = PartId::from(key);
-        let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) else { return };
-        let divided = dictionary.job(part).is_none_or(super::job::Job::is_divided);
-        dictionary.finish(key.job, records, by);
+        let id = key.dictionary;
+        if !self.dictionaries.contains_key(&id) {
+            return;
+        }
+        self.end_leases_of_job(id, key.job);
+        let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
+        dictionary.finish(key.job, walks, records, by);
         let ended = dictionary.open_jobs() == 0;
         let (done, given_up) = dictionary.ended();
-        if !divided && chance.share() < self.settings.check_share {
-            self.checks.want(part, Vote { by, digest: records });
+        if walks.blocks() == 1 && chance.share() < self.settings.check_share {
+            self.checks.want(PartId::from(key), Vote { by: Some(by), digest: records });
         }
         if ended {
             let kind = if given_up == 0 { EventKind::Done } else { EventKind::Ended };
             let message = format!("{done} jobs done, {given_up} given up");
-            self.events.push(Event::of_dictionary(kind, key.dictionary, message));
+            self.events.push(Event::of_dictionary(kind, id, message));
         }
     }
 
     /// Notes that a block of a divided job is stored.
-    pub fn part_finished(&mut self, now: Duration, worker: &WorkerId, key: &LeaseKey) {
-        self.result_came(now, worker, key);
-        if let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) {
+    pub fn part_finished(&mut self, now: Duration, arrived: &Arrived) {
+        let key = arrived.key;
+        // A block of fewer walks may arrive after its job was begun again with more.
+        let current = self.has_walks(key, arrived.walks);
+        if current {
+            self.result_came(now, arrived);
+        }
+        if let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary).filter(|_| current) {
             dictionary.part_stored(key.job, key.part);
         }
     }
 
     /// The target error is not reached: begins the job again with more walks.
-    pub fn prolong(&mut self, now: Duration, worker: &WorkerId, key: &LeaseKey, walks: Walks) {
-        self.result_came(now, worker, key);
-        if let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) {
-            dictionary.prolong(key.job, walks);
+    pub fn prolong(&mut self, now: Duration, arrived: &Arrived, more: Walks) {
+        let (id, job) = (arrived.key.dictionary, arrived.key.job);
+        // Of two copies that came at once, the second asks for what the first has brought about.
+        if !self.has_walks(arrived.key, arrived.walks) || !self.dictionaries[&id].is_open(job) {
+            return;
+        }
+        self.result_came(now, arrived);
+        self.end_leases_of_job(id, job);
+        if let Some(dictionary) = self.dictionaries.get_mut(&id) {
+            dictionary.prolong(job, more);
         }
     }
 
+    fn has_walks(&self, key: &LeaseKey, walks: Walks) -> bool {
+        let job = self.dictionaries.get(&key.dictionary).and_then(|d| d.job(PartId::from(key)));
+        job.is_some_and(|job| job.walks == walks)
+    }
+
     /// A result for a part came: its leases end, and the pace is measured.
-    fn result_came(&mut self, now: Duration, worker: &WorkerId, key: &LeaseKey) {
+    fn result_came(&mut self, now: Duration, arrived: &Arrived) {
+        let key = arrived.key;
         let part = PartId::from(key);
         let cost =
             self.dictionaries.get(&part.dictionary).and_then(|d| d.job(part)).map(super::job::Job::part_cost);
@@ -122,16 +154,22 @@ impl Dispatcher {
                 self.pace.completed(now, cost, now.saturating_sub(held.since));
             }
         }
-        self.workers.job_done(worker);
+        // A check, if the job was begun again in the meantime.
+        if self.leases.get(key).is_some() {
+            self.leases.remove(key.token);
+        }
+        self.workers.job_done(arrived.worker);
     }
 
     /// Compares a result with the one that is stored. True if they are equal.
-    pub fn compared(&mut self, worker: &WorkerId, key: &LeaseKey, stored: Digest, new: Digest) -> bool {
+    pub fn compared(&mut self, by: Origin, key: &LeaseKey, stored: Digest, new: Digest) -> bool {
         let part = PartId::from(key);
         if self.leases.get(key).is_some_and(|held| held.purpose == Purpose::Check) {
             self.leases.remove(key.token);
         }
-        let Ok(by) = self.workers.get(worker).map(|w| w.origin) else { return stored == new };
+        if self.workers.is_fenced(by) {
+            return stored == new;
+        }
         let first =
             self.dictionaries.get(&part.dictionary).and_then(|d| d.job(part)).and_then(|job| {
                 match job.stage {

@@ -8,7 +8,7 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::{DictionaryName, Digest, Grid, Scene, Walks};
 
 use super::{
-    Admission, Chance, Dictionary, DispatchError, Dispatcher, Effect, Origin, Registration, Settings,
+    Admission, Arrived, Chance, Dictionary, DispatchError, Dispatcher, Effect, Origin, Registration, Settings,
 };
 use crate::store::{Desire, EndedJob, StoredDictionary};
 
@@ -71,6 +71,12 @@ fn origin(name: &str) -> Origin {
     Origin(i64::from(name.as_bytes()[0] - b'a' + 1))
 }
 
+/// Lets a result of a worker reach the store.
+fn arrive(name: &str, lease: &Lease, note: impl FnOnce(&Arrived)) {
+    let (worker, walks) = (worker(name), lease.job.walks());
+    note(&Arrived { worker: &worker, by: origin(name), key: &lease.key, walks });
+}
+
 fn about(label: &str) -> Registration {
     Registration { label: label.to_owned(), threads: 2, version: String::new() }
 }
@@ -95,8 +101,13 @@ impl Bench {
     }
 
     fn finish(&mut self, at: u64, name: &str, lease: &Lease) {
-        let (worker, by) = (worker(name), origin(name));
-        self.farm.finished(seconds(at), &worker, by, &lease.key, DIGEST, &mut self.chance);
+        self.finish_with(at, name, lease, DIGEST);
+    }
+
+    fn finish_with(&mut self, at: u64, name: &str, lease: &Lease, records: Digest) {
+        arrive(name, lease, |arrived| {
+            self.farm.finished(seconds(at), arrived, records, &mut self.chance);
+        });
     }
 
     fn admit(&mut self, name: &str, lease: &Lease) -> Result<Admission, DispatchError> {
@@ -348,16 +359,16 @@ fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let wrong = Digest::from_bytes([9; 32]);
     let lease = bench.acquire(0, "a", 1);
-    bench.farm.finished(seconds(1), &worker("a"), origin("a"), &lease[0].key, wrong, &mut bench.chance);
+    bench.finish_with(1, "a", &lease[0], wrong);
     assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not its own result");
     let check = bench.acquire(2, "b", 1);
     assert_eq!(check[0].key.job, lease[0].key.job);
-    assert!(!bench.farm.compared(&worker("b"), &check[0].key, wrong, DIGEST));
+    assert!(!bench.farm.compared(origin("b"), &check[0].key, wrong, DIGEST));
     assert!(bench.reasons(2).contains(&"DISPUTED"));
     assert!(bench.farm.take_effects().is_empty(), "one against one decides nothing");
     let third = bench.acquire(3, "c", 1);
     assert_eq!(third[0].key.job, lease[0].key.job);
-    bench.farm.compared(&worker("c"), &third[0].key, wrong, DIGEST);
+    bench.farm.compared(origin("c"), &third[0].key, wrong, DIGEST);
     let effects = bench.farm.take_effects();
     assert!(matches!(&effects[..], [Effect::Fence { worker: Origin(1), .. }]), "{effects:?}");
     let fenced = bench.farm.acquire(seconds(4), &worker("a"), 1, &mut bench.chance).unwrap_err();
@@ -373,12 +384,12 @@ fn equal_results_agree_and_a_worker_that_contradicts_itself_is_fenced_off() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let lease = bench.acquire(0, "a", 1);
     bench.finish(1, "a", &lease[0]);
-    assert!(bench.farm.compared(&worker("a"), &lease[0].key, DIGEST, DIGEST), "its own repetition");
+    assert!(bench.farm.compared(origin("a"), &lease[0].key, DIGEST, DIGEST), "its own repetition");
     let check = bench.acquire(2, "b", 1);
     assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still wanted");
-    assert!(bench.farm.compared(&worker("b"), &check[0].key, DIGEST, DIGEST));
+    assert!(bench.farm.compared(origin("b"), &check[0].key, DIGEST, DIGEST));
     assert_eq!(bench.farm.checks(), (1, 0, 0));
-    bench.farm.compared(&worker("a"), &lease[0].key, DIGEST, Digest::from_bytes([1; 32]));
+    bench.farm.compared(origin("a"), &lease[0].key, DIGEST, Digest::from_bytes([1; 32]));
     assert!(matches!(&bench.farm.take_effects()[..], [Effect::Fence { worker: Origin(1), .. }]));
 }
 
@@ -402,7 +413,7 @@ fn a_divided_job_is_given_out_block_by_block() {
     assert_eq!(leases.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1)]);
     let last = bench.acquire(0, "b", 5);
     assert_eq!(last.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(2)]);
-    bench.farm.part_finished(seconds(1), &worker("b"), &last[0].key);
+    arrive("b", &last[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
     assert!(matches!(bench.admit("b", &last[0]), Ok(Admission::Repeated { .. })));
     bench.farm.expire(seconds(4));
     bench.farm.hand_back(&[leases[0].key]);
@@ -415,7 +426,8 @@ fn a_divided_job_is_given_out_block_by_block() {
 fn more_walks_begin_the_job_again() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
-    bench.farm.prolong(seconds(1), &worker("a"), &lease[0].key, Walks::new(500_000).unwrap());
+    let more = Walks::new(500_000).unwrap();
+    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(1), arrived, more));
     assert!(bench.admit("a", &lease[0]).is_err(), "what was computed with fewer walks is not wanted");
     let again = bench.acquire(2, "b", 1);
     assert_eq!((again[0].key.job, again[0].job.walks().get()), (lease[0].key.job, 500_000));
@@ -457,4 +469,118 @@ fn progress_counts_work_not_jobs() {
 
 fn key(lease: &Lease) -> LeaseKey {
     lease.key
+}
+
+#[test]
+fn what_is_held_stays_held_when_other_jobs_begin_again() {
+    let mut bench = Bench::new(&[]);
+    let leases = bench.acquire(0, "a", 2);
+    bench.finish(1, "a", &leases[0]);
+    bench.farm.reopen(DictionaryId(1), &[leases[0].key.job]);
+    let all = bench.acquire(2, "b", 9);
+    assert!(!job_of(&all).contains(&leases[1].key.job), "no part is computed by two: {all:?}");
+    assert_eq!(bench.status().jobs_leased, 3);
+}
+
+#[test]
+fn what_was_leased_before_a_pause_is_finished_and_nothing_else_is_given_out() {
+    let mut bench = Bench::new(&[]);
+    let leases = bench.acquire(0, "a", 3);
+    bench.finish(1, "a", &leases[1]);
+    bench.finish(1, "a", &leases[2]);
+    for second in (4..=20).step_by(4) {
+        bench.farm.expire(seconds(second));
+    }
+    bench.farm.set_desire(DictionaryId(1), Desire::Pause, String::new());
+    assert!(bench.acquire(20, "b", 9).is_empty(), "no second copy either");
+    assert!(matches!(bench.admit("a", &leases[0]), Ok(Admission::Store { .. })));
+}
+
+#[test]
+fn a_result_that_nobody_wants_ends_its_lease_without_blame() {
+    let mut bench = Bench::new(&[]);
+    for second in (0..20).step_by(4) {
+        let lease = bench.acquire(second, "a", 1);
+        assert!(bench.renew(second, "a", &lease[0], true));
+        assert!(bench.farm.admit(seconds(second), &worker("a"), &lease[0].key, DIGEST).is_err());
+        assert_eq!(bench.status().jobs_leased, 0);
+    }
+}
+
+#[test]
+fn a_part_whose_result_is_being_checked_is_not_late() {
+    let mut bench = Bench::with_checks(&[], 1.0);
+    let leases = bench.acquire(0, "a", 3);
+    bench.finish(1, "a", &leases[1]);
+    bench.finish(1, "a", &leases[2]);
+    for second in (4..=20).step_by(4) {
+        bench.farm.expire(seconds(second));
+    }
+    bench.finish(20, "a", &leases[0]);
+    assert_eq!(bench.acquire(20, "b", 3).len(), 3, "the checks");
+    assert!(bench.acquire(20, "c", 3).is_empty());
+}
+
+#[test]
+fn of_two_copies_that_ask_for_more_walks_the_second_changes_nothing() {
+    let mut bench = Bench::new(&[]);
+    let lease = bench.acquire(0, "a", 1);
+    let more = Walks::new(500_000).unwrap();
+    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(1), arrived, more));
+    let again = bench.acquire(2, "b", 1);
+    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(3), arrived, more));
+    assert!(bench.renew(4, "b", &again[0], true));
+    assert!(!job_of(&bench.acquire(5, "c", 9)).contains(&again[0].key.job));
+}
+
+#[test]
+fn a_worker_cannot_take_up_a_part_with_the_token_of_another_lease() {
+    let mut bench = Bench::new(&[]);
+    let lease = bench.acquire(0, "a", 1);
+    let other = bench.acquire(0, "b", 2);
+    bench.farm.hand_back(&[other[0].key]);
+    let forged = LeaseKey { token: lease[0].key.token, attempt: u32::MAX, ..other[0].key };
+    let held = vec![(forged, true, other[0].job.identity())];
+    assert_eq!(bench.farm.renew(seconds(1), &worker("a"), held).unwrap().0, [forged]);
+    assert_eq!(bench.acquire(2, "c", 1)[0].key.attempt, 2);
+}
+
+#[test]
+fn a_worker_that_was_forgotten_and_comes_back_takes_the_blame_from_its_jobs() {
+    let mut bench = Bench::new(&[]);
+    for round in 0..3 {
+        let at = 1000 * round;
+        let id = format!("a{round}");
+        bench.farm.register(seconds(at), worker(&id), Origin(7), about("a")).unwrap();
+        bench.farm.expire(seconds(at));
+        let lease = bench.acquire(at, &id, 1);
+        assert_eq!(job_of(&lease), [2], "it was not given up");
+        assert!(bench.renew(at, &id, &lease[0], true));
+        for second in (at + 4..at + 800).step_by(4) {
+            bench.farm.expire(seconds(second));
+        }
+    }
+}
+
+#[test]
+fn blocks_that_the_store_has_forgotten_are_computed_again() {
+    let mut divided = stored();
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0],
+        albedo: vec![0.5],
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let walks = Walks::new(2_500_000).unwrap();
+    divided.grid = Arc::new(Grid::new(Scene::paper(), axes, walks, 1, false).unwrap());
+    divided.grid_digest = Digest::of_grid(&divided.grid);
+    let mut bench = Bench::new(&[]);
+    bench.farm.remove_dictionary(DictionaryId(1));
+    bench.farm.add_dictionary(Dictionary::new(divided, &[]));
+    let leases = bench.acquire(0, "a", 2);
+    arrive("a", &leases[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
+    bench.farm.parts_stored(DictionaryId(1), 0, walks, &[2].into());
+    let left: Vec<_> = bench.acquire(2, "b", 9).iter().map(|l| l.key.part).collect();
+    assert_eq!(left, [0], "block 1 is held, block 2 is there");
 }

@@ -27,8 +27,6 @@ pub(super) struct Worker {
     pub last_seen: Duration,
     pub jobs_done: u64,
     pub draining: bool,
-    /// Jobs that were blamed for its silence.
-    blamed: Vec<(DictionaryId, u32)>,
 }
 
 #[derive(Debug, Default)]
@@ -37,6 +35,8 @@ pub(super) struct Workers {
     by_origin: BTreeMap<Origin, WorkerId>,
     /// Processes that computed wrongly, with the reasons.
     fenced: BTreeMap<Origin, String>,
+    /// Jobs that were blamed for the silence of a process, which may come back even when it was forgotten.
+    blamed: BTreeMap<Origin, Vec<(DictionaryId, u32)>>,
 }
 
 impl Workers {
@@ -48,16 +48,17 @@ impl Workers {
         }
     }
 
-    /// Notes a sign of life; the jobs that were blamed for its silence are to be forgiven.
-    pub fn seen(
-        &mut self,
-        now: Duration,
-        id: &WorkerId,
-    ) -> Result<(Origin, Vec<(DictionaryId, u32)>), DispatchError> {
+    /// Notes a sign of life.
+    pub fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<Origin, DispatchError> {
         self.get(id)?;
         let worker = self.known.get_mut(id).ok_or_else(|| DispatchError::UnknownWorker(id.clone()))?;
         worker.last_seen = now;
-        Ok((worker.origin, std::mem::take(&mut worker.blamed)))
+        Ok(worker.origin)
+    }
+
+    /// Jobs that were blamed for the silence of a process that is silent no more.
+    pub fn returned(&mut self, origin: Origin) -> Vec<(DictionaryId, u32)> {
+        self.blamed.remove(&origin).unwrap_or_default()
     }
 
     pub fn label_of(&self, origin: Origin) -> String {
@@ -66,9 +67,7 @@ impl Workers {
     }
 
     pub fn silent(&mut self, origin: Origin, job: (DictionaryId, u32)) {
-        if let Some(worker) = self.by_origin.get(&origin).and_then(|id| self.known.get_mut(id)) {
-            worker.blamed.push(job);
-        }
+        self.blamed.entry(origin).or_default().push(job);
     }
 
     pub fn job_done(&mut self, id: &WorkerId) {
@@ -129,11 +128,11 @@ impl Dispatcher {
         if let Some(reason) = self.workers.fenced.get(&origin) {
             return Err(DispatchError::Fenced(reason.clone()));
         }
-        let (mut jobs_done, mut draining, mut blamed) = (0, false, Vec::new());
+        let (mut jobs_done, mut draining) = (0, false);
         if let Some(before) = self.workers.by_origin.get(&origin).cloned()
             && let Some(worker) = self.workers.remove(&before)
         {
-            (jobs_done, draining, blamed) = (worker.jobs_done, worker.draining, worker.blamed);
+            (jobs_done, draining) = (worker.jobs_done, worker.draining);
             // It did not get the answer to its first registration, or forgot: what it held waits again.
             for token in self.leases.of_worker(&before) {
                 self.free(token);
@@ -143,7 +142,7 @@ impl Dispatcher {
             self.events.push(Event::of_worker(EventKind::WorkerJoined, about.label.clone(), message));
         }
         self.workers.by_origin.insert(origin, id.clone());
-        self.workers.known.insert(id, Worker { about, origin, last_seen: now, jobs_done, draining, blamed });
+        self.workers.known.insert(id, Worker { about, origin, last_seen: now, jobs_done, draining });
         Ok(())
     }
 
@@ -163,6 +162,7 @@ impl Dispatcher {
             self.free(token);
         }
         if let Some(worker) = self.workers.remove(id) {
+            self.forgive(worker.origin);
             let message = format!("{} jobs done", worker.jobs_done);
             self.events.push(Event::of_worker(EventKind::WorkerLeft, worker.about.label, message));
         }

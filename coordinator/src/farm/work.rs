@@ -8,7 +8,7 @@ use farm_proto::{Digest, PHYSICS_VERSION, Record};
 
 use super::{Farm, FarmError, Result, chance};
 use crate::clock::random_token;
-use crate::dispatch::{Admission, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings};
+use crate::dispatch::{Admission, Arrived, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings};
 use crate::store::{Completion, Content, StoreError, Stored};
 use crate::web::{JobFailure, JobOutcome, LeaseKind, VerificationOutcome};
 
@@ -96,8 +96,11 @@ impl Farm {
         received: Received,
     ) -> Result<Outcome> {
         let outcome = match admission {
-            Admission::Store { job, by } => self.store_result(&worker, &key, job, by, received).await?,
-            Admission::Compare { stored, .. } => self.compare(&worker, &key, stored, received.digest()),
+            Admission::Store { job, by } => {
+                let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
+                self.store_result(&arrived, job.clone(), received).await?
+            }
+            Admission::Compare { by, stored, .. } => self.compare(by, &key, stored, received.digest()),
             Admission::Repeated { .. } => Outcome::Duplicate,
         };
         self.settle().await;
@@ -112,12 +115,11 @@ impl Farm {
 
     async fn store_result(
         &self,
-        worker: &WorkerId,
-        key: &LeaseKey,
+        arrived: &Arrived<'_>,
         job: JobSpec,
-        by: Origin,
         received: Received,
     ) -> Result<Outcome> {
+        let key = arrived.key;
         let quality = self.dispatch().by_id(key.dictionary).and_then(|d| d.grid().quality());
         let digest = received.digest();
         let content = match received {
@@ -128,7 +130,7 @@ impl Farm {
             dictionary: key.dictionary,
             job_number: key.job,
             job,
-            worker: by.0,
+            worker: arrived.by.0,
             content,
             quality,
         };
@@ -137,18 +139,18 @@ impl Farm {
         let now = self.clock.now();
         match stored? {
             Stored::Finished { records } => {
-                self.dispatch().finished(now, worker, by, key, records, &mut chance());
+                self.dispatch().finished(now, arrived, records, &mut chance());
                 if self.dispatch().checks().2 > 0 {
                     self.work.send_replace(());
                 }
             }
-            Stored::Part => self.dispatch().part_finished(now, worker, key),
+            Stored::Part => self.dispatch().part_finished(now, arrived),
             Stored::MoreWalks(walks) => {
-                self.dispatch().prolong(now, worker, key, walks);
+                self.dispatch().prolong(now, arrived, walks);
                 self.find_blocks_of(key).await?;
                 self.work.send_replace(());
             }
-            Stored::Before { records } => return Ok(self.compare(worker, key, records, digest)),
+            Stored::Before { records } => return Ok(self.compare(arrived.by, key, records, digest)),
         }
         Ok(Outcome::Stored)
     }
@@ -162,10 +164,10 @@ impl Farm {
         Ok(())
     }
 
-    fn compare(&self, worker: &WorkerId, key: &LeaseKey, stored: Digest, new: Digest) -> Outcome {
+    fn compare(&self, by: Origin, key: &LeaseKey, stored: Digest, new: Digest) -> Outcome {
         let mut dispatch = self.dispatch();
         let before = dispatch.checks();
-        let equal = dispatch.compared(worker, key, stored, new);
+        let equal = dispatch.compared(by, key, stored, new);
         let after = dispatch.checks();
         if after.0 > before.0 {
             self.metrics.verified(VerificationOutcome::Agreed);

@@ -16,8 +16,8 @@ use world::World;
 
 /// Steps of one case.
 const STEPS: usize = 80;
-/// Cases unless `PROPTEST_CASES` says otherwise: a second or two.
-const CASES: u32 = 400;
+/// Cases of each test unless `PROPTEST_CASES` says otherwise: a second or two.
+const CASES: u32 = 150;
 
 fn config() -> ProptestConfig {
     let cases = std::env::var("PROPTEST_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(CASES);

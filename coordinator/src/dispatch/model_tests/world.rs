@@ -9,7 +9,7 @@ use farm_proto::{Digest, Walks};
 
 use super::super::tests::Counted;
 use super::super::{
-    Admission, Dictionary, DispatchError, Dispatcher, Effect, Origin, Purpose, Registration, STALL,
+    Admission, Arrived, Dictionary, DispatchError, Dispatcher, Effect, Origin, Purpose, Registration, STALL,
     Settings,
 };
 use super::ops::Op;
@@ -177,7 +177,7 @@ impl World {
     fn register(&mut self, worker: usize) {
         self.numbers += 1;
         let (id, origin) = (WorkerId(format!("w{}", self.numbers)), self.processes[worker].origin);
-        let about = Registration { label: String::new(), threads: 1, version: String::new() };
+        let about = Registration { label: "label".to_owned(), threads: 1, version: String::new() };
         let answer = self.farm.register(self.now, id.clone(), origin, about);
         let fenced = self.store.fenced.contains_key(&origin);
         self.insist(answer.is_err() == fenced, || format!("{origin:?} registers: {answer:?}"));
@@ -290,11 +290,12 @@ impl World {
             _ => key.part += 1,
         }
         let before = self.farm.leases.get(&key).cloned();
+        let in_use = self.is_held(key.token);
         let id = self.processes[worker].id.clone();
         let answer = self.farm.renew(self.now, &id, vec![(key, true, job.identity())]);
         if let Some((lost, _)) = self.answer(worker, answer) {
             // A key with a token of its own may be right, for all that the coordinator knows after a restart.
-            let kept = before.is_some_and(|held| held.worker != id) || how >= 2 && self.is_held(key.token);
+            let kept = before.is_some_and(|held| held.worker != id) || how >= 2 && in_use;
             self.insist(!kept || !lost.is_empty(), || format!("{key:?} was forged and is renewed"));
             if lost.is_empty() {
                 self.tokens.insert(key.token);
@@ -341,14 +342,14 @@ impl World {
                 self.insist(by == origin, || format!("{key:?} came from {origin:?}, not {by:?}"));
                 self.arriving.push(Arriving { worker: id, by, key, job });
             }
-            Some(Admission::Compare { job, stored }) => self.compare(&id, origin, &key, &job, stored),
+            Some(Admission::Compare { job, by, stored }) => self.compare(by, &key, &job, stored),
             Some(Admission::Repeated { .. }) | None => {}
         }
     }
 
-    fn compare(&mut self, worker: &WorkerId, by: Origin, key: &LeaseKey, job: &JobSpec, stored: Digest) {
+    fn compare(&mut self, by: Origin, key: &LeaseKey, job: &JobSpec, stored: Digest) {
         let new = self.store.digest(key.dictionary, key.job, job, &BTreeSet::from([by]));
-        let equal = self.farm.compared(worker, key, stored, new);
+        let equal = self.farm.compared(by, key, stored, new);
         self.insist(equal == (stored == new), || format!("{key:?} is compared wrongly"));
     }
 
@@ -360,24 +361,25 @@ impl World {
         }
         let Arriving { worker, by, key, job } = self.arriving.remove(which.min(last));
         let place = (key.dictionary, key.job);
+        let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
         match self.store.complete(key.dictionary, key.job, &job, by) {
             None => {}
             Some(Stored::Finished { records }) => {
                 self.strikes.remove(&place);
                 self.walks.insert(place, job.walks());
-                self.farm.finished(self.now, &worker, by, &key, records, &mut self.chance);
+                self.farm.finished(self.now, &arrived, records, &mut self.chance);
             }
-            Some(Stored::Part) => self.farm.part_finished(self.now, &worker, &key),
+            Some(Stored::Part) => self.farm.part_finished(self.now, &arrived),
             Some(Stored::MoreWalks(walks)) => {
-                self.farm.prolong(self.now, &worker, &key, walks);
-                if !self.store.given_up.contains_key(&place) && self.walks_of(place) < walks.get() {
+                self.farm.prolong(self.now, &arrived, walks);
+                if !self.store.given_up.contains_key(&place) && self.walks_of(place) == job.walks().get() {
                     self.walks.insert(place, walks);
                     self.strikes.remove(&place);
                 }
                 self.find_blocks();
             }
             Some(Stored::Before { .. }) if job.block().is_some() => {}
-            Some(Stored::Before { records }) => self.compare(&worker, by, &key, &job, records),
+            Some(Stored::Before { records }) => self.compare(by, &key, &job, records),
         }
     }
 
