@@ -27,7 +27,8 @@ impl Admin for Context {
         &self,
         request: Request<DrainWorkerRequest>,
     ) -> Result<Response<DrainWorkerResponse>, Status> {
-        let worker_id = self.farm.drain(&request.into_inner().worker).await?.0;
+        let (farm, worker) = (self.farm.clone(), request.into_inner().worker);
+        let worker_id = detached(async move { farm.drain(&worker).await }).await?.0;
         Ok(Response::new(DrainWorkerResponse { worker_id }))
     }
 

@@ -102,7 +102,9 @@ impl Leases for Context {
     ) -> Result<Response<HandBackResponse>, Status> {
         let request = request.into_inner();
         let keys: Vec<LeaseKey> = request.leases.into_iter().map(Into::into).collect();
-        self.farm.hand_back(&WorkerId(request.worker_id), &keys, request.leaving).await;
+        let (farm, worker) = (self.farm.clone(), WorkerId(request.worker_id));
+        // What it settles may be the business of others: it must not stop half-way if this worker goes away.
+        detached(async move { farm.hand_back(&worker, &keys, request.leaving).await }).await;
         Ok(Response::new(HandBackResponse {}))
     }
 
