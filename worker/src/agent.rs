@@ -21,6 +21,8 @@ const WAIT: Duration = Duration::from_secs(20);
 const PAUSE: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
 /// How long finished records may take to be delivered once the worker is told to stop.
 const DELIVERY: Duration = Duration::from_secs(10);
+/// How long jobs that were told to stop may take to do so.
+const STOPPING: Duration = Duration::from_secs(2);
 /// Time before the limit at which everything is to be handed back, besides the grace.
 const MARGIN: Duration = Duration::from_secs(5);
 
@@ -180,7 +182,11 @@ impl Agent {
         let all = async { while jobs.join_next().await.is_some() {} };
         if tokio::time::timeout(grace, all).await.is_err() {
             self.held.stop_all();
-            while jobs.join_next().await.is_some() {}
+            // One that waits for room, or tells of its failure, would wait as long as the coordinator is away.
+            let stopped = async { while jobs.join_next().await.is_some() {} };
+            if tokio::time::timeout(STOPPING, stopped).await.is_err() {
+                jobs.shutdown().await;
+            }
         }
         // All senders are gone with the jobs: the delivery ends when all is delivered.
         if tokio::time::timeout(DELIVERY, &mut delivery).await.is_err() {

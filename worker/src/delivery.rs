@@ -102,6 +102,17 @@ async fn send(session: &Session, batch: &[Finished]) {
             for finished in batch {
                 refused(&finished.key, &status);
             }
+            // The job would come back for ever if nobody told that it came to nothing.
+            if let [Finished { key, .. }] = batch
+                && status.code() == Code::InvalidArgument
+                && let Err(error) = session.fail(key, &format!("result refused: {}", status.message())).await
+            {
+                tracing::warn!(
+                    job = key.job,
+                    message = error.message(),
+                    "the failure is not wanted any more"
+                );
+            }
         }
     }
 }
