@@ -87,6 +87,9 @@ pub(crate) struct Overview {
 pub(crate) struct Farm {
     store: Store,
     dispatch: Mutex<dispatch::Dispatcher>,
+    /// Held by all while results reach the store and then the dispatcher; alone by whoever forgets records there. So
+    /// nothing is noted as stored that was forgotten in between.
+    records: tokio::sync::RwLock<()>,
     /// Keeps changes of one dictionary from racing.
     managing: tokio::sync::Mutex<()>,
     clock: Clock,
@@ -130,6 +133,7 @@ impl Farm {
         let farm = Self {
             store,
             dispatch: Mutex::new(dispatch),
+            records: tokio::sync::RwLock::new(()),
             managing: tokio::sync::Mutex::new(()),
             clock: Clock::start(),
             fits: FitCache::default(),

@@ -54,6 +54,16 @@ impl Digest {
         Self(hasher.finalize().into())
     }
 
+    /// Identity of the sums of a divided job's blocks: that of its walks, and the albedos that they are weighted with.
+    pub fn of_sums(job: &JobSpec) -> Self {
+        let mut hasher = blake3::Hasher::new_derive_key("farm.v1 sums");
+        hasher.update(&Self::of_walks(job).0);
+        for albedo in job.albedo() {
+            hasher.update(&albedo.to_le_bytes());
+        }
+        Self(hasher.finalize().into())
+    }
+
     /// Digest of any bytes.
     pub fn of_bytes(bytes: &[u8]) -> Self {
         Self(blake3::hash(bytes).into())

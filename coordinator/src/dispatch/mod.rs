@@ -99,6 +99,7 @@ pub struct Dispatcher {
     taken_up: BTreeSet<DictionaryId>,
     last_look: Option<Duration>,
     effects: Vec<Effect>,
+    put_off: Vec<Effect>,
     events: Vec<Event>,
     jobs_done: u64,
 }
@@ -117,6 +118,7 @@ impl Dispatcher {
             taken_up: BTreeSet::new(),
             last_look: None,
             effects: Vec::new(),
+            put_off: Vec::new(),
             events: Vec::new(),
             jobs_done: 0,
         }
@@ -197,6 +199,11 @@ impl Dispatcher {
         std::mem::take(&mut self.effects)
     }
 
+    /// Effects that could not be performed come again with the next call of [`Self::expire`].
+    pub fn put_off(&mut self, effects: Vec<Effect>) {
+        self.put_off.extend(effects);
+    }
+
     /// What has happened since the last call.
     pub fn take_events(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.events)
@@ -248,7 +255,8 @@ impl Dispatcher {
 
     fn may_check(&self, part: PartId) -> bool {
         let serves = |d: &Dictionary| d.job(part).is_some() && (d.is_active() || d.is_complete());
-        self.dictionaries.get(&part.dictionary).is_some_and(serves) && self.leases.of_part(part).all(|held| held.purpose != Purpose::Check)
+        self.dictionaries.get(&part.dictionary).is_some_and(serves)
+            && self.leases.of_part(part).all(|held| held.purpose != Purpose::Check)
     }
 
     /// A part that takes too long, and is not this worker's own.
@@ -257,7 +265,8 @@ impl Dispatcher {
         let fits = |leases: &Leases, part: PartId| {
             // A part whose result is only checked any more is not late.
             let mut holders = leases.of_part(part);
-            served(part.dictionary) && matches!((holders.next(), holders.next()), (Some(held), None) if held.purpose != Purpose::Check && held.worker != *worker)
+            served(part.dictionary)
+                && matches!((holders.next(), holders.next()), (Some(held), None) if held.purpose != Purpose::Check && held.worker != *worker)
         };
         let place = self.late.iter().position(|part| fits(&self.leases, *part))?;
         Some(self.late.swap_remove(place))
@@ -453,6 +462,16 @@ impl Dispatcher {
         {
             self.leases.postpone(now.saturating_sub(last));
         }
+        let put_off = std::mem::take(&mut self.put_off);
+        let holds = |effect: &Effect| match effect {
+            Effect::GiveUp { dictionary, job, .. } => {
+                self.by_id(*dictionary).is_some_and(|d| !d.is_open(*job))
+            }
+            Effect::Recompute { dictionary, .. } => self.dictionaries.contains_key(dictionary),
+            Effect::Fence { .. } => true,
+        };
+        let again: Vec<_> = put_off.into_iter().filter(holds).collect();
+        self.effects.extend(again);
         let expired = self.leases.expired(now);
         for token in &expired {
             let Some(held) = self.free(*token) else { continue };

@@ -7,7 +7,7 @@ use farm_proto::{DictionaryName, Digest, Grid};
 use super::{Farm, FarmError, Result, blocking, not_found};
 use crate::clock::Clock;
 use crate::dispatch::{Dictionary, Event, EventKind, Reason};
-use crate::store::{Desire, StoreError, StoredEvent};
+use crate::store::{Desire, StoreError, StoredDictionary, StoredEvent};
 
 impl Farm {
     /// Creates a dictionary, or finds the one of the same name and grid. Records that exist already are used.
@@ -26,7 +26,24 @@ impl Farm {
             return Err(FarmError::NameTaken { name });
         }
         let stored = self.store.create_dictionary(name.clone(), grid, priority, Clock::unix_ms()).await?;
-        let (id, grid) = (stored.id, stored.grid.clone());
+        let id = stored.id;
+        if let Err(error) = self.take_up(stored).await {
+            // A dictionary that the store has and nobody serves would keep its name for ever.
+            self.dispatch().remove_dictionary(id);
+            if let Err(error) = self.store.delete_dictionary(id).await {
+                tracing::error!(%error, %name, "a dictionary that was not taken up could not be deleted");
+            }
+            return Err(error);
+        }
+        self.changed.send_replace(());
+        self.work.send_replace(());
+        self.status(&name)
+    }
+
+    /// Begins with a new dictionary: uses the records that exist already, and serves the rest.
+    async fn take_up(&self, stored: StoredDictionary) -> Result<()> {
+        let (id, name, grid) = (stored.id, stored.name.clone(), stored.grid.clone());
+        let _nothing_is_forgotten = self.records.read().await;
         let reused = if grid.quality().is_some() {
             // How many walks a point ends with is not known before.
             0
@@ -42,16 +59,14 @@ impl Farm {
         let (jobs, records) = (grid.job_count(), grid.record_count());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
         self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Submitted, id, message));
-        self.changed.send_replace(());
-        self.work.send_replace(());
-        self.status(&name)
+        Ok(())
     }
 
     /// Takes up blocks of divided jobs that the store holds.
     pub(super) async fn find_blocks(&self, id: DictionaryId) -> Result<(), StoreError> {
         let wanted = self.dispatch().by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs);
         for (job, spec) in wanted {
-            let blocks = self.store.stored_blocks(spec.identity()).await?.into_iter().collect();
+            let blocks = self.store.stored_blocks(&spec).await?;
             self.dispatch().parts_stored(id, job, spec.walks(), &blocks);
         }
         Ok(())
@@ -113,6 +128,8 @@ impl Farm {
         let (id, _) = self.found(name)?;
         self.store.retry_jobs(id).await?;
         let again = self.dispatch().retry(id);
+        let _nothing_is_forgotten = self.records.read().await;
+        self.find_blocks(id).await?;
         let message = format!("{again} jobs are tried again");
         self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Retried, id, message));
         self.work.send_replace(());
@@ -144,6 +161,7 @@ impl Farm {
             return Err(FarmError::WrongState { name: name.clone(), state: state.as_str(), allowed });
         }
         let (id, _) = self.found(name)?;
+        let _no_result_on_its_way = self.records.write().await;
         let records = self.store.delete_dictionary(id).await?;
         self.dispatch().remove_dictionary(id);
         self.fits.forget(id);

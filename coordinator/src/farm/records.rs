@@ -66,9 +66,8 @@ impl Farm {
             name.as_str(),
             &Event { job: Some(job), ..Event::of_dictionary(EventKind::JobDamaged, id, what.clone()) },
         );
-        match self.store.forget_job(id, job).await {
-            Ok(forgotten) => {
-                self.reopen(forgotten);
+        match self.forget_job(id, job).await {
+            Ok(()) => {
                 self.work.send_replace(());
                 self.changed.send_replace(());
                 FarmError::Damaged { name: name.clone(), job, what }

@@ -2,13 +2,15 @@
 
 use std::sync::PoisonError;
 
-use farm_proto::ids::WorkerId;
+use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::job::{JobSpec, LeaseKey};
 use farm_proto::{Digest, PHYSICS_VERSION, Record};
 
 use super::{Farm, FarmError, Result, chance};
 use crate::clock::random_token;
-use crate::dispatch::{Admission, Arrived, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings};
+use crate::dispatch::{
+    Admission, Arrived, Dictionary, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings,
+};
 use crate::store::{Completion, Content, StoreError, Stored};
 use crate::web::{JobFailure, JobOutcome, LeaseKind, VerificationOutcome};
 
@@ -113,12 +115,7 @@ impl Farm {
         Ok(outcome)
     }
 
-    async fn store_result(
-        &self,
-        arrived: &Arrived<'_>,
-        job: JobSpec,
-        received: Received,
-    ) -> Result<Outcome> {
+    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, received: Received) -> Result<Outcome> {
         let key = arrived.key;
         let quality = self.dispatch().by_id(key.dictionary).and_then(|d| d.grid().quality());
         let digest = received.digest();
@@ -134,6 +131,7 @@ impl Farm {
             content,
             quality,
         };
+        let _nothing_is_forgotten = self.records.read().await;
         let stored = self.store.complete(completion).await;
         self.note_store_fault(stored.as_ref().err());
         let now = self.clock.now();
@@ -150,6 +148,7 @@ impl Farm {
                 self.find_blocks_of(key).await?;
                 self.work.send_replace(());
             }
+            Stored::Unwanted => return Ok(Outcome::Duplicate),
             Stored::Before { records } => return Ok(self.compare(arrived.by, key, records, digest)),
         }
         Ok(Outcome::Stored)
@@ -158,7 +157,7 @@ impl Farm {
     async fn find_blocks_of(&self, key: &LeaseKey) -> Result<(), StoreError> {
         let job = self.dispatch().by_id(key.dictionary).map(|d| d.spec(key.job, 0));
         if let Some(job) = job.filter(|job| job.block().is_some()) {
-            let blocks = self.store.stored_blocks(job.identity()).await?.into_iter().collect();
+            let blocks = self.store.stored_blocks(&job).await?;
             self.dispatch().parts_stored(key.dictionary, key.job, job.walks(), &blocks);
         }
         Ok(())
@@ -230,6 +229,7 @@ impl Farm {
 
     /// Makes durable what the dispatcher has decided, and notes what has happened.
     pub(super) async fn settle(&self) {
+        let mut failed = Vec::new();
         loop {
             let (effects, events) = {
                 let mut dispatch = self.dispatch();
@@ -250,11 +250,13 @@ impl Farm {
                 self.recorder.record(&dictionary, &event);
             }
             if effects.is_empty() {
+                self.dispatch().put_off(failed);
                 return;
             }
             for effect in effects {
-                if let Err(error) = self.perform(effect).await {
-                    tracing::error!(%error, "a decision could not be stored: it holds until the next start");
+                if let Err(error) = self.perform(&effect).await {
+                    tracing::error!(%error, "a decision could not be stored: it is tried again");
+                    failed.push(effect);
                 }
             }
             self.work.send_replace(());
@@ -262,20 +264,36 @@ impl Farm {
         }
     }
 
-    async fn perform(&self, effect: Effect) -> Result<(), StoreError> {
-        let forgotten = match effect {
+    async fn perform(&self, effect: &Effect) -> Result<(), StoreError> {
+        match effect {
             Effect::GiveUp { dictionary, job, reason, quarantined } => {
-                return self.store.give_up_job(dictionary, job, &reason, quarantined).await;
+                self.store.give_up_job(*dictionary, *job, reason, *quarantined).await
             }
-            Effect::Recompute { dictionary, job } => self.store.forget_job(dictionary, job).await?,
-            Effect::Fence { worker, reason } => self.store.fence(worker.0, &reason).await?,
-        };
+            Effect::Recompute { dictionary, job } => self.forget_job(*dictionary, *job).await,
+            Effect::Fence { worker, reason } => {
+                let _no_result_on_its_way = self.records.write().await;
+                let forgotten = self.store.fence(worker.0, reason).await?;
+                self.reopen(forgotten);
+                // Blocks of jobs that had not ended are gone too.
+                let all: Vec<_> = self.dispatch().dictionaries().map(Dictionary::id).collect();
+                for id in all {
+                    self.find_blocks(id).await?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Forgets the records of a job, and begins it again wherever they were used.
+    pub(super) async fn forget_job(&self, dictionary: DictionaryId, job: u32) -> Result<(), StoreError> {
+        let _no_result_on_its_way = self.records.write().await;
+        let forgotten = self.store.forget_job(dictionary, job).await?;
         self.reopen(forgotten);
         Ok(())
     }
 
     /// Begins jobs again whose records the store has forgotten.
-    pub(super) fn reopen(&self, mut jobs: Vec<(farm_proto::ids::DictionaryId, u32)>) {
+    fn reopen(&self, mut jobs: Vec<(DictionaryId, u32)>) {
         jobs.sort_unstable();
         let mut dispatch = self.dispatch();
         for of_one in jobs.chunk_by(|a, b| a.0 == b.0) {

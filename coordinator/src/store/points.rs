@@ -70,6 +70,29 @@ pub(super) async fn contribute(connection: &mut SqliteConnection, point: i64, wo
     Ok(())
 }
 
+/// Lets a point that only gathered blocks go: who computed these has computed `point`.
+pub(super) async fn hand_over(connection: &mut SqliteConnection, gathered: i64, point: i64) -> Result<()> {
+    sqlx::query(
+        "INSERT OR IGNORE INTO contributions (point_id, worker_id) \
+         SELECT ?, worker_id FROM contributions WHERE point_id = ?",
+    )
+    .bind(point)
+    .bind(gathered)
+    .execute(&mut *connection)
+    .await
+    .map_err(doing("storing who computed a point"))?;
+    forget_gathered(connection, gathered).await
+}
+
+/// Forgets a point that only gathered blocks, which are merged.
+pub(super) async fn forget_gathered(connection: &mut SqliteConnection, gathered: i64) -> Result<()> {
+    for delete in ["DELETE FROM contributions WHERE point_id = ?", "DELETE FROM points WHERE id = ?"] {
+        let deleted = sqlx::query(delete).bind(gathered).execute(&mut *connection).await;
+        deleted.map_err(doing("forgetting merged blocks"))?;
+    }
+    Ok(())
+}
+
 /// Stores the records of a point; those that are there stay, and are equal.
 pub(super) async fn insert_records(
     connection: &mut SqliteConnection,

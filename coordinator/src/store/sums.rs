@@ -1,5 +1,7 @@
 //! Table `sums`: blocks of divided jobs, merged in their order as they come in.
 
+use std::collections::BTreeSet;
+
 use farm_proto::Digest;
 use farm_proto::job::JobSpec;
 use farm_proto::sums::Sums;
@@ -101,11 +103,11 @@ async fn insert(tx: &mut SqliteConnection, point: i64, block: i64, bytes: &[u8])
 
 impl Store {
     /// Blocks of a divided job that are stored.
-    pub async fn stored_blocks(&self, identity: Digest) -> Result<Vec<u32>> {
+    pub async fn stored_blocks(&self, job: &JobSpec) -> Result<BTreeSet<u32>> {
         let rows: Vec<(i64,)> = sqlx::query_as(
             "SELECT block FROM sums JOIN points ON points.id = point_id WHERE identity = ? ORDER BY block",
         )
-        .bind(&identity.as_bytes()[..])
+        .bind(&Digest::of_sums(job).as_bytes()[..])
         .fetch_all(&self.read)
         .await
         .map_err(doing("looking for blocks"))?;

@@ -221,9 +221,8 @@ async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
                 store.close().await;
                 drop(store);
                 store = open(dir.path()).await;
-                let mut there = order[..3].to_vec();
-                there.sort_unstable();
-                assert_eq!(store.stored_blocks(whole.identity()).await.unwrap(), there, "after a restart");
+                let there = order[..3].iter().copied().collect();
+                assert_eq!(store.stored_blocks(&whole).await.unwrap(), there, "after a restart");
             }
             let job = whole.clone().with_block(block).unwrap();
             let content = Content::Sums(block_sums(&job, block).to_le_bytes());
@@ -233,8 +232,90 @@ async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
             let last = if n == 4 { Stored::Finished { records: expected } } else { Stored::Part };
             assert_eq!(stored, last, "order {i}, block {block}");
         }
-        assert!(store.stored_blocks(whole.identity()).await.unwrap().is_empty(), "sums are gone");
+        assert!(store.stored_blocks(&whole).await.unwrap().is_empty(), "sums are gone");
     }
+}
+
+/// A dictionary of one job of two blocks, with these albedos.
+async fn divided(store: &Store, name: &str, albedo: Vec<f64>) -> (StoredDictionary, JobSpec) {
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0],
+        albedo,
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let grid = Grid::new(grid().scene().clone(), axes, Walks::new(2_000_000).unwrap(), 1, false).unwrap();
+    let job = JobSpec::of(&grid, 0);
+    (store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, 7).await.unwrap(), job)
+}
+
+async fn complete_block(
+    store: &Store,
+    (dictionary, job): &(StoredDictionary, JobSpec),
+    block: u32,
+    worker: i64,
+) -> Stored {
+    let job = job.clone().with_block(block).unwrap();
+    let content = Content::Sums(block_sums(&job, block).to_le_bytes());
+    let completion =
+        Completion { dictionary: dictionary.id, job_number: 0, job, worker, content, quality: None };
+    store.complete(completion).await.unwrap()
+}
+
+#[tokio::test]
+async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
+    assert_eq!(complete_block(&store, &a, 0, 1).await, Stored::Part);
+    assert!(store.stored_blocks(&b.1).await.unwrap().is_empty());
+    assert_eq!(complete_block(&store, &b, 1, 1).await, Stored::Part);
+    assert!(matches!(complete_block(&store, &a, 1, 1).await, Stored::Finished { .. }));
+    assert_eq!(store.stored_blocks(&b.1).await.unwrap(), [1].into());
+    assert!(matches!(complete_block(&store, &b, 0, 1).await, Stored::Finished { .. }));
+}
+
+#[tokio::test]
+async fn a_late_block_of_a_job_that_is_done_is_not_compared_with_its_records() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let d = divided(&store, "d", vec![0.5]).await;
+    complete_block(&store, &d, 0, 1).await;
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
+    assert_eq!(complete_block(&store, &d, 1, 1).await, Stored::Unwanted);
+}
+
+#[tokio::test]
+async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("good", "label").await.unwrap();
+    let bad = store.worker("bad", "label").await.unwrap();
+    let d = divided(&store, "divided", vec![0.5]).await;
+    assert_eq!(complete_block(&store, &d, 0, bad).await, Stored::Part);
+    assert_eq!(store.fence(bad, "wrong").await.unwrap(), []);
+    assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "its blocks are gone");
+    assert_eq!(complete_block(&store, &d, 0, bad).await, Stored::Unwanted);
+    complete_block(&store, &d, 0, 1).await;
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
+    let other = dictionary(&store).await;
+    let late = Completion { worker: bad, ..completion(&other, 1, 0.5) };
+    assert_eq!(store.complete(late).await.unwrap(), Stored::Unwanted);
+}
+
+#[tokio::test]
+async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("good", "label").await.unwrap();
+    let bad = store.worker("bad", "label").await.unwrap();
+    let d = divided(&store, "divided", vec![0.5]).await;
+    complete_block(&store, &d, 0, bad).await;
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
+    assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.0.id, 0)]);
 }
 
 #[tokio::test]

@@ -51,6 +51,8 @@ pub enum Stored {
     Part,
     /// The target error is not reached: nothing is kept, and more walks are needed.
     MoreWalks(Walks),
+    /// Nothing is kept: the worker is fenced off, or the job is done and this cannot be compared with its records.
+    Unwanted,
     /// The job was done before, with the records that have this digest.
     Before { records: Digest },
 }
@@ -164,32 +166,55 @@ async fn write_in(connection: &mut SqliteConnection, completions: &[Completion])
 
 async fn store(tx: &mut SqliteConnection, completion: &Completion) -> Result<Stored> {
     let Completion { dictionary, job_number, job, worker, content, quality } = completion;
-    let before: Option<(Option<Vec<u8>>,)> =
-        sqlx::query_as("SELECT records_digest FROM jobs WHERE dictionary_id = ? AND job = ?")
+    // It may have been fenced off since its result was admitted; one that is not known cannot be.
+    let fenced: Option<(bool,)> = sqlx::query_as("SELECT fenced IS NOT NULL FROM workers WHERE id = ?")
+        .bind(worker)
+        .fetch_optional(&mut *tx)
+        .await
+        .map_err(doing("looking for the worker"))?;
+    if fenced == Some((true,)) {
+        return Ok(Stored::Unwanted);
+    }
+    let before: Option<(Option<Vec<u8>>, Option<i64>)> =
+        sqlx::query_as("SELECT records_digest, walks FROM jobs WHERE dictionary_id = ? AND job = ?")
             .bind(dictionary.0)
             .bind(job_number)
             .fetch_optional(&mut *tx)
             .await
             .map_err(doing("looking for the job"))?;
-    if let Some((Some(digest),)) = before {
+    if let Some((Some(digest), walks)) = before {
+        // Records of other walks, and sums, cannot be compared with these.
+        let comparable = matches!(content, Content::Records(_))
+            && walks.is_none_or(|walks| walks == job.walks().get() as i64);
+        if !comparable {
+            return Ok(Stored::Unwanted);
+        }
         return Ok(Stored::Before { records: jobs::decode_digest(i64::from(*job_number), &digest)? });
     }
     let merged;
+    let mut gathered = None;
     let records = match content {
         Content::Records(records) => records,
         Content::Sums(bytes) => {
             let block = job.block().unwrap_or(0);
-            let point = points::point(tx, job.identity()).await?;
+            let point = points::point(tx, Digest::of_sums(job)).await?;
             points::contribute(tx, point, *worker).await?;
+            gathered = Some(point);
             let Some(total) = sums::add(tx, point, job, block, bytes).await? else { return Ok(Stored::Part) };
             merged = Sums::into_records(total, job);
             &merged
         }
     };
     if let Some(more) = quality.and_then(|q| q.more_walks(job.walks(), Quality::noise_of(records))) {
+        if let Some(gathered) = gathered {
+            points::forget_gathered(tx, gathered).await?;
+        }
         return Ok(Stored::MoreWalks(more));
     }
     let point = points::point(tx, job.identity()).await?;
+    if let Some(gathered) = gathered {
+        points::hand_over(tx, gathered, point).await?;
+    }
     points::contribute(tx, point, *worker).await?;
     points::insert_records(tx, point, job.albedo(), records).await?;
     let digest = Digest::of_records(records);

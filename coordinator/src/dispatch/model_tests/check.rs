@@ -87,7 +87,8 @@ impl World {
                     given_up += 1;
                 }
                 Stage::Open { parts } => {
-                    let ended = self.store.done.contains_key(&place) || self.store.given_up.contains_key(&place);
+                    let ended =
+                        self.store.done.contains_key(&place) || self.store.given_up.contains_key(&place);
                     must!(!ended, "{place:?} is open, and has ended in the store");
                     must!(job.walks.get() == walks, "{place:?} has {:?}, not {walks}", job.walks);
                     must!(parts.len() == job.walks.blocks() as usize, "{place:?} has other parts");

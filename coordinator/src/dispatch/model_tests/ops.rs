@@ -6,23 +6,52 @@ use proptest::prelude::*;
 #[derive(Debug, Clone)]
 pub enum Op {
     Register(usize),
-    Acquire { worker: usize, max: usize },
+    Acquire {
+        worker: usize,
+        max: usize,
+    },
     /// Renews what the bits choose; those of the other bits are running.
-    Renew { worker: usize, which: u8, running: u8 },
+    Renew {
+        worker: usize,
+        which: u8,
+        running: u8,
+    },
     /// Claims leases with keys that were never given out so.
-    Forge { worker: usize, lease: usize, how: u8 },
+    Forge {
+        worker: usize,
+        lease: usize,
+        how: u8,
+    },
     /// A result, from admission to acknowledgement.
-    Deliver { worker: usize, lease: usize },
+    Deliver {
+        worker: usize,
+        lease: usize,
+    },
     /// A result is admitted, but not stored yet.
-    Begin { worker: usize, lease: usize },
+    Begin {
+        worker: usize,
+        lease: usize,
+    },
     /// One that was admitted reaches the store.
     End(usize),
     /// A result of a lease that was lost, handed back or delivered before.
-    DeliverOld { worker: usize, lease: usize },
+    DeliverOld {
+        worker: usize,
+        lease: usize,
+    },
     /// A result whose identity is another.
-    DeliverAlien { worker: usize, lease: usize },
-    Fail { worker: usize, lease: usize },
-    HandBack { worker: usize, lease: usize },
+    DeliverAlien {
+        worker: usize,
+        lease: usize,
+    },
+    Fail {
+        worker: usize,
+        lease: usize,
+    },
+    HandBack {
+        worker: usize,
+        lease: usize,
+    },
     Leave(usize),
     Drain(usize),
     /// The process dies, and another begins in its place.
@@ -39,7 +68,10 @@ pub enum Op {
     Delete(usize),
     Submit(usize),
     /// The disk damages the records of a job.
-    Damage { dictionary: usize, job: u32 },
+    Damage {
+        dictionary: usize,
+        job: u32,
+    },
     Restart,
 }
 

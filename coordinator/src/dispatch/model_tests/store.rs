@@ -87,18 +87,21 @@ impl ModelStore {
             by: if done.by.len() == 1 { done.by.first().map(|o| o.0) } else { None },
             reused: false,
         });
-        let given_up = self.given_up.iter().filter(|(job, _)| of_it(job)).map(
-            |((_, job), (reason, quarantined))| EndedJob::GivenUp {
-                job: *job,
-                reason: reason.clone(),
-                quarantined: *quarantined,
-            },
-        );
+        let given_up =
+            self.given_up.iter().filter(|(job, _)| of_it(job)).map(|((_, job), (reason, quarantined))| {
+                EndedJob::GivenUp { job: *job, reason: reason.clone(), quarantined: *quarantined }
+            });
         done.chain(given_up).collect()
     }
 
     /// The digest of what these workers compute together.
-    pub fn digest(&self, dictionary: DictionaryId, job: u32, spec: &JobSpec, by: &BTreeSet<Origin>) -> Digest {
+    pub fn digest(
+        &self,
+        dictionary: DictionaryId,
+        job: u32,
+        spec: &JobSpec,
+        by: &BTreeSet<Origin>,
+    ) -> Digest {
         let wrong: Vec<_> = by.iter().filter(|o| self.wrong.contains(o)).collect();
         let walks = spec.walks().get();
         Digest::of_bytes(format!("{dictionary:?} {job} {walks} {wrong:?}").as_bytes())
@@ -108,14 +111,16 @@ impl ModelStore {
         self.blocks.get(&(id, job, walks.get())).map(|b| b.keys().copied().collect()).unwrap_or_default()
     }
 
-    /// Stores a result as the real one does; None if it cannot be: the dictionary or the worker may not any more.
+    /// Stores a result as the real one does; None if its dictionary is gone.
     pub fn complete(&mut self, id: DictionaryId, job: u32, spec: &JobSpec, by: Origin) -> Option<Stored> {
         let dictionary = self.dictionaries.get(&id)?;
         if self.fenced.contains_key(&by) {
-            return None;
+            return Some(Stored::Unwanted);
         }
         if let Some(done) = self.done.get(&(id, job)) {
-            return (done.walks == spec.walks()).then_some(Stored::Before { records: done.records });
+            let comparable = spec.block().is_none() && done.walks == spec.walks();
+            let before = Stored::Before { records: done.records };
+            return Some(if comparable { before } else { Stored::Unwanted });
         }
         let mut by = BTreeSet::from([by]);
         if let Some(block) = spec.block() {

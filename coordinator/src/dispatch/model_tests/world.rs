@@ -228,8 +228,8 @@ impl World {
             let new = self.tokens.insert(key.token);
             self.insist(new, || format!("{key:?} has a token that was used before"));
             let dictionary = self.farm.by_id(key.dictionary);
-            let serves = dictionary
-                .is_some_and(|d| d.is_active() || purpose == Purpose::Check && d.is_complete());
+            let serves =
+                dictionary.is_some_and(|d| d.is_active() || purpose == Purpose::Check && d.is_complete());
             self.insist(serves, || format!("{key:?} is of a dictionary that is not served"));
             if purpose == Purpose::Check {
                 let done = self.store.done.get(&(key.dictionary, key.job));
@@ -257,8 +257,7 @@ impl World {
         let Process { id, held, .. } = self.processes[worker].clone();
         let bit = |bits: u8, i: usize| bits >> (i % 8) & 1 == 1;
         let chosen = held.iter().enumerate().filter(|(i, _)| bit(which, *i));
-        let leases: Vec<_> =
-            chosen.map(|(i, l)| (l.key, bit(running, i), l.job.identity())).collect();
+        let leases: Vec<_> = chosen.map(|(i, l)| (l.key, bit(running, i), l.job.identity())).collect();
         let mine = |farm: &Dispatcher, key: &LeaseKey| farm.leases.get(key).is_some_and(|h| h.worker == id);
         let valid: Vec<_> = leases.iter().filter(|l| mine(&self.farm, &l.0)).map(|l| l.0).collect();
         let answer = self.farm.renew(self.now, &id, leases.clone());
@@ -363,7 +362,7 @@ impl World {
         let place = (key.dictionary, key.job);
         let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
         match self.store.complete(key.dictionary, key.job, &job, by) {
-            None => {}
+            None | Some(Stored::Unwanted) => {}
             Some(Stored::Finished { records }) => {
                 self.strikes.remove(&place);
                 self.walks.insert(place, job.walks());
@@ -378,7 +377,6 @@ impl World {
                 }
                 self.find_blocks();
             }
-            Some(Stored::Before { .. }) if job.block().is_some() => {}
             Some(Stored::Before { records }) => self.compare(by, &key, &job, records),
         }
     }
@@ -559,9 +557,12 @@ impl World {
             }
             self.check()?;
             let active = |id: &&DictionaryId| self.farm.by_id(**id).unwrap().is_active();
-            let done = self.store.dictionaries.keys().filter(active).all(|id| {
-                self.farm.by_id(*id).unwrap().is_complete()
-            });
+            let done = self
+                .store
+                .dictionaries
+                .keys()
+                .filter(active)
+                .all(|id| self.farm.by_id(*id).unwrap().is_complete());
             if done && self.farm.checks().2 == 0 && self.farm.load() == (0, 0) {
                 return self.check_digests();
             }
