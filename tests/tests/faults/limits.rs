@@ -25,11 +25,12 @@ async fn link(farm: &FarmProcesses) -> Channel {
 
 /// Sends one message of 1 GiB as a call of `path`, piece by piece, for as long as the other end takes it.
 async fn send_huge(mut link: Channel, path: &str) -> Status {
+    use http_body_util::BodyExt;
     use tower::{Service, ServiceExt};
     const PIECE: usize = 64 << 10;
     let prefix = [&[0_u8][..], &(1_u32 << 30).to_be_bytes()].concat();
     let pieces = std::iter::once(Bytes::from(prefix))
-        .chain(std::iter::repeat_n(Bytes::from_static(&[0; PIECE]), (1 << 30) / PIECE));
+        .chain(std::iter::repeat_n(Bytes::from(vec![0; PIECE]), (1 << 30) / PIECE));
     let frames = pieces.map(|piece| Ok::<_, Infallible>(http_body::Frame::data(piece)));
     let body = tonic::body::Body::new(StreamBody::new(tokio_stream::iter(frames)));
     let request =
@@ -39,7 +40,6 @@ async fn send_huge(mut link: Channel, path: &str) -> Status {
     if let Some(status) = Status::from_header_map(&head.headers) {
         return status;
     }
-    use http_body_util::BodyExt;
     let end = tokio::time::timeout(SOON, body.collect()).await.expect("the call ends").unwrap();
     Status::from_header_map(end.trailers().expect("a call ends with trailers")).unwrap()
 }
