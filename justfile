@@ -16,6 +16,10 @@ physics-long effort="50":
 recovery-long effort="10":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test recovery -- --nocapture
 
+# A farm in use that is maltreated for an hour: records stay right, memory, files and database do not grow.
+soak minutes="60" seed="1":
+    FARM_SOAK_MINUTES={{minutes}} FARM_SOAK_SEED={{seed}} cargo test -p farm-tests --test soak -- --nocapture
+
 # The paper's dictionary, timed, in a folder of its own.
 dictionary folder="/tmp/farm-dictionary":
     cargo build --release
@@ -28,7 +32,12 @@ bench filter="":
 
 # A whole dictionary, ten times over; with 250000 walks it is the paper's.
 bench-dictionary walks="25000":
-    FARM_BENCH_WALKS={{walks}} cargo bench -p farm-tests
+    FARM_BENCH_WALKS={{walks}} cargo bench -p farm-tests --bench dictionary
+
+# Load on a coordinator without tracing: "small", 1,000 workers and 100,000 small jobs; "paper", the paper's results at
+# the pace of 64 cores; "two-cores", at that of two.
+bench-load load="small":
+    cargo bench -p farm-tests --bench load -- {{load}}
 
 # Speed of the fit with the dictionary "paper" of a data folder (see `dictionary`).
 bench-fit folder="/tmp/farm-dictionary" filter="":

@@ -10,4 +10,6 @@ pub mod hand;
 pub mod process;
 pub mod proxy;
 pub mod reference;
+pub mod soak_processes;
 pub mod statistics;
+pub mod usage;

@@ -10,19 +10,30 @@ use std::sync::OnceLock;
 /// If it cannot be built.
 pub fn program(name: &str) -> PathBuf {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
-    let folder = BUILT.get_or_init(|| {
-        let mut build = Command::new(env!("CARGO"));
-        build.current_dir(crate::reference::root()).args(["build", "--quiet", "--workspace", "--bins"]);
-        if !cfg!(debug_assertions) {
-            build.arg("--release");
-        }
-        let built = build.output().expect("cargo runs");
-        assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
-        // This test is …/target/<profile>/deps/<name>.
-        let test = std::env::current_exe().expect("the test knows its path");
-        test.ancestors().nth(2).expect("tests lie two folders deep").to_owned()
-    });
-    folder.join(name)
+    BUILT.get_or_init(|| build(&["--workspace", "--bins"])).join(name)
+}
+
+/// The coordinator alone: in the profile of benchmarks the others take long to build.
+///
+/// # Panics
+/// If it cannot be built.
+pub fn coordinator() -> PathBuf {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    BUILT.get_or_init(|| build(&["--package", "farm-coordinator"])).join("farm-coordinator")
+}
+
+/// Builds and tells the folder with the programs.
+fn build(what: &[&str]) -> PathBuf {
+    let mut build = Command::new(env!("CARGO"));
+    build.current_dir(crate::reference::root()).args(["build", "--quiet"]).args(what);
+    if !cfg!(debug_assertions) {
+        build.arg("--release");
+    }
+    let built = build.output().expect("cargo runs");
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    // This test is …/target/<profile>/deps/<name>.
+    let test = std::env::current_exe().expect("the test knows its path");
+    test.ancestors().nth(2).expect("tests lie two folders deep").to_owned()
 }
 
 /// `farmctl` in a folder, without settings from the surroundings.

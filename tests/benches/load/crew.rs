@@ -1,0 +1,162 @@
+//! Many workers by hand in one thread.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use farm_proto::wire::complete_request::Content;
+use farm_proto::wire::leases_client::LeasesClient;
+use farm_proto::wire::{
+    AcquireRequest, CompleteRequest, CompletionKind, Estimate, Lease, Profile, Record, RegisterRequest,
+    ResultHeader,
+};
+use farm_proto::{Grid, PHYSICS_VERSION};
+use tonic::transport::Channel;
+
+/// Longest wait for work: at the end of the load all wait in vain once.
+const WAIT: Duration = Duration::from_millis(500);
+
+/// Times of calls.
+#[derive(Debug, Default)]
+pub struct Latencies {
+    pub acquire: Vec<Duration>,
+    pub complete: Vec<Duration>,
+}
+
+/// What all workers share.
+#[derive(Debug)]
+pub struct Crew {
+    jobs: usize,
+    stored: AtomicUsize,
+    at_once: u32,
+    job: Duration,
+    /// Of one job, made up once.
+    records: Vec<Record>,
+}
+
+#[derive(Debug)]
+pub struct Worker {
+    client: LeasesClient<Channel>,
+    id: String,
+}
+
+impl Crew {
+    pub fn new(jobs: usize, at_once: u32, job: Duration, grid: &Grid) -> Self {
+        let pixels = grid.scene().sensor().pixels();
+        let profile = |channel: usize| {
+            let values = (0..pixels).map(|i| 0.1 + 0.001 * (i + channel) as f32).collect();
+            Profile {
+                radiance_factor: Some(Estimate { values, std_errors: vec![0.001; pixels] }),
+                ..Profile::default()
+            }
+        };
+        let profiles: Vec<Profile> = (0..grid.scene().channels().len()).map(profile).collect();
+        let records = vec![Record { index: 0, profiles }; grid.albedo().len()];
+        Self { jobs, stored: AtomicUsize::new(0), at_once, job, records }
+    }
+
+    pub fn stored_percent(&self) -> usize {
+        100 * self.stored.load(Ordering::Relaxed) / self.jobs
+    }
+
+    fn is_done(&self) -> bool {
+        self.stored.load(Ordering::Relaxed) >= self.jobs
+    }
+
+    /// All at the same time, spread over the connections.
+    pub async fn register(&self, links: &[Channel], count: usize) -> Vec<Worker> {
+        let register = |number: usize| {
+            let mut client =
+                LeasesClient::new(links[number % links.len()].clone()).max_decoding_message_size(64 << 20);
+            async move {
+                let request = RegisterRequest {
+                    label: format!("load {number}"),
+                    threads: 1,
+                    physics_version: PHYSICS_VERSION,
+                    instance: format!("load-{number}"),
+                    version: "by hand".to_owned(),
+                };
+                let id = client.register(request).await.unwrap().into_inner().worker_id;
+                Worker { client, id }
+            }
+        };
+        let tasks: Vec<_> = (0..count).map(|number| tokio::spawn(register(number))).collect();
+        let mut workers = Vec::with_capacity(count);
+        for task in tasks {
+            workers.push(task.await.unwrap());
+        }
+        workers
+    }
+
+    /// Lets all work until everything is stored.
+    pub async fn work(self: &Arc<Self>, workers: Vec<Worker>) -> Latencies {
+        let tasks: Vec<_> = workers
+            .into_iter()
+            .map(|worker| {
+                let crew = self.clone();
+                tokio::spawn(async move { crew.work_alone(worker).await })
+            })
+            .collect();
+        let mut all = Latencies::default();
+        for task in tasks {
+            let one = task.await.unwrap();
+            all.acquire.extend(one.acquire);
+            all.complete.extend(one.complete);
+        }
+        all
+    }
+
+    #[expect(clippy::disallowed_methods, reason = "real time is what is measured")]
+    async fn work_alone(&self, mut worker: Worker) -> Latencies {
+        let mut latencies = Latencies::default();
+        while !self.is_done() {
+            let start = Instant::now();
+            let leases = worker.acquire(self.at_once).await;
+            if !leases.is_empty() {
+                latencies.acquire.push(start.elapsed());
+            }
+            for some in leases.chunks(if self.job.is_zero() { leases.len().max(1) } else { 1 }) {
+                tokio::time::sleep(self.job).await;
+                let parts = some.iter().flat_map(|lease| self.parts(&worker, lease)).collect();
+                let start = Instant::now();
+                let stored = worker.complete(parts).await;
+                latencies.complete.push(start.elapsed());
+                self.stored.fetch_add(stored, Ordering::Relaxed);
+            }
+        }
+        latencies
+    }
+
+    /// The messages that deliver the result of a lease.
+    fn parts(&self, worker: &Worker, lease: &Lease) -> Vec<CompleteRequest> {
+        let job = lease.job.as_ref().unwrap();
+        let header = ResultHeader {
+            worker_id: worker.id.clone(),
+            key: lease.key.clone(),
+            identity: job.identity.clone(),
+        };
+        let records = self.records.iter().zip(job.first_record..);
+        let records = records.map(|(record, index)| Content::Record(Record { index, ..record.clone() }));
+        std::iter::once(Content::Header(header))
+            .chain(records)
+            .map(|content| CompleteRequest { content: Some(content) })
+            .collect()
+    }
+}
+
+impl Worker {
+    async fn acquire(&mut self, max_leases: u32) -> Vec<Lease> {
+        let request =
+            AcquireRequest { worker_id: self.id.clone(), max_leases, wait_ms: WAIT.as_millis() as u64 };
+        self.client.acquire(request).await.unwrap().into_inner().leases
+    }
+
+    /// How many results were new.
+    async fn complete(&mut self, parts: Vec<CompleteRequest>) -> usize {
+        let answer = self.client.complete(tokio_stream::iter(parts)).await.unwrap().into_inner();
+        let kinds = answer.outcomes.iter().map(farm_proto::wire::CompletionOutcome::kind);
+        let wanted = |kind| matches!(kind, CompletionKind::Stored | CompletionKind::Duplicate);
+        assert!(kinds.clone().all(wanted), "{:?}", answer.outcomes);
+        kinds.filter(|kind| *kind == CompletionKind::Stored).count()
+    }
+}

@@ -1,0 +1,71 @@
+//! What another process takes of the machine, as Linux tells it in /proc.
+
+use std::fs::read_to_string;
+
+/// Clock ticks a second: a constant of Linux's interface, whatever the kernel's own.
+const TICKS: f64 = 100.0;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Usage {
+    /// Processor time so far, of all threads, in and outside the kernel.
+    pub cpu_s: f64,
+    pub resident_kib: u64,
+    pub files: usize,
+}
+
+impl Usage {
+    /// None if there is no such process any more, or it is a zombie.
+    pub fn of(pid: u32) -> Option<Self> {
+        let stat = read_to_string(format!("/proc/{pid}/stat")).ok()?;
+        // The name, in parentheses, may hold spaces.
+        let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+        let ticks = |field: usize| fields.get(field)?.parse::<f64>().ok();
+        let status = read_to_string(format!("/proc/{pid}/status")).ok()?;
+        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+        Some(Self {
+            cpu_s: (ticks(11)? + ticks(12)?) / TICKS,
+            resident_kib: resident.trim().strip_suffix(" kB")?.parse().ok()?,
+            files: std::fs::read_dir(format!("/proc/{pid}/fd")).ok()?.count(),
+        })
+    }
+}
+
+/// Children of a process that have ended and were not waited for.
+pub fn zombies_of(parent: u32) -> Vec<u32> {
+    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+    pids.filter(|pid| {
+        let stat = read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+        let fields = stat.rsplit_once(')').map(|(_, rest)| rest.split_whitespace().collect::<Vec<_>>());
+        fields.is_some_and(|f| f.first() == Some(&"Z") && f.get(1) == Some(&parent.to_string().as_str()))
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn this_process_has_memory_and_files_and_spends_time() {
+        let before = Usage::of(std::process::id()).unwrap();
+        let busy: u64 = (0..200_000_000_u64).fold(0, |a, b| std::hint::black_box(a ^ b));
+        let after = Usage::of(std::process::id()).unwrap();
+        assert!(
+            after.cpu_s > before.cpu_s && after.resident_kib > 100 && after.files > 2,
+            "{after:?} {busy}"
+        );
+        assert_eq!(Usage::of(u32::MAX), None);
+    }
+
+    #[test]
+    fn a_child_that_was_not_waited_for_is_a_zombie() {
+        let mut child = std::process::Command::new("true").spawn().unwrap();
+        let is_one = || zombies_of(std::process::id()).contains(&child.id());
+        while !is_one() {
+            std::thread::yield_now();
+        }
+        child.wait().unwrap();
+        assert!(!zombies_of(std::process::id()).contains(&child.id()));
+    }
+}

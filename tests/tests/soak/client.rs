@@ -1,0 +1,282 @@
+//! Somebody who works with the farm: submits, watches, fits, cancels, resumes and deletes, and checks every answer.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use farm_proto::grid::Axes;
+use farm_proto::scene::Scene;
+use farm_proto::wire::dictionaries_client::DictionariesClient;
+use farm_proto::wire::farm_client::FarmClient;
+use farm_proto::wire::fits_client::FitsClient;
+use farm_proto::wire::{
+    self, CancelRequest, DeleteRequest, DictionaryState, FitRequest, ListEventsRequest, ListRequest,
+    ResumeRequest, SubmitRequest, WatchRequest,
+};
+use farm_proto::{Digest, Grid, MeasuredProfile, Measurement, Walks};
+use farm_tests::hand::traced;
+use farm_tests::statistics::Normal;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Request, Status};
+
+/// Of one dictionary.
+pub const RECORDS: u64 = 12;
+/// 3 channels of 360 pixels with errors.
+pub const RECORD_BYTES: u64 = 3 * 360 * 2 * 4;
+/// Dictionaries that a client keeps.
+const KEPT: usize = 4;
+/// A call that takes longer is made again.
+const CALL: Duration = Duration::from_secs(10);
+/// A dictionary that is not done by then never will be.
+const PATIENCE: Duration = Duration::from_mins(2);
+
+/// What was done.
+#[derive(Debug, Default)]
+pub struct Tally {
+    done: AtomicU64,
+    cancelled: AtomicU64,
+    resumed: AtomicU64,
+    deleted: AtomicU64,
+    fits: AtomicU64,
+    calls_repeated: AtomicU64,
+}
+
+impl Tally {
+    pub fn done(&self) -> u64 {
+        self.done.load(Ordering::Relaxed)
+    }
+}
+
+fn count(counter: &AtomicU64) {
+    counter.fetch_add(1, Ordering::Relaxed);
+}
+
+/// A dictionary that is complete.
+#[derive(Debug, Clone)]
+pub struct Live {
+    name: String,
+    seed: u64,
+    digest: Digest,
+}
+
+pub struct Client {
+    number: u64,
+    chance: Normal,
+    tally: Arc<Tally>,
+    dictionaries: DictionariesClient<Channel>,
+    fits: FitsClient<Channel>,
+    farm: FarmClient<Channel>,
+    live: VecDeque<Live>,
+}
+
+fn grid(seed: u64) -> Grid {
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0, 4.0],
+        albedo: vec![0.5, 0.9, 0.99],
+        g: vec![0.0, 0.4],
+        thickness_mm: vec![0.5],
+        sample_ior: vec![1.53],
+    };
+    Grid::new(Scene::paper(), axes, Walks::new(5000).unwrap(), seed, false).unwrap()
+}
+
+impl Client {
+    pub fn new(
+        url: &str,
+        number: u64,
+        seed: u64,
+        tally: Arc<Tally>,
+        runtime: &tokio::runtime::Handle,
+    ) -> Self {
+        let _within = runtime.enter();
+        let link = Endpoint::from_shared(url.to_owned()).unwrap().connect_lazy();
+        Self {
+            number,
+            chance: Normal::new(1000 * seed + number),
+            tally,
+            dictionaries: DictionariesClient::new(link.clone()),
+            fits: FitsClient::new(link.clone()),
+            farm: FarmClient::new(link),
+            live: VecDeque::new(),
+        }
+    }
+
+    /// Works until `end`; the dictionaries that are left.
+    pub async fn run(mut self, end: Instant) -> Vec<Live> {
+        for round in 0.. {
+            if Instant::now() > end {
+                break;
+            }
+            // Some grids come again under another name: their records are there already.
+            let repeated = self.live.front().filter(|_| round % 4 == 3).map(|live| live.seed);
+            let seed = repeated.unwrap_or(1_000_000 * (self.number + 1) + round);
+            self.round(format!("client-{}.{round}", self.number), seed).await;
+            tokio::time::sleep(Duration::from_millis(100).mul_f64(self.chance.uniform())).await;
+        }
+        self.live.into()
+    }
+
+    async fn round(&mut self, name: String, seed: u64) {
+        let grid = grid(seed);
+        self.submit(&name, &grid).await;
+        let mood = self.chance.uniform();
+        if mood < 0.3 {
+            self.cancel(&name).await;
+        }
+        if mood < 0.15 {
+            self.delete(&name).await;
+            return;
+        }
+        if mood < 0.3 {
+            self.resume(&name).await;
+        }
+        let found = tokio::time::timeout(PATIENCE, self.done(&name)).await;
+        let found = found.unwrap_or_else(|_| panic!("{name} is not done after {PATIENCE:?}"));
+        let records: Vec<_> = (0..grid.job_count()).map(|job| traced(&grid, job)).collect();
+        let digest = Digest::of_jobs(records.iter().map(|records| Digest::of_records(records)));
+        assert_eq!(found, digest, "{name} holds other records than the tracer makes");
+        count(&self.tally.done);
+        self.fit(&name, &grid, &records.concat()).await;
+        self.live.push_back(Live { name, seed, digest });
+        if self.live.len() > KEPT
+            && let Some(oldest) = self.live.pop_front()
+        {
+            self.delete(&oldest.name).await;
+        }
+        self.last_event().await;
+    }
+
+    async fn submit(&self, name: &str, grid: &Grid) {
+        let request = SubmitRequest { name: name.to_owned(), grid: Some(grid.into()), priority: 0 };
+        self.answered(|| async { self.dictionaries.clone().submit(timed(request.clone())).await })
+            .await
+            .unwrap();
+    }
+
+    async fn cancel(&self, name: &str) {
+        let request = CancelRequest { name: name.to_owned(), reason: "a change of mind".to_owned() };
+        match self.answered(|| async { self.dictionaries.clone().cancel(timed(request.clone())).await }).await
+        {
+            Ok(_) => count(&self.tally.cancelled),
+            // It was done sooner.
+            Err(status) => assert_eq!(status.code(), Code::FailedPrecondition, "{status}"),
+        }
+    }
+
+    async fn resume(&self, name: &str) {
+        let request = ResumeRequest { name: name.to_owned() };
+        match self.answered(|| async { self.dictionaries.clone().resume(timed(request.clone())).await }).await
+        {
+            Ok(_) => count(&self.tally.resumed),
+            Err(status) => assert_eq!(status.code(), Code::FailedPrecondition, "{status}"),
+        }
+    }
+
+    async fn delete(&self, name: &str) {
+        let request = DeleteRequest { name: name.to_owned() };
+        match self.answered(|| async { self.dictionaries.clone().delete(timed(request.clone())).await }).await
+        {
+            Ok(_) => count(&self.tally.deleted),
+            // The answer to the first try was lost.
+            Err(status) => assert_eq!(status.code(), Code::NotFound, "{status}"),
+        }
+    }
+
+    /// Watches until it is done; the digest of its records.
+    async fn done(&self, name: &str) -> Digest {
+        loop {
+            let request = WatchRequest { name: name.to_owned() };
+            let watched = self
+                .answered(|| async { self.dictionaries.clone().watch(request.clone()).await })
+                .await
+                .unwrap();
+            let mut updates = watched.into_inner();
+            let mut last = None;
+            // A stream that breaks, or is silent because the coordinator stands still, is begun again.
+            while let Ok(Ok(Some(update))) = tokio::time::timeout(CALL, updates.message()).await {
+                last = Some(update);
+            }
+            if let Some(last) = last.filter(|d| d.state() == DictionaryState::Done) {
+                return Digest::from_hex(&last.records_digest).expect("what is done has a digest");
+            }
+        }
+    }
+
+    /// A record of the dictionary, measured: the best fit is its own medium.
+    async fn fit(&self, name: &str, grid: &Grid, records: &[farm_proto::Record]) {
+        let (sensor, wanted) = (grid.scene().sensor(), grid.record_at(0, 1, 1, 0, 2));
+        let x = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
+        let channel = grid.scene().channels()[0].name();
+        let profile = &records[wanted].profiles[0].radiance_factor;
+        let values = profile.values().iter().map(|v| f64::from(*v)).collect();
+        let profile = MeasuredProfile::new(channel, 0.5, x, values, None).unwrap();
+        let measurement = Measurement::new("m", vec![profile]).unwrap();
+        let options = Some(wire::FitOptions { top: Some(1), ..Default::default() });
+        let request =
+            FitRequest { dictionary: name.to_owned(), measurement: Some((&measurement).into()), options };
+        let answer =
+            self.answered(|| async { self.fits.clone().fit(timed(request.clone())).await }).await.unwrap();
+        let best = answer.into_inner().fit.unwrap().channels[0].candidates[0].clone();
+        let medium = wire::Medium { sigma_t_per_mm: 4.0, albedo: 0.99, g: 0.4 };
+        assert_eq!(best.medium, Some(medium), "{name} is fitted with another medium");
+        count(&self.tally.fits);
+    }
+
+    /// Number of the newest event.
+    pub async fn last_event(&self) -> u64 {
+        let request = ListEventsRequest { page_size: 100, newest: true, ..Default::default() };
+        let answer = self
+            .answered(|| async { self.farm.clone().list_events(timed(request.clone())).await })
+            .await
+            .unwrap();
+        answer.into_inner().events.last().map_or(0, |event| event.id)
+    }
+
+    /// These dictionaries are there, complete, and no others.
+    pub async fn assert_exactly(&self, live: &[Live]) {
+        let request = ListRequest::default();
+        let answer = self
+            .answered(|| async { self.dictionaries.clone().list(timed(request.clone())).await })
+            .await
+            .unwrap();
+        let key = |name: &str, digest: String| (name.to_owned(), digest);
+        let mut found: Vec<_> =
+            answer.into_inner().dictionaries.iter().map(|d| key(&d.name, d.records_digest.clone())).collect();
+        let mut wanted: Vec<_> = live.iter().map(|l| key(&l.name, l.digest.to_string())).collect();
+        found.sort();
+        wanted.sort();
+        assert_eq!(found, wanted);
+    }
+
+    /// Makes a call until it is answered by the coordinator itself.
+    async fn answered<T, F: Future<Output = Result<T, Status>>>(
+        &self,
+        call: impl Fn() -> F,
+    ) -> Result<T, Status> {
+        let start = Instant::now();
+        loop {
+            match call().await {
+                Err(status) if is_passing(&status) => {
+                    assert!(start.elapsed() < PATIENCE, "no answer for {PATIENCE:?}: {status}");
+                    count(&self.tally.calls_repeated);
+                    tokio::time::sleep(Duration::from_millis(50)).await;
+                }
+                answer => return answer,
+            }
+        }
+    }
+}
+
+fn timed<T>(message: T) -> Request<T> {
+    let mut request = Request::new(message);
+    request.set_timeout(CALL);
+    request
+}
+
+fn is_passing(status: &Status) -> bool {
+    matches!(
+        status.code(),
+        Code::Unavailable | Code::Unknown | Code::Cancelled | Code::DeadlineExceeded | Code::Internal
+    )
+}
