@@ -150,11 +150,16 @@ impl World {
                     self.farm.set_priority(id, to);
                 }
             }
-            Op::Retry(at) => self.dictionary(at).into_iter().for_each(|id| self.retry(id)),
+            Op::Retry(at) => {
+                if let Some(id) = self.dictionary(at) {
+                    self.retry(id);
+                }
+            }
             Op::Delete(at) => self.delete(at),
             Op::Damage { dictionary, job } => {
-                let id = self.dictionary(dictionary);
-                id.into_iter().for_each(|id| self.recompute(id, job));
+                if let Some(id) = self.dictionary(dictionary) {
+                    self.recompute(id, job);
+                }
             }
         }
         self.settle();
@@ -312,13 +317,13 @@ impl World {
 
     fn begin(&mut self, worker: usize, lease: usize) {
         if let Some(lease) = self.take_lease(worker, lease) {
-            self.admit(worker, lease);
+            self.admit(worker, &lease);
         }
     }
 
     fn deliver_old(&mut self, worker: usize, lease: usize) {
         if let Some(lease) = self.processes[worker].old.get(lease).cloned() {
-            self.admit(worker, lease);
+            self.admit(worker, &lease);
             self.end(usize::MAX);
         }
     }
@@ -332,7 +337,7 @@ impl World {
         }
     }
 
-    fn admit(&mut self, worker: usize, lease: Lease) {
+    fn admit(&mut self, worker: usize, lease: &Lease) {
         let (id, origin) = (self.processes[worker].id.clone(), self.processes[worker].origin);
         let answer = self.farm.admit(self.now, &id, &lease.key, lease.job.identity());
         let key = lease.key;
@@ -542,10 +547,11 @@ impl World {
         for worker in 0..WORKERS {
             self.replace(worker, false);
         }
-        for at in 0..self.store.dictionaries.len() {
-            self.set_desire(at, Desire::Run);
-        }
         for _ in 0..300 {
+            // One that was done may be open again, for a worker that was fenced off, and still be paused.
+            for at in 0..self.store.dictionaries.len() {
+                self.set_desire(at, Desire::Run);
+            }
             self.step(&Op::Expire(20));
             for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
                 self.retry(id);
