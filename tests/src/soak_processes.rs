@@ -109,7 +109,7 @@ impl Processes {
                 pause_for(&self.workers[victim], pause);
             }
             Fault::StopCoordinator => {
-                pause_for(&self.coordinator, Duration::from_secs(2).mul_f64(chance.uniform()))
+                pause_for(&self.coordinator, Duration::from_secs(2).mul_f64(chance.uniform()));
             }
             Fault::TerminateWorker => {
                 let ended = terminate(&mut self.workers[victim]);
