@@ -157,9 +157,9 @@ fn assert_explained(data: &Path, live: usize, events: u64, done: u64) {
     let explained = 2 * (live as u64 + CLIENTS) * dictionary + 300 * events + 64 * page_bytes;
     println!(
         "database: {} KiB, of which {} KiB are free; {} KiB of records were stored in all; {} KiB are explained",
-        pages * page_bytes >> 10,
-        free * page_bytes >> 10,
-        done * dictionary >> 10,
+        (pages * page_bytes) >> 10,
+        (free * page_bytes) >> 10,
+        (done * dictionary) >> 10,
         explained >> 10
     );
     assert!(pages * page_bytes <= explained, "the database grew to {pages} pages of {page_bytes} bytes");
