@@ -105,7 +105,11 @@ fn maltreat(
         };
         processes.inflict(if dies { Fault::KillCoordinator } else { fault }, &mut chance);
         let size = |name: &str| std::fs::metadata(processes.data().join(name)).map_or(0, |m| m.len());
-        if lives && let Some(usage) = processes.usage() {
+        // A coordinator that has just been started is not warm yet.
+        if lives
+            && !dies
+            && let Some(usage) = processes.usage()
+        {
             let (database, log) = (size("farm.db"), size("farm.db-wal"));
             samples.push(Sample { at: start.elapsed(), usage, database, log, dictionaries: tally.done() });
         }

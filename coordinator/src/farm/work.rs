@@ -27,6 +27,8 @@ pub(crate) enum Outcome {
     Stored,
     Duplicate,
     Conflict,
+    /// Its dictionary was deleted or its worker fenced off while it was on its way, or it is there already.
+    Unwanted,
 }
 
 impl Received {
@@ -107,11 +109,12 @@ impl Farm {
         };
         self.settle().await;
         self.changed.send_replace(());
-        self.metrics.job_completed(match outcome {
-            Outcome::Stored => JobOutcome::Stored,
-            Outcome::Duplicate => JobOutcome::Duplicate,
-            Outcome::Conflict => JobOutcome::Conflict,
-        });
+        match outcome {
+            Outcome::Stored => self.metrics.job_completed(JobOutcome::Stored),
+            Outcome::Duplicate => self.metrics.job_completed(JobOutcome::Duplicate),
+            Outcome::Conflict => self.metrics.job_completed(JobOutcome::Conflict),
+            Outcome::Unwanted => {}
+        }
         Ok(outcome)
     }
 
@@ -148,7 +151,7 @@ impl Farm {
                 self.find_blocks_of(key).await?;
                 self.work.send_replace(());
             }
-            Stored::Unwanted => return Ok(Outcome::Duplicate),
+            Stored::Unwanted => return Ok(Outcome::Unwanted),
             Stored::Before { records } => return Ok(self.compare(arrived.by, key, records, digest)),
         }
         Ok(Outcome::Stored)

@@ -85,6 +85,7 @@ impl Task {
                                        computes wrongly";
                         (CompletionKind::Conflict, message.to_owned())
                     }
+                    Outcome::Unwanted => (CompletionKind::Refused, "not wanted any more".to_owned()),
                 }
             }
         };

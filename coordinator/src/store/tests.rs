@@ -130,6 +130,18 @@ async fn results_that_come_together_are_committed_together_and_a_bad_one_stops_n
 }
 
 #[tokio::test]
+async fn a_result_of_a_deleted_dictionary_is_no_fault_and_leaves_nothing_behind() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let d = dictionary(&store).await;
+    store.delete_dictionary(d.id).await.unwrap();
+    assert_eq!(complete(&store, &d, 0, 0.25).await, Stored::Unwanted);
+    let points = store.points_of(&[completion(&d, 0, 0.25).job.identity()]).await.unwrap();
+    assert!(points.is_empty(), "nobody would ever delete its records");
+}
+
+#[tokio::test]
 async fn a_dictionary_that_overlaps_uses_the_records_that_are_there() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;

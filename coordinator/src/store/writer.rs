@@ -51,7 +51,8 @@ pub enum Stored {
     Part,
     /// The target error is not reached: nothing is kept, and more walks are needed.
     MoreWalks(Walks),
-    /// Nothing is kept: the worker is fenced off, or the job is done and this cannot be compared with its records.
+    /// Nothing is kept: the dictionary was deleted, the worker is fenced off, or the job is done and this cannot be compared
+    /// with its records.
     Unwanted,
     /// The job was done before, with the records that have this digest.
     Before { records: Digest },
@@ -175,14 +176,17 @@ async fn store(tx: &mut SqliteConnection, completion: &Completion) -> Result<Sto
     if fenced == Some((true,)) {
         return Ok(Stored::Unwanted);
     }
-    let before: Option<(Option<Vec<u8>>, Option<i64>)> =
-        sqlx::query_as("SELECT records_digest, walks FROM jobs WHERE dictionary_id = ? AND job = ?")
-            .bind(dictionary.0)
-            .bind(job_number)
-            .fetch_optional(&mut *tx)
-            .await
-            .map_err(doing("looking for the job"))?;
-    if let Some((Some(digest), walks)) = before {
+    let before: Option<(Option<Vec<u8>>, Option<i64>)> = sqlx::query_as(
+        "SELECT records_digest, walks FROM dictionaries \
+         LEFT JOIN jobs ON dictionary_id = dictionaries.id AND job = ? WHERE dictionaries.id = ?",
+    )
+    .bind(job_number)
+    .bind(dictionary.0)
+    .fetch_optional(&mut *tx)
+    .await
+    .map_err(doing("looking for the job"))?;
+    let Some((before, walks)) = before else { return Ok(Stored::Unwanted) };
+    if let Some(digest) = before {
         // Records of other walks, and sums, cannot be compared with these.
         let comparable = matches!(content, Content::Records(_))
             && walks.is_none_or(|walks| walks == job.walks().get() as i64);
