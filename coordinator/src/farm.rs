@@ -6,6 +6,7 @@ mod figures;
 mod fit_cache;
 mod manage;
 mod records;
+mod results;
 mod work;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,7 +26,7 @@ use events::Recorder;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
 pub(crate) use records::read_chunk;
-pub(crate) use work::{Outcome, Received};
+pub(crate) use results::{Outcome, Received};
 
 #[derive(Debug, thiserror::Error)]
 pub enum FarmError {

@@ -13,7 +13,7 @@ use crate::delivery::{Buffer, Finished, bytes_of, deliver};
 use crate::heartbeat::beat;
 use crate::held::{Held, Switches};
 use crate::pool::{Outcome, Pool};
-use crate::session::{Error, Session, is_refusal};
+use crate::session::{Error, Session, is_refusal, jittered};
 
 /// How long one call waits for work.
 const WAIT: Duration = Duration::from_secs(20);
@@ -198,14 +198,6 @@ impl Agent {
     }
 }
 
-/// Half to the whole of a pause, so that workers do not come back all at once.
-fn jittered(pause: Duration) -> Duration {
-    let mut byte = [0_u8];
-    // Without randomness there is no jitter.
-    let _ = getrandom::fill(&mut byte);
-    pause.mul_f64(0.5 + f64::from(byte[0]) / 512.0)
-}
-
 /// What one job needs on its way from lease to result.
 struct Job {
     session: Arc<Session>,
@@ -226,7 +218,7 @@ impl Job {
                 self.held.traced(&key);
                 // The next job may begin while this result is on its way.
                 drop(place);
-                let _ = self.finished.send(Finished { key, identity, traced, bytes, room });
+                let _ = self.finished.send(Finished { key, identity, traced, bytes, _room: room });
             }
             Outcome::Panicked(reason) => {
                 tracing::error!(job = key.job, attempt = key.attempt, reason, "job failed");

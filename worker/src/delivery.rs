@@ -1,5 +1,6 @@
 //! Results on their way to the coordinator: kept until they are acknowledged, sent together when several wait.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -14,10 +15,12 @@ use tonic::{Code, Status};
 
 use crate::held::Held;
 use crate::pool::Traced;
-use crate::session::Session;
+use crate::session::{Session, jittered};
 
 /// Bytes after which a call takes no more results.
 const BATCH_BYTES: usize = 16 << 20;
+/// Pause after a call of which nothing was stored, first and longest.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 /// Bytes of one piece of a job's sums.
 const PIECE: usize = 1 << 20;
 
@@ -28,7 +31,7 @@ pub(crate) struct Finished {
     pub identity: Digest,
     pub traced: Traced,
     pub bytes: usize,
-    pub room: OwnedSemaphorePermit,
+    pub _room: OwnedSemaphorePermit,
 }
 
 /// Memory of all results that wait, in KiB.
@@ -65,54 +68,68 @@ pub(crate) async fn deliver(
     held: Arc<Held>,
     mut queue: mpsc::UnboundedReceiver<Finished>,
 ) {
-    let mut batch = Vec::new();
-    while let Some(first) = queue.recv().await {
-        let mut bytes = first.bytes;
-        batch.push(first);
-        while bytes < BATCH_BYTES
-            && batch.len() < RequestLimits::LEASES as usize
-            && let Ok(next) = queue.try_recv()
-        {
-            bytes += next.bytes;
-            batch.push(next);
+    let mut waiting = VecDeque::new();
+    let mut pause = PAUSE.0;
+    while !waiting.is_empty() || queue.recv().await.map(|first| waiting.push_back(first)).is_some() {
+        while let Ok(next) = queue.try_recv() {
+            waiting.push_back(next);
         }
-        send(&session, &batch).await;
-        for finished in batch.drain(..) {
-            held.remove(&finished.key);
-            drop(finished.room);
+        let batch = next_batch(&mut waiting);
+        let (count, not_stored) = (batch.len(), send(&session, &held, batch).await);
+        if not_stored.len() < count {
+            pause = PAUSE.0;
+        } else {
+            tokio::time::sleep(jittered(pause)).await;
+            pause = (2 * pause).min(PAUSE.1);
         }
+        // The others first: one that cannot be stored must not keep them waiting.
+        waiting.extend(not_stored);
     }
 }
 
-/// Sends results until they are acknowledged or refused for good.
-async fn send(session: &Session, batch: &[Finished]) {
-    match session.complete(|worker| parts(worker, batch), batch.iter().map(|f| f.bytes).sum()).await {
+/// The results that have waited longest, as many as go into a call.
+fn next_batch(waiting: &mut VecDeque<Finished>) -> Vec<Finished> {
+    let (mut batch, mut bytes) = (Vec::new(), 0);
+    while bytes < BATCH_BYTES
+        && batch.len() < RequestLimits::LEASES as usize
+        && let Some(next) = waiting.pop_front()
+    {
+        bytes += next.bytes;
+        batch.push(next);
+    }
+    batch
+}
+
+/// Sends results until they are acknowledged or refused for good; gives back those that the coordinator's store did
+/// not take.
+async fn send(session: &Session, held: &Held, batch: Vec<Finished>) -> Vec<Finished> {
+    match session.complete(|worker| parts(worker, &batch), batch.iter().map(|f| f.bytes).sum()).await {
         Ok(outcomes) => {
-            for (finished, outcome) in batch.iter().zip(outcomes) {
+            let mut not_stored = Vec::new();
+            for (finished, outcome) in batch.into_iter().zip(outcomes) {
                 tell(&finished.key, &outcome);
+                if outcome.kind() == CompletionKind::NotStored {
+                    not_stored.push(finished);
+                } else {
+                    held.remove(&finished.key);
+                }
             }
+            not_stored
         }
         // One of them is not as it should be; the others must not suffer.
         Err(status) if batch.len() > 1 && status.code() == Code::InvalidArgument => {
+            let mut not_stored = Vec::new();
             for finished in batch {
-                Box::pin(send(session, std::slice::from_ref(finished))).await;
+                not_stored.extend(Box::pin(send(session, held, vec![finished])).await);
             }
+            not_stored
         }
         Err(status) => {
-            for finished in batch {
-                refused(&finished.key, &status);
+            for finished in &batch {
+                refused(session, &finished.key, &status).await;
+                held.remove(&finished.key);
             }
-            // The job would come back for ever if nobody told that it came to nothing.
-            if let [Finished { key, .. }] = batch
-                && status.code() == Code::InvalidArgument
-                && let Err(error) = session.fail(key, &format!("result refused: {}", status.message())).await
-            {
-                tracing::warn!(
-                    job = key.job,
-                    message = error.message(),
-                    "the failure is not wanted any more"
-                );
-            }
+            Vec::new()
         }
     }
 }
@@ -129,11 +146,21 @@ fn tell(key: &LeaseKey, outcome: &CompletionOutcome) {
             tracing::info!(dictionary, job, attempt, message, "this result is not wanted any more");
         }
         CompletionKind::Conflict => tracing::error!(dictionary, job, attempt, message, "result refused"),
+        CompletionKind::NotStored => {
+            tracing::warn!(dictionary, job, attempt, message, "the result is kept: it could not be stored");
+        }
     }
 }
 
-fn refused(key: &LeaseKey, status: &Status) {
+/// A result that no repetition would bring in.
+async fn refused(session: &Session, key: &LeaseKey, status: &Status) {
     tracing::error!(job = key.job, attempt = key.attempt, message = status.message(), "result refused");
+    // The job would come back for ever if nobody told that it came to nothing.
+    if status.code() == Code::InvalidArgument
+        && let Err(error) = session.fail(key, &format!("result refused: {}", status.message())).await
+    {
+        tracing::warn!(job = key.job, message = error.message(), "the failure is not wanted any more");
+    }
 }
 
 /// The messages of a call that delivers results.

@@ -227,6 +227,14 @@ pub(crate) fn is_refusal(status: &Status) -> bool {
     matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied | Code::FailedPrecondition)
 }
 
+/// Half to the whole of a pause, so that workers do not come back all at once.
+pub(crate) fn jittered(pause: Duration) -> Duration {
+    let mut byte = [0_u8];
+    // Without randomness there is no jitter.
+    let _ = getrandom::fill(&mut byte);
+    pause.mul_f64(0.5 + f64::from(byte[0]) / 512.0)
+}
+
 /// Calls until the answer is not a passing fault, with growing pauses of random length.
 async fn repeat<T, F: Future<Output = Result<T, Status>>>(call: impl FnMut() -> F) -> Result<T, Status> {
     let pauses = ExponentialBuilder::default()

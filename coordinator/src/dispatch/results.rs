@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use farm_proto::ids::WorkerId;
+use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::job::{JobSpec, LeaseKey};
 use farm_proto::{Digest, Walks};
 
@@ -99,7 +99,8 @@ impl Dispatcher {
         dictionary.finish(key.job, walks, records, by);
         let ended = dictionary.open_jobs() == 0;
         let (done, given_up) = dictionary.ended();
-        if walks.blocks() == 1 && chance.share() < self.settings.check_share {
+        let suspect = self.suspects.remove(&(id, key.job));
+        if walks.blocks() == 1 && (suspect || chance.share() < self.settings.check_share) {
             self.checks.want(PartId::from(key), Vote { by: Some(by), digest: records });
         }
         if ended {
@@ -107,6 +108,26 @@ impl Dispatcher {
             let message = format!("{done} jobs done, {given_up} given up");
             self.events.push(Event::of_dictionary(kind, id, message));
         }
+    }
+
+    /// A result differs from the records of other jobs that asked for the same walks. Which is wrong is not known: all
+    /// are done again, and then compared with what a second worker finds.
+    pub fn distrust(&mut self, arrived: &Arrived, others: &[(DictionaryId, u32)]) {
+        let key = arrived.key;
+        self.suspects.insert((key.dictionary, key.job));
+        self.suspects.extend(others);
+        if self.leases.get(key).is_some() {
+            self.free(key.token);
+        }
+        self.events.push(Event {
+            kind: EventKind::ResultsDiffer,
+            dictionary: Some(key.dictionary),
+            job: Some(key.job),
+            worker: self.workers.label_of(arrived.by),
+            message:
+                "other records than those of the same walks in another dictionary: both are computed again"
+                    .to_owned(),
+        });
     }
 
     /// Notes that a block of a divided job is stored.

@@ -1,5 +1,7 @@
 //! What people ask for: submit, pause, resume, cancel, retry, delete, explain, drain.
 
+use std::collections::HashSet;
+
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::{DictionaryName, Digest, Grid};
@@ -30,7 +32,7 @@ impl Farm {
         if let Err(error) = self.take_up(stored).await {
             // A dictionary that the store has and nobody serves would keep its name for ever.
             self.dispatch().remove_dictionary(id);
-            if let Err(error) = self.store.delete_dictionary(id).await {
+            if let Err(error) = self.store.delete_dictionary(id, &[]).await {
                 tracing::error!(%error, %name, "a dictionary that was not taken up could not be deleted");
             }
             return Err(error);
@@ -50,7 +52,8 @@ impl Farm {
         } else {
             let of_jobs = grid.clone();
             let identities = blocking(move || identities(&of_jobs)).await;
-            self.store.reuse(id, &grid, &identities).await?
+            let grids = self.dispatch().dictionaries().map(|d| (d.id(), d.grid().clone())).collect();
+            self.store.reuse(id, &grid, &identities, &grids).await?
         };
         let ended = self.store.ended_jobs(id, grid.walks()).await?;
         let dictionary = Dictionary::new(stored, &ended);
@@ -162,13 +165,23 @@ impl Farm {
         }
         let (id, _) = self.found(name)?;
         let _no_result_on_its_way = self.records.write().await;
-        let records = self.store.delete_dictionary(id).await?;
+        let blocks = self.blocks_of_none_but(id);
+        let records = self.store.delete_dictionary(id, &blocks).await?;
         self.dispatch().remove_dictionary(id);
         self.fits.forget(id);
         let message = format!("{records} records deleted");
         self.recorder.record(name.as_str(), &Event::of_farm(EventKind::Deleted, message));
         self.changed.send_replace(());
         Ok(records)
+    }
+
+    /// Where blocks of a dictionary's unfinished jobs are gathered, and of no other one's.
+    fn blocks_of_none_but(&self, id: DictionaryId) -> Vec<Digest> {
+        let dispatch = self.dispatch();
+        let gathered = |d: &Dictionary| d.divided_jobs().into_iter().map(|(_, job)| Digest::of_sums(&job));
+        let others: HashSet<Digest> =
+            dispatch.dictionaries().filter(|d| d.id() != id).flat_map(gathered).collect();
+        dispatch.by_id(id).into_iter().flat_map(gathered).filter(|digest| !others.contains(digest)).collect()
     }
 
     pub(crate) fn explain(&self, name: &DictionaryName) -> Result<Vec<Reason>> {

@@ -1,44 +1,16 @@
-//! What workers ask for: leases, renewals, and the way of a result from the wire to the disk.
-
-use std::sync::PoisonError;
+//! What workers ask for: leases and renewals; and what follows from it for the store.
 
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::job::{JobSpec, LeaseKey};
-use farm_proto::{Digest, PHYSICS_VERSION, Record};
+use farm_proto::job::LeaseKey;
+use farm_proto::{Digest, PHYSICS_VERSION};
 
 use super::{Farm, FarmError, Result, chance};
 use crate::clock::random_token;
 use crate::dispatch::{
-    Admission, Arrived, Dictionary, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings,
+    Admission, Dictionary, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings,
 };
-use crate::store::{Completion, Content, StoreError, Stored};
-use crate::web::{JobFailure, JobOutcome, LeaseKind, VerificationOutcome};
-
-/// The content of a result, as it came in.
-#[derive(Debug)]
-pub(crate) enum Received {
-    Records(Vec<Record>),
-    Sums(Vec<u8>),
-}
-
-/// What became of a result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Outcome {
-    Stored,
-    Duplicate,
-    Conflict,
-    /// Its dictionary was deleted or its worker fenced off while it was on its way, or it is there already.
-    Unwanted,
-}
-
-impl Received {
-    fn digest(&self) -> Digest {
-        match self {
-            Self::Records(records) => Digest::of_records(records),
-            Self::Sums(bytes) => Digest::of_bytes(bytes),
-        }
-    }
-}
+use crate::store::StoreError;
+use crate::web::{JobFailure, LeaseKind};
 
 impl Farm {
     pub(crate) async fn register(
@@ -89,108 +61,6 @@ impl Farm {
     /// Whether a result is wanted, and what it must look like.
     pub(crate) fn admit(&self, worker: &WorkerId, key: &LeaseKey, identity: Digest) -> Result<Admission> {
         Ok(self.dispatch().admit(self.clock.now(), worker, key, identity)?)
-    }
-
-    /// Stores a result, or compares it with what is stored.
-    pub(crate) async fn complete(
-        &self,
-        worker: WorkerId,
-        key: LeaseKey,
-        admission: Admission,
-        received: Received,
-    ) -> Result<Outcome> {
-        let outcome = match admission {
-            Admission::Store { job, by } => {
-                let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
-                self.store_result(&arrived, job.clone(), received).await?
-            }
-            Admission::Compare { by, stored, .. } => self.compare(by, &key, stored, received.digest()),
-            Admission::Repeated { .. } => Outcome::Duplicate,
-        };
-        self.settle().await;
-        self.changed.send_replace(());
-        match outcome {
-            Outcome::Stored => self.metrics.job_completed(JobOutcome::Stored),
-            Outcome::Duplicate => self.metrics.job_completed(JobOutcome::Duplicate),
-            Outcome::Conflict => self.metrics.job_completed(JobOutcome::Conflict),
-            Outcome::Unwanted => {}
-        }
-        Ok(outcome)
-    }
-
-    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, received: Received) -> Result<Outcome> {
-        let key = arrived.key;
-        let quality = self.dispatch().by_id(key.dictionary).and_then(|d| d.grid().quality());
-        let digest = received.digest();
-        let content = match received {
-            Received::Records(records) => Content::Records(records),
-            Received::Sums(bytes) => Content::Sums(bytes),
-        };
-        let completion = Completion {
-            dictionary: key.dictionary,
-            job_number: key.job,
-            job,
-            worker: arrived.by.0,
-            content,
-            quality,
-        };
-        let _nothing_is_forgotten = self.records.read().await;
-        let stored = self.store.complete(completion).await;
-        self.note_store_fault(stored.as_ref().err());
-        let now = self.clock.now();
-        match stored? {
-            Stored::Finished { records } => {
-                self.dispatch().finished(now, arrived, records, &mut chance());
-                if self.dispatch().checks().2 > 0 {
-                    self.work.send_replace(());
-                }
-            }
-            Stored::Part => self.dispatch().part_finished(now, arrived),
-            Stored::MoreWalks(walks) => {
-                self.dispatch().prolong(now, arrived, walks);
-                self.find_blocks_of(key).await?;
-                self.work.send_replace(());
-            }
-            Stored::Unwanted => return Ok(Outcome::Unwanted),
-            Stored::Before { records } => return Ok(self.compare(arrived.by, key, records, digest)),
-        }
-        Ok(Outcome::Stored)
-    }
-
-    async fn find_blocks_of(&self, key: &LeaseKey) -> Result<(), StoreError> {
-        let job = self.dispatch().by_id(key.dictionary).map(|d| d.spec(key.job, 0));
-        if let Some(job) = job.filter(|job| job.block().is_some()) {
-            let blocks = self.store.stored_blocks(&job).await?;
-            self.dispatch().parts_stored(key.dictionary, key.job, job.walks(), &blocks);
-        }
-        Ok(())
-    }
-
-    fn compare(&self, by: Origin, key: &LeaseKey, stored: Digest, new: Digest) -> Outcome {
-        let mut dispatch = self.dispatch();
-        let before = dispatch.checks();
-        let equal = dispatch.compared(by, key, stored, new);
-        let after = dispatch.checks();
-        if after.0 > before.0 {
-            self.metrics.verified(VerificationOutcome::Agreed);
-        }
-        if after.1 > before.1 {
-            self.metrics.verified(VerificationOutcome::Disputed);
-        }
-        if equal { Outcome::Duplicate } else { Outcome::Conflict }
-    }
-
-    fn note_store_fault(&self, error: Option<&StoreError>) {
-        let mut fault = self.store_fault.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(error) = error
-            && fault.is_none()
-        {
-            tracing::error!(%error, "results cannot be stored: workers keep them and try again");
-        }
-        if error.is_none() && fault.is_some() {
-            tracing::info!("results can be stored again");
-        }
-        *fault = error.map(ToString::to_string);
     }
 
     /// Takes leases back; a worker that leaves gives all of its leases back, also those it has not heard of.
@@ -296,7 +166,7 @@ impl Farm {
     }
 
     /// Begins jobs again whose records the store has forgotten.
-    fn reopen(&self, mut jobs: Vec<(DictionaryId, u32)>) {
+    pub(super) fn reopen(&self, mut jobs: Vec<(DictionaryId, u32)>) {
         jobs.sort_unstable();
         let mut dispatch = self.dispatch();
         for of_one in jobs.chunk_by(|a, b| a.0 == b.0) {

@@ -15,7 +15,7 @@ use super::Context;
 use super::leases::identity;
 use super::status::required;
 use crate::dispatch::Admission;
-use crate::farm::{Outcome, Received};
+use crate::farm::{FarmError, Outcome, Received};
 
 /// How long a client may take for the next piece of a result.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -67,7 +67,7 @@ pub(super) async fn receive(
 }
 
 enum Task {
-    Storing(tokio::task::JoinHandle<Result<Outcome, crate::farm::FarmError>>),
+    Storing(tokio::task::JoinHandle<Result<Outcome, FarmError>>),
     Refused(String),
 }
 
@@ -77,7 +77,16 @@ impl Task {
             Self::Refused(message) => (CompletionKind::Refused, message),
             Self::Storing(task) => {
                 let stored = task.await.map_err(|_| Status::internal("storing a result failed"))?;
-                match stored? {
+                let outcome = match stored {
+                    Ok(outcome) => outcome,
+                    // The other results of the stream may be stored.
+                    Err(FarmError::Store(error)) => {
+                        let kind = CompletionKind::NotStored.into();
+                        return Ok(CompletionOutcome { kind, message: error.to_string() });
+                    }
+                    Err(error) => return Err(error.into()),
+                };
+                match outcome {
                     Outcome::Stored => (CompletionKind::Stored, String::new()),
                     Outcome::Duplicate => (CompletionKind::Duplicate, String::new()),
                     Outcome::Conflict => {

@@ -6,7 +6,7 @@ use farm_proto::ids::DictionaryId;
 use farm_proto::{DictionaryName, Digest, Grid, wire};
 use prost::Message;
 
-use super::{Result, Store, StoreError, doing};
+use super::{Result, Store, StoreError, doing, points};
 
 /// What people want of a dictionary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -145,9 +145,11 @@ impl Store {
         Ok(())
     }
 
-    /// Removes a dictionary and the records that no other one uses; returns the number of these.
-    pub async fn delete_dictionary(&self, id: DictionaryId) -> Result<u64> {
+    /// Removes a dictionary, the records that no other one uses, and the blocks that some points gather; returns the
+    /// number of records.
+    pub async fn delete_dictionary(&self, id: DictionaryId, gathered: &[Digest]) -> Result<u64> {
         let mut tx = self.begin().await?;
+        let gathered = points::find(&mut tx, gathered).await?;
         let what = doing("deleting a dictionary");
         let deleted = async {
             let points = "SELECT point_id FROM jobs WHERE dictionary_id = ?1 AND point_id IS NOT NULL \
@@ -160,6 +162,9 @@ impl Store {
                 .bind(id.0)
                 .execute(&mut *tx)
                 .await?;
+            for (_, point) in gathered {
+                sqlx::query("INSERT OR IGNORE INTO unused VALUES (?)").bind(point).execute(&mut *tx).await?;
+            }
             sqlx::query("DELETE FROM jobs WHERE dictionary_id = ?").bind(id.0).execute(&mut *tx).await?;
             let records =
                 sqlx::query("DELETE FROM records WHERE point_id IN unused").execute(&mut *tx).await?;

@@ -4,6 +4,7 @@
 //! `synchronous=FULL`, before anyone is told.
 
 mod adopt;
+mod batch;
 mod codec;
 pub mod copy;
 mod data_dir;
@@ -54,6 +55,9 @@ pub enum StoreError {
     Corrupt { table: &'static str, row: i64, column: &'static str, why: String },
     #[error("a dictionary with this name exists already")]
     NameTaken,
+    /// What several results that were stored together failed with.
+    #[error(transparent)]
+    Together(#[from] Arc<StoreError>),
     #[error("the database is closed")]
     Closed,
     #[error(transparent)]

@@ -2,11 +2,12 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::profile::RecordShape;
 use farm_proto::{Digest, Grid, Profile, Record};
-use sqlx::SqliteConnection;
+use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::{Result, Store, StoreError, codec, doing, jobs};
 
@@ -93,23 +94,45 @@ pub(super) async fn forget_gathered(connection: &mut SqliteConnection, gathered:
     Ok(())
 }
 
-/// Stores the records of a point; those that are there stay, and are equal.
-pub(super) async fn insert_records(
+/// Rows of the points that the store has.
+pub(super) async fn find(
     connection: &mut SqliteConnection,
-    point: i64,
-    albedo: &[f64],
-    records: &[Record],
-) -> Result<()> {
-    for (record, albedo) in records.iter().zip(albedo) {
-        sqlx::query("INSERT OR IGNORE INTO records (point_id, albedo, profiles) VALUES (?, ?, ?)")
-            .bind(point)
-            .bind(albedo)
-            .bind(codec::encode(record))
-            .execute(&mut *connection)
-            .await
-            .map_err(doing("storing a record"))?;
+    identities: &[Digest],
+) -> Result<Vec<(Digest, i64)>> {
+    let mut found = Vec::new();
+    for some in identities.chunks(LOOKUP) {
+        let mut query = QueryBuilder::<Sqlite>::new("SELECT identity, id FROM points WHERE identity IN (");
+        let mut marks = query.separated(",");
+        for identity in some {
+            marks.push_bind(identity.as_bytes().to_vec());
+        }
+        query.push(")");
+        let rows = query.build_query_as().fetch_all(&mut *connection).await;
+        found.extend(rows.map_err(doing("looking for points"))?.into_iter().filter_map(identified));
     }
-    Ok(())
+    Ok(found)
+}
+
+/// Makes rows of points that the store does not have.
+pub(super) async fn insert(
+    connection: &mut SqliteConnection,
+    identities: &[Digest],
+) -> Result<Vec<(Digest, i64)>> {
+    let mut made = Vec::new();
+    for some in identities.chunks(LOOKUP) {
+        let mut query = QueryBuilder::<Sqlite>::new("INSERT INTO points (identity) ");
+        query.push_values(some, |mut row, identity| {
+            row.push_bind(identity.as_bytes().to_vec());
+        });
+        query.push(" RETURNING identity, id");
+        let rows = query.build_query_as().fetch_all(&mut *connection).await;
+        made.extend(rows.map_err(doing("storing points"))?.into_iter().filter_map(identified));
+    }
+    Ok(made)
+}
+
+fn identified((identity, id): (Vec<u8>, i64)) -> Option<(Digest, i64)> {
+    <[u8; 32]>::try_from(identity).ok().map(|bytes| (Digest::from_bytes(bytes), id))
 }
 
 impl Store {
@@ -149,32 +172,25 @@ impl Store {
 
     /// Points that the store has, by their identities.
     pub(super) async fn points_of(&self, identities: &[Digest]) -> Result<HashMap<Digest, i64>> {
-        let mut found = HashMap::new();
-        for some in identities.chunks(LOOKUP) {
-            let marks = vec!["?"; some.len()].join(",");
-            let query = format!("SELECT identity, id FROM points WHERE identity IN ({marks})");
-            let mut query = sqlx::query_as::<_, (Vec<u8>, i64)>(sqlx::AssertSqlSafe(query));
-            for identity in some {
-                query = query.bind(&identity.as_bytes()[..]);
-            }
-            let rows = query.fetch_all(&self.read).await.map_err(doing("looking for points"))?;
-            for (identity, id) in rows {
-                if let Ok(bytes) = <[u8; 32]>::try_from(&identity[..]) {
-                    found.insert(Digest::from_bytes(bytes), id);
-                }
-            }
-        }
-        Ok(found)
+        let mut connection = self.read.acquire().await.map_err(doing("looking for points"))?;
+        Ok(find(&mut connection, identities).await?.into_iter().collect())
     }
 
     /// Ends those jobs of a new dictionary whose records are there already. `identities` are those of its jobs, in
-    /// their order. Returns the number of jobs.
-    pub async fn reuse(&self, dictionary: DictionaryId, grid: &Grid, identities: &[Digest]) -> Result<usize> {
+    /// their order; `grids` those of all dictionaries. Returns the number of jobs.
+    pub async fn reuse(
+        &self,
+        dictionary: DictionaryId,
+        grid: &Grid,
+        identities: &[Digest],
+        grids: &HashMap<DictionaryId, Arc<Grid>>,
+    ) -> Result<usize> {
         let points = self.points_of(identities).await?;
         let mut reused = Vec::new();
         for (job, identity) in identities.iter().enumerate() {
             let Some(point) = points.get(identity) else { continue };
-            if let Some(records) = self.records_of_point(*point, grid, job).await? {
+            let there = self.checked_records(*point, grids).await?;
+            if let Some(records) = records_for(grid, job, &there) {
                 reused.push((job, *point, Digest::of_records(&records)));
             }
         }
@@ -197,26 +213,46 @@ impl Store {
         Ok(reused.len())
     }
 
-    /// All records that a job asks for, if the point has them.
-    async fn records_of_point(&self, point: i64, grid: &Grid, job: usize) -> Result<Option<Vec<Record>>> {
-        let rows: Vec<(i64, f64, Vec<u8>)> =
-            sqlx::query_as("SELECT id, albedo, profiles FROM records WHERE point_id = ? ORDER BY albedo")
-                .bind(point)
-                .fetch_all(&self.read)
-                .await
-                .map_err(doing("reading the records of a point"))?;
-        let shape = RecordShape::of(grid);
-        let mut records = Vec::new();
-        for (albedo, index) in grid.albedo().iter().zip(grid.first_record(job)..) {
-            let Some((id, _, bytes)) = rows.iter().find(|row| row.1 == *albedo) else { return Ok(None) };
-            // What cannot be read is computed again.
-            let Ok(profiles) = codec::decode(bytes, shape) else {
-                tracing::warn!(record = id, "a stored record is damaged: it is not used again");
-                return Ok(None);
+    /// Records of a point, with their albedos: those of jobs whose records are the ones that were stored. What is
+    /// damaged is computed again.
+    async fn checked_records(
+        &self,
+        point: i64,
+        grids: &HashMap<DictionaryId, Arc<Grid>>,
+    ) -> Result<Vec<(f64, Vec<Profile>)>> {
+        let jobs: Vec<(i64, i64)> = sqlx::query_as("SELECT dictionary_id, job FROM jobs WHERE point_id = ?")
+            .bind(point)
+            .fetch_all(&self.read)
+            .await
+            .map_err(doing("looking for jobs of a point"))?;
+        let mut found = Vec::new();
+        for (dictionary, job) in jobs {
+            let id = DictionaryId(dictionary);
+            let Some(grid) = grids.get(&id) else { continue };
+            let stored = match self.jobs_with_records(id, grid, job as usize..job as usize + 1).await {
+                Err(StoreError::Corrupt { .. }) => Vec::new(),
+                stored => stored?,
             };
-            records.push(Record { index, profiles });
+            match stored.into_iter().find(|stored| stored.damage(grid.albedo().len()).is_none()) {
+                Some(stored) => {
+                    let profiles = stored.records.into_iter().map(|record| record.profiles);
+                    found.extend(grid.albedo().iter().copied().zip(profiles));
+                }
+                None => {
+                    tracing::warn!(dictionary, job, "the job's records are damaged: they are not used again")
+                }
+            }
         }
-        Ok(Some(records))
+        Ok(found)
+    }
+
+    /// Forgets the records of a point: the jobs to be computed again.
+    pub async fn forget_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
+        let Some(point) = self.points_of(&[identity]).await?.remove(&identity) else { return Ok(Vec::new()) };
+        let mut tx = self.begin().await?;
+        let forgotten = forget_points(&mut tx, "VALUES (?)", [point]).await?;
+        tx.commit().await.map_err(doing("forgetting a point's records"))?;
+        Ok(forgotten)
     }
 
     /// Forgets the records of a job, in all dictionaries that share them: the jobs to be computed again.
@@ -264,6 +300,15 @@ pub(super) async fn forget_points<const N: usize>(
         sqlx::query(delete).execute(&mut *tx).await.map_err(doing(what))?;
     }
     Ok(jobs.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect())
+}
+
+/// All records that a job asks for, if they are among these.
+fn records_for(grid: &Grid, job: usize, there: &[(f64, Vec<Profile>)]) -> Option<Vec<Record>> {
+    let record = |(albedo, index): (&f64, usize)| {
+        let (_, profiles) = there.iter().find(|(a, _)| a == albedo)?;
+        Some(Record { index, profiles: profiles.clone() })
+    };
+    grid.albedo().iter().zip(grid.first_record(job)..).map(record).collect()
 }
 
 fn profiles(row: &RecordRow, shape: RecordShape) -> Result<Vec<Profile>> {

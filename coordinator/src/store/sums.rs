@@ -60,41 +60,49 @@ fn batches_before(job: &JobSpec, blocks: u32) -> u64 {
 }
 
 fn decode(job: &JobSpec, batches: u64, point: i64, bytes: &[u8]) -> Result<Sums> {
-    Sums::from_le_bytes(job, batches, bytes).map_err(|error| StoreError::Corrupt {
-        table: "sums",
-        row: point,
-        column: "sums",
-        why: error.to_string(),
-    })
+    Sums::from_le_bytes(job, batches, bytes).map_err(|error| corrupt(point, error.to_string()))
 }
 
 /// How many blocks are merged, and their sums.
 async fn merged(tx: &mut SqliteConnection, point: i64) -> Result<Option<(u32, Vec<u8>)>> {
-    let row: Option<(i64, Vec<u8>)> =
-        sqlx::query_as("SELECT block, sums FROM sums WHERE point_id = ? AND block < 0")
+    let row: Option<(i64, Vec<u8>, Vec<u8>)> =
+        sqlx::query_as("SELECT block, sums, digest FROM sums WHERE point_id = ? AND block < 0")
             .bind(point)
             .fetch_optional(tx)
             .await
             .map_err(doing("reading merged sums"))?;
-    Ok(row.map(|(block, sums)| ((-1 - block) as u32, sums)))
+    let Some((block, sums, digest)) = row else { return Ok(None) };
+    Ok(Some(((-1 - block) as u32, checked(point, sums, &digest)?)))
 }
 
 async fn take(tx: &mut SqliteConnection, point: i64, block: i64) -> Result<Option<Vec<u8>>> {
-    let row: Option<(Vec<u8>,)> =
-        sqlx::query_as("DELETE FROM sums WHERE point_id = ? AND block = ? RETURNING sums")
+    let row: Option<(Vec<u8>, Vec<u8>)> =
+        sqlx::query_as("DELETE FROM sums WHERE point_id = ? AND block = ? RETURNING sums, digest")
             .bind(point)
             .bind(block)
             .fetch_optional(tx)
             .await
             .map_err(doing("taking a block's sums"))?;
-    Ok(row.map(|row| row.0))
+    row.map(|(sums, digest)| checked(point, sums, &digest)).transpose()
+}
+
+fn checked(point: i64, sums: Vec<u8>, digest: &[u8]) -> Result<Vec<u8>> {
+    if Digest::of_bytes(&sums).as_bytes()[..] != *digest {
+        return Err(corrupt(point, "they differ from what was stored".to_owned()));
+    }
+    Ok(sums)
+}
+
+fn corrupt(point: i64, why: String) -> StoreError {
+    StoreError::Corrupt { table: "sums", row: point, column: "sums", why }
 }
 
 async fn insert(tx: &mut SqliteConnection, point: i64, block: i64, bytes: &[u8]) -> Result<()> {
-    sqlx::query("INSERT OR REPLACE INTO sums (point_id, block, sums) VALUES (?, ?, ?)")
+    sqlx::query("INSERT OR REPLACE INTO sums (point_id, block, sums, digest) VALUES (?, ?, ?, ?)")
         .bind(point)
         .bind(block)
         .bind(bytes)
+        .bind(&Digest::of_bytes(bytes).as_bytes()[..])
         .execute(tx)
         .await
         .map_err(doing("storing a block's sums"))?;

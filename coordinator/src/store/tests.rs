@@ -1,7 +1,9 @@
+mod blocks;
+mod damage;
+
 use farm_proto::grid::Axes;
 use farm_proto::job::JobSpec;
 use farm_proto::scene::{Scene, Sensor};
-use farm_proto::sums::Sums;
 use farm_proto::{DictionaryName, Digest, Estimate, Grid, Profile, Quality, Record, Walks};
 use prost::Message;
 
@@ -135,10 +137,30 @@ async fn a_result_of_a_deleted_dictionary_is_no_fault_and_leaves_nothing_behind(
     let store = open(dir.path()).await;
     store.worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
-    store.delete_dictionary(d.id).await.unwrap();
+    store.delete_dictionary(d.id, &[]).await.unwrap();
     assert_eq!(complete(&store, &d, 0, 0.25).await, Stored::Unwanted);
     let points = store.points_of(&[completion(&d, 0, 0.25).job.identity()]).await.unwrap();
     assert!(points.is_empty(), "nobody would ever delete its records");
+}
+
+/// A dictionary that shares the second point with [`grid`], and has one of its own.
+async fn overlapping(store: &Store, name: &str, albedo: Vec<f64>) -> StoredDictionary {
+    let axes = Axes {
+        sigma_t_per_mm: vec![2.0, 3.0],
+        albedo,
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let grid = Grid::new(grid().scene().clone(), axes, Walks::new(5000).unwrap(), 1, false).unwrap();
+    store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, 8).await.unwrap()
+}
+
+/// Jobs that need no computing.
+async fn reuse(store: &Store, dictionary: &StoredDictionary) -> usize {
+    let identities: Vec<_> = (0..2).map(|job| JobSpec::of(&dictionary.grid, job).identity()).collect();
+    let grids = store.dictionaries().await.unwrap().into_iter().map(|d| (d.id, d.grid)).collect();
+    store.reuse(dictionary.id, &dictionary.grid, &identities, &grids).await.unwrap()
 }
 
 #[tokio::test]
@@ -150,28 +172,16 @@ async fn a_dictionary_that_overlaps_uses_the_records_that_are_there() {
     complete(&store, &d, 0, 0.25).await;
     complete(&store, &d, 1, 0.5).await;
     // sigma_t 2 is shared, 3 is new; of the albedos one is asked for, or one that is not there.
-    let other = |albedo: f64| {
-        let axes = Axes {
-            sigma_t_per_mm: vec![2.0, 3.0],
-            albedo: vec![albedo],
-            g: vec![0.0],
-            thickness_mm: vec![1.0],
-            sample_ior: vec![1.5],
-        };
-        Grid::new(grid().scene().clone(), axes, Walks::new(5000).unwrap(), 1, false).unwrap()
-    };
-    let identities = |grid: &Grid| (0..2).map(|job| JobSpec::of(grid, job).identity()).collect::<Vec<_>>();
-    let finer = store.create_dictionary(DictionaryName::new("e").unwrap(), other(0.9), 0, 8).await.unwrap();
-    assert_eq!(store.reuse(finer.id, &finer.grid, &identities(&finer.grid)).await.unwrap(), 1);
+    let finer = overlapping(&store, "e", vec![0.9]).await;
+    assert_eq!(reuse(&store, &finer).await, 1);
     let reused = all_records_of(&store, &finer).await;
     assert_eq!(reused.len(), 1);
     assert_eq!((reused[0].index, &reused[0].profiles), (0, &records(0, 0.5)[0].profiles));
-    let missing = store.create_dictionary(DictionaryName::new("f").unwrap(), other(0.7), 0, 9).await.unwrap();
-    assert_eq!(store.reuse(missing.id, &missing.grid, &identities(&missing.grid)).await.unwrap(), 0);
+    assert_eq!(reuse(&store, &overlapping(&store, "f", vec![0.7]).await).await, 0);
 
-    assert_eq!(store.delete_dictionary(d.id).await.unwrap(), 2, "those that the other one uses stay");
+    assert_eq!(store.delete_dictionary(d.id, &[]).await.unwrap(), 2, "those that the other one uses stay");
     assert_eq!(all_records_of(&store, &finer).await, reused);
-    assert_eq!(store.delete_dictionary(finer.id).await.unwrap(), 2);
+    assert_eq!(store.delete_dictionary(finer.id, &[]).await.unwrap(), 2);
     assert!(store.faults().await.unwrap().is_empty());
 }
 
@@ -194,140 +204,6 @@ async fn a_fenced_workers_records_are_forgotten_and_no_others() {
     assert_eq!(store.fenced().await.unwrap(), [(bad, "wrong".to_owned())]);
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
     assert!(matches!(complete(&store, &d, 1, 0.25).await, Stored::Finished { .. }), "it can be done again");
-}
-
-/// Sums that stand for a block: numbers with rounding errors, so that the order of additions shows.
-fn block_sums(job: &JobSpec, block: u32) -> Sums {
-    let mut sums = Sums::new(job);
-    for (i, sum) in sums.sums.iter_mut().enumerate() {
-        *sum = 1.0 / (3.0 + i as f64 + 7.0 * f64::from(block));
-    }
-    for (i, square) in sums.squares.iter_mut().enumerate() {
-        *square = 1.0 / (0.3 + i as f64 * f64::from(block + 1));
-    }
-    Sums::from_le_bytes(job, job.walks().batches_of_block(block), &sums.to_le_bytes()).unwrap()
-}
-
-#[tokio::test]
-async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
-    let axes = Axes {
-        sigma_t_per_mm: vec![1.0],
-        albedo: vec![0.5, 0.9],
-        g: vec![0.0],
-        thickness_mm: vec![1.0],
-        sample_ior: vec![1.5],
-    };
-    let large = Grid::new(grid().scene().clone(), axes, Walks::new(4_500_000).unwrap(), 1, false).unwrap();
-    let whole = JobSpec::of(&large, 0);
-    let mut total = Sums::new(&whole);
-    (0..5).for_each(|block| total.merge(&block_sums(&whole, block)));
-    let expected = Digest::of_records(&total.into_records(&whole));
-    for (i, order) in [[0, 1, 2, 3, 4], [4, 3, 2, 1, 0], [2, 0, 4, 1, 3]].into_iter().enumerate() {
-        let dir = tempfile::tempdir().unwrap();
-        let mut store = open(dir.path()).await;
-        store.worker("instance", "label").await.unwrap();
-        let name = DictionaryName::new("d").unwrap();
-        let d = store.create_dictionary(name, large.clone(), 0, 7).await.unwrap();
-        for (n, block) in order.into_iter().enumerate() {
-            if n == 3 {
-                store.close().await;
-                drop(store);
-                store = open(dir.path()).await;
-                let there = order[..3].iter().copied().collect();
-                assert_eq!(store.stored_blocks(&whole).await.unwrap(), there, "after a restart");
-            }
-            let job = whole.clone().with_block(block).unwrap();
-            let content = Content::Sums(block_sums(&job, block).to_le_bytes());
-            let completion =
-                Completion { dictionary: d.id, job_number: 0, job, worker: 1, content, quality: None };
-            let stored = store.complete(completion).await.unwrap();
-            let last = if n == 4 { Stored::Finished { records: expected } } else { Stored::Part };
-            assert_eq!(stored, last, "order {i}, block {block}");
-        }
-        assert!(store.stored_blocks(&whole).await.unwrap().is_empty(), "sums are gone");
-    }
-}
-
-/// A dictionary of one job of two blocks, with these albedos.
-async fn divided(store: &Store, name: &str, albedo: Vec<f64>) -> (StoredDictionary, JobSpec) {
-    let axes = Axes {
-        sigma_t_per_mm: vec![1.0],
-        albedo,
-        g: vec![0.0],
-        thickness_mm: vec![1.0],
-        sample_ior: vec![1.5],
-    };
-    let grid = Grid::new(grid().scene().clone(), axes, Walks::new(2_000_000).unwrap(), 1, false).unwrap();
-    let job = JobSpec::of(&grid, 0);
-    (store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, 7).await.unwrap(), job)
-}
-
-async fn complete_block(
-    store: &Store,
-    (dictionary, job): &(StoredDictionary, JobSpec),
-    block: u32,
-    worker: i64,
-) -> Stored {
-    let job = job.clone().with_block(block).unwrap();
-    let content = Content::Sums(block_sums(&job, block).to_le_bytes());
-    let completion =
-        Completion { dictionary: dictionary.id, job_number: 0, job, worker, content, quality: None };
-    store.complete(completion).await.unwrap()
-}
-
-#[tokio::test]
-async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
-    let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
-    assert_eq!(complete_block(&store, &a, 0, 1).await, Stored::Part);
-    assert!(store.stored_blocks(&b.1).await.unwrap().is_empty());
-    assert_eq!(complete_block(&store, &b, 1, 1).await, Stored::Part);
-    assert!(matches!(complete_block(&store, &a, 1, 1).await, Stored::Finished { .. }));
-    assert_eq!(store.stored_blocks(&b.1).await.unwrap(), [1].into());
-    assert!(matches!(complete_block(&store, &b, 0, 1).await, Stored::Finished { .. }));
-}
-
-#[tokio::test]
-async fn a_late_block_of_a_job_that_is_done_is_not_compared_with_its_records() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
-    let d = divided(&store, "d", vec![0.5]).await;
-    complete_block(&store, &d, 0, 1).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
-    assert_eq!(complete_block(&store, &d, 1, 1).await, Stored::Unwanted);
-}
-
-#[tokio::test]
-async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.worker("good", "label").await.unwrap();
-    let bad = store.worker("bad", "label").await.unwrap();
-    let d = divided(&store, "divided", vec![0.5]).await;
-    assert_eq!(complete_block(&store, &d, 0, bad).await, Stored::Part);
-    assert_eq!(store.fence(bad, "wrong").await.unwrap(), []);
-    assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "its blocks are gone");
-    assert_eq!(complete_block(&store, &d, 0, bad).await, Stored::Unwanted);
-    complete_block(&store, &d, 0, 1).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
-    let other = dictionary(&store).await;
-    let late = Completion { worker: bad, ..completion(&other, 1, 0.5) };
-    assert_eq!(store.complete(late).await.unwrap(), Stored::Unwanted);
-}
-
-#[tokio::test]
-async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.worker("good", "label").await.unwrap();
-    let bad = store.worker("bad", "label").await.unwrap();
-    let d = divided(&store, "divided", vec![0.5]).await;
-    complete_block(&store, &d, 0, bad).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
-    assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.0.id, 0)]);
 }
 
 #[tokio::test]
@@ -369,55 +245,12 @@ async fn events_are_kept_in_order_and_found_by_dictionary() {
 }
 
 #[tokio::test]
-async fn a_record_that_is_not_what_was_stored_is_noticed() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
-    let d = dictionary(&store).await;
-    complete(&store, &d, 0, 0.25).await;
-    let read = async || store.jobs_with_records(d.id, &d.grid, 0..2).await;
-    let flip = "UPDATE records SET profiles = cast(x'0000803f' || substr(profiles, 5) AS BLOB) WHERE id = 1";
-    sqlx::query(flip).execute(&store.write).await.unwrap();
-    let damage = read().await.unwrap()[0].damage(2).expect("one number is another");
-    assert!(damage.contains("differ"), "{damage}");
-    sqlx::query("UPDATE records SET profiles = x'00' WHERE id = 1").execute(&store.write).await.unwrap();
-    let error = read().await.unwrap_err().to_string();
-    assert_eq!(error, "table records, row 1, column profiles is corrupt: 1 bytes instead of 96");
-    assert_eq!(store.forget_job(d.id, 0).await.unwrap(), [(d.id, 0)]);
-    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }), "it can be done again");
-}
-
-#[tokio::test]
 async fn a_data_directory_has_one_coordinator_at_a_time() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.dir().publish_address("127.0.0.1:7".parse().unwrap()).unwrap();
     let error = DataDir::lock(dir.path()).unwrap_err().to_string();
     assert!(error.contains("in use by another coordinator (at 127.0.0.1:7)"), "{error}");
-}
-
-/// A full disk, played by SQLite's own limit: the error tells it, nothing of the job is stored, and once there is room
-/// the same store works on.
-#[tokio::test]
-async fn after_a_full_disk_the_store_works_on() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
-    let d = dictionary(&store).await;
-    sqlx::query("PRAGMA max_page_count = 1").execute(&store.write).await.unwrap();
-    let large: Vec<Record> = (0..2)
-        .map(|index| {
-            let values = vec![0.5; 100_000];
-            let radiance_factor = Estimate::new(values.clone(), values).unwrap();
-            Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }] }
-        })
-        .collect();
-    let too_large = Completion { content: Content::Records(large), ..completion(&d, 0, 0.25) };
-    let full = store.complete(too_large).await.unwrap_err();
-    assert!(full.to_string().contains("database or disk is full"), "{full}");
-    assert!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap().is_empty());
-    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }));
-    assert_eq!(all_records(&store, &d).await, records(0, 0.25));
 }
 
 /// A database as the first version of this program left it.

@@ -4,16 +4,16 @@
 //! writer takes all results that are there, up to a bound, writes them in one transaction, and only then tells those
 //! who sent them.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::job::JobSpec;
-use farm_proto::sums::Sums;
 use farm_proto::{Digest, Profile, Quality, Record, Walks};
 use sqlx::{Connection, SqliteConnection};
 use tokio::sync::{mpsc, oneshot};
 
-use super::{Result, Store, StoreError, doing, jobs, points, sums};
+use super::{Result, Store, StoreError, batch, doing};
 
 /// Results of one transaction.
 const BATCH: usize = 1024;
@@ -56,6 +56,8 @@ pub enum Stored {
     Unwanted,
     /// The job was done before, with the records that have this digest.
     Before { records: Digest },
+    /// Nothing is kept: another job has stored other records for the same walks.
+    Differs,
 }
 
 /// How a commit went, for whoever measures.
@@ -128,12 +130,16 @@ pub(super) async fn run(
     }
 }
 
-/// All in one transaction; if that fails, each in its own, so that one bad result does not stop the others.
+/// All in one transaction; if one of them makes that fail, each in its own, so that it stops no other.
 async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<Result<Stored>> {
-    if completions.len() > 1
-        && let Ok(stored) = write(pool, completions).await
-    {
-        return stored.into_iter().map(Ok).collect();
+    match write(pool, completions).await {
+        Ok(stored) => return stored.into_iter().map(Ok).collect(),
+        Err(error) if completions.len() == 1 => return vec![Err(error)],
+        Err(error) if concerns_all(&error) => {
+            let error = Arc::new(error);
+            return completions.iter().map(|_| Err(StoreError::Together(error.clone()))).collect();
+        }
+        Err(_) => {}
     }
     let mut results = Vec::with_capacity(completions.len());
     for completion in completions {
@@ -141,6 +147,27 @@ async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<R
         results.push(stored.map(|stored| stored[0]));
     }
     results
+}
+
+/// Whether the database takes nothing at all at present: locked, read-only, disk full, reading or writing fails.
+/// Then each result by itself would only wait as long again.
+fn concerns_all(error: &StoreError) -> bool {
+    const BUSY: i32 = 5;
+    const LOCKED: i32 = 6;
+    const READ_ONLY: i32 = 8;
+    const IO: i32 = 10;
+    const FULL: i32 = 13;
+    const CANNOT_OPEN: i32 = 14;
+    let StoreError::Query { source, .. } = error else { return false };
+    match source {
+        sqlx::Error::Database(error) => {
+            // Extended codes carry the primary one in their last byte.
+            let code = error.code().and_then(|code| code.parse::<i32>().ok()).map(|code| code & 0xFF);
+            code.is_some_and(|code| [BUSY, LOCKED, READ_ONLY, IO, FULL, CANNOT_OPEN].contains(&code))
+        }
+        sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed => true,
+        _ => false,
+    }
 }
 
 async fn write(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Result<Vec<Stored>> {
@@ -157,81 +184,7 @@ async fn write(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Result<Ve
 async fn write_in(connection: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Stored>> {
     let mut tx =
         connection.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to store records"))?;
-    let mut stored = Vec::with_capacity(completions.len());
-    for completion in completions {
-        stored.push(store(&mut tx, completion).await?);
-    }
+    let stored = batch::store(&mut tx, completions).await?;
     tx.commit().await.map_err(doing("committing records"))?;
     Ok(stored)
-}
-
-async fn store(tx: &mut SqliteConnection, completion: &Completion) -> Result<Stored> {
-    let Completion { dictionary, job_number, job, worker, content, quality } = completion;
-    // It may have been fenced off since its result was admitted; one that is not known cannot be.
-    let fenced: Option<(bool,)> = sqlx::query_as("SELECT fenced IS NOT NULL FROM workers WHERE id = ?")
-        .bind(worker)
-        .fetch_optional(&mut *tx)
-        .await
-        .map_err(doing("looking for the worker"))?;
-    if fenced == Some((true,)) {
-        return Ok(Stored::Unwanted);
-    }
-    let before: Option<(Option<Vec<u8>>, Option<i64>)> = sqlx::query_as(
-        "SELECT records_digest, walks FROM dictionaries \
-         LEFT JOIN jobs ON dictionary_id = dictionaries.id AND job = ? WHERE dictionaries.id = ?",
-    )
-    .bind(job_number)
-    .bind(dictionary.0)
-    .fetch_optional(&mut *tx)
-    .await
-    .map_err(doing("looking for the job"))?;
-    let Some((before, walks)) = before else { return Ok(Stored::Unwanted) };
-    if let Some(digest) = before {
-        // Records of other walks, and sums, cannot be compared with these.
-        let comparable = matches!(content, Content::Records(_))
-            && walks.is_none_or(|walks| walks == job.walks().get() as i64);
-        if !comparable {
-            return Ok(Stored::Unwanted);
-        }
-        return Ok(Stored::Before { records: jobs::decode_digest(i64::from(*job_number), &digest)? });
-    }
-    let merged;
-    let mut gathered = None;
-    let records = match content {
-        Content::Records(records) => records,
-        Content::Sums(bytes) => {
-            let block = job.block().unwrap_or(0);
-            let point = points::point(tx, Digest::of_sums(job)).await?;
-            points::contribute(tx, point, *worker).await?;
-            gathered = Some(point);
-            let Some(total) = sums::add(tx, point, job, block, bytes).await? else { return Ok(Stored::Part) };
-            merged = Sums::into_records(total, job);
-            &merged
-        }
-    };
-    if let Some(more) = quality.and_then(|q| q.more_walks(job.walks(), Quality::noise_of(records))) {
-        if let Some(gathered) = gathered {
-            points::forget_gathered(tx, gathered).await?;
-        }
-        return Ok(Stored::MoreWalks(more));
-    }
-    let point = points::point(tx, job.identity()).await?;
-    if let Some(gathered) = gathered {
-        points::hand_over(tx, gathered, point).await?;
-    }
-    points::contribute(tx, point, *worker).await?;
-    points::insert_records(tx, point, job.albedo(), records).await?;
-    let digest = Digest::of_records(records);
-    sqlx::query(
-        "INSERT OR REPLACE INTO jobs (dictionary_id, job, point_id, walks, records_digest) VALUES (?, ?, ?, ?, ?)",
-    )
-    .bind(dictionary.0)
-    .bind(job_number)
-    .bind(point)
-    .bind(job.walks().get() as i64)
-    .bind(&digest.as_bytes()[..])
-    .execute(&mut *tx)
-    .await
-    .map_err(doing("storing the end of a job"))?;
-    Ok(Stored::Finished { records: digest })
 }

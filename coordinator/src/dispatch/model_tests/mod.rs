@@ -6,6 +6,7 @@
 mod check;
 mod ops;
 mod store;
+mod workers;
 mod world;
 
 use proptest::prelude::*;

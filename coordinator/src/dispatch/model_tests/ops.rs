@@ -34,6 +34,11 @@ pub enum Op {
     },
     /// One that was admitted reaches the store.
     End(usize),
+    /// A result reaches the store and differs from a job's that asked for the same walks.
+    Clash {
+        which: usize,
+        with: usize,
+    },
     /// A result of a lease that was lost, handed back or delivered before.
     DeliverOld {
         worker: usize,
@@ -77,6 +82,7 @@ pub enum Op {
 
 pub fn any() -> impl Strategy<Value = Op> {
     let (w, l, d) = (0_usize..5, 0_usize..6, 0_usize..5);
+    let clash = |(which, with)| Op::Clash { which, with };
     let wl = || (0_usize..5, 0_usize..6);
     prop_oneof![
         3 => w.clone().prop_map(Op::Register),
@@ -86,6 +92,7 @@ pub fn any() -> impl Strategy<Value = Op> {
         1 => (wl(), 0_u8..5).prop_map(|((worker, lease), how)| Op::Forge { worker, lease, how }),
         14 => wl().prop_map(|(worker, lease)| Op::Deliver { worker, lease }),
         5 => wl().prop_map(|(worker, lease)| Op::Begin { worker, lease }),
+        1 => (l.clone(), 0_usize..8).prop_map(clash),
         6 => l.prop_map(Op::End),
         5 => wl().prop_map(|(worker, lease)| Op::DeliverOld { worker, lease }),
         1 => wl().prop_map(|(worker, lease)| Op::DeliverAlien { worker, lease }),

@@ -1,0 +1,166 @@
+//! Leases given out and extended.
+
+use std::time::Duration;
+
+use farm_proto::Digest;
+use farm_proto::ids::{DictionaryId, WorkerId};
+use farm_proto::job::{Lease, LeaseKey};
+
+use super::leases::{Held, Leases};
+use super::{Chance, Dictionary, DispatchError, Dispatcher, Grant, PartId, Purpose};
+
+impl Dispatcher {
+    /// Gives out up to `max` parts: checks first, then the costliest of the dictionary that is served first, and when
+    /// nothing waits any more, second copies of those that take too long.
+    pub fn acquire(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        max: usize,
+        chance: &mut impl Chance,
+    ) -> Result<Grant, DispatchError> {
+        self.seen(now, worker)?;
+        let known = self.workers.get(worker)?;
+        let origin = known.origin;
+        if known.draining {
+            return Ok(Grant { drain: true, ..Grant::default() });
+        }
+        let mut grant = Grant::default();
+        let checks: Vec<PartId> =
+            self.checks.open_to(origin).filter(|part| self.may_check(*part)).take(max).collect();
+        for part in checks {
+            self.grant(now, worker, part, Purpose::Check, chance, &mut grant);
+        }
+        let order: Vec<DictionaryId> = self.order.iter().map(|(_, id)| *id).collect();
+        for id in order {
+            // Workers that outlived a restart may have the costliest of these in hand, and have not said so yet.
+            let returning = now < self.settings.lease && self.taken_up.contains(&id);
+            while grant.leases.len() < max {
+                let Some(dictionary) = self.dictionaries.get_mut(&id).filter(|d| d.is_active()) else {
+                    break;
+                };
+                let Some((job, part, attempt)) = dictionary.take_next(returning) else { break };
+                let purpose = if dictionary.is_retry(job) { Purpose::Retry } else { Purpose::First };
+                dictionary.leased += 1;
+                let part = PartId { dictionary: id, job, part };
+                self.lease(now, worker, part, attempt, purpose, chance, &mut grant);
+            }
+        }
+        while grant.leases.len() < max
+            && let Some(part) = self.next_late(worker)
+        {
+            self.grant(now, worker, part, Purpose::Copy, chance, &mut grant);
+        }
+        Ok(grant)
+    }
+
+    fn may_check(&self, part: PartId) -> bool {
+        let serves = |d: &Dictionary| d.job(part).is_some() && (d.is_active() || d.is_complete());
+        self.dictionaries.get(&part.dictionary).is_some_and(serves)
+            && self.leases.of_part(part).all(|held| held.purpose != Purpose::Check)
+    }
+
+    /// A part that takes too long, and is not this worker's own.
+    fn next_late(&mut self, worker: &WorkerId) -> Option<PartId> {
+        let served = |id| self.dictionaries.get(&id).is_some_and(Dictionary::is_active);
+        let fits = |leases: &Leases, part: PartId| {
+            // A part whose result is only checked any more is not late.
+            let mut holders = leases.of_part(part);
+            served(part.dictionary)
+                && matches!((holders.next(), holders.next()), (Some(held), None) if held.purpose != Purpose::Check && held.worker != *worker)
+        };
+        let place = self.late.iter().position(|part| fits(&self.leases, *part))?;
+        Some(self.late.swap_remove(place))
+    }
+
+    /// Gives out a part besides others.
+    fn grant(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        part: PartId,
+        purpose: Purpose,
+        chance: &mut impl Chance,
+        grant: &mut Grant,
+    ) {
+        if let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary) {
+            let attempt = dictionary.attempt(part.job);
+            self.lease(now, worker, part, attempt, purpose, chance, grant);
+        }
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "all of them describe one lease")]
+    fn lease(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        id: PartId,
+        attempt: u32,
+        purpose: Purpose,
+        chance: &mut impl Chance,
+        grant: &mut Grant,
+    ) {
+        let PartId { dictionary, job, part } = id;
+        let key = LeaseKey { dictionary, job, attempt, token: chance.token(), part };
+        let deadline = now + self.settings.lease;
+        let worker = worker.clone();
+        self.leases.insert(Held { key, worker, purpose, since: now, deadline, running: false });
+        grant.leases.push(Lease { key, job: self.dictionaries[&dictionary].spec(job, part) });
+        grant.purposes.push(purpose);
+    }
+
+    /// Extends leases; tells which are lost, and whether the worker is to leave. A lease that is not known (the
+    /// coordinator was restarted, or it had expired) is taken up again if its part still waits.
+    pub fn renew(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        leases: Vec<(LeaseKey, bool, Digest)>,
+    ) -> Result<(Vec<LeaseKey>, bool), DispatchError> {
+        self.seen(now, worker)?;
+        let drain = self.workers.get(worker)?.draining;
+        let lost = leases
+            .into_iter()
+            .filter(|(key, running, identity)| !self.extend(now, worker, key, *running, *identity))
+            .map(|(key, ..)| key)
+            .collect();
+        Ok((lost, drain))
+    }
+
+    fn extend(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        key: &LeaseKey,
+        running: bool,
+        identity: Digest,
+    ) -> bool {
+        let deadline = now + self.settings.lease;
+        if let Some(held) = self.leases.get(key) {
+            let own = held.worker == *worker;
+            if own {
+                self.leases.extend(key.token, deadline, running);
+            }
+            return own;
+        }
+        let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) else { return false };
+        let wanted = !self.leases.has(key.token)
+            && dictionary.job(PartId::from(key)).is_some()
+            && dictionary.is_active()
+            && dictionary.spec(key.job, key.part).identity() == identity;
+        if !wanted || !dictionary.take(key.job, key.part, key.attempt) {
+            return false;
+        }
+        dictionary.leased += 1;
+        let worker = worker.clone();
+        self.leases.insert(Held {
+            key: *key,
+            worker,
+            purpose: Purpose::Retry,
+            since: now,
+            deadline,
+            running,
+        });
+        true
+    }
+}

@@ -1,0 +1,218 @@
+//! What workers do, as they should and otherwise.
+
+use std::collections::BTreeSet;
+
+use farm_proto::Digest;
+use farm_proto::ids::{DictionaryId, Token, WorkerId};
+use farm_proto::job::{JobSpec, Lease, LeaseKey};
+
+use super::super::{Admission, DispatchError, Dispatcher, Origin, Purpose, Registration};
+use super::world::{Arriving, LEASE, Process, WORKERS, World};
+
+impl World {
+    pub fn register(&mut self, worker: usize) {
+        self.numbers += 1;
+        let (id, origin) = (WorkerId(format!("w{}", self.numbers)), self.processes[worker].origin);
+        let about = Registration { label: "label".to_owned(), threads: 1, version: String::new() };
+        let answer = self.farm.register(self.now, id.clone(), origin, about);
+        let fenced = self.store.fenced.contains_key(&origin);
+        self.insist(answer.is_err() == fenced, || format!("{origin:?} registers: {answer:?}"));
+        if fenced {
+            return self.replace(worker, false);
+        }
+        let before = std::mem::replace(&mut self.processes[worker].id, id.clone());
+        if self.draining.contains(&before) && self.farm.workers.get(&id).is_ok_and(|w| w.draining) {
+            self.draining.insert(id.clone());
+        }
+        self.origins.insert(id, origin);
+    }
+
+    /// What a worker makes of an answer: None if it has to begin again.
+    fn answer<T>(&mut self, worker: usize, answer: Result<T, DispatchError>) -> Option<T> {
+        match answer {
+            Err(DispatchError::UnknownWorker(_)) => {
+                self.register(worker);
+                None
+            }
+            Err(DispatchError::Fenced(_)) => {
+                let origin = self.processes[worker].origin;
+                self.insist(self.store.fenced.contains_key(&origin), || "fenced off for nothing".to_owned());
+                self.register(worker);
+                None
+            }
+            answer => {
+                let origin = self.processes[worker].origin;
+                for strikes in self.strikes.values_mut() {
+                    strikes.retain(|(by, silent)| !(*silent && *by == origin));
+                }
+                answer.ok()
+            }
+        }
+    }
+
+    pub fn acquire(&mut self, worker: usize, max: usize) {
+        let id = self.processes[worker].id.clone();
+        let answer = self.farm.acquire(self.now, &id, max, &mut self.chance);
+        let Some(grant) = self.answer(worker, answer) else { return };
+        self.insist(grant.leases.len() <= max, || "too many leases".to_owned());
+        let drains = self.draining.contains(&id);
+        self.insist(grant.drain == drains && (grant.leases.is_empty() || !drains), || {
+            format!("{id} drains: {drains}, but got {grant:?}")
+        });
+        for (lease, purpose) in grant.leases.into_iter().zip(grant.purposes) {
+            let key = lease.key;
+            let new = self.tokens.insert(key.token);
+            self.insist(new, || format!("{key:?} has a token that was used before"));
+            let dictionary = self.farm.by_id(key.dictionary);
+            let serves =
+                dictionary.is_some_and(|d| d.is_active() || purpose == Purpose::Check && d.is_complete());
+            self.insist(serves, || format!("{key:?} is of a dictionary that is not served"));
+            if purpose == Purpose::Check {
+                let done = self.store.done.get(&(key.dictionary, key.job));
+                let own = done.is_none_or(|d| d.by.contains(&self.processes[worker].origin));
+                self.insist(!own, || format!("{key:?} lets a worker check itself, or nothing"));
+            }
+            self.processes[worker].held.push(lease);
+        }
+    }
+
+    pub fn take_lease(&mut self, worker: usize, lease: usize) -> Option<Lease> {
+        let process = &mut self.processes[worker];
+        if lease >= process.held.len() {
+            return None;
+        }
+        let lease = process.held.remove(lease);
+        process.old.push(lease.clone());
+        if process.old.len() > 6 {
+            process.old.remove(0);
+        }
+        Some(lease)
+    }
+
+    pub fn renew(&mut self, worker: usize, which: u8, running: u8) {
+        let Process { id, held, .. } = self.processes[worker].clone();
+        let bit = |bits: u8, i: usize| bits >> (i % 8) & 1 == 1;
+        let chosen = held.iter().enumerate().filter(|(i, _)| bit(which, *i));
+        let leases: Vec<_> = chosen.map(|(i, l)| (l.key, bit(running, i), l.job.identity())).collect();
+        let mine = |farm: &Dispatcher, key: &LeaseKey| farm.leases.get(key).is_some_and(|h| h.worker == id);
+        let valid: Vec<_> = leases.iter().filter(|l| mine(&self.farm, &l.0)).map(|l| l.0).collect();
+        let answer = self.farm.renew(self.now, &id, leases.clone());
+        let Some((lost, _)) = self.answer(worker, answer) else { return };
+        for (key, running, _) in leases {
+            let is_lost = lost.contains(&key);
+            self.insist(!(is_lost && valid.contains(&key)), || format!("{key:?} was valid and is lost"));
+            let held = self.farm.leases.get(&key).filter(|h| h.worker == id);
+            let noted = held.is_some_and(|h| h.running == running && h.deadline >= self.now + LEASE);
+            self.insist(is_lost || noted, || format!("{key:?} is not lost and not noted"));
+        }
+        for key in lost {
+            if let Some(i) = self.processes[worker].held.iter().position(|l| l.key == key) {
+                self.take_lease(worker, i);
+            }
+        }
+    }
+
+    /// Keys as nobody got them: of another's lease, with another token, job, part, attempt or identity.
+    pub fn forge(&mut self, worker: usize, lease: usize, how: u8) {
+        let other = (worker + 1) % WORKERS;
+        let from = if how == 0 { other } else { worker };
+        let Some(Lease { mut key, job }) = self.processes[from].held.get(lease).cloned() else { return };
+        match how {
+            0 => {}
+            1 => key.token = Token(key.token.0 ^ 1 << 100),
+            2 => key.job += 1,
+            3 => key.attempt = u32::MAX,
+            _ => key.part += 1,
+        }
+        let before = self.farm.leases.get(&key).cloned();
+        let in_use = self.is_held(key.token);
+        let id = self.processes[worker].id.clone();
+        let answer = self.farm.renew(self.now, &id, vec![(key, true, job.identity())]);
+        if let Some((lost, _)) = self.answer(worker, answer) {
+            // A key with a token of its own may be right, for all that the coordinator knows after a restart.
+            let kept = before.is_some_and(|held| held.worker != id) || how >= 2 && in_use;
+            self.insist(!kept || !lost.is_empty(), || format!("{key:?} was forged and is renewed"));
+            if lost.is_empty() {
+                self.tokens.insert(key.token);
+                self.farm.hand_back(&[key]);
+            }
+        }
+        let answer = self.farm.failed(self.now, &id, &key, "sabotage");
+        self.insist(answer.is_err(), || format!("{key:?} was forged and has failed"));
+        self.answer(worker, answer);
+    }
+
+    pub fn is_held(&self, token: Token) -> bool {
+        self.farm.leases.iter().any(|held| held.key.token == token)
+    }
+
+    pub fn begin(&mut self, worker: usize, lease: usize) {
+        if let Some(lease) = self.take_lease(worker, lease) {
+            self.admit(worker, &lease);
+        }
+    }
+
+    pub fn deliver_old(&mut self, worker: usize, lease: usize) {
+        if let Some(lease) = self.processes[worker].old.get(lease).cloned() {
+            self.admit(worker, &lease);
+            self.end(usize::MAX);
+        }
+    }
+
+    pub fn deliver_alien(&mut self, worker: usize, lease: usize) {
+        if let Some(Lease { key, .. }) = self.take_lease(worker, lease) {
+            let id = self.processes[worker].id.clone();
+            let answer = self.farm.admit(self.now, &id, &key, Digest::from_bytes([0; 32]));
+            self.insist(answer.is_err(), || format!("{key:?} is admitted with another identity"));
+            self.answer(worker, answer);
+        }
+    }
+
+    pub fn admit(&mut self, worker: usize, lease: &Lease) {
+        let (id, origin) = (self.processes[worker].id.clone(), self.processes[worker].origin);
+        let answer = self.farm.admit(self.now, &id, &lease.key, lease.job.identity());
+        let key = lease.key;
+        match self.answer(worker, answer) {
+            Some(Admission::Store { job, by }) => {
+                self.insist(by == origin, || format!("{key:?} came from {origin:?}, not {by:?}"));
+                self.arriving.push(Arriving { worker: id, by, key, job });
+            }
+            Some(Admission::Compare { job, by, stored }) => self.compare(by, &key, &job, stored),
+            Some(Admission::Repeated { .. }) | None => {}
+        }
+    }
+
+    pub fn compare(&mut self, by: Origin, key: &LeaseKey, job: &JobSpec, stored: Digest) {
+        let new = self.store.digest(key.dictionary, key.job, job, &BTreeSet::from([by]));
+        let equal = self.farm.compared(by, key, stored, new);
+        self.insist(equal == (stored == new), || format!("{key:?} is compared wrongly"));
+    }
+
+    pub fn fail(&mut self, worker: usize, lease: usize) {
+        let Some(Lease { key, .. }) = self.take_lease(worker, lease) else { return };
+        let Process { id, origin, .. } = self.processes[worker].clone();
+        let held = self.farm.leases.get(&key).filter(|h| h.worker == id).map(|h| h.purpose);
+        let answer = self.farm.failed(self.now, &id, &key, "boom");
+        self.insist(answer.is_err() || held.is_some(), || format!("{key:?} fails and is not held"));
+        if self.answer(worker, answer).is_some() && held != Some(Purpose::Check) {
+            self.strike(key.dictionary, key.job, origin, false);
+        }
+    }
+
+    pub fn strike(&mut self, id: DictionaryId, job: u32, by: Origin, silent: bool) {
+        self.strikes.entry((id, job)).or_default().push((by, silent));
+    }
+
+    pub fn leave(&mut self, worker: usize) {
+        let Process { id, origin, wrong, .. } = self.processes[worker].clone();
+        if self.farm.workers.get(&id).is_ok() {
+            for strikes in self.strikes.values_mut() {
+                strikes.retain(|(by, silent)| !(*silent && *by == origin));
+            }
+        }
+        self.farm.leave(&id);
+        let left = !self.farm.leases.iter().any(|held| held.worker == id);
+        self.insist(left, || format!("{id} has left and holds leases"));
+        self.replace(worker, wrong);
+    }
+}

@@ -1,0 +1,299 @@
+//! Many results in one transaction, with few queries.
+//!
+//! Every query is a message to SQLite's thread and an answer, which costs more than what the query does. So all that the
+//! results of a transaction must be held against is read at once, what becomes of each is decided here, and what is
+//! new is written in rows of many values.
+
+use std::collections::{HashMap, HashSet};
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::sums::Sums;
+use farm_proto::{Digest, Quality, Record, Walks};
+use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+
+use super::{Completion, Content, Result, Stored, codec, doing, jobs, points, sums};
+
+/// Most values of one query that are looked up or written.
+const ROWS: usize = 256;
+
+/// What the store knows of the jobs and points that some results belong to.
+struct Known {
+    dictionaries: HashSet<DictionaryId>,
+    fenced: HashSet<i64>,
+    ended: HashMap<(DictionaryId, u32), Ended>,
+    points: Points,
+}
+
+/// How a job ended: with these records, of so many walks; with none if it was given up.
+#[derive(Clone, Copy)]
+struct Ended {
+    records: Option<Digest>,
+    walks: Option<Walks>,
+}
+
+/// Points in the order in which results name them.
+#[derive(Default)]
+struct Points {
+    places: HashMap<Digest, usize>,
+    points: Vec<Point>,
+}
+
+struct Point {
+    identity: Digest,
+    /// Its row, if it has one.
+    id: Option<i64>,
+    /// Albedos with their profiles as bytes; those that the store has come first.
+    records: Vec<(f64, Vec<u8>)>,
+    /// How many of these the store has.
+    stored: usize,
+}
+
+/// What is to be written for a result that ends its job.
+struct End<'a> {
+    completion: &'a Completion,
+    point: usize,
+    digest: Digest,
+    /// The point that gathered its blocks.
+    gathered: Option<i64>,
+}
+
+/// Stores results in a transaction; what becomes of each, in their order.
+pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Stored>> {
+    let mut known = Known::look(tx, completions).await?;
+    let (mut outcomes, mut ends) = (Vec::with_capacity(completions.len()), Vec::new());
+    for completion in completions {
+        let outcome = match known.verdict(completion) {
+            Some(outcome) => outcome,
+            None => known.take(tx, completion, &mut ends).await?,
+        };
+        outcomes.push(outcome);
+    }
+    known.points.write(tx).await?;
+    write_ends(tx, &ends, &known.points).await?;
+    Ok(outcomes)
+}
+
+impl Known {
+    async fn look(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Self> {
+        let dictionaries: Vec<(i64,)> = sqlx::query_as("SELECT id FROM dictionaries")
+            .fetch_all(&mut *tx)
+            .await
+            .map_err(doing("looking for dictionaries"))?;
+        let fenced: Vec<(i64,)> = sqlx::query_as("SELECT id FROM workers WHERE fenced IS NOT NULL")
+            .fetch_all(&mut *tx)
+            .await
+            .map_err(doing("looking for workers that are fenced off"))?;
+        Ok(Self {
+            dictionaries: dictionaries.into_iter().map(|(id,)| DictionaryId(id)).collect(),
+            fenced: fenced.into_iter().map(|(id,)| id).collect(),
+            ended: ended(tx, completions).await?,
+            points: Points::look(tx, completions).await?,
+        })
+    }
+
+    /// What becomes of a result of which nothing is kept; None if it is wanted.
+    fn verdict(&self, completion: &Completion) -> Option<Stored> {
+        // Either may have happened since the result was admitted.
+        if self.fenced.contains(&completion.worker) || !self.dictionaries.contains(&completion.dictionary) {
+            return Some(Stored::Unwanted);
+        }
+        let Ended { records: Some(records), walks } =
+            self.ended.get(&(completion.dictionary, completion.job_number))?
+        else {
+            return None;
+        };
+        // Records of other walks, and sums, cannot be compared with these.
+        let comparable = matches!(completion.content, Content::Records(_))
+            && walks.is_none_or(|walks| walks == completion.job.walks());
+        Some(if comparable { Stored::Before { records: *records } } else { Stored::Unwanted })
+    }
+
+    /// Takes a result that is wanted: notes what is to be written if it ends its job.
+    async fn take<'a>(
+        &mut self,
+        tx: &mut SqliteConnection,
+        completion: &'a Completion,
+        ends: &mut Vec<End<'a>>,
+    ) -> Result<Stored> {
+        let Completion { job, worker, content, quality, .. } = completion;
+        let (merged, mut gathered) = (&mut Vec::new(), None);
+        let records = match content {
+            Content::Records(records) => records,
+            Content::Sums(bytes) => {
+                let point = points::point(tx, Digest::of_sums(job)).await?;
+                points::contribute(tx, point, *worker).await?;
+                let block = job.block().unwrap_or(0);
+                let Some(total) = sums::add(tx, point, job, block, bytes).await? else {
+                    return Ok(Stored::Part);
+                };
+                gathered = Some(point);
+                *merged = Sums::into_records(total, job);
+                merged
+            }
+        };
+        if let Some(more) = quality.and_then(|q| q.more_walks(job.walks(), Quality::noise_of(records))) {
+            if let Some(gathered) = gathered {
+                points::forget_gathered(tx, gathered).await?;
+            }
+            return Ok(Stored::MoreWalks(more));
+        }
+        let Some(point) = self.points.put(job.identity(), job.albedo(), records) else {
+            return Ok(Stored::Differs);
+        };
+        let digest = Digest::of_records(records);
+        let ended = Ended { records: Some(digest), walks: Some(job.walks()) };
+        self.ended.insert((completion.dictionary, completion.job_number), ended);
+        ends.push(End { completion, point, digest, gathered });
+        Ok(Stored::Finished { records: digest })
+    }
+}
+
+/// How those jobs ended that have.
+async fn ended(
+    tx: &mut SqliteConnection,
+    completions: &[Completion],
+) -> Result<HashMap<(DictionaryId, u32), Ended>> {
+    let mut found = HashMap::new();
+    for some in completions.chunks(ROWS) {
+        let mut query = QueryBuilder::<Sqlite>::new(
+            "SELECT dictionary_id, job, records_digest, walks FROM jobs WHERE (dictionary_id, job) IN (",
+        );
+        query.push_values(some, |mut row, c| {
+            row.push_bind(c.dictionary.0).push_bind(c.job_number);
+        });
+        query.push(")");
+        let rows: Vec<(i64, i64, Option<Vec<u8>>, Option<i64>)> =
+            query.build_query_as().fetch_all(&mut *tx).await.map_err(doing("looking for jobs"))?;
+        for (dictionary, job, digest, walks) in rows {
+            let records = digest.map(|digest| jobs::decode_digest(job, &digest)).transpose()?;
+            let walks = walks.and_then(|walks| Walks::new(walks as u64).ok());
+            found.insert((DictionaryId(dictionary), job as u32), Ended { records, walks });
+        }
+    }
+    Ok(found)
+}
+
+impl Points {
+    /// The points of some results, with the records that the store has.
+    async fn look(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Self> {
+        let mut points = Self::default();
+        for completion in completions {
+            points.place(completion.job.identity());
+        }
+        let identities: Vec<Digest> = points.points.iter().map(|p| p.identity).collect();
+        let mut of_row = HashMap::new();
+        for (identity, id) in points::find(tx, &identities).await? {
+            let place = points.place(identity);
+            points.points[place].id = Some(id);
+            of_row.insert(id, place);
+        }
+        for some in of_row.keys().copied().collect::<Vec<i64>>().chunks(ROWS) {
+            let mut query = QueryBuilder::<Sqlite>::new(
+                "SELECT point_id, albedo, profiles FROM records WHERE point_id IN (",
+            );
+            let mut ids = query.separated(",");
+            for id in some {
+                ids.push_bind(*id);
+            }
+            query.push(")");
+            let rows: Vec<(i64, f64, Vec<u8>)> = query
+                .build_query_as()
+                .fetch_all(&mut *tx)
+                .await
+                .map_err(doing("looking for records of a point"))?;
+            for (id, albedo, profiles) in rows {
+                points.points[of_row[&id]].records.push((albedo, profiles));
+            }
+        }
+        for point in &mut points.points {
+            point.stored = point.records.len();
+        }
+        Ok(points)
+    }
+
+    fn place(&mut self, identity: Digest) -> usize {
+        *self.places.entry(identity).or_insert_with(|| {
+            self.points.push(Point { identity, id: None, records: Vec::new(), stored: 0 });
+            self.points.len() - 1
+        })
+    }
+
+    /// Adds those records to a point that it does not have; None, and nothing is added, if it has others instead.
+    fn put(&mut self, identity: Digest, albedo: &[f64], records: &[Record]) -> Option<usize> {
+        let place = self.place(identity);
+        let point = &mut self.points[place];
+        let before = point.records.len();
+        for (record, albedo) in records.iter().zip(albedo) {
+            let bytes = codec::encode(record);
+            match point.records[..before].iter().find(|(a, _)| a == albedo) {
+                None => point.records.push((*albedo, bytes)),
+                Some((_, there)) if *there == bytes => {}
+                Some(_) => {
+                    point.records.truncate(before);
+                    return None;
+                }
+            }
+        }
+        Some(place)
+    }
+
+    /// Writes what the store does not have yet.
+    async fn write(&mut self, tx: &mut SqliteConnection) -> Result<()> {
+        let is_new = |p: &&Point| p.id.is_none() && !p.records.is_empty();
+        let missing: Vec<_> = self.points.iter().filter(is_new).map(|p| p.identity).collect();
+        for (identity, id) in points::insert(tx, &missing).await? {
+            let place = self.place(identity);
+            self.points[place].id = Some(id);
+        }
+        let mut rows = Vec::new();
+        for point in &self.points {
+            let fresh = &point.records[point.stored..];
+            rows.extend(
+                fresh.iter().filter_map(|(albedo, profiles)| Some((point.id?, albedo, &profiles[..]))),
+            );
+        }
+        for some in rows.chunks(ROWS) {
+            let mut insert = QueryBuilder::<Sqlite>::new("INSERT INTO records (point_id, albedo, profiles) ");
+            insert.push_values(some, |mut row, (id, albedo, profiles)| {
+                row.push_bind(*id).push_bind(**albedo).push_bind(*profiles);
+            });
+            insert.build().execute(&mut *tx).await.map_err(doing("storing records"))?;
+        }
+        Ok(())
+    }
+
+    fn id(&self, place: usize) -> i64 {
+        self.points[place].id.expect("a point with records was given its row")
+    }
+}
+
+/// Writes that jobs have ended, and who computed their points.
+async fn write_ends(tx: &mut SqliteConnection, ends: &[End<'_>], points: &Points) -> Result<()> {
+    for end in ends {
+        if let Some(gathered) = end.gathered {
+            points::hand_over(tx, gathered, points.id(end.point)).await?;
+        }
+    }
+    for some in ends.chunks(ROWS) {
+        let mut insert =
+            QueryBuilder::<Sqlite>::new("INSERT OR IGNORE INTO contributions (point_id, worker_id) ");
+        insert.push_values(some, |mut row, end| {
+            row.push_bind(points.id(end.point)).push_bind(end.completion.worker);
+        });
+        insert.build().execute(&mut *tx).await.map_err(doing("storing who computed points"))?;
+        // What was given up may have been done after all.
+        let mut insert = QueryBuilder::<Sqlite>::new(
+            "INSERT OR REPLACE INTO jobs (dictionary_id, job, point_id, walks, records_digest) ",
+        );
+        insert.push_values(some, |mut row, end| {
+            let End { completion, point, digest, .. } = end;
+            row.push_bind(completion.dictionary.0)
+                .push_bind(completion.job_number)
+                .push_bind(points.id(*point))
+                .push_bind(completion.job.walks().get() as i64)
+                .push_bind(digest.as_bytes().to_vec());
+        });
+        insert.build().execute(&mut *tx).await.map_err(doing("storing the end of jobs"))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,178 @@
+//! Jobs divided into blocks.
+
+use farm_proto::grid::Axes;
+use farm_proto::job::JobSpec;
+use farm_proto::sums::Sums;
+use farm_proto::{DictionaryName, Digest, Grid, Walks};
+
+use super::{completion, dictionary, grid, open};
+use crate::store::{Completion, Content, Store, StoreError, Stored, StoredDictionary};
+
+/// Sums that stand for a block: numbers with rounding errors, so that the order of additions shows.
+fn block_sums(job: &JobSpec, block: u32) -> Sums {
+    let mut sums = Sums::new(job);
+    for (i, sum) in sums.sums.iter_mut().enumerate() {
+        *sum = 1.0 / (3.0 + i as f64 + 7.0 * f64::from(block));
+    }
+    for (i, square) in sums.squares.iter_mut().enumerate() {
+        *square = 1.0 / (0.3 + i as f64 * f64::from(block + 1));
+    }
+    Sums::from_le_bytes(job, job.walks().batches_of_block(block), &sums.to_le_bytes()).unwrap()
+}
+
+#[tokio::test]
+async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0],
+        albedo: vec![0.5, 0.9],
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let large = Grid::new(grid().scene().clone(), axes, Walks::new(4_500_000).unwrap(), 1, false).unwrap();
+    let whole = JobSpec::of(&large, 0);
+    let mut total = Sums::new(&whole);
+    (0..5).for_each(|block| total.merge(&block_sums(&whole, block)));
+    let expected = Digest::of_records(&total.into_records(&whole));
+    for (i, order) in [[0, 1, 2, 3, 4], [4, 3, 2, 1, 0], [2, 0, 4, 1, 3]].into_iter().enumerate() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut store = open(dir.path()).await;
+        store.worker("instance", "label").await.unwrap();
+        let name = DictionaryName::new("d").unwrap();
+        let d = store.create_dictionary(name, large.clone(), 0, 7).await.unwrap();
+        for (n, block) in order.into_iter().enumerate() {
+            if n == 3 {
+                store.close().await;
+                drop(store);
+                store = open(dir.path()).await;
+                let there = order[..3].iter().copied().collect();
+                assert_eq!(store.stored_blocks(&whole).await.unwrap(), there, "after a restart");
+            }
+            let job = whole.clone().with_block(block).unwrap();
+            let content = Content::Sums(block_sums(&job, block).to_le_bytes());
+            let completion =
+                Completion { dictionary: d.id, job_number: 0, job, worker: 1, content, quality: None };
+            let stored = store.complete(completion).await.unwrap();
+            let last = if n == 4 { Stored::Finished { records: expected } } else { Stored::Part };
+            assert_eq!(stored, last, "order {i}, block {block}");
+        }
+        assert!(store.stored_blocks(&whole).await.unwrap().is_empty(), "sums are gone");
+    }
+}
+
+/// A dictionary of one job of two blocks, with these albedos.
+async fn divided(store: &Store, name: &str, albedo: Vec<f64>) -> (StoredDictionary, JobSpec) {
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0],
+        albedo,
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let grid = Grid::new(grid().scene().clone(), axes, Walks::new(2_000_000).unwrap(), 1, false).unwrap();
+    let job = JobSpec::of(&grid, 0);
+    (store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, 7).await.unwrap(), job)
+}
+
+async fn complete_block(
+    store: &Store,
+    (dictionary, job): &(StoredDictionary, JobSpec),
+    block: u32,
+    worker: i64,
+) -> Stored {
+    let job = job.clone().with_block(block).unwrap();
+    let content = Content::Sums(block_sums(&job, block).to_le_bytes());
+    let completion =
+        Completion { dictionary: dictionary.id, job_number: 0, job, worker, content, quality: None };
+    store.complete(completion).await.unwrap()
+}
+
+#[tokio::test]
+async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
+    assert_eq!(complete_block(&store, &a, 0, 1).await, Stored::Part);
+    assert!(store.stored_blocks(&b.1).await.unwrap().is_empty());
+    assert_eq!(complete_block(&store, &b, 1, 1).await, Stored::Part);
+    assert!(matches!(complete_block(&store, &a, 1, 1).await, Stored::Finished { .. }));
+    assert_eq!(store.stored_blocks(&b.1).await.unwrap(), [1].into());
+    assert!(matches!(complete_block(&store, &b, 0, 1).await, Stored::Finished { .. }));
+}
+
+#[tokio::test]
+async fn a_late_block_of_a_job_that_is_done_is_not_compared_with_its_records() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let d = divided(&store, "d", vec![0.5]).await;
+    complete_block(&store, &d, 0, 1).await;
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
+    assert_eq!(complete_block(&store, &d, 1, 1).await, Stored::Unwanted);
+}
+
+#[tokio::test]
+async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("good", "label").await.unwrap();
+    let bad = store.worker("bad", "label").await.unwrap();
+    let d = divided(&store, "divided", vec![0.5]).await;
+    assert_eq!(complete_block(&store, &d, 0, bad).await, Stored::Part);
+    assert_eq!(store.fence(bad, "wrong").await.unwrap(), []);
+    assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "its blocks are gone");
+    assert_eq!(complete_block(&store, &d, 0, bad).await, Stored::Unwanted);
+    complete_block(&store, &d, 0, 1).await;
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
+    let other = dictionary(&store).await;
+    let late = Completion { worker: bad, ..completion(&other, 1, 0.5) };
+    assert_eq!(store.complete(late).await.unwrap(), Stored::Unwanted);
+}
+
+#[tokio::test]
+async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("good", "label").await.unwrap();
+    let bad = store.worker("bad", "label").await.unwrap();
+    let d = divided(&store, "divided", vec![0.5]).await;
+    complete_block(&store, &d, 0, bad).await;
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
+    assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.0.id, 0)]);
+}
+
+#[tokio::test]
+async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
+    complete_block(&store, &a, 0, 1).await;
+    complete_block(&store, &b, 1, 1).await;
+    store.delete_dictionary(a.0.id, &[Digest::of_sums(&a.1)]).await.unwrap();
+    let rows: Vec<(i64,)> = sqlx::query_as("SELECT block FROM sums").fetch_all(&store.read).await.unwrap();
+    assert_eq!(rows, [(1,)]);
+    assert_eq!(store.stored_blocks(&b.1).await.unwrap(), [1].into());
+    assert!(store.faults().await.unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn a_damaged_block_is_noticed_before_it_is_merged() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let d = divided(&store, "d", vec![0.5]).await;
+    for (first, second) in [(0, 1), (1, 0)] {
+        assert_eq!(complete_block(&store, &d, first, 1).await, Stored::Part);
+        let flip = "UPDATE sums SET sums = cast(x'01' || substr(sums, 2) AS BLOB)";
+        sqlx::query(flip).execute(&store.write).await.unwrap();
+        let job = d.1.clone().with_block(second).unwrap();
+        let content = Content::Sums(block_sums(&job, second).to_le_bytes());
+        let last = Completion { dictionary: d.0.id, job_number: 0, job, worker: 1, content, quality: None };
+        let error = store.complete(last).await.unwrap_err();
+        assert!(matches!(error, StoreError::Corrupt { table: "sums", .. }), "{error}");
+        assert_eq!(store.forget_point(Digest::of_sums(&d.1)).await.unwrap(), []);
+        assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "all can be computed again");
+    }
+}

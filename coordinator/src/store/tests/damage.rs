@@ -1,0 +1,138 @@
+//! Disks that give back other bytes than they were given, are full, or are held by others.
+
+use farm_proto::job::JobSpec;
+use farm_proto::{Estimate, Profile, Record};
+
+use super::{
+    all_records, all_records_of, complete, completion, dictionary, open, overlapping, records, reuse,
+};
+use crate::store::{Commit, Completion, Content, DataDir, Store, StoreError, Stored};
+
+#[tokio::test]
+async fn a_record_that_is_not_what_was_stored_is_noticed() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let d = dictionary(&store).await;
+    complete(&store, &d, 0, 0.25).await;
+    let read = async || store.jobs_with_records(d.id, &d.grid, 0..2).await;
+    let flip = "UPDATE records SET profiles = cast(x'0000803f' || substr(profiles, 5) AS BLOB) WHERE id = 1";
+    sqlx::query(flip).execute(&store.write).await.unwrap();
+    let damage = read().await.unwrap()[0].damage(2).expect("one number is another");
+    assert!(damage.contains("differ"), "{damage}");
+    sqlx::query("UPDATE records SET profiles = x'00' WHERE id = 1").execute(&store.write).await.unwrap();
+    let error = read().await.unwrap_err().to_string();
+    assert_eq!(error, "table records, row 1, column profiles is corrupt: 1 bytes instead of 96");
+    assert_eq!(store.forget_job(d.id, 0).await.unwrap(), [(d.id, 0)]);
+    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }), "it can be done again");
+}
+
+/// A full disk, played by SQLite's own limit: the error tells it, nothing of the job is stored, and once there is room
+/// the same store works on.
+#[tokio::test]
+async fn after_a_full_disk_the_store_works_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let d = dictionary(&store).await;
+    sqlx::query("PRAGMA max_page_count = 1").execute(&store.write).await.unwrap();
+    let large: Vec<Record> = (0..2)
+        .map(|index| {
+            let values = vec![0.5; 100_000];
+            let radiance_factor = Estimate::new(values.clone(), values).unwrap();
+            Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }] }
+        })
+        .collect();
+    let too_large = Completion { content: Content::Records(large), ..completion(&d, 0, 0.25) };
+    let full = store.complete(too_large).await.unwrap_err();
+    assert!(full.to_string().contains("database or disk is full"), "{full}");
+    assert!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap().is_empty());
+    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }));
+    assert_eq!(all_records(&store, &d).await, records(0, 0.25));
+}
+
+#[tokio::test]
+async fn damaged_records_are_not_used_for_another_dictionary() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let d = dictionary(&store).await;
+    complete(&store, &d, 1, 0.5).await;
+    let flip =
+        "UPDATE records SET profiles = cast(x'0000803f' || substr(profiles, 5) AS BLOB) WHERE albedo = 0.5";
+    sqlx::query(flip).execute(&store.write).await.unwrap();
+    assert_eq!(reuse(&store, &overlapping(&store, "e", vec![0.5]).await).await, 0);
+    assert_eq!(
+        reuse(&store, &overlapping(&store, "f", vec![0.9]).await).await,
+        0,
+        "its digest is the whole job's"
+    );
+}
+
+/// Two dictionaries may ask for the same walks at once: what the second one's worker found is compared.
+#[tokio::test]
+async fn other_records_for_the_same_walks_are_refused_and_both_can_be_done_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.worker("instance", "label").await.unwrap();
+    let (d, e) = (dictionary(&store).await, overlapping(&store, "e", vec![0.9, 0.95]).await);
+    let result = |value| {
+        let content = Content::Records(records(0, value));
+        Completion {
+            dictionary: e.id,
+            job_number: 0,
+            job: JobSpec::of(&e.grid, 0),
+            worker: 1,
+            content,
+            quality: None,
+        }
+    };
+    // In one transaction, and in two.
+    for together in [true, false] {
+        let (first, second) = if together {
+            let first = store.complete(completion(&d, 1, 0.25));
+            tokio::join!(first, store.complete(result(0.5)))
+        } else {
+            (store.complete(completion(&d, 1, 0.25)).await, store.complete(result(0.5)).await)
+        };
+        assert!(matches!(first, Ok(Stored::Finished { .. })), "{first:?}");
+        assert_eq!(second.unwrap(), Stored::Differs);
+        assert!(store.ended_jobs(e.id, e.grid.walks()).await.unwrap().is_empty());
+        let point = completion(&d, 1, 0.25).job.identity();
+        assert_eq!(store.forget_point(point).await.unwrap(), [(d.id, 1)]);
+    }
+    let (first, second) = tokio::join!(store.complete(completion(&d, 1, 0.25)), store.complete(result(0.25)));
+    assert!(matches!((first, second), (Ok(Stored::Finished { .. }), Ok(Stored::Finished { .. }))));
+    assert_eq!(all_records_of(&store, &e).await, records(0, 0.25));
+    let rows: (i64,) = sqlx::query_as("SELECT count(*) FROM records").fetch_one(&store.read).await.unwrap();
+    assert_eq!(rows, (3,), "each record once");
+}
+
+/// Whoever holds the database makes results wait once, not one after the other.
+#[tokio::test]
+async fn a_database_that_is_held_fails_all_results_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let (sender, commits) = std::sync::mpsc::channel();
+    let store =
+        Store::open(DataDir::lock(dir.path()).unwrap(), move |c: Commit| sender.send(c.took).unwrap());
+    let store = store.await.unwrap();
+    store.worker("instance", "label").await.unwrap();
+    let d = dictionary(&store).await;
+    sqlx::query("PRAGMA busy_timeout = 200").execute(&store.write).await.unwrap();
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(dir.path().join("farm.db"));
+    let other = sqlx::SqlitePool::connect_with(options).await.unwrap();
+    let held = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let results = tokio::join!(
+        store.complete(completion(&d, 0, 0.25)),
+        store.complete(completion(&d, 1, 0.25)),
+        store.complete(completion(&d, 1, 0.25)),
+    );
+    for result in [results.0, results.1, results.2] {
+        let error = result.unwrap_err();
+        assert!(matches!(error, StoreError::Together(_)), "{error:?}");
+        assert!(error.to_string().contains("database is locked"), "{error}");
+    }
+    assert_eq!(commits.try_iter().count(), 1);
+    held.rollback().await.unwrap();
+    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }));
+}
