@@ -26,7 +26,7 @@ use events::Recorder;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
 pub(crate) use records::read_chunk;
-pub(crate) use results::{Outcome, Received};
+pub(crate) use results::Outcome;
 
 #[derive(Debug, thiserror::Error)]
 pub enum FarmError {

@@ -30,11 +30,7 @@ impl Digest {
         for record in records {
             bytes.clear();
             bytes.extend((record.index as u64).to_le_bytes());
-            for estimate in record.profiles.iter().flat_map(super::profile::Profile::estimates) {
-                for number in estimate.values().iter().chain(estimate.std_errors()) {
-                    bytes.extend_from_slice(&number.to_le_bytes());
-                }
-            }
+            record.profiles.iter().for_each(|profile| profile.extend_le_bytes(&mut bytes));
             hasher.update(&bytes);
         }
         Self(hasher.finalize().into())

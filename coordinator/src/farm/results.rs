@@ -2,21 +2,14 @@
 
 use std::sync::PoisonError;
 
+use farm_proto::Digest;
 use farm_proto::ids::WorkerId;
 use farm_proto::job::{JobSpec, LeaseKey};
-use farm_proto::{Digest, Record};
 
 use super::{Farm, Result, chance};
 use crate::dispatch::{Admission, Arrived, Event, EventKind, Origin};
 use crate::store::{Completion, Content, StoreError, Stored};
 use crate::web::{JobOutcome, VerificationOutcome};
-
-/// The content of a result, as it came in.
-#[derive(Debug)]
-pub(crate) enum Received {
-    Records(Vec<Record>),
-    Sums(Vec<u8>),
-}
 
 /// What became of a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,15 +21,6 @@ pub(crate) enum Outcome {
     Unwanted,
 }
 
-impl Received {
-    fn digest(&self) -> Digest {
-        match self {
-            Self::Records(records) => Digest::of_records(records),
-            Self::Sums(bytes) => Digest::of_bytes(bytes),
-        }
-    }
-}
-
 impl Farm {
     /// Stores a result, or compares it with what is stored.
     pub(crate) async fn complete(
@@ -44,14 +28,14 @@ impl Farm {
         worker: WorkerId,
         key: LeaseKey,
         admission: Admission,
-        received: Received,
+        content: Content,
     ) -> Result<Outcome> {
         let outcome = match admission {
             Admission::Store { job, by } => {
                 let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
-                self.store_result(&arrived, job.clone(), received).await?
+                self.store_result(&arrived, job.clone(), content).await?
             }
-            Admission::Compare { by, stored, .. } => self.compare(by, &key, stored, received.digest()),
+            Admission::Compare { by, stored, .. } => self.compare(by, &key, stored, content.digest()),
             Admission::Repeated { .. } => Outcome::Duplicate,
         };
         self.settle().await;
@@ -65,14 +49,9 @@ impl Farm {
         Ok(outcome)
     }
 
-    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, received: Received) -> Result<Outcome> {
+    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, content: Content) -> Result<Outcome> {
         let key = arrived.key;
         let quality = self.dispatch().by_id(key.dictionary).and_then(|d| d.grid().quality());
-        let digest = received.digest();
-        let content = match received {
-            Received::Records(records) => Content::Records(records),
-            Received::Sums(bytes) => Content::Sums(bytes),
-        };
         let completion = Completion {
             dictionary: key.dictionary,
             job_number: key.job,
@@ -100,7 +79,7 @@ impl Farm {
                 self.work.send_replace(());
             }
             Ok(Stored::Unwanted) => return Ok(Outcome::Unwanted),
-            Ok(Stored::Before { records }) => return Ok(self.compare(arrived.by, key, records, digest)),
+            Ok(Stored::Before { records, new }) => return Ok(self.compare(arrived.by, key, records, new)),
             Ok(Stored::Differs) => {
                 drop(nothing_is_forgotten);
                 self.distrust(arrived, &job).await?;

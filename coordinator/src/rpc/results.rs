@@ -15,7 +15,8 @@ use super::Context;
 use super::leases::identity;
 use super::status::required;
 use crate::dispatch::Admission;
-use crate::farm::{FarmError, Outcome, Received};
+use crate::farm::{FarmError, Outcome};
+use crate::store;
 
 /// How long a client may take for the next piece of a result.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -131,7 +132,7 @@ fn bytes_of(job: &JobSpec) -> usize {
 async fn content_of(
     stream: &mut Streaming<CompleteRequest>,
     job: &JobSpec,
-) -> Result<(Received, Option<Content>), Status> {
+) -> Result<(store::Content, Option<Content>), Status> {
     if job.block().is_some() { sums(stream, job).await } else { records(stream, job).await }
 }
 
@@ -139,7 +140,7 @@ async fn content_of(
 async fn records(
     stream: &mut Streaming<CompleteRequest>,
     job: &JobSpec,
-) -> Result<(Received, Option<Content>), Status> {
+) -> Result<(store::Content, Option<Content>), Status> {
     let (shape, first, count) = (RecordShape::of_job(job), job.first_record(), job.albedo().len());
     let mut records = Vec::with_capacity(count);
     let after = loop {
@@ -163,14 +164,14 @@ async fn records(
         let allowed = format!("{count} are needed");
         return Err(Invalid::new("records", records.len(), allowed).to_status());
     }
-    Ok((Received::Records(records), after))
+    Ok((store::Content::Records(records), after))
 }
 
 /// The sums of a block, in pieces.
 async fn sums(
     stream: &mut Streaming<CompleteRequest>,
     job: &JobSpec,
-) -> Result<(Received, Option<Content>), Status> {
+) -> Result<(store::Content, Option<Content>), Status> {
     let wanted = Sums::bytes(job);
     let mut bytes = Vec::with_capacity(wanted);
     let after = loop {
@@ -190,7 +191,7 @@ async fn sums(
     };
     // Refused here rather than when they are merged.
     Sums::from_le_bytes(job, 1, &bytes)?;
-    Ok((Received::Sums(bytes), after))
+    Ok((store::Content::Sums(bytes), after))
 }
 
 /// Passes over the content of a result that is not wanted.

@@ -105,7 +105,8 @@ impl Known {
         // Records of other walks, and sums, cannot be compared with these.
         let comparable = matches!(completion.content, Content::Records(_))
             && walks.is_none_or(|walks| walks == completion.job.walks());
-        Some(if comparable { Stored::Before { records: *records } } else { Stored::Unwanted })
+        let before = || Stored::Before { records: *records, new: completion.content.digest() };
+        Some(if comparable { before() } else { Stored::Unwanted })
     }
 
     /// Takes a result that is wanted: notes what is to be written if it ends its job.

@@ -6,9 +6,7 @@ use farm_proto::{Derivatives, Estimate, Profile, Record};
 pub(super) fn encode(record: &Record) -> Vec<u8> {
     let estimates = || record.profiles.iter().flat_map(Profile::estimates);
     let mut bytes = Vec::with_capacity(estimates().map(|e| 8 * e.values().len()).sum());
-    for number in estimates().flat_map(|e| e.values().iter().chain(e.std_errors())) {
-        bytes.extend_from_slice(&number.to_le_bytes());
-    }
+    record.profiles.iter().for_each(|profile| profile.extend_le_bytes(&mut bytes));
     bytes
 }
 

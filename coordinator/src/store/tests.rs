@@ -102,8 +102,9 @@ async fn a_second_completion_tells_the_first_and_changes_nothing() {
     let d = dictionary(&store).await;
     let digest = Digest::of_records(&records(0, 0.25));
     assert_eq!(complete(&store, &d, 0, 0.25).await, Stored::Finished { records: digest });
-    assert_eq!(complete(&store, &d, 0, 0.25).await, Stored::Before { records: digest });
-    assert_eq!(complete(&store, &d, 0, 0.5).await, Stored::Before { records: digest });
+    assert_eq!(complete(&store, &d, 0, 0.25).await, Stored::Before { records: digest, new: digest });
+    let new = Digest::of_records(&records(0, 0.5));
+    assert_eq!(complete(&store, &d, 0, 0.5).await, Stored::Before { records: digest, new });
     store.give_up_job(d.id, 0, "too late", false).await.unwrap();
     assert_eq!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap(), [done(0, digest)]);
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));

@@ -54,8 +54,8 @@ pub enum Stored {
     /// Nothing is kept: the dictionary was deleted, the worker is fenced off, or the job is done and this cannot be compared
     /// with its records.
     Unwanted,
-    /// The job was done before, with the records that have this digest.
-    Before { records: Digest },
+    /// The job was done before, with the records that have this digest; these have another, or the same.
+    Before { records: Digest, new: Digest },
     /// Nothing is kept: another job has stored other records for the same walks.
     Differs,
 }
@@ -71,6 +71,13 @@ pub struct Commit {
 pub(super) type Request = (Completion, oneshot::Sender<Result<Stored>>);
 
 impl Content {
+    pub fn digest(&self) -> Digest {
+        match self {
+            Self::Records(records) => Digest::of_records(records),
+            Self::Sums(bytes) => Digest::of_bytes(bytes),
+        }
+    }
+
     fn bytes(&self) -> usize {
         match self {
             Self::Records(records) => records

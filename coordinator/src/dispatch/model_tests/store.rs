@@ -119,7 +119,7 @@ impl ModelStore {
         }
         if let Some(done) = self.done.get(&(id, job)) {
             let comparable = spec.block().is_none() && done.walks == spec.walks();
-            let before = Stored::Before { records: done.records };
+            let before = Stored::Before { records: done.records, new: done.records };
             return Some(if comparable { before } else { Stored::Unwanted });
         }
         let mut by = BTreeSet::from([by]);

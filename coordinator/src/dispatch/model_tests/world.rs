@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use farm_proto::Walks;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::job::{JobSpec, Lease, LeaseKey};
-use farm_proto::Walks;
 
 use super::super::blame::STALL;
 use super::super::tests::Counted;
@@ -203,7 +203,7 @@ impl World {
                 }
                 self.find_blocks();
             }
-            Some(Stored::Before { records }) => self.compare(by, &key, &job, records),
+            Some(Stored::Before { records, .. }) => self.compare(by, &key, &job, records),
             Some(Stored::Differs) => unreachable!("the model's dictionaries share no points"),
         }
     }
