@@ -31,6 +31,14 @@ struct Ended {
     walks: Option<Walks>,
 }
 
+#[derive(sqlx::FromRow)]
+struct EndedRow {
+    dictionary_id: i64,
+    job: i64,
+    records_digest: Option<Vec<u8>>,
+    walks: Option<i64>,
+}
+
 /// Points in the order in which results name them.
 #[derive(Default)]
 struct Points {
@@ -163,12 +171,13 @@ async fn ended(
             row.push_bind(c.dictionary.0).push_bind(c.job_number);
         });
         query.push(")");
-        let rows: Vec<(i64, i64, Option<Vec<u8>>, Option<i64>)> =
+        let rows: Vec<EndedRow> =
             query.build_query_as().fetch_all(&mut *tx).await.map_err(doing("looking for jobs"))?;
-        for (dictionary, job, digest, walks) in rows {
-            let records = digest.map(|digest| jobs::decode_digest(job, &digest)).transpose()?;
-            let walks = walks.and_then(|walks| Walks::new(walks as u64).ok());
-            found.insert((DictionaryId(dictionary), job as u32), Ended { records, walks });
+        for row in rows {
+            let records =
+                row.records_digest.map(|digest| jobs::decode_digest(row.job, &digest)).transpose()?;
+            let walks = row.walks.and_then(|walks| Walks::new(walks as u64).ok());
+            found.insert((DictionaryId(row.dictionary_id), row.job as u32), Ended { records, walks });
         }
     }
     Ok(found)

@@ -239,7 +239,7 @@ impl Store {
                     found.extend(grid.albedo().iter().copied().zip(profiles));
                 }
                 None => {
-                    tracing::warn!(dictionary, job, "the job's records are damaged: they are not used again")
+                    tracing::warn!(dictionary, job, "the job's records are damaged: they are not used again");
                 }
             }
         }
