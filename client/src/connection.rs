@@ -27,6 +27,13 @@ pub(crate) enum Purpose {
     Compute,
 }
 
+/// A request whose answer may take as long as a large database takes to be read through.
+pub(crate) fn patient<T>(message: T) -> tonic::Request<T> {
+    let mut request = tonic::Request::new(message);
+    request.set_timeout(Duration::from_hours(12));
+    request
+}
+
 #[derive(Debug)]
 pub(crate) struct Connection {
     link: Link,

@@ -10,7 +10,7 @@ use farm_proto::wire::{BackupHeader, BackupRequest};
 use serde::Serialize;
 
 use crate::cli::{BackupArgs, Global, RestoreArgs};
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::{Connection, Purpose, patient, with_farm};
 use crate::output::{Output, grouped};
 
 #[derive(Debug, Serialize)]
@@ -52,7 +52,7 @@ async fn receive(connection: &Connection, file: &Path) -> Result<BackupHeader> {
     let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut draft = tempfile::NamedTempFile::new_in(folder)
         .with_context(|| format!("{}: cannot be written to", folder.display()))?;
-    let mut pieces = connection.admin().backup(BackupRequest {}).await?.into_inner();
+    let mut pieces = connection.admin().backup(patient(BackupRequest {})).await?.into_inner();
     let Some(Content::Header(header)) = pieces.message().await?.and_then(|piece| piece.content) else {
         bail!("the coordinator sent no header");
     };

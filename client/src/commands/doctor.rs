@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::workers;
 use crate::cli::{DoctorArgs, Global};
-use crate::connection::{Purpose, with_farm};
+use crate::connection::{Purpose, patient, with_farm};
 use crate::exit;
 use crate::output::{Output, grouped};
 
@@ -58,7 +58,7 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
             );
         }
         let inspected =
-            connection.admin().inspect(InspectRequest { repair: args.repair }).await?.into_inner();
+            connection.admin().inspect(patient(InspectRequest { repair: args.repair })).await?.into_inner();
         findings.extend(about_records(&inspected, args.repair));
         Ok(findings)
     })

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::watch::line;
 use crate::cli::{CancelArgs, DeleteArgs, Global, PriorityArgs};
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::{Connection, Purpose, patient, with_farm};
 use crate::output::{DictionaryJson, Output, grouped};
 
 pub(crate) async fn pause(global: &Global, name: &str, output: &Output) -> Result<()> {
@@ -75,7 +75,7 @@ pub(crate) async fn delete(global: &Global, args: DeleteArgs, output: &Output) -
     ensure!(args.yes, "this deletes {name} and its records for good: add --yes to do it");
     let records_deleted = with_farm(global, Purpose::Ask, async |connection| {
         let request = DeleteRequest { name: name.to_string() };
-        Ok(connection.dictionaries().delete(request).await?.into_inner().records_deleted)
+        Ok(connection.dictionaries().delete(patient(request)).await?.into_inner().records_deleted)
     })
     .await?;
     let data = DeleteJson { name: name.to_string(), records_deleted };

@@ -10,6 +10,7 @@ mod client;
 mod coordinator;
 mod error;
 mod file;
+mod link;
 mod pem;
 mod target;
 
@@ -19,7 +20,8 @@ use std::time::Duration;
 pub use client::ClientAccess;
 pub use coordinator::CoordinatorAccess;
 pub use error::AccessError;
-pub use target::{Bearer, Link, Target};
+pub use link::Link;
+pub use target::{Bearer, Target};
 
 /// Longest time for a TLS handshake, on both sides.
 const HANDSHAKE: Duration = Duration::from_secs(10);

@@ -3,21 +3,16 @@
 use std::net::IpAddr;
 use std::time::Duration;
 
-use tonic::metadata::{Ascii, MetadataValue};
-use tonic::service::Interceptor;
-use tonic::service::interceptor::InterceptedService;
-use tonic::transport::{Channel, Endpoint};
-use tonic::{Request, Status};
+use tonic::codegen::http::header::{AUTHORIZATION, HeaderMap, HeaderValue};
+use tonic::transport::Endpoint;
 
 use super::client::ClientAccess;
 use super::error::{AccessError, root_cause};
+use super::link::Link;
 
 const CONNECT: Duration = Duration::from_secs(10);
 /// HTTP/2 pings find links that were cut without a word.
 const KEEPALIVE: Duration = Duration::from_secs(20);
-
-/// A connection on which every call carries the token, if there is one.
-pub type Link = InterceptedService<Channel, Bearer>;
 
 /// A coordinator that can be connected to.
 #[derive(Debug, Clone)]
@@ -46,39 +41,36 @@ impl Target {
 
     /// Connects now.
     pub async fn connect(&self) -> Result<Link, tonic::transport::Error> {
-        Ok(InterceptedService::new(self.endpoint.connect().await?, self.bearer.clone()))
+        Ok(Link::new(self.endpoint.connect().await?, self.bearer.clone()))
     }
 
     /// Connects at the first call. Must be called within a tokio runtime.
     pub fn connect_lazy(&self) -> Link {
-        InterceptedService::new(self.endpoint.connect_lazy(), self.bearer.clone())
+        Link::new(self.endpoint.connect_lazy(), self.bearer.clone())
     }
 }
 
 /// Adds `authorization: Bearer TOKEN` to every call; without a token, nothing.
 #[derive(Debug, Clone, Default)]
 pub struct Bearer {
-    header: Option<MetadataValue<Ascii>>,
+    header: Option<HeaderValue>,
 }
 
 impl Bearer {
     /// A token that has been checked to consist of visible characters.
     pub(super) fn of(token: &str) -> Self {
-        let mut header: Option<MetadataValue<Ascii>> = format!("Bearer {token}").parse().ok();
+        let mut header = HeaderValue::try_from(format!("Bearer {token}")).ok();
         if let Some(header) = &mut header {
             // Keeps it out of logs, and out of HTTP/2's tables of headers that were sent before.
             header.set_sensitive(true);
         }
         Self { header }
     }
-}
 
-impl Interceptor for Bearer {
-    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+    pub(super) fn mark(&self, headers: &mut HeaderMap) {
         if let Some(header) = &self.header {
-            request.metadata_mut().insert("authorization", header.clone());
+            headers.insert(AUTHORIZATION, header.clone());
         }
-        Ok(request)
     }
 }
 
@@ -157,12 +149,14 @@ mod tests {
 
     #[test]
     fn the_bearer_adds_a_sensitive_header_or_none() {
-        let request = Bearer::of("0123456789").call(Request::new(())).unwrap();
-        let header = request.metadata().get("authorization").unwrap();
-        assert_eq!(header.to_str().unwrap(), "Bearer 0123456789");
+        let mut headers = HeaderMap::new();
+        Bearer::default().mark(&mut headers);
+        assert!(headers.is_empty());
+        Bearer::of("0123456789").mark(&mut headers);
+        let header = &headers[AUTHORIZATION];
+        assert_eq!(header, "Bearer 0123456789");
         assert!(header.is_sensitive());
         assert!(!format!("{:?}", Bearer::of("0123456789")).contains("0123"));
-        assert!(Bearer::default().call(Request::new(())).unwrap().metadata().is_empty());
     }
 
     #[test]

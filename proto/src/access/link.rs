@@ -1,0 +1,107 @@
+//! A connection on which every call carries a token and ends in time.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::{Service, http};
+use tonic::transport::Channel;
+
+use super::target::Bearer;
+
+/// How long a call may take to its first answer if it does not say so itself.
+const DEADLINE: Duration = Duration::from_mins(5);
+/// How much later than its deadline a call is given up here: the other side, or the transport, may still tell why.
+const GRACE: Duration = Duration::from_secs(2);
+
+/// A connection on which every call carries the token, if there is one.
+///
+/// Each call ends with `DEADLINE_EXCEEDED` when no answer has begun a little after its deadline (`grpc-timeout`, or else
+/// five minutes). The transport sees to deadlines too, but not in all of its states: a call on a connection that the
+/// coordinator closes in the moment in which it is opened may otherwise wait for ever.
+#[derive(Debug, Clone)]
+pub struct Link {
+    channel: Channel,
+    bearer: Bearer,
+}
+
+impl Link {
+    pub(super) fn new(channel: Channel, bearer: Bearer) -> Self {
+        Self { channel, bearer }
+    }
+}
+
+type Answer = Result<http::Response<Body>, tonic::transport::Error>;
+
+impl Service<http::Request<Body>> for Link {
+    type Response = http::Response<Body>;
+    type Error = tonic::transport::Error;
+    type Future = Pin<Box<dyn Future<Output = Answer> + Send>>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Self::Error>> {
+        self.channel.poll_ready(context)
+    }
+
+    fn call(&mut self, mut request: http::Request<Body>) -> Self::Future {
+        self.bearer.mark(request.headers_mut());
+        let deadline = request.headers().get("grpc-timeout").and_then(|value| parse(value.to_str().ok()?));
+        let answer = self.channel.call(request);
+        Box::pin(in_time(deadline.unwrap_or(DEADLINE) + GRACE, answer))
+    }
+}
+
+async fn in_time(limit: Duration, answer: impl Future<Output = Answer>) -> Answer {
+    tokio::time::timeout(limit, answer).await.unwrap_or_else(|_| {
+        let status = Status::deadline_exceeded(format!("no answer within {} s", limit.as_secs()));
+        Ok(status.into_http())
+    })
+}
+
+/// A `grpc-timeout`: up to eight digits and a unit.
+fn parse(timeout: &str) -> Option<Duration> {
+    let (digits, unit) = timeout.split_at_checked(timeout.len().checked_sub(1)?)?;
+    let number: u64 = digits.parse().ok()?;
+    Some(match unit {
+        "H" => Duration::from_secs(3600 * number),
+        "M" => Duration::from_secs(60 * number),
+        "S" => Duration::from_secs(number),
+        "m" => Duration::from_millis(number),
+        "u" => Duration::from_micros(number),
+        "n" => Duration::from_nanos(number),
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deadlines_are_read_as_tonic_writes_them() {
+        for seconds in [0.02, 3.0, 250.0, 7200.0, 2e6] {
+            let deadline = Duration::from_secs_f64(seconds);
+            let mut request = tonic::Request::new(());
+            request.set_timeout(deadline);
+            let written = request.metadata().get("grpc-timeout").unwrap().to_str().unwrap();
+            assert_eq!(parse(written), Some(deadline), "{written}");
+        }
+        for wrong in ["", "5", "S", "5 S", "-5S", "5X", "5é"] {
+            assert_eq!(parse(wrong), None, "{wrong}");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_call_without_an_answer_ends_with_a_status() {
+        let start = tokio::time::Instant::now();
+        let answer = in_time(Duration::from_secs(7), std::future::pending()).await.unwrap();
+        assert_eq!(start.elapsed(), Duration::from_secs(7));
+        let status = Status::from_header_map(answer.headers()).unwrap();
+        assert_eq!(
+            (status.code(), status.message()),
+            (tonic::Code::DeadlineExceeded, "no answer within 7 s")
+        );
+    }
+}
