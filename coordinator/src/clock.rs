@@ -54,8 +54,4 @@ impl Chance for Random {
         // 0 is no token.
         Token(random().max(1))
     }
-
-    fn share(&mut self) -> f64 {
-        (random() >> 75) as f64 / (1_u64 << 53) as f64
-    }
 }

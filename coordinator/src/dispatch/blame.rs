@@ -118,6 +118,9 @@ impl Dispatcher {
                 self.by_id(*dictionary).is_some_and(|d| !d.is_open(*job))
             }
             Effect::Recompute { dictionary, .. } => self.dictionaries.contains_key(dictionary),
+            Effect::Agreed { dictionary, job, .. } => {
+                self.by_id(*dictionary).is_some_and(|d| !d.is_open(*job))
+            }
             Effect::Fence { .. } => true,
         };
         let again: Vec<_> = put_off.into_iter().filter(holds).collect();

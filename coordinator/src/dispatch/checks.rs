@@ -15,6 +15,13 @@ pub struct Origin(pub i64);
 /// Checks that may wait; when there are more, the oldest are dropped.
 const MOST: usize = 1000;
 
+/// Whether a result is among the share that is checked. Its digest decides: that is as good as chance for a wrong result,
+/// since nobody can foresee its digest, and after a restart the same are drawn.
+pub(super) fn is_drawn(records: Digest, share: f64) -> bool {
+    let [a, b, c, d, ..] = *records.as_bytes();
+    f64::from(u32::from_le_bytes([a, b, c, d])) < share * 2.0_f64.powi(32)
+}
+
 /// One worker's result, as its digest. The worker is unknown if the coordinator was restarted in between.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Vote {

@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::job::JobSpec;
-use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
+use farm_proto::status::DictionaryState;
 use farm_proto::{DictionaryName, Digest, Grid, Walks};
 
+use super::checks::Vote;
 use super::job::{Job, Part, Stage, Strike};
 use super::{Origin, PartId, plan};
 use crate::store::{Desire, EndedJob, StoredDictionary};
@@ -27,12 +28,12 @@ pub(super) struct Counts {
 /// A dictionary and the state of each of its jobs.
 #[derive(Debug)]
 pub struct Dictionary {
-    stored: StoredDictionary,
-    outdated: bool,
-    jobs: Vec<Job>,
+    pub(super) stored: StoredDictionary,
+    pub(super) outdated: bool,
+    pub(super) jobs: Vec<Job>,
     /// Parts that wait, as (rank, job, part).
     pending: BTreeSet<(u32, u32, u32)>,
-    counts: Counts,
+    pub(super) counts: Counts,
     /// Parts that are leased; the dispatcher keeps who holds them.
     pub(super) leased: usize,
 }
@@ -128,77 +129,9 @@ impl Dictionary {
         self.stored.desire == Desire::Run && !self.outdated
     }
 
-    pub fn state(&self) -> DictionaryState {
-        if self.counts.done == self.jobs.len() {
-            return DictionaryState::Done;
-        }
-        if self.outdated {
-            return DictionaryState::Outdated;
-        }
-        match self.stored.desire {
-            Desire::Cancel => DictionaryState::Cancelled,
-            _ if self.open_jobs() == 0 => DictionaryState::Failed,
-            Desire::Pause => DictionaryState::Paused,
-            Desire::Run => DictionaryState::Running,
-        }
-    }
-
     /// Whether every record is there.
     pub fn is_complete(&self) -> bool {
         self.state() == DictionaryState::Done
-    }
-
-    /// Work that is left, in scatterings.
-    pub fn cost_left(&self) -> f64 {
-        (self.counts.cost - self.counts.cost_done).max(0.0)
-    }
-
-    pub fn work_done(&self) -> f64 {
-        if self.counts.done == self.jobs.len() { 1.0 } else { self.counts.cost_done / self.counts.cost }
-    }
-
-    pub fn status(&self, eta_s: Option<f64>) -> DictionaryStatus {
-        DictionaryStatus {
-            name: self.stored.name.clone(),
-            grid: (*self.stored.grid).clone(),
-            grid_digest: self.stored.grid_digest,
-            records_digest: self.records_digest(),
-            created_unix_ms: self.stored.created_unix_ms,
-            state: self.state(),
-            jobs_done: self.counts.done,
-            jobs_leased: self.leased,
-            failed: self.given_up(),
-            work_done: self.work_done(),
-            priority: self.stored.priority,
-            reason: self.stored.reason.clone(),
-            eta_s: eta_s.filter(|_| self.state() == DictionaryState::Running),
-            records_reused: self.counts.reused * self.grid().albedo().len(),
-            walks: self.counts.walks.unwrap_or_default(),
-        }
-    }
-
-    fn records_digest(&self) -> Option<Digest> {
-        if self.counts.done < self.jobs.len() {
-            return None;
-        }
-        let digest = |job: &Job| match job.stage {
-            Stage::Done { records, .. } => Some(records),
-            _ => None,
-        };
-        self.jobs.iter().map(digest).collect::<Option<Vec<_>>>().map(Digest::of_jobs)
-    }
-
-    fn given_up(&self) -> Vec<FailedJob> {
-        if self.counts.given_up == 0 {
-            return Vec::new();
-        }
-        let failed = |(job, index): (&Job, u32)| match &job.stage {
-            Stage::GivenUp { reason, quarantined } => {
-                Some(FailedJob { job: index, reason: reason.clone(), quarantined: *quarantined })
-            }
-            _ => None,
-        };
-        self.jobs.iter().zip(0..).filter_map(failed).collect()
     }
 
     /// The job that a part belongs to, if there is such a part.
@@ -208,6 +141,17 @@ impl Dictionary {
 
     pub(super) fn open_parts(&self, index: u32) -> Vec<u32> {
         self.jobs.get(index as usize).map(|job| job.open_parts().collect()).unwrap_or_default()
+    }
+
+    /// Jobs that one worker has done alone, with its result; blocks cannot be checked once they are merged.
+    pub(super) fn unchecked(&self) -> impl Iterator<Item = (u32, Vote)> {
+        let wanted = |(job, index): (&Job, u32)| match job.stage {
+            Stage::Done { records, by: Some(by), reused: false } if !job.is_divided() && !self.outdated => {
+                Some((index, Vote { by: Some(by), digest: records }))
+            }
+            _ => None,
+        };
+        self.jobs.iter().zip(0..).filter_map(wanted)
     }
 
     /// Jobs that are divided and open, whose blocks may be in the store already.

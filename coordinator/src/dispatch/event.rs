@@ -18,6 +18,12 @@ pub enum Effect {
         dictionary: DictionaryId,
         job: u32,
     },
+    /// Note that a worker has found a job's records to be right: after a restart they need no other check.
+    Agreed {
+        dictionary: DictionaryId,
+        job: u32,
+        worker: Origin,
+    },
     /// Forget all that a worker has computed.
     Fence {
         worker: Origin,

@@ -16,6 +16,7 @@ mod leases;
 mod model_tests;
 mod pace;
 mod plan;
+mod progress;
 mod results;
 #[cfg(test)]
 mod tests;
@@ -56,8 +57,6 @@ pub struct Settings {
 pub trait Chance {
     /// A token that nobody can guess.
     fn token(&mut self) -> Token;
-    /// A number from 0 to 1.
-    fn share(&mut self) -> f64;
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -130,6 +129,11 @@ impl Dispatcher {
     }
 
     pub fn add_dictionary(&mut self, dictionary: Dictionary) {
+        for (job, first) in dictionary.unchecked() {
+            if checks::is_drawn(first.digest, self.settings.check_share) {
+                self.checks.want(PartId { dictionary: dictionary.id(), job, part: 0 }, first);
+            }
+        }
         self.order.insert((std::cmp::Reverse(dictionary.priority()), dictionary.id()));
         self.dictionaries.entry(dictionary.id()).or_insert(dictionary);
     }

@@ -6,9 +6,9 @@ use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::job::{JobSpec, LeaseKey};
 use farm_proto::{Digest, Walks};
 
-use super::checks::{Verdict, Vote};
+use super::checks::{self, Verdict, Vote};
 use super::job::Stage;
-use super::{Chance, DispatchError, Dispatcher, Effect, Event, EventKind, Origin, PartId, Purpose};
+use super::{DispatchError, Dispatcher, Effect, Event, EventKind, Origin, PartId, Purpose};
 
 /// What to do with a result that has come in.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,7 +86,7 @@ impl Dispatcher {
     }
 
     /// Notes that a job's records are stored.
-    pub fn finished(&mut self, now: Duration, arrived: &Arrived, records: Digest, chance: &mut impl Chance) {
+    pub fn finished(&mut self, now: Duration, arrived: &Arrived, records: Digest) {
         let Arrived { by, key, walks, .. } = *arrived;
         self.result_came(now, arrived);
         self.jobs_done += 1;
@@ -100,7 +100,7 @@ impl Dispatcher {
         let ended = dictionary.open_jobs() == 0;
         let (done, given_up) = dictionary.ended();
         let suspect = self.suspects.remove(&(id, key.job));
-        if walks.blocks() == 1 && (suspect || chance.share() < self.settings.check_share) {
+        if walks.blocks() == 1 && (suspect || checks::is_drawn(records, self.settings.check_share)) {
             self.checks.want(PartId::from(key), Vote { by: Some(by), digest: records });
         }
         if ended {
@@ -208,6 +208,10 @@ impl Dispatcher {
             worker: label.clone(),
             message,
         };
+        if stored == new && matches!(verdict, Verdict::Agreed | Verdict::Wrong(_)) {
+            let (dictionary, job) = (part.dictionary, part.job);
+            self.effects.push(Effect::Agreed { dictionary, job, worker: by });
+        }
         match verdict {
             Verdict::Agreed | Verdict::Repeated => {}
             Verdict::Disputed => {

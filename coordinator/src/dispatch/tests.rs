@@ -1,3 +1,7 @@
+mod blame;
+mod blocks;
+mod trust;
+
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,7 +12,7 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::{DictionaryName, Digest, Grid, Scene, Walks};
 
 use super::{
-    Admission, Arrived, Chance, Dictionary, DispatchError, Dispatcher, Effect, Origin, Registration, Settings,
+    Admission, Arrived, Chance, Dictionary, DispatchError, Dispatcher, Origin, Registration, Settings,
 };
 use crate::store::{Desire, EndedJob, StoredDictionary};
 
@@ -39,21 +43,16 @@ pub(super) fn stored() -> StoredDictionary {
     }
 }
 
-/// Tokens 1, 2, 3, …, and shares that are always the same.
+/// Tokens 1, 2, 3, ….
 #[derive(Debug)]
 pub(super) struct Counted {
     pub tokens: u128,
-    pub share: f64,
 }
 
 impl Chance for Counted {
     fn token(&mut self) -> Token {
         self.tokens += 1;
         Token(self.tokens)
-    }
-
-    fn share(&mut self) -> f64 {
-        self.share
     }
 }
 
@@ -93,7 +92,7 @@ impl Bench {
         for (name, origin) in [("a", 1), ("b", 2), ("c", 3)] {
             farm.register(seconds(0), worker(name), Origin(origin), about(name)).unwrap();
         }
-        Self { farm, chance: Counted { tokens: 0, share: 0.5 } }
+        Self { farm, chance: Counted { tokens: 0 } }
     }
 
     fn acquire(&mut self, at: u64, name: &str, max: usize) -> Vec<Lease> {
@@ -106,7 +105,7 @@ impl Bench {
 
     fn finish_with(&mut self, at: u64, name: &str, lease: &Lease, records: Digest) {
         arrive(name, lease, |arrived| {
-            self.farm.finished(seconds(at), arrived, records, &mut self.chance);
+            self.farm.finished(seconds(at), arrived, records);
         });
     }
 
@@ -199,78 +198,6 @@ fn a_guessed_token_is_worth_nothing() {
 }
 
 #[test]
-fn a_job_is_given_up_after_the_allowed_failures_with_all_reasons() {
-    let mut bench = Bench::new(&[]);
-    let first = bench.acquire(0, "a", 1);
-    bench.farm.failed(seconds(1), &worker("a"), &first[0].key, "boom").unwrap();
-    assert!(bench.farm.take_effects().is_empty());
-    let second = bench.acquire(1, "b", 1);
-    assert_eq!(second[0].key.job, first[0].key.job);
-    assert!(bench.reasons(1).contains(&"RETRYING"));
-    bench.farm.failed(seconds(2), &worker("b"), &second[0].key, "bang").unwrap();
-    let reason = "attempt 1: boom; attempt 2: bang".to_owned();
-    let (dictionary, job) = (DictionaryId(1), first[0].key.job);
-    assert_eq!(bench.farm.take_effects(), [Effect::GiveUp { dictionary, job, reason, quarantined: false }]);
-    for lease in bench.acquire(2, "a", 10) {
-        bench.finish(3, "a", &lease);
-    }
-    assert_eq!(bench.state(), DictionaryState::Failed);
-    assert!(bench.reasons(3).contains(&"JOBS_GIVEN_UP"));
-    assert_eq!(bench.farm.retry(DictionaryId(1)), 1);
-    assert_eq!(job_of(&bench.acquire(4, "c", 10)), [job]);
-}
-
-#[test]
-fn only_a_job_that_was_running_is_blamed_for_its_workers_death() {
-    let mut bench = Bench::new(&[]);
-    for round in 0..2 {
-        let at = 100 * round;
-        bench.farm.expire(seconds(at));
-        let leases = bench.acquire(at, "a", 2);
-        assert_eq!(job_of(&leases), [2, 1], "the longest first");
-        assert!(bench.renew(at, "a", &leases[0], true));
-        assert!(bench.renew(at, "a", &leases[1], false));
-        // The process dies; another one comes in its place.
-        for second in (at + 4..at + 40).step_by(4) {
-            bench.farm.expire(seconds(second));
-        }
-        bench.farm.register(seconds(at + 40), worker("a"), Origin(10 + round as i64), about("a")).unwrap();
-    }
-    let status = bench.status();
-    assert_eq!(status.failed.len(), 1);
-    assert_eq!((status.failed[0].job, status.failed[0].quarantined), (2, true));
-    assert!(status.failed[0].reason.contains("worker a fell silent"), "{}", status.failed[0].reason);
-    assert_eq!(job_of(&bench.acquire(300, "b", 9)), [1, 0], "the others go on");
-}
-
-#[test]
-fn a_worker_that_comes_back_takes_the_blame_from_its_jobs() {
-    let mut bench = Bench::new(&[]);
-    for round in 0..5 {
-        let at = 100 * round;
-        let lease = bench.acquire(at, "a", 1);
-        assert_eq!(job_of(&lease), [2], "it was not given up");
-        bench.farm.expire(seconds(at));
-        assert!(bench.renew(at, "a", &lease[0], true));
-        for second in (at + 4..at + 40).step_by(4) {
-            bench.farm.expire(seconds(second));
-        }
-        assert!(bench.renew(at + 50, "a", &lease[0], true), "nobody else has it: it goes on");
-        bench.farm.hand_back(&[lease[0].key]);
-        bench.farm.expire(seconds(at + 54));
-    }
-}
-
-#[test]
-fn a_coordinator_that_was_stopped_itself_blames_nobody() {
-    let mut bench = Bench::new(&[]);
-    let lease = bench.acquire(0, "a", 1);
-    bench.farm.expire(seconds(1));
-    assert_eq!(bench.farm.expire(seconds(1000)), 0, "it was away for 999 s, not the worker");
-    assert!(bench.renew(1001, "a", &lease[0], true));
-}
-
-#[test]
 fn leases_survive_a_restart_of_the_coordinator() {
     let mut before = Bench::new(&[]);
     let lease = before.acquire(0, "a", 1);
@@ -280,17 +207,6 @@ fn leases_survive_a_restart_of_the_coordinator() {
     let other_grid = vec![(lease[0].key, true, DIGEST)];
     let lost = after.farm.renew(seconds(1), &worker("b"), other_grid).unwrap().0;
     assert_eq!(lost.len(), 1, "what is computed must be what is wanted");
-}
-
-#[test]
-fn handing_back_blames_nobody() {
-    let mut bench = Bench::new(&[]);
-    for _ in 0..5 {
-        let lease = bench.acquire(0, "a", 1);
-        bench.farm.hand_back(&[key(&lease[0])]);
-    }
-    assert_eq!(bench.acquire(0, "a", 10).len(), 3);
-    assert_eq!(bench.state(), DictionaryState::Running);
 }
 
 #[test]
@@ -352,85 +268,6 @@ fn a_straggler_gets_a_second_copy_and_the_first_result_counts() {
     bench.finish(20, "b", &copy[0]);
     assert_eq!(bench.state(), DictionaryState::Done);
     assert!(!bench.renew(20, "a", &leases[0], true), "the slow one is told to stop");
-}
-
-#[test]
-fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
-    let mut bench = Bench::with_checks(&[], 1.0);
-    let wrong = Digest::from_bytes([9; 32]);
-    let lease = bench.acquire(0, "a", 1);
-    bench.finish_with(1, "a", &lease[0], wrong);
-    assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not its own result");
-    let check = bench.acquire(2, "b", 1);
-    assert_eq!(check[0].key.job, lease[0].key.job);
-    assert!(!bench.farm.compared(origin("b"), &check[0].key, wrong, DIGEST));
-    assert!(bench.reasons(2).contains(&"DISPUTED"));
-    assert!(bench.farm.take_effects().is_empty(), "one against one decides nothing");
-    let third = bench.acquire(3, "c", 1);
-    assert_eq!(third[0].key.job, lease[0].key.job);
-    bench.farm.compared(origin("c"), &third[0].key, wrong, DIGEST);
-    let effects = bench.farm.take_effects();
-    assert!(matches!(&effects[..], [Effect::Fence { worker: Origin(1), .. }]), "{effects:?}");
-    let fenced = bench.farm.acquire(seconds(4), &worker("a"), 1, &mut bench.chance).unwrap_err();
-    assert!(matches!(fenced, DispatchError::Fenced(_)));
-    let again = bench.farm.register(seconds(5), worker("z"), Origin(1), about("z"));
-    assert!(again.is_err(), "the same process does not come in by another door");
-    bench.farm.reopen(DictionaryId(1), &[lease[0].key.job]);
-    assert!(job_of(&bench.acquire(6, "b", 9)).contains(&lease[0].key.job), "its records are computed again");
-}
-
-#[test]
-fn equal_results_agree_and_a_worker_that_contradicts_itself_is_fenced_off() {
-    let mut bench = Bench::with_checks(&[], 1.0);
-    let lease = bench.acquire(0, "a", 1);
-    bench.finish(1, "a", &lease[0]);
-    assert!(bench.farm.compared(origin("a"), &lease[0].key, DIGEST, DIGEST), "its own repetition");
-    let check = bench.acquire(2, "b", 1);
-    assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still wanted");
-    assert!(bench.farm.compared(origin("b"), &check[0].key, DIGEST, DIGEST));
-    assert_eq!(bench.farm.checks(), (1, 0, 0));
-    bench.farm.compared(origin("a"), &lease[0].key, DIGEST, Digest::from_bytes([1; 32]));
-    assert!(matches!(&bench.farm.take_effects()[..], [Effect::Fence { worker: Origin(1), .. }]));
-}
-
-#[test]
-fn a_divided_job_is_given_out_block_by_block() {
-    let mut divided = stored();
-    let axes = Axes {
-        sigma_t_per_mm: vec![1.0],
-        albedo: vec![0.5],
-        g: vec![0.0],
-        thickness_mm: vec![1.0],
-        sample_ior: vec![1.5],
-    };
-    let grid = Grid::new(Scene::paper(), axes, Walks::new(2_500_000).unwrap(), 1, false).unwrap();
-    divided.grid_digest = Digest::of_grid(&grid);
-    divided.grid = Arc::new(grid);
-    let mut bench = Bench::new(&[]);
-    bench.farm.remove_dictionary(DictionaryId(1));
-    bench.farm.add_dictionary(Dictionary::new(divided, &[]));
-    let leases = bench.acquire(0, "a", 2);
-    assert_eq!(leases.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1)]);
-    let last = bench.acquire(0, "b", 5);
-    assert_eq!(last.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(2)]);
-    arrive("b", &last[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
-    assert!(matches!(bench.admit("b", &last[0]), Ok(Admission::Repeated { .. })));
-    bench.farm.expire(seconds(4));
-    bench.farm.hand_back(&[leases[0].key]);
-    assert_eq!(bench.acquire(5, "c", 5)[0].job.block(), Some(0));
-    bench.finish(6, "c", &leases[0]);
-    assert_eq!(bench.state(), DictionaryState::Done);
-}
-
-#[test]
-fn more_walks_begin_the_job_again() {
-    let mut bench = Bench::new(&[]);
-    let lease = bench.acquire(0, "a", 1);
-    let more = Walks::new(500_000).unwrap();
-    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(1), arrived, more));
-    assert!(bench.admit("a", &lease[0]).is_err(), "what was computed with fewer walks is not wanted");
-    let again = bench.acquire(2, "b", 1);
-    assert_eq!((again[0].key.job, again[0].job.walks().get()), (lease[0].key.job, 500_000));
 }
 
 #[test]
@@ -497,43 +334,6 @@ fn what_was_leased_before_a_pause_is_finished_and_nothing_else_is_given_out() {
 }
 
 #[test]
-fn a_result_that_nobody_wants_ends_its_lease_without_blame() {
-    let mut bench = Bench::new(&[]);
-    for second in (0..20).step_by(4) {
-        let lease = bench.acquire(second, "a", 1);
-        assert!(bench.renew(second, "a", &lease[0], true));
-        assert!(bench.farm.admit(seconds(second), &worker("a"), &lease[0].key, DIGEST).is_err());
-        assert_eq!(bench.status().jobs_leased, 0);
-    }
-}
-
-#[test]
-fn a_part_whose_result_is_being_checked_is_not_late() {
-    let mut bench = Bench::with_checks(&[], 1.0);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish(1, "a", &leases[1]);
-    bench.finish(1, "a", &leases[2]);
-    for second in (4..=20).step_by(4) {
-        bench.farm.expire(seconds(second));
-    }
-    bench.finish(20, "a", &leases[0]);
-    assert_eq!(bench.acquire(20, "b", 3).len(), 3, "the checks");
-    assert!(bench.acquire(20, "c", 3).is_empty());
-}
-
-#[test]
-fn of_two_copies_that_ask_for_more_walks_the_second_changes_nothing() {
-    let mut bench = Bench::new(&[]);
-    let lease = bench.acquire(0, "a", 1);
-    let more = Walks::new(500_000).unwrap();
-    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(1), arrived, more));
-    let again = bench.acquire(2, "b", 1);
-    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(3), arrived, more));
-    assert!(bench.renew(4, "b", &again[0], true));
-    assert!(!job_of(&bench.acquire(5, "c", 9)).contains(&again[0].key.job));
-}
-
-#[test]
 fn a_worker_cannot_take_up_a_part_with_the_token_of_another_lease() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
@@ -543,44 +343,4 @@ fn a_worker_cannot_take_up_a_part_with_the_token_of_another_lease() {
     let held = vec![(forged, true, other[0].job.identity())];
     assert_eq!(bench.farm.renew(seconds(1), &worker("a"), held).unwrap().0, [forged]);
     assert_eq!(bench.acquire(2, "c", 1)[0].key.attempt, 2);
-}
-
-#[test]
-fn a_worker_that_was_forgotten_and_comes_back_takes_the_blame_from_its_jobs() {
-    let mut bench = Bench::new(&[]);
-    for round in 0..3 {
-        let at = 1000 * round;
-        let id = format!("a{round}");
-        bench.farm.register(seconds(at), worker(&id), Origin(7), about("a")).unwrap();
-        bench.farm.expire(seconds(at));
-        let lease = bench.acquire(at, &id, 1);
-        assert_eq!(job_of(&lease), [2], "it was not given up");
-        assert!(bench.renew(at, &id, &lease[0], true));
-        for second in (at + 4..at + 800).step_by(4) {
-            bench.farm.expire(seconds(second));
-        }
-    }
-}
-
-#[test]
-fn blocks_that_the_store_has_forgotten_are_computed_again() {
-    let mut divided = stored();
-    let axes = Axes {
-        sigma_t_per_mm: vec![1.0],
-        albedo: vec![0.5],
-        g: vec![0.0],
-        thickness_mm: vec![1.0],
-        sample_ior: vec![1.5],
-    };
-    let walks = Walks::new(2_500_000).unwrap();
-    divided.grid = Arc::new(Grid::new(Scene::paper(), axes, walks, 1, false).unwrap());
-    divided.grid_digest = Digest::of_grid(&divided.grid);
-    let mut bench = Bench::new(&[]);
-    bench.farm.remove_dictionary(DictionaryId(1));
-    bench.farm.add_dictionary(Dictionary::new(divided, &[]));
-    let leases = bench.acquire(0, "a", 2);
-    arrive("a", &leases[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
-    bench.farm.parts_stored(DictionaryId(1), 0, walks, &[2].into());
-    let left: Vec<_> = bench.acquire(2, "b", 9).iter().map(|l| l.key.part).collect();
-    assert_eq!(left, [0], "block 1 is held, block 2 is there");
 }

@@ -6,7 +6,7 @@ use farm_proto::Digest;
 use farm_proto::ids::WorkerId;
 use farm_proto::job::{JobSpec, LeaseKey};
 
-use super::{Farm, Result, chance};
+use super::{Farm, Result};
 use crate::dispatch::{Admission, Arrived, Event, EventKind, Origin};
 use crate::store::{Completion, Content, StoreError, Stored};
 use crate::web::{JobOutcome, VerificationOutcome};
@@ -67,7 +67,7 @@ impl Farm {
         let now = self.clock.now();
         match stored {
             Ok(Stored::Finished { records }) => {
-                self.dispatch().finished(now, arrived, records, &mut chance());
+                self.dispatch().finished(now, arrived, records);
                 if self.dispatch().checks().2 > 0 {
                     self.work.send_replace(());
                 }

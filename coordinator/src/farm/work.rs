@@ -142,6 +142,9 @@ impl Farm {
             Effect::GiveUp { dictionary, job, reason, quarantined } => {
                 self.store.give_up_job(*dictionary, *job, reason, *quarantined).await
             }
+            Effect::Agreed { dictionary, job, worker } => {
+                self.store.note_agreement(*dictionary, *job, worker.0).await
+            }
             Effect::Recompute { dictionary, job } => self.forget_job(*dictionary, *job).await,
             Effect::Fence { worker, reason } => {
                 let _no_result_on_its_way = self.records.write().await;

@@ -121,6 +121,7 @@ impl Store {
         tokio::spawn(writer::run(write.clone(), queue, committed));
         let store = Self { write, read, dir: Arc::new(dir), completions };
         store.adopt_first_schema().await?;
+        store.forget_useless_workers().await?;
         Ok(store)
     }
 

@@ -208,6 +208,32 @@ async fn a_fenced_workers_records_are_forgotten_and_no_others() {
 }
 
 #[tokio::test]
+async fn what_two_have_computed_is_nobodys_alone_and_workers_of_no_use_are_forgotten() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    for instance in ["first", "useless", "second", "bad"] {
+        store.worker(instance, "label").await.unwrap();
+    }
+    store.fence(4, "wrong").await.unwrap();
+    let d = dictionary(&store).await;
+    complete(&store, &d, 0, 0.25).await;
+    let by = async |store: &Store| match &store.ended_jobs(d.id, d.grid.walks()).await.unwrap()[..] {
+        [EndedJob::Done { by, .. }] => *by,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(by(&store).await, Some(1));
+    store.note_agreement(d.id, 0, 3).await.unwrap();
+    store.note_agreement(d.id, 1, 2).await.unwrap();
+    store.close().await;
+    drop(store);
+    let store = open(dir.path()).await;
+    assert_eq!(by(&store).await, None);
+    let left: Vec<(i64,)> =
+        sqlx::query_as("SELECT id FROM workers ORDER BY id").fetch_all(&store.read).await.unwrap();
+    assert_eq!(left, [(1,), (3,), (4,)]);
+}
+
+#[tokio::test]
 async fn more_walks_are_asked_for_until_the_noise_is_low_enough() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;

@@ -27,6 +27,32 @@ impl Store {
             .map_err(doing("reading the workers"))
     }
 
+    /// Notes that a worker, too, has computed the records that a job has.
+    pub async fn note_agreement(&self, dictionary: DictionaryId, job: u32, worker: i64) -> Result<()> {
+        sqlx::query(
+            "INSERT OR IGNORE INTO contributions (point_id, worker_id) \
+             SELECT point_id, ? FROM jobs WHERE dictionary_id = ? AND job = ? AND point_id IS NOT NULL",
+        )
+        .bind(worker)
+        .bind(dictionary.0)
+        .bind(job)
+        .execute(&self.write)
+        .await
+        .map_err(doing("noting that a result was checked"))?;
+        Ok(())
+    }
+
+    /// Forgets workers of which nothing is left. One that is still there registers again under a new number.
+    pub(super) async fn forget_useless_workers(&self) -> Result<()> {
+        sqlx::query(
+            "DELETE FROM workers WHERE fenced IS NULL AND id NOT IN (SELECT worker_id FROM contributions)",
+        )
+        .execute(&self.write)
+        .await
+        .map_err(doing("forgetting workers of which nothing is left"))?;
+        Ok(())
+    }
+
     /// Fences a worker off and forgets all that it has computed: the jobs to be computed again.
     pub async fn fence(&self, worker: i64, reason: &str) -> Result<Vec<(DictionaryId, u32)>> {
         let mut tx = self.begin().await?;

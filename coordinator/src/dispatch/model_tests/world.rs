@@ -49,7 +49,6 @@ pub struct World {
     pub strikes: BTreeMap<(DictionaryId, u32), Vec<(Origin, bool)>>,
     /// Walks of jobs that were begun again with more.
     pub walks: BTreeMap<(DictionaryId, u32), Walks>,
-    pub restarted: bool,
     pub arriving: Vec<Arriving>,
     pub chance: Counted,
     pub tokens: BTreeSet<Token>,
@@ -72,9 +71,8 @@ impl World {
             settings,
             strikes: BTreeMap::new(),
             walks: BTreeMap::new(),
-            restarted: false,
             arriving: Vec::new(),
-            chance: Counted { tokens: 0, share: 0.5 },
+            chance: Counted { tokens: 0 },
             tokens: BTreeSet::new(),
             origins: BTreeMap::new(),
             draining: BTreeSet::new(),
@@ -192,7 +190,7 @@ impl World {
             Some(Stored::Finished { records }) => {
                 self.strikes.remove(&place);
                 self.walks.insert(place, job.walks());
-                self.farm.finished(self.now, &arrived, records, &mut self.chance);
+                self.farm.finished(self.now, &arrived, records);
             }
             Some(Stored::Part) => self.farm.part_finished(self.now, &arrived),
             Some(Stored::MoreWalks(walks)) => {
@@ -262,6 +260,11 @@ impl World {
                     self.store.given_up.insert((dictionary, job), (reason, quarantined));
                 }
                 Effect::Recompute { dictionary, job } => self.recompute(dictionary, job),
+                Effect::Agreed { dictionary, job, worker } => {
+                    if let Some(done) = self.store.done.get_mut(&(dictionary, job)) {
+                        done.by.insert(worker);
+                    }
+                }
                 Effect::Fence { worker, reason } => {
                     for (id, job) in self.store.fence(worker, reason) {
                         self.reopen(id, job);
@@ -332,7 +335,6 @@ impl World {
 
     /// A new coordinator on the same store.
     fn restart(&mut self) {
-        self.restarted = true;
         self.farm = Dispatcher::new(self.settings);
         for (worker, reason) in &self.store.fenced {
             self.farm.remember_fence(*worker, reason.clone());

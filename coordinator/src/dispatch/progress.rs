@@ -1,0 +1,78 @@
+//! How far a dictionary is, as people see it.
+
+use farm_proto::Digest;
+use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
+
+use super::Dictionary;
+use super::job::{Job, Stage};
+use crate::store::Desire;
+
+impl Dictionary {
+    pub fn state(&self) -> DictionaryState {
+        if self.counts.done == self.jobs.len() {
+            return DictionaryState::Done;
+        }
+        if self.outdated {
+            return DictionaryState::Outdated;
+        }
+        match self.stored.desire {
+            Desire::Cancel => DictionaryState::Cancelled,
+            _ if self.open_jobs() == 0 => DictionaryState::Failed,
+            Desire::Pause => DictionaryState::Paused,
+            Desire::Run => DictionaryState::Running,
+        }
+    }
+
+    /// Work that is left, in scatterings.
+    pub fn cost_left(&self) -> f64 {
+        (self.counts.cost - self.counts.cost_done).max(0.0)
+    }
+
+    pub fn work_done(&self) -> f64 {
+        if self.counts.done == self.jobs.len() { 1.0 } else { self.counts.cost_done / self.counts.cost }
+    }
+
+    pub fn status(&self, eta_s: Option<f64>) -> DictionaryStatus {
+        DictionaryStatus {
+            name: self.stored.name.clone(),
+            grid: (*self.stored.grid).clone(),
+            grid_digest: self.stored.grid_digest,
+            records_digest: self.records_digest(),
+            created_unix_ms: self.stored.created_unix_ms,
+            state: self.state(),
+            jobs_done: self.counts.done,
+            jobs_leased: self.leased,
+            failed: self.given_up(),
+            work_done: self.work_done(),
+            priority: self.stored.priority,
+            reason: self.stored.reason.clone(),
+            eta_s: eta_s.filter(|_| self.state() == DictionaryState::Running),
+            records_reused: self.counts.reused * self.grid().albedo().len(),
+            walks: self.counts.walks.unwrap_or_default(),
+        }
+    }
+
+    fn records_digest(&self) -> Option<Digest> {
+        if self.counts.done < self.jobs.len() {
+            return None;
+        }
+        let digest = |job: &Job| match job.stage {
+            Stage::Done { records, .. } => Some(records),
+            _ => None,
+        };
+        self.jobs.iter().map(digest).collect::<Option<Vec<_>>>().map(Digest::of_jobs)
+    }
+
+    fn given_up(&self) -> Vec<FailedJob> {
+        if self.counts.given_up == 0 {
+            return Vec::new();
+        }
+        let failed = |(job, index): (&Job, u32)| match &job.stage {
+            Stage::GivenUp { reason, quarantined } => {
+                Some(FailedJob { job: index, reason: reason.clone(), quarantined: *quarantined })
+            }
+            _ => None,
+        };
+        self.jobs.iter().zip(0..).filter_map(failed).collect()
+    }
+}

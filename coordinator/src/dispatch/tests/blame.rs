@@ -1,0 +1,118 @@
+//! Who is to blame for what comes to nothing.
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::status::DictionaryState;
+
+use super::{Bench, DIGEST, about, job_of, key, seconds, worker};
+use crate::dispatch::{Effect, Origin};
+
+#[test]
+fn a_job_is_given_up_after_the_allowed_failures_with_all_reasons() {
+    let mut bench = Bench::new(&[]);
+    let first = bench.acquire(0, "a", 1);
+    bench.farm.failed(seconds(1), &worker("a"), &first[0].key, "boom").unwrap();
+    assert!(bench.farm.take_effects().is_empty());
+    let second = bench.acquire(1, "b", 1);
+    assert_eq!(second[0].key.job, first[0].key.job);
+    assert!(bench.reasons(1).contains(&"RETRYING"));
+    bench.farm.failed(seconds(2), &worker("b"), &second[0].key, "bang").unwrap();
+    let reason = "attempt 1: boom; attempt 2: bang".to_owned();
+    let (dictionary, job) = (DictionaryId(1), first[0].key.job);
+    assert_eq!(bench.farm.take_effects(), [Effect::GiveUp { dictionary, job, reason, quarantined: false }]);
+    for lease in bench.acquire(2, "a", 10) {
+        bench.finish(3, "a", &lease);
+    }
+    assert_eq!(bench.state(), DictionaryState::Failed);
+    assert!(bench.reasons(3).contains(&"JOBS_GIVEN_UP"));
+    assert_eq!(bench.farm.retry(DictionaryId(1)), 1);
+    assert_eq!(job_of(&bench.acquire(4, "c", 10)), [job]);
+}
+
+#[test]
+fn only_a_job_that_was_running_is_blamed_for_its_workers_death() {
+    let mut bench = Bench::new(&[]);
+    for round in 0..2 {
+        let at = 100 * round;
+        bench.farm.expire(seconds(at));
+        let leases = bench.acquire(at, "a", 2);
+        assert_eq!(job_of(&leases), [2, 1], "the longest first");
+        assert!(bench.renew(at, "a", &leases[0], true));
+        assert!(bench.renew(at, "a", &leases[1], false));
+        // The process dies; another one comes in its place.
+        for second in (at + 4..at + 40).step_by(4) {
+            bench.farm.expire(seconds(second));
+        }
+        bench.farm.register(seconds(at + 40), worker("a"), Origin(10 + round as i64), about("a")).unwrap();
+    }
+    let status = bench.status();
+    assert_eq!(status.failed.len(), 1);
+    assert_eq!((status.failed[0].job, status.failed[0].quarantined), (2, true));
+    assert!(status.failed[0].reason.contains("worker a fell silent"), "{}", status.failed[0].reason);
+    assert_eq!(job_of(&bench.acquire(300, "b", 9)), [1, 0], "the others go on");
+}
+
+#[test]
+fn a_worker_that_comes_back_takes_the_blame_from_its_jobs() {
+    let mut bench = Bench::new(&[]);
+    for round in 0..5 {
+        let at = 100 * round;
+        let lease = bench.acquire(at, "a", 1);
+        assert_eq!(job_of(&lease), [2], "it was not given up");
+        bench.farm.expire(seconds(at));
+        assert!(bench.renew(at, "a", &lease[0], true));
+        for second in (at + 4..at + 40).step_by(4) {
+            bench.farm.expire(seconds(second));
+        }
+        assert!(bench.renew(at + 50, "a", &lease[0], true), "nobody else has it: it goes on");
+        bench.farm.hand_back(&[lease[0].key]);
+        bench.farm.expire(seconds(at + 54));
+    }
+}
+
+#[test]
+fn a_coordinator_that_was_stopped_itself_blames_nobody() {
+    let mut bench = Bench::new(&[]);
+    let lease = bench.acquire(0, "a", 1);
+    bench.farm.expire(seconds(1));
+    assert_eq!(bench.farm.expire(seconds(1000)), 0, "it was away for 999 s, not the worker");
+    assert!(bench.renew(1001, "a", &lease[0], true));
+}
+
+#[test]
+fn handing_back_blames_nobody() {
+    let mut bench = Bench::new(&[]);
+    for _ in 0..5 {
+        let lease = bench.acquire(0, "a", 1);
+        bench.farm.hand_back(&[key(&lease[0])]);
+    }
+    assert_eq!(bench.acquire(0, "a", 10).len(), 3);
+    assert_eq!(bench.state(), DictionaryState::Running);
+}
+
+#[test]
+fn a_result_that_nobody_wants_ends_its_lease_without_blame() {
+    let mut bench = Bench::new(&[]);
+    for second in (0..20).step_by(4) {
+        let lease = bench.acquire(second, "a", 1);
+        assert!(bench.renew(second, "a", &lease[0], true));
+        assert!(bench.farm.admit(seconds(second), &worker("a"), &lease[0].key, DIGEST).is_err());
+        assert_eq!(bench.status().jobs_leased, 0);
+    }
+}
+
+#[test]
+fn a_worker_that_was_forgotten_and_comes_back_takes_the_blame_from_its_jobs() {
+    let mut bench = Bench::new(&[]);
+    for round in 0..3 {
+        let at = 1000 * round;
+        let id = format!("a{round}");
+        bench.farm.register(seconds(at), worker(&id), Origin(7), about("a")).unwrap();
+        bench.farm.expire(seconds(at));
+        let lease = bench.acquire(at, &id, 1);
+        assert_eq!(job_of(&lease), [2], "it was not given up");
+        assert!(bench.renew(at, &id, &lease[0], true));
+        for second in (at + 4..at + 800).step_by(4) {
+            bench.farm.expire(seconds(second));
+        }
+    }
+}

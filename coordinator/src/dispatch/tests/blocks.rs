@@ -1,0 +1,86 @@
+//! Divided jobs, and jobs that go on to a target error.
+
+use std::sync::Arc;
+
+use farm_proto::grid::Axes;
+use farm_proto::ids::DictionaryId;
+use farm_proto::status::DictionaryState;
+use farm_proto::{Digest, Grid, Scene, Walks};
+
+use super::{Bench, arrive, job_of, seconds, stored};
+use crate::dispatch::{Admission, Dictionary};
+
+#[test]
+fn a_divided_job_is_given_out_block_by_block() {
+    let mut divided = stored();
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0],
+        albedo: vec![0.5],
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let grid = Grid::new(Scene::paper(), axes, Walks::new(2_500_000).unwrap(), 1, false).unwrap();
+    divided.grid_digest = Digest::of_grid(&grid);
+    divided.grid = Arc::new(grid);
+    let mut bench = Bench::new(&[]);
+    bench.farm.remove_dictionary(DictionaryId(1));
+    bench.farm.add_dictionary(Dictionary::new(divided, &[]));
+    let leases = bench.acquire(0, "a", 2);
+    assert_eq!(leases.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1)]);
+    let last = bench.acquire(0, "b", 5);
+    assert_eq!(last.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(2)]);
+    arrive("b", &last[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
+    assert!(matches!(bench.admit("b", &last[0]), Ok(Admission::Repeated { .. })));
+    bench.farm.expire(seconds(4));
+    bench.farm.hand_back(&[leases[0].key]);
+    assert_eq!(bench.acquire(5, "c", 5)[0].job.block(), Some(0));
+    bench.finish(6, "c", &leases[0]);
+    assert_eq!(bench.state(), DictionaryState::Done);
+}
+
+#[test]
+fn more_walks_begin_the_job_again() {
+    let mut bench = Bench::new(&[]);
+    let lease = bench.acquire(0, "a", 1);
+    let more = Walks::new(500_000).unwrap();
+    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(1), arrived, more));
+    assert!(bench.admit("a", &lease[0]).is_err(), "what was computed with fewer walks is not wanted");
+    let again = bench.acquire(2, "b", 1);
+    assert_eq!((again[0].key.job, again[0].job.walks().get()), (lease[0].key.job, 500_000));
+}
+
+#[test]
+fn of_two_copies_that_ask_for_more_walks_the_second_changes_nothing() {
+    let mut bench = Bench::new(&[]);
+    let lease = bench.acquire(0, "a", 1);
+    let more = Walks::new(500_000).unwrap();
+    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(1), arrived, more));
+    let again = bench.acquire(2, "b", 1);
+    arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(3), arrived, more));
+    assert!(bench.renew(4, "b", &again[0], true));
+    assert!(!job_of(&bench.acquire(5, "c", 9)).contains(&again[0].key.job));
+}
+
+#[test]
+fn blocks_that_the_store_has_forgotten_are_computed_again() {
+    let mut divided = stored();
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0],
+        albedo: vec![0.5],
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let walks = Walks::new(2_500_000).unwrap();
+    divided.grid = Arc::new(Grid::new(Scene::paper(), axes, walks, 1, false).unwrap());
+    divided.grid_digest = Digest::of_grid(&divided.grid);
+    let mut bench = Bench::new(&[]);
+    bench.farm.remove_dictionary(DictionaryId(1));
+    bench.farm.add_dictionary(Dictionary::new(divided, &[]));
+    let leases = bench.acquire(0, "a", 2);
+    arrive("a", &leases[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
+    bench.farm.parts_stored(DictionaryId(1), 0, walks, &[2].into());
+    let left: Vec<_> = bench.acquire(2, "b", 9).iter().map(|l| l.key.part).collect();
+    assert_eq!(left, [0], "block 1 is held, block 2 is there");
+}

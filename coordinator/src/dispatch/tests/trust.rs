@@ -1,0 +1,98 @@
+//! Checks, disputes, and who is fenced off.
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::{Digest, Walks};
+
+use super::{Bench, DIGEST, about, arrive, job_of, origin, seconds, worker};
+use crate::dispatch::checks::is_drawn;
+use crate::dispatch::{DispatchError, Effect, Origin};
+use crate::store::EndedJob;
+
+#[test]
+fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
+    let mut bench = Bench::with_checks(&[], 1.0);
+    let wrong = Digest::from_bytes([9; 32]);
+    let lease = bench.acquire(0, "a", 1);
+    bench.finish_with(1, "a", &lease[0], wrong);
+    assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not its own result");
+    let check = bench.acquire(2, "b", 1);
+    assert_eq!(check[0].key.job, lease[0].key.job);
+    assert!(!bench.farm.compared(origin("b"), &check[0].key, wrong, DIGEST));
+    assert!(bench.reasons(2).contains(&"DISPUTED"));
+    assert!(bench.farm.take_effects().is_empty(), "one against one decides nothing");
+    let third = bench.acquire(3, "c", 1);
+    assert_eq!(third[0].key.job, lease[0].key.job);
+    bench.farm.compared(origin("c"), &third[0].key, wrong, DIGEST);
+    let effects = bench.farm.take_effects();
+    assert!(matches!(&effects[..], [Effect::Fence { worker: Origin(1), .. }]), "{effects:?}");
+    let fenced = bench.farm.acquire(seconds(4), &worker("a"), 1, &mut bench.chance).unwrap_err();
+    assert!(matches!(fenced, DispatchError::Fenced(_)));
+    let again = bench.farm.register(seconds(5), worker("z"), Origin(1), about("z"));
+    assert!(again.is_err(), "the same process does not come in by another door");
+    bench.farm.reopen(DictionaryId(1), &[lease[0].key.job]);
+    assert!(job_of(&bench.acquire(6, "b", 9)).contains(&lease[0].key.job), "its records are computed again");
+}
+
+#[test]
+fn equal_results_agree_and_a_worker_that_contradicts_itself_is_fenced_off() {
+    let mut bench = Bench::with_checks(&[], 1.0);
+    let lease = bench.acquire(0, "a", 1);
+    bench.finish(1, "a", &lease[0]);
+    assert!(bench.farm.compared(origin("a"), &lease[0].key, DIGEST, DIGEST), "its own repetition");
+    let check = bench.acquire(2, "b", 1);
+    assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still wanted");
+    assert!(bench.farm.compared(origin("b"), &check[0].key, DIGEST, DIGEST));
+    assert_eq!(bench.farm.checks(), (1, 0, 0));
+    let agreed = bench.farm.take_effects();
+    assert!(matches!(&agreed[..], [Effect::Agreed { job: 2, worker: Origin(2), .. }]), "{agreed:?}");
+    bench.farm.compared(origin("a"), &lease[0].key, DIGEST, Digest::from_bytes([1; 32]));
+    assert!(matches!(&bench.farm.take_effects()[..], [Effect::Fence { worker: Origin(1), .. }]));
+}
+
+#[test]
+fn a_part_whose_result_is_being_checked_is_not_late() {
+    let mut bench = Bench::with_checks(&[], 1.0);
+    let leases = bench.acquire(0, "a", 3);
+    bench.finish(1, "a", &leases[1]);
+    bench.finish(1, "a", &leases[2]);
+    for second in (4..=20).step_by(4) {
+        bench.farm.expire(seconds(second));
+    }
+    bench.finish(20, "a", &leases[0]);
+    assert_eq!(bench.acquire(20, "b", 3).len(), 3, "the checks");
+    assert!(bench.acquire(20, "c", 3).is_empty());
+}
+
+#[test]
+fn checks_that_nobody_has_made_are_wanted_after_a_restart_too() {
+    let done = |job, by, reused| EndedJob::Done { job, walks: Walks::PAPER, records: DIGEST, by, reused };
+    // One computed it alone; two agreed; it was there before.
+    let ended = [done(0, Some(1), false), done(1, None, false), done(2, Some(1), true)];
+    let mut bench = Bench::with_checks(&ended, 1.0);
+    assert!(bench.acquire(0, "a", 9).is_empty(), "not its own result");
+    assert_eq!(job_of(&bench.acquire(0, "b", 9)), [0]);
+    assert!(Bench::with_checks(&ended, 0.0).acquire(0, "b", 9).is_empty());
+}
+
+#[test]
+fn the_share_that_is_checked_is_as_large_as_it_should_be() {
+    let drawn =
+        |share| (0..20_000_u32).filter(|i| is_drawn(Digest::of_bytes(&i.to_le_bytes()), share)).count();
+    assert_eq!((drawn(0.0), drawn(1.0)), (0, 20_000));
+    // Three standard deviations.
+    assert!(drawn(0.01).abs_diff(200) < 43, "{}", drawn(0.01));
+}
+
+#[test]
+fn jobs_whose_records_differ_for_the_same_walks_are_checked_in_any_case() {
+    let mut bench = Bench::with_checks(&[], 0.0);
+    let lease = bench.acquire(0, "a", 1);
+    arrive("a", &lease[0], |arrived| bench.farm.distrust(arrived, &[(DictionaryId(1), 0)]));
+    let again = bench.acquire(1, "b", 1);
+    assert_eq!(again[0].key.job, lease[0].key.job, "it waits again");
+    bench.finish(2, "b", &again[0]);
+    assert_eq!(job_of(&bench.acquire(3, "c", 1)), job_of(&again));
+    let other = bench.acquire(4, "a", 9).into_iter().find(|lease| lease.key.job == 0).unwrap();
+    bench.finish(5, "a", &other);
+    assert_eq!(job_of(&bench.acquire(6, "b", 1)), [0], "so does the other one");
+}
