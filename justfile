@@ -12,9 +12,17 @@ test crate:
 physics-long effort="50":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test physics uniform -- --nocapture
 
-# kill -9 in 60 rounds each for embedded and separate processes.
+# kill -9 of a farm inside farmctl, in 60 rounds.
 recovery-long effort="10":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test recovery -- --nocapture
+
+# Everything that befalls a farm of real processes, at length: 200 rounds of kill -9, an absence of a minute, real keepalives.
+faults-long effort="20":
+    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test faults -- --nocapture
+
+# The scheduler against its model, with as many random histories as one likes.
+model-long cases="20000":
+    PROPTEST_CASES={{cases}} cargo test -p farm-coordinator --lib model_tests
 
 # A farm in use that is maltreated for an hour: records stay right, memory, files and database do not grow.
 soak minutes="60" seed="1":
