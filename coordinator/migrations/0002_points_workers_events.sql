@@ -50,8 +50,6 @@ CREATE TABLE sums (
     block INTEGER NOT NULL,
     -- Sums, then squares: 64-bit floats, little endian.
     sums BLOB NOT NULL,
-    -- BLAKE3 of the sums.
-    digest BLOB NOT NULL CHECK (length(digest) = 32),
     PRIMARY KEY (point_id, block)
 ) STRICT;
 

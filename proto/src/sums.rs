@@ -17,6 +17,9 @@ pub struct Sums {
 }
 
 impl Sums {
+    /// Largest number that sums may hold.
+    const LARGEST: f64 = 1e30;
+
     /// Sums over no batch.
     pub fn new(job: &JobSpec) -> Self {
         let len = Self::len(job);
@@ -66,8 +69,10 @@ impl Sums {
         }
         let number = |b: &[u8]| f64::from_le_bytes(b.try_into().expect("8 bytes"));
         let mut sums: Vec<f64> = bytes.chunks_exact(8).map(number).collect();
-        if let Some(i) = sums.iter().position(|v| !v.is_finite()) {
-            return Err(Invalid::new(format!("sums[{i}]"), sums[i], "numbers must be finite"));
+        // What walks sum up to is smaller by far; larger numbers could not be told as 32-bit floats.
+        if let Some(i) = sums.iter().position(|v| v.is_nan() || v.abs() > Self::LARGEST) {
+            let allowed = format!("at most {:e} is allowed", Self::LARGEST);
+            return Err(Invalid::new(format!("sums[{i}]"), sums[i], allowed));
         }
         let squares = sums.split_off(sums.len() / 2);
         Ok(Self { sums, squares, batches })

@@ -106,7 +106,12 @@ async fn send(session: &Session, held: &Held, batch: Vec<Finished>) -> Vec<Finis
     match session.complete(|worker| parts(worker, &batch), batch.iter().map(|f| f.bytes).sum()).await {
         Ok(outcomes) => {
             let mut not_stored = Vec::new();
-            for (finished, outcome) in batch.into_iter().zip(outcomes) {
+            let mut outcomes = outcomes.into_iter();
+            for finished in batch {
+                let Some(outcome) = outcomes.next() else {
+                    not_stored.push(finished);
+                    continue;
+                };
                 tell(&finished.key, &outcome);
                 if outcome.kind() == CompletionKind::NotStored {
                     not_stored.push(finished);

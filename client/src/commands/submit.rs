@@ -8,7 +8,7 @@ use farm_proto::{DictionaryName, Grid};
 
 use super::watch::{self, follow};
 use crate::cli::{Global, SubmitArgs};
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::{Connection, Purpose, patient, with_farm};
 use crate::exit;
 use crate::grid_file::read_grid;
 use crate::output::{DictionaryJson, Output, duration, grouped, is_closed_pipe};
@@ -56,7 +56,7 @@ async fn submit(
     quiet: bool,
 ) -> Result<(DictionaryStatus, End)> {
     let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()), priority: args.priority };
-    let submitted = connection.dictionaries().submit(request).await?.into_inner();
+    let submitted = connection.dictionaries().submit(patient(request)).await?.into_inner();
     let status = DictionaryStatus::try_from(submitted)?;
     if !args.wait && connection.is_server() {
         return Ok((status, End::Submitted));

@@ -7,7 +7,7 @@ use farm_proto::job::{JobSpec, LeaseKey};
 use farm_proto::{Digest, Walks};
 
 use super::checks::{self, Verdict, Vote};
-use super::job::Stage;
+use super::job::{Stage, Strike};
 use super::{DispatchError, Dispatcher, Effect, Event, EventKind, Origin, PartId, Purpose};
 
 /// What to do with a result that has come in.
@@ -111,7 +111,8 @@ impl Dispatcher {
     }
 
     /// A result differs from the records of other jobs that asked for the same walks. Which is wrong is not known: all
-    /// are done again, and then compared with what a second worker finds.
+    /// are done again, and then compared with what a second worker finds. It counts as a failed attempt, so that it cannot go
+    /// on for ever.
     pub fn distrust(&mut self, arrived: &Arrived, others: &[(DictionaryId, u32)]) {
         let key = arrived.key;
         self.suspects.insert((key.dictionary, key.job));
@@ -119,15 +120,16 @@ impl Dispatcher {
         if self.leases.get(key).is_some() {
             self.free(key.token);
         }
+        let what = "other records than those of the same walks in another dictionary";
         self.events.push(Event {
             kind: EventKind::ResultsDiffer,
             dictionary: Some(key.dictionary),
             job: Some(key.job),
             worker: self.workers.label_of(arrived.by),
-            message:
-                "other records than those of the same walks in another dictionary: both are computed again"
-                    .to_owned(),
+            message: format!("{what}: both are computed again"),
         });
+        let reason = format!("attempt {}: {what}", key.attempt);
+        self.strike(key, Strike { worker: Some(arrived.by), silent: false, reason });
     }
 
     /// Notes that a block of a divided job is stored.
@@ -141,6 +143,12 @@ impl Dispatcher {
         if let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary).filter(|_| current) {
             dictionary.part_stored(key.job, key.part);
         }
+    }
+
+    /// Whether a job is not done, although all of its blocks are thought to be there.
+    pub fn waits_for_nothing(&self, key: &LeaseKey) -> bool {
+        let dictionary = self.dictionaries.get(&key.dictionary);
+        dictionary.is_some_and(|d| d.is_open(key.job) && d.open_parts(key.job).is_empty())
     }
 
     /// The target error is not reached: begins the job again with more walks.
@@ -191,13 +199,17 @@ impl Dispatcher {
         if self.workers.is_fenced(by) {
             return stored == new;
         }
-        let first =
-            self.dictionaries.get(&part.dictionary).and_then(|d| d.job(part)).and_then(|job| {
-                match job.stage {
-                    Stage::Done { by, .. } => by,
-                    _ => None,
+        let stage = self.dictionaries.get(&part.dictionary).and_then(|d| d.job(part)).map(|job| &job.stage);
+        let first = match stage {
+            Some(Stage::Done { records, by, .. }) if *records == stored => *by,
+            // What it was compared with is not what is there now: either not noted yet, or forgotten meanwhile.
+            stage => {
+                if stored != new && stage.is_some() {
+                    self.suspects.insert((key.dictionary, key.job));
                 }
-            });
+                return stored == new;
+            }
+        };
         let verdict =
             self.checks.vote(part, Vote { by: first, digest: stored }, Vote { by: Some(by), digest: new });
         let label = self.workers.label_of(by);
@@ -208,7 +220,12 @@ impl Dispatcher {
             worker: label.clone(),
             message,
         };
-        if stored == new && matches!(verdict, Verdict::Agreed | Verdict::Wrong(_)) {
+        let confirmed = match &verdict {
+            Verdict::Agreed => true,
+            Verdict::Wrong(wrong) => stored == new && !wrong.contains(&Some(by)),
+            Verdict::Disputed | Verdict::Repeated => false,
+        };
+        if confirmed {
             let (dictionary, job) = (part.dictionary, part.job);
             self.effects.push(Effect::Agreed { dictionary, job, worker: by });
         }

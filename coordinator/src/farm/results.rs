@@ -33,13 +33,14 @@ impl Farm {
         let outcome = match admission {
             Admission::Store { job, by } => {
                 let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
-                self.store_result(&arrived, job.clone(), content).await?
+                self.store_result(&arrived, job.clone(), content).await
             }
-            Admission::Compare { by, stored, .. } => self.compare(by, &key, stored, content.digest()),
-            Admission::Repeated { .. } => Outcome::Duplicate,
+            Admission::Compare { by, stored, .. } => Ok(self.compare(by, &key, stored, content.digest())),
+            Admission::Repeated { .. } => Ok(Outcome::Duplicate),
         };
         self.settle().await;
         self.changed.send_replace(());
+        let outcome = outcome?;
         match outcome {
             Outcome::Stored => self.metrics.job_completed(JobOutcome::Stored),
             Outcome::Duplicate => self.metrics.job_completed(JobOutcome::Duplicate),
@@ -72,7 +73,15 @@ impl Farm {
                     self.work.send_replace(());
                 }
             }
-            Ok(Stored::Part) => self.dispatch().part_finished(now, arrived),
+            Ok(Stored::Part) => {
+                self.dispatch().part_finished(now, arrived);
+                // Blocks are shared by dictionaries that ask for the same: another one may have merged those that this one
+                // has counted.
+                if self.dispatch().waits_for_nothing(key) {
+                    self.find_blocks_of(key).await?;
+                    self.work.send_replace(());
+                }
+            }
             Ok(Stored::MoreWalks(walks)) => {
                 self.dispatch().prolong(now, arrived, walks);
                 self.find_blocks_of(key).await?;
@@ -101,8 +110,11 @@ impl Farm {
     async fn distrust(&self, arrived: &Arrived<'_>, job: &JobSpec) -> Result<(), StoreError> {
         let _no_result_on_its_way = self.records.write().await;
         let forgotten = self.store.forget_point(job.identity()).await?;
+        self.store.forget_point(Digest::of_sums(job)).await?;
         self.dispatch().distrust(arrived, &forgotten);
         self.reopen(forgotten);
+        self.find_blocks_of(arrived.key).await?;
+        self.work.send_replace(());
         Ok(())
     }
 
@@ -114,6 +126,7 @@ impl Farm {
         let name = self.dispatch().by_id(key.dictionary).map(|d| d.name().to_string()).unwrap_or_default();
         let event = Event::of_dictionary(EventKind::JobDamaged, key.dictionary, what);
         self.recorder.record(&name, &Event { job: Some(key.job), ..event });
+        self.work.send_replace(());
         Ok(())
     }
 

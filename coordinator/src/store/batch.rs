@@ -68,6 +68,8 @@ struct End<'a> {
 /// Stores results in a transaction; what becomes of each, in their order.
 pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Stored>> {
     let mut known = Known::look(tx, completions).await?;
+    let wanted: Vec<&Completion> = completions.iter().filter(|c| known.verdict(c).is_none()).collect();
+    known.points = Points::look(tx, &wanted).await?;
     let (mut outcomes, mut ends) = (Vec::with_capacity(completions.len()), Vec::new());
     for completion in completions {
         let outcome = match known.verdict(completion) {
@@ -95,7 +97,7 @@ impl Known {
             dictionaries: dictionaries.into_iter().map(|(id,)| DictionaryId(id)).collect(),
             fenced: fenced.into_iter().map(|(id,)| id).collect(),
             ended: ended(tx, completions).await?,
-            points: Points::look(tx, completions).await?,
+            points: Points::default(),
         })
     }
 
@@ -183,13 +185,27 @@ async fn ended(
     Ok(found)
 }
 
+fn push_list<'a, T>(query: &mut QueryBuilder<Sqlite>, values: &'a [T])
+where
+    T: Copy + sqlx::Type<Sqlite> + sqlx::Encode<'a, Sqlite> + 'a,
+{
+    let mut list = query.separated(",");
+    for value in values {
+        list.push_bind(*value);
+    }
+}
+
 impl Points {
-    /// The points of some results, with the records that the store has.
-    async fn look(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Self> {
+    /// The points of some results, with those records that the store has of the albedos in question.
+    async fn look(tx: &mut SqliteConnection, completions: &[&Completion]) -> Result<Self> {
         let mut points = Self::default();
+        let mut albedos = Vec::new();
         for completion in completions {
             points.place(completion.job.identity());
+            albedos.extend_from_slice(completion.job.albedo());
         }
+        albedos.sort_by(f64::total_cmp);
+        albedos.dedup();
         let identities: Vec<Digest> = points.points.iter().map(|p| p.identity).collect();
         let mut of_row = HashMap::new();
         for (identity, id) in points::find(tx, &identities).await? {
@@ -197,14 +213,15 @@ impl Points {
             points.points[place].id = Some(id);
             of_row.insert(id, place);
         }
-        for some in of_row.keys().copied().collect::<Vec<i64>>().chunks(ROWS) {
-            let mut query = QueryBuilder::<Sqlite>::new(
-                "SELECT point_id, albedo, profiles FROM records WHERE point_id IN (",
-            );
-            let mut ids = query.separated(",");
-            for id in some {
-                ids.push_bind(*id);
-            }
+        let ids: Vec<i64> = of_row.keys().copied().collect();
+        let pairs = ids.chunks(ROWS).flat_map(|ids| albedos.chunks(ROWS).map(move |albedos| (ids, albedos)));
+        let pairs: Vec<(&[i64], &[f64])> = pairs.collect();
+        for (ids, albedos) in pairs {
+            let query = "SELECT point_id, albedo, profiles FROM records WHERE point_id IN (";
+            let mut query = QueryBuilder::<Sqlite>::new(query);
+            push_list(&mut query, ids);
+            query.push(") AND albedo IN (");
+            push_list(&mut query, albedos);
             query.push(")");
             let rows: Vec<(i64, f64, Vec<u8>)> = query
                 .build_query_as()

@@ -58,6 +58,8 @@ pub enum StoreError {
     /// What several results that were stored together failed with.
     #[error(transparent)]
     Together(#[from] Arc<StoreError>),
+    #[error("storing a result failed by a defect of this program: its log tells more")]
+    Defect,
     #[error("the database is closed")]
     Closed,
     #[error(transparent)]

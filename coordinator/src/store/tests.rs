@@ -321,3 +321,32 @@ async fn a_database_of_the_first_schema_keeps_its_records() {
         store.close().await;
     }
 }
+
+#[tokio::test]
+async fn blocks_of_the_second_schema_are_computed_again() {
+    let dir = tempfile::tempdir().unwrap();
+    {
+        let options = sqlx::sqlite::SqliteConnectOptions::new()
+            .filename(dir.path().join("farm.db"))
+            .create_if_missing(true);
+        let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
+        let mut second = sqlx::migrate!();
+        second.migrations.to_mut().truncate(2);
+        second.run(&pool).await.unwrap();
+        sqlx::query("INSERT INTO points VALUES (1, ?)").bind(vec![1_u8; 32]).execute(&pool).await.unwrap();
+        sqlx::query("INSERT INTO workers VALUES (1, 'instance', 'label', NULL)")
+            .execute(&pool)
+            .await
+            .unwrap();
+        sqlx::query("INSERT INTO contributions VALUES (1, 1)").execute(&pool).await.unwrap();
+        sqlx::query("INSERT INTO sums VALUES (1, 0, x'00')").execute(&pool).await.unwrap();
+        pool.close().await;
+    }
+    let store = open(dir.path()).await;
+    let left: (i64,) = sqlx::query_as("SELECT (SELECT count(*) FROM sums) + (SELECT count(*) FROM points)")
+        .fetch_one(&store.read)
+        .await
+        .unwrap();
+    assert_eq!(left, (0,));
+    assert!(store.faults().await.unwrap().is_empty());
+}

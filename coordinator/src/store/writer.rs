@@ -4,7 +4,11 @@
 //! writer takes all results that are there, up to a bound, writes them in one transaction, and only then tells those
 //! who sent them.
 
+use std::future::poll_fn;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::pin;
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
 use farm_proto::ids::DictionaryId;
@@ -139,7 +143,7 @@ pub(super) async fn run(
 
 /// All in one transaction; if one of them makes that fail, each in its own, so that it stops no other.
 async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<Result<Stored>> {
-    match write(pool, completions).await {
+    match guarded(pool, completions).await {
         Ok(stored) => return stored.into_iter().map(Ok).collect(),
         Err(error) if completions.len() == 1 => return vec![Err(error)],
         Err(error) if concerns_all(&error) => {
@@ -150,10 +154,20 @@ async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<R
     }
     let mut results = Vec::with_capacity(completions.len());
     for completion in completions {
-        let stored = write(pool, std::slice::from_ref(completion)).await;
+        let stored = guarded(pool, std::slice::from_ref(completion)).await;
         results.push(stored.map(|stored| stored[0]));
     }
     results
+}
+
+/// If writing panics the transaction is rolled back, and the writer goes on.
+async fn guarded(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Result<Vec<Stored>> {
+    let mut written = pin!(write(pool, completions));
+    poll_fn(|context| {
+        let poll = catch_unwind(AssertUnwindSafe(|| written.as_mut().poll(context)));
+        poll.unwrap_or(Poll::Ready(Err(StoreError::Defect)))
+    })
+    .await
 }
 
 /// Whether the database takes nothing at all at present: locked, read-only, disk full, reading or writing fails.

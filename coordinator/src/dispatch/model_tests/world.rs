@@ -218,6 +218,9 @@ impl World {
             return;
         }
         let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
+        if self.farm.by_id(key.dictionary).unwrap().is_open(key.job) {
+            self.strike(key.dictionary, key.job, by, false);
+        }
         self.farm.distrust(&arrived, &[other]);
         self.recompute(other.0, other.1);
     }

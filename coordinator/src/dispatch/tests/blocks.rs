@@ -4,14 +4,15 @@ use std::sync::Arc;
 
 use farm_proto::grid::Axes;
 use farm_proto::ids::DictionaryId;
+use farm_proto::job::Lease;
 use farm_proto::status::DictionaryState;
 use farm_proto::{Digest, Grid, Scene, Walks};
 
 use super::{Bench, arrive, job_of, seconds, stored};
 use crate::dispatch::{Admission, Dictionary};
 
-#[test]
-fn a_divided_job_is_given_out_block_by_block() {
+/// Of one job in three blocks.
+fn divided() -> Bench {
     let mut divided = stored();
     let axes = Axes {
         sigma_t_per_mm: vec![1.0],
@@ -26,6 +27,12 @@ fn a_divided_job_is_given_out_block_by_block() {
     let mut bench = Bench::new(&[]);
     bench.farm.remove_dictionary(DictionaryId(1));
     bench.farm.add_dictionary(Dictionary::new(divided, &[]));
+    bench
+}
+
+#[test]
+fn a_divided_job_is_given_out_block_by_block() {
+    let mut bench = divided();
     let leases = bench.acquire(0, "a", 2);
     assert_eq!(leases.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1)]);
     let last = bench.acquire(0, "b", 5);
@@ -64,23 +71,26 @@ fn of_two_copies_that_ask_for_more_walks_the_second_changes_nothing() {
 
 #[test]
 fn blocks_that_the_store_has_forgotten_are_computed_again() {
-    let mut divided = stored();
-    let axes = Axes {
-        sigma_t_per_mm: vec![1.0],
-        albedo: vec![0.5],
-        g: vec![0.0],
-        thickness_mm: vec![1.0],
-        sample_ior: vec![1.5],
-    };
-    let walks = Walks::new(2_500_000).unwrap();
-    divided.grid = Arc::new(Grid::new(Scene::paper(), axes, walks, 1, false).unwrap());
-    divided.grid_digest = Digest::of_grid(&divided.grid);
-    let mut bench = Bench::new(&[]);
-    bench.farm.remove_dictionary(DictionaryId(1));
-    bench.farm.add_dictionary(Dictionary::new(divided, &[]));
+    let mut bench = divided();
     let leases = bench.acquire(0, "a", 2);
     arrive("a", &leases[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
-    bench.farm.parts_stored(DictionaryId(1), 0, walks, &[2].into());
+    bench.farm.parts_stored(DictionaryId(1), 0, leases[0].job.walks(), &[2].into());
     let left: Vec<_> = bench.acquire(2, "b", 9).iter().map(|l| l.key.part).collect();
     assert_eq!(left, [0], "block 1 is held, block 2 is there");
+}
+
+#[test]
+fn a_job_whose_blocks_another_dictionary_has_merged_computes_them_again() {
+    let mut bench = divided();
+    let blocks = |left: &[Lease]| left.iter().map(|l| l.key.part).collect::<Vec<_>>();
+    // Blocks 0 and 1 were there, from the other one; then it ended, and they are gone with it.
+    let walks = bench.farm.by_id(DictionaryId(1)).unwrap().spec(0, 0).walks();
+    bench.farm.parts_stored(DictionaryId(1), 0, walks, &[0, 1].into());
+    let last = bench.acquire(0, "a", 9);
+    assert_eq!(blocks(&last), [2]);
+    assert!(!bench.farm.waits_for_nothing(&last[0].key));
+    arrive("a", &last[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
+    assert!(bench.farm.waits_for_nothing(&last[0].key));
+    bench.farm.parts_stored(DictionaryId(1), 0, walks, &[2].into());
+    assert_eq!(blocks(&bench.acquire(2, "b", 9)), [0, 1]);
 }

@@ -96,3 +96,28 @@ fn jobs_whose_records_differ_for_the_same_walks_are_checked_in_any_case() {
     bench.finish(5, "a", &other);
     assert_eq!(job_of(&bench.acquire(6, "b", 1)), [0], "so does the other one");
 }
+
+#[test]
+fn a_result_is_not_compared_with_records_that_are_not_there_any_more() {
+    let mut bench = Bench::with_checks(&[], 0.0);
+    let (wrong, right) = (Digest::from_bytes([9; 32]), DIGEST);
+    let lease = bench.acquire(0, "a", 1);
+    bench.finish_with(1, "a", &lease[0], right);
+    // Another result was admitted while the job had other records.
+    for _ in 0..3 {
+        assert!(!bench.farm.compared(origin("b"), &lease[0].key, wrong, right));
+    }
+    assert_eq!(bench.farm.checks(), (0, 0, 0), "nobody is accused");
+    assert!(bench.farm.take_effects().is_empty());
+}
+
+#[test]
+fn of_two_results_that_come_together_and_differ_the_second_asks_for_a_check() {
+    let mut bench = Bench::with_checks(&[], 0.0);
+    let wrong = Digest::from_bytes([9; 32]);
+    let lease = bench.acquire(0, "a", 1);
+    assert!(!bench.farm.compared(origin("b"), &lease[0].key, wrong, DIGEST), "before the first is noted");
+    bench.finish_with(1, "a", &lease[0], wrong);
+    assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not by itself");
+    assert_eq!(job_of(&bench.acquire(2, "b", 1)), job_of(&lease));
+}

@@ -176,3 +176,18 @@ async fn a_damaged_block_is_noticed_before_it_is_merged() {
         assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "all can be computed again");
     }
 }
+
+/// A bit that has flipped in an exponent: finite as a 64-bit float, but not as the 32-bit float of a record.
+#[tokio::test]
+async fn sums_that_no_record_could_tell_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    let (_, job) = divided(&store, "d", vec![0.5]).await;
+    let mut bytes = block_sums(&job, 0).to_le_bytes();
+    assert!(Sums::from_le_bytes(&job, 1, &bytes).is_ok());
+    for wrong in [5e307, -5e307, f64::NAN, f64::INFINITY] {
+        bytes[16..24].copy_from_slice(&wrong.to_le_bytes());
+        let error = Sums::from_le_bytes(&job, 1, &bytes).unwrap_err().to_string();
+        assert!(error.contains("sums[2]") && error.contains("at most 1e30"), "{error}");
+    }
+}
