@@ -20,6 +20,20 @@ fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     found
 }
 
+#[test]
+fn domain_types_know_no_runtime() {
+    let sources = sources(&root().join("proto/src"));
+    let domain =
+        sources.iter().filter(|(path, _)| !path.components().any(|part| part.as_os_str() == "access"));
+    for (path, text) in domain {
+        assert!(
+            !text.contains("tokio"),
+            "only the way to a coordinator needs a runtime, not {}",
+            path.display()
+        );
+    }
+}
+
 fn assert_absent(folder: &str, words: &[&str]) {
     for (path, text) in sources(&root().join(folder)) {
         for word in words {
@@ -37,7 +51,7 @@ fn dependencies(krate: &str) -> Vec<String> {
 #[test]
 fn crates_depend_in_one_direction() {
     let forbidden = [
-        ("proto", &["farm-coordinator", "farm-worker", "farmctl", "sqlx", "tokio"][..]),
+        ("proto", &["farm-coordinator", "farm-worker", "farmctl", "sqlx"][..]),
         ("coordinator", &["farm-worker", "farmctl"]),
         ("worker", &["farm-coordinator", "farmctl", "sqlx"]),
     ];
