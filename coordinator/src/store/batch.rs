@@ -68,7 +68,7 @@ struct End<'a> {
 /// Stores results in a transaction; what becomes of each, in their order.
 pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Stored>> {
     let mut known = Known::look(tx, completions).await?;
-    let wanted: Vec<&Completion> = completions.iter().filter(|c| known.verdict(c).is_none()).collect();
+    let wanted: Vec<&Completion> = completions.iter().filter(|c| known.is_wanted(c)).collect();
     known.points = Points::look(tx, &wanted).await?;
     let (mut outcomes, mut ends) = (Vec::with_capacity(completions.len()), Vec::new());
     for completion in completions {
@@ -101,10 +101,20 @@ impl Known {
         })
     }
 
+    /// Whether a result is to be kept, as far as is known before it is looked at.
+    fn is_wanted(&self, completion: &Completion) -> bool {
+        let job = (completion.dictionary, completion.job_number);
+        !self.is_refused(completion) && self.ended.get(&job).is_none_or(|ended| ended.records.is_none())
+    }
+
+    /// Whether its worker was fenced off or its dictionary deleted since it was admitted.
+    fn is_refused(&self, completion: &Completion) -> bool {
+        self.fenced.contains(&completion.worker) || !self.dictionaries.contains(&completion.dictionary)
+    }
+
     /// What becomes of a result of which nothing is kept; None if it is wanted.
     fn verdict(&self, completion: &Completion) -> Option<Stored> {
-        // Either may have happened since the result was admitted.
-        if self.fenced.contains(&completion.worker) || !self.dictionaries.contains(&completion.dictionary) {
+        if self.is_refused(completion) {
             return Some(Stored::Unwanted);
         }
         let Ended { records: Some(records), walks } =
