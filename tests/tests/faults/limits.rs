@@ -6,11 +6,10 @@ use std::time::Duration;
 use bytes::Bytes;
 use farm_proto::wire::GetRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
-use farm_tests::farm_processes::{FarmProcesses, LONG, SOON, undisturbed, wait_for};
+use farm_tests::farm_processes::{FarmProcesses, SOON, undisturbed, wait_for};
 use http_body_util::StreamBody;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio::net::TcpStream;
-use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
@@ -18,6 +17,8 @@ use tonic::{Code, Status};
 use super::{GRID, JOBS};
 
 const MIB: u64 = 1024;
+/// Connections that the coordinator takes at a time.
+const PLACES: usize = 256;
 const REFUSED: &str = "farm_connections_refused_total";
 
 async fn link(farm: &FarmProcesses) -> Channel {
@@ -72,19 +73,22 @@ fn files_allowed() -> usize {
     getrlimit(Resource::Nofile).current.map_or(usize::MAX, |n| n as usize)
 }
 
-/// Opens connections, several at a time: some wait a second or more for room in the system's queue.
+/// Opens connections, and lets those that find no place be closed before it goes on. Faster than they are taken, they would
+/// overflow the system's queue, which answers with cookies: a connection then is there for one end only, until it speaks.
 async fn connect(port: u16, count: usize) -> Vec<TcpStream> {
-    let (mut running, mut done) = (JoinSet::<std::io::Result<TcpStream>>::new(), Vec::with_capacity(count));
-    for _ in 0..count {
-        if running.len() == 256 {
-            done.push(running.join_next().await.unwrap().unwrap().unwrap());
+    // Well below the listener's queue of 1,024, with those that have a place.
+    const AT_ONCE: usize = 2 * PLACES;
+    let mut opened = Vec::with_capacity(count);
+    while opened.len() < count {
+        let from = opened.len();
+        for _ in 0..AT_ONCE.min(count - from) {
+            opened.push(TcpStream::connect(("127.0.0.1", port)).await.unwrap());
         }
-        running.spawn(TcpStream::connect(("127.0.0.1", port)));
+        let new = &opened[from..];
+        let too_many = new.len().saturating_sub(PLACES);
+        wait_for("those too many are closed", SOON, || (closed(new) >= too_many).then_some(()));
     }
-    while let Some(opened) = running.join_next().await {
-        done.push(opened.unwrap().unwrap());
-    }
-    done
+    opened
 }
 
 /// Whether a new client is served. A call on a connection that is closed at once may have no end.
@@ -97,17 +101,17 @@ async fn gets_in(farm: &FarmProcesses) -> bool {
     tokio::time::timeout(Duration::from_secs(2), served).await.unwrap_or(false)
 }
 
-/// Whether the other end has closed a connection.
-fn is_closed(stream: &TcpStream) -> bool {
-    match stream.try_read(&mut [0; 64]) {
+/// How many connections the other end has closed.
+fn closed(streams: &[TcpStream]) -> usize {
+    let is_closed = |stream: &&TcpStream| match stream.try_read(&mut [0; 64]) {
         Ok(bytes) => bytes == 0,
         Err(error) => error.kind() != std::io::ErrorKind::WouldBlock,
-    }
+    };
+    streams.iter().filter(is_closed).count()
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ten_thousand_idle_connections_keep_nobody_from_work_who_was_there_before() {
-    const PLACES: usize = 256;
     let count = 10_000.min(files_allowed().saturating_sub(1000));
     if count < 10_000 {
         eprintln!("only {count} connections: this process may not open more files");
@@ -125,10 +129,8 @@ async fn ten_thousand_idle_connections_keep_nobody_from_work_who_was_there_befor
     // Those that say nothing lose their place after 10 s to others.
     let rounds = 2 + start.elapsed().as_secs() as usize / 10;
     let least = (count - rounds * PLACES) as u64;
-    // One that finds the system's queue full takes a while to come through.
-    wait_for("the rest is sent away", LONG, || (farm.figure(REFUSED) >= least).then_some(()));
-    let closed = idle.iter().filter(|stream| is_closed(stream)).count();
-    assert!(closed as u64 >= least, "{closed} of {count} were closed");
+    wait_for("the rest is sent away", SOON, || (farm.figure(REFUSED) >= least).then_some(()));
+    wait_for("they are closed", SOON, || (closed(&idle) as u64 >= least).then_some(()));
     // Who was there before goes on: a client and a worker.
     get().await.unwrap();
     let stored = r#"farm_jobs_completed_total{outcome="stored"}"#;
