@@ -71,7 +71,7 @@ pub(crate) fn check(field: &str, value: f64, ok: impl Fn(f64) -> bool, allowed: 
 pub(crate) fn each<T, U>(
     field: &str,
     items: impl IntoIterator<Item = T>,
-    f: impl Fn(T) -> Result<U>,
+    mut f: impl FnMut(T) -> Result<U>,
 ) -> Result<Vec<U>> {
     items
         .into_iter()

@@ -14,6 +14,7 @@ pub mod job;
 pub mod logs;
 pub mod measurement;
 pub mod optics;
+pub mod packed;
 pub mod profile;
 pub mod scene;
 pub mod status;
@@ -30,6 +31,7 @@ pub use ids::{DictionaryName, RequestLimits};
 pub use invalid::{Invalid, Result};
 pub use measurement::{MeasuredProfile, Measurement};
 pub use optics::{Medium, TransportPoint};
+pub use packed::PackedRecords;
 pub use profile::{Derivatives, Estimate, Profile, Record};
 pub use scene::Scene;
 

@@ -60,17 +60,6 @@ impl Profile {
         let derivatives = self.derivatives.as_ref().map(|d| [&d.albedo, &d.sigma_t]);
         std::iter::once(&self.radiance_factor).chain(derivatives.into_iter().flatten())
     }
-
-    /// Appends all numbers as 32-bit floats, little endian: for each estimate values, then standard errors.
-    pub fn extend_le_bytes(&self, bytes: &mut Vec<u8>) {
-        for numbers in self.estimates().flat_map(|e| [e.values(), e.std_errors()]) {
-            let start = bytes.len();
-            bytes.resize(start + size_of_val(numbers), 0);
-            for (place, number) in bytes[start..].chunks_exact_mut(size_of::<f32>()).zip(numbers) {
-                place.copy_from_slice(&number.to_le_bytes());
-            }
-        }
-    }
 }
 
 /// The profiles of one parameter combination, one per channel of the scene.

@@ -3,6 +3,7 @@
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
+use bytes::Bytes;
 use farm_proto::job::{JobSpec, Lease};
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_client::LeasesClient;
@@ -10,7 +11,7 @@ use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionKind, CompletionOutcome, HeldLease, RegisterRequest,
     RenewRequest, ResultHeader,
 };
-use farm_proto::{Grid, PHYSICS_VERSION, Record, wire};
+use farm_proto::{Grid, PHYSICS_VERSION, Record};
 use farm_worker::tracer::trace;
 use tonic::Status;
 use tonic::transport::Channel;
@@ -20,15 +21,26 @@ pub fn traced(grid: &Grid, job: usize) -> Vec<Record> {
     trace(&JobSpec::of(grid, job), &AtomicBool::new(false)).unwrap()
 }
 
-pub fn on_wire(records: &[Record]) -> Vec<wire::Record> {
-    records.iter().cloned().map(Into::into).collect()
+/// The records as they are delivered.
+pub fn on_wire(records: &[Record]) -> Bytes {
+    let mut bytes = Vec::new();
+    for record in records {
+        record.extend_le_bytes(&mut bytes);
+    }
+    bytes.into()
 }
 
-/// The same records but for one number.
-pub fn falsified(records: &[Record]) -> Vec<wire::Record> {
-    let mut records = on_wire(records);
-    records[0].profiles[0].radiance_factor.as_mut().unwrap().values[0] += 1.0;
-    records
+/// The same but for one number.
+pub fn with_number(records: &Bytes, place: usize, number: f32) -> Bytes {
+    let mut records = records.to_vec();
+    records[4 * place..][..4].copy_from_slice(&number.to_le_bytes());
+    records.into()
+}
+
+/// The same but for the first radiance factor.
+pub fn falsified(records: &[Record]) -> Bytes {
+    let first = records[0].profiles[0].radiance_factor.values()[0];
+    with_number(&on_wire(records), 0, first + 1.0)
 }
 
 #[derive(Debug, Clone)]
@@ -67,22 +79,17 @@ impl HandWorker {
     }
 
     /// The messages that deliver a result.
-    pub fn parts(&self, lease: &Lease, records: Vec<wire::Record>) -> Vec<CompleteRequest> {
+    pub fn parts(&self, lease: &Lease, records: Bytes) -> Vec<CompleteRequest> {
         let header = ResultHeader {
             worker_id: self.id.clone(),
             key: Some(lease.key.into()),
             identity: lease.job.identity().as_bytes().to_vec(),
         };
-        let contents =
-            std::iter::once(Content::Header(header)).chain(records.into_iter().map(Content::Record));
-        contents.map(|content| CompleteRequest { content: Some(content) }).collect()
+        let contents = [Content::Header(header), Content::Records(records)];
+        contents.map(|content| CompleteRequest { content: Some(content) }).into()
     }
 
-    pub async fn complete(
-        &mut self,
-        lease: &Lease,
-        records: Vec<wire::Record>,
-    ) -> Result<CompletionKind, Status> {
+    pub async fn complete(&mut self, lease: &Lease, records: Bytes) -> Result<CompletionKind, Status> {
         let outcomes = self.deliver(self.parts(lease, records)).await?;
         Ok(outcomes[0].kind())
     }

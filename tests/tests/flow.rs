@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result};
+use bytes::Bytes;
 use farm_proto::fit::ChannelFit;
 use farm_proto::job::{JobSpec, Lease};
 use farm_proto::wire::leases_client::LeasesClient;
@@ -11,7 +12,7 @@ use farm_proto::wire::{
 };
 use farm_proto::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Record, Walks, wire};
 use farm_tests::farm::{TestCoordinator, TestFarm, TestWorker, done, small_grid};
-use farm_tests::hand::{falsified, on_wire, traced};
+use farm_tests::hand::{falsified, on_wire, traced, with_number};
 use tonic::Code;
 use tonic_types::StatusExt;
 
@@ -127,20 +128,12 @@ async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Re
     let lease = worker.acquire(1).await?.remove(0);
     let good = on_wire(&traced(&grid, lease.key.job as usize));
 
-    let mut not_a_number = good.clone();
-    not_a_number[1].profiles[0].radiance_factor.as_mut().unwrap().values[3] = f32::NAN;
-    let mut too_short = good.clone();
-    too_short[0].profiles[1].radiance_factor.as_mut().unwrap().values.pop();
-    too_short[0].profiles[1].radiance_factor.as_mut().unwrap().std_errors.pop();
-    let mut swapped = good.clone();
-    swapped.swap(0, 1);
-    let too_many = [good.clone(), good.clone()].concat();
+    let of_record = good.len() / grid.albedo().len() / 4;
     let bad = [
-        (not_a_number, "profiles[0].radiance_factor.values[3]"),
-        (too_short, "record"),
-        (swapped, "record.index"),
-        (too_many, "record.index"),
-        (good[..2].to_vec(), "records"),
+        (with_number(&good, of_record + 3, f32::NAN), "profiles[0].radiance_factor.values[3]"),
+        (good.slice(4..), "records"),
+        ([good.clone(), good.clone()].concat().into(), "records"),
+        (Bytes::new(), "records"),
     ];
     for (records, field) in bad {
         let refused = worker.complete(&lease, records).await.unwrap_err();

@@ -4,12 +4,12 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
+use bytes::Bytes;
 use farm_proto::job::{JobSpec, LeaseKey};
-use farm_proto::profile::RecordShape;
 use farm_proto::sums::Sums;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::{CompleteRequest, CompletionKind, CompletionOutcome, ResultHeader};
-use farm_proto::{Digest, RequestLimits};
+use farm_proto::{Digest, PackedRecords, RequestLimits};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tonic::{Code, Status};
 
@@ -21,7 +21,7 @@ use crate::session::{Session, jittered};
 const BATCH_BYTES: usize = 16 << 20;
 /// Pause after a call of which nothing was stored, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
-/// Bytes of one piece of a job's sums.
+/// Bytes of one piece of a result.
 const PIECE: usize = 1 << 20;
 
 /// A result that waits, with its room in the buffer.
@@ -58,7 +58,7 @@ impl Buffer {
 pub(crate) fn bytes_of(job: &JobSpec) -> usize {
     match job.block() {
         Some(_) => Sums::bytes(job),
-        None => job.albedo().len() * RecordShape::of_job(job).bytes(),
+        None => PackedRecords::bytes_of(job),
     }
 }
 
@@ -179,19 +179,15 @@ fn parts(worker: &str, batch: &[Finished]) -> Vec<CompleteRequest> {
             identity: identity.as_bytes().to_vec(),
         }));
         match traced {
-            Traced::Records(records) => {
-                for record in records {
-                    push(Content::Record(record.clone().into()));
-                }
-            }
-            Traced::Sums(sums) => {
-                for piece in sums.to_le_bytes().chunks(PIECE) {
-                    push(Content::Sums(piece.to_vec()));
-                }
-            }
+            Traced::Records(records) => pieces(records.bytes()).for_each(|p| push(Content::Records(p))),
+            Traced::Sums(sums) => pieces(&sums.to_le_bytes().into()).for_each(|p| push(Content::Sums(p))),
         }
     }
     parts
+}
+
+fn pieces(bytes: &Bytes) -> impl Iterator<Item = Bytes> {
+    (0..bytes.len()).step_by(PIECE).map(|start| bytes.slice(start..bytes.len().min(start + PIECE)))
 }
 
 /// How long a delivery may take.

@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use farm_proto::Record;
+use farm_proto::PackedRecords;
 use farm_proto::job::JobSpec;
 use farm_proto::sums::Sums;
 use tokio::sync::oneshot;
@@ -16,7 +16,7 @@ use crate::tracer::{Stopped, trace, trace_block};
 /// What a job came to.
 #[derive(Debug, Clone)]
 pub(crate) enum Traced {
-    Records(Vec<Record>),
+    Records(PackedRecords),
     /// Of one block of a divided job.
     Sums(Sums),
 }
@@ -58,7 +58,7 @@ fn trace_now(job: &JobSpec, switches: &Switches) -> Outcome {
     }
     let traced = catch_unwind(AssertUnwindSafe(|| match job.block() {
         Some(block) => trace_block(job, block, &switches.stop).map(Traced::Sums),
-        None => trace(job, &switches.stop).map(Traced::Records),
+        None => trace(job, &switches.stop).map(|records| Traced::Records(PackedRecords::pack(job, &records))),
     }));
     match traced {
         Ok(Ok(traced)) => Outcome::Traced(traced),

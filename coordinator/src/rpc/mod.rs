@@ -42,6 +42,9 @@ const GRACE: Duration = Duration::from_secs(3);
 /// Calls under way on one connection.
 const STREAMS: u32 = 256;
 
+/// Largest piece of a message that comes at once: results of some 100 kB are read in few pieces.
+const FRAME_BYTES: u32 = 64 << 10;
+
 /// What every service needs.
 #[derive(Debug, Clone)]
 struct Context {
@@ -79,6 +82,7 @@ pub(crate) async fn serve(
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))
         .max_concurrent_streams(STREAMS)
+        .max_frame_size(FRAME_BYTES)
         .layer(GateLayer::new(config.access.clone(), move |method, code, took| {
             metrics.rpc(method, code, took);
         }));

@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
+use bytes::{Bytes, BytesMut};
 use farm_proto::ids::WorkerId;
 use farm_proto::job::{JobSpec, LeaseKey};
-use farm_proto::profile::RecordShape;
 use farm_proto::sums::Sums;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::{CompleteRequest, CompletionKind, CompletionOutcome, ResultHeader};
-use farm_proto::{Digest, Invalid, Record, RequestLimits};
+use farm_proto::{Digest, Invalid, PackedRecords, RequestLimits};
 use tonic::{Code, Status, Streaming};
 
 use super::Context;
@@ -124,81 +124,71 @@ async fn next(stream: &mut Streaming<CompleteRequest>) -> Result<Option<Content>
 fn bytes_of(job: &JobSpec) -> usize {
     match job.block() {
         Some(_) => Sums::bytes(job),
-        None => job.albedo().len() * RecordShape::of_job(job).bytes(),
+        None => PackedRecords::bytes_of(job),
     }
 }
 
-/// The content of one result, and what comes after it.
+/// The content of one result, checked, and what comes after it.
 async fn content_of(
     stream: &mut Streaming<CompleteRequest>,
     job: &JobSpec,
 ) -> Result<(store::Content, Option<Content>), Status> {
-    if job.block().is_some() { sums(stream, job).await } else { records(stream, job).await }
-}
-
-/// All records of a job, in order, none too many and none of another shape.
-async fn records(
-    stream: &mut Streaming<CompleteRequest>,
-    job: &JobSpec,
-) -> Result<(store::Content, Option<Content>), Status> {
-    let (shape, first, count) = (RecordShape::of_job(job), job.first_record(), job.albedo().len());
-    let mut records = Vec::with_capacity(count);
-    let after = loop {
-        let record = match next(stream).await? {
-            Some(Content::Record(record)) => Record::try_from(record)?,
-            Some(Content::Sums(_)) => {
-                let allowed = "the job is not divided: records are wanted";
-                return Err(Invalid::new("content", "sums", allowed).to_status());
-            }
-            after => break after,
-        };
-        let expected = first + records.len();
-        if records.len() == count || record.index != expected {
-            let allowed = format!("records {first} to {} are wanted, in order", first + count - 1);
-            return Err(Invalid::new("record.index", record.index, allowed).to_status());
-        }
-        shape.check(&record)?;
-        records.push(record);
-    };
-    if records.len() < count {
-        let allowed = format!("{count} are needed");
-        return Err(Invalid::new("records", records.len(), allowed).to_status());
+    let (bytes, after) = gather(stream, job).await?;
+    if job.block().is_none() {
+        return Ok((store::Content::Records(PackedRecords::new(job, bytes)?), after));
     }
-    Ok((store::Content::Records(records), after))
-}
-
-/// The sums of a block, in pieces.
-async fn sums(
-    stream: &mut Streaming<CompleteRequest>,
-    job: &JobSpec,
-) -> Result<(store::Content, Option<Content>), Status> {
-    let wanted = Sums::bytes(job);
-    let mut bytes = Vec::with_capacity(wanted);
-    let after = loop {
-        let piece = match next(stream).await? {
-            Some(Content::Sums(piece)) => piece,
-            Some(Content::Record(_)) => {
-                let allowed = "the job is divided: sums are wanted";
-                return Err(Invalid::new("content", "a record", allowed).to_status());
-            }
-            after => break after,
-        };
-        if bytes.len() + piece.len() > wanted {
-            let given = format!("more than {wanted} bytes");
-            return Err(Invalid::new("sums", given, format!("{wanted} are needed")).to_status());
-        }
-        bytes.extend_from_slice(&piece);
-    };
     // Refused here rather than when they are merged.
     Sums::from_le_bytes(job, 1, &bytes)?;
     Ok((store::Content::Sums(bytes), after))
+}
+
+/// The pieces of one result as a whole, not longer than it may be, and what comes after it.
+async fn gather(
+    stream: &mut Streaming<CompleteRequest>,
+    job: &JobSpec,
+) -> Result<(Bytes, Option<Content>), Status> {
+    let (wanted, what) = (bytes_of(job), if job.block().is_some() { "sums" } else { "records" });
+    let mut whole = Bytes::new();
+    loop {
+        let piece = match (next(stream).await?, job.block()) {
+            (Some(Content::Records(piece)), None) | (Some(Content::Sums(piece)), Some(_)) => piece,
+            (after @ (None | Some(Content::Header(_))), _) => return Ok((whole, after)),
+            (Some(Content::Records(_)), _) => {
+                let allowed = "the job is divided: sums are wanted";
+                return Err(Invalid::new("content", "records", allowed).to_status());
+            }
+            (Some(Content::Sums(_)), _) => {
+                let allowed = "the job is not divided: records are wanted";
+                return Err(Invalid::new("content", "sums", allowed).to_status());
+            }
+        };
+        if whole.len() + piece.len() > wanted {
+            let given = format!("more than {wanted} bytes");
+            return Err(Invalid::new(what, given, format!("{wanted} are needed")).to_status());
+        }
+        whole = joined(whole, piece, wanted);
+    }
+}
+
+/// Both, one after the other; one piece alone is not copied. `room` is what they may grow to.
+fn joined(before: Bytes, piece: Bytes, room: usize) -> Bytes {
+    if before.is_empty() {
+        return piece;
+    }
+    let mut whole = before.try_into_mut().unwrap_or_else(|shared| {
+        let mut whole = BytesMut::with_capacity(room);
+        whole.extend_from_slice(&shared);
+        whole
+    });
+    whole.extend_from_slice(&piece);
+    whole.freeze()
 }
 
 /// Passes over the content of a result that is not wanted.
 async fn skip(stream: &mut Streaming<CompleteRequest>) -> Result<Option<Content>, Status> {
     loop {
         match next(stream).await? {
-            Some(Content::Record(_) | Content::Sums(_)) => {}
+            Some(Content::Records(_) | Content::Sums(_)) => {}
             after => return Ok(after),
         }
     }

@@ -6,12 +6,12 @@
 
 use std::collections::{HashMap, HashSet};
 
+use bytes::Bytes;
 use farm_proto::ids::DictionaryId;
-use farm_proto::sums::Sums;
-use farm_proto::{Digest, Quality, Record, Walks};
+use farm_proto::{Digest, PackedRecords, Quality, Walks};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::{Completion, Content, Result, Stored, codec, doing, jobs, points, sums};
+use super::{Completion, Content, Result, Stored, doing, jobs, points, sums};
 
 /// Most values of one query that are looked up or written.
 const ROWS: usize = 256;
@@ -51,7 +51,7 @@ struct Point {
     /// Its row, if it has one.
     id: Option<i64>,
     /// Albedos with their profiles as bytes; those that the store has come first.
-    records: Vec<(f64, Vec<u8>)>,
+    records: Vec<(f64, Bytes)>,
     /// How many of these the store has.
     stored: usize,
 }
@@ -137,9 +137,9 @@ impl Known {
         ends: &mut Vec<End<'a>>,
     ) -> Result<Stored> {
         let Completion { job, worker, content, quality, .. } = completion;
-        let (merged, mut gathered) = (&mut Vec::new(), None);
-        let records = match content {
-            Content::Records(records) => records,
+        let merged;
+        let (records, gathered) = match content {
+            Content::Records(records) => (records, None),
             Content::Sums(bytes) => {
                 let point = points::point(tx, Digest::of_sums(job)).await?;
                 points::contribute(tx, point, *worker).await?;
@@ -147,12 +147,13 @@ impl Known {
                 let Some(total) = sums::add(tx, point, job, block, bytes).await? else {
                     return Ok(Stored::Part);
                 };
-                gathered = Some(point);
-                *merged = Sums::into_records(total, job);
-                merged
+                merged = PackedRecords::pack(job, &total.into_records(job));
+                (&merged, Some(point))
             }
         };
-        if let Some(more) = quality.and_then(|q| q.more_walks(job.walks(), Quality::noise_of(records))) {
+        if let Some(more) =
+            quality.and_then(|q| q.more_walks(job.walks(), Quality::noise_of(&records.unpack())))
+        {
             if let Some(gathered) = gathered {
                 points::forget_gathered(tx, gathered).await?;
             }
@@ -161,7 +162,7 @@ impl Known {
         let Some(point) = self.points.put(job.identity(), job.albedo(), records) else {
             return Ok(Stored::Differs);
         };
-        let digest = Digest::of_records(records);
+        let digest = records.digest();
         let ended = Ended { records: Some(digest), walks: Some(job.walks()) };
         self.ended.insert((completion.dictionary, completion.job_number), ended);
         ends.push(End { completion, point, digest, gathered });
@@ -239,7 +240,7 @@ impl Points {
                 .await
                 .map_err(doing("looking for records of a point"))?;
             for (id, albedo, profiles) in rows {
-                points.points[of_row[&id]].records.push((albedo, profiles));
+                points.points[of_row[&id]].records.push((albedo, profiles.into()));
             }
         }
         for point in &mut points.points {
@@ -256,12 +257,11 @@ impl Points {
     }
 
     /// Adds those records to a point that it does not have; None, and nothing is added, if it has others instead.
-    fn put(&mut self, identity: Digest, albedo: &[f64], records: &[Record]) -> Option<usize> {
+    fn put(&mut self, identity: Digest, albedo: &[f64], records: &PackedRecords) -> Option<usize> {
         let place = self.place(identity);
         let point = &mut self.points[place];
         let before = point.records.len();
-        for (record, albedo) in records.iter().zip(albedo) {
-            let bytes = codec::encode(record);
+        for (bytes, albedo) in records.each().zip(albedo) {
             match point.records[..before].iter().find(|(a, _)| a == albedo) {
                 None => point.records.push((*albedo, bytes)),
                 Some((_, there)) if *there == bytes => {}

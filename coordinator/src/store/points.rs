@@ -9,7 +9,7 @@ use farm_proto::profile::RecordShape;
 use farm_proto::{Digest, Grid, Profile, Record};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::{Result, Store, StoreError, codec, doing, jobs};
+use super::{Result, Store, StoreError, doing, jobs};
 
 /// Identities that one query looks up.
 const LOOKUP: usize = 500;
@@ -165,7 +165,7 @@ impl Store {
             let Some(place) = grid.albedo().iter().position(|a| *a == row.albedo) else { continue };
             let index = grid.first_record(row.job as usize) + place;
             let last = found.last_mut().expect("one was just pushed");
-            last.records.push(Record { index, profiles: profiles(&row, shape)? });
+            last.records.push(record(index, &row, shape)?);
         }
         Ok(found)
     }
@@ -311,11 +311,11 @@ fn records_for(grid: &Grid, job: usize, there: &[(f64, Vec<Profile>)]) -> Option
     grid.albedo().iter().zip(grid.first_record(job)..).map(record).collect()
 }
 
-fn profiles(row: &RecordRow, shape: RecordShape) -> Result<Vec<Profile>> {
-    codec::decode(&row.profiles, shape).map_err(|why| StoreError::Corrupt {
+fn record(index: usize, row: &RecordRow, shape: RecordShape) -> Result<Record> {
+    Record::from_le_bytes(index, &row.profiles, shape).map_err(|error| StoreError::Corrupt {
         table: "records",
         row: row.id,
         column: "profiles",
-        why,
+        why: error.to_string(),
     })
 }

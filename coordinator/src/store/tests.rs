@@ -4,7 +4,7 @@ mod damage;
 use farm_proto::grid::Axes;
 use farm_proto::job::JobSpec;
 use farm_proto::scene::{Scene, Sensor};
-use farm_proto::{DictionaryName, Digest, Estimate, Grid, Profile, Quality, Record, Walks};
+use farm_proto::{DictionaryName, Digest, Estimate, Grid, PackedRecords, Profile, Quality, Record, Walks};
 use prost::Message;
 
 use super::{
@@ -43,7 +43,7 @@ async fn dictionary(store: &Store) -> StoredDictionary {
 /// A result of a job by worker 1 of the table.
 fn completion(dictionary: &StoredDictionary, job: u32, value: f32) -> Completion {
     let spec = JobSpec::of(&dictionary.grid, job as usize);
-    let content = Content::Records(records(spec.first_record(), value));
+    let content = Content::Records(PackedRecords::pack(&spec, &records(spec.first_record(), value)));
     Completion { dictionary: dictionary.id, job_number: job, job: spec, worker: 1, content, quality: None }
 }
 
@@ -298,10 +298,11 @@ async fn a_database_of_the_first_schema_keeps_its_records() {
             .execute(&pool)
             .await
             .unwrap();
-        for record in records(2, 0.25) {
+        let second = JobSpec::of(&grid(), 1);
+        for (record, packed) in (2_i64..).zip(PackedRecords::pack(&second, &records(2, 0.25)).each()) {
             sqlx::query("INSERT INTO records (dictionary_id, record, profiles) VALUES (1, ?, ?)")
-                .bind(record.index as i64)
-                .bind(super::codec::encode(&record))
+                .bind(record)
+                .bind(packed.to_vec())
                 .execute(&pool)
                 .await
                 .unwrap();

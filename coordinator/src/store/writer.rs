@@ -11,9 +11,10 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
+use bytes::Bytes;
 use farm_proto::ids::DictionaryId;
 use farm_proto::job::JobSpec;
-use farm_proto::{Digest, Profile, Quality, Record, Walks};
+use farm_proto::{Digest, PackedRecords, Quality, Walks};
 use sqlx::{Connection, SqliteConnection};
 use tokio::sync::{mpsc, oneshot};
 
@@ -41,9 +42,9 @@ pub struct Completion {
 
 #[derive(Debug)]
 pub enum Content {
-    Records(Vec<Record>),
-    /// Of the block that the job names, as bytes.
-    Sums(Vec<u8>),
+    Records(PackedRecords),
+    /// Of the block that the job names.
+    Sums(Bytes),
 }
 
 /// What became of a result.
@@ -77,19 +78,14 @@ pub(super) type Request = (Completion, oneshot::Sender<Result<Stored>>);
 impl Content {
     pub fn digest(&self) -> Digest {
         match self {
-            Self::Records(records) => Digest::of_records(records),
+            Self::Records(records) => records.digest(),
             Self::Sums(bytes) => Digest::of_bytes(bytes),
         }
     }
 
     fn bytes(&self) -> usize {
         match self {
-            Self::Records(records) => records
-                .iter()
-                .flat_map(|r| &r.profiles)
-                .flat_map(Profile::estimates)
-                .map(|e| 8 * e.values().len())
-                .sum(),
+            Self::Records(records) => records.bytes().len(),
             Self::Sums(bytes) => bytes.len(),
         }
     }

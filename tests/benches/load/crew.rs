@@ -4,13 +4,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use bytes::Bytes;
+use farm_proto::job::JobSpec;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
-    AcquireRequest, CompleteRequest, CompletionKind, Estimate, Lease, Profile, Record, RegisterRequest,
-    ResultHeader,
+    AcquireRequest, CompleteRequest, CompletionKind, Lease, RegisterRequest, ResultHeader,
 };
-use farm_proto::{Grid, PHYSICS_VERSION};
+use farm_proto::{Grid, PHYSICS_VERSION, PackedRecords};
 use tonic::transport::Channel;
 
 /// Longest wait for work: at the end of the load all wait in vain once.
@@ -31,7 +32,7 @@ pub struct Crew {
     at_once: u32,
     job: Duration,
     /// Of one job, made up once.
-    records: Vec<Record>,
+    records: Bytes,
 }
 
 #[derive(Debug)]
@@ -42,16 +43,8 @@ pub struct Worker {
 
 impl Crew {
     pub fn new(jobs: usize, at_once: u32, job: Duration, grid: &Grid) -> Self {
-        let pixels = grid.scene().sensor().pixels();
-        let profile = |channel: usize| {
-            let values = (0..pixels).map(|i| 0.1 + 0.001 * (i + channel) as f32).collect();
-            Profile {
-                radiance_factor: Some(Estimate { values, std_errors: vec![0.001; pixels] }),
-                ..Profile::default()
-            }
-        };
-        let profiles: Vec<Profile> = (0..grid.scene().channels().len()).map(profile).collect();
-        let records = vec![Record { index: 0, profiles }; grid.albedo().len()];
+        let floats = PackedRecords::bytes_of(&JobSpec::of(grid, 0)) / 4;
+        let records = (0..floats).flat_map(|i| (0.1 + 1e-6 * i as f32).to_le_bytes()).collect();
         Self { jobs, stored: AtomicUsize::new(0), at_once, job, records }
     }
 
@@ -135,12 +128,8 @@ impl Crew {
             key: lease.key.clone(),
             identity: job.identity.clone(),
         };
-        let records = self.records.iter().zip(job.first_record..);
-        let records = records.map(|(record, index)| Content::Record(Record { index, ..record.clone() }));
-        std::iter::once(Content::Header(header))
-            .chain(records)
-            .map(|content| CompleteRequest { content: Some(content) })
-            .collect()
+        let contents = [Content::Header(header), Content::Records(self.records.clone())];
+        contents.map(|content| CompleteRequest { content: Some(content) }).into()
     }
 }
 

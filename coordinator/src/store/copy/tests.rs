@@ -10,7 +10,7 @@ use sqlx::{AssertSqlSafe, SqlitePool};
 
 use super::*;
 
-const PAGE_BYTES: usize = 65_536;
+const PAGE_BYTES: usize = super::super::PAGE_BYTES as usize;
 /// Stands in a profile, to be found again in the file.
 const MARK: &[u8] = b"a mark that no page holds by chance";
 

@@ -49,7 +49,7 @@ async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
                 assert_eq!(store.stored_blocks(&whole).await.unwrap(), there, "after a restart");
             }
             let job = whole.clone().with_block(block).unwrap();
-            let content = Content::Sums(block_sums(&job, block).to_le_bytes());
+            let content = Content::Sums(block_sums(&job, block).to_le_bytes().into());
             let completion =
                 Completion { dictionary: d.id, job_number: 0, job, worker: 1, content, quality: None };
             let stored = store.complete(completion).await.unwrap();
@@ -81,7 +81,7 @@ async fn complete_block(
     worker: i64,
 ) -> Stored {
     let job = job.clone().with_block(block).unwrap();
-    let content = Content::Sums(block_sums(&job, block).to_le_bytes());
+    let content = Content::Sums(block_sums(&job, block).to_le_bytes().into());
     let completion =
         Completion { dictionary: dictionary.id, job_number: 0, job, worker, content, quality: None };
     store.complete(completion).await.unwrap()
@@ -168,7 +168,7 @@ async fn a_damaged_block_is_noticed_before_it_is_merged() {
         let flip = "UPDATE sums SET sums = cast(x'01' || substr(sums, 2) AS BLOB)";
         sqlx::query(flip).execute(&store.write).await.unwrap();
         let job = d.1.clone().with_block(second).unwrap();
-        let content = Content::Sums(block_sums(&job, second).to_le_bytes());
+        let content = Content::Sums(block_sums(&job, second).to_le_bytes().into());
         let last = Completion { dictionary: d.0.id, job_number: 0, job, worker: 1, content, quality: None };
         let error = store.complete(last).await.unwrap_err();
         assert!(matches!(error, StoreError::Corrupt { table: "sums", .. }), "{error}");

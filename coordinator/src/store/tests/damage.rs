@@ -1,7 +1,8 @@
 //! Disks that give back other bytes than they were given, are full, or are held by others.
 
+use farm_proto::PackedRecords;
 use farm_proto::job::JobSpec;
-use farm_proto::{Estimate, Profile, Record};
+use farm_proto::scene::{Scene, Sensor};
 
 use super::{
     all_records, all_records_of, complete, completion, dictionary, open, overlapping, records, reuse,
@@ -22,7 +23,10 @@ async fn a_record_that_is_not_what_was_stored_is_noticed() {
     assert!(damage.contains("differ"), "{damage}");
     sqlx::query("UPDATE records SET profiles = x'00' WHERE id = 1").execute(&store.write).await.unwrap();
     let error = read().await.unwrap_err().to_string();
-    assert_eq!(error, "table records, row 1, column profiles is corrupt: 1 bytes instead of 96");
+    assert_eq!(
+        error,
+        "table records, row 1, column profiles is corrupt: record = 1 bytes is not valid: 96 are needed"
+    );
     assert_eq!(store.forget_job(d.id, 0).await.unwrap(), [(d.id, 0)]);
     assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }), "it can be done again");
 }
@@ -36,14 +40,13 @@ async fn after_a_full_disk_the_store_works_on() {
     store.worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     sqlx::query("PRAGMA max_page_count = 1").execute(&store.write).await.unwrap();
-    let large: Vec<Record> = (0..2)
-        .map(|index| {
-            let values = vec![0.5; 100_000];
-            let radiance_factor = Estimate::new(values.clone(), values).unwrap();
-            Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }] }
-        })
-        .collect();
-    let too_large = Completion { content: Content::Records(large), ..completion(&d, 0, 0.25) };
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, 4096, 0.0).unwrap());
+    let small = completion(&d, 0, 0.25);
+    let (point, albedo, walks) = (small.job.point(), small.job.albedo().to_vec(), small.job.walks());
+    let job = JobSpec::new(scene, point, albedo, walks, 1, false).unwrap();
+    let zeros = vec![0; PackedRecords::bytes_of(&job)];
+    let content = Content::Records(PackedRecords::new(&job, zeros.into()).unwrap());
+    let too_large = Completion { job, content, ..small };
     let full = store.complete(too_large).await.unwrap_err();
     assert!(full.to_string().contains("database or disk is full"), "{full}");
     assert!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap().is_empty());
@@ -77,15 +80,9 @@ async fn other_records_for_the_same_walks_are_refused_and_both_can_be_done_again
     store.worker("instance", "label").await.unwrap();
     let (d, e) = (dictionary(&store).await, overlapping(&store, "e", vec![0.9, 0.95]).await);
     let result = |value| {
-        let content = Content::Records(records(0, value));
-        Completion {
-            dictionary: e.id,
-            job_number: 0,
-            job: JobSpec::of(&e.grid, 0),
-            worker: 1,
-            content,
-            quality: None,
-        }
+        let job = JobSpec::of(&e.grid, 0);
+        let content = Content::Records(PackedRecords::pack(&job, &records(0, value)));
+        Completion { dictionary: e.id, job_number: 0, job, worker: 1, content, quality: None }
     };
     // In one transaction, and in two.
     for together in [true, false] {
