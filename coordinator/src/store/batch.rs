@@ -2,41 +2,28 @@
 //!
 //! Every query is a message to SQLite's thread and an answer, which costs more than what the query does. So all that the
 //! results of a transaction must be held against is read at once, what becomes of each is decided here, and what is
-//! new is written in rows of many values.
+//! new is written in statements of many rows, several at a time.
 
-use std::collections::{HashMap, HashSet};
+mod facts;
+mod script;
+
+use std::collections::HashMap;
 
 use bytes::Bytes;
-use farm_proto::ids::DictionaryId;
-use farm_proto::{Digest, PackedRecords, Quality, Walks};
+use farm_proto::{Digest, PackedRecords, Quality};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::{Completion, Content, Result, Stored, doing, jobs, points, sums};
+use self::facts::{Ended, Facts};
+use self::script::Script;
+use super::{Completion, Content, Result, Stored, doing, points, sums};
 
 /// Most values of one query that are looked up or written.
 const ROWS: usize = 256;
 
-/// What the store knows of the jobs and points that some results belong to.
+/// What the store knows, and what the results of this transaction add to it.
 struct Known {
-    dictionaries: HashSet<DictionaryId>,
-    fenced: HashSet<i64>,
-    ended: HashMap<(DictionaryId, u32), Ended>,
+    facts: Facts,
     points: Points,
-}
-
-/// How a job ended: with these records, of so many walks; with none if it was given up.
-#[derive(Clone, Copy)]
-struct Ended {
-    records: Option<Digest>,
-    walks: Option<Walks>,
-}
-
-#[derive(sqlx::FromRow)]
-struct EndedRow {
-    dictionary_id: i64,
-    job: i64,
-    records_digest: Option<Vec<u8>>,
-    walks: Option<i64>,
 }
 
 /// Points in the order in which results name them.
@@ -67,9 +54,9 @@ struct End<'a> {
 
 /// Stores results in a transaction; what becomes of each, in their order.
 pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Stored>> {
-    let mut known = Known::look(tx, completions).await?;
+    let mut known = Known { facts: Facts::look(tx, completions).await?, points: Points::default() };
     let wanted: Vec<&Completion> = completions.iter().filter(|c| known.is_wanted(c)).collect();
-    known.points = Points::look(tx, &wanted).await?;
+    known.points = Points::look(tx, &wanted, &known.facts).await?;
     let (mut outcomes, mut ends) = (Vec::with_capacity(completions.len()), Vec::new());
     for completion in completions {
         let outcome = match known.verdict(completion) {
@@ -78,38 +65,30 @@ pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion])
         };
         outcomes.push(outcome);
     }
-    known.points.write(tx).await?;
-    write_ends(tx, &ends, &known.points).await?;
+    known.points.insert(tx).await?;
+    for End { gathered, point, .. } in &ends {
+        if let Some(gathered) = gathered {
+            points::hand_over(tx, *gathered, known.points.id(*point)).await?;
+        }
+    }
+    let mut script = Script::new(tx);
+    known.points.write(&mut script).await?;
+    write_ends(&mut script, &ends, &known.points).await?;
+    script.finish().await?;
     Ok(outcomes)
 }
 
 impl Known {
-    async fn look(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Self> {
-        let dictionaries: Vec<(i64,)> = sqlx::query_as("SELECT id FROM dictionaries")
-            .fetch_all(&mut *tx)
-            .await
-            .map_err(doing("looking for dictionaries"))?;
-        let fenced: Vec<(i64,)> = sqlx::query_as("SELECT id FROM workers WHERE fenced IS NOT NULL")
-            .fetch_all(&mut *tx)
-            .await
-            .map_err(doing("looking for workers that are fenced off"))?;
-        Ok(Self {
-            dictionaries: dictionaries.into_iter().map(|(id,)| DictionaryId(id)).collect(),
-            fenced: fenced.into_iter().map(|(id,)| id).collect(),
-            ended: ended(tx, completions).await?,
-            points: Points::default(),
-        })
-    }
-
     /// Whether a result is to be kept, as far as is known before it is looked at.
     fn is_wanted(&self, completion: &Completion) -> bool {
         let job = (completion.dictionary, completion.job_number);
-        !self.is_refused(completion) && self.ended.get(&job).is_none_or(|ended| ended.records.is_none())
+        !self.is_refused(completion) && self.facts.ended.get(&job).is_none_or(|ended| ended.records.is_none())
     }
 
     /// Whether its worker was fenced off or its dictionary deleted since it was admitted.
     fn is_refused(&self, completion: &Completion) -> bool {
-        self.fenced.contains(&completion.worker) || !self.dictionaries.contains(&completion.dictionary)
+        self.facts.fenced.contains(&completion.worker)
+            || !self.facts.dictionaries.contains(&completion.dictionary)
     }
 
     /// What becomes of a result of which nothing is kept; None if it is wanted.
@@ -118,7 +97,7 @@ impl Known {
             return Some(Stored::Unwanted);
         }
         let Ended { records: Some(records), walks } =
-            self.ended.get(&(completion.dictionary, completion.job_number))?
+            self.facts.ended.get(&(completion.dictionary, completion.job_number))?
         else {
             return None;
         };
@@ -164,36 +143,10 @@ impl Known {
         };
         let digest = records.digest();
         let ended = Ended { records: Some(digest), walks: Some(job.walks()) };
-        self.ended.insert((completion.dictionary, completion.job_number), ended);
+        self.facts.ended.insert((completion.dictionary, completion.job_number), ended);
         ends.push(End { completion, point, digest, gathered });
         Ok(Stored::Finished { records: digest })
     }
-}
-
-/// How those jobs ended that have.
-async fn ended(
-    tx: &mut SqliteConnection,
-    completions: &[Completion],
-) -> Result<HashMap<(DictionaryId, u32), Ended>> {
-    let mut found = HashMap::new();
-    for some in completions.chunks(ROWS) {
-        let mut query = QueryBuilder::<Sqlite>::new(
-            "SELECT dictionary_id, job, records_digest, walks FROM jobs WHERE (dictionary_id, job) IN (",
-        );
-        query.push_values(some, |mut row, c| {
-            row.push_bind(c.dictionary.0).push_bind(c.job_number);
-        });
-        query.push(")");
-        let rows: Vec<EndedRow> =
-            query.build_query_as().fetch_all(&mut *tx).await.map_err(doing("looking for jobs"))?;
-        for row in rows {
-            let records =
-                row.records_digest.map(|digest| jobs::decode_digest(row.job, &digest)).transpose()?;
-            let walks = row.walks.and_then(|walks| Walks::new(walks as u64).ok());
-            found.insert((DictionaryId(row.dictionary_id), row.job as u32), Ended { records, walks });
-        }
-    }
-    Ok(found)
 }
 
 fn push_list<'a, T>(query: &mut QueryBuilder<Sqlite>, values: &'a [T])
@@ -208,7 +161,7 @@ where
 
 impl Points {
     /// The points of some results, with those records that the store has of the albedos in question.
-    async fn look(tx: &mut SqliteConnection, completions: &[&Completion]) -> Result<Self> {
+    async fn look(tx: &mut SqliteConnection, completions: &[&Completion], facts: &Facts) -> Result<Self> {
         let mut points = Self::default();
         let mut albedos = Vec::new();
         for completion in completions {
@@ -217,12 +170,10 @@ impl Points {
         }
         albedos.sort_by(f64::total_cmp);
         albedos.dedup();
-        let identities: Vec<Digest> = points.points.iter().map(|p| p.identity).collect();
         let mut of_row = HashMap::new();
-        for (identity, id) in points::find(tx, &identities).await? {
-            let place = points.place(identity);
-            points.points[place].id = Some(id);
-            of_row.insert(id, place);
+        for (place, point) in points.points.iter_mut().enumerate() {
+            point.id = facts.points.get(&point.identity).copied();
+            of_row.extend(point.id.map(|id| (id, place)));
         }
         let ids: Vec<i64> = of_row.keys().copied().collect();
         let pairs = ids.chunks(ROWS).flat_map(|ids| albedos.chunks(ROWS).map(move |albedos| (ids, albedos)));
@@ -274,29 +225,33 @@ impl Points {
         Some(place)
     }
 
-    /// Writes what the store does not have yet.
-    async fn write(&mut self, tx: &mut SqliteConnection) -> Result<()> {
+    /// Gives a row to each point with records that has none.
+    async fn insert(&mut self, tx: &mut SqliteConnection) -> Result<()> {
         let is_new = |p: &&Point| p.id.is_none() && !p.records.is_empty();
         let missing: Vec<_> = self.points.iter().filter(is_new).map(|p| p.identity).collect();
         for (identity, id) in points::insert(tx, &missing).await? {
             let place = self.place(identity);
             self.points[place].id = Some(id);
         }
-        let mut rows = Vec::new();
-        for point in &self.points {
-            let fresh = &point.records[point.stored..];
-            rows.extend(
-                fresh.iter().filter_map(|(albedo, profiles)| Some((point.id?, albedo, &profiles[..]))),
-            );
-        }
-        for some in rows.chunks(ROWS) {
-            let mut insert = QueryBuilder::<Sqlite>::new("INSERT INTO records (point_id, albedo, profiles) ");
-            insert.push_values(some, |mut row, (id, albedo, profiles)| {
-                row.push_bind(*id).push_bind(**albedo).push_bind(*profiles);
-            });
-            insert.build().execute(&mut *tx).await.map_err(doing("storing records"))?;
-        }
         Ok(())
+    }
+
+    /// Writes the records that the store does not have yet.
+    async fn write(&self, script: &mut Script<'_>) -> Result<()> {
+        let fresh = |point: &Point| {
+            let id = point.id;
+            let fresh = point.records[point.stored..].iter();
+            fresh
+                .filter_map(move |(albedo, profiles)| Some((id?, *albedo, profiles.clone())))
+                .collect::<Vec<_>>()
+        };
+        let rows: Vec<(i64, f64, Bytes)> = self.points.iter().flat_map(fresh).collect();
+        let into = "INSERT INTO records (point_id, albedo, profiles)";
+        script
+            .insert(into, &rows, |mut row, (id, albedo, profiles)| {
+                row.push_bind(*id).push_bind(*albedo).push_bind(&profiles[..]);
+            })
+            .await
     }
 
     fn id(&self, place: usize) -> i64 {
@@ -305,32 +260,21 @@ impl Points {
 }
 
 /// Writes that jobs have ended, and who computed their points.
-async fn write_ends(tx: &mut SqliteConnection, ends: &[End<'_>], points: &Points) -> Result<()> {
-    for end in ends {
-        if let Some(gathered) = end.gathered {
-            points::hand_over(tx, gathered, points.id(end.point)).await?;
-        }
-    }
-    for some in ends.chunks(ROWS) {
-        let mut insert =
-            QueryBuilder::<Sqlite>::new("INSERT OR IGNORE INTO contributions (point_id, worker_id) ");
-        insert.push_values(some, |mut row, end| {
+async fn write_ends(script: &mut Script<'_>, ends: &[End<'_>], points: &Points) -> Result<()> {
+    script
+        .insert("INSERT OR IGNORE INTO contributions (point_id, worker_id)", ends, |mut row, end| {
             row.push_bind(points.id(end.point)).push_bind(end.completion.worker);
-        });
-        insert.build().execute(&mut *tx).await.map_err(doing("storing who computed points"))?;
-        // What was given up may have been done after all.
-        let mut insert = QueryBuilder::<Sqlite>::new(
-            "INSERT OR REPLACE INTO jobs (dictionary_id, job, point_id, walks, records_digest) ",
-        );
-        insert.push_values(some, |mut row, end| {
-            let End { completion, point, digest, .. } = end;
+        })
+        .await?;
+    // What was given up may have been done after all.
+    let into = "INSERT OR REPLACE INTO jobs (dictionary_id, job, point_id, walks, records_digest)";
+    script
+        .insert(into, ends, |mut row, End { completion, point, digest, .. }| {
             row.push_bind(completion.dictionary.0)
                 .push_bind(completion.job_number)
                 .push_bind(points.id(*point))
                 .push_bind(completion.job.walks().get() as i64)
                 .push_bind(digest.as_bytes().to_vec());
-        });
-        insert.build().execute(&mut *tx).await.map_err(doing("storing the end of jobs"))?;
-    }
-    Ok(())
+        })
+        .await
 }

@@ -131,7 +131,7 @@ pub(super) async fn insert(
     Ok(made)
 }
 
-fn identified((identity, id): (Vec<u8>, i64)) -> Option<(Digest, i64)> {
+pub(super) fn identified((identity, id): (Vec<u8>, i64)) -> Option<(Digest, i64)> {
     <[u8; 32]>::try_from(identity).ok().map(|bytes| (Digest::from_bytes(bytes), id))
 }
 

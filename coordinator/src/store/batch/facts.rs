@@ -1,0 +1,86 @@
+//! What the store knows of the jobs and points of some results, in one query.
+
+use std::collections::{HashMap, HashSet};
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::{Digest, Walks};
+use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+
+use super::super::{Completion, Result, doing, jobs, points};
+use super::ROWS;
+
+#[derive(Debug, Default)]
+pub(super) struct Facts {
+    pub dictionaries: HashSet<DictionaryId>,
+    /// Workers that are fenced off.
+    pub fenced: HashSet<i64>,
+    pub ended: HashMap<(DictionaryId, u32), Ended>,
+    /// Rows of the points that the store has.
+    pub points: HashMap<Digest, i64>,
+}
+
+/// How a job ended: with these records, of so many walks; with none if it was given up.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Ended {
+    pub records: Option<Digest>,
+    pub walks: Option<Walks>,
+}
+
+const DICTIONARY: i64 = 0;
+const FENCED: i64 = 1;
+const ENDED: i64 = 2;
+const POINT: i64 = 3;
+
+/// One fact; what its columns are depends on the kind.
+#[derive(sqlx::FromRow)]
+struct Row {
+    kind: i64,
+    id: i64,
+    job: i64,
+    digest: Option<Vec<u8>>,
+    walks: Option<i64>,
+}
+
+impl Facts {
+    pub(super) async fn look(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Self> {
+        let mut facts = Self::default();
+        for some in completions.chunks(ROWS) {
+            let mut query = QueryBuilder::<Sqlite>::new(
+                "SELECT 0 AS kind, id, 0 AS job, NULL AS digest, NULL AS walks FROM dictionaries \
+                 UNION ALL SELECT 1, id, 0, NULL, NULL FROM workers WHERE fenced IS NOT NULL \
+                 UNION ALL SELECT 2, dictionary_id, job, records_digest, walks FROM jobs \
+                 WHERE (dictionary_id, job) IN (",
+            );
+            query.push_values(some, |mut row, c| {
+                row.push_bind(c.dictionary.0).push_bind(c.job_number);
+            });
+            query.push(") UNION ALL SELECT 3, id, 0, identity, NULL FROM points WHERE identity IN (");
+            let mut identities = query.separated(",");
+            for completion in some {
+                identities.push_bind(completion.job.identity().as_bytes().to_vec());
+            }
+            query.push(")");
+            let rows = query.build_query_as().fetch_all(&mut *tx).await;
+            for row in rows.map_err(doing("looking for jobs and points"))? {
+                facts.note(row)?;
+            }
+        }
+        Ok(facts)
+    }
+
+    fn note(&mut self, row: Row) -> Result<()> {
+        let Row { kind, id, job, digest, walks } = row;
+        match kind {
+            DICTIONARY => drop(self.dictionaries.insert(DictionaryId(id))),
+            FENCED => drop(self.fenced.insert(id)),
+            ENDED => {
+                let records = digest.map(|digest| jobs::decode_digest(job, &digest)).transpose()?;
+                let walks = walks.and_then(|walks| Walks::new(walks as u64).ok());
+                self.ended.insert((DictionaryId(id), job as u32), Ended { records, walks });
+            }
+            POINT => self.points.extend(points::identified((digest.unwrap_or_default(), id))),
+            _ => unreachable!("the query has no other kinds"),
+        }
+        Ok(())
+    }
+}

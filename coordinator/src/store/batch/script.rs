@@ -1,0 +1,53 @@
+//! Statements that go to SQLite together.
+
+use sqlx::query_builder::Separated;
+use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+
+use super::super::{Result, doing};
+use super::ROWS;
+
+/// Gathers rows to be inserted, for several tables, and writes many of them at once.
+pub(super) struct Script<'c> {
+    tx: &'c mut SqliteConnection,
+    query: QueryBuilder<Sqlite>,
+    rows: usize,
+}
+
+impl<'c> Script<'c> {
+    pub(super) fn new(tx: &'c mut SqliteConnection) -> Self {
+        Self { tx, query: QueryBuilder::new(""), rows: 0 }
+    }
+
+    /// Inserts rows; `into` is the statement up to its values, `bind` gives those of a row.
+    pub(super) async fn insert<T: Sync>(
+        &mut self,
+        into: &str,
+        rows: &[T],
+        mut bind: impl FnMut(Separated<'_, Sqlite, &'static str>, &T) + Send,
+    ) -> Result<()> {
+        for some in rows.chunks(ROWS) {
+            if self.rows + some.len() > ROWS {
+                self.write().await?;
+            }
+            self.query.push(into).push(" ");
+            self.query.push_values(some, &mut bind);
+            self.query.push(";");
+            self.rows += some.len();
+        }
+        Ok(())
+    }
+
+    /// Writes what is left.
+    pub(super) async fn finish(mut self) -> Result<()> {
+        self.write().await
+    }
+
+    async fn write(&mut self) -> Result<()> {
+        if self.rows > 0 {
+            let mut query = std::mem::replace(&mut self.query, QueryBuilder::new(""));
+            self.rows = 0;
+            query.build().execute(&mut *self.tx).await.map_err(doing("storing results"))?;
+        }
+        Ok(())
+    }
+}
