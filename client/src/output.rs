@@ -60,7 +60,7 @@ pub(crate) fn envelope<T: Serialize>(kind: &str, data: &T) -> anyhow::Result<Str
     Ok(serde_json::to_string(&Envelope { api: API, kind, data })?)
 }
 
-/// The chain of causes as one sentence; a gRPC status tells its message alone.
+/// The chain of causes as one sentence; a gRPC status of the coordinator's tells its message alone.
 fn sentence(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain() {
@@ -73,7 +73,8 @@ fn sentence(error: &anyhow::Error) -> String {
         if !text.ends_with(part) {
             let _ = write!(text, "{}{part}", if text.is_empty() { "" } else { ": " });
         }
-        if cause.is::<tonic::Status>() {
+        // One that the transport made here has a source, which tells what happened.
+        if cause.is::<tonic::Status>() && cause.source().is_none() {
             break;
         }
     }

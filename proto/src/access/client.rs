@@ -55,6 +55,11 @@ impl ClientAccess {
         self.content.role
     }
 
+    /// Whether there is a certificate to show, for coordinators that ask for one.
+    pub fn has_certificate(&self) -> bool {
+        self.content.certificate.is_some()
+    }
+
     /// The coordinator's URL.
     pub fn server(&self) -> &str {
         &self.content.server

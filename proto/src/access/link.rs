@@ -10,6 +10,7 @@ use tonic::body::Body;
 use tonic::codegen::{Service, http};
 use tonic::transport::Channel;
 
+use super::alert::refusal;
 use super::target::Bearer;
 
 /// How long a call may take to its first answer if it does not say so itself.
@@ -20,7 +21,7 @@ const GRACE: Duration = Duration::from_secs(2);
 /// A connection on which every call carries the token, if there is one.
 ///
 /// Each call ends with `DEADLINE_EXCEEDED` when no answer has begun a little after its deadline (`grpc-timeout`, or else
-/// five minutes). The transport sees to deadlines too, but not in all of its states: a call on a connection that the
+/// five minutes), and with `UNAUTHENTICATED` when the coordinator ends the connection for want of a certificate. The transport sees to deadlines too, but not in all of its states: a call on a connection that the
 /// coordinator closes in the moment in which it is opened may otherwise wait for ever.
 #[derive(Debug, Clone)]
 pub struct Link {
@@ -49,6 +50,8 @@ impl Service<http::Request<Body>> for Link {
         self.bearer.mark(request.headers_mut());
         let deadline = request.headers().get("grpc-timeout").and_then(|value| parse(value.to_str().ok()?));
         let answer = self.channel.call(request);
+        let answer =
+            async { answer.await.or_else(|error| refusal(&error).map(Status::into_http).ok_or(error)) };
         Box::pin(in_time(deadline.unwrap_or(DEADLINE) + GRACE, answer))
     }
 }

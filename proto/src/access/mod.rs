@@ -6,6 +6,7 @@
 //!
 //! All are TOML, and secret: a file that every user of the machine can open is refused.
 
+mod alert;
 mod client;
 mod coordinator;
 mod error;

@@ -163,16 +163,16 @@ fn without_a_certificate_nobody_gets_in_where_all_must_show_one() {
             toml::to_string(&file).unwrap()
         });
     }
-    fails(&farm.farmctl("client.toml", &["list"]), &[]);
+    fails(&farm.farmctl("client.toml", &["list"]), &["certificate"]);
     let mut bare = farm.worker("worker.toml");
+    assert_eq!(bare.exit_within(SOON), 4, "{}", bare.log());
+    assert!(bare.log().contains("--mutual"), "{}", bare.log());
     let mut proper = farm.worker("own/worker.toml");
     wait_for("the proper worker is in", SOON, || {
         let listed = farm.farmctl("own/admin.toml", &["workers", "--json"]).stdout;
         let listed: serde_json::Value = serde_json::from_str(&listed).ok()?;
         (listed["data"]["workers"].as_array()?.len() == 1).then_some(())
     });
-    for worker in [&mut bare, &mut proper] {
-        worker.signal(Signal::TERM);
-        worker.exit_within(Duration::from_secs(20));
-    }
+    proper.signal(Signal::TERM);
+    assert_eq!(proper.exit_within(Duration::from_secs(20)), 0);
 }
