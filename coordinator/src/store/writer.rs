@@ -139,7 +139,7 @@ pub(super) async fn run(
 
 /// All in one transaction; if one of them makes that fail, each in its own, so that it stops no other.
 async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<Result<Stored>> {
-    match guarded(pool, completions).await {
+    match guarded(write(pool, completions)).await {
         Ok(stored) => return stored.into_iter().map(Ok).collect(),
         Err(error) if completions.len() == 1 => return vec![Err(error)],
         Err(error) if concerns_all(&error) => {
@@ -150,17 +150,17 @@ async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<R
     }
     let mut results = Vec::with_capacity(completions.len());
     for completion in completions {
-        let stored = guarded(pool, std::slice::from_ref(completion)).await;
+        let stored = guarded(write(pool, std::slice::from_ref(completion))).await;
         results.push(stored.map(|stored| stored[0]));
     }
     results
 }
 
 /// If writing panics the transaction is rolled back, and the writer goes on.
-async fn guarded(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Result<Vec<Stored>> {
-    let mut written = pin!(write(pool, completions));
+pub(super) async fn guarded<T>(writing: impl Future<Output = Result<T>>) -> Result<T> {
+    let mut writing = pin!(writing);
     poll_fn(|context| {
-        let poll = catch_unwind(AssertUnwindSafe(|| written.as_mut().poll(context)));
+        let poll = catch_unwind(AssertUnwindSafe(|| writing.as_mut().poll(context)));
         poll.unwrap_or(Poll::Ready(Err(StoreError::Defect)))
     })
     .await
