@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
-use farm_proto::{DictionaryName, Grid, Invalid, PHYSICS_VERSION};
+use farm_proto::{DictionaryName, Grid, Invalid};
 use tokio::sync::watch;
 
 use crate::clock::{Clock, Random};
@@ -27,6 +27,7 @@ use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
 pub(crate) use records::read_chunk;
 pub(crate) use results::Outcome;
+pub(crate) use work::Versions;
 
 #[derive(Debug, thiserror::Error)]
 pub enum FarmError {
@@ -44,10 +45,8 @@ pub enum FarmError {
     NotComplete { name: DictionaryName, done: usize, total: usize },
     #[error("dictionary {name} is too large to fit with: {bytes} bytes, {limit} are allowed")]
     TooLarge { name: DictionaryName, bytes: usize, limit: usize },
-    #[error(
-        "this worker computes physics version {found}, the coordinator version {PHYSICS_VERSION}: install the same"
-    )]
-    PhysicsVersion { found: u32 },
+    #[error("this worker {does} version {found}, the coordinator version {own}: install the same")]
+    OtherVersion { does: &'static str, found: u32, own: u32 },
     #[error("dictionary {name} is {state}: {allowed}")]
     WrongState { name: DictionaryName, state: &'static str, allowed: &'static str },
     #[error("worker {which:?}: {why}")]

@@ -39,6 +39,10 @@ pub use scene::Scene;
 /// Workers and coordinator must agree on it.
 pub const PHYSICS_VERSION: u32 = 3;
 
+/// Version of the messages between workers and coordinator. Whoever changes them so that older programs would
+/// misunderstand them raises it: then these are refused when they register.
+pub const PROTOCOL_VERSION: u32 = 2;
+
 /// Generated from `proto/farm/v1/*.proto`.
 #[expect(clippy::pedantic, clippy::allow_attributes, reason = "generated code")]
 pub mod wire {

@@ -11,7 +11,7 @@ use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionKind, CompletionOutcome, HeldLease, RegisterRequest,
     RenewRequest, ResultHeader,
 };
-use farm_proto::{Grid, PHYSICS_VERSION, Record};
+use farm_proto::{Grid, PHYSICS_VERSION, PROTOCOL_VERSION, Record};
 use farm_worker::tracer::trace;
 use tonic::Status;
 use tonic::transport::Channel;
@@ -57,6 +57,7 @@ impl HandWorker {
             label: label.to_owned(),
             threads: 1,
             physics_version: PHYSICS_VERSION,
+            protocol_version: PROTOCOL_VERSION,
             instance: label.to_owned(),
             version: "by hand".to_owned(),
         };

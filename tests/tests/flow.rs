@@ -10,7 +10,9 @@ use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
     CompletionKind, ExportRequest, FitRequest, GetRequest, RegisterRequest, SubmitRequest,
 };
-use farm_proto::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Record, Walks, wire};
+use farm_proto::{
+    Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, PROTOCOL_VERSION, Record, Walks, wire,
+};
 use farm_tests::farm::{TestCoordinator, TestFarm, TestWorker, done, small_grid};
 use farm_tests::hand::{falsified, on_wire, traced, with_number};
 use tonic::Code;
@@ -151,16 +153,19 @@ async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Re
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_of_another_physics_version_is_refused() -> Result<()> {
+async fn a_worker_of_another_version_is_refused() -> Result<()> {
     let farm = TestFarm::start().await?;
-    let request = RegisterRequest {
-        physics_version: PHYSICS_VERSION + 1,
-        instance: "i".to_owned(),
-        ..RegisterRequest::default()
-    };
-    let refused = LeasesClient::new(farm.link()).register(request).await.unwrap_err();
-    assert_eq!(refused.code(), Code::FailedPrecondition);
-    assert!(refused.message().contains("install the same"), "{}", refused.message());
+    // Those that know no version of the protocol send none.
+    for (physics_version, protocol_version, what) in
+        [(PHYSICS_VERSION + 1, PROTOCOL_VERSION, "physics"), (PHYSICS_VERSION, 0, "protocol")]
+    {
+        let instance = "i".to_owned();
+        let about = RegisterRequest { physics_version, protocol_version, instance, ..Default::default() };
+        let refused = LeasesClient::new(farm.link()).register(about).await.unwrap_err();
+        assert_eq!(refused.code(), Code::FailedPrecondition);
+        let message = refused.message();
+        assert!(message.contains(what) && message.contains("install the same"), "{message}");
+    }
     farm.coordinator.stop().await
 }
 

@@ -93,6 +93,7 @@ impl Site {
             label: "weak".to_owned(),
             threads: 1,
             physics_version: farm_proto::PHYSICS_VERSION,
+            protocol_version: farm_proto::PROTOCOL_VERSION,
             instance: "weak".to_owned(),
             version: String::new(),
         };

@@ -11,7 +11,7 @@ use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionOutcome, FailRequest, HandBackRequest, HeldLease,
     RegisterRequest, RenewRequest,
 };
-use farm_proto::{Digest, PHYSICS_VERSION, RequestLimits};
+use farm_proto::{Digest, PHYSICS_VERSION, PROTOCOL_VERSION, RequestLimits};
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Status};
 
@@ -75,6 +75,7 @@ impl Session {
             label: self.config.label.clone(),
             threads: self.config.threads as u32,
             physics_version: PHYSICS_VERSION,
+            protocol_version: PROTOCOL_VERSION,
             instance: self.instance.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };

@@ -2,7 +2,7 @@
 
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::job::LeaseKey;
-use farm_proto::{Digest, PHYSICS_VERSION};
+use farm_proto::{Digest, PHYSICS_VERSION, PROTOCOL_VERSION};
 
 use super::{Farm, FarmError, Result, chance};
 use crate::clock::random_token;
@@ -12,16 +12,34 @@ use crate::dispatch::{
 use crate::store::StoreError;
 use crate::web::{JobFailure, LeaseKind};
 
+/// What a worker and the coordinator must agree on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Versions {
+    pub physics: u32,
+    pub protocol: u32,
+}
+
+impl Versions {
+    fn check(self) -> Result<()> {
+        let versions = [
+            ("computes physics", self.physics, PHYSICS_VERSION),
+            ("speaks protocol", self.protocol, PROTOCOL_VERSION),
+        ];
+        match versions.into_iter().find(|(_, found, own)| found != own) {
+            Some((does, found, own)) => Err(FarmError::OtherVersion { does, found, own }),
+            None => Ok(()),
+        }
+    }
+}
+
 impl Farm {
     pub(crate) async fn register(
         &self,
         instance: &str,
         about: Registration,
-        physics_version: u32,
+        versions: Versions,
     ) -> Result<(WorkerId, Settings)> {
-        if physics_version != PHYSICS_VERSION {
-            return Err(FarmError::PhysicsVersion { found: physics_version });
-        }
+        versions.check()?;
         let origin = Origin(self.store.worker(instance, &about.label).await?);
         let id = WorkerId(random_token());
         let settings = {

@@ -16,7 +16,7 @@ use super::Context;
 use super::results;
 use super::status::required;
 use crate::dispatch::Registration;
-use crate::farm::detached;
+use crate::farm::{Versions, detached};
 
 /// Longest instance that a worker may choose.
 const INSTANCE_BYTES: usize = 64;
@@ -39,8 +39,8 @@ impl Leases for Context {
             version: shortened(request.version),
         };
         let farm = self.farm.clone();
-        let registered =
-            detached(async move { farm.register(&request.instance, about, request.physics_version).await });
+        let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
+        let registered = detached(async move { farm.register(&request.instance, about, versions).await });
         let (id, settings) = registered.await?;
         Ok(Response::new(RegisterResponse { worker_id: id.0, lease_ms: settings.lease.as_millis() as u64 }))
     }

@@ -20,7 +20,7 @@ impl From<FarmError> for Status {
             FarmError::Dispatch(DispatchError::LeaseLost { .. })
             | FarmError::NotComplete { .. }
             | FarmError::WrongState { .. }
-            | FarmError::PhysicsVersion { .. } => Code::FailedPrecondition,
+            | FarmError::OtherVersion { .. } => Code::FailedPrecondition,
             FarmError::TooLarge { .. } => Code::ResourceExhausted,
             FarmError::Damaged { .. } => Code::DataLoss,
             FarmError::Store(store) => {

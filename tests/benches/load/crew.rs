@@ -11,7 +11,7 @@ use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionKind, Lease, RegisterRequest, ResultHeader,
 };
-use farm_proto::{Grid, PHYSICS_VERSION, PackedRecords};
+use farm_proto::{Grid, PHYSICS_VERSION, PROTOCOL_VERSION, PackedRecords};
 use tonic::transport::Channel;
 
 /// Longest wait for work: at the end of the load all wait in vain once.
@@ -66,6 +66,7 @@ impl Crew {
                     label: format!("load {number}"),
                     threads: 1,
                     physics_version: PHYSICS_VERSION,
+                    protocol_version: PROTOCOL_VERSION,
                     instance: format!("load-{number}"),
                     version: "by hand".to_owned(),
                 };
