@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use farm_coordinator::store::DataDir;
 use farm_coordinator::{Config, Coordinator, Error, StoreError};
 use farm_proto::RequestLimits;
-use farm_proto::access::{ClientAccess, Link, Target};
+use farm_proto::access::{ClientAccess, Link, Target, refusal};
 use farm_proto::wire::admin_client::AdminClient;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
@@ -120,6 +120,9 @@ impl Connection {
             .connect()
             .await
             .map_err(|error| {
+                if let Some(status) = refusal(&error) {
+                    return status.into();
+                }
                 let cause =
                     std::iter::successors(Some(&error as &dyn std::error::Error), |e| e.source()).last();
                 anyhow::anyhow!("{}", cause.map_or_else(String::new, ToString::to_string))

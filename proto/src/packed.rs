@@ -42,15 +42,19 @@ impl PackedRecords {
         Ok(Self { first, shape, bytes })
     }
 
+    /// The records of a job that has been traced.
+    ///
     /// # Panics
-    /// If the records are not of the job's number or shape.
+    /// If they are not the job's: of other numbers, too few or too many, or of another shape.
     pub fn pack(job: &JobSpec, records: &[Record]) -> Self {
+        let (shape, first) = (RecordShape::of_job(job), job.first_record());
+        assert_eq!(records.len(), job.albedo().len(), "there is a record for each albedo");
         let mut bytes = Vec::with_capacity(Self::bytes_of(job));
-        for record in records {
+        for (index, record) in (first..).zip(records) {
+            assert!(record.index == index && shape.check(record).is_ok(), "record {index} is the job's");
             record.extend_le_bytes(&mut bytes);
         }
-        assert_eq!(bytes.len(), Self::bytes_of(job), "the records are the job's");
-        Self { first: job.first_record(), shape: RecordShape::of_job(job), bytes: bytes.into() }
+        Self { first, shape, bytes: bytes.into() }
     }
 
     pub fn unpack(&self) -> Vec<Record> {
@@ -174,6 +178,15 @@ mod tests {
             let each: Vec<u8> = packed.each().flatten().collect();
             assert_eq!(each, packed.bytes()[..]);
         }
+    }
+
+    #[test]
+    #[should_panic(expected = "record 7 is the job's")]
+    fn records_in_another_order_are_not_packed() {
+        let job = job(false);
+        let mut swapped = records(&job);
+        swapped.swap(0, 1);
+        let _ = PackedRecords::pack(&job, &swapped);
     }
 
     #[test]

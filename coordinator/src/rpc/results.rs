@@ -142,17 +142,18 @@ async fn content_of(
     Ok((store::Content::Sums(bytes), after))
 }
 
-/// The pieces of one result as a whole, not longer than it may be, and what comes after it.
+/// The pieces of one result as a whole, not longer than it may be, and what comes after it. They are copied to a place of
+/// just their size: as they are, they hold on to the messages that they came in, however large these are.
 async fn gather(
     stream: &mut Streaming<CompleteRequest>,
     job: &JobSpec,
 ) -> Result<(Bytes, Option<Content>), Status> {
     let (wanted, what) = (bytes_of(job), if job.block().is_some() { "sums" } else { "records" });
-    let mut whole = Bytes::new();
+    let mut whole = BytesMut::with_capacity(wanted);
     loop {
         let piece = match (next(stream).await?, job.block()) {
             (Some(Content::Records(piece)), None) | (Some(Content::Sums(piece)), Some(_)) => piece,
-            (after @ (None | Some(Content::Header(_))), _) => return Ok((whole, after)),
+            (after @ (None | Some(Content::Header(_))), _) => return Ok((whole.freeze(), after)),
             (Some(Content::Records(_)), _) => {
                 let allowed = "the job is divided: sums are wanted";
                 return Err(Invalid::new("content", "records", allowed).to_status());
@@ -162,26 +163,15 @@ async fn gather(
                 return Err(Invalid::new("content", "sums", allowed).to_status());
             }
         };
+        if piece.is_empty() {
+            return Err(Invalid::new(what, "an empty piece", "each piece brings something").to_status());
+        }
         if whole.len() + piece.len() > wanted {
             let given = format!("more than {wanted} bytes");
             return Err(Invalid::new(what, given, format!("{wanted} are needed")).to_status());
         }
-        whole = joined(whole, piece, wanted);
+        whole.extend_from_slice(&piece);
     }
-}
-
-/// Both, one after the other; one piece alone is not copied. `room` is what they may grow to.
-fn joined(before: Bytes, piece: Bytes, room: usize) -> Bytes {
-    if before.is_empty() {
-        return piece;
-    }
-    let mut whole = before.try_into_mut().unwrap_or_else(|shared| {
-        let mut whole = BytesMut::with_capacity(room);
-        whole.extend_from_slice(&shared);
-        whole
-    });
-    whole.extend_from_slice(&piece);
-    whole.freeze()
 }
 
 /// Passes over the content of a result that is not wanted.

@@ -103,6 +103,7 @@ impl Store {
             .foreign_keys(true);
         let write = SqlitePoolOptions::new()
             .max_connections(1)
+            .test_before_acquire(false)
             // On a full disk SQLite ends a transaction by itself and sqlx still counts it as open: such a connection
             // would refuse every later one.
             .after_release(|connection, _| Box::pin(async move { Ok(!connection.is_in_transaction()) }))

@@ -47,6 +47,11 @@ fn completion(dictionary: &StoredDictionary, job: u32, value: f32) -> Completion
     Completion { dictionary: dictionary.id, job_number: job, job: spec, worker: 1, content, quality: None }
 }
 
+/// With a result of this quality the writer panics before it commits.
+pub(super) fn defect() -> Quality {
+    Quality::new(1.0, Walks::new(2_500_000).unwrap()).unwrap()
+}
+
 async fn complete(store: &Store, dictionary: &StoredDictionary, job: u32, value: f32) -> Stored {
     store.complete(completion(dictionary, job, value)).await.unwrap()
 }

@@ -157,7 +157,7 @@ async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<R
 }
 
 /// If writing panics the transaction is rolled back, and the writer goes on.
-pub(super) async fn guarded<T>(writing: impl Future<Output = Result<T>>) -> Result<T> {
+async fn guarded<T>(writing: impl Future<Output = Result<T>>) -> Result<T> {
     let mut writing = pin!(writing);
     poll_fn(|context| {
         let poll = catch_unwind(AssertUnwindSafe(|| writing.as_mut().poll(context)));
@@ -202,6 +202,8 @@ async fn write_in(connection: &mut SqliteConnection, completions: &[Completion])
     let mut tx =
         connection.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to store records"))?;
     let stored = batch::store(&mut tx, completions).await?;
+    #[cfg(test)]
+    assert!(completions.iter().all(|c| c.quality != Some(super::tests::defect())), "a defect, played");
     tx.commit().await.map_err(doing("committing records"))?;
     Ok(stored)
 }

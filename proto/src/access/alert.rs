@@ -21,7 +21,7 @@ const NOT_ACCEPTED: [&str; 7] = [
 
 /// A status that tells why the coordinator does not talk to who has this certificate, or none; None if that is not why
 /// the call failed. Other calls will fail in the same way, so that it is of no use to try again.
-pub(super) fn refusal(error: &dyn Error) -> Option<Status> {
+pub fn refusal(error: &dyn Error) -> Option<Status> {
     let cause = root_cause(error);
     let (_, alert) = cause.rsplit_once(ALERT)?;
     let message = match alert {
@@ -42,19 +42,35 @@ pub(super) fn refusal(error: &dyn Error) -> Option<Status> {
 mod tests {
     use std::io;
 
+    use rustls::AlertDescription;
+
     use super::*;
 
-    fn refused(words: &str) -> Option<String> {
-        let error = io::Error::other(words.to_owned());
+    /// As the words come out of HTTP/2.
+    fn refused(error: &rustls::Error) -> Option<String> {
+        let error = io::Error::other(format!("connection error: {error}"));
         refusal(&error).map(|status| status.message().to_owned())
     }
 
     #[test]
     fn alerts_about_certificates_are_told_and_others_are_not() {
-        let told = refused("connection error: received fatal alert: CertificateRequired").unwrap();
+        use AlertDescription as Alert;
+        use rustls::Error::AlertReceived;
+        let told = refused(&AlertReceived(Alert::CertificateRequired)).unwrap();
         assert!(told.contains("--mutual"), "{told}");
-        assert!(refused("received fatal alert: UnknownCA").unwrap().ends_with("UnknownCA"));
-        assert_eq!(refused("received fatal alert: InternalError"), None);
-        assert_eq!(refused("connection reset by peer"), None);
+        for alert in [
+            Alert::AccessDenied,
+            Alert::BadCertificate,
+            Alert::CertificateExpired,
+            Alert::CertificateRevoked,
+            Alert::CertificateUnknown,
+            Alert::UnknownCA,
+            Alert::UnsupportedCertificate,
+        ] {
+            let told = refused(&AlertReceived(alert)).unwrap();
+            assert!(told.contains("does not accept"), "{told}");
+        }
+        assert_eq!(refused(&AlertReceived(Alert::InternalError)), None);
+        assert_eq!(refused(&rustls::Error::DecryptError), None);
     }
 }

@@ -18,6 +18,7 @@ mod target;
 use std::fmt;
 use std::time::Duration;
 
+pub use alert::refusal;
 pub use client::ClientAccess;
 pub use coordinator::CoordinatorAccess;
 pub use error::AccessError;

@@ -6,6 +6,9 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 use super::super::{Result, doing};
 use super::ROWS;
 
+/// Most rows of a script that is likely to come again: a job of the paper's grid has 43.
+const SMALL: usize = 64;
+
 /// Gathers rows to be inserted, for several tables, and writes many of them at once.
 pub(super) struct Script<'c> {
     tx: &'c mut SqliteConnection,
@@ -45,8 +48,14 @@ impl<'c> Script<'c> {
     async fn write(&mut self) -> Result<()> {
         if self.rows > 0 {
             let mut query = std::mem::replace(&mut self.query, QueryBuilder::new(""));
-            self.rows = 0;
-            query.build().execute(&mut *self.tx).await.map_err(doing("storing results"))?;
+            let rows = std::mem::take(&mut self.rows);
+            // What repeats is small; large ones, each of another length, would only fill the memory for statements.
+            query
+                .build()
+                .persistent(rows <= SMALL)
+                .execute(&mut *self.tx)
+                .await
+                .map_err(doing("storing results"))?;
         }
         Ok(())
     }
