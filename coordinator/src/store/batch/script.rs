@@ -49,10 +49,10 @@ impl<'c> Script<'c> {
         if self.rows > 0 {
             let mut query = std::mem::replace(&mut self.query, QueryBuilder::new(""));
             let rows = std::mem::take(&mut self.rows);
-            // What repeats is small; large ones, each of another length, would only fill the memory for statements.
+            // What repeats is small or full; others, each of another length, would only fill the memory for statements.
             query
                 .build()
-                .persistent(rows <= SMALL)
+                .persistent(rows <= SMALL || rows == ROWS)
                 .execute(&mut *self.tx)
                 .await
                 .map_err(doing("storing results"))?;
