@@ -103,6 +103,7 @@ impl Store {
             .foreign_keys(true);
         let write = SqlitePoolOptions::new()
             .max_connections(1)
+            // The database is a file of this machine: what would fail a test fails the query too.
             .test_before_acquire(false)
             // On a full disk SQLite ends a transaction by itself and sqlx still counts it as open: such a connection
             // would refuse every later one.
