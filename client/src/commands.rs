@@ -21,4 +21,5 @@ pub(crate) mod slurm;
 pub(crate) mod status;
 pub(crate) mod submit;
 pub(crate) mod watch;
+mod which;
 pub(crate) mod workers;

@@ -114,6 +114,10 @@ pub(crate) fn table(head: &[&str], right: &[usize], rows: impl IntoIterator<Item
     for row in rows {
         table.add_row(row);
     }
+    // Two columns of space between cells: tables are to fit a terminal of 80.
+    table.column_iter_mut().for_each(|column| {
+        column.set_padding((0, 1));
+    });
     for &column in right {
         if let Some(column) = table.column_mut(column) {
             column.set_cell_alignment(CellAlignment::Right);

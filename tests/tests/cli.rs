@@ -203,6 +203,7 @@ fn every_answer_of_the_fit_has_its_json_shape() {
         "sample_ior",
         "sigma_t_interval",
         "sigma_t_per_mm",
+        "suspicion",
         "thicknesses",
         "valley",
     ];
@@ -216,12 +217,12 @@ fn every_answer_of_the_fit_has_its_json_shape() {
 
     let ask = |verb: &[&str]| run(dir, &[verb, &["m.csv", "--dictionary", "grid", "--json"][..]].concat());
     let scale = json(&ask(&["scale"]), "scale");
-    assert_eq!(keys(&scale), with(&["materials", "scale"]));
+    assert_eq!(keys(&scale), with(&["common", "materials", "scale"]));
     let expected = ["at_end", "best_g", "by_g", "curvature", "curve", "error", "mu", "std_error"];
     assert_eq!(keys(&scale["scale"]), expected);
-    assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 201);
+    assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 301);
     let measure = json(&ask(&["measure"]), "measure");
-    assert_eq!(keys(&measure), with(&["common_g", "materials", "scale"]));
+    assert_eq!(keys(&measure), with(&["common", "common_g", "materials", "scale"]));
     let map = json(&ask(&["map"]), "map");
     assert_eq!(keys(&map), with(&["maps"]));
     let expected = ["albedo", "best_layer", "channel", "layers", "material", "sample_ior", "sigma_t_per_mm"];

@@ -1,8 +1,8 @@
 //! JSON shapes of fits; see client/README.md.
 
 use farm_proto::fit::{
-    Bounds, Candidate, ChannelFit, Curve, FitOptions, Interval, MaterialFit, Outside, Refined, ScaleCurve,
-    ScalePoint, Wavelet,
+    Bounds, Candidate, Cause, ChannelFit, Common, Curve, FitOptions, GError, Interval, MaterialFit, Outside,
+    Refined, ScaleCurve, ScalePoint, Suspicion, Wavelet,
 };
 use serde::Serialize;
 
@@ -169,6 +169,33 @@ struct RefinedJson {
     measurement_noise: f64,
     dictionary_share: f64,
     misfit: f64,
+    /// The likeliest reason, if the misfit exceeds 2.
+    suspicion: Option<SuspicionJson>,
+}
+
+#[derive(Debug, Serialize)]
+struct SuspicionJson {
+    cause: &'static str,
+    thickness_mm: Option<f64>,
+    amount: f64,
+    misfit_left: f64,
+}
+
+impl From<&Suspicion> for SuspicionJson {
+    fn from(s: &Suspicion) -> Self {
+        let cause = match s.cause {
+            Cause::Unknown => "unknown",
+            Cause::EdgeOffset => "edge_offset_mm",
+            Cause::Gain => "gain",
+            Cause::Zero => "zero",
+            Cause::Slope => "slope",
+            Cause::Blur => "blur_mm",
+            Cause::Outliers => "outliers",
+            Cause::GammaCoded => "gamma_coded",
+            Cause::ThicknessesSwapped => "thicknesses_swapped",
+        };
+        Self { cause, thickness_mm: s.thickness_mm, amount: s.amount, misfit_left: s.misfit_left }
+    }
 }
 
 impl From<&Refined> for RefinedJson {
@@ -187,6 +214,7 @@ impl From<&Refined> for RefinedJson {
             measurement_noise: r.measurement_noise,
             dictionary_share: r.dictionary_share,
             misfit: r.misfit,
+            suspicion: r.suspicion.as_ref().map(Into::into),
         }
     }
 }
@@ -232,6 +260,40 @@ struct GJson {
     best_mu_error: f64,
 }
 
+impl From<&GError> for GJson {
+    fn from(e: &GError) -> Self {
+        Self { g: e.g, error: e.error, best_mu: e.best.mu, best_mu_error: e.best.error }
+    }
+}
+
+/// What all channels share, chosen by refined errors.
+#[derive(Debug, Serialize)]
+pub(crate) struct CommonJson {
+    mu: f64,
+    mu_std_error: f64,
+    mu_interval: IntervalJson,
+    /// Whether μ was searched, not given.
+    mu_chosen: bool,
+    g: Option<f64>,
+    /// Null if g was given.
+    g_interval: Option<IntervalJson>,
+    by_g: Vec<GJson>,
+}
+
+impl From<&Common> for CommonJson {
+    fn from(common: &Common) -> Self {
+        Self {
+            mu: common.mu,
+            mu_std_error: common.mu_std_error,
+            mu_interval: common.mu_interval.into(),
+            mu_chosen: common.mu_chosen,
+            g: common.g,
+            g_interval: common.g_interval.map(Into::into),
+            by_g: common.by_g.iter().map(Into::into).collect(),
+        }
+    }
+}
+
 #[derive(Debug, Serialize)]
 struct PointJson {
     mu: f64,
@@ -240,12 +302,6 @@ struct PointJson {
 
 impl From<&ScaleCurve> for ScaleJson {
     fn from(curve: &ScaleCurve) -> Self {
-        let by_g = curve.by_g.iter().map(|e| GJson {
-            g: e.g,
-            error: e.error,
-            best_mu: e.best.mu,
-            best_mu_error: e.best.error,
-        });
         let point = |p: &ScalePoint| PointJson { mu: p.mu, error: p.error };
         Self {
             mu: curve.best.mu,
@@ -254,7 +310,7 @@ impl From<&ScaleCurve> for ScaleJson {
             curvature: curve.curvature,
             at_end: curve.at_end,
             best_g: curve.best_g,
-            by_g: by_g.collect(),
+            by_g: curve.by_g.iter().map(Into::into).collect(),
             curve: curve.points.iter().map(point).collect(),
         }
     }

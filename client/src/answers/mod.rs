@@ -1,7 +1,9 @@
 //! Answers of the fit as people and programs read them.
 
 mod json;
+mod misfit;
 mod text;
 
-pub(crate) use json::{CandidateJson, MaterialJson, OptionsJson, ScaleJson};
-pub(crate) use text::{albedo, details, neighbours, scale_text, significant, table_csv, table_one};
+pub(crate) use json::{CandidateJson, CommonJson, MaterialJson, OptionsJson, ScaleJson};
+pub(crate) use misfit::misfit_short;
+pub(crate) use text::{albedo, common_text, fits_text, neighbours, scale_text, significant, table_csv};

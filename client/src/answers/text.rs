@@ -1,7 +1,8 @@
 //! Tables of fits.
 
-use farm_proto::fit::{Candidate, ChannelFit, GError, Interval, MaterialFit, Outside, Refined, ScaleCurve};
+use farm_proto::fit::{Candidate, ChannelFit, Common, GError, Interval, MaterialFit, Outside, ScaleCurve};
 
+use super::misfit::misfit;
 use crate::output::table;
 
 /// A number with so many significant digits, without trailing zeros.
@@ -25,171 +26,245 @@ pub(crate) fn albedo(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// `5.9 … 6.2`, with ≤ and ≥ where the data set no bound.
+/// An albedo with so many digits that 1 − α has two, for the ends of intervals.
+fn albedo_end(value: f64) -> String {
+    let co_albedo = 1.0 - value;
+    let decimals = if co_albedo <= 0.0 { 2 } else { (1 - co_albedo.log10().floor() as i32).clamp(2, 6) };
+    let text = format!("{value:.*}", decimals as usize);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// `5.9…6.2`, with ≤ and ≥ where the data set no bound.
 pub(crate) fn interval(i: &Interval, tell: impl Fn(f64) -> String) -> String {
     match (i.open_low, i.open_high) {
         (false, false) if i.low == i.high => "held".to_owned(),
-        (false, false) => format!("{} … {}", tell(i.low), tell(i.high)),
+        (false, false) => format!("{}…{}", tell(i.low), tell(i.high)),
         (true, false) => format!("≤ {}", tell(i.high)),
         (false, true) => format!("≥ {}", tell(i.low)),
         (true, true) => "any".to_owned(),
     }
 }
 
-fn best(channel: &ChannelFit) -> Option<&Candidate> {
-    channel.refined.as_ref().map(|r| &r.best).or(channel.candidates.first())
+/// Longest name of a material in a table of 80 columns.
+const LONGEST_NAME: usize = 8;
+
+/// A name with its end cut off where it would make a table too wide.
+fn short(name: &str) -> String {
+    if name.chars().count() <= LONGEST_NAME {
+        return name.to_owned();
+    }
+    name.chars().take(LONGEST_NAME - 1).chain(['…']).collect()
 }
 
-fn channel_names(fits: &[MaterialFit]) -> Vec<&str> {
-    let mut names: Vec<&str> = Vec::new();
-    for fit in fits.iter().flat_map(|f| &f.channels) {
-        if !names.contains(&fit.channel.as_str()) {
-            names.push(&fit.channel);
+/// The fits of all channels: what is known best, the media, and what a reader must know of them.
+pub(crate) fn fits_text(fits: &[MaterialFit]) -> String {
+    let all = || fits.iter().flat_map(|f| f.channels.iter().map(move |c| (f, c)));
+    let mut text = String::new();
+    if all().any(|(_, c)| c.refined.is_some()) {
+        text += &known(fits);
+        text += "\n\n";
+    }
+    text += &media(fits);
+    // What is said of several channels is said once.
+    let mut said: Vec<(String, Vec<String>)> = Vec::new();
+    for (fit, channel) in all() {
+        let who = format!("{} {}", fit.material, channel.channel);
+        for remark in remarks(channel) {
+            match said.iter_mut().find(|(other, _)| *other == remark) {
+                Some((_, of)) => of.push(who.clone()),
+                None => said.push((remark, vec![who.clone()])),
+            }
         }
     }
-    names
-}
-
-/// The paper's Table 1: one row a material, the channels side by side. Unresolved channels are marked.
-pub(crate) fn table_one(fits: &[MaterialFit]) -> String {
-    type Tell = fn(&Candidate) -> String;
-    let quantities: [(&str, Tell); 4] = [
-        ("σ_t /mm", |c| significant(c.medium.sigma_t_per_mm(), 3)),
-        ("α", |c| albedo(c.medium.albedo())),
-        ("g", |c| significant(c.medium.g(), 3)),
-        ("error", |c| format!("{:.4}", c.error)),
-    ];
-    let channels = channel_names(fits);
-    let mut head = vec!["material".to_owned()];
-    for (name, _) in quantities {
-        head.extend(channels.iter().map(|c| format!("{name}\n{c}")));
-    }
-    let row = |fit: &MaterialFit| {
-        let cell = |name: &str, tell: Tell| {
-            let channel = fit.channels.iter().find(|c| c.channel == name);
-            let Some((channel, best)) = channel.and_then(|c| Some((c, best(c)?))) else {
-                return "–".to_owned();
-            };
-            let unresolved = channel.refined.as_ref().is_some_and(|r| !r.resolved);
-            if unresolved { format!("({})", tell(best)) } else { tell(best) }
-        };
-        let mut row = vec![fit.material.clone()];
-        for (_, tell) in quantities {
-            row.extend(channels.iter().map(|c| cell(c, tell)));
-        }
-        row
-    };
-    let right: Vec<usize> = (1..head.len()).collect();
-    let mut text = table(&head.iter().map(String::as_str).collect::<Vec<_>>(), &right, fits.iter().map(row));
-    let any = |ok: fn(&Refined) -> bool| {
-        fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref()).any(ok)
-    };
-    if any(|r| !r.resolved) {
-        text += "\n(…) unresolved: the data do not determine the medium; see the bounds below";
+    for (remark, of) in said {
+        text += &format!("\n{}", wrapped(&format!("{}: {remark}", of.join(", "))));
     }
     text
 }
 
-/// One row a channel: optimum, 95 % intervals, nearest record, remarks.
-pub(crate) fn details(fits: &[MaterialFit]) -> String {
-    let head = [
-        "material",
-        "channel",
-        "σ_t /mm",
-        "95 %",
-        "α",
-        "95 %",
-        "g",
-        "95 %",
-        "nearest record\nσ_t, α, g",
-        "remarks",
-    ];
-    let rows = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| detail(&fit.material, c)));
-    table(&head, &[2, 4, 6], rows)
+/// A line of text in lines of at most 80 columns.
+fn wrapped(text: &str) -> String {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        let last = lines.last_mut().expect("there is a line");
+        let wide = last.chars().count() + 1 + word.chars().count() > 80;
+        if last.is_empty() || !wide {
+            let space = if last.is_empty() { "" } else { " " };
+            *last += space;
+            *last += word;
+        } else {
+            lines.push(format!("  {word}"));
+        }
+    }
+    lines.join("\n")
 }
 
-fn detail(material: &str, channel: &ChannelFit) -> Vec<String> {
-    let mut row = vec![material.to_owned(), channel.channel.clone()];
+/// One row a channel: σ_s(1 − g) and σ_a, which similar media share.
+fn known(fits: &[MaterialFit]) -> String {
+    let head = ["material", "ch", "σ_s(1−g)\n/mm", "\n95 %", "σ_a\n/mm", "\n95 %", "misfit", "error"];
     let three = |v: f64| significant(v, 3);
-    if let Some(r) = &channel.refined {
-        let m = &r.best.medium;
-        row.extend([three(m.sigma_t_per_mm()), interval(&r.sigma_t_per_mm, three)]);
-        row.extend([albedo(m.albedo()), interval(&r.albedo, albedo)]);
-        row.extend([three(m.g()), interval(&r.g, three)]);
-    } else {
-        row.extend(std::iter::repeat_n("–".to_owned(), 6));
+    let two = |v: f64| significant(v, 2);
+    let row = |material: &str, channel: &ChannelFit| {
+        let mut row = vec![short(material), channel.channel.clone()];
+        if let Some(r) = &channel.refined {
+            let m = &r.best.medium;
+            let scattering = m.albedo() * m.sigma_t_per_mm() * (1.0 - m.g());
+            let absorption = m.sigma_t_per_mm() * (1.0 - m.albedo());
+            row.extend([three(scattering), interval(&r.reduced_scattering_per_mm, three)]);
+            row.extend([two(absorption), interval(&r.absorption_per_mm, two)]);
+            row.extend([two(r.misfit), format!("{:.4}", r.best.error)]);
+        } else {
+            row.extend(std::iter::repeat_n("–".to_owned(), 6));
+        }
+        row
+    };
+    let rows = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| row(&fit.material, c)));
+    format!("what similar media share, whatever g is\n{}", table(&head, &[2, 4, 6, 7], rows))
+}
+
+/// One row a channel: σ_t, α and g with their intervals; without refinement, those of the best record.
+fn media(fits: &[MaterialFit]) -> String {
+    let three = |v: f64| significant(v, 3);
+    let refined = fits.iter().flat_map(|f| &f.channels).any(|c| c.refined.is_some());
+    let mut head = vec!["material", "ch", "σ_t\n/mm", "\n95 %", "α", "\n95 %", "g", "\n95 %"];
+    if !refined {
+        head = vec!["material", "ch", "σ_t\n/mm", "α", "g", "error"];
     }
-    let record = channel.candidates.first().map(|c| {
-        let m = &c.medium;
-        format!("{}, {}, {}", m.sigma_t_per_mm(), m.albedo(), m.g())
-    });
-    row.push(record.unwrap_or_default());
-    row.push(remarks(channel).join("; "));
-    row
+    let row = |material: &str, channel: &ChannelFit| {
+        let mut row = vec![short(material), channel.channel.clone()];
+        match (&channel.refined, channel.candidates.first()) {
+            (Some(r), _) => {
+                let m = &r.best.medium;
+                let mark = |value: String| if r.resolved { value } else { format!("({value})") };
+                row.extend([mark(three(m.sigma_t_per_mm())), interval(&r.sigma_t_per_mm, three)]);
+                row.extend([mark(albedo(m.albedo())), interval(&r.albedo, albedo_end)]);
+                row.extend([three(m.g()), interval(&r.g, |v| significant(v, 2))]);
+            }
+            (None, Some(c)) => {
+                let m = &c.medium;
+                row.extend([m.sigma_t_per_mm(), m.albedo(), m.g()].map(|v| v.to_string()));
+                row.push(format!("{:.4}", c.error));
+            }
+            (None, None) => row.resize(head.len(), "–".to_owned()),
+        }
+        row
+    };
+    let rows = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| row(&fit.material, c)));
+    let right: &[usize] = if refined { &[2, 4, 6] } else { &[2, 3, 4, 5] };
+    let unresolved =
+        fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref()).any(|r| !r.resolved);
+    let note = if unresolved {
+        "\n(…) unresolved: these data leave the medium open within the bounds told"
+    } else {
+        ""
+    };
+    let title = if refined { "media" } else { "best records of the dictionary" };
+    format!("{title}\n{}{note}", table(&head, right, rows))
 }
 
 /// What a reader of the numbers must know.
 pub(crate) fn remarks(channel: &ChannelFit) -> Vec<String> {
     let mut remarks = Vec::new();
     if let Some(r) = &channel.refined {
-        if !r.resolved {
-            remarks.push("unresolved".to_owned());
+        if let Some(misfit) = misfit(r) {
+            remarks.push(misfit);
+        }
+        if !r.resolved && channel.outside.is_none() {
+            remarks.push(unresolved(&r.sigma_t_per_mm));
         }
         if r.valley {
-            let reduced = interval(&r.reduced_scattering_per_mm, |v| significant(v, 3));
-            let absorption = interval(&r.absorption_per_mm, |v| significant(v, 2));
-            remarks
-                .push(format!("σ_t and g trade off: known are σ_s(1−g) {reduced} /mm, σ_a {absorption} /mm"));
+            remarks.push("σ_t and g trade off: trust σ_s(1−g) and σ_a".to_owned());
         }
     }
     if let Some(outside) = channel.outside {
-        let how = match outside {
-            Outside::Brighter => "brighter",
-            Outside::Darker => "darker",
+        let (how, what) = match outside {
+            Outside::Brighter => ("brighter", "white reference, scale factor"),
+            Outside::Darker => ("darker", "black level, scale factor"),
         };
-        remarks.push(format!("outside: {how} than every record"));
+        remarks.push(format!(
+            "outside the dictionary: {how} than every record; check {what}, or compute a wider dictionary"
+        ));
     }
     remarks
 }
 
-/// What the search of Eq. 3 found.
+/// Why a channel is unresolved: the data, or a dictionary that ends where they would go on.
+fn unresolved(sigma_t: &Interval) -> String {
+    let narrow = sigma_t.high <= 2.0 * sigma_t.low && (sigma_t.open_low != sigma_t.open_high);
+    if !narrow {
+        return "unresolved: the data do not determine the medium".to_owned();
+    }
+    let (side, end) = if sigma_t.open_high { ("above", sigma_t.high) } else { ("below", sigma_t.low) };
+    format!(
+        "unresolved: σ_t may lie {side} {} /mm, where the dictionary or --sigma-t ends; compute a wider dictionary, or \
+         tell g",
+        significant(end, 3)
+    )
+}
+
+/// What was chosen for all channels, or given.
+pub(crate) fn common_text(common: &Common) -> String {
+    let i = &common.mu_interval;
+    let mut lines = Vec::new();
+    if !common.mu_chosen {
+        lines.push(format!("scale factor μ = {}, as given", common.mu));
+    } else if i.open_low && i.open_high {
+        lines.push(format!(
+            "scale factor μ: not determined by these data; taken as {} ± {} (tried: {} to {}). If the photographs are \
+             calibrated, tell it: --mu 1",
+            significant(common.mu, 4),
+            significant(common.mu_std_error, 1),
+            i.low,
+            i.high
+        ));
+    } else {
+        let (mu, error) = (significant(common.mu, 4), significant(common.mu_std_error, 1));
+        let mut line = format!("scale factor μ = {mu} ± {error}, chosen by the errors of refined fits");
+        if i.open_low || i.open_high {
+            line += "; it may lie beyond the values tried: widen them with --mu-min and --mu-max";
+        }
+        lines.push(line);
+    }
+    match (common.g, &common.g_interval) {
+        (Some(g), Some(i)) => {
+            let told = interval(i, |v| significant(v, 2));
+            lines.push(format!(
+                "anisotropy g = {}, chosen as common to all channels (95 %: {told})",
+                significant(g, 3)
+            ));
+        }
+        (Some(g), None) => lines.push(format!("anisotropy g = {g}, as given")),
+        (None, _) => lines.push("every channel has its own anisotropy".to_owned()),
+    }
+    lines.iter().map(|l| wrapped(l)).collect::<Vec<_>>().join("\n")
+}
+
+/// The paper's search of Eq. 3, by the errors of the best records.
 pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
     let error = scale.std_error.map_or(String::new(), |e| format!(" ± {}", significant(e, 1)));
-    let mut text = format!("scale factor μ* = {}{error} (error {:.4})", scale.best.mu, scale.best.error);
-    if let Some(curvature) = scale.curvature {
-        // A parabola with this curvature: e(μ) = e(μ*) (1 + ½ c (μ − μ*)²).
-        text += &format!("; 0.01 away from it the error is {:.2} % larger", 0.5 * curvature * 1e-4 * 100.0);
+    let mut text = format!(
+        "by the best records alone, as in the paper's Eq. 3: μ* = {}{error}\n(error {:.4}",
+        scale.best.mu, scale.best.error
+    );
+    // A parabola with this curvature: e(μ) = e(μ*) (1 + ½ c (μ − μ*)²).
+    match scale.curvature {
+        Some(c) if c > 0.0 => {
+            text += &format!("; 0.01 away from it the error is {:.2} % larger)", 0.5 * c * 1e-4 * 100.0);
+        }
+        Some(_) => text += "; near it the error does not rise: the minimum is not sharp)",
+        None => text += ")",
     }
     if scale.at_end {
-        text += "
-μ* lies at an end of the values tried: widen them with --mu-min and --mu-max";
+        text += "\nμ* lies at an end of the values tried: widen them with --mu-min and --mu-max";
     }
     if scale.by_g.len() > 1 {
         let row = |e: &GError| {
             let mark = if e.g == scale.best_g { " (best)" } else { "" };
-            vec![
-                format!("{}{mark}", e.g),
-                format!("{:.4}", e.error),
-                e.best.mu.to_string(),
-                format!("{:.4}", e.best.error),
-            ]
+            let there = format!("{:.4}", e.best.error);
+            vec![format!("{}{mark}", e.g), format!("{:.4}", e.error), e.best.mu.to_string(), there]
         };
-        let head = [
-            "g common
-to all",
-            "error
-at μ*",
-            "its own
-best μ",
-            "error
-there",
-        ];
-        text += &format!(
-            "
-
-{}",
-            table(&head, &[0, 1, 2, 3], scale.by_g.iter().map(row))
-        );
+        let head = ["g common\nto all", "error\nat μ*", "its own\nbest μ", "error\nthere"];
+        text += &format!("\n\n{}", table(&head, &[0, 1, 2, 3], scale.by_g.iter().map(row)));
     }
     text
 }
@@ -216,6 +291,13 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
         "grid_g",
         "grid_error",
         "remarks",
+        "reduced_scattering_per_mm",
+        "reduced_scattering_low",
+        "reduced_scattering_high",
+        "absorption_per_mm",
+        "absorption_low",
+        "absorption_high",
+        "misfit",
     ])?;
     for fit in fits {
         for channel in &fit.channels {
@@ -230,6 +312,12 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
             row.extend([r.best.error.to_string(), r.resolved.to_string()]);
             row.extend([n.sigma_t_per_mm(), n.albedo(), n.g(), grid.error].map(|v| v.to_string()));
             row.push(remarks(channel).join("; "));
+            let scattering = m.albedo() * m.sigma_t_per_mm() * (1.0 - m.g());
+            let i = &r.reduced_scattering_per_mm;
+            row.extend([scattering.to_string(), low(i), high(i)]);
+            let absorption = m.sigma_t_per_mm() * (1.0 - m.albedo());
+            row.extend([absorption.to_string(), low(&r.absorption_per_mm), high(&r.absorption_per_mm)]);
+            row.push(r.misfit.to_string());
             writer.write_record(&row)?;
         }
     }
@@ -276,7 +364,7 @@ mod tests {
         let tell = |low, high, open_low, open_high| {
             interval(&Interval { low, high, open_low, open_high }, |v| significant(v, 2))
         };
-        assert_eq!(tell(1.0, 2.0, false, false), "1 … 2");
+        assert_eq!(tell(1.0, 2.0, false, false), "1…2");
         assert_eq!(tell(1.0, 2.0, true, false), "≤ 2");
         assert_eq!(tell(1.0, 2.0, false, true), "≥ 1");
         assert_eq!(tell(1.0, 2.0, true, true), "any");

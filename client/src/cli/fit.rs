@@ -10,9 +10,9 @@ use super::bounds::BoundsArg;
 /// What all questions to a dictionary have in common.
 #[derive(Debug, Args)]
 pub struct OptionArgs {
-    /// Dictionary to search.
-    #[arg(long, value_name = "NAME", default_value = "paper")]
-    pub dictionary: String,
+    /// Dictionary to search [default: the only one, or paper].
+    #[arg(long, value_name = "NAME")]
+    pub dictionary: Option<String>,
     /// Only this anisotropy, or a range as in 0.2..0.6 [default: any].
     #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
     pub g: Option<BoundsArg>,
@@ -33,7 +33,7 @@ pub struct OptionArgs {
     pub level: u32,
     /// Relative standard error of the scale of each profile on its own (exposure, illumination), to be contained in the
     /// error bars.
-    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "ERROR", default_value_t = 0.003, allow_negative_numbers = true)]
     pub gain_std_error: f64,
     /// Standard error of the zero of each profile on its own (stray light, black level), as a radiance factor.
     #[arg(long, value_name = "ERROR", default_value_t = 0.001, allow_negative_numbers = true)]
@@ -109,7 +109,7 @@ pub struct MuArgs {
     #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
     pub mu_min: f64,
     /// Greatest scale factor to try.
-    #[arg(long, value_name = "MU", default_value_t = 1.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MU", default_value_t = 1.1, allow_negative_numbers = true)]
     pub mu_max: f64,
     /// Distance between scale factors.
     #[arg(long, value_name = "STEP", default_value_t = 0.001, allow_negative_numbers = true)]

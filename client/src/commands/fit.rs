@@ -1,10 +1,13 @@
+use std::path::PathBuf;
+
 use anyhow::{Context, Result};
+use farm_proto::Measurement;
 use farm_proto::fit::{FitOptions, MaterialFit};
 use farm_proto::wire::FitRequest;
-use farm_proto::{DictionaryName, Measurement};
 use serde::Serialize;
 
-use crate::answers::{MaterialJson, OptionsJson, details, neighbours, table_one};
+use super::which;
+use crate::answers::{MaterialJson, OptionsJson, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::figures;
@@ -14,20 +17,23 @@ use crate::plot::Picture;
 
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
     let options = args.options()?;
-    let dictionary = &args.options.dictionary;
-    DictionaryName::new(dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
+    let given = args.options.dictionary.as_ref();
+    which::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let materials = read_measurements(&args.measurement)?;
-    let fits = with_farm(global, Purpose::Ask, async |connection| {
-        fit_all(connection, dictionary, &materials, &options).await
+    let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = which::dictionary(connection, given).await?;
+        let fits = fit_all(connection, &dictionary, &materials, &options).await?;
+        Ok((dictionary, fits))
     })
     .await?;
-    if let Some(path) = &args.plot {
-        figures::write_fits(&fits, path)?;
-    }
-    let options = OptionsJson::new(dictionary, &options);
+    let pictures = match &args.plot {
+        Some(path) => figures::write_fits(&fits, path)?,
+        None => Vec::new(),
+    };
+    let options = OptionsJson::new(&dictionary, &options);
     let data = FitJson { options, materials: fits.iter().map(Into::into).collect() };
-    output.print("fit", &data, || text(&fits, args.top))
+    output.print("fit", &data, || text(&fits, args.top, &pictures))
 }
 
 async fn fit_all(
@@ -50,13 +56,9 @@ async fn fit_all(
     Ok(fits)
 }
 
-/// The paper's Table 1, certainty, then the best records of each channel.
-fn text(fits: &[MaterialFit], top: u32) -> String {
-    let mut text = table_one(fits);
-    if fits.iter().flat_map(|f| &f.channels).any(|c| c.refined.is_some() || c.outside.is_some()) {
-        text += "\n\n";
-        text += &details(fits);
-    }
+/// What was found, then the best records of each channel.
+fn text(fits: &[MaterialFit], top: u32, pictures: &[PathBuf]) -> String {
+    let mut text = fits_text(fits);
     if top > 1 {
         for fit in fits {
             for channel in &fit.channels {
@@ -64,6 +66,9 @@ fn text(fits: &[MaterialFit], top: u32) -> String {
                 text += &neighbours(&channel.candidates);
             }
         }
+    }
+    for picture in pictures {
+        text += &format!("\ndrawn: {}", picture.display());
     }
     text
 }

@@ -1,9 +1,10 @@
 use anyhow::{Context, Result, bail};
+use farm_proto::Measurement;
 use farm_proto::fit::{DistanceMap, FitOptions, FitSettings, MapLayer};
 use farm_proto::wire::MapRequest;
-use farm_proto::{DictionaryName, Measurement};
 use serde::Serialize;
 
+use super::which;
 use crate::answers::{CandidateJson, OptionsJson, albedo, significant};
 use crate::cli::{Global, MapArgs};
 use crate::connection::{Connection, Purpose, with_farm};
@@ -14,12 +15,14 @@ use crate::plot::Picture;
 
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
     let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings()? })?;
-    let dictionary = &args.options.dictionary;
-    DictionaryName::new(dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
+    let given = args.options.dictionary.as_ref();
+    which::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let materials = chosen(read_measurements(&args.measurement)?, &args)?;
-    let maps = with_farm(global, Purpose::Ask, async |connection| {
-        map_all(connection, dictionary, &materials, &options).await
+    let (dictionary, maps) = with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = which::dictionary(connection, given).await?;
+        let maps = map_all(connection, &dictionary, &materials, &options).await?;
+        Ok((dictionary, maps))
     })
     .await?;
     if let Some(path) = &args.plot {
@@ -27,7 +30,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     }
     let json = |(material, map): &(String, DistanceMap)| MapJson::new(material, map);
     let data =
-        JsonData { options: OptionsJson::new(dictionary, &options), maps: maps.iter().map(json).collect() };
+        JsonData { options: OptionsJson::new(&dictionary, &options), maps: maps.iter().map(json).collect() };
     output.print("map", &data, || {
         let tell = |(material, map): &(String, DistanceMap)| text(material, map);
         maps.iter().map(tell).collect::<Vec<_>>().join("\n\n")

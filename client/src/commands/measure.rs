@@ -1,12 +1,12 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use farm_proto::DictionaryName;
-use farm_proto::fit::{FitOptions, FitSettings, MaterialFit, ScaleCurve};
+use farm_proto::fit::{Common, FitOptions, FitSettings, MaterialFit, ScaleCurve};
 use farm_proto::wire::{MeasureRequest, MeasureResponse};
 use serde::Serialize;
 
-use crate::answers::{MaterialJson, OptionsJson, ScaleJson, details, scale_text, table_csv, table_one};
+use super::which;
+use crate::answers::{CommonJson, MaterialJson, OptionsJson, ScaleJson, common_text, fits_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::figures;
@@ -24,11 +24,12 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     };
     let options = FitOptions::new(settings)?;
     let range = args.search.range()?;
-    let dictionary = &args.options.dictionary;
-    DictionaryName::new(dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
+    let given = args.options.dictionary.as_ref();
+    which::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let materials = read_measurements(&args.measurements)?;
-    let answer = with_farm(global, Purpose::Ask, async |connection| {
+    let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = which::dictionary(connection, given).await?;
         let request = MeasureRequest {
             dictionary: dictionary.clone(),
             materials: materials.iter().map(Into::into).collect(),
@@ -36,58 +37,57 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
             search_mu: args.mu.is_none().then(|| range.into()),
             common_g: !args.free_g,
         };
-        Ok(connection.fits().measure(request).await?.into_inner())
+        Ok((dictionary, connection.fits().measure(request).await?.into_inner()))
     })
     .await?;
     let found = Found::try_from(answer)?;
-    if let Some(path) = &args.plot {
-        figures::write_fits(&found.materials, path)?;
-    }
+    let pictures = match &args.plot {
+        Some(path) => figures::write_fits(&found.materials, path)?,
+        None => Vec::new(),
+    };
     if let Some(folder) = &args.output {
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
-    let options = options.with_mu(found.mu, found.mu_std_error)?;
+    let options = options.with_mu(found.common.mu, found.common.mu_std_error)?;
     let data = JsonData {
-        options: OptionsJson::new(dictionary, &options),
-        common_g: found.g,
+        options: OptionsJson::new(&dictionary, &options),
+        common_g: found.common.g,
+        common: (&found.common).into(),
         scale: found.scale.as_ref().map(Into::into),
         materials: found.materials.iter().map(Into::into).collect(),
     };
-    output.print("measure", &data, || text(&found, args.output.as_deref()))
+    output.print("measure", &data, || text(&found, args.output.as_deref(), &pictures))
 }
+
+/// Why an answer may lack what this program shows.
+pub(super) const OLDER: &str = "the farm's answer does not tell what was chosen for all channels: its coordinator is \
+                                older than this farmctl; upgrade it";
 
 /// A checked answer.
 struct Found {
+    /// The paper's curve; none if the scale factor was given.
     scale: Option<ScaleCurve>,
-    mu: f64,
-    mu_std_error: f64,
-    g: Option<f64>,
+    common: Common,
     materials: Vec<MaterialFit>,
 }
 
 impl TryFrom<MeasureResponse> for Found {
-    type Error = farm_proto::Invalid;
+    type Error = anyhow::Error;
 
     fn try_from(answer: MeasureResponse) -> Result<Self, Self::Error> {
         Ok(Self {
             scale: answer.scale.map(ScaleCurve::try_from).transpose()?,
-            mu: answer.mu,
-            mu_std_error: answer.mu_std_error,
-            g: answer.g,
+            common: answer.common.context(OLDER)?.try_into()?,
             materials: answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?,
         })
     }
 }
 
-fn text(found: &Found, folder: Option<&Path>) -> String {
-    let mut text = match &found.scale {
-        Some(scale) => scale_text(scale),
-        None => format!("scale factor μ = {}, as given", found.mu),
-    };
-    if let Some(g) = found.g {
-        text += &format!("\nall media with g = {g}");
+fn text(found: &Found, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
+    let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(&found.materials));
+    for picture in pictures {
+        text += &format!("\ndrawn: {}", picture.display());
     }
-    text += &format!("\n\n{}\n\n{}", table_one(&found.materials), details(&found.materials));
     if let Some(folder) = folder {
         text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
     }
@@ -115,6 +115,7 @@ struct JsonData {
     options: OptionsJson,
     /// Null if every channel has its own.
     common_g: Option<f64>,
+    common: CommonJson,
     /// Null if the scale factor was given.
     scale: Option<ScaleJson>,
     materials: Vec<MaterialJson>,

@@ -1,13 +1,14 @@
 use anyhow::{Context, Result};
-use farm_proto::DictionaryName;
-use farm_proto::fit::{FitOptions, MaterialFit, ScaleCurve};
+use farm_proto::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use farm_proto::wire::ScaleRequest;
 use serde::Serialize;
 
-use crate::answers::{MaterialJson, OptionsJson, ScaleJson, scale_text, table_one};
+use super::measure::OLDER;
+use super::which;
+use crate::answers::{CommonJson, MaterialJson, OptionsJson, ScaleJson, common_text, scale_text};
 use crate::cli::{Global, ScaleArgs};
 use crate::connection::{Purpose, with_farm};
-use crate::figures;
+use crate::figures::{self, drawn};
 use crate::measurement_file::read_measurements;
 use crate::output::Output;
 use crate::plot::Picture;
@@ -15,33 +16,38 @@ use crate::plot::Picture;
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
     let options = FitOptions::new(args.options.settings()?)?;
     let range = args.mu.range()?;
-    let dictionary = &args.options.dictionary;
-    DictionaryName::new(dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
+    let given = args.options.dictionary.as_ref();
+    which::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let materials = read_measurements(&args.measurements)?;
-    let answer = with_farm(global, Purpose::Ask, async |connection| {
+    let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = which::dictionary(connection, given).await?;
         let request = ScaleRequest {
             dictionary: dictionary.clone(),
             materials: materials.iter().map(Into::into).collect(),
             options: Some((&options).into()),
             mu: Some(range.into()),
         };
-        Ok(connection.fits().scale(request).await?.into_inner())
+        Ok((dictionary, connection.fits().scale(request).await?.into_inner()))
     })
     .await?;
     let scale = ScaleCurve::try_from(answer.scale.context("the farm's answer holds no curve")?)?;
+    let common: Common = answer.common.context(OLDER)?.try_into()?;
     let fits: Vec<MaterialFit> =
         answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?;
     if let Some(path) = &args.plot {
-        figures::scale(&scale)?.write(path)?;
+        figures::scale(&scale, &common)?.write(path)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
     let data = JsonData {
-        options: OptionsJson::new(dictionary, &options),
+        options: OptionsJson::new(&dictionary, &options),
         scale: (&scale).into(),
+        common: (&common).into(),
         materials: fits.iter().map(Into::into).collect(),
     };
-    output.print("scale", &data, || format!("{}\n\n{}", scale_text(&scale), table_one(&fits)))
+    output.print("scale", &data, || {
+        format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(args.plot.as_deref()))
+    })
 }
 
 #[derive(Debug, Serialize)]
@@ -49,5 +55,7 @@ struct JsonData {
     #[serde(flatten)]
     options: OptionsJson,
     scale: ScaleJson,
+    /// By the errors of refined fits.
+    common: CommonJson,
     materials: Vec<MaterialJson>,
 }

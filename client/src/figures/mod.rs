@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use farm_proto::Medium;
-use farm_proto::fit::{ChannelFit, Curve, DistanceMap, MaterialFit, ScaleCurve};
+use farm_proto::fit::{ChannelFit, Common, Curve, DistanceMap, MaterialFit, ScaleCurve};
 
-use crate::answers::{albedo, significant};
+use crate::answers::{albedo, misfit_short, significant};
 use crate::plot::{
     self, ErrorAtG, FitFigure, FitPanel, MapFigure, MapPanel, MapPoint, Picture, ScaleFigure, fit_figure,
     map_figure, scale_figure,
@@ -18,15 +18,22 @@ use crate::plot::{
 pub(crate) use changes::changes;
 pub(crate) use overview::{chosen_axes, overview};
 
-/// One picture per material: `FILE.svg`, or `FILE-MATERIAL.svg` if there are several.
-pub(crate) fn write_fits(fits: &[MaterialFit], path: &Path) -> Result<()> {
+/// One picture per material: `FILE.svg`, or `FILE-MATERIAL.svg` if there are several. Returns the files.
+pub(crate) fn write_fits(fits: &[MaterialFit], path: &Path) -> Result<Vec<PathBuf>> {
+    let mut written = Vec::new();
     for fit in fits {
         let figure =
             FitFigure { title: fit.material.clone(), panels: fit.channels.iter().flat_map(panels).collect() };
         let path = if fits.len() == 1 { path.to_owned() } else { named(path, &fit.material) };
         fit_figure(&figure)?.write(&path)?;
+        written.push(path);
     }
-    Ok(())
+    Ok(written)
+}
+
+/// A line that names the picture, if one was drawn.
+pub(crate) fn drawn(path: Option<&Path>) -> String {
+    path.map_or(String::new(), |path| format!("\ndrawn: {}", path.display()))
 }
 
 fn panels(channel: &ChannelFit) -> Vec<FitPanel> {
@@ -54,6 +61,7 @@ fn panels(channel: &ChannelFit) -> Vec<FitPanel> {
             refined: c.refined.as_ref().map(curve),
             refined_label: channel.refined.as_ref().map(|r| label(&r.best.medium)).unwrap_or_default(),
             neighbours: candidates.collect(),
+            warning: channel.refined.as_ref().and_then(misfit_short),
         })
     };
     channel.curves.iter().filter_map(panel).collect()
@@ -89,15 +97,16 @@ fn map_data(material: &str, map: &DistanceMap) -> MapFigure {
     }
 }
 
-pub(crate) fn scale(curve: &ScaleCurve) -> Result<Picture> {
+/// The paper's curve over μ by records, and the refined errors over g.
+pub(crate) fn scale(curve: &ScaleCurve, common: &Common) -> Result<Picture> {
     scale_figure(&ScaleFigure {
         title: "Scale factor common to all materials".to_owned(),
         mu: curve.points.iter().map(|p| p.mu).collect(),
         error: curve.points.iter().map(|p| p.error).collect(),
         best_mu: curve.best.mu,
         std_error: curve.std_error,
-        by_g: curve.by_g.iter().map(|e| ErrorAtG { g: e.g, error: e.error }).collect(),
-        best_g: Some(curve.best_g),
+        by_g: common.by_g.iter().map(|e| ErrorAtG { g: e.g, error: e.error }).collect(),
+        best_g: common.g_interval.and(common.g),
     })
 }
 

@@ -33,6 +33,8 @@ pub(crate) struct FitPanel {
     pub refined_label: String,
     /// Records next to the best.
     pub neighbours: Vec<Curve>,
+    /// Why the fit may not be trusted.
+    pub warning: Option<String>,
 }
 
 pub(crate) fn fit_figure(figure: &FitFigure) -> anyhow::Result<Picture> {
@@ -57,6 +59,9 @@ fn cell(panel: &FitPanel) -> Cell<'_> {
         keys.push(Key::line(REFINED, panel.refined_label.as_str()));
         curves.push((REFINED, refined));
     }
+    if let Some(warning) = &panel.warning {
+        keys.push(Key::note(warning.as_str()));
+    }
     Cell { column: &panel.channel, thickness_mm: panel.thickness_mm, keys, curves }
 }
 
@@ -75,6 +80,7 @@ mod tests {
             refined: Some(edge(0.11, 0.8, 0.5)),
             refined_label: "σ_t 6.21 ± 0.04, α 0.99912 ± 0.00003, g 0.452 ± 0.013".into(),
             neighbours: vec![edge(0.14, 0.78, 0.6), edge(0.1, 0.8, 0.4)],
+            warning: Some("misfit 3.4: edge 0.07 mm off?".into()),
         }
     }
 

@@ -2,7 +2,6 @@
 
 use farm_proto::fit::{Candidate, Curve, FitCurves, Refined};
 
-use super::certainty::coordinates_of;
 use super::question::{Question, Term};
 use super::refine::Objective;
 
@@ -12,7 +11,11 @@ pub(super) fn curves(
     refined: Option<&Refined>,
 ) -> Vec<FitCurves> {
     let sensor = question.dictionary.grid().scene().sensor();
-    let objective = refined.map(|r| (Objective::new(question, &r.best), coordinates_of(r)));
+    let objective = refined.map(|r| {
+        let objective = Objective::new(question, &r.best);
+        let x = objective.start(&r.best.medium);
+        (objective, x)
+    });
     let curves = |(i, term): (usize, &Term)| FitCurves {
         thickness_mm: question.dictionary.grid().thickness_mm()[term.thickness],
         x_mm: term.view.pixels().map(|pixel| sensor.centre_mm(pixel)).collect(),

@@ -1,9 +1,10 @@
 //! Where intervals end: Eq. 1 is followed until it has risen as the noise allows.
 
 use farm_proto::fit::Interval;
-use glam::DMat3;
+use glam::DMat4;
 
-use super::certainty::{Noise, Spread, Z};
+use super::certainty::Z;
+use super::noise::Spread;
 use super::refine::{Block, Objective, Optimum, PARAMETERS};
 use super::surrogate::{ALBEDO, G, SIGMA_T};
 
@@ -15,9 +16,9 @@ pub(super) struct Intervals<'a> {
     /// At the optimum.
     pub blocks: &'a [Block],
     pub spread: &'a Spread,
-    /// Covariance from systematic errors.
-    pub systematic: DMat3,
-    pub free: [bool; 3],
+    /// Covariance from what is not the channel's own noise; negative where that is counted twice.
+    pub systematic: DMat4,
+    pub free: [bool; 4],
 }
 
 /// One end of an interval in a coordinate; open if the limit is reached before the error has risen enough.
@@ -29,11 +30,11 @@ struct End {
 impl Intervals<'_> {
     /// The intervals of all parameters. Where the data do not bound σ_t the albedo's systematic error is that at any
     /// one σ_t: the linear theory would let it run along with the other.
-    pub(super) fn all(&self, noise: &Noise) -> [Interval; 3] {
+    pub(super) fn all(&self, systematic_at_any_sigma_t: impl Fn() -> DMat4) -> [Interval; 3] {
         let sigma_t = self.of(SIGMA_T);
         let mut others = *self;
         if sigma_t.open_low || sigma_t.open_high {
-            others.systematic = noise.spread([false, self.free[ALBEDO], self.free[G]]).systematic;
+            others.systematic = systematic_at_any_sigma_t();
         }
         [sigma_t, others.of(ALBEDO), others.of(G)]
     }
@@ -57,7 +58,7 @@ impl Intervals<'_> {
         let (low, high) = self.objective.limits[parameter];
         let furthest = if side < 0.0 { from - low } else { high - from };
         let random = self.random_reach(parameter, side, furthest);
-        let systematic = Z * self.systematic.col(parameter)[parameter].sqrt();
+        let systematic = Z * self.systematic.col(parameter)[parameter].max(0.0).sqrt();
         let reach = random.hypot(systematic);
         End { x: from + side * reach.min(furthest), open: reach >= furthest }
     }

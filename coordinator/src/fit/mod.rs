@@ -4,6 +4,7 @@
 //! between the records of the dictionary, and error bars.
 
 mod certainty;
+mod common;
 mod curves;
 mod dictionary;
 mod gradient;
@@ -11,6 +12,7 @@ mod intervals;
 mod local_axis;
 mod map;
 mod measure;
+mod noise;
 mod question;
 mod refine;
 #[cfg(test)]
@@ -18,10 +20,12 @@ mod refine_tests;
 mod resample;
 mod scale;
 mod search;
+mod shared;
 mod similarity;
 mod sketch;
 mod sum;
 mod surrogate;
+mod suspicion;
 #[cfg(test)]
 mod testing;
 mod view;
@@ -37,6 +41,7 @@ pub use measure::{MeasurePlan, Measured, measure};
 pub use scale::scale;
 pub use similarity::similar;
 
+use certainty::Analysis;
 use question::{Question, questions};
 
 /// Fits every channel of a measurement on its own, jointly over its thicknesses.
@@ -57,7 +62,7 @@ pub fn fit(
 fn answer(question: &Question) -> ChannelFit {
     let settings = question.options.settings();
     let candidates = search::best(question, settings.top as usize);
-    let refined = settings.refine.then(|| certainty::refined(question, &candidates[..1]));
+    let refined = settings.refine.then(|| Analysis::new(question, &candidates[0]).refined(None));
     let curves =
         if settings.curves { curves::curves(question, &candidates, refined.as_ref()) } else { Vec::new() };
     ChannelFit { channel: question.name.to_owned(), candidates, refined, outside: question.outside(), curves }

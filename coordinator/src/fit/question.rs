@@ -92,7 +92,14 @@ impl<'a> Term<'a> {
         let axis = dictionary.grid().thickness_mm();
         let same = |v: &f64| (v - profile.thickness_mm()).abs() <= SAME * v.abs();
         let thickness = axis.iter().position(same).ok_or_else(|| {
-            let allowed = format!("the dictionary has {}", list(axis));
+            let mut wanted = [axis, &[profile.thickness_mm()]].concat();
+            wanted.sort_by(f64::total_cmp);
+            let allowed = format!(
+                "the dictionary has {}; `farmctl submit GRID.toml` computes one with all of them if the grid file says \
+                 thickness_mm = [{}], and takes over what is there",
+                list(axis),
+                list(&wanted)
+            );
             Invalid::new("thickness_mm", profile.thickness_mm(), allowed)
         })?;
         let sensor = dictionary.grid().scene().sensor();
@@ -115,6 +122,15 @@ impl<'a> Term<'a> {
         let gradient = view.slope().magnitude(&values);
         let description = view.describe(&values, &gradient);
         Ok(Self { profile, resampled, thickness, view, values, gradient, description })
+    }
+
+    /// The same with other values.
+    fn changed(&self, change: impl Fn(f64) -> f64) -> Self {
+        let values: Vec<f64> = self.values.iter().map(|v| change(*v)).collect();
+        let gradient = self.view.slope().magnitude(&values);
+        let description = self.view.describe(&values, &gradient);
+        let (resampled, view) = (self.resampled.clone(), self.view.clone());
+        Self { resampled, view, values, gradient, description, ..*self }
     }
 }
 
@@ -193,6 +209,20 @@ impl<'a> Question<'a> {
         Ok(Self { dictionary, name, channel, terms, options: *options, admissible })
     }
 
+    /// The same with other values of all profiles; what they were measured as, and the options, stay as they are.
+    pub(super) fn changed(&self, change: impl Fn(f64) -> f64) -> Self {
+        let terms = self.terms.iter().map(|t| t.changed(&change)).collect();
+        Self { terms, admissible: self.admissible.clone(), ..*self }
+    }
+
+    /// The same with each profile at the thickness of the one on the other side of the list.
+    pub(super) fn swapped(&self) -> Self {
+        let other = |(t, thickness): (&Term<'a>, usize)| Term { thickness, ..t.changed(|v| v) };
+        let thicknesses = self.terms.iter().rev().map(|t| t.thickness);
+        let terms = self.terms.iter().zip(thicknesses).map(other).collect();
+        Self { terms, admissible: self.admissible.clone(), ..*self }
+    }
+
     /// Number of the medium over all axes, in the order of its records.
     pub(super) fn medium_number(&self, place: Place) -> usize {
         let grid = self.dictionary.grid();
@@ -208,10 +238,10 @@ impl<'a> Question<'a> {
         Place { ior, sigma_t, g, albedo }
     }
 
-    /// The admissible media as ranges of medium numbers, rising.
-    pub(super) fn media(&self) -> Vec<Range<usize>> {
+    /// The admissible media of a range of anisotropies, as ranges of medium numbers, rising.
+    pub(super) fn media(&self, g: &Range<usize>) -> Vec<Range<usize>> {
         let grid = self.dictionary.grid();
-        let Admissible { sigma_t, g, albedo } = &self.admissible;
+        let Admissible { sigma_t, albedo, .. } = &self.admissible;
         let mut ranges: Vec<Range<usize>> = Vec::new();
         for ior in 0..grid.sample_ior().len() {
             for sigma_t in sigma_t.clone() {

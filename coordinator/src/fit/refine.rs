@@ -6,20 +6,23 @@
 
 use farm_proto::Medium;
 use farm_proto::fit::{Bounds, Candidate, FitOptions};
-use glam::{DMat3, DVec3};
+use glam::{DMat4, DVec4};
 
 use super::question::{Question, Term};
 use super::sum::{dot, rms};
-use super::surrogate::{
-    ALBEDO, Coordinates, G, Prediction, SIGMA_T, Surrogate, albedo, coordinates, g, sigma_t,
-};
+use super::surrogate::{ALBEDO, G, Prediction, SIGMA_T, Surrogate, albedo, coordinates, g, sigma_t};
+
+/// What Eq. 1 is minimised over: the medium's coordinates, and the logarithm of a factor on the question's μ.
+pub(super) type Unknowns = [f64; 4];
+/// Index of the factor's logarithm.
+pub(super) const SCALE: usize = 3;
 
 /// Steps that one optimisation may take.
 const MOST_STEPS: usize = 40;
 /// A step that lowers the error by less than this share is the last.
 const CONVERGED: f64 = 1e-8;
 
-/// Value and gradient part of one term of Eq. 1 at some coordinates.
+/// Value and gradient part of one term of Eq. 1 at some unknowns.
 #[derive(Debug)]
 pub(super) struct Block {
     /// Index of the term.
@@ -28,28 +31,31 @@ pub(super) struct Block {
     pub weight: f64,
     /// What of the measurement the model leaves.
     pub residual: Vec<f64>,
-    /// Derivatives of the model by the coordinates.
-    pub jacobian: [Vec<f64>; 3],
+    /// Derivatives of the model by the unknowns.
+    pub jacobian: [Vec<f64>; 4],
     pub rms: f64,
     /// Signs by which gradients became magnitudes, of the measured profile and of the model; none for values.
     pub signs: Option<(Vec<f64>, Vec<f64>)>,
 }
 
-/// Eq. 1 as a function of continuous coordinates.
+/// Eq. 1 as a function of continuous unknowns.
+///
+/// With a factor e^m on the question's μ it is e^(−m) d(e^m μ F_A, F_S) = d(μ F_A, e^(−m) F_S), as Eq. 3 has it: without
+/// the division a smaller factor would always be better.
 #[derive(Debug)]
 pub(super) struct Objective<'a> {
     pub question: &'a Question<'a>,
     pub surrogate: Surrogate<'a>,
-    pub limits: [(f64, f64); 3],
+    pub limits: [(f64, f64); 4],
     /// Parameters that cannot move: by the bounds, or since the dictionary has one value only.
     held: [Option<f64>; 3],
     /// Signed gradients of the measured profiles.
     slopes: Vec<Vec<f64>>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Optimum {
-    pub x: Coordinates,
+    pub x: Unknowns,
     pub error: f64,
 }
 
@@ -67,7 +73,7 @@ fn held(question: &Question) -> [Option<f64>; 3] {
 }
 
 /// Least and greatest coordinates within both the dictionary and the bounds.
-fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64); 3] {
+fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64); 4] {
     let settings = options.settings();
     let within = |(low, high): (f64, f64), bounds: Bounds, forward: fn(f64) -> f64| {
         let (a, b) = (forward(bounds.min()), forward(bounds.max()));
@@ -79,6 +85,7 @@ fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64); 3] {
         within(sigma_t, settings.sigma_t_per_mm, |v| if v > 0.0 { v.ln() } else { f64::NEG_INFINITY }),
         within(albedo, settings.albedo, |v| if v < 1.0 { (1.0 - v).sqrt() } else { 0.0 }),
         within(g, settings.g, |v| if v < 1.0 { (1.0 - v).ln() } else { f64::NEG_INFINITY }),
+        (0.0, 0.0),
     ]
 }
 
@@ -101,32 +108,46 @@ impl<'a> Objective<'a> {
         self.held[index].unwrap_or_else(|| within([sigma_t, albedo, g][index](x)))
     }
 
-    pub(super) fn medium(&self, x: Coordinates) -> Medium {
+    pub(super) fn sample_ior(&self) -> f64 {
+        self.question.dictionary.grid().sample_ior()[self.surrogate.ior()]
+    }
+
+    pub(super) fn medium(&self, x: Unknowns) -> Medium {
         let [s, a, g] = PARAMETERS.map(|i| self.parameter(i, x[i]));
         Medium::new(s, a, g).expect("the limits are those of a grid")
     }
 
-    pub(super) fn start(&self, candidate: &Candidate) -> Coordinates {
-        self.clamp(coordinates(&candidate.medium))
+    pub(super) fn start(&self, medium: &Medium) -> Unknowns {
+        let [s, a, g] = coordinates(medium);
+        self.clamp([s, a, g, 0.0])
     }
 
-    pub(super) fn clamp(&self, mut x: Coordinates) -> Coordinates {
+    pub(super) fn clamp(&self, mut x: Unknowns) -> Unknowns {
         for (x, (low, high)) in x.iter_mut().zip(self.limits) {
             *x = x.clamp(low, high);
         }
         x
     }
 
-    /// Which coordinates may move.
-    pub(super) fn free(&self) -> [bool; 3] {
-        PARAMETERS.map(|i| self.held[i].is_none() && self.limits[i].1 > self.limits[i].0)
+    /// Which unknowns may move; the factor on μ does only in the search of what all channels share.
+    pub(super) fn free(&self) -> [bool; 4] {
+        let free = |i: usize| self.held[i].is_none() && self.limits[i].1 > self.limits[i].0;
+        [free(SIGMA_T), free(ALBEDO), free(G), false]
     }
 
-    pub(super) fn predict(&self, term: &Term, x: Coordinates) -> Prediction {
-        self.surrogate.predict(term.thickness, term.view.pixels(), x)
+    /// The model's profile of a term, with its derivatives by the medium's coordinates.
+    pub(super) fn predict(&self, term: &Term, x: Unknowns) -> Prediction {
+        let [sigma_t, albedo, g, scale] = x;
+        let mut model = self.surrogate.predict(term.thickness, term.view.pixels(), [sigma_t, albedo, g]);
+        if scale != 0.0 {
+            let factor = (-scale).exp();
+            let rows = model.slopes.iter_mut().chain([&mut model.values]);
+            rows.flatten().for_each(|v| *v *= factor);
+        }
+        model
     }
 
-    pub(super) fn blocks(&self, x: Coordinates) -> Vec<Block> {
+    pub(super) fn blocks(&self, x: Unknowns) -> Vec<Block> {
         let lambda = self.question.options.settings().lambda;
         let mut blocks = Vec::with_capacity(2 * self.question.terms.len());
         for (i, term) in self.question.terms.iter().enumerate() {
@@ -134,31 +155,31 @@ impl<'a> Objective<'a> {
             blocks.push(gradient_block(i, lambda, term, &self.slopes[i], &prediction));
             let residual = difference(&term.values, &prediction.values);
             let rms = rms(&residual);
-            blocks.push(Block {
-                term: i,
-                weight: 1.0,
-                residual,
-                jacobian: prediction.slopes,
-                rms,
-                signs: None,
-            });
+            let [by_sigma_t, by_albedo, by_g] = prediction.slopes;
+            let jacobian = [by_sigma_t, by_albedo, by_g, negative(&prediction.values)];
+            blocks.push(Block { term: i, weight: 1.0, residual, jacobian, rms, signs: None });
         }
         blocks
     }
 
-    /// Goes down from `x`, moving only the coordinates that are free, to a minimum of Eq. 1.
-    pub(super) fn descend(&self, mut x: Coordinates, free: [bool; 3]) -> Optimum {
+    /// Goes down from `x`, moving only the unknowns that are free, to a minimum of Eq. 1.
+    pub(super) fn descend(&self, x: Unknowns, free: [bool; 4]) -> Optimum {
+        self.descend_until(x, free, CONVERGED)
+    }
+
+    /// The same, until a step lowers the error by less than the share `converged`.
+    pub(super) fn descend_until(&self, mut x: Unknowns, free: [bool; 4], converged: f64) -> Optimum {
         let mut blocks = self.blocks(x);
         let mut error = total(&blocks);
         let mut damping = 1e-6;
         for _ in 0..MOST_STEPS {
             let Some(step) = self.step(x, &blocks, free, damping) else { break };
-            let there = self.clamp((DVec3::from(x) + step).into());
+            let there = self.clamp((DVec4::from(x) + step).into());
             let new_blocks = self.blocks(there);
             let new_error = total(&new_blocks);
             let gain = error - new_error;
             if gain <= 0.0 {
-                if damping > 1e4 || -gain < CONVERGED * error {
+                if damping > 1e4 || -gain < converged * error {
                     break;
                 }
                 damping = (damping * 10.0).max(1e-3);
@@ -166,7 +187,7 @@ impl<'a> Objective<'a> {
             }
             (x, blocks, error) = (there, new_blocks, new_error);
             damping *= 0.1;
-            if gain < CONVERGED * error {
+            if gain < converged * error {
                 break;
             }
         }
@@ -174,39 +195,65 @@ impl<'a> Objective<'a> {
     }
 
     /// A damped Gauss–Newton step; none where nothing may move.
-    fn step(&self, x: Coordinates, blocks: &[Block], mut free: [bool; 3], damping: f64) -> Option<DVec3> {
-        let mut downhill = DVec3::ZERO;
-        let mut normal = DMat3::ZERO;
-        for block in blocks {
-            let weight = block.weight / (block.residual.len() as f64 * block.rms.max(1e-9));
-            for i in 0..3 {
-                downhill[i] += weight * dot(&block.jacobian[i], &block.residual);
-                for j in 0..3 {
-                    normal.col_mut(i)[j] += weight * dot(&block.jacobian[i], &block.jacobian[j]);
-                }
-            }
+    fn step(&self, x: Unknowns, blocks: &[Block], free: [bool; 4], damping: f64) -> Option<DVec4> {
+        let Descent { downhill, mut normal } = Descent::new(blocks);
+        let free = self.inwards(x, downhill, free);
+        for i in UNKNOWNS {
+            let diagonal = normal.col(i)[i];
+            normal.col_mut(i)[i] = diagonal * (1.0 + damping) + 1e-12;
         }
+        Some(invert(normal, free)? * masked(downhill, free))
+    }
+
+    /// Of the free unknowns those that are not pulled over their limits.
+    pub(super) fn inwards(&self, x: Unknowns, downhill: DVec4, mut free: [bool; 4]) -> [bool; 4] {
         for (i, (free, (low, high))) in free.iter_mut().zip(self.limits).enumerate() {
             let outwards = (x[i] <= low && downhill[i] < 0.0) || (x[i] >= high && downhill[i] > 0.0);
             *free &= !outwards;
         }
-        for i in 0..3 {
-            let diagonal = normal.col(i)[i];
-            normal.col_mut(i)[i] = diagonal * (1.0 + damping) + 1e-12;
-        }
-        let inverse = invert(normal, free)?;
-        Some(inverse * DVec3::from_array(std::array::from_fn(|i| if free[i] { downhill[i] } else { 0.0 })))
+        free
     }
 }
 
-/// The inverse over the free coordinates, zero in the others; none if nothing is free or it is singular.
-pub(super) fn invert(mut matrix: DMat3, free: [bool; 3]) -> Option<DMat3> {
-    if free == [false; 3] {
+/// Where Eq. 1 falls, and how fast the fall ends: gradient and matrix of the weighted squares that bound it.
+pub(super) struct Descent {
+    pub downhill: DVec4,
+    pub normal: DMat4,
+}
+
+impl Descent {
+    pub(super) fn new(blocks: &[Block]) -> Self {
+        let mut descent = Self { downhill: DVec4::ZERO, normal: DMat4::ZERO };
+        for block in blocks {
+            let weight = block.weight / (block.residual.len() as f64 * block.rms.max(1e-9));
+            for i in UNKNOWNS {
+                descent.downhill[i] += weight * dot(&block.jacobian[i], &block.residual);
+                for j in 0..=i {
+                    let product = weight * dot(&block.jacobian[i], &block.jacobian[j]);
+                    descent.normal.col_mut(i)[j] += product;
+                    if i != j {
+                        descent.normal.col_mut(j)[i] += product;
+                    }
+                }
+            }
+        }
+        descent
+    }
+}
+
+/// The vector with zeros where nothing is free.
+pub(super) fn masked(v: DVec4, free: [bool; 4]) -> DVec4 {
+    DVec4::from_array(UNKNOWNS.map(|i| if free[i] { v[i] } else { 0.0 }))
+}
+
+/// The inverse over the free unknowns, zero in the others; none if nothing is free or it is singular.
+pub(super) fn invert(mut matrix: DMat4, free: [bool; 4]) -> Option<DMat4> {
+    if free == [false; 4] {
         return None;
     }
-    let held = || PARAMETERS.into_iter().filter(|i| !free[*i]);
+    let held = || UNKNOWNS.into_iter().filter(|i| !free[*i]);
     for i in held() {
-        for j in PARAMETERS {
+        for j in UNKNOWNS {
             matrix.col_mut(i)[j] = 0.0;
             matrix.col_mut(j)[i] = 0.0;
         }
@@ -228,11 +275,12 @@ fn gradient_block(i: usize, lambda: f64, term: &Term, measured: &[f64], predicti
     let sign = |v: &f64| if *v < 0.0 { -1.0 } else { 1.0 };
     let signs: Vec<f64> = model.iter().map(sign).collect();
     let magnitudes: Vec<f64> = model.iter().map(|v| v.abs()).collect();
-    let jacobian = prediction.slopes.each_ref().map(|by| {
+    let [by_sigma_t, by_albedo, by_g] = prediction.slopes.each_ref().map(|by| {
         let mut by = slope.of(by);
         by.iter_mut().zip(&signs).for_each(|(v, s)| *v *= s);
         by
     });
+    let jacobian = [by_sigma_t, by_albedo, by_g, negative(&magnitudes)];
     let residual = difference(&term.gradient, &magnitudes);
     let rms = rms(&residual);
     let signs = Some((measured.iter().map(sign).collect(), signs));
@@ -243,23 +291,16 @@ fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
+fn negative(values: &[f64]) -> Vec<f64> {
+    values.iter().map(|v| -v).collect()
+}
+
 /// Eq. 1.
 pub(super) fn total(blocks: &[Block]) -> f64 {
     blocks.iter().map(|b| b.weight * b.rms).sum()
 }
 
-/// The optimum that is reached from the best of several starts.
-pub(super) fn optimum(objective: &Objective, candidates: &[Candidate]) -> Optimum {
-    let free = objective.free();
-    let mut best: Option<Optimum> = None;
-    for candidate in candidates {
-        let found = objective.descend(objective.start(candidate), free);
-        if best.as_ref().is_none_or(|b| found.error < b.error) {
-            best = Some(found);
-        }
-    }
-    best.expect("there is a candidate")
-}
-
-/// Names of the coordinates' indices, for loops over parameters.
+/// The medium's coordinates, for loops over parameters.
 pub(super) const PARAMETERS: [usize; 3] = [SIGMA_T, ALBEDO, G];
+/// All unknowns.
+pub(super) const UNKNOWNS: [usize; 4] = [SIGMA_T, ALBEDO, G, SCALE];

@@ -8,7 +8,14 @@ use crate::fit::testing::coarse_axes;
 
 fn options(g: Option<f64>) -> FitOptions {
     let g = g.map_or(Bounds::FREE, Bounds::fixed);
-    FitOptions::new(FitSettings { g, refine: true, offset_std_error: 0.0, ..FitSettings::default() }).unwrap()
+    FitOptions::new(FitSettings {
+        g,
+        refine: true,
+        gain_std_error: 0.0,
+        offset_std_error: 0.0,
+        ..FitSettings::default()
+    })
+    .unwrap()
 }
 
 fn answer(dictionary: &FitDictionary, medium: (f64, f64, f64), seed: u64, g: Option<f64>) -> ChannelFit {

@@ -302,7 +302,7 @@ mod tests {
         let dictionary = noisy_dictionary(dense_axes(), 90, 0.0);
         let one = &materials(1.0)[..1];
         let curve = scale(&dictionary, one, &FitOptions::default(), &MuRange::default()).unwrap();
-        assert_eq!((curve.std_error, curve.points.len()), (None, 201));
+        assert_eq!((curve.std_error, curve.points.len()), (None, 301));
         let mut two = materials(1.0)[..2].to_vec();
         let p = &two[1].profiles()[0];
         let other = MeasuredProfile::new("X", 0.5, p.x_mm().to_vec(), p.values().to_vec(), None).unwrap();

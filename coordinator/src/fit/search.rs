@@ -3,6 +3,8 @@
 //! The answer is that of comparing every record, but most records are ruled out by a lower bound of their distance
 //! (see `sketch`): a medium is left out only if its bound exceeds the error of the last medium that is wanted.
 
+use std::ops::Range;
+
 use farm_proto::fit::Candidate;
 
 use super::question::Question;
@@ -25,7 +27,12 @@ impl Compared {
 
 /// The best media, best first; equal errors are in the order of the records.
 pub(super) fn best(question: &Question, top: usize) -> Vec<Candidate> {
-    let mut media: Vec<(f32, u32)> = bounds(question);
+    best_within(question, &question.admissible.g, top)
+}
+
+/// The best media among those of a range of the grid's anisotropies.
+pub(super) fn best_within(question: &Question, g: &Range<usize>, top: usize) -> Vec<Candidate> {
+    let mut media: Vec<(f32, u32)> = bounds(question, g);
     let mut kept = Kept { top: top.min(media.len()), compared: Vec::new() };
     let compare = |medium: u32| {
         let medium = medium as usize;
@@ -72,11 +79,11 @@ impl Kept {
 }
 
 /// Lower bounds of Eq. 1 for all admissible media.
-fn bounds(question: &Question) -> Vec<(f32, u32)> {
+fn bounds(question: &Question, g: &Range<usize>) -> Vec<(f32, u32)> {
     let lambda = question.options.settings().lambda;
     let mut media = Vec::new();
     let mut bounds = Vec::new();
-    for range in question.media() {
+    for range in question.media(g) {
         bounds.clear();
         bounds.resize(range.len(), 0.0_f32);
         for term in &question.terms {

@@ -88,6 +88,11 @@ impl<'a> Surrogate<'a> {
         }
     }
 
+    /// Index of the sample's refractive index.
+    pub(super) fn ior(&self) -> usize {
+        self.ior
+    }
+
     /// Least and greatest value of each coordinate.
     pub(super) fn limits(&self) -> [(f64, f64); 3] {
         let albedo = (self.albedo[self.albedo.len() - 1], self.albedo[0]);
@@ -128,22 +133,22 @@ impl<'a> Surrogate<'a> {
         Prediction { values, slopes }
     }
 
-    /// What the records' noise does to functionals of the model's profile at `x`: their covariance.
+    /// What the records' noise does to `N` functionals of the model's profile at `x`: their covariance.
     ///
     /// The noise is read off the records about: what the local polynomial leaves of them is noise, and a little of the
     /// polynomial's own failure. `functionals` are weights of the pixels of `pixels`.
-    pub(super) fn noise(
+    pub(super) fn noise<const N: usize>(
         &self,
         thickness: usize,
         pixels: &std::ops::Range<usize>,
         x: Coordinates,
-        functionals: &[Vec<f64>; 3],
-    ) -> [[f64; 3]; 3] {
+        functionals: &[Vec<f64>; N],
+    ) -> [[f64; N]; N] {
         let a = interpolation(&self.albedo, x[ALBEDO]);
         let (first_s, window_s, hat_s) = self.sigma_t.hat(x[SIGMA_T]);
         let (first_g, window_g, hat_g) = self.g.hat(x[G]);
-        let image = |s: usize, g: usize| -> [f64; 3] {
-            let mut image = [0.0; 3];
+        let image = |s: usize, g: usize| -> [f64; N] {
+            let mut image = [0.0; N];
             for (j, weight) in a.values.iter().enumerate() {
                 let row = &self.row(first_s + s, first_g + g, thickness, a.first + j)[pixels.clone()];
                 for (out, f) in image.iter_mut().zip(functionals) {
@@ -153,8 +158,8 @@ impl<'a> Surrogate<'a> {
             image
         };
         let (ns, ng) = (window_s.len(), window_g.len());
-        let images: Vec<[f64; 3]> = (0..ns * ng).map(|n| image(n / ng, n % ng)).collect();
-        let mut scatter = [[0.0; 3]; 3];
+        let images: Vec<[f64; N]> = (0..ns * ng).map(|n| image(n / ng, n % ng)).collect();
+        let mut scatter = [[0.0; N]; N];
         let mut total = 0.0;
         for i in 0..ns {
             for k in 0..ng {
@@ -163,7 +168,7 @@ impl<'a> Surrogate<'a> {
                 for (m, image) in images.iter().enumerate() {
                     let h = hat_s[i][m / ng] * hat_g[k][m % ng];
                     squares += h * h;
-                    (0..3).for_each(|c| rest[c] -= h * image[c]);
+                    (0..N).for_each(|c| rest[c] -= h * image[c]);
                 }
                 // Variance of a rest over that of a record.
                 let left = 1.0 - 2.0 * hat_s[i][i] * hat_g[k][k] + squares;
@@ -185,7 +190,7 @@ impl<'a> Surrogate<'a> {
 }
 
 /// Adds factor · v vᵀ.
-pub(super) fn add_outer(matrix: &mut [[f64; 3]; 3], v: [f64; 3], factor: f64) {
+fn add_outer<const N: usize>(matrix: &mut [[f64; N]; N], v: [f64; N], factor: f64) {
     for (row, a) in matrix.iter_mut().zip(v) {
         for (cell, b) in row.iter_mut().zip(v) {
             *cell += factor * a * b;

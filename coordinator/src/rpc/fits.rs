@@ -31,14 +31,17 @@ impl Fits for Context {
         let options = options(request.options)?;
         let range = MuRange::try_from(request.mu.unwrap_or_default()).map_err(|e| e.within("mu"))?;
         let materials = materials(request.materials)?;
+        let plan = MeasurePlan { search_mu: Some(range), common_g: true };
         let question = move |d: &fit::FitDictionary| {
             let curve = fit::scale(d, &materials, &options, &range)?;
+            let common = fit::measure(d, &materials, &options, &plan)?.common;
             let options = options.with_mu(curve.best.mu, curve.std_error.unwrap_or(0.0))?;
             let fits: Result<Vec<_>, Invalid> = materials.iter().map(|m| fit::fit(d, m, &options)).collect();
-            Ok((curve, fits?))
+            Ok((curve, fits?, common))
         };
-        let (curve, fits) = self.ask(&name, question).await?;
-        Ok(Response::new(ScaleResponse { scale: Some(curve.into()), materials: encoded(fits) }))
+        let (curve, fits, common) = self.ask(&name, question).await?;
+        let (scale, materials) = (Some(curve.into()), encoded(fits));
+        Ok(Response::new(ScaleResponse { scale, materials, common: Some(common.into()) }))
     }
 
     async fn similar(&self, request: Request<SimilarRequest>) -> Result<Response<SimilarResponse>, Status> {
@@ -74,10 +77,11 @@ impl Fits for Context {
         let answer = self.ask(&name, move |d| fit::measure(d, &materials, &options, &plan)).await?;
         Ok(Response::new(MeasureResponse {
             scale: answer.scale.map(Into::into),
-            mu: answer.mu,
-            mu_std_error: answer.mu_std_error,
-            g: answer.g,
+            mu: answer.common.mu,
+            mu_std_error: answer.common.mu_std_error,
+            g: answer.common.g,
             materials: encoded(answer.materials),
+            common: Some(answer.common.into()),
         }))
     }
 }

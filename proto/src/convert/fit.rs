@@ -2,8 +2,8 @@
 
 use super::required;
 use crate::fit::{
-    Bounds, Candidate, ChannelFit, Curve, FitCurves, FitOptions, FitSettings, Interval, MaterialFit, Outside,
-    Refined, ThicknessError, Wavelet,
+    Bounds, Candidate, Cause, ChannelFit, Curve, FitCurves, FitOptions, FitSettings, Interval, MaterialFit,
+    Outside, Refined, Suspicion, ThicknessError, Wavelet,
 };
 use crate::invalid::{Invalid, Result, each};
 use crate::wire;
@@ -191,6 +191,7 @@ impl From<Refined> for wire::Refined {
             measurement_noise: r.measurement_noise,
             dictionary_share: r.dictionary_share,
             misfit: r.misfit,
+            suspicion: r.suspicion.map(Into::into),
         }
     }
 }
@@ -220,7 +221,45 @@ impl TryFrom<wire::Refined> for Refined {
             measurement_noise: r.measurement_noise,
             dictionary_share: r.dictionary_share,
             misfit: r.misfit,
+            suspicion: r.suspicion.map(Into::into),
         })
+    }
+}
+
+const CAUSES: [(Cause, wire::Cause); 9] = [
+    (Cause::Unknown, wire::Cause::Unspecified),
+    (Cause::EdgeOffset, wire::Cause::EdgeOffset),
+    (Cause::Gain, wire::Cause::Gain),
+    (Cause::Zero, wire::Cause::Zero),
+    (Cause::Slope, wire::Cause::Slope),
+    (Cause::Blur, wire::Cause::Blur),
+    (Cause::Outliers, wire::Cause::Outliers),
+    (Cause::GammaCoded, wire::Cause::GammaCoded),
+    (Cause::ThicknessesSwapped, wire::Cause::ThicknessesSwapped),
+];
+
+impl From<Suspicion> for wire::Suspicion {
+    fn from(s: Suspicion) -> Self {
+        let cause = CAUSES.into_iter().find(|(cause, _)| *cause == s.cause);
+        Self {
+            cause: cause.map_or(wire::Cause::Unspecified, |(_, wire)| wire).into(),
+            thickness_mm: s.thickness_mm,
+            amount: s.amount,
+            misfit_left: s.misfit_left,
+        }
+    }
+}
+
+impl From<wire::Suspicion> for Suspicion {
+    fn from(s: wire::Suspicion) -> Self {
+        // A cause that a newer coordinator knows is unknown here.
+        let cause = CAUSES.into_iter().find(|(_, wire)| *wire == s.cause());
+        Self {
+            cause: cause.map_or(Cause::Unknown, |(cause, _)| cause),
+            thickness_mm: s.thickness_mm,
+            amount: s.amount,
+            misfit_left: s.misfit_left,
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! The search of the scale factor, and distance maps.
 
 use super::required;
-use crate::fit::{DistanceMap, GError, MapLayer, MuRange, ScaleCurve, ScalePoint};
+use crate::fit::{Common, DistanceMap, GError, MapLayer, MuRange, ScaleCurve, ScalePoint};
 use crate::invalid::{Invalid, Result, each};
 use crate::optics::Medium;
 use crate::wire;
@@ -34,16 +34,59 @@ impl From<wire::ScalePoint> for ScalePoint {
     }
 }
 
+impl From<GError> for wire::GError {
+    fn from(e: GError) -> Self {
+        Self { g: e.g, error: e.error, best: Some(e.best.into()) }
+    }
+}
+
+impl TryFrom<wire::GError> for GError {
+    type Error = Invalid;
+
+    fn try_from(e: wire::GError) -> Result<Self> {
+        Ok(Self { g: e.g, error: e.error, best: required("best", e.best)?.into() })
+    }
+}
+
+impl From<Common> for wire::Common {
+    fn from(common: Common) -> Self {
+        Self {
+            mu: common.mu,
+            mu_std_error: common.mu_std_error,
+            mu_interval: Some(common.mu_interval.into()),
+            mu_chosen: common.mu_chosen,
+            g: common.g,
+            g_interval: common.g_interval.map(Into::into),
+            by_g: common.by_g.into_iter().map(Into::into).collect(),
+        }
+    }
+}
+
+impl TryFrom<wire::Common> for Common {
+    type Error = Invalid;
+
+    fn try_from(common: wire::Common) -> Result<Self> {
+        Ok(Self {
+            mu: common.mu,
+            mu_std_error: common.mu_std_error,
+            mu_interval: required("mu_interval", common.mu_interval)?.into(),
+            mu_chosen: common.mu_chosen,
+            g: common.g,
+            g_interval: common.g_interval.map(Into::into),
+            by_g: each("by_g", common.by_g, TryInto::try_into)?,
+        })
+    }
+}
+
 impl From<ScaleCurve> for wire::ScaleCurve {
     fn from(curve: ScaleCurve) -> Self {
-        let by_g = |e: GError| wire::GError { g: e.g, error: e.error, best: Some(e.best.into()) };
         Self {
             points: curve.points.into_iter().map(Into::into).collect(),
             best: Some(curve.best.into()),
             std_error: curve.std_error,
             curvature: curve.curvature,
             at_end: curve.at_end,
-            by_g: curve.by_g.into_iter().map(by_g).collect(),
+            by_g: curve.by_g.into_iter().map(Into::into).collect(),
             best_g: curve.best_g,
         }
     }
@@ -53,15 +96,13 @@ impl TryFrom<wire::ScaleCurve> for ScaleCurve {
     type Error = Invalid;
 
     fn try_from(curve: wire::ScaleCurve) -> Result<Self> {
-        let by_g =
-            |e: wire::GError| Ok(GError { g: e.g, error: e.error, best: required("best", e.best)?.into() });
         Ok(Self {
             points: curve.points.into_iter().map(Into::into).collect(),
             best: required("best", curve.best)?.into(),
             std_error: curve.std_error,
             curvature: curve.curvature,
             at_end: curve.at_end,
-            by_g: each("by_g", curve.by_g, by_g)?,
+            by_g: each("by_g", curve.by_g, TryInto::try_into)?,
             best_g: curve.best_g,
         })
     }

@@ -64,8 +64,49 @@ pub struct Refined {
     pub measurement_noise: f64,
     /// Share of the variance of ln σ_t that comes from the dictionary's noise, 0 to 1.
     pub dictionary_share: f64,
-    /// Root mean square of the residuals over that of the measurement's noise: 1 if noise explains all.
+    /// Root mean square of the residuals over that of the noise, of the measurement and of the dictionary: 1 if noise
+    /// explains all.
     pub misfit: f64,
+    /// The likeliest reason, if the misfit exceeds [`MISFIT`].
+    pub suspicion: Option<Suspicion>,
+}
+
+/// Misfit above which a fit is said not to explain its measurement.
+pub const MISFIT: f64 = 2.0;
+
+/// The likeliest single reason why a fit leaves more than noise explains.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Suspicion {
+    pub cause: Cause,
+    /// The profile concerned; none if all are.
+    pub thickness_mm: Option<f64>,
+    /// How much, in the unit of the cause.
+    pub amount: f64,
+    /// The misfit that would be left without it.
+    pub misfit_left: f64,
+}
+
+/// What may be wrong with a measurement, or with the scene that it is compared with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// No single cause tried explains it.
+    Unknown,
+    /// The edge lies beside x = 0: by so many mm.
+    EdgeOffset,
+    /// The values are too large by this share.
+    Gain,
+    /// The values are too large by this radiance factor.
+    Zero,
+    /// The light rises from x = −5 mm to 5 mm by this share.
+    Slope,
+    /// The edge is blurred by a camera: standard deviation in mm.
+    Blur,
+    /// So many pixels lie apart from the others: dust, scratches, bubbles.
+    Outliers,
+    /// The values are coded as for a screen (sRGB), not linear.
+    GammaCoded,
+    /// The profiles of the thicknesses are exchanged.
+    ThicknessesSwapped,
 }
 
 /// Whether a profile lies beyond all records of the dictionary.
@@ -155,6 +196,23 @@ pub struct ScaleCurve {
     pub by_g: Vec<GError>,
     /// The anisotropy with the least error common to all materials, at μ*.
     pub best_g: f64,
+}
+
+/// What all channels of a set of materials share, chosen by the errors of refined fits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Common {
+    pub mu: f64,
+    pub mu_std_error: f64,
+    /// Open where the range of the search ends first; on both sides if the data do not determine μ.
+    pub mu_interval: Interval,
+    /// Whether μ was searched, not given.
+    pub mu_chosen: bool,
+    /// None if every channel has its own.
+    pub g: Option<f64>,
+    /// None if g was given.
+    pub g_interval: Option<Interval>,
+    /// Sums of refined errors with each anisotropy of the dictionary; empty if g was given.
+    pub by_g: Vec<GError>,
 }
 
 /// Distances of one channel's measurement to all media of one anisotropy.

@@ -4,7 +4,7 @@ mod answer;
 mod options;
 
 pub use answer::{
-    Candidate, ChannelFit, Curve, DistanceMap, FitCurves, GError, Interval, MapLayer, MaterialFit, Outside,
-    Refined, ScaleCurve, ScalePoint, ThicknessError,
+    Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, FitCurves, GError, Interval, MISFIT, MapLayer,
+    MaterialFit, Outside, Refined, ScaleCurve, ScalePoint, Suspicion, ThicknessError,
 };
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Wavelet};

@@ -1,0 +1,85 @@
+//! What people are told of a fit that noise does not explain.
+
+use farm_proto::fit::{Cause, MISFIT, Refined, Suspicion};
+
+use super::text::significant;
+
+/// `misfit 3.4: …` with the likeliest reason; none if noise explains the fit.
+pub(crate) fn misfit(refined: &Refined) -> Option<String> {
+    let told = told(refined)?;
+    let Some(s) = &refined.suspicion else {
+        return Some(format!("{told}: the fit does not explain the data, and its intervals are too narrow"));
+    };
+    let left = significant(s.misfit_left, 2);
+    let only = match s.cause {
+        Cause::Unknown => String::new(),
+        _ => format!(" (misfit {left} without that)"),
+    };
+    Some(format!("{told}: the intervals are not to be trusted; {}{only}", reason(s)))
+}
+
+/// The same in few words, for pictures.
+pub(crate) fn misfit_short(refined: &Refined) -> Option<String> {
+    let told = told(refined)?;
+    let s = refined.suspicion.as_ref()?;
+    let amount = |unit: &str| format!("{} {unit}", significant(s.amount, 2));
+    let percent = format!("{} %", significant(100.0 * s.amount, 2));
+    let short = match s.cause {
+        Cause::Unknown => return Some(format!("{told}: not explained")),
+        Cause::EdgeOffset => format!("edge {} off?", amount("mm")),
+        Cause::Gain => format!("values {percent} off?"),
+        Cause::Zero => format!("zero {} off?", significant(s.amount, 2)),
+        Cause::Slope => format!("slope {percent}?"),
+        Cause::Blur => format!("blur {}?", amount("mm")),
+        Cause::Outliers => format!("{} outliers?", s.amount),
+        Cause::GammaCoded => "sRGB, not linear?".to_owned(),
+        Cause::ThicknessesSwapped => "thicknesses exchanged?".to_owned(),
+    };
+    Some(format!("{told}: {short}"))
+}
+
+fn told(refined: &Refined) -> Option<String> {
+    (refined.misfit > MISFIT).then(|| format!("misfit {}", significant(refined.misfit, 2)))
+}
+
+fn reason(s: &Suspicion) -> String {
+    let of = s.thickness_mm.map_or("all profiles".to_owned(), |t| format!("the profile of {t} mm"));
+    let size = |digits| significant(s.amount.abs(), digits);
+    let percent = significant(100.0 * s.amount.abs(), 2);
+    let (large, rises) = if s.amount > 0.0 { ("large", "brighter") } else { ("small", "darker") };
+    match s.cause {
+        Cause::Unknown => {
+            "no single cause explains it: check edge, light, thicknesses, channels, the scene's \
+                           reflectances, and whether this material fits the scene"
+                .to_owned()
+        }
+        Cause::EdgeOffset => format!(
+            "likeliest is an edge at x = {} mm instead of 0 in {of}: shift its x_mm",
+            significant(s.amount, 2)
+        ),
+        Cause::Gain => format!(
+            "likeliest are values that are {percent} % too {large} in {of}: check exposure and white reference"
+        ),
+        Cause::Zero => format!(
+            "likeliest are values that are too {large} by {} in {of}: check black level and stray light",
+            size(2)
+        ),
+        Cause::Slope => format!(
+            "likeliest is a light that gets {percent} % {rises} from dark to light side in {of}: divide by a flat field"
+        ),
+        Cause::Blur => format!(
+            "likeliest is a camera that blurs by {} mm (standard deviation) in {of}: focus, or a smaller aperture",
+            size(2)
+        ),
+        Cause::Outliers => format!(
+            "likeliest are dust, scratches or bubbles: {} pixels lie apart from the others; leave them out",
+            s.amount
+        ),
+        Cause::GammaCoded => {
+            "likeliest are values coded for a screen (sRGB): develop the photographs linearly".to_owned()
+        }
+        Cause::ThicknessesSwapped => {
+            "likeliest are thicknesses that were exchanged: check thickness_mm".to_owned()
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! The paper's five materials, photographed with an exposure that is off.
+
+use farm_coordinator::fit::{MeasurePlan, measure};
+use farm_proto::fit::{FitOptions, MuRange};
+use farm_proto::{Measurement, Medium};
+
+use crate::{dictionary, photograph};
+
+/// A material and its σ_t and α in R, G, B.
+type Row = (&'static str, [(f64, f64); 3]);
+
+/// The paper's Table 1, at g = 0.4.
+const TABLE_1: [Row; 5] = [
+    ("cyan", [(9.0, 0.05), (4.5, 0.7), (7.5, 0.98)]),
+    ("magenta", [(2.5, 0.98), (3.0, 0.1), (10.0, 0.9)]),
+    ("yellow", [(2.25, 0.997), (3.75, 0.995), (19.0, 0.15)]),
+    ("black", [(5.0, 0.35), (5.5, 0.35), (6.5, 0.35)]),
+    ("white", [(6.0, 0.9991), (9.0, 0.9997), (24.0, 0.999)]),
+];
+
+fn table_1(mu: f64, seed: u64) -> Vec<Measurement> {
+    let material = |(m, (name, media)): (usize, &Row)| {
+        let mut profiles = Vec::new();
+        for (channel, (sigma_t, albedo)) in media.iter().enumerate() {
+            let medium = Medium::new(*sigma_t, *albedo, 0.4).unwrap();
+            for thickness in [0.5, 1.0] {
+                let seed = seed * 100 + (m * 3 + channel) as u64;
+                profiles.push(photograph(&medium, channel, thickness, seed, 1_000_000, mu).0);
+            }
+        }
+        Measurement::new(*name, profiles).unwrap()
+    };
+    TABLE_1.iter().enumerate().map(material).collect()
+}
+
+#[test]
+fn table_1_is_measured_with_a_hidden_factor() {
+    let dictionary = dictionary();
+    for (hidden, seed) in [(0.86, 1), (0.913, 2), (0.98, 3)] {
+        let materials = table_1(hidden, seed);
+        let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+        let found = measure(dictionary, &materials, &FitOptions::default(), &plan).unwrap();
+        let common = &found.common;
+        println!(
+            "hidden {hidden}: μ = {:.4} ± {:.4}, g = {:?} {:?}",
+            common.mu, common.mu_std_error, common.g, common.g_interval
+        );
+        assert!((common.mu - hidden).abs() <= 0.005, "{}", common.mu);
+        let g = common.g.unwrap();
+        assert!((g - 0.4).abs() < 0.03 && common.g_interval.unwrap().contains(0.4), "{common:?}");
+        let grid = dictionary.grid();
+        for (material, (name, media)) in found.materials.iter().zip(&TABLE_1) {
+            for (i, (channel, (sigma_t, albedo))) in material.channels.iter().zip(media).enumerate() {
+                let best = &channel.candidates[0].medium;
+                let r = channel.refined.as_ref().unwrap();
+                let unresolved = matches!((*name, i), ("cyan", 0) | ("magenta", 1) | ("yellow", 2));
+                println!(
+                    "{name} {i}: {sigma_t} {albedo}: grid {} {}, refined {:.3} {:.5}, σ_t {:?}, α {:?} {}",
+                    best.sigma_t_per_mm(),
+                    best.albedo(),
+                    r.best.medium.sigma_t_per_mm(),
+                    r.best.medium.albedo(),
+                    r.sigma_t_per_mm,
+                    r.albedo,
+                    if r.resolved { "" } else { "unresolved" }
+                );
+                assert_eq!(r.resolved, !unresolved, "{name}, channel {i}: {r:?}");
+                if unresolved {
+                    assert!(r.sigma_t_per_mm.contains(*sigma_t) && r.albedo.contains(*albedo), "{r:?}");
+                    continue;
+                }
+                let steps = |axis: &[f64], a: f64, b: f64| {
+                    let place = |v: f64| axis.iter().position(|x| *x == v).unwrap();
+                    place(a).abs_diff(place(b))
+                };
+                let sigma_t_steps = steps(grid.sigma_t_per_mm(), best.sigma_t_per_mm(), *sigma_t);
+                let albedo_steps = steps(grid.albedo(), best.albedo(), *albedo);
+                assert!(sigma_t_steps <= 1 && albedo_steps <= 1, "{name}, channel {i}: {best:?}");
+            }
+        }
+    }
+}
