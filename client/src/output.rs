@@ -100,6 +100,11 @@ pub(crate) fn write_whole(path: &std::path::Path, bytes: &[u8]) -> std::io::Resu
     written
 }
 
+/// A text in yellow, where a terminal shows it; what is printed to a file or a pipe has no colours.
+pub(crate) fn warning(text: &str) -> String {
+    format!("\u{1b}[33m{text}\u{1b}[0m")
+}
+
 /// A horizontal rule above and below the head and at the end.
 const RULED: TableStyle = {
     let rule = LineStyle::new('─', '─', '─', '─');

@@ -3,7 +3,7 @@
 use farm_proto::fit::{Candidate, ChannelFit, Common, GError, Interval, MaterialFit, Outside, ScaleCurve};
 
 use super::misfit::misfit;
-use crate::output::table;
+use crate::output::{table, warning};
 
 /// A number with so many significant digits, without trailing zeros.
 pub(crate) fn significant(value: f64, digits: i32) -> String {
@@ -67,8 +67,10 @@ pub(crate) fn fits_text(fits: &[MaterialFit]) -> String {
     text += &media(fits);
     // What is said of several channels is said once.
     let mut said: Vec<(String, Vec<String>)> = Vec::new();
+    let mut warned: Vec<String> = Vec::new();
     for (fit, channel) in all() {
         let who = format!("{} {}", fit.material, channel.channel);
+        warned.extend(warnings(channel));
         for remark in remarks(channel) {
             match said.iter_mut().find(|(other, _)| *other == remark) {
                 Some((_, of)) => of.push(who.clone()),
@@ -77,7 +79,8 @@ pub(crate) fn fits_text(fits: &[MaterialFit]) -> String {
         }
     }
     for (remark, of) in said {
-        text += &format!("\n{}", wrapped(&format!("{}: {remark}", of.join(", "))));
+        let line = wrapped(&format!("{}: {remark}", of.join(", ")));
+        text += &format!("\n{}", if warned.contains(&remark) { warning(&line) } else { line });
     }
     text
 }
@@ -163,17 +166,19 @@ fn media(fits: &[MaterialFit]) -> String {
 }
 
 /// What a reader of the numbers must know.
-pub(crate) fn remarks(channel: &ChannelFit) -> Vec<String> {
-    let mut remarks = Vec::new();
+fn remarks(channel: &ChannelFit) -> Vec<String> {
+    let valley = channel.refined.as_ref().is_some_and(|r| r.valley);
+    let advice = valley.then(|| "σ_t and g trade off: trust σ_s(1−g) and σ_a".to_owned());
+    warnings(channel).into_iter().chain(advice).collect()
+}
+
+/// Why the numbers may not be trusted.
+fn warnings(channel: &ChannelFit) -> Vec<String> {
+    let mut warnings = Vec::new();
     if let Some(r) = &channel.refined {
-        if let Some(misfit) = misfit(r) {
-            remarks.push(misfit);
-        }
+        warnings.extend(misfit(r));
         if !r.resolved && channel.outside.is_none() {
-            remarks.push(unresolved(&r.sigma_t_per_mm));
-        }
-        if r.valley {
-            remarks.push("σ_t and g trade off: trust σ_s(1−g) and σ_a".to_owned());
+            warnings.push(unresolved(&r.sigma_t_per_mm));
         }
     }
     if let Some(outside) = channel.outside {
@@ -181,11 +186,11 @@ pub(crate) fn remarks(channel: &ChannelFit) -> Vec<String> {
             Outside::Brighter => ("brighter", "white reference, scale factor"),
             Outside::Darker => ("darker", "black level, scale factor"),
         };
-        remarks.push(format!(
+        warnings.push(format!(
             "outside the dictionary: {how} than every record; check {what}, or compute a wider dictionary"
         ));
     }
-    remarks
+    warnings
 }
 
 /// Why a channel is unresolved: the data, or a dictionary that ends where they would go on.
@@ -357,6 +362,113 @@ mod tests {
             [0.05, 0.9991, 0.999_903, 0.35, 1.0].map(albedo),
             ["0.05", "0.9991", "0.999903", "0.35", "1"]
         );
+    }
+
+    fn channel(name: &str, sigma_t: f64, resolved: bool, misfit: f64) -> ChannelFit {
+        use farm_proto::Medium;
+        use farm_proto::fit::{Cause, Refined, Suspicion};
+        let between = |low: f64, high: f64| Interval { low, high, open_low: false, open_high: false };
+        let best = Candidate {
+            medium: Medium::new(sigma_t, 0.999_827, 0.534_7).unwrap(),
+            sample_ior: 1.53,
+            error: 0.0626,
+            thicknesses: Vec::new(),
+        };
+        let suspicion = Suspicion {
+            cause: Cause::EdgeOffset,
+            thickness_mm: Some(0.5),
+            amount: 0.0712,
+            misfit_left: 1.04,
+        };
+        let refined = Refined {
+            best: best.clone(),
+            sigma_t_per_mm: between(0.9 * sigma_t, 1.1 * sigma_t),
+            albedo: between(0.999_494, 0.999_986),
+            g: between(0.4123, 0.6312),
+            reduced_scattering_per_mm: between(13.46, 14.52),
+            absorption_per_mm: between(0.000_174, 0.005_93),
+            covariance: [[0.0; 3]; 3],
+            correlation: 0.0,
+            valley: true,
+            resolved,
+            measurement_noise: 0.01,
+            dictionary_share: 0.1,
+            misfit,
+            suspicion: (misfit > 2.0).then_some(suspicion),
+        };
+        ChannelFit {
+            channel: name.into(),
+            candidates: vec![best],
+            refined: Some(refined),
+            outside: None,
+            curves: Vec::new(),
+        }
+    }
+
+    /// Nothing is wider than a terminal of 80 columns, however long the names, and warnings are told once.
+    #[test]
+    fn fits_are_told_in_eighty_columns_with_what_is_wrong() {
+        let channels = vec![
+            channel("R", 11.53, true, 3.42),
+            channel("G", 27.61, false, 0.96),
+            channel("B", 19.87, false, 0.93),
+        ];
+        let fits = [MaterialFit { material: "Vero White Plus".into(), channels }];
+        let text = anstream::adapter::strip_str(&fits_text(&fits)).to_string();
+        for line in text.lines() {
+            assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());
+        }
+        let (shared, media) = (text.find("σ_s(1−g)").unwrap(), text.find("σ_t").unwrap());
+        assert!(shared < media, "what is known best comes first");
+        let flat = text.replace("\n  ", " ");
+        for told in [
+            "Vero White Plus R: misfit 3.4: the intervals are not to be trusted; likeliest is an edge at x = 0.071 mm \
+             instead of 0 in the profile of 0.5 mm: shift its x_mm (misfit 1 without that)",
+            "Vero White Plus G, Vero White Plus B: unresolved: the data do not determine the medium",
+        ] {
+            assert!(flat.contains(told), "{told}\n{flat}");
+        }
+        let csv = table_csv(&fits).unwrap();
+        assert!(csv.lines().nth(1).unwrap().contains("misfit 3.4: the intervals"), "{csv}");
+    }
+
+    /// What the errors do beside their least is told as it is.
+    #[test]
+    fn a_scale_factor_that_the_data_leave_open_is_told_so() {
+        let open = Interval { low: 0.8, high: 1.1, open_low: true, open_high: true };
+        let closed = Interval { low: 0.35, high: 0.47, open_low: false, open_high: false };
+        let mut common = Common {
+            mu: 1.0,
+            mu_std_error: 0.0919,
+            mu_interval: open,
+            mu_chosen: true,
+            g: Some(0.4123),
+            g_interval: Some(closed),
+            by_g: Vec::new(),
+        };
+        let told = common_text(&common).replace("\n  ", " ");
+        assert!(
+            told.starts_with("scale factor μ: not determined by these data; taken as 1 ± 0.09"),
+            "{told}"
+        );
+        assert!(
+            told.ends_with("anisotropy g = 0.412, chosen as common to all channels (95 %: 0.35…0.47)"),
+            "{told}"
+        );
+        assert!(!told.contains("held"));
+        common.mu_chosen = false;
+        assert!(common_text(&common).starts_with("scale factor μ = 1, as given"));
+        let scale = |curvature| ScaleCurve {
+            points: Vec::new(),
+            best: farm_proto::fit::ScalePoint { mu: 0.913, error: 0.2 },
+            std_error: None,
+            curvature: Some(curvature),
+            at_end: false,
+            by_g: Vec::new(),
+            best_g: 0.4,
+        };
+        assert!(scale_text(&scale(50.0)).contains("0.01 away from it the error is 0.25 % larger"));
+        assert!(!scale_text(&scale(-50.0)).contains("larger"));
     }
 
     #[test]
