@@ -58,7 +58,7 @@ pub(super) fn find(
     let at_scales: Vec<Vec<Question>> = scales.iter().map(at_scale).collect();
     let joint = Joint::new(&reference, wanted, (scales[0], scales[scales.len() - 1]));
     let start = joint.lowest_of_mesh(&scales, &at_scales);
-    let bottom = joint.descend(start, joint.shared);
+    let bottom = joint.descend(&start, joint.shared);
     let mu = base * bottom.shared[SCALE].exp();
     let g = wanted.g.then(|| joint.objectives[0].parameter(G, bottom.shared[G]));
     let by_g = if wanted.g { joint.by_g(&bottom, base) } else { Vec::new() };
@@ -166,7 +166,7 @@ impl<'a> Joint<'a> {
     }
 
     /// Goes down from a state, moving what is shared and `free`.
-    fn descend(&self, start: State, free: [bool; 4]) -> State {
+    fn descend(&self, start: &State, free: [bool; 4]) -> State {
         let mut state = self.at(start.shared, &start.optima, WELL);
         let mut shorter = 1.0;
         for _ in 0..MOST_STEPS {
@@ -230,7 +230,7 @@ impl<'a> Joint<'a> {
                 shared[G] = nodes[n];
                 here = self.at(shared, &here.optima, ROUGHLY);
                 shared[SCALE] = own.shared[SCALE];
-                own = self.descend(State { shared, ..own }, [false, false, false, self.shared[SCALE]]);
+                own = self.descend(&State { shared, ..own }, [false, false, false, self.shared[SCALE]]);
                 let best = ScalePoint { mu: base * own.shared[SCALE].exp(), error: own.error / base };
                 let error = here.error.max(own.error) / base;
                 errors[n] = Some(GError { g: self.anisotropies()[n], error, best });

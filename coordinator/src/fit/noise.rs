@@ -181,7 +181,9 @@ pub(super) fn add_direction(basis: &mut Vec<Vec<f64>>, mut vector: Vec<f64>) -> 
     }
     let length = dot(&vector, &vector).sqrt();
     if length > 1e-6 * whole {
-        vector.iter_mut().for_each(|v| *v /= length);
+        for v in &mut vector {
+            *v /= length;
+        }
         basis.push(vector);
         return length;
     }

@@ -29,7 +29,8 @@ pub(super) struct Part<'a> {
 /// The shared unknowns as functions of all channels' data.
 #[derive(Debug)]
 pub(super) struct Shared {
-    shared: [bool; 4],
+    /// Which unknowns are shared.
+    which: [bool; 4],
     /// S⁻¹, zero outside the shared unknowns.
     inverse: DMat4,
     /// Covariance of φ of every channel.
@@ -79,7 +80,7 @@ impl Shared {
         let by_scale = parts.iter().map(|p| eliminated(p) * p.noise.by_scale).fold(DVec4::ZERO, |a, b| a + b);
         let found: Vec<DVec4> = parts.iter().map(|p| eliminated(p) * p.downhill).collect();
         let disagreement = disagreement(&found, &pulls, shared);
-        Self { shared, inverse, pulls, pull, by_scale, disagreement }
+        Self { which: shared, inverse, pulls, pull, by_scale, disagreement }
     }
 
     /// Covariance of the shared unknowns.
@@ -92,8 +93,8 @@ impl Shared {
     pub(super) fn of(&self, channel: usize, part: &Part) -> DMat4 {
         let (noise, inverse_own) = (part.noise, part.noise.inverse_hessian(part.own));
         // δ = H_xx⁻¹ ψ + (1 − H_xx⁻¹ H) δθ.
-        let through = (DMat4::IDENTITY - inverse_own * noise.hessian) * mask(self.shared) * self.inverse;
-        let own = inverse_own + through * eliminated(noise.hessian, inverse_own, self.shared);
+        let through = (DMat4::IDENTITY - inverse_own * noise.hessian) * mask(self.which) * self.inverse;
+        let own = inverse_own + through * eliminated(noise.hessian, inverse_own, self.which);
         let others = self.pull - self.pulls[channel];
         own * noise.own() * own.transpose()
             + through * (others + self.pull * (self.disagreement - 1.0)) * through.transpose()
@@ -121,7 +122,11 @@ mod tests {
     use super::*;
 
     fn noise(seed: f64) -> Noise {
-        let v = |k: f64| DVec4::from_array([0.0, 1.0, 2.0, 3.0].map(|i| (seed + 1.7 * k + 2.3 * i).sin()));
+        let v = |k: f64| {
+            DVec4::from_array(
+                [0.0, 1.0, 2.0, 3.0].map(|i| (seed + 1.7 * k + 2.3 * i + 0.37 * i * i * k).sin()),
+            )
+        };
         let square = |k: f64| (0..6).fold(DMat4::ZERO, |sum, n| sum + outer(v(k + f64::from(n))));
         Noise::for_test(square(0.0), square(20.0), v(50.0))
     }
