@@ -1,5 +1,7 @@
 //! Measured edge profiles.
 
+pub mod checks;
+
 use crate::ids::RequestLimits;
 use crate::invalid::{Invalid, Result};
 use crate::optics::check_thickness;
