@@ -1,6 +1,9 @@
 //! Measured edge profiles.
 
 pub mod checks;
+mod colour;
+
+pub use colour::colour;
 
 use crate::ids::RequestLimits;
 use crate::invalid::{Invalid, Result};

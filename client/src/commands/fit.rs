@@ -8,7 +8,7 @@ use crate::answers::{MaterialJson, OptionsJson, details, neighbours, table_one};
 use crate::cli::{FitArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::figures;
-use crate::measurement_file::read_measurements;
+use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
 use crate::plot::Picture;
 
@@ -17,7 +17,8 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     let dictionary = &args.options.dictionary;
     DictionaryName::new(dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let materials = read_measurements(&args.measurement)?;
+    let MeasurementFile { materials, notes } =
+        read_measurements(&args.measurement)?.told(&args.measurement, output);
     let fits = with_farm(global, Purpose::Ask, async |connection| {
         fit_all(connection, dictionary, &materials, &options).await
     })
@@ -26,7 +27,7 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
         figures::write_fits(&fits, path)?;
     }
     let options = OptionsJson::new(dictionary, &options);
-    let data = FitJson { options, materials: fits.iter().map(Into::into).collect() };
+    let data = FitJson { options, materials: fits.iter().map(Into::into).collect(), notes };
     output.print("fit", &data, || text(&fits, args.top))
 }
 
@@ -73,4 +74,6 @@ struct FitJson {
     #[serde(flatten)]
     options: OptionsJson,
     materials: Vec<MaterialJson>,
+    /// What was assumed when the file was read, and what looks suspicious in it.
+    notes: Vec<Note>,
 }

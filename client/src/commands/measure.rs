@@ -10,7 +10,7 @@ use crate::answers::{MaterialJson, OptionsJson, ScaleJson, details, scale_text, 
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::figures;
-use crate::measurement_file::read_measurements;
+use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::media;
 use crate::output::{Output, write_whole};
 use crate::plot::Picture;
@@ -27,7 +27,8 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     let dictionary = &args.options.dictionary;
     DictionaryName::new(dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let materials = read_measurements(&args.measurements)?;
+    let MeasurementFile { materials, notes } =
+        read_measurements(&args.measurements)?.told(&args.measurements, output);
     let answer = with_farm(global, Purpose::Ask, async |connection| {
         let request = MeasureRequest {
             dictionary: dictionary.clone(),
@@ -52,6 +53,7 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
         common_g: found.g,
         scale: found.scale.as_ref().map(Into::into),
         materials: found.materials.iter().map(Into::into).collect(),
+        notes,
     };
     output.print("measure", &data, || text(&found, args.output.as_deref()))
 }
@@ -118,4 +120,6 @@ struct JsonData {
     /// Null if the scale factor was given.
     scale: Option<ScaleJson>,
     materials: Vec<MaterialJson>,
+    /// What was assumed when the file was read, and what looks suspicious in it.
+    notes: Vec<Note>,
 }

@@ -8,7 +8,7 @@ use crate::answers::{MaterialJson, OptionsJson, ScaleJson, scale_text, table_one
 use crate::cli::{Global, ScaleArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::figures;
-use crate::measurement_file::read_measurements;
+use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
 use crate::plot::Picture;
 
@@ -18,7 +18,8 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let dictionary = &args.options.dictionary;
     DictionaryName::new(dictionary.as_str()).map_err(|e| e.within("dictionary"))?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let materials = read_measurements(&args.measurements)?;
+    let MeasurementFile { materials, notes } =
+        read_measurements(&args.measurements)?.told(&args.measurements, output);
     let answer = with_farm(global, Purpose::Ask, async |connection| {
         let request = ScaleRequest {
             dictionary: dictionary.clone(),
@@ -40,6 +41,7 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
         options: OptionsJson::new(dictionary, &options),
         scale: (&scale).into(),
         materials: fits.iter().map(Into::into).collect(),
+        notes,
     };
     output.print("scale", &data, || format!("{}\n\n{}", scale_text(&scale), table_one(&fits)))
 }
@@ -50,4 +52,6 @@ struct JsonData {
     options: OptionsJson,
     scale: ScaleJson,
     materials: Vec<MaterialJson>,
+    /// What was assumed when the file was read, and what looks suspicious in it.
+    notes: Vec<Note>,
 }

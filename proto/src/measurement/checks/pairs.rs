@@ -3,19 +3,15 @@
 use super::edge::SURE;
 use super::trace::Trace;
 use super::{Finding, Kind, MeasuredProfile, Measurement, Seen};
+use crate::measurement::colour;
 
 /// Pairs of one material: the same values twice, and thicknesses that contradict each other.
 pub(super) fn of_material(material: usize, profiles: &[MeasuredProfile], sound: &[bool]) -> Vec<Finding> {
     let mut findings = Vec::new();
-    let name = |p: &MeasuredProfile| format!("channel {} at {} mm", p.channel(), p.thickness_mm());
     for (j, second) in profiles.iter().enumerate() {
         let seen = profiles[..j].iter().enumerate().find_map(|(i, first)| {
             if first.values() == second.values() {
-                let text = format!(
-                    "the values are those of {}, number for number: one of the two is not what it is called",
-                    name(first)
-                );
-                return Some(Seen::refusal(Kind::SameValues, text));
+                return same(first, second);
             }
             let comparable = sound[i] && sound[j] && first.channel() == second.channel();
             if !comparable {
@@ -30,6 +26,29 @@ pub(super) fn of_material(material: usize, profiles: &[MeasuredProfile], sound: 
         findings.extend(seen.map(|s| s.of(material, j)));
     }
     findings
+}
+
+/// The same values under two names. Photographs never agree in their noise; traced profiles of two channels do where the
+/// base is not seen, or reflects the same in both, as it may at two wavelengths.
+fn same(first: &MeasuredProfile, second: &MeasuredProfile) -> Option<Seen> {
+    let trace = Trace::new(second.x_mm(), second.values(), None);
+    let n = trace.len();
+    let (dark, light) = (trace.level(0..n / 4), trace.level(n - n / 4..n));
+    if (light - dark).abs() < 1e-3 * light.abs() {
+        return None;
+    }
+    let text = format!(
+        "the values are those of channel {} at {} mm, number for number: one of the two is not what it is called",
+        first.channel(),
+        first.thickness_mm()
+    );
+    let slabs = first.thickness_mm() != second.thickness_mm();
+    let colours = colour(first.channel()).is_some() && colour(second.channel()).is_some();
+    Some(if slabs || colours {
+        Seen::refusal(Kind::SameValues, text)
+    } else {
+        Seen::warning(Kind::SameValues, text)
+    })
 }
 
 /// The same values under the names of two materials.
