@@ -151,7 +151,7 @@ impl Meaning {
 fn meaning(name: &str) -> Option<Meaning> {
     let name = name.to_lowercase();
     let (words, unit) = split_unit(name.trim())?;
-    let base: String = words.chars().filter(|c| !" _-.".contains(*c)).collect();
+    let base: String = words.chars().filter(|c| !" _-./".contains(*c)).collect();
     let field = match base.as_str() {
         "material" | "sample" | "specimen" | "resin" => 0,
         "channel" | "colour" | "color" | "band" | "wavelength" => 1,

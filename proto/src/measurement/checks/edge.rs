@@ -19,7 +19,7 @@ fn falling(trace: &Trace) -> Option<Seen> {
     let n = trace.len();
     let (left, right) = (trace.level(0..n / 4), trace.level(n - n / 4..n));
     let drop = left - right;
-    if drop < SURE * trace.noise || drop < 0.05 * left {
+    if drop < SURE * trace.noise(n / 4) || drop < 0.05 * left {
         return None;
     }
     let told = format!(
@@ -49,7 +49,9 @@ fn elsewhere(trace: &Trace) -> Option<Seen> {
     let most = rises.iter().copied().fold(f64::MIN, f64::max);
     let here = rises[trace.edge().clamp(width, n - width) - width];
     let light = trace.level(n - n / 4..n);
-    if most - here < SURE * trace.noise || most < 0.1 * light || here > 0.85 * most {
+    // The difference of two rises has √2 times the noise of one.
+    let noise = std::f64::consts::SQRT_2 * trace.noise(width);
+    if most - here < SURE * noise || most < 0.1 * light || here > 0.85 * most {
         return None;
     }
     let steep: Vec<usize> = (0..rises.len()).filter(|i| rises[*i] > 0.95 * most).collect();
@@ -101,13 +103,9 @@ pub(super) fn middle(trace: &Trace) -> Option<Middle> {
     let light = trace.level(within(0.75 * reach, reach));
     let contrast = light - trace.level(within(-reach, -0.75 * reach));
     let excess = trace.mean_of_both(0.0, near) - trace.mean_of_both(0.75 * reach, reach);
-    let noise = trace.noise / (2.0 * near / trace.pitch).sqrt();
-    (contrast > SURE * trace.noise && contrast > 0.02 * light).then_some(Middle {
-        excess,
-        contrast,
-        light,
-        noise,
-    })
+    let noise = trace.noise((2.0 * near / trace.pitch) as usize);
+    let ends = trace.noise((0.25 * reach / trace.pitch) as usize);
+    (contrast > SURE * ends && contrast > 0.02 * light).then_some(Middle { excess, contrast, light, noise })
 }
 
 /// A middle above or below what is possible. A light that is brighter in the middle does that too, so it is a warning.

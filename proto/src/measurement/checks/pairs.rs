@@ -94,7 +94,7 @@ impl Contrast {
         }
         let ends =
             trace.level(edge + last - outer..edge + last) - trace.level(edge - last..edge - last + outer);
-        Some(Self { rise: trace.rise(edge, pixels), ends, noise: trace.noise })
+        Some(Self { rise: trace.rise(edge, pixels), ends, noise: trace.noise(pixels) })
     }
 }
 
@@ -124,7 +124,7 @@ fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
         b.rise,
         a.rise
     );
-    if exceeds(1.3, 1.1) {
+    if exceeds(1.3, 1.0) {
         let text = format!(
             "{told}, which no medium does: their thicknesses are swapped, or one of the pictures is of another material"
         );

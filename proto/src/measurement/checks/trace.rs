@@ -9,9 +9,11 @@ pub(super) struct Trace {
     pub x: Vec<f64>,
     pub values: Vec<f64>,
     pub pitch: f64,
-    /// Standard deviation of a window's level. The errors of neighbours may be correlated, as those of simulated
-    /// profiles are, so that a window's level is taken to be no better known than a pixel.
-    pub noise: f64,
+    /// Standard deviation of what differs between neighbours.
+    scatter: f64,
+    /// Standard deviation of what they share: what is told of their errors beyond their scatter. Simulated profiles
+    /// have it, since their pixels share walks.
+    shared: f64,
 }
 
 impl Trace {
@@ -21,10 +23,12 @@ impl Trace {
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
         let grouped = |v: &[f64]| -> Vec<f64> { v.chunks_exact(group).map(mean).collect() };
         let (x, values) = (grouped(x), grouped(values));
-        let scatter = scatter(&values);
+        // Noise grows with light: the noisier half counts.
+        let (dark, light) = values.split_at(values.len() / 2);
+        let scatter = scatter(dark).max(scatter(light));
         let told = std_errors.map_or(0.0, |e| median(e.to_vec()));
         let pitch = (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64;
-        Self { pitch, noise: scatter.max(told), x, values }
+        Self { pitch, scatter, shared: (told * told - scatter * scatter).max(0.0).sqrt(), x, values }
     }
 
     pub fn len(&self) -> usize {
@@ -34,6 +38,12 @@ impl Trace {
     /// Median of the values of a range of pixels; what is rare, such as dust, does not count.
     pub fn level(&self, pixels: std::ops::Range<usize>) -> f64 {
         median(self.values[pixels].to_vec())
+    }
+
+    /// Standard deviation of the level of a window.
+    pub fn noise(&self, pixels: usize) -> f64 {
+        // A median's is 1.25 times a mean's.
+        self.shared.hypot(1.25 * self.scatter / (pixels as f64).sqrt())
     }
 
     /// Pixels of a length, at least `least`.
@@ -104,9 +114,10 @@ mod tests {
         let noisy = |i: usize| 0.01 * i as f64 + if i.is_multiple_of(3) { 0.2 } else { -0.1 };
         let x: Vec<f64> = (0..5000).map(|i| i as f64 * 0.001).collect();
         let short = Trace::new(&x[..300], &(0..300).map(noisy).collect::<Vec<_>>(), None);
-        assert!((0.1..0.4).contains(&short.noise), "{}", short.noise);
+        assert!((0.1..0.4).contains(&short.noise(1)), "{}", short.noise(1));
+        assert!((short.noise(1) / short.noise(100) - 10.0).abs() < 1e-9);
         let long = Trace::new(&x, &vec![0.5; 5000], Some(&vec![0.02; 5000]));
-        assert_eq!((long.len(), long.noise), (1000, 0.02));
+        assert_eq!((long.len(), long.noise(100)), (1000, 0.02));
         assert!((long.pitch - 0.005).abs() < 1e-12);
     }
 }
