@@ -134,7 +134,7 @@ fn no_medium_is_refused_or_warned_of() {
     let mut random = Normal::new(12);
     let mut checked = 0;
     for sample in samples() {
-        for noise in [0.0, 0.004, 0.013, 0.03] {
+        for noise in [0.0, 0.004, 0.013, 0.03].repeat(effort() as usize) {
             for told in [true, false] {
                 let photograph = |p: &Traced| p.photograph(noise, told, &mut random);
                 // What does not scatter light back at all is the same everywhere, and refused as such elsewhere.
