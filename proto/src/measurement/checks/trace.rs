@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn noise_is_found_on_a_slope_and_long_profiles_are_averaged() {
         let noisy = |i: usize| 0.01 * i as f64 + if i.is_multiple_of(3) { 0.2 } else { -0.1 };
-        let x: Vec<f64> = (0..5000).map(|i| i as f64 * 0.001).collect();
+        let x: Vec<f64> = (0..5000).map(|i| f64::from(i) * 0.001).collect();
         let short = Trace::new(&x[..300], &(0..300).map(noisy).collect::<Vec<_>>(), None);
         assert!((0.1..0.4).contains(&short.noise(1)), "{}", short.noise(1));
         assert!((short.noise(1) / short.noise(100) - 10.0).abs() < 1e-9);
