@@ -30,8 +30,8 @@ fn told(profiles: &Profiles, finding: &Finding, count: usize) -> String {
     let place = place_of(line, material.material(), profile.channel(), profile.thickness_mm());
     let more = match count {
         0 | 1 => String::new(),
-        2 => " (so is one more profile)".to_owned(),
-        n => format!(" (so are {} more profiles)", n - 1),
+        2 => " (the same in one more profile)".to_owned(),
+        n => format!(" (the same in {} more profiles)", n - 1),
     };
     format!("{place}: {}{more}", finding.text)
 }

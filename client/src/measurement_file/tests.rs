@@ -243,7 +243,7 @@ fn suspicions_are_notes_one_of_a_kind() {
         told.starts_with("line 3, material white, channel R, 0.5 mm: x runs from -0.491667 to"),
         "{told}"
     );
-    assert!(told.ends_with("if it is cm, multiply by 10 (so are 5 more profiles)"), "{told}");
+    assert!(told.ends_with("if it is cm, multiply by 10 (the same in 5 more profiles)"), "{told}");
 }
 
 #[test]
