@@ -10,7 +10,7 @@ fn say(dir: &std::path::Path, line: &str) -> Ran {
 }
 
 fn read(dir: &std::path::Path, name: &str) -> String {
-    std::fs::read_to_string(dir.join(name)).unwrap()
+    std::fs::read_to_string(dir.join(name)).expect("the file was written")
 }
 
 #[test]
