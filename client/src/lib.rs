@@ -21,7 +21,7 @@ use cli::{Cli, Command};
 use output::Output;
 
 pub use grid_file::{read_grid, read_scene};
-pub use measurement_file::read_measurements;
+pub use measurement_file::{MeasurementFile, Note, read_measurements};
 
 /// Runs a command. Errors are told on standard error (or, with `--json`, as an object on standard output) and by the
 /// exit code, see [`exit`].

@@ -1,5 +1,10 @@
 //! Measured edge profiles.
 
+pub mod checks;
+mod colour;
+
+pub use colour::colour;
+
 use crate::ids::RequestLimits;
 use crate::invalid::{Invalid, Result};
 use crate::optics::check_thickness;

@@ -54,11 +54,11 @@ pub fn fails(folder: &Path, args: &[&str], parts: &[&str]) {
     }
 }
 
-/// Rows of a profile that rises from 0.1 to 0.8.
+/// Rows of a profile that rises from 0.1 to 0.8, over twice the width if the slab is twice as thick.
 pub fn rows(channel: &str, thickness: f64) -> String {
     let row = |i: i32| {
         let x = (f64::from(i) - 29.5) / 6.0;
-        format!("resin,{channel},{thickness},{x:.5},{:.5}\n", 0.45 + 0.35 * x.tanh())
+        format!("resin,{channel},{thickness},{x:.5},{:.5}\n", 0.45 + 0.35 * (0.5 * x / thickness).tanh())
     };
     (0..60).map(row).collect()
 }

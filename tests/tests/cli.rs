@@ -183,7 +183,7 @@ fn every_answer_of_the_fit_has_its_json_shape() {
         all.sort();
         all
     };
-    assert_eq!(keys(&fit), with(&["materials"]));
+    assert_eq!(keys(&fit), with(&["materials", "notes"]));
     let channel = &fit["materials"][0]["channels"][0];
     assert_eq!(keys(channel), ["candidates", "channel", "outside", "refined"]);
     let expected = [
@@ -217,14 +217,14 @@ fn every_answer_of_the_fit_has_its_json_shape() {
 
     let ask = |verb: &[&str]| run(dir, &[verb, &["m.csv", "--dictionary", "grid", "--json"][..]].concat());
     let scale = json(&ask(&["scale"]), "scale");
-    assert_eq!(keys(&scale), with(&["common", "materials", "scale"]));
+    assert_eq!(keys(&scale), with(&["common", "materials", "notes", "scale"]));
     let expected = ["at_end", "best_g", "by_g", "curvature", "curve", "error", "mu", "std_error"];
     assert_eq!(keys(&scale["scale"]), expected);
     assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 301);
     let measure = json(&ask(&["measure"]), "measure");
-    assert_eq!(keys(&measure), with(&["common", "common_g", "materials", "scale"]));
+    assert_eq!(keys(&measure), with(&["common", "common_g", "materials", "notes", "scale"]));
     let map = json(&ask(&["map"]), "map");
-    assert_eq!(keys(&map), with(&["maps"]));
+    assert_eq!(keys(&map), with(&["maps", "notes"]));
     let expected = ["albedo", "best_layer", "channel", "layers", "material", "sample_ior", "sigma_t_per_mm"];
     assert_eq!(keys(&map["maps"][0]), expected);
     assert_eq!(keys(&map["maps"][0]["layers"][0]), ["best", "errors", "g", "similar"]);

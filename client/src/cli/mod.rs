@@ -41,6 +41,12 @@ Examples:
 Exit codes: 0 success, 1 error, 2 wrong usage; of a dictionary: 3 some jobs have failed, 4 some jobs are in
 quarantine, 5 cancelled, 6 still running when the time to wait was over; 130 interrupted.";
 
+const SIMULATE_EXAMPLES: &str = "\
+Examples:
+  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
+  farmctl simulate --sigma-t 4,6,8 --albedo 0.9,0.99 --g 0.4 --thickness 0.5,1 -o profiles.csv
+  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5,1 --measurement white -o white.csv";
+
 #[derive(Debug, Args)]
 pub struct Global {
     /// URL of a coordinator, as in http://farm:7700.
@@ -84,7 +90,7 @@ pub enum Command {
     Map(MapArgs),
     /// Tell which media similarity theory calls equal to one.
     Similar(SimilarArgs),
-    /// Simulate one edge profile, without a farm.
+    /// Simulate edge profiles, without a farm.
     Simulate(SimulateArgs),
     /// Show what the farm is doing.
     Status,
@@ -150,19 +156,26 @@ pub struct SubmitArgs {
 }
 
 #[derive(Debug, Args)]
+#[command(after_help = SIMULATE_EXAMPLES)]
 pub struct SimulateArgs {
-    /// Extinction coefficient of the sample, per mm.
-    #[arg(long, value_name = "PER_MM", allow_negative_numbers = true)]
-    pub sigma_t: f64,
-    /// Single-scattering albedo.
-    #[arg(long, allow_negative_numbers = true)]
-    pub albedo: f64,
-    /// Anisotropy of the Henyey–Greenstein phase function.
-    #[arg(long, allow_negative_numbers = true)]
-    pub g: f64,
-    /// Thickness of the sample in mm.
-    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
-    pub thickness: f64,
+    /// Extinction coefficients of the sample, per mm, as in 6 or 4,6,8.
+    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    pub sigma_t: Vec<f64>,
+    /// Single-scattering albedos.
+    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    pub albedo: Vec<f64>,
+    /// Anisotropies of the Henyey–Greenstein phase function.
+    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    pub g: Vec<f64>,
+    /// Thicknesses of the sample in mm.
+    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    pub thickness: Vec<f64>,
+    /// File to write, whole or not at all [default: standard output].
+    #[arg(long, short, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Write a measurement of the material NAME, which `farmctl measure` reads.
+    #[arg(long, value_name = "NAME")]
+    pub measurement: Option<String>,
     /// "paper", "smooth" or a scene file in TOML.
     #[arg(long, value_name = "SCENE", default_value = "paper")]
     pub scene: String,
@@ -220,6 +233,9 @@ pub struct ExportArgs {
     /// File to write [default: standard output].
     #[arg(long, short, value_name = "FILE")]
     pub output: Option<PathBuf>,
+    /// Write the profiles of one medium as a measurement of the material NAME, which `farmctl measure` reads.
+    #[arg(long, value_name = "NAME")]
+    pub measurement: Option<String>,
     /// Only these extinction coefficients, as in 6,9.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub sigma_t: Vec<f64>,

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::cli::{ExportArgs, Global};
 use crate::connection::{Connection, Purpose};
+use crate::measurement_file::MeasurementWriter;
 use crate::output::{Output, envelope};
 
 pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
@@ -63,21 +64,29 @@ async fn export(
     let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
     let grid = DictionaryStatus::try_from(status)?.grid;
     let indices = selection(&grid, args)?;
+    let material = args.measurement.as_deref();
+    let mut measurement = material.map(|name| one_material(&grid, &indices, name, json)).transpose()?;
     let wanted = if indices.is_empty() { grid.record_count() } else { indices.len() };
     let request = ExportRequest { name: name.to_string(), indices };
     let mut records = connection.dictionaries().export(request).await?.into_inner();
-    if !json {
+    if !json && measurement.is_none() {
         write_head(&mut out, &grid)?;
     }
     let mut count = 0;
     while let Some(record) = records.message().await? {
         let record = Record::try_from(record)?;
         count += 1;
-        if json {
+        if let Some(measurement) = &mut measurement {
+            let thickness_mm = grid.parameters(record.index).0.thickness_mm();
+            measurement.add(grid.scene(), thickness_mm, &record.profiles)?;
+        } else if json {
             writeln!(out, "{}", envelope("record", &RecordJson::new(&grid, &record))?)?;
         } else {
             write_rows(&mut out, &grid, &record)?;
         }
+    }
+    if let Some(measurement) = measurement {
+        out.write_all(&measurement.into_bytes()?)?;
     }
     out.flush()?;
     if count == 0 {
@@ -87,6 +96,28 @@ async fn export(
         eprintln!("farmctl: {count} of the {wanted} records asked for are done, the others are left out");
     }
     Ok(())
+}
+
+/// A measurement of the medium that was picked; refused if there are several.
+fn one_material(grid: &Grid, indices: &[u32], name: &str, json: bool) -> Result<MeasurementWriter<Vec<u8>>> {
+    if json {
+        bail!("--measurement writes CSV: leave out --json");
+    }
+    let all = 0..grid.record_count() as u32;
+    let picked = if indices.is_empty() { all.collect() } else { indices.to_vec() };
+    let medium = |index: &u32| {
+        let (point, medium) = grid.parameters(*index as usize);
+        (medium.sigma_t_per_mm(), medium.albedo(), medium.g(), point.sample_ior())
+    };
+    let mut media: Vec<_> = picked.iter().map(medium).collect();
+    media.dedup();
+    if let [first, second, ..] = media[..] {
+        bail!(
+            "--measurement writes one medium, and several match, as (σ_t, α, g, index) {first:?} and {second:?}: \
+             pick one with --sigma-t, --albedo, --g and, if there are several indices, --sample-ior"
+        );
+    }
+    MeasurementWriter::new(Vec::new(), name)
 }
 
 /// Numbers of the records that the lists admit; empty if no list is given, which means all.

@@ -11,7 +11,7 @@ use crate::answers::{MaterialJson, OptionsJson, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::figures;
-use crate::measurement_file::read_measurements;
+use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
 use crate::plot::Picture;
 
@@ -20,7 +20,8 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     let given = args.options.dictionary.as_ref();
     which::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let materials = read_measurements(&args.measurement)?;
+    let MeasurementFile { materials, notes } =
+        read_measurements(&args.measurement)?.told(&args.measurement, output);
     let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = which::dictionary(connection, given).await?;
         let fits = fit_all(connection, &dictionary, &materials, &options).await?;
@@ -32,7 +33,7 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
         None => Vec::new(),
     };
     let options = OptionsJson::new(&dictionary, &options);
-    let data = FitJson { options, materials: fits.iter().map(Into::into).collect() };
+    let data = FitJson { options, materials: fits.iter().map(Into::into).collect(), notes };
     output.print("fit", &data, || text(&fits, args.top, &pictures))
 }
 
@@ -78,4 +79,6 @@ struct FitJson {
     #[serde(flatten)]
     options: OptionsJson,
     materials: Vec<MaterialJson>,
+    /// What was assumed when the file was read, and what looks suspicious in it.
+    notes: Vec<Note>,
 }

@@ -9,7 +9,7 @@ use crate::answers::{CandidateJson, OptionsJson, albedo, significant};
 use crate::cli::{Global, MapArgs};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::figures;
-use crate::measurement_file::read_measurements;
+use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::{Output, table};
 use crate::plot::Picture;
 
@@ -18,7 +18,9 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     let given = args.options.dictionary.as_ref();
     which::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let materials = chosen(read_measurements(&args.measurement)?, &args)?;
+    let MeasurementFile { materials, notes } =
+        read_measurements(&args.measurement)?.told(&args.measurement, output);
+    let materials = chosen(materials, &args)?;
     let (dictionary, maps) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = which::dictionary(connection, given).await?;
         let maps = map_all(connection, &dictionary, &materials, &options).await?;
@@ -29,8 +31,8 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
         figures::write_maps(&maps, path)?;
     }
     let json = |(material, map): &(String, DistanceMap)| MapJson::new(material, map);
-    let data =
-        JsonData { options: OptionsJson::new(&dictionary, &options), maps: maps.iter().map(json).collect() };
+    let options = OptionsJson::new(&dictionary, &options);
+    let data = JsonData { options, maps: maps.iter().map(json).collect(), notes };
     output.print("map", &data, || {
         let tell = |(material, map): &(String, DistanceMap)| text(material, map);
         maps.iter().map(tell).collect::<Vec<_>>().join("\n\n")
@@ -111,6 +113,8 @@ struct JsonData {
     #[serde(flatten)]
     options: OptionsJson,
     maps: Vec<MapJson>,
+    /// What was assumed when the file was read, and what looks suspicious in it.
+    notes: Vec<Note>,
 }
 
 #[derive(Debug, Serialize)]

@@ -10,7 +10,7 @@ use crate::answers::{CommonJson, MaterialJson, OptionsJson, ScaleJson, common_te
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::figures;
-use crate::measurement_file::read_measurements;
+use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::media;
 use crate::output::{Output, write_whole};
 use crate::plot::Picture;
@@ -27,7 +27,8 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     let given = args.options.dictionary.as_ref();
     which::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let materials = read_measurements(&args.measurements)?;
+    let MeasurementFile { materials, notes } =
+        read_measurements(&args.measurements)?.told(&args.measurements, output);
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = which::dictionary(connection, given).await?;
         let request = MeasureRequest {
@@ -55,6 +56,7 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
         common: (&found.common).into(),
         scale: found.scale.as_ref().map(Into::into),
         materials: found.materials.iter().map(Into::into).collect(),
+        notes,
     };
     output.print("measure", &data, || text(&found, args.output.as_deref(), &pictures))
 }
@@ -119,4 +121,6 @@ struct JsonData {
     /// Null if the scale factor was given.
     scale: Option<ScaleJson>,
     materials: Vec<MaterialJson>,
+    /// What was assumed when the file was read, and what looks suspicious in it.
+    notes: Vec<Note>,
 }

@@ -9,7 +9,7 @@ use crate::answers::{CommonJson, MaterialJson, OptionsJson, ScaleJson, common_te
 use crate::cli::{Global, ScaleArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::figures::{self, drawn};
-use crate::measurement_file::read_measurements;
+use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
 use crate::plot::Picture;
 
@@ -19,7 +19,8 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let given = args.options.dictionary.as_ref();
     which::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let materials = read_measurements(&args.measurements)?;
+    let MeasurementFile { materials, notes } =
+        read_measurements(&args.measurements)?.told(&args.measurements, output);
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = which::dictionary(connection, given).await?;
         let request = ScaleRequest {
@@ -44,6 +45,7 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
         scale: (&scale).into(),
         common: (&common).into(),
         materials: fits.iter().map(Into::into).collect(),
+        notes,
     };
     output.print("scale", &data, || {
         format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(args.plot.as_deref()))
@@ -58,4 +60,6 @@ struct JsonData {
     /// By the errors of refined fits.
     common: CommonJson,
     materials: Vec<MaterialJson>,
+    /// What was assumed when the file was read, and what looks suspicious in it.
+    notes: Vec<Note>,
 }

@@ -1,59 +1,87 @@
 use std::io::Write;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use farm_proto::job::JobSpec;
 use farm_proto::scene::{Channel, Scene, Sensor};
-use farm_proto::{Invalid, Medium, Profile, TransportPoint, Walks};
+use farm_proto::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
 use farm_worker::tracer;
 use serde::Serialize;
 
 use crate::cli::SimulateArgs;
 use crate::figures;
 use crate::grid_file::read_scene;
-use crate::output::{Output, envelope};
+use crate::measurement_file::{MeasurementWriter, check_name};
+use crate::output::{Output, envelope, write_whole};
 use crate::plot::Picture;
 
+/// Most profiles of one command: more are the work of a farm.
+const MOST_PROFILES: usize = 1000;
+
 pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
-    let job = job(&args)?;
-    let scene = job.scene().clone();
+    let jobs = jobs(&args)?;
+    let style = style(&args, &jobs, output)?;
+    check_plot(&args, &jobs)?;
     let mut pool = rayon::ThreadPoolBuilder::new();
     if let Some(threads) = args.threads {
         pool = pool.num_threads(usize::from(threads));
     }
     let pool = pool.build().context("starting the tracing threads")?;
-    if let Some(path) = &args.plot {
-        Picture::check_path(path)?;
-        if !(args.change > 0.0 && args.change < 1.0) {
-            return Err(Invalid::new("change", args.change, "allowed are numbers above 0, below 1").into());
-        }
-    }
-    let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
-    let (plot, change) = (args.plot.is_some(), args.change);
-    let work = move || {
-        let records = tracer::trace(&job, &AtomicBool::new(false))?;
-        let picture = plot.then(|| figures::changes(&job, &medium, change)).transpose()?;
-        anyhow::Ok((records, picture))
-    };
-    let traced = tokio::task::spawn_blocking(move || pool.install(work));
-    let (records, picture) = traced.await.context("the tracer")??;
-    if let (Some(picture), Some(path)) = (picture, &args.plot) {
-        picture.write(path)?;
-    }
-    let profiles = &records.first().context("the tracer gave no record")?.profiles;
-    if output.is_json() {
-        let channels = scene.channels().iter().zip(profiles).map(|(c, p)| ChannelJson::new(c, p)).collect();
-        let x_mm = (0..scene.sensor().pixels()).map(|i| scene.sensor().centre_mm(i)).collect();
-        let data = SimulateJson { x_mm, walks: args.walks, seed: args.seed, channels };
-        writeln!(std::io::stdout().lock(), "{}", envelope("simulate", &data)?)?;
-        return Ok(());
-    }
-    write_csv(&scene, profiles)
+    let work = move || pool.install(|| simulate(&args, &style, &jobs));
+    tokio::task::spawn_blocking(work).await.context("the tracer")?
 }
 
-fn job(args: &SimulateArgs) -> Result<JobSpec> {
-    let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
-    let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), args.thickness, args.sample_ior)?;
+fn simulate(args: &SimulateArgs, style: &Style, jobs: &[JobSpec]) -> Result<()> {
+    if let Some(path) = &args.plot {
+        let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], args.g[0])?);
+        figures::changes(job, &medium, args.change)?.write(path)?;
+    }
+    let Some(path) = &args.output else {
+        return write(style, jobs, std::io::BufWriter::new(std::io::stdout().lock()));
+    };
+    let place = || format!("output {}", path.display());
+    if std::fs::symlink_metadata(path).is_ok_and(|m| !m.is_file()) {
+        // A device or pipe takes what comes.
+        return write(style, jobs, std::fs::File::create(path).with_context(place)?);
+    }
+    let mut bytes = Vec::new();
+    write(style, jobs, &mut bytes)?;
+    write_whole(path, &bytes).with_context(place)
+}
+
+/// One job for each σ_t, g and thickness, which traces all albedos.
+fn jobs(args: &SimulateArgs) -> Result<Vec<JobSpec>> {
+    for (field, list) in
+        [("sigma_t", &args.sigma_t), ("albedo", &args.albedo), ("g", &args.g), ("thickness", &args.thickness)]
+    {
+        if let Some(twice) = (1..list.len()).find(|i| list[..*i].contains(&list[*i])) {
+            return Err(Invalid::new(field, list[twice], "each value may be given once").into());
+        }
+    }
+    let count = args.sigma_t.len() * args.albedo.len() * args.g.len() * args.thickness.len();
+    if count > MOST_PROFILES {
+        let allowed = format!("at most {MOST_PROFILES} are allowed; for more, submit a grid");
+        return Err(Invalid::new("profiles", count, allowed).into());
+    }
+    let scene = scene(args)?;
+    let walks = Walks::new(args.walks)?;
+    let mut jobs = Vec::new();
+    for &sigma_t in &args.sigma_t {
+        for &g in &args.g {
+            for albedo in &args.albedo {
+                Medium::new(sigma_t, *albedo, g)?;
+            }
+            for &thickness in &args.thickness {
+                let point = TransportPoint::new(sigma_t, g, thickness, args.sample_ior)?;
+                let albedo = args.albedo.clone();
+                jobs.push(JobSpec::new(scene.clone(), point, albedo, walks, args.seed, false)?);
+            }
+        }
+    }
+    Ok(jobs)
+}
+
+fn scene(args: &SimulateArgs) -> Result<Scene> {
     let mut scene = read_scene(&args.scene)?;
     if let (Some(light), Some(dark)) = (args.rho_light, args.rho_dark) {
         scene = scene.with_channels(vec![Channel::new("mono", light, dark)?])?;
@@ -61,29 +89,148 @@ fn job(args: &SimulateArgs) -> Result<JobSpec> {
     let sensor = scene.sensor();
     let width = args.width.unwrap_or(sensor.width_mm());
     let sensor = Sensor::new(width, args.pixels.unwrap_or(sensor.pixels() as u32), sensor.polar_deg())?;
-    let walks = Walks::new(args.walks)?;
-    Ok(JobSpec::new(scene.with_sensor(sensor), point, vec![medium.albedo()], walks, args.seed, false)?)
+    Ok(scene.with_sensor(sensor))
 }
 
-fn write_csv(scene: &Scene, profiles: &[Profile]) -> Result<()> {
-    let mut out = std::io::BufWriter::new(std::io::stdout().lock());
-    writeln!(out, "channel,x_mm,value,std_error")?;
-    for (channel, profile) in scene.channels().iter().zip(profiles) {
-        let (values, errors) = (profile.radiance_factor.values(), profile.radiance_factor.std_errors());
-        for (i, (value, error)) in values.iter().zip(errors).enumerate() {
-            writeln!(out, "{},{},{value},{error}", channel.name(), scene.sensor().centre_mm(i))?;
+fn check_plot(args: &SimulateArgs, jobs: &[JobSpec]) -> Result<()> {
+    let Some(path) = &args.plot else { return Ok(()) };
+    Picture::check_path(path)?;
+    if !(args.change > 0.0 && args.change < 1.0) {
+        return Err(Invalid::new("change", args.change, "allowed are numbers above 0, below 1").into());
+    }
+    if jobs.len() * args.albedo.len() > 1 {
+        bail!("--plot shows the changes about one medium at one thickness: give one of each");
+    }
+    Ok(())
+}
+
+/// What is written.
+enum Style {
+    /// The plain table of one profile.
+    One,
+    /// A table that names every medium and thickness.
+    Several,
+    Json(JsonStyle),
+    /// A measurement of the material of this name.
+    Measurement(String),
+}
+
+struct JsonStyle {
+    several: bool,
+    walks: u64,
+    seed: u64,
+}
+
+fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Style> {
+    let several = jobs.len() * args.albedo.len() > 1;
+    let Some(material) = &args.measurement else {
+        let json = JsonStyle { several, walks: args.walks, seed: args.seed };
+        return Ok(match (output.is_json(), several) {
+            (true, _) => Style::Json(json),
+            (false, true) => Style::Several,
+            (false, false) => Style::One,
+        });
+    };
+    if output.is_json() {
+        bail!("--measurement writes CSV: leave out --json");
+    }
+    if args.sigma_t.len() * args.albedo.len() * args.g.len() > 1 {
+        bail!(
+            "--measurement writes one material: give one --sigma-t, --albedo and --g; --thickness may be a list"
+        );
+    }
+    Ok(Style::Measurement(check_name(material)?.to_owned()))
+}
+
+/// Profile by profile as they are traced.
+fn write(style: &Style, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
+    let each = |job: &JobSpec| anyhow::Ok(tracer::trace(job, &AtomicBool::new(false))?);
+    match style {
+        Style::Measurement(material) => {
+            let mut measurement = MeasurementWriter::new(&mut out, material)?;
+            for job in jobs {
+                for record in each(job)? {
+                    measurement.add(job.scene(), job.point().thickness_mm(), &record.profiles)?;
+                }
+            }
+            measurement.finish()?;
+        }
+        Style::Json(json) => {
+            for job in jobs {
+                for (record, albedo) in each(job)?.iter().zip(job.albedo()) {
+                    let data = SimulateJson::new(json, job, *albedo, record);
+                    writeln!(out, "{}", envelope("simulate", &data)?)?;
+                }
+            }
+        }
+        Style::One | Style::Several => {
+            let several = matches!(style, Style::Several);
+            let media = if several { "sigma_t_per_mm,albedo,g,thickness_mm," } else { "" };
+            writeln!(out, "{media}channel,x_mm,value,std_error")?;
+            for job in jobs {
+                for (record, albedo) in each(job)?.iter().zip(job.albedo()) {
+                    let medium = if several { medium_cells(job, *albedo) } else { String::new() };
+                    write_rows(&mut out, &medium, job.scene(), &record.profiles)?;
+                }
+            }
         }
     }
     out.flush()?;
     Ok(())
 }
 
+fn medium_cells(job: &JobSpec, albedo: f64) -> String {
+    let point = job.point();
+    format!("{},{albedo},{},{},", point.sigma_t_per_mm(), point.g(), point.thickness_mm())
+}
+
+fn write_rows(out: &mut impl Write, medium: &str, scene: &Scene, profiles: &[Profile]) -> Result<()> {
+    for (channel, profile) in scene.channels().iter().zip(profiles) {
+        let (values, errors) = (profile.radiance_factor.values(), profile.radiance_factor.std_errors());
+        for (i, (value, error)) in values.iter().zip(errors).enumerate() {
+            writeln!(out, "{medium}{},{},{value},{error}", channel.name(), scene.sensor().centre_mm(i))?;
+        }
+    }
+    Ok(())
+}
+
 #[derive(Debug, Serialize)]
 struct SimulateJson {
+    /// Told if there are several.
+    #[serde(flatten)]
+    medium: Option<MediumJson>,
     x_mm: Vec<f64>,
     walks: u64,
     seed: u64,
     channels: Vec<ChannelJson>,
+}
+
+#[derive(Debug, Serialize)]
+struct MediumJson {
+    sigma_t_per_mm: f64,
+    albedo: f64,
+    g: f64,
+    thickness_mm: f64,
+}
+
+impl SimulateJson {
+    fn new(style: &JsonStyle, job: &JobSpec, albedo: f64, record: &Record) -> Self {
+        let (scene, point) = (job.scene(), job.point());
+        let medium = MediumJson {
+            sigma_t_per_mm: point.sigma_t_per_mm(),
+            albedo,
+            g: point.g(),
+            thickness_mm: point.thickness_mm(),
+        };
+        let channels = scene.channels().iter().zip(&record.profiles);
+        Self {
+            medium: style.several.then_some(medium),
+            x_mm: (0..scene.sensor().pixels()).map(|i| scene.sensor().centre_mm(i)).collect(),
+            walks: style.walks,
+            seed: style.seed,
+            channels: channels.map(|(c, p)| ChannelJson::new(c, p)).collect(),
+        }
+    }
 }
 
 #[derive(Debug, Serialize)]

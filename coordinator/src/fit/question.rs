@@ -4,7 +4,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use farm_proto::fit::{Bounds, Candidate, FitOptions, Outside, ThicknessError};
-use farm_proto::measurement::MIN_PIXELS;
+use farm_proto::measurement::{MIN_PIXELS, colour};
+use farm_proto::scene::Channel;
 use farm_proto::{Invalid, MeasuredProfile, Measurement, Medium};
 
 use super::dictionary::{FitDictionary, ViewKey};
@@ -199,8 +200,12 @@ impl<'a> Question<'a> {
         admissible: Admissible,
     ) -> Result<Self, Invalid> {
         let channels = dictionary.grid().scene().channels();
-        let channel = channels.iter().position(|c| c.name() == name).ok_or_else(|| {
-            let names: Vec<_> = channels.iter().map(farm_proto::scene::Channel::name).collect();
+        let called = |c: &Channel| c.name() == name;
+        // A colour may have another spelling here than in the measurement.
+        let alike = |c: &Channel| colour(name).is_some() && colour(c.name()) == colour(name);
+        let found = channels.iter().position(called).or_else(|| channels.iter().position(alike));
+        let channel = found.ok_or_else(|| {
+            let names: Vec<_> = channels.iter().map(Channel::name).collect();
             Invalid::new("channel", name, format!("the dictionary has {}", names.join(", ")))
         })?;
         let profiles = measurement.profiles().iter().filter(|p| p.channel() == name);

@@ -1,0 +1,71 @@
+//! Measurements as tidy CSV: `material,channel,thickness_mm,x_mm,value[,std_error]`, lines beginning with # being
+//! comments. What people's programs write instead is read too, with a note of what was assumed; what can be read in two
+//! ways is refused.
+
+mod columns;
+mod note;
+mod number;
+mod rows;
+mod suspicions;
+mod table;
+mod text;
+mod write;
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use farm_proto::Measurement;
+
+use crate::output::Output;
+pub use note::Note;
+use number::Decimal;
+use table::Table;
+pub(crate) use write::{MeasurementWriter, check_name};
+
+/// What a file holds.
+#[derive(Debug)]
+pub struct MeasurementFile {
+    /// One per material, in the order of their first rows.
+    pub materials: Vec<Measurement>,
+    /// What was assumed in reading, and what looks suspicious; none for a sound file in the strict format.
+    pub notes: Vec<Note>,
+}
+
+impl MeasurementFile {
+    /// Prints the notes on standard error, unless the answer, as JSON, holds them.
+    pub(crate) fn told(self, path: &Path, output: &Output) -> Self {
+        if !output.is_json() {
+            for note in &self.notes {
+                eprintln!("farmctl: note: {}: {}", path.display(), note.text);
+            }
+        }
+        self
+    }
+}
+
+/// Reads and checks the measurements of a file. Errors name line, material, channel and thickness.
+pub fn read_measurements(path: &Path) -> Result<MeasurementFile> {
+    let place = || format!("measurement {}", path.display());
+    let bytes = text::read(path).with_context(place)?;
+    read(&bytes).with_context(place)
+}
+
+fn read(bytes: &[u8]) -> Result<MeasurementFile> {
+    let mut notes = Vec::new();
+    let text = text::decode(bytes, &mut notes)?;
+    let table = Table::open(&text, &mut notes)?;
+    let decimal = Decimal::of(&table, &mut notes)?;
+    let mut drafts = rows::drafts(&table, decimal)?;
+    let blank = table.blank_rows();
+    if blank > 0 {
+        notes.push(Note::new("BLANK_ROWS", format!("rows without any entry are left out ({blank})")));
+    }
+    rows::name_colours(&mut drafts, &mut notes)?;
+    rows::sort(&mut drafts, &mut notes)?;
+    let profiles = rows::profiles(drafts, table.columns.std_error.is_some())?;
+    suspicions::examine(&profiles, &mut notes)?;
+    Ok(MeasurementFile { materials: profiles.materials, notes })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,125 @@
+//! How a file writes its numbers.
+
+use anyhow::{Context, Result, bail};
+
+use super::note::Note;
+use super::table::Table;
+
+/// The sign before the decimals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Decimal {
+    Point,
+    Comma,
+}
+
+impl Decimal {
+    /// Looks at every number of a file. Commas are only taken for decimal ones if they cannot be anything else.
+    pub fn of(table: &Table, notes: &mut Vec<Note>) -> Result<Self> {
+        let (mut point, mut comma): (Option<Cell>, Option<Cell>) = (None, None);
+        let mut proven = false;
+        for row in table.rows() {
+            let (line, row) = row?;
+            for column in table.columns.numbers() {
+                let text = &row[column.place];
+                if !text.contains(',') {
+                    if point.is_none() && text.contains('.') {
+                        point = Some(Cell { line, text: text.to_owned() });
+                    }
+                    continue;
+                }
+                if text.contains('.') || text.matches(',').count() > 1 {
+                    bail!(
+                        "line {line}: {text:?} seems to have commas between thousands: write numbers without them"
+                    );
+                }
+                proven |= !like_thousands(text);
+                if comma.is_none() {
+                    comma = Some(Cell { line, text: text.to_owned() });
+                }
+            }
+        }
+        let Some(comma) = comma else { return Ok(Self::Point) };
+        if let Some(point) = point {
+            bail!(
+                "line {} has {:?} and line {} has {:?}: with points and commas in one file it cannot be told which are decimal; use one of them",
+                comma.line,
+                comma.text,
+                point.line,
+                point.text
+            );
+        }
+        if !proven {
+            bail!(
+                "line {}: {:?} can be {} or {}; write it with a decimal point",
+                comma.line,
+                comma.text,
+                comma.text.replace(',', "."),
+                comma.text.replace(',', "")
+            );
+        }
+        notes.push(Note::new(
+            "DECIMAL_COMMA",
+            format!(
+                "commas in numbers are decimal: {:?} is read as {}",
+                comma.text,
+                comma.text.replace(',', ".")
+            ),
+        ));
+        Ok(Self::Comma)
+    }
+
+    /// A finite number.
+    pub fn read(self, text: &str, name: &str) -> Result<f64> {
+        // Some programs write the minus sign of typesetters.
+        let plain = text.replace('\u{2212}', "-");
+        let plain = if self == Self::Comma { plain.replace(',', ".") } else { plain };
+        let value: f64 = plain.parse().ok().with_context(|| format!("{name} = {text:?} is not a number"))?;
+        if !value.is_finite() {
+            bail!("{name} = {value} is not a finite number");
+        }
+        Ok(value)
+    }
+}
+
+/// A number and where it stands.
+struct Cell {
+    line: u64,
+    text: String,
+}
+
+/// Whether the comma of a number could stand between thousands: 1,234 and 12,345, not 0,123 or 1,23.
+fn like_thousands(text: &str) -> bool {
+    let Some((whole, rest)) = text.trim_start_matches(['-', '+', '\u{2212}']).split_once(',') else {
+        return false;
+    };
+    let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
+    (1..=3).contains(&whole.len())
+        && !whole.starts_with('0')
+        && rest.len() == 3
+        && digits(whole)
+        && digits(rest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_could_be_thousands_is_in_doubt() {
+        for doubtful in ["1,234", "-4,986", "12,345", "+123,456"] {
+            assert!(like_thousands(doubtful), "{doubtful}");
+        }
+        for clear in ["0,123", "1,23", "1,2345", "-0,986", "1,5e-3", ",123", "1234,567"] {
+            assert!(!like_thousands(clear), "{clear}");
+        }
+    }
+
+    #[test]
+    fn numbers_are_read_in_both_ways_and_must_be_finite() {
+        assert_eq!(Decimal::Comma.read("\u{2212}4,986", "x_mm").unwrap(), -4.986);
+        assert_eq!(Decimal::Point.read("1e-3", "value").unwrap(), 0.001);
+        let refused = |text: &str| Decimal::Point.read(text, "value").unwrap_err().to_string();
+        assert_eq!(refused("inf"), "value = inf is not a finite number");
+        assert_eq!(refused("1,5"), "value = \"1,5\" is not a number");
+    }
+}

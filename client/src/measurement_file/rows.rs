@@ -1,0 +1,186 @@
+//! From rows to profiles.
+
+use anyhow::{Context, Result, bail};
+use farm_proto::measurement::colour;
+use farm_proto::{Invalid, MeasuredProfile, Measurement};
+
+use super::note::Note;
+use super::number::Decimal;
+use super::table::Table;
+
+/// One profile while its rows are being read.
+pub(super) struct Draft {
+    material: String,
+    channel: String,
+    thickness_mm: f64,
+    rows: Vec<Row>,
+}
+
+struct Row {
+    line: u64,
+    x_mm: f64,
+    value: f64,
+    std_error: f64,
+}
+
+/// Profiles of a file, ordered by material, and the line of each of their pixels.
+pub(super) struct Profiles {
+    pub materials: Vec<Measurement>,
+    /// `[material][profile][pixel]`.
+    pub lines: Vec<Vec<Vec<u64>>>,
+}
+
+/// All rows, sorted into profiles in the order of their first rows.
+pub(super) fn drafts(table: &Table, decimal: Decimal) -> Result<Vec<Draft>> {
+    let mut drafts: Vec<Draft> = Vec::new();
+    for row in table.rows() {
+        let (line, row) = row?;
+        add(&mut drafts, line, &row, table, decimal).with_context(|| format!("line {line}"))?;
+    }
+    if drafts.is_empty() {
+        bail!("no rows");
+    }
+    Ok(drafts)
+}
+
+fn add(
+    drafts: &mut Vec<Draft>,
+    line: u64,
+    row: &csv::StringRecord,
+    table: &Table,
+    decimal: Decimal,
+) -> Result<()> {
+    let columns = &table.columns;
+    let number =
+        |c: super::columns::Column| Ok::<_, anyhow::Error>(decimal.read(&row[c.place], c.name)? * c.factor);
+    let (material, channel) = (&row[columns.material.place], &row[columns.channel.place]);
+    let thickness_mm = number(columns.thickness)?;
+    let entry = Row {
+        line,
+        x_mm: number(columns.x)?,
+        value: number(columns.value)?,
+        std_error: columns.std_error.map_or(Ok(0.0), number)?,
+    };
+    let same = |d: &Draft| d.material == material && d.channel == channel && d.thickness_mm == thickness_mm;
+    // Rows of a profile are mostly neighbours: the last is tried first.
+    match drafts.iter().rposition(same) {
+        Some(place) => drafts[place].rows.push(entry),
+        None => drafts.push(Draft {
+            material: material.to_owned(),
+            channel: channel.to_owned(),
+            thickness_mm,
+            rows: vec![entry],
+        }),
+    }
+    Ok(())
+}
+
+/// If all channels are colours, whatever their spelling, they become R, G and B.
+pub(super) fn name_colours(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
+    if drafts.iter().any(|d| colour(&d.channel).is_none()) {
+        return Ok(());
+    }
+    let mut renamed: Vec<String> = Vec::new();
+    for i in 0..drafts.len() {
+        let name = colour(&drafts[i].channel).context("every channel is a colour")?;
+        let twin = drafts[..i].iter().find(|d| {
+            let same_slab = d.material == drafts[i].material && d.thickness_mm == drafts[i].thickness_mm;
+            same_slab && d.channel == name
+        });
+        if twin.is_some() {
+            let Draft { material, channel, thickness_mm, rows } = &drafts[i];
+            bail!(
+                "line {}, material {material}, {thickness_mm} mm: channel {channel:?} means {name}, which is there under another spelling: are these two profiles or one?",
+                rows[0].line
+            );
+        }
+        if drafts[i].channel != name {
+            let told = format!("{:?} is read as {name}", drafts[i].channel);
+            if !renamed.contains(&told) {
+                renamed.push(told);
+            }
+            name.clone_into(&mut drafts[i].channel);
+        }
+    }
+    if !renamed.is_empty() {
+        notes.push(Note::new("CHANNELS", format!("channels: {}", renamed.join(", "))));
+    }
+    Ok(())
+}
+
+/// Rows that do not rise in x are sorted.
+pub(super) fn sort(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
+    let (mut falling, mut mixed) = (0, 0);
+    for draft in drafts {
+        let rows = &mut draft.rows;
+        if rows.windows(2).all(|w| w[1].x_mm < w[0].x_mm) && rows.len() > 1 {
+            falling += 1;
+            rows.reverse();
+        } else if rows.windows(2).any(|w| w[1].x_mm < w[0].x_mm) {
+            mixed += 1;
+            rows.sort_by(|a, b| a.x_mm.total_cmp(&b.x_mm));
+        }
+        if let Some(twice) = rows.windows(2).find(|w| w[0].x_mm == w[1].x_mm) {
+            let (first, second) = (twice[0].line.min(twice[1].line), twice[0].line.max(twice[1].line));
+            let place = place_of(first, &draft.material, &draft.channel, draft.thickness_mm);
+            bail!(
+                "{place}: x_mm = {} stands here and in line {second}: x must be strictly rising, so a profile is given twice or two have the same names",
+                twice[0].x_mm
+            );
+        }
+    }
+    let profiles = |n: usize| if n == 1 { "one profile".to_owned() } else { format!("{n} profiles") };
+    let mut told = Vec::new();
+    if falling > 0 {
+        told.push(format!("x falls along {}, read from the other end", profiles(falling)));
+    }
+    if mixed > 0 {
+        told.push(format!("the rows of {} are not in the order of x and were sorted", profiles(mixed)));
+    }
+    if !told.is_empty() {
+        notes.push(Note::new("ORDER_OF_X", told.join("; ")));
+    }
+    Ok(())
+}
+
+/// Checked profiles, grouped by material.
+pub(super) fn profiles(drafts: Vec<Draft>, with_errors: bool) -> Result<Profiles> {
+    type Group = (String, Vec<MeasuredProfile>, Vec<Vec<u64>>);
+    let mut groups: Vec<Group> = Vec::new();
+    for draft in drafts {
+        let lines: Vec<u64> = draft.rows.iter().map(|r| r.line).collect();
+        let take = |f: fn(&Row) -> f64| draft.rows.iter().map(f).collect::<Vec<f64>>();
+        let (x, values) = (take(|r| r.x_mm), take(|r| r.value));
+        let errors = with_errors.then(|| take(|r| r.std_error));
+        let made = MeasuredProfile::new(draft.channel.clone(), draft.thickness_mm, x, values, errors);
+        let profile = made.map_err(|e| {
+            let line = lines[element(&e).unwrap_or(0).min(lines.len() - 1)];
+            let place = place_of(line, &draft.material, &draft.channel, draft.thickness_mm);
+            anyhow::Error::new(e).context(place)
+        })?;
+        match groups.iter_mut().find(|(name, _, _)| *name == draft.material) {
+            Some((_, profiles, all)) => {
+                profiles.push(profile);
+                all.push(lines);
+            }
+            None => groups.push((draft.material, vec![profile], vec![lines])),
+        }
+    }
+    let mut found = Profiles { materials: Vec::new(), lines: Vec::new() };
+    for (material, profiles, lines) in groups {
+        let place = format!("material {material}");
+        found.materials.push(Measurement::new(material, profiles).context(place)?);
+        found.lines.push(lines);
+    }
+    Ok(found)
+}
+
+/// The place that every message about a profile names.
+pub(super) fn place_of(line: u64, material: &str, channel: &str, thickness_mm: f64) -> String {
+    format!("line {line}, material {material}, channel {channel}, {thickness_mm} mm")
+}
+
+/// The number in the field that is complained of, as in `values[12]`.
+fn element(invalid: &Invalid) -> Option<usize> {
+    invalid.field().split_once('[')?.1.strip_suffix(']')?.parse().ok()
+}

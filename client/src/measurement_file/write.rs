@@ -1,0 +1,54 @@
+//! Simulated profiles in the strict format, so that they can be measured like photographs.
+
+use std::io::Write;
+
+use anyhow::Result;
+use farm_proto::{Invalid, Profile, Scene};
+
+/// Writes the profiles of one material.
+pub(crate) struct MeasurementWriter<W: Write> {
+    rows: csv::Writer<W>,
+    material: String,
+}
+
+impl<W: Write> MeasurementWriter<W> {
+    pub(crate) fn new(out: W, material: &str) -> Result<Self> {
+        let mut rows = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(out);
+        rows.write_record(["material", "channel", "thickness_mm", "x_mm", "value", "std_error"])?;
+        Ok(Self { rows, material: check_name(material)?.to_owned() })
+    }
+
+    /// All channels of a scene at one thickness.
+    pub(crate) fn add(&mut self, scene: &Scene, thickness_mm: f64, profiles: &[Profile]) -> Result<()> {
+        for (channel, profile) in scene.channels().iter().zip(profiles) {
+            let estimate = &profile.radiance_factor;
+            for (pixel, (value, error)) in estimate.values().iter().zip(estimate.std_errors()).enumerate() {
+                let numbers = [thickness_mm, scene.sensor().centre_mm(pixel)].map(|v| v.to_string());
+                let estimates = [value, error].map(ToString::to_string);
+                let names = [self.material.as_str(), channel.name()];
+                let numbers = numbers.iter().chain(&estimates).map(String::as_str);
+                self.rows.write_record(names.into_iter().chain(numbers))?;
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn finish(mut self) -> Result<()> {
+        self.rows.flush()?;
+        Ok(())
+    }
+}
+
+impl MeasurementWriter<Vec<u8>> {
+    /// All that was written.
+    pub(crate) fn into_bytes(self) -> Result<Vec<u8>> {
+        Ok(self.rows.into_inner()?)
+    }
+}
+
+/// Refuses names that would not be read as they were written.
+pub(crate) fn check_name(material: &str) -> Result<&str, Invalid> {
+    let sound = !material.is_empty() && material.trim() == material && !material.contains(char::is_control);
+    let allowed = "a material's name is wanted, without spaces at its ends and without line breaks";
+    if sound { Ok(material) } else { Err(Invalid::new("measurement", format_args!("{material:?}"), allowed)) }
+}

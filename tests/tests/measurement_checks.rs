@@ -1,0 +1,255 @@
+//! The checks of measurements against traced media: they are silent on whatever a medium can show, and find each
+//! mistake where it can be seen.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::sync::OnceLock;
+use std::sync::atomic::AtomicBool;
+
+use farm_proto::job::JobSpec;
+use farm_proto::measurement::checks::{Finding, Kind, check};
+use farm_proto::scene::{Scene, Sensor};
+use farm_proto::{MeasuredProfile, Measurement, TransportPoint, Walks};
+use farm_tests::statistics::{Normal, effort};
+use farm_worker::tracer::trace;
+
+const SIGMA_T_PER_MM: [f64; 5] = [0.5, 1.5, 5.0, 14.0, 40.0];
+const G: [f64; 3] = [0.0, 0.4, 0.8];
+const ALBEDO: [f64; 8] = [0.05, 0.35, 0.7, 0.9, 0.98, 0.997, 0.9995, 0.99999];
+const THICKNESS_MM: [f64; 2] = [0.5, 1.0];
+/// Width in mm and pixels: the paper's, a narrow one, coarse pixels.
+const SENSORS: [(f64, u32); 3] = [(10.0, 360), (4.0, 144), (10.0, 40)];
+
+/// A profile as it was traced.
+#[derive(Clone)]
+struct Traced {
+    channel: String,
+    thickness_mm: f64,
+    x_mm: Vec<f64>,
+    values: Vec<f64>,
+    std_errors: Vec<f64>,
+}
+
+impl Traced {
+    /// With relative noise on every pixel, told or not.
+    fn photograph(&self, noise: f64, told: bool, random: &mut Normal) -> MeasuredProfile {
+        let values = self.values.iter().map(|v| v * (1.0 + noise * random.normal())).collect();
+        let errors = self.std_errors.iter().zip(&self.values).map(|(e, v)| e.hypot(noise * v)).collect();
+        self.with(values, told.then_some(errors))
+    }
+
+    fn with(&self, values: Vec<f64>, errors: Option<Vec<f64>>) -> MeasuredProfile {
+        let x = self.x_mm.clone();
+        MeasuredProfile::new(self.channel.clone(), self.thickness_mm, x, values, errors).unwrap()
+    }
+
+    fn map(&self, f: impl Fn(f64) -> f64) -> Self {
+        Self { values: self.values.iter().copied().map(f).collect(), ..self.clone() }
+    }
+
+    fn at(&self, f: impl Fn(f64) -> f64) -> Self {
+        Self { x_mm: self.x_mm.iter().copied().map(f).collect(), ..self.clone() }
+    }
+
+    fn slab(&self, thickness_mm: f64) -> Self {
+        Self { thickness_mm, ..self.clone() }
+    }
+
+    fn named(&self, channel: &str) -> Self {
+        Self { channel: channel.to_owned(), ..self.clone() }
+    }
+
+    fn told(&self) -> MeasuredProfile {
+        self.with(self.values.clone(), Some(self.std_errors.clone()))
+    }
+}
+
+/// A medium, through one sensor, at all thicknesses in all channels.
+struct Sample {
+    name: String,
+    sensor: usize,
+    profiles: Vec<Traced>,
+}
+
+impl Sample {
+    fn find(&self, channel: &str, thickness_mm: f64) -> &Traced {
+        self.profiles.iter().find(|p| p.channel == channel && p.thickness_mm == thickness_mm).unwrap()
+    }
+}
+
+/// 120 media through three sensors, traced once.
+fn samples() -> &'static [Sample] {
+    static SAMPLES: OnceLock<Vec<Sample>> = OnceLock::new();
+    SAMPLES.get_or_init(|| {
+        let mut samples = Vec::new();
+        for sensor in 0..SENSORS.len() {
+            for sigma_t in SIGMA_T_PER_MM {
+                for g in G {
+                    samples.extend(traced(sensor, sigma_t, g));
+                }
+            }
+        }
+        samples
+    })
+}
+
+/// All albedos from the same walks.
+fn traced(sensor: usize, sigma_t: f64, g: f64) -> Vec<Sample> {
+    let (width, pixels) = SENSORS[sensor];
+    let scene = Scene::paper().with_sensor(Sensor::new(width, pixels, 0.0).unwrap());
+    let x_mm: Vec<f64> = (0..pixels as usize).map(|i| scene.sensor().centre_mm(i)).collect();
+    let sample = |albedo: &f64| Sample {
+        name: format!("σ_t {sigma_t}, α {albedo}, g {g}, sensor {sensor}"),
+        sensor,
+        profiles: Vec::new(),
+    };
+    let mut samples: Vec<Sample> = ALBEDO.iter().map(sample).collect();
+    for thickness_mm in THICKNESS_MM {
+        let point = TransportPoint::new(sigma_t, g, thickness_mm, 1.53).unwrap();
+        let walks = Walks::new(50_000 * effort()).unwrap();
+        let job = JobSpec::new(scene.clone(), point, ALBEDO.to_vec(), walks, 7, false).unwrap();
+        let records = trace(&job, &AtomicBool::new(false)).unwrap();
+        for (sample, record) in samples.iter_mut().zip(&records) {
+            for (channel, profile) in scene.channels().iter().zip(&record.profiles) {
+                let wide = |v: &[f32]| v.iter().copied().map(f64::from).collect();
+                sample.profiles.push(Traced {
+                    channel: channel.name().to_owned(),
+                    thickness_mm,
+                    x_mm: x_mm.clone(),
+                    values: wide(profile.radiance_factor.values()),
+                    std_errors: wide(profile.radiance_factor.std_errors()),
+                });
+            }
+        }
+    }
+    samples
+}
+
+fn measured(profiles: Vec<MeasuredProfile>) -> Vec<Finding> {
+    check(&[Measurement::new("m", profiles).unwrap()])
+}
+
+#[test]
+fn no_medium_is_refused_or_warned_of() {
+    let mut random = Normal::new(12);
+    let mut checked = 0;
+    for sample in samples() {
+        for noise in [0.0, 0.004, 0.013, 0.03].repeat(effort() as usize) {
+            for told in [true, false] {
+                let photograph = |p: &Traced| p.photograph(noise, told, &mut random);
+                // What does not scatter light back at all is the same everywhere, and refused as such elsewhere.
+                let seen = |p: &&Traced| p.values.iter().any(|v| *v != p.values[0]);
+                let profiles: Vec<_> = sample.profiles.iter().filter(seen).map(photograph).collect();
+                if profiles.is_empty() {
+                    continue;
+                }
+                let findings = measured(profiles);
+                assert!(findings.is_empty(), "{}, noise {noise}, told {told}: {findings:#?}", sample.name);
+                checked += 1;
+            }
+        }
+    }
+    assert!(checked >= 2000, "{checked}");
+}
+
+/// White, black-ish and clear media, whose edges are well to be seen, through the paper's sensor.
+fn plain() -> impl Iterator<Item = &'static Sample> {
+    let seen = |s: &&Sample| {
+        let profile = s.find("R", 1.0);
+        profile.values[330] - profile.values[30] > 0.1 * profile.values[330].max(0.3)
+    };
+    samples().iter().filter(|s| s.sensor == 0).filter(seen)
+}
+
+fn refused(profiles: Vec<MeasuredProfile>, kind: Kind) -> bool {
+    measured(profiles).iter().any(|f| f.certain && f.kind == kind)
+}
+
+fn share(hits: impl Iterator<Item = bool>) -> f64 {
+    let hits: Vec<bool> = hits.collect();
+    assert!(hits.len() >= 30, "{} media are too few", hits.len());
+    hits.iter().filter(|h| **h).count() as f64 / hits.len() as f64
+}
+
+/// A mistake that must be found in every medium whose edge is to be seen.
+fn always_refused(kind: Kind, mistake: impl Fn(&Traced) -> Traced) {
+    for sample in plain() {
+        let profile = mistake(sample.find("R", 0.5)).told();
+        let findings = measured(vec![profile]);
+        let found = findings.iter().any(|f| f.certain && f.kind == kind);
+        assert!(found, "{kind:?} in {}: {findings:#?}", sample.name);
+    }
+}
+
+#[test]
+fn units_encodings_and_sides_are_found_in_every_medium_that_shows_its_edge() {
+    always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 255.0 * v + 2.0));
+    always_refused(Kind::ValuesTooLarge, |p| p.map(|v| (65_535.0 * v).round() + 100.0));
+    always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 100.0 * v + 2.0));
+    always_refused(Kind::PixelNumbers, |p| p.at(|x| ((x + 5.0) * 36.0).floor()));
+    always_refused(Kind::PixelNumbers, |p| p.at(|x| (x * 36.0).floor()));
+    always_refused(Kind::UnitOfX, |p| p.at(|x| 1000.0 * x));
+    always_refused(Kind::UnitOfX, |p| p.at(|x| 0.001 * x));
+    always_refused(Kind::UnitOfThickness, |p| p.slab(500.0));
+    always_refused(Kind::Falling, |p| Traced {
+        values: p.values.iter().rev().copied().collect(),
+        ..p.clone()
+    });
+    // From 0 to 10 mm, and two thirds of a millimetre beside an edge that is seen over less.
+    always_refused(Kind::EdgeElsewhere, |p| p.at(|x| x + 5.0));
+    always_refused(Kind::EdgeElsewhere, |p| p.at(|x| x - 2.5));
+}
+
+#[test]
+fn x_in_cm_is_warned_of() {
+    let profile = samples()[3].find("R", 0.5).at(|x| 0.1 * x).told();
+    let findings = measured(vec![profile]);
+    assert!(findings.iter().any(|f| f.kind == Kind::UnitOfX && !f.certain), "{findings:#?}");
+}
+
+#[test]
+fn swapped_thicknesses_are_found_where_they_matter() {
+    let swapped = |s: &Sample| vec![s.find("R", 0.5).slab(1.0).told(), s.find("R", 1.0).slab(0.5).told()];
+    let refused = share(plain().map(|s| refused(swapped(s), Kind::ThicknessOrder)));
+    let told = share(plain().map(|s| measured(swapped(s)).iter().any(|f| f.kind == Kind::ThicknessOrder)));
+    println!("swapped thicknesses: refused {refused:.2}, told {told:.2}");
+    assert!(refused > 0.6 && told > 0.8, "refused {refused:.2}, told {told:.2}");
+}
+
+#[test]
+fn one_channels_data_under_two_names_are_refused() {
+    for sample in plain().step_by(8) {
+        let red = sample.find("R", 0.5);
+        assert!(refused(vec![red.told(), red.named("G").told()], Kind::SameValues), "{}", sample.name);
+        assert!(refused(vec![red.told(), red.slab(1.0).told()], Kind::SameValues), "{}", sample.name);
+    }
+}
+
+fn srgb(v: f64) -> f64 {
+    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}
+
+#[test]
+fn eight_bit_values_are_told_and_refused_only_where_gamma_shows() {
+    let in_steps = |v: f64| (255.0 * v.clamp(0.0, 1.0)).round() / 255.0;
+    let eight_bit = |p: &Traced| measured(vec![p.with(p.values.clone(), None)]);
+    let found = |findings: &[Finding], certain: bool| {
+        findings.iter().any(|f| f.kind == Kind::EightBit && (f.certain || !certain))
+    };
+    let mut told = 0;
+    for sample in samples().iter().filter(|s| s.sensor != 2) {
+        let linear = sample.find("R", 0.5).map(in_steps);
+        let varies = linear.values.iter().any(|v| *v != linear.values[0]);
+        if varies {
+            let findings = eight_bit(&linear);
+            assert!(!findings.iter().any(|f| f.certain), "{}: {findings:#?}", sample.name);
+            told += usize::from(found(&findings, false));
+        }
+    }
+    assert!(told > 50, "{told}");
+    let encoded = |s: &Sample| eight_bit(&s.find("R", 0.5).map(|v| in_steps(srgb(v))));
+    let (warned, refused) =
+        (share(plain().map(|s| found(&encoded(s), false))), share(plain().map(|s| found(&encoded(s), true))));
+    println!("sRGB of 8 bits: told {warned:.2}, refused {refused:.2}");
+    assert!(warned > 0.95 && refused > 0.02, "told {warned:.2}, refused {refused:.2}");
+}

@@ -1,0 +1,164 @@
+//! Measurements as files: what `simulate` and `export` write, and what the verbs say of files that people write.
+
+use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, rows, write};
+use farm_tests::process::{Ran, run};
+use serde_json::Value;
+
+/// Words of a command line.
+fn say(dir: &std::path::Path, line: &str) -> Ran {
+    run(dir, &line.split_whitespace().collect::<Vec<_>>())
+}
+
+fn read(dir: &std::path::Path, name: &str) -> String {
+    std::fs::read_to_string(dir.join(name)).expect("the file was written")
+}
+
+#[test]
+fn what_simulate_and_export_write_is_measured_without_a_note() {
+    let farm = farm();
+    let dir = farm.path();
+    let medium = "--sigma-t 6 --albedo 0.999 --g 0.4";
+    let ran =
+        say(dir, &format!("simulate {medium} --thickness 0.5,1 --walks 5000 --measurement white -o s.csv"));
+    assert_eq!((ran.code, ran.stdout.as_str(), ran.stderr.as_str()), (0, "", ""));
+    assert!(!dir.join("s.csv.partial").exists());
+    let ran = say(dir, "export grid --sigma-t 6 --albedo 0.999 --measurement white -o e.csv");
+    assert_eq!((ran.code, ran.stderr.as_str()), (0, ""));
+    // The dictionary's walks are those of the simulation: the same bytes, but for the order of records.
+    let lines = |name: &str| {
+        let mut lines: Vec<String> = read(dir, name).lines().map(ToOwned::to_owned).collect();
+        lines.sort();
+        lines
+    };
+    assert_eq!(lines("s.csv"), lines("e.csv"));
+    assert_eq!(lines("s.csv").len(), 1 + 2 * 3 * 360);
+    for file in ["s.csv", "e.csv"] {
+        let ran = say(dir, &format!("measure {file} --dictionary grid --mu 1 --json"));
+        assert_eq!(ran.stderr, "");
+        let measured = json(&ran, "measure");
+        assert_eq!(measured["notes"], Value::Array(vec![]));
+        assert_eq!(measured["materials"][0]["material"], "white");
+        let best = &measured["materials"][0]["channels"][0]["candidates"][0];
+        assert_eq!(best["sigma_t_per_mm"], 6.0);
+        assert!(best["error"].as_f64().unwrap() < 1e-6, "{best}");
+    }
+    fails(
+        dir,
+        &["export", "grid", "--measurement", "white"],
+        &["--measurement writes one medium", "pick one with --sigma-t, --albedo, --g"],
+    );
+    fails(
+        dir,
+        &["export", "grid", "--sigma-t", "6", "--albedo", "0.999", "--measurement", ""],
+        &["measurement = \"\""],
+    );
+}
+
+#[test]
+fn simulate_takes_lists_and_names_each_medium() {
+    let dir = folder();
+    let dir = dir.path();
+    let rest = "--walks 5000 --pixels 12";
+    let ran = say(
+        dir,
+        &format!("simulate --sigma-t 4,6 --albedo 0.9,0.99 --g 0,0.4 --thickness 0.5,1 {rest} -o all.csv"),
+    );
+    assert_eq!((ran.code, ran.stdout.as_str(), ran.stderr.as_str()), (0, "", ""));
+    let all = read(dir, "all.csv");
+    assert!(
+        all.starts_with("sigma_t_per_mm,albedo,g,thickness_mm,channel,x_mm,value,std_error\n4,0.9,0,0.5,R,")
+    );
+    assert_eq!(all.lines().count(), 1 + 16 * 3 * 12);
+    let one = say(dir, &format!("simulate --sigma-t 6 --albedo 0.99 --g 0.4 --thickness 1 {rest}")).stdout;
+    let of_one: Vec<&str> = all.lines().filter_map(|l| l.strip_prefix("6,0.99,0.4,1,")).collect();
+    assert_eq!(of_one, one.lines().skip(1).collect::<Vec<_>>());
+    let ran = say(dir, &format!("simulate --sigma-t 4,6 --albedo 0.9 --g 0 --thickness 0.5 {rest} --json"));
+    let objects: Vec<Value> = ran.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(objects.len(), 2);
+    assert_eq!(
+        (&objects[1]["kind"], &objects[1]["data"]["sigma_t_per_mm"]),
+        (&"simulate".into(), &6.0.into())
+    );
+    for (change, message) in [
+        (
+            "--sigma-t 4,4 --albedo 0.9 --thickness 1",
+            "sigma_t = 4 is not valid: each value may be given once",
+        ),
+        ("--sigma-t 4 --albedo 0.9,1.5 --thickness 1", "albedo = 1.5 is not valid"),
+        (
+            "--sigma-t 4,6 --albedo 0.9 --thickness 1 --plot p.svg",
+            "--plot shows the changes about one medium",
+        ),
+        ("--sigma-t 4,6 --albedo 0.9 --thickness 1 --measurement m", "give one --sigma-t, --albedo and --g"),
+    ] {
+        let line = format!("simulate --g 0 {rest} -o bad.csv {change}");
+        fails(dir, &line.split_whitespace().collect::<Vec<_>>(), &[message]);
+        assert!(!dir.join("bad.csv").exists() && !dir.join("p.svg").exists());
+    }
+    let lost = format!("simulate --sigma-t 4 --albedo 0.9 --g 0 --thickness 1 {rest} -o none/m.csv");
+    fails(dir, &lost.split_whitespace().collect::<Vec<_>>(), &["output none/m.csv", "No such file"]);
+}
+
+/// A spreadsheet's way of writing a measurement.
+fn spreadsheet(channel: &str) -> String {
+    let text = HEAD.to_owned() + &rows(channel, 0.5) + &rows(channel, 1.0);
+    let text = text.replace(',', ";").replace('.', ",").replace("thickness_mm", "Thickness (mm)");
+    format!("\u{feff}{text}\n;;;;\n").replace('\n', "\r\n")
+}
+
+#[test]
+fn notes_are_told_once_of_a_kind_on_standard_error_or_in_json() {
+    let farm = farm();
+    let dir = farm.path();
+    write(dir, "m.csv", &spreadsheet("red"));
+    write(dir, "strict.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
+    for verb in ["fit", "scale", "measure", "map"] {
+        let ran = say(dir, &format!("{verb} m.csv --dictionary grid"));
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        let told: Vec<&str> = ran.stderr.lines().collect();
+        assert_eq!(told.len(), 6, "{verb}: {}", ran.stderr);
+        assert!(told.iter().all(|l| l.starts_with("farmctl: note: m.csv: ")), "{verb}: {}", ran.stderr);
+        assert_eq!(ran.stdout, say(dir, &format!("{verb} strict.csv --dictionary grid")).stdout);
+        let ran = say(dir, &format!("{verb} m.csv --dictionary grid --json"));
+        assert_eq!(ran.stderr, "");
+        let data = json(&ran, verb);
+        let codes: Vec<_> = data["notes"].as_array().unwrap().iter().map(|n| n["code"].clone()).collect();
+        let expected = ["ENCODING", "SEPARATOR", "COLUMNS", "DECIMAL_COMMA", "BLANK_ROWS", "CHANNELS"];
+        assert_eq!(codes, expected, "{verb}");
+    }
+    let percent = |row: &str| {
+        let (names, value) = row.rsplit_once(',').unwrap();
+        format!("{names},{}\n", 100.0 * value.parse::<f64>().unwrap())
+    };
+    write(dir, "bad.csv", &(HEAD.to_owned() + &rows("R", 0.5).lines().map(percent).collect::<String>()));
+    fails(
+        dir,
+        &["measure", "bad.csv", "--dictionary", "grid"],
+        &[
+            "measurement bad.csv: line 2, material resin, channel R, 0.5 mm: values up to",
+            "linear radiance factors",
+        ],
+    );
+}
+
+#[test]
+fn a_dictionary_may_spell_its_colours_in_another_way() {
+    let dir = folder();
+    let scene = "[[channel]]\nname = 'red'\nrho_light = 0.98\nrho_dark = 0.02\n\
+                 [[layer]]\nname = 'resin'\nsample = true\n";
+    write(dir.path(), "scene.toml", scene);
+    write(dir.path(), "grid.toml", &format!("scene = 'scene.toml'\n{GRID}"));
+    assert_eq!(say(dir.path(), "submit grid.toml -q").code, 0);
+    for channel in ["red", "Red", "R"] {
+        write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows(channel, 0.5)));
+        let ran = say(dir.path(), "fit m.csv --dictionary grid --json");
+        assert_eq!(ran.code, 0, "{channel}: {}", ran.stdout);
+        assert_eq!(json(&ran, "fit")["materials"][0]["channels"][0]["channel"], "R");
+    }
+    write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("G", 0.5)));
+    fails(
+        dir.path(),
+        &["fit", "m.csv", "--dictionary", "grid"],
+        &["channel = G is not valid: the dictionary has red"],
+    );
+}
