@@ -4,9 +4,12 @@ mod backup;
 mod events;
 mod figures;
 mod fit_cache;
+mod inspection;
 mod manage;
 mod records;
 mod results;
+#[cfg(test)]
+mod tests;
 mod work;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -55,6 +58,10 @@ pub enum FarmError {
         "job {job} of dictionary {name} was damaged on the disk ({what}): it is computed again, try later"
     )]
     Damaged { name: DictionaryName, job: u32, what: String },
+    #[error(
+        "job {job} of dictionary {name} could not be read ({what}): nothing was deleted; look at the disk, then try again"
+    )]
+    Unreadable { name: DictionaryName, job: u32, what: String },
 }
 
 fn hint(known: &[String]) -> String {

@@ -6,6 +6,7 @@ use farm_proto::Digest;
 use farm_proto::ids::WorkerId;
 use farm_proto::job::{JobSpec, LeaseKey};
 
+use super::records::UNSTEADY;
 use super::{Farm, Result};
 use crate::dispatch::{Admission, Arrived, Event, EventKind, Origin};
 use crate::store::{Completion, Content, StoreError, Stored};
@@ -97,7 +98,7 @@ impl Farm {
             Err(error) => {
                 drop(nothing_is_forgotten);
                 if matches!(error, StoreError::Corrupt { table: "sums", .. }) {
-                    self.forget_blocks(key, &job, error.to_string()).await?;
+                    self.forget_blocks(key, &job).await?;
                 }
                 return Err(error.into());
             }
@@ -118,9 +119,14 @@ impl Farm {
         Ok(())
     }
 
-    /// The blocks that came before a block are damaged: all are computed again.
-    async fn forget_blocks(&self, key: &LeaseKey, job: &JobSpec, what: String) -> Result<(), StoreError> {
+    /// The blocks that came before a block were damaged when they were read. If they are at a second reading too, all
+    /// are computed again.
+    async fn forget_blocks(&self, key: &LeaseKey, job: &JobSpec) -> Result<(), StoreError> {
         let _no_result_on_its_way = self.records.write().await;
+        let Some(what) = self.store.damaged_blocks(job).await? else {
+            tracing::warn!(job = key.job, "stored blocks {UNSTEADY}: nothing was deleted");
+            return Ok(());
+        };
         self.store.forget_point(Digest::of_sums(job)).await?;
         self.find_blocks_of(key).await?;
         let name = self.dispatch().by_id(key.dictionary).map(|d| d.name().to_string()).unwrap_or_default();

@@ -21,7 +21,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Connection, Row, SqlitePool};
+use sqlx::{ConnectOptions, Connection, Row, SqliteConnection, SqlitePool};
 use tokio::sync::mpsc;
 
 pub use data_dir::{ADDRESS_FILE, DataDir};
@@ -132,6 +132,11 @@ impl Store {
     /// A transaction of the one connection that writes.
     async fn begin(&self) -> Result<sqlx::Transaction<'static, sqlx::Sqlite>> {
         self.write.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to write"))
+    }
+
+    /// A connection that has nothing in memory yet, for reading.
+    async fn fresh_connection(&self) -> Result<SqliteConnection> {
+        self.read.connect_options().connect().await.map_err(doing("opening the database once more"))
     }
 
     /// Size of the database on the disk, with its log.

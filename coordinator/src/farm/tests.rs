@@ -1,0 +1,156 @@
+//! What a farm does when the disk does not give back what it was given.
+
+use std::os::unix::fs::FileExt;
+use std::path::PathBuf;
+
+use farm_proto::grid::Axes;
+use farm_proto::job::JobSpec;
+use farm_proto::scene::{Scene, Sensor};
+use farm_proto::{DictionaryName, Estimate, Grid, PackedRecords, Profile, Record, Walks};
+use sqlx::Connection;
+
+use super::{Farm, FarmError};
+use crate::config::Config;
+use crate::rpc;
+use crate::store::{Completion, Content, DataDir, Store};
+use crate::web::{BuildInfo, Metrics};
+
+const JOBS: u32 = 40;
+
+fn grid() -> Grid {
+    let axes = Axes {
+        sigma_t_per_mm: (1..=JOBS).map(f64::from).collect(),
+        albedo: vec![0.5, 0.9],
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, 4, 0.0).unwrap());
+    Grid::new(scene, axes, Walks::new(5000).unwrap(), 1, false).unwrap()
+}
+
+/// All numbers of a job's records are this one.
+fn value(job: u32) -> f32 {
+    job as f32 / 64.0 + 0.001
+}
+
+fn completion(dictionary: farm_proto::ids::DictionaryId, worker: i64, job_number: u32) -> Completion {
+    let job = JobSpec::of(&grid(), job_number as usize);
+    let estimate = || Estimate::new(vec![value(job_number); 4], vec![0.1; 4]).unwrap();
+    let profile = || Profile { radiance_factor: estimate(), derivatives: None };
+    let record = |index| Record { index, profiles: (0..3).map(|_| profile()).collect() };
+    let first = job.first_record();
+    let content =
+        Content::Records(PackedRecords::pack(&job, &(first..first + 2).map(record).collect::<Vec<_>>()));
+    Completion { dictionary, job_number, job, worker, content, quality: None }
+}
+
+fn name() -> DictionaryName {
+    DictionaryName::new("d").unwrap()
+}
+
+pub(super) async fn load(store: Store) -> Farm {
+    let build = BuildInfo { version: String::new(), physics_version: String::new() };
+    let config = Config { check_share: 0.0, ..Config::new("") };
+    Farm::load(store, &config, Metrics::new(build, rpc::METHODS)).await.unwrap()
+}
+
+/// A farm with a dictionary that is done. Its records lie in the database's log.
+async fn done() -> (Farm, tempfile::TempDir) {
+    let dir = tempfile::tempdir().unwrap();
+    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
+    let worker = store.worker("instance", "label").await.unwrap();
+    let dictionary = store.create_dictionary(name(), grid(), 0, 7).await.unwrap();
+    for job in 0..JOBS {
+        store.complete(completion(dictionary.id, worker, job)).await.unwrap();
+    }
+    let farm = load(store).await;
+    // Nothing is written behind this test's back.
+    farm.recorder.finish().await;
+    (farm, dir)
+}
+
+fn jobs_done(farm: &Farm) -> u32 {
+    farm.status(&name()).unwrap().jobs_done as u32
+}
+
+/// The database's log, and what it holds.
+fn log(dir: &tempfile::TempDir) -> (PathBuf, Vec<u8>) {
+    let path = dir.path().join("farm.db-wal");
+    let bytes = std::fs::read(&path).unwrap();
+    (path, bytes)
+}
+
+/// Puts bytes back where they were; what came after them stays.
+fn restore(path: &PathBuf, bytes: &[u8]) {
+    std::fs::File::options().write(true).open(path).unwrap().write_all_at(bytes, 0).unwrap();
+}
+
+#[tokio::test]
+async fn jobs_that_cannot_be_read_are_named_and_nothing_of_them_is_deleted() {
+    let (farm, dir) = done().await;
+    let (path, bytes) = log(&dir);
+    std::fs::File::options().write(true).open(&path).unwrap().set_len(32).unwrap();
+    let found = farm.inspect(true).await;
+    assert!(found.unchecked.as_ref().is_some_and(|why| why.contains("disk I/O error")), "{found:?}");
+    assert!(found.damaged.is_empty(), "{found:?}");
+    assert_eq!(found.unreadable.len(), 1, "{found:?}");
+    assert_eq!((found.unreadable[0].jobs, found.unreadable[0].first), (JOBS as usize, 0));
+    assert!(found.unreadable[0].what.contains("disk I/O error"), "{found:?}");
+    assert!(matches!(farm.records(&name(), 0..80).await, Err(FarmError::Store(_))));
+    assert_eq!(jobs_done(&farm), JOBS);
+    restore(&path, &bytes);
+    let found = farm.inspect(true).await;
+    assert_eq!((found.jobs, found.records), (JOBS as usize, 2 * JOBS as usize), "{found:?}");
+    assert!(found.unreadable.is_empty() && found.unchecked.is_none(), "{found:?}");
+}
+
+/// A page that was read wrongly once stays in the memory of the connection that read it.
+#[tokio::test]
+async fn what_is_damaged_at_one_reading_and_not_at_the_next_is_kept() {
+    let (farm, dir) = done().await;
+    let (path, bytes) = log(&dir);
+    let known = value(17).to_le_bytes().repeat(4);
+    let mut wrong = bytes.clone();
+    let places: Vec<usize> = (0..bytes.len() - known.len()).filter(|i| bytes[*i..].starts_with(&known)).collect();
+    assert!(!places.is_empty());
+    for place in places {
+        wrong[place] ^= 1;
+    }
+    restore(&path, &wrong);
+    let found = farm.inspect(false).await;
+    assert_eq!(found.damaged.iter().map(|(_, job, _)| *job).collect::<Vec<_>>(), [17], "{found:?}");
+    restore(&path, &bytes);
+    let found = farm.inspect(true).await;
+    assert!(found.damaged.is_empty(), "{found:?}");
+    assert_eq!(found.unreadable.len(), 1, "{found:?}");
+    assert!(found.unreadable[0].what.contains("at one reading, and not at the next"), "{found:?}");
+    let unsteady = farm.records(&name(), 0..80).await;
+    assert!(matches!(unsteady, Err(FarmError::Unreadable { job: 17, .. })), "{unsteady:?}");
+    assert_eq!(jobs_done(&farm), JOBS);
+}
+
+async fn change(dir: &tempfile::TempDir, query: &'static str) {
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(dir.path().join("farm.db"));
+    let mut other = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+    sqlx::query(query).execute(&mut other).await.unwrap();
+    other.close().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_fit_forgets_the_very_job_that_is_damaged_and_no_other() {
+    for damage in [
+        "UPDATE records SET profiles = x'00' WHERE id = 36",
+        "UPDATE records SET profiles = zeroblob(96) WHERE id = 36",
+        "DELETE FROM records WHERE id IN (35, 36)",
+    ] {
+        let (farm, dir) = done().await;
+        change(&dir, damage).await;
+        let refused = farm.ask(&name(), |_| Ok(())).await;
+        assert!(matches!(refused, Err(FarmError::Damaged { job: 17, .. })), "{damage}: {refused:?}");
+        assert_eq!(jobs_done(&farm), JOBS - 1, "{damage}");
+        let found = farm.inspect(false).await;
+        assert!(found.damaged.is_empty(), "{damage}: {found:?}");
+        assert_eq!(found.jobs as u32, JOBS - 1, "{damage}");
+    }
+}
