@@ -126,17 +126,14 @@ impl Farm {
         for stored in store.dictionaries().await? {
             let ended = store.ended_jobs(stored.id, stored.grid.walks()).await?;
             let dictionary = Dictionary::new(stored, &ended);
-            if !dictionary.is_active() && dictionary.pending() > 0 {
-                tracing::info!(name = %dictionary.name(), state = dictionary.state().as_str(), "not continued");
+            if !dictionary.is_active() && dictionary.open_jobs() > 0 {
+                let (name, state) = (dictionary.name(), dictionary.state().as_str());
+                tracing::info!(%name, state, reason = dictionary.reason(), "not continued");
             }
             ids.push(dictionary.id());
             dispatch.take_up_dictionary(dictionary);
         }
         let recorder = Recorder::start(store.clone());
-        recorder.record(
-            "",
-            &Event::of_farm(EventKind::CoordinatorStarted, format!("version {}", env!("CARGO_PKG_VERSION"))),
-        );
         let farm = Self {
             store,
             dispatch: Mutex::new(dispatch),
@@ -154,6 +151,12 @@ impl Farm {
             farm.find_blocks(id).await?;
         }
         Ok(farm)
+    }
+
+    /// Notes that the farm can be reached from now on.
+    pub(crate) fn started(&self) {
+        let version = format!("version {}", env!("CARGO_PKG_VERSION"));
+        self.recorder.record("", &Event::of_farm(EventKind::CoordinatorStarted, version));
     }
 
     pub(crate) fn metrics(&self) -> &Metrics {

@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use farm_proto::PHYSICS_VERSION;
+use farm_proto::status::WorkerState;
 use farm_proto::wire::{InspectRequest, InspectResponse, StatusRequest, StatusResponse, UnreadableJobs};
 use serde::Serialize;
 
@@ -39,23 +40,23 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
         findings.extend(about_coordinator(&status));
         if !connection.is_embedded() {
             let workers = workers::fetch(connection).await?;
+            let silent = workers.iter().filter(|w| w.state == WorkerState::Silent).count();
             findings.push(finding(
                 "workers",
-                !workers.is_empty(),
-                match workers.len() {
-                    0 => "no worker is registered: start farm-worker".to_owned(),
-                    n => format!("{n} registered, {} threads", status.threads),
+                workers.len() > silent,
+                match (workers.len(), silent) {
+                    (0, _) => "no worker is registered: start farm-worker".to_owned(),
+                    (n, 0) => format!("{n} registered, {} threads", status.threads),
+                    (n, silent) => format!("{n} registered, {silent} of them silent for longer than a lease"),
                 },
             ));
-            findings.extend(
-                workers.iter().filter(|w| w.state == farm_proto::status::WorkerState::Fenced).map(|w| {
-                    finding(
-                        "workers",
-                        false,
-                        format!("{} is fenced off: it computed wrongly; check its machine", w.label),
-                    )
-                }),
-            );
+            findings.extend(workers.iter().filter(|w| w.state == WorkerState::Fenced).map(|w| {
+                finding(
+                    "workers",
+                    false,
+                    format!("{} is fenced off: it computed wrongly; check its machine", w.label),
+                )
+            }));
         }
         let inspected =
             connection.admin().inspect(patient(InspectRequest { repair: args.repair })).await?.into_inner();

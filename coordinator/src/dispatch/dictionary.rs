@@ -6,11 +6,12 @@ use std::sync::Arc;
 use farm_proto::ids::DictionaryId;
 use farm_proto::job::JobSpec;
 use farm_proto::status::DictionaryState;
-use farm_proto::{DictionaryName, Digest, Grid, Walks};
+use farm_proto::{DictionaryName, Digest, Grid, Invalid, Walks};
 
 use super::checks::Vote;
 use super::job::{Job, Part, Stage, Strike};
-use super::{Origin, PartId, plan};
+use super::plan::{self, Plan};
+use super::{Origin, PartId};
 use crate::store::{Desire, EndedJob, StoredDictionary};
 
 /// Numbers that change with every job, kept so that nobody has to count.
@@ -30,6 +31,8 @@ pub(super) struct Counts {
 pub struct Dictionary {
     pub(super) stored: StoredDictionary,
     pub(super) outdated: bool,
+    /// Why it is not worked on: its grid is one that is not taken any more.
+    pub(super) too_large: Option<Invalid>,
     pub(super) jobs: Vec<Job>,
     /// Parts that wait, as (rank, job, part).
     pending: BTreeSet<(u32, u32, u32)>,
@@ -41,25 +44,27 @@ pub struct Dictionary {
 impl Dictionary {
     /// Takes up a dictionary as the store has it: what has not ended is pending.
     pub fn new(stored: StoredDictionary, ended: &[EndedJob]) -> Self {
-        let grid = &stored.grid;
-        let mut jobs: Vec<Job> = (0..grid.job_count())
-            .map(|job| Job::new(grid.walks(), plan::cost_per_walk(&grid.point(job))))
-            .collect();
-        for (rank, job) in plan::longest_first(grid).into_iter().enumerate() {
-            jobs[job as usize].rank = rank as u32;
-        }
+        Self::planned(Plan::new(&stored.grid), stored, ended)
+    }
+
+    /// The same with the plan of its grid.
+    pub fn planned(plan: Plan, stored: StoredDictionary, ended: &[EndedJob]) -> Self {
+        let Plan { mut jobs, mut pending, too_large } = plan;
         for end in ended {
             if let Some(job) = jobs.get_mut(end.job() as usize) {
+                for part in job.open_parts() {
+                    pending.remove(&(job.rank, end.job(), part));
+                }
                 job.end(end);
             }
         }
         let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
         let mut dictionary =
-            Self { stored, outdated, jobs, pending: BTreeSet::new(), counts: Counts::default(), leased: 0 };
-        for (job, index) in dictionary.jobs.iter().zip(0..) {
-            dictionary.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
-        }
+            Self { stored, outdated, too_large, jobs, pending, counts: Counts::default(), leased: 0 };
         dictionary.count();
+        if let Some(why) = &dictionary.too_large {
+            dictionary.stored.reason = format!("its grid is too large: {why}; delete it");
+        }
         dictionary
     }
 
@@ -121,12 +126,17 @@ impl Dictionary {
 
     /// Whether results are wanted. What was leased before a pause may still be finished.
     pub(super) fn takes_results(&self) -> bool {
-        self.stored.desire != Desire::Cancel && !self.outdated
+        self.stored.desire != Desire::Cancel && self.is_workable()
     }
 
     /// Whether parts of it may be given out.
     pub fn is_active(&self) -> bool {
-        self.stored.desire == Desire::Run && !self.outdated
+        self.stored.desire == Desire::Run && self.is_workable()
+    }
+
+    /// Whether its jobs could be worked on, whatever people want of it.
+    pub(super) fn is_workable(&self) -> bool {
+        !self.outdated && self.too_large.is_none()
     }
 
     /// Whether every record is there.
@@ -240,7 +250,7 @@ impl Dictionary {
         // Since the result was admitted the job may have been begun again with other walks.
         self.begin_again(index, walks);
         let job = &mut self.jobs[index as usize];
-        for part in job.open_parts().collect::<Vec<_>>() {
+        for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
         job.stage = Stage::Done { records, by: Some(by), reused: false };
@@ -266,11 +276,11 @@ impl Dictionary {
     /// All parts of a job wait; nobody holds them.
     fn begin_again(&mut self, index: u32, walks: Walks) {
         let job = &mut self.jobs[index as usize];
-        for part in 0..job.walks.blocks() {
+        for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
         self.counts.cost -= job.cost;
-        job.reopen(walks);
+        job.reopen(walks, plan::parts_of(walks, self.too_large.as_ref()));
         self.counts.cost += job.cost;
         self.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
     }
@@ -293,7 +303,7 @@ impl Dictionary {
         }
         let reasons: Vec<_> = job.strikes.iter().map(|s| s.reason.as_str()).collect();
         let (reason, quarantined) = (reasons.join("; "), job.strikes.iter().any(|s| s.silent));
-        for part in 0..job.walks.blocks() {
+        for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
         job.stage = Stage::GivenUp { reason: reason.clone(), quarantined };
@@ -319,7 +329,9 @@ impl Dictionary {
 
     pub(super) fn set_desire(&mut self, desire: Desire, reason: String) {
         self.stored.desire = desire;
-        self.stored.reason = reason;
+        if self.too_large.is_none() {
+            self.stored.reason = reason;
+        }
     }
 
     pub(super) fn set_priority(&mut self, priority: i32) {

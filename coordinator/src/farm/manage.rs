@@ -8,7 +8,7 @@ use farm_proto::{DictionaryName, Digest, Grid};
 
 use super::{Farm, FarmError, Result, blocking, not_found};
 use crate::clock::Clock;
-use crate::dispatch::{Dictionary, Event, EventKind, Reason};
+use crate::dispatch::{Dictionary, Event, EventKind, Plan, Reason};
 use crate::store::{Desire, StoreError, StoredDictionary, StoredEvent};
 
 impl Farm {
@@ -27,9 +27,13 @@ impl Farm {
             }
             return Err(FarmError::NameTaken { name });
         }
+        grid.check_parts()?;
+        // What has no room in memory must not be in the store, where the next start would find it.
+        let planned = grid.clone();
+        let plan = blocking(move || Plan::new(&planned)).await;
         let stored = self.store.create_dictionary(name.clone(), grid, priority, Clock::unix_ms()).await?;
         let id = stored.id;
-        if let Err(error) = self.take_up(stored).await {
+        if let Err(error) = self.take_up(plan, stored).await {
             // A dictionary that the store has and nobody serves would keep its name for ever.
             self.dispatch().remove_dictionary(id);
             if let Err(error) = self.store.delete_dictionary(id, &[]).await {
@@ -43,7 +47,7 @@ impl Farm {
     }
 
     /// Begins with a new dictionary: uses the records that exist already, and serves the rest.
-    async fn take_up(&self, stored: StoredDictionary) -> Result<()> {
+    async fn take_up(&self, plan: Plan, stored: StoredDictionary) -> Result<()> {
         let (id, name, grid) = (stored.id, stored.name.clone(), stored.grid.clone());
         let _nothing_is_forgotten = self.records.read().await;
         let reused = if grid.quality().is_some() {
@@ -56,7 +60,7 @@ impl Farm {
             self.store.reuse(id, &grid, &identities, &grids).await?
         };
         let ended = self.store.ended_jobs(id, grid.walks()).await?;
-        let dictionary = Dictionary::new(stored, &ended);
+        let dictionary = Dictionary::planned(plan, stored, &ended);
         self.dispatch().add_dictionary(dictionary);
         self.find_blocks(id).await?;
         let (jobs, records) = (grid.job_count(), grid.record_count());
@@ -112,7 +116,10 @@ impl Farm {
                 allowed,
             });
         }
-        let (id, _) = self.found(name)?;
+        let (id, grid) = self.found(name)?;
+        if desire == Desire::Run {
+            grid.check_parts()?;
+        }
         self.store.set_desire(id, desire, reason).await?;
         self.dispatch().set_desire(id, desire, reason.to_owned());
         let kind = match desire {

@@ -155,6 +155,8 @@ impl Farm {
         }
         if after.1 > before.1 {
             self.metrics.verified(VerificationOutcome::Disputed);
+            // A third worker decides, which may be waiting for work.
+            self.work.send_replace(());
         }
         if equal { Outcome::Duplicate } else { Outcome::Conflict }
     }
