@@ -304,6 +304,16 @@ impl Grid {
             .expect("axes hold checked values")
     }
 
+    /// The job of a transport point, if it is one of this grid's.
+    pub fn job_at(&self, point: &TransportPoint) -> Option<usize> {
+        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
+        let place = |axis: &[f64], value: f64| axis.binary_search_by(|v| v.total_cmp(&value)).ok();
+        let ior = place(&self.sample_ior, point.sample_ior())?;
+        let sigma = place(&self.sigma_t_per_mm, point.sigma_t_per_mm())?;
+        let (g, t) = (place(&self.g, point.g())?, place(&self.thickness_mm, point.thickness_mm())?);
+        Some(((ior * n_sigma + sigma) * n_g + g) * n_t + t)
+    }
+
     /// Number of the first record of a job; its others follow.
     pub fn first_record(&self, job: usize) -> usize {
         job * self.albedo.len()
@@ -375,6 +385,14 @@ mod tests {
     }
 
     #[test]
+    fn jobs_are_found_by_their_points() {
+        let grid = Grid::paper();
+        assert!((0..grid.job_count()).all(|job| grid.job_at(&grid.point(job)) == Some(job)));
+        let between = TransportPoint::new(6.5, 0.41, 1.0, 1.53).unwrap();
+        assert_eq!(grid.job_at(&between), None);
+    }
+
+    #[test]
     fn axes_must_rise_and_hold_something() {
         let with_g = |g: Vec<f64>| {
             let axes = Axes {
@@ -395,11 +413,11 @@ mod tests {
     #[test]
     fn a_grid_of_too_many_parts_tells_how_many_walks_are_allowed() {
         let with = |walks: u64, most: Option<u64>| {
-            let walks = |walks| Walks::new(walks).unwrap();
+            let of = |walks| Walks::new(walks).unwrap();
             let points = (1..=40).map(f64::from).collect();
             let axes = Axes { sigma_t_per_mm: points, g: vec![0.0], thickness_mm: vec![1.0], ..paper_axes() };
-            let grid = Grid::new(Scene::paper(), axes, walks(walks), 1, false).unwrap();
-            let quality = most.map(|most| Quality::new(0.01, walks(most)).unwrap());
+            let grid = Grid::new(Scene::paper(), axes, of(walks), 1, false).unwrap();
+            let quality = most.map(|most| Quality::new(0.01, of(most)).unwrap());
             quality.map_or(Ok(grid.clone()), |quality| grid.with_quality(quality)).unwrap().check_parts()
         };
         assert_eq!(with(25_000_000_000, None), Ok(()));

@@ -245,10 +245,11 @@ pub(crate) fn is_refusal(status: &Status) -> bool {
     matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied | Code::FailedPrecondition)
 }
 
-/// Tells that a call failed. That the coordinator does not answer is told once, and not for each call.
+/// Tells that a call failed. That the coordinator does not answer, or does not know this worker any more, is told once and
+/// not for each call.
 pub(crate) fn failed(status: &Status, what: &str) {
     let (code, message) = (status.code(), status.message());
-    if is_silence(status) {
+    if is_silence(status) || status.code() == Code::Aborted {
         tracing::debug!(?code, message, "{what}");
     } else {
         tracing::warn!(?code, message, "{what}");
