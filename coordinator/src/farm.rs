@@ -8,6 +8,7 @@ mod inspection;
 mod manage;
 mod records;
 mod results;
+mod shared;
 #[cfg(test)]
 mod tests;
 mod work;
@@ -149,6 +150,7 @@ impl Farm {
         };
         for id in ids {
             farm.find_blocks(id).await?;
+            farm.take_over_done(id).await?;
         }
         Ok(farm)
     }

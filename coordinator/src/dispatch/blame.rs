@@ -151,7 +151,7 @@ impl Dispatcher {
     /// Looks for parts that take too long; worth doing only once nothing else waits.
     fn find_late(&mut self, now: Duration) {
         self.late.clear();
-        if self.load().0 > 0 {
+        if self.gives_out() {
             return;
         }
         let late = self.leases.iter().filter(|held| {

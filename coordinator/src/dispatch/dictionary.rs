@@ -11,7 +11,7 @@ use farm_proto::{DictionaryName, Digest, Grid, Invalid, Walks};
 use super::checks::Vote;
 use super::job::{Job, Part, Stage, Strike};
 use super::plan::{self, Plan};
-use super::{Origin, PartId};
+use super::{Origin, PartId, shared};
 use crate::store::{Desire, EndedJob, StoredDictionary};
 
 /// Numbers that change with every job, kept so that nobody has to count.
@@ -33,6 +33,8 @@ pub struct Dictionary {
     pub(super) outdated: bool,
     /// Why it is not worked on: its grid is one that is not taken any more.
     pub(super) too_large: Option<Invalid>,
+    /// Dictionaries of the same have the same walks at the same points.
+    pub(super) family: Option<Digest>,
     pub(super) jobs: Vec<Job>,
     /// Parts that wait, as (rank, job, part).
     pending: BTreeSet<(u32, u32, u32)>,
@@ -59,8 +61,8 @@ impl Dictionary {
             }
         }
         let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
-        let mut dictionary =
-            Self { stored, outdated, too_large, jobs, pending, counts: Counts::default(), leased: 0 };
+        let (family, counts) = (shared::family(&stored.grid), Counts::default());
+        let mut dictionary = Self { stored, outdated, too_large, family, jobs, pending, counts, leased: 0 };
         dictionary.count();
         if let Some(why) = &dictionary.too_large {
             dictionary.stored.reason = format!("its grid is too large: {why}; delete it");
@@ -184,10 +186,32 @@ impl Dictionary {
         if job.is_divided() { spec.with_block(part).expect("the job has this block") } else { spec }
     }
 
-    /// Takes the next part that waits, the costliest or the cheapest, and counts the attempt.
-    pub(super) fn take_next(&mut self, cheapest: bool) -> Option<(u32, u32, u32)> {
-        let (_, index, part) = if cheapest { self.pending.pop_last() } else { self.pending.pop_first() }?;
-        Some((index, part, self.attempt(index)))
+    /// Jobs with parts that wait, each with the first of these, the costliest or the cheapest job first.
+    pub(super) fn waiting(&self, cheapest: bool) -> impl Iterator<Item = (u32, u32)> {
+        let mut last = None;
+        std::iter::from_fn(move || {
+            let next = match (cheapest, last) {
+                (false, None) => self.pending.first(),
+                (false, Some(rank)) => self.pending.range((rank + 1, 0, 0)..).next(),
+                (true, None) => self.pending.last(),
+                (true, Some(rank)) => self.pending.range(..(rank, 0, 0)).next_back(),
+            };
+            let &(rank, job, _) = next?;
+            last = Some(rank);
+            Some((job, self.waiting_part(job)?))
+        })
+    }
+
+    /// The first part of a job that waits.
+    pub(super) fn waiting_part(&self, index: u32) -> Option<u32> {
+        let rank = self.jobs.get(index as usize)?.rank;
+        self.pending.range((rank, index, 0)..=(rank, index, u32::MAX)).next().map(|(.., part)| *part)
+    }
+
+    /// Takes a part that waits, and counts the attempt.
+    pub(super) fn begin(&mut self, index: u32, part: u32) -> u32 {
+        self.pending.remove(&(self.jobs[index as usize].rank, index, part));
+        self.attempt(index)
     }
 
     /// Counts one more attempt at a job; its number.
@@ -239,8 +263,15 @@ impl Dictionary {
         }
     }
 
-    /// Notes that a job's records are stored, from so many walks.
-    pub(super) fn finish(&mut self, index: u32, walks: Walks, records: Digest, by: Origin) {
+    /// Notes that a job's records are stored, from so many walks; or that they were there, or came for another dictionary.
+    pub(super) fn finish(
+        &mut self,
+        index: u32,
+        walks: Walks,
+        records: Digest,
+        by: Option<Origin>,
+        reused: bool,
+    ) {
         let job = &mut self.jobs[index as usize];
         match job.stage {
             Stage::Done { .. } => return,
@@ -253,8 +284,8 @@ impl Dictionary {
         for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
-        job.stage = Stage::Done { records, by: Some(by), reused: false };
-        self.counts.add_done(job, false);
+        job.stage = Stage::Done { records, by, reused };
+        self.counts.add_done(job, reused);
     }
 
     /// Begins jobs again.
@@ -288,6 +319,10 @@ impl Dictionary {
     /// Whether a job has not ended.
     pub(super) fn is_open(&self, index: u32) -> bool {
         self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Open { .. }))
+    }
+
+    pub(super) fn is_done(&self, index: u32) -> bool {
+        self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Done { .. }))
     }
 
     /// Counts an attempt that came to nothing. If these are too many the job is given up: all reasons, and whether

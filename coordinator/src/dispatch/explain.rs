@@ -90,7 +90,14 @@ impl Dispatcher {
             );
             reasons.push(reason("COMPUTING", text));
         }
-        if dictionary.pending() > 0 {
+        if let Some(other) = self.waits_for_other(dictionary.id()) {
+            let text = format!(
+                "its {} jobs that wait are computed for {}, whose records serve both",
+                dictionary.pending(),
+                other.name()
+            );
+            reasons.push(reason("SHARED", text));
+        } else if dictionary.pending() > 0 {
             let busy = "wait for a worker that is free";
             reasons.push(reason("WAITING", format!("{} jobs {busy}", dictionary.pending())));
         }

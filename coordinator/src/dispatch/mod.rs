@@ -18,6 +18,7 @@ mod pace;
 mod plan;
 mod progress;
 mod results;
+mod shared;
 #[cfg(test)]
 mod tests;
 mod workers;

@@ -55,14 +55,16 @@ impl Farm {
             0
         } else {
             let of_jobs = grid.clone();
-            let identities = blocking(move || identities(&of_jobs)).await;
+            let jobs = blocking(move || identities(&of_jobs)).await;
             let grids = self.dispatch().dictionaries().map(|d| (d.id(), d.grid().clone())).collect();
-            self.store.reuse(id, &grid, &identities, &grids).await?
+            self.store.reuse(id, &grid, &jobs, &grids).await?.len()
         };
         let ended = self.store.ended_jobs(id, grid.walks()).await?;
         let dictionary = Dictionary::planned(plan, stored, &ended);
         self.dispatch().add_dictionary(dictionary);
         self.find_blocks(id).await?;
+        // What came in the meantime.
+        self.take_over_done(id).await?;
         let (jobs, records) = (grid.job_count(), grid.record_count());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
         self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Submitted, id, message));
@@ -122,6 +124,10 @@ impl Farm {
         }
         self.store.set_desire(id, desire, reason).await?;
         self.dispatch().set_desire(id, desire, reason.to_owned());
+        if desire == Desire::Run {
+            let _nothing_is_forgotten = self.records.read().await;
+            self.take_over_done(id).await?;
+        }
         let kind = match desire {
             Desire::Run => EventKind::Resumed,
             Desire::Pause => EventKind::Paused,
@@ -140,6 +146,7 @@ impl Farm {
         let again = self.dispatch().retry(id);
         let _nothing_is_forgotten = self.records.read().await;
         self.find_blocks(id).await?;
+        self.take_over_done(id).await?;
         let message = format!("{again} jobs are tried again");
         self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Retried, id, message));
         self.work.send_replace(());
@@ -220,8 +227,8 @@ impl Farm {
     }
 }
 
-/// Identities of all jobs of a grid, in their order.
-fn identities(grid: &Grid) -> Vec<Digest> {
+/// All jobs of a grid, with their identities.
+fn identities(grid: &Grid) -> Vec<(u32, Digest)> {
     use farm_proto::job::JobSpec;
-    (0..grid.job_count()).map(|job| JobSpec::of(grid, job).identity()).collect()
+    (0..grid.job_count()).map(|job| (job as u32, JobSpec::of(grid, job).identity())).collect()
 }

@@ -70,6 +70,7 @@ impl Farm {
         match stored {
             Ok(Stored::Finished { records }) => {
                 self.dispatch().finished(now, arrived, records);
+                self.serve_others(key, arrived.by).await;
                 if self.dispatch().checks().2 > 0 {
                     self.work.send_replace(());
                 }

@@ -17,7 +17,7 @@ use super::{Farm, FarmError, Outcome, Versions};
 use crate::config::Config;
 use crate::dispatch::Registration;
 use crate::rpc;
-use crate::store::{Completion, Content, DataDir, Store};
+use crate::store::{Completion, Content, DataDir, Desire, Store};
 use crate::web::{BuildInfo, Metrics};
 
 const JOBS: u32 = 40;
@@ -243,4 +243,60 @@ async fn a_dispute_wakes_workers_that_wait() {
     let outcome = farm.complete(second, lease.key, admission, other).await.unwrap();
     assert_eq!(outcome, Outcome::Conflict);
     assert!(third.has_changed().unwrap(), "there is something to decide");
+}
+
+/// Lets a worker do all that is given out; the number of jobs.
+async fn work(farm: &Farm, worker: &WorkerId) -> usize {
+    let mut done = 0;
+    while let Some(lease) = farm.acquire(worker, 1).unwrap().leases.pop() {
+        let admission = farm.admit(worker, &lease.key, lease.job.identity()).unwrap();
+        let content = content(&lease.job, value(lease.key.job));
+        let outcome = farm.complete(worker.clone(), lease.key, admission, content).await.unwrap();
+        assert_eq!(outcome, Outcome::Stored);
+        done += 1;
+    }
+    done
+}
+
+#[tokio::test]
+async fn a_dictionary_that_overlaps_with_an_unfinished_one_computes_nothing_twice() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
+    let farm = load(store).await;
+    let (first, second) = (name(), DictionaryName::new("e").unwrap());
+    for name in [&first, &second] {
+        farm.submit(name.clone(), grid(), 0).await.unwrap();
+    }
+    let worker = worker(&farm, "worker").await;
+    assert_eq!(work(&farm, &worker).await, JOBS as usize);
+    let [first, second] = [&first, &second].map(|name| farm.status(name).unwrap());
+    assert_eq!((first.state, second.state), (DictionaryState::Done, DictionaryState::Done));
+    assert_eq!((first.records_reused, second.records_reused), (0, 2 * JOBS as usize));
+    assert_eq!(first.records_digest, second.records_digest);
+    let found = farm.inspect(false).await;
+    assert_eq!((found.jobs, found.damaged.len()), (2 * JOBS as usize, 0), "{found:?}");
+}
+
+/// What came while a dictionary was cancelled, or before a restart, is not computed again either.
+#[tokio::test]
+async fn records_that_came_for_another_dictionary_are_found_by_resume_and_restart() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
+    let farm = load(store).await;
+    let (first, second) = (name(), DictionaryName::new("e").unwrap());
+    for name in [&first, &second] {
+        farm.submit(name.clone(), grid(), 0).await.unwrap();
+    }
+    farm.cancel(&second, "later").await.unwrap();
+    let of_farm = worker(&farm, "worker").await;
+    assert_eq!(work(&farm, &of_farm).await, JOBS as usize);
+    assert_eq!(farm.status(&second).unwrap().jobs_done, 0);
+    // As if the coordinator had been killed before it resumed.
+    let (id, _) = farm.found(&second).unwrap();
+    farm.store.set_desire(id, Desire::Run, "").await.unwrap();
+    farm.close().await;
+    drop(farm);
+    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
+    let farm = load(store).await;
+    assert_eq!(farm.status(&second).unwrap().state, DictionaryState::Done);
 }

@@ -187,41 +187,47 @@ impl Store {
         Ok(find(&mut connection, identities).await?.into_iter().collect())
     }
 
-    /// Ends those jobs of a new dictionary whose records are there already. `identities` are those of its jobs, in
-    /// their order; `grids` those of all dictionaries. Returns the number of jobs.
+    /// Ends those open jobs of a dictionary whose records are there already. `jobs` are their numbers and identities;
+    /// `grids` those of all dictionaries. Returns the jobs with the digests of their records.
     pub async fn reuse(
         &self,
         dictionary: DictionaryId,
         grid: &Grid,
-        identities: &[Digest],
+        jobs: &[(u32, Digest)],
         grids: &HashMap<DictionaryId, Arc<Grid>>,
-    ) -> Result<usize> {
-        let points = self.points_of(identities).await?;
-        let mut reused = Vec::new();
-        for (job, identity) in identities.iter().enumerate() {
+    ) -> Result<Vec<(u32, Digest)>> {
+        let identities: Vec<Digest> = jobs.iter().map(|(_, identity)| *identity).collect();
+        let points = self.points_of(&identities).await?;
+        let mut there_are = Vec::new();
+        for (job, identity) in jobs {
             let Some(point) = points.get(identity) else { continue };
             let there = self.checked_records(*point, grids).await?;
-            if let Some(records) = records_for(grid, job, &there) {
-                reused.push((job, *point, Digest::of_records(&records)));
+            if let Some(records) = records_for(grid, *job as usize, &there) {
+                there_are.push((*job, *point, Digest::of_records(&records)));
             }
         }
+        let mut reused = Vec::with_capacity(there_are.len());
         let mut tx = self.begin().await?;
-        for (job, point, digest) in &reused {
-            sqlx::query(
-                "INSERT INTO jobs (dictionary_id, job, point_id, walks, records_digest, reused) \
+        for (job, point, digest) in &there_are {
+            // A result of its own may have ended the job a moment ago.
+            let ended = sqlx::query(
+                "INSERT OR IGNORE INTO jobs (dictionary_id, job, point_id, walks, records_digest, reused) \
                  VALUES (?, ?, ?, ?, ?, 1)",
             )
             .bind(dictionary.0)
-            .bind(*job as i64)
+            .bind(*job)
             .bind(point)
             .bind(grid.walks().get() as i64)
             .bind(&digest.as_bytes()[..])
             .execute(&mut *tx)
             .await
             .map_err(doing("storing a job that needs no computing"))?;
+            if ended.rows_affected() > 0 {
+                reused.push((*job, *digest));
+            }
         }
         tx.commit().await.map_err(doing("storing jobs that need no computing"))?;
-        Ok(reused.len())
+        Ok(reused)
     }
 
     /// Records of a point, with their albedos: those of jobs whose records are the ones that were stored. What is

@@ -6,7 +6,7 @@ use farm_proto::Digest;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::job::{JobSpec, Lease, LeaseKey};
 
-use super::super::{Admission, DispatchError, Dispatcher, Origin, Purpose, Registration};
+use super::super::{Admission, Dictionary, DispatchError, Dispatcher, Origin, Purpose, Registration};
 use super::world::{Arriving, LEASE, Process, WORKERS, World};
 
 impl World {
@@ -72,8 +72,32 @@ impl World {
                 let own = done.is_none_or(|d| d.by.contains(&self.processes[worker].origin));
                 self.insist(!own, || format!("{key:?} lets a worker check itself, or nothing"));
             }
+            if matches!(purpose, Purpose::First | Purpose::Retry) {
+                let twice = self.computed_elsewhere(&key);
+                self.insist(twice.is_none(), || {
+                    format!("{key:?} is given out, and {twice:?} computes the same")
+                });
+            }
             self.processes[worker].held.push(lease);
         }
+    }
+
+    /// Another dictionary that is served and has a job under way whose records will serve this one.
+    fn computed_elsewhere(&self, key: &LeaseKey) -> Option<DictionaryId> {
+        let own = self.farm.by_id(key.dictionary)?;
+        let walks = self.walks_of((key.dictionary, key.job));
+        let others = self.farm.dictionaries().filter(|other| {
+            other.id() != own.id()
+                && other.is_active()
+                && self.store.kind(other.id()) == self.store.kind(own.id())
+                && other.grid().albedo().len() >= own.grid().albedo().len()
+        });
+        let computes = |other: &&Dictionary| {
+            other.is_open(key.job)
+                && self.walks_of((other.id(), key.job)) == walks
+                && self.farm.leases.is_held(other.id(), key.job)
+        };
+        others.filter(computes).map(Dictionary::id).next()
     }
 
     pub fn take_lease(&mut self, worker: usize, lease: usize) -> Option<Lease> {

@@ -8,6 +8,7 @@ use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::job::{JobSpec, Lease, LeaseKey};
 
 use super::super::blame::STALL;
+use super::super::shared::Place;
 use super::super::tests::Counted;
 use super::super::{Arrived, Dictionary, Dispatcher, Effect, Origin, Purpose, Settings};
 use super::ops::Op;
@@ -191,6 +192,12 @@ impl World {
                 self.strikes.remove(&place);
                 self.walks.insert(place, job.walks());
                 self.farm.finished(self.now, &arrived, records);
+                // Now and then the store fails: then the others compute for themselves.
+                if self.chance.tokens % 4 != 0 {
+                    for served in self.farm.served_by(place) {
+                        self.take_over(served, place, Some(by));
+                    }
+                }
             }
             Some(Stored::Part) => self.farm.part_finished(self.now, &arrived),
             Some(Stored::MoreWalks(walks)) => {
@@ -202,7 +209,7 @@ impl World {
                 self.find_blocks();
             }
             Some(Stored::Before { records, .. }) => self.compare(by, &key, &job, records),
-            Some(Stored::Differs) => unreachable!("the model's dictionaries share no points"),
+            Some(Stored::Differs) => unreachable!("the model's store compares no points"),
         }
     }
 
@@ -223,6 +230,33 @@ impl World {
         }
         self.farm.distrust(&arrived, &[other]);
         self.recompute(other.0, other.1);
+    }
+
+    fn take_over(&mut self, place: Place, from: Place, by: Option<Origin>) {
+        let is_open = self.farm.by_id(place.0).is_some_and(|d| d.is_open(place.1));
+        self.insist(is_open && self.store.kind(place.0) == self.store.kind(from.0), || {
+            format!("{place:?} is served by {from:?}")
+        });
+        let Some(done) = self.store.take_over(place, from) else { return };
+        self.strikes.remove(&place);
+        self.walks.insert(place, done.walks);
+        self.farm.taken_over(place, done.walks, done.records, by);
+    }
+
+    /// Ends the open jobs of a dictionary with records that others have.
+    fn take_over_done(&mut self, id: DictionaryId) {
+        for job in self.farm.done_elsewhere(id) {
+            let kind = self.store.kind(id);
+            let walks = self.walks_of((id, job));
+            let same = |(of, done): &(&Place, &super::store::DoneJob)| {
+                of.0 != id && of.1 == job && self.store.kind(of.0) == kind && done.walks.get() == walks
+            };
+            let from = self.store.done.iter().find(same).map(|(place, _)| *place);
+            self.insist(from.is_some(), || format!("job {job} of {id:?} is done nowhere else"));
+            if let Some(from) = from {
+                self.take_over((id, job), from, None);
+            }
+        }
     }
 
     pub fn walks_of(&self, place: (DictionaryId, u32)) -> u64 {
@@ -351,6 +385,9 @@ impl World {
         self.last_look = None;
         self.walks = self.store.done.iter().map(|(place, done)| (*place, done.walks)).collect();
         self.find_blocks();
+        for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
+            self.take_over_done(id);
+        }
     }
 
     /// Three honest workers finish what is left.
