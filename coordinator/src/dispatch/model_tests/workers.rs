@@ -6,7 +6,7 @@ use farm_proto::Digest;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::job::{JobSpec, Lease, LeaseKey};
 
-use super::super::{Admission, Dictionary, DispatchError, Dispatcher, Origin, Purpose, Registration};
+use super::super::{Admission, DispatchError, Dispatcher, Origin, Purpose, Registration};
 use super::world::{Arriving, LEASE, Process, WORKERS, World};
 
 impl World {
@@ -52,6 +52,10 @@ impl World {
 
     pub fn acquire(&mut self, worker: usize, max: usize) {
         let id = self.processes[worker].id.clone();
+        // Of a divided job that was under way before another one was, the rest may be given out.
+        let place = |key: &LeaseKey| (key.dictionary, key.job);
+        let held = self.farm.leases.iter().filter(|held| held.purpose != Purpose::Check);
+        let under_way: BTreeSet<_> = held.map(|held| place(&held.key)).collect();
         let answer = self.farm.acquire(self.now, &id, max, &mut self.chance);
         let Some(grant) = self.answer(worker, answer) else { return };
         self.insist(grant.leases.len() <= max, || "too many leases".to_owned());
@@ -73,31 +77,13 @@ impl World {
                 self.insist(!own, || format!("{key:?} lets a worker check itself, or nothing"));
             }
             if matches!(purpose, Purpose::First | Purpose::Retry) {
-                let twice = self.computed_elsewhere(&key);
+                let twice = self.computed_elsewhere(&key).filter(|_| !under_way.contains(&place(&key)));
                 self.insist(twice.is_none(), || {
                     format!("{key:?} is given out, and {twice:?} computes the same")
                 });
             }
             self.processes[worker].held.push(lease);
         }
-    }
-
-    /// Another dictionary that is served and has a job under way whose records will serve this one.
-    fn computed_elsewhere(&self, key: &LeaseKey) -> Option<DictionaryId> {
-        let own = self.farm.by_id(key.dictionary)?;
-        let walks = self.walks_of((key.dictionary, key.job));
-        let others = self.farm.dictionaries().filter(|other| {
-            other.id() != own.id()
-                && other.is_active()
-                && self.store.kind(other.id()) == self.store.kind(own.id())
-                && other.grid().albedo().len() >= own.grid().albedo().len()
-        });
-        let computes = |other: &&Dictionary| {
-            other.is_open(key.job)
-                && self.walks_of((other.id(), key.job)) == walks
-                && self.farm.leases.is_held(other.id(), key.job)
-        };
-        others.filter(computes).map(Dictionary::id).next()
     }
 
     pub fn take_lease(&mut self, worker: usize, lease: usize) -> Option<Lease> {

@@ -8,7 +8,6 @@ use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::job::{JobSpec, Lease, LeaseKey};
 
 use super::super::blame::STALL;
-use super::super::shared::Place;
 use super::super::tests::Counted;
 use super::super::{Arrived, Dictionary, Dispatcher, Effect, Origin, Purpose, Settings};
 use super::ops::Op;
@@ -230,33 +229,6 @@ impl World {
         }
         self.farm.distrust(&arrived, &[other]);
         self.recompute(other.0, other.1);
-    }
-
-    fn take_over(&mut self, place: Place, from: Place, by: Option<Origin>) {
-        let is_open = self.farm.by_id(place.0).is_some_and(|d| d.is_open(place.1));
-        self.insist(is_open && self.store.kind(place.0) == self.store.kind(from.0), || {
-            format!("{place:?} is served by {from:?}")
-        });
-        let Some(done) = self.store.take_over(place, from) else { return };
-        self.strikes.remove(&place);
-        self.walks.insert(place, done.walks);
-        self.farm.taken_over(place, done.walks, done.records, by);
-    }
-
-    /// Ends the open jobs of a dictionary with records that others have.
-    fn take_over_done(&mut self, id: DictionaryId) {
-        for job in self.farm.done_elsewhere(id) {
-            let kind = self.store.kind(id);
-            let walks = self.walks_of((id, job));
-            let same = |(of, done): &(&Place, &super::store::DoneJob)| {
-                of.0 != id && of.1 == job && self.store.kind(of.0) == kind && done.walks.get() == walks
-            };
-            let from = self.store.done.iter().find(same).map(|(place, _)| *place);
-            self.insist(from.is_some(), || format!("job {job} of {id:?} is done nowhere else"));
-            if let Some(from) = from {
-                self.take_over((id, job), from, None);
-            }
-        }
     }
 
     pub fn walks_of(&self, place: (DictionaryId, u32)) -> u64 {
