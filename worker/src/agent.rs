@@ -57,18 +57,18 @@ pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, E
         + config.time_limit.map_or(Duration::MAX / 4, |limit| working_time(&config, limit));
     let grace = config.grace;
     let held: Arc<Held> = Arc::default();
+    let url = config.coordinator.url().to_owned();
+    let (buffer, threads, idle_exit) = (Buffer::new(config.buffer_bytes), config.threads, config.idle_exit);
+    let Some(session) = Session::open(config, held.clone(), &shutdown).await? else {
+        tracing::info!("stopped before the coordinator at {url} was reached");
+        return Ok(Ended::Stopped);
+    };
     let agent = Agent {
         // One job more than threads: the next is there when one ends.
-        places: Arc::new(Semaphore::new(config.threads + 1)),
-        buffer: Buffer::new(config.buffer_bytes),
-        idle_exit: config.idle_exit,
-        session: match Session::open(config.clone(), held.clone(), &shutdown).await? {
-            Some(session) => Arc::new(session),
-            None => {
-                tracing::info!("stopped before the coordinator at {} was reached", config.coordinator.url());
-                return Ok(Ended::Stopped);
-            }
-        },
+        places: Arc::new(Semaphore::new(threads + 1)),
+        buffer,
+        idle_exit,
+        session: Arc::new(session),
         held,
         pool,
         drain: CancellationToken::new(),

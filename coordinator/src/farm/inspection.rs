@@ -80,9 +80,10 @@ impl Farm {
         if read.damage(grid.albedo().len()).is_none() {
             return Ok(Look::Good(read.records.len()));
         }
-        let confirmed = match repair {
-            true => self.forget_if_damaged(name, id, grid, job).await?,
-            false => self.damage_of(id, grid, job).await?,
+        let confirmed = if repair {
+            self.forget_if_damaged(name, id, grid, job).await?
+        } else {
+            self.damage_of(id, grid, job).await?
         };
         Ok(confirmed.map_or_else(|| Look::Unreadable(UNSTEADY.to_owned()), Look::Damaged))
     }

@@ -1,7 +1,7 @@
 //! What a farm does when the disk does not give back what it was given.
 
 use std::os::unix::fs::FileExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use farm_proto::grid::Axes;
 use farm_proto::ids::{DictionaryId, WorkerId};
@@ -96,7 +96,7 @@ fn log(dir: &tempfile::TempDir) -> (PathBuf, Vec<u8>) {
 }
 
 /// Puts bytes back where they were; what came after them stays.
-fn restore(path: &PathBuf, bytes: &[u8]) {
+fn restore(path: &Path, bytes: &[u8]) {
     std::fs::File::options().write(true).open(path).unwrap().write_all_at(bytes, 0).unwrap();
 }
 

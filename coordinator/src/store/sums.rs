@@ -9,6 +9,9 @@ use sqlx::{Connection, SqliteConnection};
 
 use super::{Result, Store, StoreError, doing};
 
+/// Point, block, sums and their digest.
+type BlockRow = (i64, i64, Vec<u8>, Vec<u8>);
+
 /// Adds a block's sums. When all blocks are there, returns their total and forgets them.
 ///
 /// Blocks that follow each other from the first on are merged into one row at once, so that a job of many blocks
@@ -113,7 +116,7 @@ impl Store {
     /// What is wrong with the stored blocks of a divided job, read through a connection of its own; None if nothing is.
     pub async fn damaged_blocks(&self, job: &JobSpec) -> Result<Option<String>> {
         let mut connection = self.fresh_connection().await?;
-        let rows: Result<Vec<(i64, i64, Vec<u8>, Vec<u8>)>> = sqlx::query_as(
+        let rows: Result<Vec<BlockRow>> = sqlx::query_as(
             "SELECT point_id, block, sums, sums.digest FROM sums JOIN points ON points.id = point_id \
              WHERE identity = ? ORDER BY block",
         )
@@ -123,7 +126,7 @@ impl Store {
         .map_err(doing("reading blocks once more"));
         // It has only read.
         let _ = connection.close().await;
-        let damage = |(point, block, sums, digest): (i64, i64, Vec<u8>, Vec<u8>)| {
+        let damage = |(point, block, sums, digest): BlockRow| {
             let batches = match u32::try_from(block) {
                 Ok(block) => job.walks().batches_of_block(block),
                 Err(_) => batches_before(job, (-1 - block) as u32),

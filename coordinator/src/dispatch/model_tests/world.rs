@@ -192,7 +192,7 @@ impl World {
                 self.walks.insert(place, job.walks());
                 self.farm.finished(self.now, &arrived, records);
                 // Now and then the store fails: then the others compute for themselves.
-                if self.chance.tokens % 4 != 0 {
+                if !self.chance.tokens.is_multiple_of(4) {
                     for served in self.farm.served_by(place) {
                         self.take_over(served, place, Some(by));
                     }
