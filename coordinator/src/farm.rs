@@ -4,9 +4,13 @@ mod backup;
 mod events;
 mod figures;
 mod fit_cache;
+mod inspection;
 mod manage;
 mod records;
 mod results;
+mod shared;
+#[cfg(test)]
+mod tests;
 mod work;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -55,6 +59,10 @@ pub enum FarmError {
         "job {job} of dictionary {name} was damaged on the disk ({what}): it is computed again, try later"
     )]
     Damaged { name: DictionaryName, job: u32, what: String },
+    #[error(
+        "job {job} of dictionary {name} could not be read ({what}): nothing was deleted; look at the disk, then try again"
+    )]
+    Unreadable { name: DictionaryName, job: u32, what: String },
 }
 
 fn hint(known: &[String]) -> String {
@@ -119,17 +127,14 @@ impl Farm {
         for stored in store.dictionaries().await? {
             let ended = store.ended_jobs(stored.id, stored.grid.walks()).await?;
             let dictionary = Dictionary::new(stored, &ended);
-            if !dictionary.is_active() && dictionary.pending() > 0 {
-                tracing::info!(name = %dictionary.name(), state = dictionary.state().as_str(), "not continued");
+            if !dictionary.is_active() && dictionary.open_jobs() > 0 {
+                let (name, state) = (dictionary.name(), dictionary.state().as_str());
+                tracing::info!(%name, state, reason = dictionary.reason(), "not continued");
             }
             ids.push(dictionary.id());
             dispatch.take_up_dictionary(dictionary);
         }
         let recorder = Recorder::start(store.clone());
-        recorder.record(
-            "",
-            &Event::of_farm(EventKind::CoordinatorStarted, format!("version {}", env!("CARGO_PKG_VERSION"))),
-        );
         let farm = Self {
             store,
             dispatch: Mutex::new(dispatch),
@@ -145,8 +150,15 @@ impl Farm {
         };
         for id in ids {
             farm.find_blocks(id).await?;
+            farm.take_over_done(id).await?;
         }
         Ok(farm)
+    }
+
+    /// Notes that the farm can be reached from now on.
+    pub(crate) fn started(&self) {
+        let version = format!("version {}", env!("CARGO_PKG_VERSION"));
+        self.recorder.record("", &Event::of_farm(EventKind::CoordinatorStarted, version));
     }
 
     pub(crate) fn metrics(&self) -> &Metrics {

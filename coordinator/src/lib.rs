@@ -78,6 +78,7 @@ impl Coordinator {
         if let Err(error) = self.farm.store().dir().publish_address(address) {
             tracing::warn!(%error, "commands in the same folder will not find this coordinator");
         }
+        self.farm.started();
         tracing::info!(%address, "coordinator is serving");
         let figures =
             figures.map(|listener| tokio::spawn(web::serve(listener, self.web(), shutdown.clone())));

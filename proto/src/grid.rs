@@ -1,5 +1,7 @@
 //! The parameter grid of a dictionary and the numbering of its records.
 
+mod parts;
+
 use crate::invalid::{Invalid, Result};
 use crate::optics::{
     Medium, TransportPoint, check_albedo, check_g, check_ior, check_optical_thickness, check_sigma_t,
@@ -7,6 +9,7 @@ use crate::optics::{
 };
 use crate::profile::{Estimate, Record};
 use crate::scene::Scene;
+pub use parts::MAX_PARTS;
 
 /// Walks of one batch: the unit of the random streams and of the standard errors.
 pub const BATCH_WALKS: u64 = 2500;
@@ -274,6 +277,16 @@ impl Grid {
             .expect("axes hold checked values")
     }
 
+    /// The job of a transport point, if it is one of this grid's.
+    pub fn job_at(&self, point: &TransportPoint) -> Option<usize> {
+        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
+        let place = |axis: &[f64], value: f64| axis.binary_search_by(|v| v.total_cmp(&value)).ok();
+        let ior = place(&self.sample_ior, point.sample_ior())?;
+        let sigma = place(&self.sigma_t_per_mm, point.sigma_t_per_mm())?;
+        let (g, t) = (place(&self.g, point.g())?, place(&self.thickness_mm, point.thickness_mm())?);
+        Some(((ior * n_sigma + sigma) * n_g + g) * n_t + t)
+    }
+
     /// Number of the first record of a job; its others follow.
     pub fn first_record(&self, job: usize) -> usize {
         job * self.albedo.len()
@@ -342,6 +355,14 @@ mod tests {
         assert_eq!((medium.sigma_t_per_mm(), medium.albedo(), medium.g()), (6.0, 0.9991, 0.4));
         assert_eq!(point.thickness_mm(), 1.0);
         assert_eq!(grid.first_record(record / 41) + 34, record);
+    }
+
+    #[test]
+    fn jobs_are_found_by_their_points() {
+        let grid = Grid::paper();
+        assert!((0..grid.job_count()).all(|job| grid.job_at(&grid.point(job)) == Some(job)));
+        let between = TransportPoint::new(6.5, 0.41, 1.0, 1.53).unwrap();
+        assert_eq!(grid.job_at(&between), None);
     }
 
     #[test]

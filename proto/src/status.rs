@@ -107,6 +107,8 @@ pub enum WorkerState {
     Draining,
     /// Computed wrongly: gets no more jobs.
     Fenced,
+    /// Has not been heard of for longer than a lease holds.
+    Silent,
 }
 
 impl fmt::Display for WorkerState {
@@ -116,6 +118,7 @@ impl fmt::Display for WorkerState {
             Self::Idle => "idle",
             Self::Draining => "draining",
             Self::Fenced => "fenced",
+            Self::Silent => "silent",
         })
     }
 }

@@ -1,5 +1,6 @@
 //! The worker's life: lease, trace, deliver, until told to stop.
 
+use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,7 +14,7 @@ use crate::delivery::{Buffer, Finished, bytes_of, deliver};
 use crate::heartbeat::beat;
 use crate::held::{Held, Switches};
 use crate::pool::{Outcome, Pool};
-use crate::session::{Error, Session, is_refusal, jittered};
+use crate::session::{Error, Session, failed, is_refusal, jittered};
 
 /// How long one call waits for work.
 const WAIT: Duration = Duration::from_secs(20);
@@ -37,6 +38,17 @@ pub enum Ended {
     Idle,
 }
 
+impl fmt::Display for Ended {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Stopped => "stopped",
+            Self::Drained => "it asked for that",
+            Self::TimeLimit => "the time limit is near",
+            Self::Idle => "there was no work for long enough",
+        })
+    }
+}
+
 /// Works until `shutdown`, the time limit, or the coordinator's wish; then gives jobs that are being traced the grace
 /// to end, delivers what is finished and hands the other leases back.
 pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, Error> {
@@ -45,15 +57,18 @@ pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, E
         + config.time_limit.map_or(Duration::MAX / 4, |limit| working_time(&config, limit));
     let grace = config.grace;
     let held: Arc<Held> = Arc::default();
+    let url = config.coordinator.url().to_owned();
+    let (buffer, threads, idle_exit) = (Buffer::new(config.buffer_bytes), config.threads, config.idle_exit);
+    let Some(session) = Session::open(config, held.clone(), &shutdown).await? else {
+        tracing::info!("stopped before the coordinator at {url} was reached");
+        return Ok(Ended::Stopped);
+    };
     let agent = Agent {
         // One job more than threads: the next is there when one ends.
-        places: Arc::new(Semaphore::new(config.threads + 1)),
-        buffer: Buffer::new(config.buffer_bytes),
-        idle_exit: config.idle_exit,
-        session: match Session::open(config, held.clone(), &shutdown).await? {
-            Some(session) => Arc::new(session),
-            None => return Ok(Ended::Stopped),
-        },
+        places: Arc::new(Semaphore::new(threads + 1)),
+        buffer,
+        idle_exit,
+        session: Arc::new(session),
         held,
         pool,
         drain: CancellationToken::new(),
@@ -70,17 +85,12 @@ pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, E
         () = tokio::time::sleep_until(limit) => Ok(Ended::TimeLimit),
         ended = agent.work(&mut jobs, finished) => ended,
     };
-    if let Ok(Ended::TimeLimit) = ended {
-        tracing::info!("the time limit is near");
-    }
     agent.wind_up(jobs, delivery, if ended.is_ok() { grace } else { Duration::ZERO }).await;
     // A heartbeat after this would register the worker again.
     ending.cancel();
     let _ = heartbeat.await;
-    if ended.is_ok()
-        && let Err(status) = agent.session.hand_back(agent.held.untraced(), true).await
-    {
-        tracing::warn!(message = status.message(), "leases could not be handed back: they will expire");
+    if let Ok(reason) = ended {
+        agent.leave(reason).await;
     }
     ended
 }
@@ -150,17 +160,31 @@ impl Agent {
                     let idle = self.held.is_empty()
                         && self.idle_exit.is_some_and(|limit| idle_since.elapsed() >= limit);
                     if idle {
-                        tracing::info!("there was no work for long enough");
                         return Ok(None);
                     }
                 }
                 Ok((leases, _)) => return Ok(Some((leases, permits))),
                 Err(status) if is_refusal(&status) => return Err(Error::Refused(status)),
                 Err(status) => {
-                    tracing::warn!(code = ?status.code(), message = status.message(), "no leases");
+                    failed(&status, "no leases");
                     tokio::time::sleep(jittered(pause)).await;
                     pause = (2 * pause).min(PAUSE.1);
                 }
+            }
+        }
+    }
+
+    /// Takes leave of the coordinator, handing back what is left.
+    async fn leave(&self, reason: Ended) {
+        let url = self.session.url();
+        match self.session.hand_back(self.held.untraced(), true).await {
+            Ok(()) => tracing::info!("left the coordinator at {url}: {reason}"),
+            Err(status) => {
+                let message = status.message();
+                tracing::warn!(
+                    message,
+                    "left without the coordinator at {url}: {reason}; leases will expire"
+                );
             }
         }
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
 use crate::held::Held;
-use crate::session::Session;
+use crate::session::{Session, failed};
 
 /// Renews four times per lease until `end`; `drain` is told when the coordinator wants the worker to leave.
 pub(crate) async fn beat(
@@ -36,7 +36,7 @@ pub(crate) async fn beat(
                     drain.cancel();
                 }
             }
-            Err(status) => tracing::warn!(code = ?status.code(), message = status.message(), "no heartbeat"),
+            Err(status) => failed(&status, "no heartbeat"),
         }
     }
 }

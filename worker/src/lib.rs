@@ -5,6 +5,7 @@
 
 mod agent;
 mod config;
+mod contact;
 mod delivery;
 mod heartbeat;
 mod held;

@@ -8,7 +8,7 @@ use clap::Parser;
 use farm_proto::access::{AccessError, ClientAccess, Target};
 use farm_proto::logs::{self, LogFormat};
 use farm_proto::walltime::{parse_span, parse_time_limit};
-use farm_worker::{Config, Ended, Error};
+use farm_worker::{Config, Error};
 use tokio_util::sync::CancellationToken;
 
 /// The coordinator does not want this worker: starting it again is of no use.
@@ -67,10 +67,7 @@ async fn main() -> ExitCode {
     let shutdown = CancellationToken::new();
     tokio::spawn(stop_on_signal(shutdown.clone()));
     match farm_worker::run(config, shutdown).await {
-        Ok(ended) => {
-            tracing::info!("{}", text(ended));
-            ExitCode::SUCCESS
-        }
+        Ok(_) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("farm-worker: {error}");
             if matches!(error, Error::Refused(_)) { ExitCode::from(REFUSED) } else { ExitCode::FAILURE }
@@ -91,15 +88,6 @@ fn config(args: Args) -> Result<Config, AccessError> {
         buffer_bytes: (args.buffer as usize) << 20,
         coordinator: config.coordinator,
     })
-}
-
-fn text(ended: Ended) -> &'static str {
-    match ended {
-        Ended::Stopped => "stopped",
-        Ended::Drained => "left, as the coordinator asked",
-        Ended::TimeLimit => "ended before the time limit",
-        Ended::Idle => "ended for want of work",
-    }
 }
 
 async fn stop_on_signal(shutdown: CancellationToken) {

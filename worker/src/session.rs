@@ -12,10 +12,12 @@ use farm_proto::wire::{
     RegisterRequest, RenewRequest,
 };
 use farm_proto::{Digest, PHYSICS_VERSION, PROTOCOL_VERSION, RequestLimits};
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use tonic::{Code, Status};
+use tonic::{Code, Response, Status};
 
 use crate::config::Config;
+use crate::contact::{Contact, is_silence};
 use crate::delivery::time_for;
 use crate::held::Held;
 
@@ -42,6 +44,7 @@ pub(crate) struct Session {
     worker_id: Mutex<String>,
     lease: Duration,
     held: Arc<Held>,
+    contact: Contact,
 }
 
 impl Session {
@@ -55,8 +58,9 @@ impl Session {
             .max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
             .max_encoding_message_size(RequestLimits::MESSAGE_BYTES);
         let instance = instance();
-        let mut session =
-            Self { client, config, instance, worker_id: Mutex::default(), lease: Duration::ZERO, held };
+        let contact = Contact::new(config.coordinator.url());
+        let worker_id = Mutex::default();
+        let mut session = Self { client, config, instance, worker_id, lease: Duration::ZERO, held, contact };
         let registered = tokio::select! {
             registered = repeat(|| session.register()) => registered.map_err(Error::Refused)?,
             () = shutdown.cancelled() => return Ok(None),
@@ -70,6 +74,18 @@ impl Session {
         self.lease
     }
 
+    pub(crate) fn url(&self) -> &str {
+        self.contact.url()
+    }
+
+    /// Makes a call, and notes whether there was an answer.
+    async fn call<T>(&self, call: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Status> {
+        let began = Instant::now();
+        let answer = call.await;
+        self.contact.note(began, answer.as_ref().err());
+        answer.map(Response::into_inner)
+    }
+
     async fn register(&self) -> Result<Duration, Status> {
         let request = RegisterRequest {
             label: self.config.label.clone(),
@@ -79,7 +95,8 @@ impl Session {
             instance: self.instance.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
-        let response = self.client.clone().register(timed(request, CALL)).await?.into_inner();
+        let response = self.call(self.client.clone().register(timed(request, CALL))).await?;
+        self.contact.joined(&self.config.label, self.config.threads);
         *self.worker_id.lock().unwrap_or_else(PoisonError::into_inner) = response.worker_id;
         Ok(Duration::from_millis(response.lease_ms))
     }
@@ -110,7 +127,7 @@ impl Session {
             let leases = leases.by_ref().take(RequestLimits::LEASES as usize).collect();
             let request = RenewRequest { worker_id: worker_id.clone(), leases };
             // What is lost the next heartbeat finds out.
-            if let Err(status) = self.client.clone().renew(timed(request, self.lease / 2)).await {
+            if let Err(status) = self.call(self.client.clone().renew(timed(request, self.lease / 2))).await {
                 tracing::warn!(message = status.message(), "leases could not be announced");
                 return;
             }
@@ -125,8 +142,8 @@ impl Session {
             max_leases: max.min(RequestLimits::LEASES as usize) as u32,
             wait_ms: wait.as_millis() as u64,
         };
-        let answer = self.client.clone().acquire(timed(request, CALL)).await;
-        let answer = self.known(&worker_id, answer).await?.into_inner();
+        let answer = self.call(self.client.clone().acquire(timed(request, CALL))).await;
+        let answer = self.known(&worker_id, answer).await?;
         let leases = answer.leases.into_iter().map(|l| Lease::try_from(l).map_err(|e| e.to_status()));
         Ok((leases.collect::<Result<_, _>>()?, answer.drain))
     }
@@ -144,8 +161,8 @@ impl Session {
             let rest = leases.split_off(leases.len().min(RequestLimits::LEASES as usize));
             let request = RenewRequest { worker_id: worker_id.clone(), leases };
             // A heartbeat that comes late is worth nothing.
-            let answer = self.client.clone().renew(timed(request, self.lease / 2)).await;
-            let answer = self.known(&worker_id, answer).await?.into_inner();
+            let answer = self.call(self.client.clone().renew(timed(request, self.lease / 2))).await;
+            let answer = self.known(&worker_id, answer).await?;
             lost.extend(answer.lost.into_iter().map(LeaseKey::from));
             drain |= answer.drain;
             leases = rest;
@@ -164,8 +181,8 @@ impl Session {
         repeat(|| async {
             let worker_id = self.worker_id();
             let parts = tokio_stream::iter(parts(&worker_id));
-            let answer = self.client.clone().complete(timed(parts, time_for(bytes))).await;
-            Ok(self.known(&worker_id, answer).await?.into_inner().outcomes)
+            let answer = self.call(self.client.clone().complete(timed(parts, time_for(bytes)))).await;
+            Ok(self.known(&worker_id, answer).await?.outcomes)
         })
         .await
     }
@@ -175,7 +192,7 @@ impl Session {
             let worker_id = self.worker_id();
             let lease = Some((*key).into());
             let request = FailRequest { worker_id: worker_id.clone(), lease, reason: reason.to_owned() };
-            let answer = self.client.clone().fail(timed(request, CALL)).await;
+            let answer = self.call(self.client.clone().fail(timed(request, CALL))).await;
             self.known(&worker_id, answer).await.map(drop)
         })
         .await
@@ -185,7 +202,7 @@ impl Session {
     pub(crate) async fn hand_back(&self, leases: Vec<LeaseKey>, leaving: bool) -> Result<(), Status> {
         let leases = leases.into_iter().map(Into::into).collect();
         let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving };
-        self.client.clone().hand_back(timed(request, LEAVE)).await.map(drop)
+        self.call(self.client.clone().hand_back(timed(request, LEAVE))).await.map(drop)
     }
 }
 
@@ -228,6 +245,17 @@ pub(crate) fn is_refusal(status: &Status) -> bool {
     matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied | Code::FailedPrecondition)
 }
 
+/// Tells that a call failed. That the coordinator does not answer, or does not know this worker any more, is told once and
+/// not for each call.
+pub(crate) fn failed(status: &Status, what: &str) {
+    let (code, message) = (status.code(), status.message());
+    if is_silence(status) || status.code() == Code::Aborted {
+        tracing::debug!(?code, message, "{what}");
+    } else {
+        tracing::warn!(?code, message, "{what}");
+    }
+}
+
 /// Half to the whole of a pause, so that workers do not come back all at once.
 pub(crate) fn jittered(pause: Duration) -> Duration {
     let mut byte = [0_u8];
@@ -246,7 +274,7 @@ async fn repeat<T, F: Future<Output = Result<T, Status>>>(call: impl FnMut() -> 
     call.retry(pauses)
         .when(is_passing)
         .notify(|status, pause| {
-            tracing::warn!(code = ?status.code(), message = status.message(), ?pause, "the call is repeated");
+            failed(status, &format!("the call is repeated in {pause:.1?}"));
         })
         .await
 }

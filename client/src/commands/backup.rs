@@ -1,9 +1,8 @@
 //! Backup and restore of the whole database.
 
-use std::io::Write;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use farm_coordinator::store::{DataDir, copy, newest_schema};
 use farm_proto::wire::backup_piece::Content;
 use farm_proto::wire::{BackupHeader, BackupRequest};
@@ -47,28 +46,18 @@ pub(crate) async fn backup(global: &Global, args: BackupArgs, output: &Output) -
     })
 }
 
-/// Receives a backup into a draft, verifies it, and gives it its name and its checksum.
+/// Receives a backup, which gets its name and its checksum when it is whole.
 async fn receive(connection: &Connection, file: &Path) -> Result<BackupHeader> {
-    let folder = file.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut draft = tempfile::NamedTempFile::new_in(folder)
-        .with_context(|| format!("{}: cannot be written to", folder.display()))?;
+    let mut incoming = copy::Incoming::create(file)?;
     let mut pieces = connection.admin().backup(patient(BackupRequest {})).await?.into_inner();
     let Some(Content::Header(header)) = pieces.message().await?.and_then(|piece| piece.content) else {
         bail!("the coordinator sent no header");
     };
     while let Some(piece) = pieces.message().await? {
         let Some(Content::Data(data)) = piece.content else { bail!("the coordinator sent two headers") };
-        draft.write_all(&data).with_context(|| file.display().to_string())?;
+        incoming.write(&data)?;
     }
-    draft.as_file().sync_all().with_context(|| file.display().to_string())?;
-    let verified = copy::verify(draft.path(), newest_schema()).await?;
-    let found = verified.digest.to_hex().to_string();
-    ensure!(found == header.digest, "the backup came in damaged (BLAKE3 {found}, not {})", header.digest);
-    let name = file.file_name().unwrap_or_default().to_string_lossy();
-    let checksum = file.with_file_name(format!("{name}.b3"));
-    std::fs::write(&checksum, format!("{found}  {name}\n"))
-        .with_context(|| checksum.display().to_string())?;
-    draft.persist_noclobber(file).with_context(|| file.display().to_string())?;
+    incoming.publish(&header.digest, newest_schema()).await?;
     Ok(header)
 }
 

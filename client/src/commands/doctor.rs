@@ -4,7 +4,8 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use farm_proto::PHYSICS_VERSION;
-use farm_proto::wire::{InspectRequest, InspectResponse, StatusRequest, StatusResponse};
+use farm_proto::status::WorkerState;
+use farm_proto::wire::{InspectRequest, InspectResponse, StatusRequest, StatusResponse, UnreadableJobs};
 use serde::Serialize;
 
 use super::workers;
@@ -39,23 +40,23 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
         findings.extend(about_coordinator(&status));
         if !connection.is_embedded() {
             let workers = workers::fetch(connection).await?;
+            let silent = workers.iter().filter(|w| w.state == WorkerState::Silent).count();
             findings.push(finding(
                 "workers",
-                !workers.is_empty(),
-                match workers.len() {
-                    0 => "no worker is registered: start farm-worker".to_owned(),
-                    n => format!("{n} registered, {} threads", status.threads),
+                workers.len() > silent,
+                match (workers.len(), silent) {
+                    (0, _) => "no worker is registered: start farm-worker".to_owned(),
+                    (n, 0) => format!("{n} registered, {} threads", status.threads),
+                    (n, silent) => format!("{n} registered, {silent} of them silent for longer than a lease"),
                 },
             ));
-            findings.extend(
-                workers.iter().filter(|w| w.state == farm_proto::status::WorkerState::Fenced).map(|w| {
-                    finding(
-                        "workers",
-                        false,
-                        format!("{} is fenced off: it computed wrongly; check its machine", w.label),
-                    )
-                }),
-            );
+            findings.extend(workers.iter().filter(|w| w.state == WorkerState::Fenced).map(|w| {
+                finding(
+                    "workers",
+                    false,
+                    format!("{} is fenced off: it computed wrongly; check its machine", w.label),
+                )
+            }));
         }
         let inspected =
             connection.admin().inspect(patient(InspectRequest { repair: args.repair })).await?.into_inner();
@@ -97,18 +98,33 @@ fn about_coordinator(status: &StatusResponse) -> Vec<Finding> {
 }
 
 fn about_records(inspected: &InspectResponse, repair: bool) -> Vec<Finding> {
-    let mut findings: Vec<Finding> = inspected
-        .faults
-        .iter()
-        .map(|fault| finding("database", false, format!("{fault}: restore a backup")))
-        .collect();
+    let wrong = |what, text| finding(what, false, text);
+    let mut findings = Vec::new();
+    let unread = "nothing was deleted; look at the disk, then try again";
+    if !inspected.unchecked.is_empty() {
+        let text = format!("the file could not be checked ({}): {unread}", inspected.unchecked);
+        findings.push(wrong("database", text));
+    }
+    let faults = inspected.faults.iter();
+    findings.extend(faults.map(|fault| wrong("database", format!("{fault}: restore a backup"))));
     let again =
-        if repair { "; they are computed again" } else { "; `farmctl doctor --repair` computes them again" };
+        if repair { "they are computed again" } else { "`farmctl doctor --repair` computes them again" };
     findings.extend(
-        inspected.damaged.iter().map(|d| {
-            finding("records", false, format!("job {} of {}: {}{again}", d.job, d.dictionary, d.what))
-        }),
+        inspected
+            .damaged
+            .iter()
+            .map(|d| wrong("records", format!("job {} of {}: {}; {again}", d.job, d.dictionary, d.what))),
     );
+    findings.extend(inspected.unreadable.iter().map(|u| {
+        let UnreadableJobs { dictionary, jobs, first_job, what } = u;
+        let which = if *jobs == 1 {
+            format!("job {first_job} of {dictionary} could not be read ({what})")
+        } else {
+            let jobs = grouped(*jobs);
+            format!("{jobs} jobs of {dictionary} could not be read (the first, job {first_job}: {what})")
+        };
+        wrong("unreadable", format!("{which}: {unread}"))
+    }));
     if findings.is_empty() {
         let text = format!(
             "{} records of {} jobs are as they were stored",

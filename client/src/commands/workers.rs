@@ -59,7 +59,7 @@ pub(crate) fn text(workers: &[WorkerStatus]) -> String {
         return "no worker is registered".to_owned();
     }
     let row = |w: &WorkerStatus| {
-        let silent = format!("{:.1} s", w.silent_ms as f64 / 1000.0);
+        let heard = format!("{:.1} s ago", w.silent_ms as f64 / 1000.0);
         let state = w.state.to_string();
         let id = w.id.0.chars().take(8).collect();
         vec![
@@ -69,10 +69,10 @@ pub(crate) fn text(workers: &[WorkerStatus]) -> String {
             w.threads.to_string(),
             w.leases.to_string(),
             w.jobs_done.to_string(),
-            silent,
+            heard,
             w.version.clone(),
         ]
     };
-    let head = ["worker", "id", "state", "threads", "leases", "jobs done", "silent for", "version"];
+    let head = ["worker", "id", "state", "threads", "leases", "jobs done", "heard of", "version"];
     table(&head, &[3, 4, 5, 6], workers.iter().map(row))
 }

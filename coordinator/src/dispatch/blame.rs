@@ -83,9 +83,8 @@ impl Dispatcher {
 
     /// Ends the leases of all parts of a job.
     pub(super) fn end_leases_of_job(&mut self, dictionary: DictionaryId, job: u32) {
-        let blocks = self.dictionaries[&dictionary].spec(job, 0).walks().blocks();
-        for part in 0..blocks {
-            self.end_leases(PartId { dictionary, job, part });
+        for part in self.leases.parts_of_job(dictionary, job) {
+            self.end_leases(part);
         }
     }
 
@@ -152,7 +151,7 @@ impl Dispatcher {
     /// Looks for parts that take too long; worth doing only once nothing else waits.
     fn find_late(&mut self, now: Duration) {
         self.late.clear();
-        if self.load().0 > 0 {
+        if self.gives_out() {
             return;
         }
         let late = self.leases.iter().filter(|held| {

@@ -6,11 +6,12 @@ use std::sync::Arc;
 use farm_proto::ids::DictionaryId;
 use farm_proto::job::JobSpec;
 use farm_proto::status::DictionaryState;
-use farm_proto::{DictionaryName, Digest, Grid, Walks};
+use farm_proto::{DictionaryName, Digest, Grid, Invalid, Walks};
 
 use super::checks::Vote;
 use super::job::{Job, Part, Stage, Strike};
-use super::{Origin, PartId, plan};
+use super::plan::{self, Plan};
+use super::{Origin, PartId, shared};
 use crate::store::{Desire, EndedJob, StoredDictionary};
 
 /// Numbers that change with every job, kept so that nobody has to count.
@@ -30,6 +31,10 @@ pub(super) struct Counts {
 pub struct Dictionary {
     pub(super) stored: StoredDictionary,
     pub(super) outdated: bool,
+    /// Why it is not worked on: its grid is one that is not taken any more.
+    pub(super) too_large: Option<Invalid>,
+    /// Dictionaries of the same have the same walks at the same points.
+    pub(super) family: Option<Digest>,
     pub(super) jobs: Vec<Job>,
     /// Parts that wait, as (rank, job, part).
     pending: BTreeSet<(u32, u32, u32)>,
@@ -41,25 +46,27 @@ pub struct Dictionary {
 impl Dictionary {
     /// Takes up a dictionary as the store has it: what has not ended is pending.
     pub fn new(stored: StoredDictionary, ended: &[EndedJob]) -> Self {
-        let grid = &stored.grid;
-        let mut jobs: Vec<Job> = (0..grid.job_count())
-            .map(|job| Job::new(grid.walks(), plan::cost_per_walk(&grid.point(job))))
-            .collect();
-        for (rank, job) in plan::longest_first(grid).into_iter().enumerate() {
-            jobs[job as usize].rank = rank as u32;
-        }
+        Self::planned(Plan::new(&stored.grid), stored, ended)
+    }
+
+    /// The same with the plan of its grid.
+    pub fn planned(plan: Plan, stored: StoredDictionary, ended: &[EndedJob]) -> Self {
+        let Plan { mut jobs, mut pending, too_large } = plan;
         for end in ended {
             if let Some(job) = jobs.get_mut(end.job() as usize) {
+                for part in job.open_parts() {
+                    pending.remove(&(job.rank, end.job(), part));
+                }
                 job.end(end);
             }
         }
         let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
-        let mut dictionary =
-            Self { stored, outdated, jobs, pending: BTreeSet::new(), counts: Counts::default(), leased: 0 };
-        for (job, index) in dictionary.jobs.iter().zip(0..) {
-            dictionary.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
-        }
+        let (family, counts) = (shared::family(&stored.grid), Counts::default());
+        let mut dictionary = Self { stored, outdated, too_large, family, jobs, pending, counts, leased: 0 };
         dictionary.count();
+        if let Some(why) = &dictionary.too_large {
+            dictionary.stored.reason = format!("its grid is too large: {why}; delete it");
+        }
         dictionary
     }
 
@@ -121,12 +128,17 @@ impl Dictionary {
 
     /// Whether results are wanted. What was leased before a pause may still be finished.
     pub(super) fn takes_results(&self) -> bool {
-        self.stored.desire != Desire::Cancel && !self.outdated
+        self.stored.desire != Desire::Cancel && self.is_workable()
     }
 
     /// Whether parts of it may be given out.
     pub fn is_active(&self) -> bool {
-        self.stored.desire == Desire::Run && !self.outdated
+        self.stored.desire == Desire::Run && self.is_workable()
+    }
+
+    /// Whether its jobs could be worked on, whatever people want of it.
+    pub(super) fn is_workable(&self) -> bool {
+        !self.outdated && self.too_large.is_none()
     }
 
     /// Whether every record is there.
@@ -174,10 +186,32 @@ impl Dictionary {
         if job.is_divided() { spec.with_block(part).expect("the job has this block") } else { spec }
     }
 
-    /// Takes the next part that waits, the costliest or the cheapest, and counts the attempt.
-    pub(super) fn take_next(&mut self, cheapest: bool) -> Option<(u32, u32, u32)> {
-        let (_, index, part) = if cheapest { self.pending.pop_last() } else { self.pending.pop_first() }?;
-        Some((index, part, self.attempt(index)))
+    /// Jobs with parts that wait, each with the first of these, the costliest or the cheapest job first.
+    pub(super) fn waiting(&self, cheapest: bool) -> impl Iterator<Item = (u32, u32)> {
+        let mut last = None;
+        std::iter::from_fn(move || {
+            let next = match (cheapest, last) {
+                (false, None) => self.pending.first(),
+                (false, Some(rank)) => self.pending.range((rank + 1, 0, 0)..).next(),
+                (true, None) => self.pending.last(),
+                (true, Some(rank)) => self.pending.range(..(rank, 0, 0)).next_back(),
+            };
+            let &(rank, job, _) = next?;
+            last = Some(rank);
+            Some((job, self.waiting_part(job)?))
+        })
+    }
+
+    /// The first part of a job that waits.
+    pub(super) fn waiting_part(&self, index: u32) -> Option<u32> {
+        let rank = self.jobs.get(index as usize)?.rank;
+        self.pending.range((rank, index, 0)..=(rank, index, u32::MAX)).next().map(|(.., part)| *part)
+    }
+
+    /// Takes a part that waits, and counts the attempt.
+    pub(super) fn begin(&mut self, index: u32, part: u32) -> u32 {
+        self.pending.remove(&(self.jobs[index as usize].rank, index, part));
+        self.attempt(index)
     }
 
     /// Counts one more attempt at a job; its number.
@@ -229,8 +263,15 @@ impl Dictionary {
         }
     }
 
-    /// Notes that a job's records are stored, from so many walks.
-    pub(super) fn finish(&mut self, index: u32, walks: Walks, records: Digest, by: Origin) {
+    /// Notes that a job's records are stored, from so many walks; or that they were there, or came for another dictionary.
+    pub(super) fn finish(
+        &mut self,
+        index: u32,
+        walks: Walks,
+        records: Digest,
+        by: Option<Origin>,
+        reused: bool,
+    ) {
         let job = &mut self.jobs[index as usize];
         match job.stage {
             Stage::Done { .. } => return,
@@ -240,11 +281,11 @@ impl Dictionary {
         // Since the result was admitted the job may have been begun again with other walks.
         self.begin_again(index, walks);
         let job = &mut self.jobs[index as usize];
-        for part in job.open_parts().collect::<Vec<_>>() {
+        for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
-        job.stage = Stage::Done { records, by: Some(by), reused: false };
-        self.counts.add_done(job, false);
+        job.stage = Stage::Done { records, by, reused };
+        self.counts.add_done(job, reused);
     }
 
     /// Begins jobs again.
@@ -266,11 +307,11 @@ impl Dictionary {
     /// All parts of a job wait; nobody holds them.
     fn begin_again(&mut self, index: u32, walks: Walks) {
         let job = &mut self.jobs[index as usize];
-        for part in 0..job.walks.blocks() {
+        for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
         self.counts.cost -= job.cost;
-        job.reopen(walks);
+        job.reopen(walks, plan::parts_of(walks, self.too_large.as_ref()));
         self.counts.cost += job.cost;
         self.pending.extend(job.open_parts().map(|part| (job.rank, index, part)));
     }
@@ -278,6 +319,10 @@ impl Dictionary {
     /// Whether a job has not ended.
     pub(super) fn is_open(&self, index: u32) -> bool {
         self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Open { .. }))
+    }
+
+    pub(super) fn is_done(&self, index: u32) -> bool {
+        self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Done { .. }))
     }
 
     /// Counts an attempt that came to nothing. If these are too many the job is given up: all reasons, and whether
@@ -293,7 +338,7 @@ impl Dictionary {
         }
         let reasons: Vec<_> = job.strikes.iter().map(|s| s.reason.as_str()).collect();
         let (reason, quarantined) = (reasons.join("; "), job.strikes.iter().any(|s| s.silent));
-        for part in 0..job.walks.blocks() {
+        for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
         job.stage = Stage::GivenUp { reason: reason.clone(), quarantined };
@@ -319,7 +364,9 @@ impl Dictionary {
 
     pub(super) fn set_desire(&mut self, desire: Desire, reason: String) {
         self.stored.desire = desire;
-        self.stored.reason = reason;
+        if self.too_large.is_none() {
+            self.stored.reason = reason;
+        }
     }
 
     pub(super) fn set_priority(&mut self, priority: i32) {

@@ -25,6 +25,9 @@ impl Dispatcher {
         let mut reasons = Vec::new();
         match dictionary.state() {
             DictionaryState::Done => reasons.push(reason("DONE", "all of its jobs are done")),
+            DictionaryState::Cancelled if dictionary.too_large.is_some() => {
+                reasons.push(reason("TOO_LARGE", dictionary.reason()));
+            }
             DictionaryState::Cancelled => {
                 let why =
                     if dictionary.reason().is_empty() { "no reason given" } else { dictionary.reason() };
@@ -59,7 +62,7 @@ impl Dispatcher {
         } else if active == 0 {
             let text = format!("all {registered} workers are draining or fenced off: start others");
             reasons.push(reason("NO_WORKERS", text));
-        } else if self.workers.active().all(|(_, w)| now.saturating_sub(w.last_seen) > self.settings.lease) {
+        } else if self.workers.active().all(|(_, w)| self.is_silent(now, w)) {
             let text =
                 format!("none of {active} workers has been heard of for {} s", self.settings.lease.as_secs());
             reasons.push(reason("WORKERS_SILENT", text));
@@ -87,7 +90,14 @@ impl Dispatcher {
             );
             reasons.push(reason("COMPUTING", text));
         }
-        if dictionary.pending() > 0 {
+        if let Some(other) = self.waits_for_other(dictionary.id()) {
+            let text = format!(
+                "its {} jobs that wait are computed for {}, whose records serve both",
+                dictionary.pending(),
+                other.name()
+            );
+            reasons.push(reason("SHARED", text));
+        } else if dictionary.pending() > 0 {
             let busy = "wait for a worker that is free";
             reasons.push(reason("WAITING", format!("{} jobs {busy}", dictionary.pending())));
         }

@@ -35,14 +35,13 @@ impl Dispatcher {
         for id in order {
             // Workers that outlived a restart may have the costliest of these in hand, and have not said so yet.
             let returning = now < self.settings.lease && self.taken_up.contains(&id);
-            while grant.leases.len() < max {
-                let Some(dictionary) = self.dictionaries.get_mut(&id).filter(|d| d.is_active()) else {
-                    break;
-                };
-                let Some((job, part, attempt)) = dictionary.take_next(returning) else { break };
-                let purpose = if dictionary.is_retry(job) { Purpose::Retry } else { Purpose::First };
+            while grant.leases.len() < max
+                && let Some(part) = self.next_part(id, returning)
+                && let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary)
+            {
+                let attempt = dictionary.begin(part.job, part.part);
+                let purpose = if dictionary.is_retry(part.job) { Purpose::Retry } else { Purpose::First };
                 dictionary.leased += 1;
-                let part = PartId { dictionary: id, job, part };
                 self.lease(now, worker, part, attempt, purpose, chance, &mut grant);
             }
         }

@@ -42,10 +42,10 @@ pub(super) struct Job {
 }
 
 impl Job {
-    /// A job of which nothing is done.
-    pub fn new(walks: Walks, cost_per_walk: f64) -> Self {
+    /// A job of which nothing is done; `parts` of it are to be computed.
+    pub fn new(walks: Walks, parts: u32, cost_per_walk: f64) -> Self {
         Self {
-            stage: open(walks),
+            stage: open(parts),
             walks,
             attempts: 0,
             strikes: Vec::new(),
@@ -89,10 +89,10 @@ impl Job {
         };
     }
 
-    /// Begins again, with as many walks as given.
-    pub fn reopen(&mut self, walks: Walks) {
+    /// Begins again, with as many walks and parts as given.
+    pub fn reopen(&mut self, walks: Walks, parts: u32) {
         self.set_walks(walks);
-        self.stage = open(walks);
+        self.stage = open(parts);
         self.strikes.clear();
     }
 
@@ -102,6 +102,6 @@ impl Job {
     }
 }
 
-fn open(walks: Walks) -> Stage {
-    Stage::Open { parts: vec![Part::Open; walks.blocks() as usize] }
+fn open(parts: u32) -> Stage {
+    Stage::Open { parts: vec![Part::Open; parts as usize] }
 }

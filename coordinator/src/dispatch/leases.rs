@@ -109,6 +109,19 @@ impl Leases {
         self.of_parts.get(&part).into_iter().flatten().filter_map(|token| self.all.get(token))
     }
 
+    /// Parts of a job that are leased.
+    pub fn parts_of_job(&self, dictionary: DictionaryId, job: u32) -> Vec<PartId> {
+        let part = |part| PartId { dictionary, job, part };
+        self.of_parts.range(part(0)..=part(u32::MAX)).map(|(part, _)| *part).collect()
+    }
+
+    /// Whether a part of a job is leased, for more than a check.
+    pub fn is_held(&self, dictionary: DictionaryId, job: u32) -> bool {
+        let part = |part| PartId { dictionary, job, part };
+        let tokens = self.of_parts.range(part(0)..=part(u32::MAX)).flat_map(|(_, tokens)| tokens);
+        tokens.filter_map(|token| self.all.get(token)).any(|held| held.purpose != Purpose::Check)
+    }
+
     pub fn of_worker(&self, worker: &WorkerId) -> Vec<Token> {
         self.of_workers.get(worker).map(|t| t.iter().copied().collect()).unwrap_or_default()
     }

@@ -18,6 +18,7 @@ mod pace;
 mod plan;
 mod progress;
 mod results;
+mod shared;
 #[cfg(test)]
 mod tests;
 mod workers;
@@ -39,6 +40,7 @@ pub use explain::Reason;
 use leases::Leases;
 pub use leases::{PartId, Purpose};
 use pace::Pace;
+pub use plan::Plan;
 pub use results::{Admission, Arrived};
 pub use workers::Registration;
 use workers::Workers;
@@ -258,7 +260,8 @@ impl Dispatcher {
     /// Notes which blocks of a divided job of so many walks the store holds, and that it holds no others.
     pub fn parts_stored(&mut self, id: DictionaryId, job: u32, walks: Walks, stored: &BTreeSet<u32>) {
         let of_job = |d: &Dictionary| d.job(PartId { dictionary: id, job, part: 0 }).map(|j| j.walks);
-        if self.by_id(id).and_then(of_job) != Some(walks) {
+        let known = self.by_id(id).filter(|d| d.too_large.is_none());
+        if known.and_then(of_job) != Some(walks) {
             return;
         }
         for part in 0..walks.blocks() {

@@ -1,6 +1,42 @@
-//! How long jobs take, and the order that follows from it.
+//! The jobs of a grid: how long they take, and the order that follows from it.
 
-use farm_proto::{Grid, TransportPoint};
+use std::collections::BTreeSet;
+
+use farm_proto::{Grid, Invalid, TransportPoint, Walks};
+
+use super::job::Job;
+
+/// All that a dictionary's grid makes the coordinator hold, with nothing done.
+#[derive(Debug)]
+pub struct Plan {
+    pub(super) jobs: Vec<Job>,
+    /// Parts that wait, as (rank, job, part).
+    pub(super) pending: BTreeSet<(u32, u32, u32)>,
+    /// Why the grid is too large to be worked on.
+    pub(super) too_large: Option<Invalid>,
+}
+
+impl Plan {
+    /// Of a grid that is too large only the jobs are held, and none of their parts.
+    pub fn new(grid: &Grid) -> Self {
+        let too_large = grid.check_parts().err();
+        let parts = parts_of(grid.walks(), too_large.as_ref());
+        let mut jobs: Vec<Job> = (0..grid.job_count())
+            .map(|job| Job::new(grid.walks(), parts, cost_per_walk(&grid.point(job))))
+            .collect();
+        for (rank, job) in longest_first(grid).into_iter().enumerate() {
+            jobs[job as usize].rank = rank as u32;
+        }
+        let each = jobs.iter().zip(0..);
+        let pending = each.flat_map(|(job, index)| job.open_parts().map(move |part| (job.rank, index, part)));
+        Self { pending: pending.collect(), jobs, too_large }
+    }
+}
+
+/// Parts of a job that are worked on.
+pub(super) fn parts_of(walks: Walks, too_large: Option<&Invalid>) -> u32 {
+    if too_large.is_some() { 0 } else { walks.blocks() }
+}
 
 /// Expected time of a walk, in scatterings.
 ///

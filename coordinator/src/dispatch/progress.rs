@@ -16,6 +16,7 @@ impl Dictionary {
             return DictionaryState::Outdated;
         }
         match self.stored.desire {
+            _ if self.too_large.is_some() => DictionaryState::Cancelled,
             Desire::Cancel => DictionaryState::Cancelled,
             _ if self.open_jobs() == 0 => DictionaryState::Failed,
             Desire::Pause => DictionaryState::Paused,

@@ -96,14 +96,18 @@ impl Dispatcher {
         }
         self.end_leases_of_job(id, key.job);
         let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
-        dictionary.finish(key.job, walks, records, by);
-        let ended = dictionary.open_jobs() == 0;
-        let (done, given_up) = dictionary.ended();
+        dictionary.finish(key.job, walks, records, Some(by), false);
         let suspect = self.suspects.remove(&(id, key.job));
         if walks.blocks() == 1 && (suspect || checks::is_drawn(records, self.settings.check_share)) {
             self.checks.want(PartId::from(key), Vote { by: Some(by), digest: records });
         }
-        if ended {
+        self.tell_end(id);
+    }
+
+    /// Tells that a dictionary has ended, if none of its jobs is open.
+    pub(super) fn tell_end(&mut self, id: DictionaryId) {
+        if let Some(dictionary) = self.dictionaries.get(&id).filter(|d| d.open_jobs() == 0) {
+            let (done, given_up) = dictionary.ended();
             let kind = if given_up == 0 { EventKind::Done } else { EventKind::Ended };
             let message = format!("{done} jobs done, {given_up} given up");
             self.events.push(Event::of_dictionary(kind, id, message));

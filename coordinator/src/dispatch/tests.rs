@@ -1,5 +1,6 @@
 mod blame;
 mod blocks;
+mod shared;
 mod trust;
 
 use std::sync::Arc;
@@ -22,15 +23,18 @@ pub(super) fn seconds(s: u64) -> Duration {
     Duration::from_secs(s)
 }
 
-pub(super) fn stored() -> StoredDictionary {
-    let axes = Axes {
+fn axes() -> Axes {
+    Axes {
         sigma_t_per_mm: vec![1.0, 2.0, 30.0],
         albedo: vec![0.5, 0.9],
         g: vec![0.0],
         thickness_mm: vec![1.0],
         sample_ior: vec![1.5],
-    };
-    let grid = Grid::new(Scene::paper(), axes, Walks::PAPER, 1, false).unwrap();
+    }
+}
+
+pub(super) fn stored() -> StoredDictionary {
+    let grid = Grid::new(Scene::paper(), axes(), Walks::PAPER, 1, false).unwrap();
     StoredDictionary {
         id: DictionaryId(1),
         name: DictionaryName::new("d").unwrap(),
@@ -126,8 +130,16 @@ impl Bench {
         self.farm.status(seconds(0), &DictionaryName::new("d").unwrap()).unwrap()
     }
 
+    fn fail(&mut self, at: u64, name: &str, lease: &Lease) {
+        self.farm.failed(seconds(at), &worker(name), &lease.key, "boom").unwrap();
+    }
+
     fn reasons(&self, at: u64) -> Vec<&'static str> {
-        let name = DictionaryName::new("d").unwrap();
+        self.reasons_of("d", at)
+    }
+
+    fn reasons_of(&self, name: &str, at: u64) -> Vec<&'static str> {
+        let name = DictionaryName::new(name).unwrap();
         self.farm.explain(seconds(at), &name).unwrap().into_iter().map(|r| r.code).collect()
     }
 }
@@ -233,8 +245,15 @@ fn a_draining_worker_gets_nothing_and_is_told() {
 #[test]
 fn priorities_and_desires_decide_what_is_given_out() {
     let mut bench = Bench::new(&[]);
-    let second =
-        StoredDictionary { id: DictionaryId(2), name: DictionaryName::new("e").unwrap(), ..stored() };
+    // Of other walks.
+    let grid = Grid::new(Scene::paper(), axes(), Walks::PAPER, 2, false).unwrap();
+    let second = StoredDictionary {
+        id: DictionaryId(2),
+        name: DictionaryName::new("e").unwrap(),
+        grid_digest: Digest::of_grid(&grid),
+        grid: Arc::new(grid),
+        ..stored()
+    };
     bench.farm.add_dictionary(Dictionary::new(second, &[]));
     assert_eq!(bench.acquire(0, "a", 1)[0].key.dictionary, DictionaryId(1));
     bench.farm.set_priority(DictionaryId(2), 5);

@@ -201,12 +201,18 @@ impl Dispatcher {
         self.workers.known.range(range).take(most).map(|(id, w)| self.worker_status(now, id, w)).collect()
     }
 
+    /// Whether a worker has missed so many heartbeats that its leases have expired.
+    pub(super) fn is_silent(&self, now: Duration, worker: &Worker) -> bool {
+        now.saturating_sub(worker.last_seen) > self.settings.lease
+    }
+
     fn worker_status(&self, now: Duration, id: &WorkerId, worker: &Worker) -> WorkerStatus {
         let leases = self.leases.count_of(id);
-        let state = match (self.workers.is_fenced(worker.origin), worker.draining, leases) {
-            (true, ..) => WorkerState::Fenced,
-            (_, true, _) => WorkerState::Draining,
-            (.., 0) => WorkerState::Idle,
+        let state = match leases {
+            _ if self.workers.is_fenced(worker.origin) => WorkerState::Fenced,
+            _ if self.is_silent(now, worker) => WorkerState::Silent,
+            _ if worker.draining => WorkerState::Draining,
+            0 => WorkerState::Idle,
             _ => WorkerState::Working,
         };
         WorkerStatus {

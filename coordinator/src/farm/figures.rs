@@ -30,12 +30,11 @@ impl Farm {
         // Those that are still at work are the most interesting, then the newest.
         figures.work_done.reverse();
         figures.work_done.sort_by_key(|(_, done)| *done >= 1.0);
-        let silent_ms = dispatch.settings().lease.as_millis() as u64;
         for worker in dispatch.workers(now, &farm_proto::ids::WorkerId(String::new()), usize::MAX) {
             let WorkerFigures { working, idle, draining, silent } = &mut figures.workers;
             *match worker.state {
                 WorkerState::Fenced => continue,
-                _ if worker.silent_ms > silent_ms => silent,
+                WorkerState::Silent => silent,
                 WorkerState::Draining => draining,
                 WorkerState::Working => working,
                 WorkerState::Idle => idle,

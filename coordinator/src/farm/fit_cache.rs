@@ -8,7 +8,7 @@ use tokio::sync::OnceCell;
 
 use super::{FarmError, Result, blocking, read_chunk};
 use crate::fit::{DictionaryBuilder, FitDictionary};
-use crate::store::{Store, StoreError};
+use crate::store::Store;
 
 /// Dictionaries kept at a time.
 const KEPT: usize = 2;
@@ -74,16 +74,10 @@ pub async fn load_dictionary(
         let mut expected = range.clone();
         let damaged =
             |job: usize, what: String| FarmError::Damaged { name: name.clone(), job: job as u32, what };
-        let stored = match store.jobs_with_records(id, grid, range).await {
-            Err(error @ StoreError::Corrupt { table: "records", .. }) => {
-                return Err(damaged(first, error.to_string()));
-            }
-            stored => stored?,
-        };
-        for job in stored {
+        for job in store.jobs_with_records(id, grid, range).await? {
             let wanted = expected.next();
             if wanted != Some(job.job as usize) {
-                return Err(damaged(wanted.unwrap_or(first), "its records are missing".to_owned()));
+                return Err(damaged(wanted.unwrap_or(first), "its end is missing".to_owned()));
             }
             if let Some(what) = job.damage(albedos) {
                 return Err(damaged(job.job as usize, what));
@@ -93,7 +87,7 @@ pub async fn load_dictionary(
             }
         }
         if let Some(missing) = expected.next() {
-            return Err(damaged(missing, "its records are missing".to_owned()));
+            return Err(damaged(missing, "its end is missing".to_owned()));
         }
     }
     Ok(blocking(move || builder.build()).await)

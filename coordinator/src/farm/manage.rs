@@ -8,7 +8,7 @@ use farm_proto::{DictionaryName, Digest, Grid};
 
 use super::{Farm, FarmError, Result, blocking, not_found};
 use crate::clock::Clock;
-use crate::dispatch::{Dictionary, Event, EventKind, Reason};
+use crate::dispatch::{Dictionary, Event, EventKind, Plan, Reason};
 use crate::store::{Desire, StoreError, StoredDictionary, StoredEvent};
 
 impl Farm {
@@ -27,9 +27,13 @@ impl Farm {
             }
             return Err(FarmError::NameTaken { name });
         }
+        grid.check_parts()?;
+        // What has no room in memory must not be in the store, where the next start would find it.
+        let planned = grid.clone();
+        let plan = blocking(move || Plan::new(&planned)).await;
         let stored = self.store.create_dictionary(name.clone(), grid, priority, Clock::unix_ms()).await?;
         let id = stored.id;
-        if let Err(error) = self.take_up(stored).await {
+        if let Err(error) = self.take_up(plan, stored).await {
             // A dictionary that the store has and nobody serves would keep its name for ever.
             self.dispatch().remove_dictionary(id);
             if let Err(error) = self.store.delete_dictionary(id, &[]).await {
@@ -43,7 +47,7 @@ impl Farm {
     }
 
     /// Begins with a new dictionary: uses the records that exist already, and serves the rest.
-    async fn take_up(&self, stored: StoredDictionary) -> Result<()> {
+    async fn take_up(&self, plan: Plan, stored: StoredDictionary) -> Result<()> {
         let (id, name, grid) = (stored.id, stored.name.clone(), stored.grid.clone());
         let _nothing_is_forgotten = self.records.read().await;
         let reused = if grid.quality().is_some() {
@@ -51,14 +55,16 @@ impl Farm {
             0
         } else {
             let of_jobs = grid.clone();
-            let identities = blocking(move || identities(&of_jobs)).await;
+            let jobs = blocking(move || identities(&of_jobs)).await;
             let grids = self.dispatch().dictionaries().map(|d| (d.id(), d.grid().clone())).collect();
-            self.store.reuse(id, &grid, &identities, &grids).await?
+            self.store.reuse(id, &grid, &jobs, &grids).await?.len()
         };
         let ended = self.store.ended_jobs(id, grid.walks()).await?;
-        let dictionary = Dictionary::new(stored, &ended);
+        let dictionary = Dictionary::planned(plan, stored, &ended);
         self.dispatch().add_dictionary(dictionary);
         self.find_blocks(id).await?;
+        // What came in the meantime.
+        self.take_over_done(id).await?;
         let (jobs, records) = (grid.job_count(), grid.record_count());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
         self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Submitted, id, message));
@@ -112,9 +118,16 @@ impl Farm {
                 allowed,
             });
         }
-        let (id, _) = self.found(name)?;
+        let (id, grid) = self.found(name)?;
+        if desire == Desire::Run {
+            grid.check_parts()?;
+        }
         self.store.set_desire(id, desire, reason).await?;
         self.dispatch().set_desire(id, desire, reason.to_owned());
+        if desire == Desire::Run {
+            let _nothing_is_forgotten = self.records.read().await;
+            self.take_over_done(id).await?;
+        }
         let kind = match desire {
             Desire::Run => EventKind::Resumed,
             Desire::Pause => EventKind::Paused,
@@ -133,6 +146,7 @@ impl Farm {
         let again = self.dispatch().retry(id);
         let _nothing_is_forgotten = self.records.read().await;
         self.find_blocks(id).await?;
+        self.take_over_done(id).await?;
         let message = format!("{again} jobs are tried again");
         self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Retried, id, message));
         self.work.send_replace(());
@@ -213,8 +227,8 @@ impl Farm {
     }
 }
 
-/// Identities of all jobs of a grid, in their order.
-fn identities(grid: &Grid) -> Vec<Digest> {
+/// All jobs of a grid, with their identities.
+fn identities(grid: &Grid) -> Vec<(u32, Digest)> {
     use farm_proto::job::JobSpec;
-    (0..grid.job_count()).map(|job| JobSpec::of(grid, job).identity()).collect()
+    (0..grid.job_count()).map(|job| (job as u32, JobSpec::of(grid, job).identity())).collect()
 }

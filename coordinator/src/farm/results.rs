@@ -6,6 +6,7 @@ use farm_proto::Digest;
 use farm_proto::ids::WorkerId;
 use farm_proto::job::{JobSpec, LeaseKey};
 
+use super::records::UNSTEADY;
 use super::{Farm, Result};
 use crate::dispatch::{Admission, Arrived, Event, EventKind, Origin};
 use crate::store::{Completion, Content, StoreError, Stored};
@@ -69,6 +70,7 @@ impl Farm {
         match stored {
             Ok(Stored::Finished { records }) => {
                 self.dispatch().finished(now, arrived, records);
+                self.serve_others(key, arrived.by).await;
                 if self.dispatch().checks().2 > 0 {
                     self.work.send_replace(());
                 }
@@ -97,7 +99,7 @@ impl Farm {
             Err(error) => {
                 drop(nothing_is_forgotten);
                 if matches!(error, StoreError::Corrupt { table: "sums", .. }) {
-                    self.forget_blocks(key, &job, error.to_string()).await?;
+                    self.forget_blocks(key, &job).await?;
                 }
                 return Err(error.into());
             }
@@ -118,9 +120,14 @@ impl Farm {
         Ok(())
     }
 
-    /// The blocks that came before a block are damaged: all are computed again.
-    async fn forget_blocks(&self, key: &LeaseKey, job: &JobSpec, what: String) -> Result<(), StoreError> {
+    /// The blocks that came before a block were damaged when they were read. If they are at a second reading too, all
+    /// are computed again.
+    async fn forget_blocks(&self, key: &LeaseKey, job: &JobSpec) -> Result<(), StoreError> {
         let _no_result_on_its_way = self.records.write().await;
+        let Some(what) = self.store.damaged_blocks(job).await? else {
+            tracing::warn!(job = key.job, "stored blocks {UNSTEADY}: nothing was deleted");
+            return Ok(());
+        };
         self.store.forget_point(Digest::of_sums(job)).await?;
         self.find_blocks_of(key).await?;
         let name = self.dispatch().by_id(key.dictionary).map(|d| d.name().to_string()).unwrap_or_default();
@@ -149,6 +156,8 @@ impl Farm {
         }
         if after.1 > before.1 {
             self.metrics.verified(VerificationOutcome::Disputed);
+            // A third worker decides, which may be waiting for work.
+            self.work.send_replace(());
         }
         if equal { Outcome::Duplicate } else { Outcome::Conflict }
     }

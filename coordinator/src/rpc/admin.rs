@@ -6,7 +6,7 @@ use farm_proto::wire::admin_server::Admin;
 use farm_proto::wire::backup_piece::Content;
 use farm_proto::wire::{
     BackupHeader, BackupPiece, BackupRequest, DamagedJob, DrainWorkerRequest, DrainWorkerResponse,
-    InspectRequest, InspectResponse,
+    InspectRequest, InspectResponse, UnreadableJobs,
 };
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -47,8 +47,14 @@ impl Admin for Context {
 
     async fn inspect(&self, request: Request<InspectRequest>) -> Result<Response<InspectResponse>, Status> {
         let (farm, repair) = (self.farm.clone(), request.into_inner().repair);
-        let found = detached(async move { farm.inspect(repair).await }).await?;
+        let found = detached(async move { farm.inspect(repair).await }).await;
         let damaged = found.damaged.into_iter();
+        let unreadable = found.unreadable.into_iter().map(|u| UnreadableJobs {
+            dictionary: u.name.to_string(),
+            jobs: u.jobs as u64,
+            first_job: u.first,
+            what: u.what,
+        });
         Ok(Response::new(InspectResponse {
             jobs: found.jobs as u64,
             records: found.records as u64,
@@ -56,6 +62,8 @@ impl Admin for Context {
                 .map(|(name, job, what)| DamagedJob { dictionary: name.to_string(), job, what })
                 .collect(),
             faults: found.faults,
+            unreadable: unreadable.collect(),
+            unchecked: found.unchecked.unwrap_or_default(),
         }))
     }
 }

@@ -23,6 +23,10 @@ impl From<FarmError> for Status {
             | FarmError::OtherVersion { .. } => Code::FailedPrecondition,
             FarmError::TooLarge { .. } => Code::ResourceExhausted,
             FarmError::Damaged { .. } => Code::DataLoss,
+            FarmError::Unreadable { .. } => {
+                tracing::error!(%error, "the database gave back something else, or nothing");
+                Code::Internal
+            }
             FarmError::Store(store) => {
                 tracing::error!(error = %store, "the store failed");
                 Code::Internal

@@ -11,7 +11,7 @@ mod verify;
 mod tests;
 
 use std::fs::File;
-use std::io::Seek;
+use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 
 use sqlx::SqlitePool;
@@ -93,16 +93,56 @@ pub async fn backup(pool: &SqlitePool, destination: &Path, newest_schema: i64) -
     sqlx::query("VACUUM INTO ?").bind(address(draft.path())).execute(pool).await.map_err(|source| {
         CopyError::Query { file: destination.clone(), what: "copying the database", source }
     })?;
-    let verified = verify(draft.path(), newest_schema).await?;
-    let digest = verified.digest;
-    let target = destination.clone();
-    blocking(move || publish_with_checksum(draft, &target, digest)).await?;
+    let verified = publish_verified(draft, &destination, None, newest_schema).await?;
     Ok(BackupReport {
         file: destination,
         bytes: verified.bytes,
-        blake3_hex: digest.to_hex().to_string(),
+        blake3_hex: verified.digest.to_hex().to_string(),
         content: verified.content,
     })
+}
+
+/// A backup that comes in piece by piece, in a draft beside the file that it will be.
+#[derive(Debug)]
+pub struct Incoming {
+    draft: Draft,
+    destination: PathBuf,
+}
+
+impl Incoming {
+    /// Refuses a name that is taken, or to which another backup is being written.
+    pub fn create(destination: &Path) -> Result<Self> {
+        let absolute =
+            std::path::absolute(destination).map_err(failed(destination, "cannot be made absolute"))?;
+        Ok(Self { draft: Draft::create(&absolute)?, destination: absolute })
+    }
+
+    pub fn write(&mut self, piece: &[u8]) -> Result<()> {
+        self.draft.file().write_all(piece).map_err(failed(&self.destination, "writing to disk"))
+    }
+
+    /// Gives the file its name and its checksum if it is a whole backup with this BLAKE3, in hexadecimal.
+    pub async fn publish(self, blake3_hex: &str, newest_schema: i64) -> Result<()> {
+        publish_verified(self.draft, &self.destination, Some(blake3_hex), newest_schema).await.map(drop)
+    }
+}
+
+/// Gives a draft its name, and a checksum beside it, if it is a whole database, and the one that is expected.
+async fn publish_verified(
+    draft: Draft,
+    destination: &Path,
+    expected: Option<&str>,
+    newest_schema: i64,
+) -> Result<Verified> {
+    let verified = verify(draft.path(), newest_schema).await?;
+    let digest = verified.digest;
+    if let Some(expected) = expected.filter(|expected| *digest.to_hex() != **expected) {
+        let why = format!("it came in with BLAKE3 {digest}, not {expected}");
+        return Err(CopyError::Damaged { file: destination.to_owned(), first: vec![why] });
+    }
+    let target = destination.to_owned();
+    blocking(move || publish_with_checksum(draft, &target, digest)).await?;
+    Ok(verified)
 }
 
 /// Makes a backup the database of a data directory that has none, whose lock the caller holds.

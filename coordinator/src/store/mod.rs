@@ -21,7 +21,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Connection, Row, SqlitePool};
+use sqlx::{ConnectOptions, Connection, Row, SqliteConnection, SqlitePool};
 use tokio::sync::mpsc;
 
 pub use data_dir::{ADDRESS_FILE, DataDir};
@@ -53,6 +53,8 @@ pub enum StoreError {
     Query { what: &'static str, source: sqlx::Error },
     #[error("table {table}, row {row}, column {column} is corrupt: {why}")]
     Corrupt { table: &'static str, row: i64, column: &'static str, why: String },
+    #[error("checking the database: not every page could be read: {0}")]
+    PagesUnread(String),
     #[error("a dictionary with this name exists already")]
     NameTaken,
     /// What several results that were stored together failed with.
@@ -134,6 +136,11 @@ impl Store {
         self.write.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to write"))
     }
 
+    /// A connection that has nothing in memory yet, for reading.
+    async fn fresh_connection(&self) -> Result<SqliteConnection> {
+        self.read.connect_options().connect().await.map_err(doing("opening the database once more"))
+    }
+
     /// Size of the database on the disk, with its log.
     pub fn bytes(&self) -> u64 {
         let file = self.dir.database_file();
@@ -157,7 +164,13 @@ impl Store {
             .fetch_all(&self.read)
             .await
             .map_err(doing("checking the database"))?;
-        Ok(rows.into_iter().map(|row| row.0).filter(|line| line != "ok").collect())
+        let lines = rows.iter().flat_map(|row| row.0.lines());
+        let faults: Vec<&str> = lines.filter(|line| *line != "ok" && !line.starts_with("***")).collect();
+        match faults.iter().find(|line| is_unread(line)) {
+            // What else it found follows from that.
+            Some(unread) => Err(StoreError::PagesUnread((*unread).to_owned())),
+            None => Ok(faults.into_iter().map(ToOwned::to_owned).collect()),
+        }
     }
 
     /// Waits for running queries and closes the database, merging its log.
@@ -170,6 +183,14 @@ impl Store {
 /// The newest schema that this program knows.
 pub fn newest_schema() -> i64 {
     sqlx::migrate!().iter().map(|m| m.version).max().unwrap_or(0)
+}
+
+/// Whether SQLite tells of a page that it could not read; what it has read and finds wrong has the code 11.
+fn is_unread(fault: &str) -> bool {
+    const CORRUPT: i32 = 11;
+    let code =
+        fault.rsplit_once("unable to get the page. error code=").and_then(|(_, code)| code.parse().ok());
+    code.is_some_and(|code: i32| code & 0xFF != CORRUPT)
 }
 
 async fn check_version(pool: &SqlitePool) -> Result<()> {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use farm_proto::ids::DictionaryId;
 use farm_proto::profile::RecordShape;
 use farm_proto::{Digest, Grid, Profile, Record};
-use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+use sqlx::{Connection, QueryBuilder, Sqlite, SqliteConnection};
 
 use super::{Result, Store, StoreError, doing, jobs};
 
@@ -19,27 +19,46 @@ const LOOKUP: usize = 500;
 pub struct StoredJob {
     pub job: u32,
     pub records: Vec<Record>,
-    pub digest: Digest,
+    digest: Option<Digest>,
+    /// Why some of its bytes could not be decoded.
+    undecodable: Option<String>,
 }
 
 impl StoredJob {
+    fn new(job: i64, digest: &[u8]) -> Self {
+        let decoded = jobs::decode_digest(job, digest);
+        let undecodable = decoded.as_ref().err().map(ToString::to_string);
+        Self { job: job as u32, records: Vec::new(), digest: decoded.ok(), undecodable }
+    }
+
     /// Why the records are not those that were stored.
     pub fn damage(&self, albedos: usize) -> Option<String> {
+        if self.undecodable.is_some() {
+            return self.undecodable.clone();
+        }
         if self.records.len() != albedos {
             return Some(format!("{} records of {albedos} are there", self.records.len()));
         }
         let found = Digest::of_records(&self.records);
-        (found != self.digest).then(|| "its records differ from what was stored".to_owned())
+        (Some(found) != self.digest).then(|| "its records differ from what was stored".to_owned())
+    }
+
+    fn add(&mut self, record: Result<Record>) {
+        match record {
+            Ok(record) => self.records.push(record),
+            Err(error) => drop(self.undecodable.get_or_insert_with(|| error.to_string())),
+        }
     }
 }
 
+/// A record of a job that is done; a job that has lost all of its records has one row without any.
 #[derive(sqlx::FromRow)]
 struct RecordRow {
-    id: i64,
     job: i64,
     records_digest: Vec<u8>,
-    albedo: f64,
-    profiles: Vec<u8>,
+    id: Option<i64>,
+    albedo: Option<f64>,
+    profiles: Option<Vec<u8>>,
 }
 
 /// Row of a point, made if need be.
@@ -136,38 +155,30 @@ pub(super) fn identified((identity, id): (Vec<u8>, i64)) -> Option<(Digest, i64)
 }
 
 impl Store {
-    /// The finished jobs of a dictionary among a range of jobs, with their records in the order of their numbers.
+    /// The finished jobs of a dictionary among a range of jobs, with their records in the order of their numbers. What
+    /// is wrong with one of them [`StoredJob::damage`] tells; an error means that the database could not be read.
     pub async fn jobs_with_records(
         &self,
         dictionary: DictionaryId,
         grid: &Grid,
         range: Range<usize>,
     ) -> Result<Vec<StoredJob>> {
-        let rows: Vec<RecordRow> = sqlx::query_as(
-            "SELECT records.id, job, records_digest, albedo, profiles \
-             FROM jobs JOIN records ON records.point_id = jobs.point_id \
-             WHERE dictionary_id = ? AND job >= ? AND job < ? AND records_digest IS NOT NULL ORDER BY job, albedo",
-        )
-        .bind(dictionary.0)
-        .bind(range.start as i64)
-        .bind(range.end as i64)
-        .fetch_all(&self.read)
-        .await
-        .map_err(doing("reading records"))?;
-        let shape = RecordShape::of(grid);
-        let mut found: Vec<StoredJob> = Vec::new();
-        for row in rows {
-            let digest = jobs::decode_digest(row.job, &row.records_digest)?;
-            if found.last().is_none_or(|last| i64::from(last.job) != row.job) {
-                found.push(StoredJob { job: row.job as u32, records: Vec::new(), digest });
-            }
-            // The point may hold more albedos than this dictionary asks for.
-            let Some(place) = grid.albedo().iter().position(|a| *a == row.albedo) else { continue };
-            let index = grid.first_record(row.job as usize) + place;
-            let last = found.last_mut().expect("one was just pushed");
-            last.records.push(record(index, &row, shape)?);
-        }
-        Ok(found)
+        let mut connection = self.read.acquire().await.map_err(doing("reading records"))?;
+        read_jobs(&mut connection, dictionary, grid, range).await
+    }
+
+    /// Reads a job by itself, through a connection of its own: what others keep in memory may be what is wrong.
+    pub async fn job_read_afresh(
+        &self,
+        dictionary: DictionaryId,
+        grid: &Grid,
+        job: usize,
+    ) -> Result<Option<StoredJob>> {
+        let mut connection = self.fresh_connection().await?;
+        let read = read_jobs(&mut connection, dictionary, grid, job..job + 1).await;
+        // It has only read.
+        let _ = connection.close().await;
+        Ok(read?.pop())
     }
 
     /// Points that the store has, by their identities.
@@ -176,41 +187,47 @@ impl Store {
         Ok(find(&mut connection, identities).await?.into_iter().collect())
     }
 
-    /// Ends those jobs of a new dictionary whose records are there already. `identities` are those of its jobs, in
-    /// their order; `grids` those of all dictionaries. Returns the number of jobs.
+    /// Ends those open jobs of a dictionary whose records are there already. `jobs` are their numbers and identities;
+    /// `grids` those of all dictionaries. Returns the jobs with the digests of their records.
     pub async fn reuse(
         &self,
         dictionary: DictionaryId,
         grid: &Grid,
-        identities: &[Digest],
+        jobs: &[(u32, Digest)],
         grids: &HashMap<DictionaryId, Arc<Grid>>,
-    ) -> Result<usize> {
-        let points = self.points_of(identities).await?;
-        let mut reused = Vec::new();
-        for (job, identity) in identities.iter().enumerate() {
+    ) -> Result<Vec<(u32, Digest)>> {
+        let identities: Vec<Digest> = jobs.iter().map(|(_, identity)| *identity).collect();
+        let points = self.points_of(&identities).await?;
+        let mut there_are = Vec::new();
+        for (job, identity) in jobs {
             let Some(point) = points.get(identity) else { continue };
             let there = self.checked_records(*point, grids).await?;
-            if let Some(records) = records_for(grid, job, &there) {
-                reused.push((job, *point, Digest::of_records(&records)));
+            if let Some(records) = records_for(grid, *job as usize, &there) {
+                there_are.push((*job, *point, Digest::of_records(&records)));
             }
         }
+        let mut reused = Vec::with_capacity(there_are.len());
         let mut tx = self.begin().await?;
-        for (job, point, digest) in &reused {
-            sqlx::query(
-                "INSERT INTO jobs (dictionary_id, job, point_id, walks, records_digest, reused) \
+        for (job, point, digest) in &there_are {
+            // A result of its own may have ended the job a moment ago.
+            let ended = sqlx::query(
+                "INSERT OR IGNORE INTO jobs (dictionary_id, job, point_id, walks, records_digest, reused) \
                  VALUES (?, ?, ?, ?, ?, 1)",
             )
             .bind(dictionary.0)
-            .bind(*job as i64)
+            .bind(*job)
             .bind(point)
             .bind(grid.walks().get() as i64)
             .bind(&digest.as_bytes()[..])
             .execute(&mut *tx)
             .await
             .map_err(doing("storing a job that needs no computing"))?;
+            if ended.rows_affected() > 0 {
+                reused.push((*job, *digest));
+            }
         }
         tx.commit().await.map_err(doing("storing jobs that need no computing"))?;
-        Ok(reused.len())
+        Ok(reused)
     }
 
     /// Records of a point, with their albedos: those of jobs whose records are the ones that were stored. What is
@@ -229,10 +246,7 @@ impl Store {
         for (dictionary, job) in jobs {
             let id = DictionaryId(dictionary);
             let Some(grid) = grids.get(&id) else { continue };
-            let stored = match self.jobs_with_records(id, grid, job as usize..job as usize + 1).await {
-                Err(StoreError::Corrupt { .. }) => Vec::new(),
-                stored => stored?,
-            };
+            let stored = self.jobs_with_records(id, grid, job as usize..job as usize + 1).await?;
             match stored.into_iter().find(|stored| stored.damage(grid.albedo().len()).is_none()) {
                 Some(stored) => {
                     let profiles = stored.records.into_iter().map(|record| record.profiles);
@@ -311,10 +325,42 @@ fn records_for(grid: &Grid, job: usize, there: &[(f64, Vec<Profile>)]) -> Option
     grid.albedo().iter().zip(grid.first_record(job)..).map(record).collect()
 }
 
-fn record(index: usize, row: &RecordRow, shape: RecordShape) -> Result<Record> {
-    Record::from_le_bytes(index, &row.profiles, shape).map_err(|error| StoreError::Corrupt {
+async fn read_jobs(
+    connection: &mut SqliteConnection,
+    dictionary: DictionaryId,
+    grid: &Grid,
+    range: Range<usize>,
+) -> Result<Vec<StoredJob>> {
+    let rows: Vec<RecordRow> = sqlx::query_as(
+        "SELECT job, records_digest, records.id, albedo, profiles \
+         FROM jobs LEFT JOIN records ON records.point_id = jobs.point_id \
+         WHERE dictionary_id = ? AND job >= ? AND job < ? AND records_digest IS NOT NULL ORDER BY job, albedo",
+    )
+    .bind(dictionary.0)
+    .bind(range.start as i64)
+    .bind(range.end as i64)
+    .fetch_all(connection)
+    .await
+    .map_err(doing("reading records"))?;
+    let shape = RecordShape::of(grid);
+    let mut found: Vec<StoredJob> = Vec::new();
+    for RecordRow { job, records_digest, id, albedo, profiles } in rows {
+        if found.last().is_none_or(|last| i64::from(last.job) != job) {
+            found.push(StoredJob::new(job, &records_digest));
+        }
+        // The point may hold more albedos than this dictionary asks for.
+        let Some(place) = grid.albedo().iter().position(|a| Some(*a) == albedo) else { continue };
+        let index = grid.first_record(job as usize) + place;
+        let last = found.last_mut().expect("one was just pushed");
+        last.add(record(index, id.unwrap_or_default(), &profiles.unwrap_or_default(), shape));
+    }
+    Ok(found)
+}
+
+fn record(index: usize, row: i64, profiles: &[u8], shape: RecordShape) -> Result<Record> {
+    Record::from_le_bytes(index, profiles, shape).map_err(|error| StoreError::Corrupt {
         table: "records",
-        row: row.id,
+        row,
         column: "profiles",
         why: error.to_string(),
     })

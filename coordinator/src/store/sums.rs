@@ -5,9 +5,12 @@ use std::collections::BTreeSet;
 use farm_proto::Digest;
 use farm_proto::job::JobSpec;
 use farm_proto::sums::Sums;
-use sqlx::SqliteConnection;
+use sqlx::{Connection, SqliteConnection};
 
 use super::{Result, Store, StoreError, doing};
+
+/// Point, block, sums and their digest.
+type BlockRow = (i64, i64, Vec<u8>, Vec<u8>);
 
 /// Adds a block's sums. When all blocks are there, returns their total and forgets them.
 ///
@@ -110,6 +113,29 @@ async fn insert(tx: &mut SqliteConnection, point: i64, block: i64, bytes: &[u8])
 }
 
 impl Store {
+    /// What is wrong with the stored blocks of a divided job, read through a connection of its own; None if nothing is.
+    pub async fn damaged_blocks(&self, job: &JobSpec) -> Result<Option<String>> {
+        let mut connection = self.fresh_connection().await?;
+        let rows: Result<Vec<BlockRow>> = sqlx::query_as(
+            "SELECT point_id, block, sums, sums.digest FROM sums JOIN points ON points.id = point_id \
+             WHERE identity = ? ORDER BY block",
+        )
+        .bind(&Digest::of_sums(job).as_bytes()[..])
+        .fetch_all(&mut connection)
+        .await
+        .map_err(doing("reading blocks once more"));
+        // It has only read.
+        let _ = connection.close().await;
+        let damage = |(point, block, sums, digest): BlockRow| {
+            let batches = match u32::try_from(block) {
+                Ok(block) => job.walks().batches_of_block(block),
+                Err(_) => batches_before(job, (-1 - block) as u32),
+            };
+            checked(point, sums, &digest).and_then(|sums| decode(job, batches, point, &sums)).err()
+        };
+        Ok(rows?.into_iter().find_map(damage).map(|error| error.to_string()))
+    }
+
     /// Blocks of a divided job that are stored.
     pub async fn stored_blocks(&self, job: &JobSpec) -> Result<BTreeSet<u32>> {
         let rows: Vec<(i64,)> = sqlx::query_as(

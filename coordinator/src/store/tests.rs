@@ -164,9 +164,10 @@ async fn overlapping(store: &Store, name: &str, albedo: Vec<f64>) -> StoredDicti
 
 /// Jobs that need no computing.
 async fn reuse(store: &Store, dictionary: &StoredDictionary) -> usize {
-    let identities: Vec<_> = (0..2).map(|job| JobSpec::of(&dictionary.grid, job).identity()).collect();
+    let jobs = (0..2).map(|job| (job, JobSpec::of(&dictionary.grid, job as usize).identity()));
+    let jobs: Vec<_> = jobs.collect();
     let grids = store.dictionaries().await.unwrap().into_iter().map(|d| (d.id, d.grid)).collect();
-    store.reuse(dictionary.id, &dictionary.grid, &identities, &grids).await.unwrap()
+    store.reuse(dictionary.id, &dictionary.grid, &jobs, &grids).await.unwrap().len()
 }
 
 #[tokio::test]

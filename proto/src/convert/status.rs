@@ -108,6 +108,7 @@ impl From<WorkerState> for wire::WorkerState {
             WorkerState::Idle => Self::Idle,
             WorkerState::Draining => Self::Draining,
             WorkerState::Fenced => Self::Fenced,
+            WorkerState::Silent => Self::Silent,
         }
     }
 }
@@ -136,6 +137,7 @@ impl TryFrom<wire::Worker> for WorkerStatus {
             Ok(wire::WorkerState::Idle) => WorkerState::Idle,
             Ok(wire::WorkerState::Draining) => WorkerState::Draining,
             Ok(wire::WorkerState::Fenced) => WorkerState::Fenced,
+            Ok(wire::WorkerState::Silent) => WorkerState::Silent,
             Ok(wire::WorkerState::Unspecified) | Err(_) => {
                 return Err(Invalid::new("state", w.state, "a state that this version knows is needed"));
             }

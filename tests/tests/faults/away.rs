@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use farm_tests::farm_processes::{FarmProcesses, undisturbed};
+use farm_tests::farm_processes::{FarmProcesses, Process, SOON, Signal, undisturbed, wait_for};
 
 use super::short_or_long;
 
@@ -30,4 +30,48 @@ fn workers_outlive_an_absence_and_nothing_in_hand_is_computed_twice() {
     let told = |text: &str| farm.worker_logs().iter().filter(|l| l.to_string().contains(text)).count() as u64;
     let (stored, twice, lost) = (told("job done"), told("were stored before"), told("lease lost"));
     assert_eq!((stored, twice, lost), (JOBS, 0, 0), "stored, computed twice, dropped");
+}
+
+/// Lines that a worker logs without being asked for more, about one who is there or not.
+fn lines(worker: &Process, what: &str) -> Vec<String> {
+    let lines = worker.log();
+    let line = |line: &&str| !line.contains(r#""level":"DEBUG""#) && line.contains(what);
+    lines.lines().filter(line).map(ToOwned::to_owned).collect()
+}
+
+#[test]
+fn a_worker_tells_once_each_that_it_joins_loses_finds_and_leaves_the_coordinator() {
+    let mut farm = FarmProcesses::start(&["--lease", "2"]);
+    let mut worker = farm.worker("worker", &[]);
+    let url = farm.url();
+    let tells = |worker: &Process, what: &str| {
+        let line = format!("{what} the coordinator at {url}");
+        wait_for(&line, SOON, || (!lines(worker, &line).is_empty()).then_some(()));
+    };
+    tells(&worker, "joined");
+    assert_eq!(farm.stop_coordinator(), 0);
+    tells(&worker, "lost");
+    // Several calls fail meanwhile.
+    std::thread::sleep(Duration::from_secs(2));
+    farm.start_coordinator();
+    tells(&worker, "found");
+    worker.signal(Signal::TERM);
+    assert_eq!(worker.exit_within(SOON), 0);
+    for what in ["joined", "lost", "found", "left"] {
+        let told = lines(&worker, &format!("{what} the coordinator at {url}"));
+        assert_eq!(told.len(), 1, "{}", worker.log());
+    }
+    assert!(lines(&worker, "heartbeat").is_empty(), "{}", worker.log());
+}
+
+#[test]
+fn a_worker_that_is_gone_is_not_called_idle() {
+    let farm = FarmProcesses::start(&["--lease", "1"]);
+    let mut worker = farm.worker("worker", &[]);
+    let state = || farm.ask(&["workers"])["workers"][0]["state"].as_str().map(ToOwned::to_owned);
+    wait_for("it is there", SOON, || (state()? == "idle").then_some(()));
+    worker.kill();
+    wait_for("it is silent", SOON, || (state()? == "silent").then_some(()));
+    let status = farm.farmctl(&["status"]).stdout;
+    assert!(status.contains("silent") && status.contains("s ago") && !status.contains("idle"), "{status}");
 }

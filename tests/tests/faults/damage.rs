@@ -1,6 +1,8 @@
-//! A bit that flips on the disk.
+//! A bit that flips on the disk, and a disk that cannot be read.
 
-use farm_tests::farm_processes::{FarmProcesses, SOON, grid_of, undisturbed, wait_for};
+use std::os::unix::fs::FileExt;
+
+use farm_tests::farm_processes::{FarmProcesses, SOON, Signal, grid_of, undisturbed, wait_for};
 use farm_tests::hand::traced;
 
 use super::GRID;
@@ -95,4 +97,31 @@ fn the_doctor_finds_a_flipped_bit_and_mends_it_if_told_to() {
     }
     assert_eq!(farm.farmctl(&["doctor", "--repair"]).code, 3);
     mended(&farm);
+}
+
+/// The records lie in the database's log, which is cut off and later there again.
+#[test]
+fn what_cannot_be_read_is_told_and_kept() {
+    let farm = FarmProcesses::start(&["--verify-share", "0"]);
+    farm.submit("grid", GRID);
+    let worker = farm.worker("worker", &[]);
+    let digest = farm.done("grid");
+    let log = farm.database().with_extension("db-wal");
+    farm.coordinator().signal(Signal::STOP);
+    let bytes = std::fs::read(&log).unwrap();
+    let file = std::fs::File::options().write(true).open(&log).unwrap();
+    file.set_len(32).unwrap();
+    farm.coordinator().signal(Signal::CONT);
+    let doctor = farm.farmctl(&["doctor", "--repair"]);
+    assert_eq!(doctor.code, 3, "{} {}", doctor.stdout, doctor.stderr);
+    let told = format!("{} jobs of grid could not be read", super::JOBS);
+    assert!(doctor.stdout.contains(&told), "{}", doctor.stdout);
+    assert!(doctor.stdout.contains("nothing was deleted"), "{}", doctor.stdout);
+    // What the coordinator has written meanwhile comes after these.
+    file.write_all_at(&bytes, 0).unwrap();
+    let doctor = farm.farmctl(&["doctor", "--repair"]);
+    assert_eq!(doctor.code, 0, "{}", doctor.stdout);
+    assert_eq!(farm.done("grid"), digest);
+    assert!(farm.events("JOB_DAMAGED").is_empty());
+    drop(worker);
 }

@@ -180,3 +180,18 @@ fn without_a_certificate_nobody_gets_in_where_all_must_show_one() {
     proper.signal(Signal::TERM);
     assert_eq!(proper.exit_within(Duration::from_secs(20)), 0);
 }
+
+#[test]
+fn a_coordinator_whose_port_is_taken_does_not_say_that_it_started() {
+    let folder = tempfile::tempdir().unwrap();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let (address, data) = (taken.local_addr().unwrap().to_string(), folder.path().join("data"));
+    let log = folder.path().join("coordinator.log");
+    let args = ["--listen", &address, "--data", data.to_str().unwrap()];
+    let mut coordinator = Process::start("farm-coordinator", &args, &log);
+    assert_eq!(coordinator.exit_within(SOON), 1);
+    let said = coordinator.log();
+    assert!(said.contains(&format!("listening on {address}")), "{said}");
+    assert!(!said.contains("COORDINATOR_STARTED"), "{said}");
+    drop(taken);
+}

@@ -5,6 +5,7 @@
 
 mod check;
 mod ops;
+mod shared;
 mod store;
 mod workers;
 mod world;

@@ -49,7 +49,8 @@ impl ModelStore {
         let id = DictionaryId(self.last_id);
         let axes = Axes {
             sigma_t_per_mm: if kind == 0 { vec![1.0, 2.0, 30.0] } else { vec![1.0, 2.0] },
-            albedo: vec![0.5],
+            // Those of every other dictionary of the first kind are among those of the others.
+            albedo: if kind == 0 && self.last_id % 2 == 0 { vec![0.5, 0.9] } else { vec![0.5] },
             g: vec![0.0],
             thickness_mm: vec![1.0],
             sample_ior: vec![1.5],
@@ -104,7 +105,21 @@ impl ModelStore {
     ) -> Digest {
         let wrong: Vec<_> = by.iter().filter(|o| self.wrong.contains(o)).collect();
         let walks = spec.walks().get();
-        Digest::of_bytes(format!("{dictionary:?} {job} {walks} {wrong:?}").as_bytes())
+        let kind = self.kind(dictionary);
+        Digest::of_bytes(format!("{kind:?} {job} {walks} {wrong:?}").as_bytes())
+    }
+
+    /// Dictionaries of the same kind have the same walks at the jobs that both have.
+    pub fn kind(&self, dictionary: DictionaryId) -> Option<u64> {
+        self.dictionaries.get(&dictionary).map(|stored| stored.grid.seed())
+    }
+
+    /// Ends a job with the records of another one.
+    pub fn take_over(&mut self, place: (DictionaryId, u32), from: (DictionaryId, u32)) -> Option<DoneJob> {
+        let done = self.done.get(&from)?.clone();
+        self.blocks.retain(|(id, job, _), _| (*id, *job) != place);
+        self.done.insert(place, done.clone());
+        Some(done)
     }
 
     pub fn stored_blocks(&self, id: DictionaryId, job: u32, walks: Walks) -> BTreeSet<u32> {

@@ -52,6 +52,10 @@ impl World {
 
     pub fn acquire(&mut self, worker: usize, max: usize) {
         let id = self.processes[worker].id.clone();
+        // Of a divided job that was under way before another one was, the rest may be given out.
+        let place = |key: &LeaseKey| (key.dictionary, key.job);
+        let held = self.farm.leases.iter().filter(|held| held.purpose != Purpose::Check);
+        let under_way: BTreeSet<_> = held.map(|held| place(&held.key)).collect();
         let answer = self.farm.acquire(self.now, &id, max, &mut self.chance);
         let Some(grant) = self.answer(worker, answer) else { return };
         self.insist(grant.leases.len() <= max, || "too many leases".to_owned());
@@ -71,6 +75,12 @@ impl World {
                 let done = self.store.done.get(&(key.dictionary, key.job));
                 let own = done.is_none_or(|d| d.by.contains(&self.processes[worker].origin));
                 self.insist(!own, || format!("{key:?} lets a worker check itself, or nothing"));
+            }
+            if matches!(purpose, Purpose::First | Purpose::Retry) {
+                let twice = self.computed_elsewhere(&key).filter(|_| !under_way.contains(&place(&key)));
+                self.insist(twice.is_none(), || {
+                    format!("{key:?} is given out, and {twice:?} computes the same")
+                });
             }
             self.processes[worker].held.push(lease);
         }

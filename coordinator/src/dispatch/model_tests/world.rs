@@ -191,6 +191,12 @@ impl World {
                 self.strikes.remove(&place);
                 self.walks.insert(place, job.walks());
                 self.farm.finished(self.now, &arrived, records);
+                // Now and then the store fails: then the others compute for themselves.
+                if !self.chance.tokens.is_multiple_of(4) {
+                    for served in self.farm.served_by(place) {
+                        self.take_over(served, place, Some(by));
+                    }
+                }
             }
             Some(Stored::Part) => self.farm.part_finished(self.now, &arrived),
             Some(Stored::MoreWalks(walks)) => {
@@ -202,7 +208,7 @@ impl World {
                 self.find_blocks();
             }
             Some(Stored::Before { records, .. }) => self.compare(by, &key, &job, records),
-            Some(Stored::Differs) => unreachable!("the model's dictionaries share no points"),
+            Some(Stored::Differs) => unreachable!("the model's store compares no points"),
         }
     }
 
@@ -351,6 +357,9 @@ impl World {
         self.last_look = None;
         self.walks = self.store.done.iter().map(|(place, done)| (*place, done.walks)).collect();
         self.find_blocks();
+        for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
+            self.take_over_done(id);
+        }
     }
 
     /// Three honest workers finish what is left.

@@ -3,6 +3,7 @@
 use std::ffi::OsString;
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use super::{CopyError, Result, failed};
@@ -22,7 +23,8 @@ pub(super) fn refuse_existing(file: &Path) -> Result<()> {
     }
 }
 
-/// An empty file beside its target, locked while it is being filled, removed unless it is published.
+/// An empty file beside its target, for nobody else to read, locked while it is being filled, removed unless it is
+/// published.
 #[derive(Debug)]
 pub(super) struct Draft {
     path: PathBuf,
@@ -40,6 +42,7 @@ impl Draft {
             .create_new(true)
             .read(true)
             .write(true)
+            .mode(0o600)
             .open(&path)
             .map_err(failed(&path, "cannot be created"))?;
         let draft = Self { path, file, published: false };

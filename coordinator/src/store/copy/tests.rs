@@ -1,4 +1,5 @@
 mod full_disk;
+mod incoming;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -165,6 +165,7 @@ async fn a_damaged_block_is_noticed_before_it_is_merged() {
     let d = divided(&store, "d", vec![0.5]).await;
     for (first, second) in [(0, 1), (1, 0)] {
         assert_eq!(complete_block(&store, &d, first, 1).await, Stored::Part);
+        assert_eq!(store.damaged_blocks(&d.1).await.unwrap(), None);
         let flip = "UPDATE sums SET sums = cast(x'01' || substr(sums, 2) AS BLOB)";
         sqlx::query(flip).execute(&store.write).await.unwrap();
         let job = d.1.clone().with_block(second).unwrap();
@@ -172,6 +173,7 @@ async fn a_damaged_block_is_noticed_before_it_is_merged() {
         let last = Completion { dictionary: d.0.id, job_number: 0, job, worker: 1, content, quality: None };
         let error = store.complete(last).await.unwrap_err();
         assert!(matches!(error, StoreError::Corrupt { table: "sums", .. }), "{error}");
+        assert_eq!(store.damaged_blocks(&d.1).await.unwrap(), Some(error.to_string()));
         assert_eq!(store.forget_point(Digest::of_sums(&d.1)).await.unwrap(), []);
         assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "all can be computed again");
     }

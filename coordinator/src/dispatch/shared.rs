@@ -1,0 +1,125 @@
+//! Jobs of several dictionaries that ask for the same walks: one of them is computed, and its records serve all.
+//!
+//! Nothing of this is kept. Who computes is found anew whenever work is given out, from what the dictionaries are at that
+//! moment: when one is paused, cancelled or deleted, or its job given up, the others compute for themselves.
+
+use std::cmp::Reverse;
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::job::JobSpec;
+use farm_proto::{Digest, Grid, TransportPoint, Walks};
+
+use super::{Dictionary, Dispatcher, Origin, PartId};
+
+/// A job of a dictionary.
+pub type Place = (DictionaryId, u32);
+
+/// What the walks of a grid depend on besides the transport point. None if it asks for a target error: then it is not
+/// known before with how many walks a job ends.
+pub(super) fn family(grid: &Grid) -> Option<Digest> {
+    if grid.quality().is_some() {
+        return None;
+    }
+    // Any point will do, as long as it is the same for all.
+    let point = TransportPoint::new(1.0, 0.0, 1.0, 1.5).ok()?;
+    let (scene, albedo) = (grid.scene().clone(), vec![0.5]);
+    let job = JobSpec::new(scene, point, albedo, grid.walks(), grid.seed(), grid.derivatives()).ok()?;
+    Some(job.identity())
+}
+
+/// Whether all of `some` are there; both rise.
+fn holds(all: &[f64], some: &[f64]) -> bool {
+    some.iter().all(|albedo| all.binary_search_by(|there| there.total_cmp(albedo)).is_ok())
+}
+
+impl Dispatcher {
+    /// Jobs of other dictionaries that ask for the same walks as a job, for whatever albedos.
+    fn kin(&self, (id, job): Place) -> impl Iterator<Item = (&Dictionary, u32)> {
+        let own = self.dictionaries.get(&id).and_then(|own| {
+            let walks = own.jobs.get(job as usize)?.walks;
+            Some((own.family?, walks, own.grid().point(job as usize)))
+        });
+        own.into_iter().flat_map(move |(family, walks, point)| {
+            let others = self.dictionaries.values();
+            let others = others.filter(move |other| other.id() != id && other.family == Some(family));
+            others.filter_map(move |other| {
+                let job = other.grid().job_at(&point)?;
+                (other.jobs[job].walks == walks).then_some((other, job as u32))
+            })
+        })
+    }
+
+    /// The job whose records will serve a job that waits, if that is not to be computed itself.
+    ///
+    /// It is the one for the most albedos; of equals one that is held goes first, then the oldest dictionary's. So all
+    /// jobs for the same walks find the same, and it finds none.
+    fn computed_by(&self, (id, job): Place) -> Option<Place> {
+        let own = &self.dictionaries[&id];
+        let rank = |dictionary: &Dictionary, job| {
+            let (id, albedos) = (dictionary.id(), dictionary.grid().albedo().len());
+            (albedos, self.leases.is_held(id, job), Reverse(id))
+        };
+        let serves =
+            |other: &Dictionary| other.is_active() && holds(other.grid().albedo(), own.grid().albedo());
+        let others = self.kin((id, job)).filter(|(other, job)| other.is_open(*job) && serves(other));
+        let (other, of_other) = others.max_by_key(|(other, job)| rank(other, *job))?;
+        (rank(other, of_other) > rank(own, job)).then_some((other.id(), of_other))
+    }
+
+    /// The next part to be given out for a dictionary, the costliest or the cheapest first: one of its own, or of a job
+    /// that will serve it too.
+    pub(super) fn next_part(&self, id: DictionaryId, cheapest: bool) -> Option<PartId> {
+        let dictionary = self.dictionaries.get(&id).filter(|dictionary| dictionary.is_active())?;
+        dictionary.waiting(cheapest).find_map(|(job, part)| match self.computed_by((id, job)) {
+            None => Some(PartId { dictionary: id, job, part }),
+            Some((dictionary, job)) => {
+                let part = self.dictionaries[&dictionary].waiting_part(job)?;
+                Some(PartId { dictionary, job, part })
+            }
+        })
+    }
+
+    /// Whether anything can be given out; a job that waits for the records of another cannot.
+    pub(super) fn gives_out(&self) -> bool {
+        self.order.iter().any(|(_, id)| self.next_part(*id, false).is_some())
+    }
+
+    /// A dictionary that computes what this one waits for, if it waits for nothing else.
+    pub(super) fn waits_for_other(&self, id: DictionaryId) -> Option<&Dictionary> {
+        let (job, _) = self.dictionaries.get(&id)?.waiting(false).next()?;
+        if self.next_part(id, false).is_some() {
+            return None;
+        }
+        self.computed_by((id, job)).map(|(other, _)| &self.dictionaries[&other])
+    }
+
+    /// Open jobs of other dictionaries that the records of a job serve too.
+    pub fn served_by(&self, place: Place) -> Vec<Place> {
+        let Some(own) = self.dictionaries.get(&place.0) else { return Vec::new() };
+        let served = |other: &Dictionary| holds(own.grid().albedo(), other.grid().albedo());
+        let open = self
+            .kin(place)
+            .filter(|(other, job)| other.takes_results() && other.is_open(*job) && served(other));
+        open.map(|(other, job)| (other.id(), job)).collect()
+    }
+
+    /// Open jobs of a dictionary that ask for the same walks as some that are done.
+    pub fn done_elsewhere(&self, id: DictionaryId) -> Vec<u32> {
+        let Some(own) = self.dictionaries.get(&id).filter(|d| d.takes_results()) else { return Vec::new() };
+        let is_done = |job: &u32| self.kin((id, *job)).any(|(other, job)| other.is_done(job));
+        (0..own.jobs() as u32).filter(|job| own.is_open(*job)).filter(is_done).collect()
+    }
+
+    /// Notes that the store has ended a job with records that came for another dictionary.
+    pub fn taken_over(&mut self, (id, job): Place, walks: Walks, records: Digest, by: Option<Origin>) {
+        if !self.dictionaries.get(&id).is_some_and(|dictionary| dictionary.is_open(job)) {
+            return;
+        }
+        self.end_leases_of_job(id, job);
+        self.suspects.remove(&(id, job));
+        if let Some(dictionary) = self.dictionaries.get_mut(&id) {
+            dictionary.finish(job, walks, records, by, true);
+        }
+        self.tell_end(id);
+    }
+}

@@ -1,0 +1,117 @@
+//! Dictionaries that ask for the same walks.
+
+use std::sync::Arc;
+
+use farm_proto::grid::Axes;
+use farm_proto::ids::DictionaryId;
+use farm_proto::job::Lease;
+use farm_proto::{DictionaryName, Digest, Grid, Scene, Walks};
+
+use super::{Bench, DIGEST, stored};
+use crate::dispatch::Dictionary;
+use crate::store::{Desire, StoredDictionary};
+
+const FIRST: DictionaryId = DictionaryId(1);
+const SECOND: DictionaryId = DictionaryId(2);
+
+/// The bench's dictionary of three points, and one with two of these, and others between.
+fn overlapping(albedo: Vec<f64>) -> Bench {
+    let mut bench = Bench::new(&[]);
+    let axes = Axes {
+        sigma_t_per_mm: vec![2.0, 15.0, 30.0],
+        albedo,
+        g: vec![0.0],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![1.5],
+    };
+    let grid = Grid::new(Scene::paper(), axes, Walks::PAPER, 1, false).unwrap();
+    let second = StoredDictionary {
+        id: SECOND,
+        name: DictionaryName::new("e").unwrap(),
+        grid_digest: Digest::of_grid(&grid),
+        grid: Arc::new(grid),
+        ..stored()
+    };
+    bench.farm.add_dictionary(Dictionary::new(second, &[]));
+    bench
+}
+
+fn places(leases: &[Lease]) -> Vec<(DictionaryId, u32)> {
+    leases.iter().map(|lease| (lease.key.dictionary, lease.key.job)).collect()
+}
+
+#[test]
+fn the_same_walks_are_given_out_once_and_their_records_serve_both() {
+    let mut bench = overlapping(vec![0.9]);
+    let leases = bench.acquire(0, "a", 9);
+    assert_eq!(places(&leases), [(FIRST, 2), (FIRST, 1), (FIRST, 0), (SECOND, 1)]);
+    assert!(bench.reasons_of("e", 0).contains(&"SHARED"), "{:?}", bench.reasons_of("e", 0));
+    assert_eq!(bench.farm.served_by((FIRST, 2)), [(SECOND, 2)]);
+    bench.finish(1, "a", &leases[0]);
+    bench.farm.taken_over((SECOND, 2), Walks::PAPER, DIGEST, None);
+    assert_eq!(bench.farm.by_id(SECOND).unwrap().ended(), (1, 0));
+    assert!(bench.farm.served_by((FIRST, 2)).is_empty());
+}
+
+#[test]
+fn a_job_for_more_albedos_goes_first_whatever_the_priorities() {
+    let mut bench = overlapping(vec![0.5, 0.9, 0.95]);
+    bench.farm.set_priority(FIRST, 5);
+    let leases = bench.acquire(0, "a", 9);
+    assert_eq!(places(&leases), [(SECOND, 2), (SECOND, 0), (FIRST, 0), (SECOND, 1)]);
+}
+
+#[test]
+fn jobs_for_other_albedos_are_given_out_both() {
+    let mut bench = overlapping(vec![0.9, 0.95]);
+    assert_eq!(bench.acquire(0, "a", 9).len(), 6);
+}
+
+#[test]
+fn when_the_first_is_paused_cancelled_deleted_or_gives_up_the_second_computes_itself() {
+    for how in 0..4 {
+        let mut bench = overlapping(vec![0.9]);
+        let held = bench.acquire(0, "a", 9);
+        assert!(bench.acquire(1, "b", 9).is_empty());
+        match how {
+            0 => bench.farm.set_desire(FIRST, Desire::Pause, String::new()),
+            1 => bench.farm.set_desire(FIRST, Desire::Cancel, String::new()),
+            2 => bench.farm.remove_dictionary(FIRST),
+            _ => {
+                bench.fail(1, "a", &held[0]);
+                let again = bench.acquire(2, "b", 1);
+                assert_eq!(places(&again), [(FIRST, 2)], "tried again for both");
+                bench.fail(3, "b", &again[0]);
+            }
+        }
+        let leases = bench.acquire(4, "c", 9);
+        let own = if how == 3 { vec![(SECOND, 2)] } else { vec![(SECOND, 2), (SECOND, 0)] };
+        assert_eq!(places(&leases), own, "{how}");
+    }
+}
+
+#[test]
+fn what_the_second_has_begun_the_first_waits_for() {
+    let mut bench = overlapping(vec![0.5, 0.9]);
+    bench.farm.set_desire(FIRST, Desire::Pause, String::new());
+    assert_eq!(places(&bench.acquire(0, "a", 1)), [(SECOND, 2)]);
+    bench.farm.set_desire(FIRST, Desire::Run, String::new());
+    assert_eq!(places(&bench.acquire(1, "b", 9)), [(FIRST, 1), (FIRST, 0), (SECOND, 1)]);
+}
+
+#[test]
+fn a_straggler_that_others_wait_for_gets_a_second_copy() {
+    let mut bench = overlapping(vec![0.9]);
+    let leases = bench.acquire(0, "a", 9);
+    for lease in &leases[1..] {
+        bench.finish(1, "a", lease);
+        for place in bench.farm.served_by((lease.key.dictionary, lease.key.job)) {
+            bench.farm.taken_over(place, Walks::PAPER, DIGEST, None);
+        }
+    }
+    bench.farm.expire(super::seconds(4));
+    bench.farm.expire(super::seconds(9));
+    bench.farm.expire(super::seconds(14));
+    bench.farm.expire(super::seconds(18));
+    assert_eq!(places(&bench.acquire(18, "b", 9)), [(FIRST, 2)]);
+}

@@ -1,0 +1,110 @@
+//! A look at the whole database.
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::{DictionaryName, Grid};
+
+use super::Farm;
+use super::records::UNSTEADY;
+use crate::store::StoreError;
+
+/// What a look at the whole database found.
+#[derive(Debug, Default)]
+pub(crate) struct Inspection {
+    pub jobs: usize,
+    pub records: usize,
+    /// Jobs whose records are not those that were stored, at two readings.
+    pub damaged: Vec<(DictionaryName, u32, String)>,
+    pub unreadable: Vec<Unreadable>,
+    /// What SQLite finds wrong with the file.
+    pub faults: Vec<String>,
+    /// Why SQLite could not look at the file.
+    pub unchecked: Option<String>,
+}
+
+/// Jobs of a dictionary of which nothing is known, since they could not be read; nothing of them was deleted.
+#[derive(Debug)]
+pub(crate) struct Unreadable {
+    pub name: DictionaryName,
+    pub jobs: usize,
+    /// The first of them, and why.
+    pub first: u32,
+    pub what: String,
+}
+
+/// What a job's records are.
+enum Look {
+    /// It is not done.
+    Nothing,
+    /// Those that were stored, so many.
+    Good(usize),
+    Damaged(String),
+    Unreadable(String),
+}
+
+impl Farm {
+    /// Compares all records with their digests. Jobs that are damaged are computed again if `repair` says so.
+    pub(crate) async fn inspect(&self, repair: bool) -> Inspection {
+        let all: Vec<_> = {
+            let dispatch = self.dispatch();
+            dispatch.dictionaries().map(|d| (d.name().clone(), d.id(), d.grid().clone())).collect()
+        };
+        let mut inspection = Inspection::default();
+        match self.store.faults().await {
+            Ok(faults) => inspection.faults = faults,
+            Err(error) => inspection.unchecked = Some(error.to_string()),
+        }
+        for (name, id, grid) in all {
+            for job in 0..grid.job_count() as u32 {
+                let look = self.look_at(&name, id, &grid, job, repair).await;
+                inspection.note(&name, job, look.unwrap_or_else(|error| Look::Unreadable(error.to_string())));
+            }
+        }
+        for Unreadable { name, jobs, first, what } in &inspection.unreadable {
+            tracing::error!(%name, jobs, first, what, "jobs could not be read");
+        }
+        inspection
+    }
+
+    async fn look_at(
+        &self,
+        name: &DictionaryName,
+        id: DictionaryId,
+        grid: &Grid,
+        job: u32,
+        repair: bool,
+    ) -> Result<Look, StoreError> {
+        let range = job as usize..job as usize + 1;
+        let Some(read) = self.store.jobs_with_records(id, grid, range).await?.pop() else {
+            return Ok(Look::Nothing);
+        };
+        if read.damage(grid.albedo().len()).is_none() {
+            return Ok(Look::Good(read.records.len()));
+        }
+        let confirmed = if repair {
+            self.forget_if_damaged(name, id, grid, job).await?
+        } else {
+            self.damage_of(id, grid, job).await?
+        };
+        Ok(confirmed.map_or_else(|| Look::Unreadable(UNSTEADY.to_owned()), Look::Damaged))
+    }
+}
+
+impl Inspection {
+    fn note(&mut self, name: &DictionaryName, job: u32, look: Look) {
+        match look {
+            Look::Nothing => {}
+            Look::Good(records) => {
+                self.jobs += 1;
+                self.records += records;
+            }
+            Look::Damaged(what) => {
+                self.jobs += 1;
+                self.damaged.push((name.clone(), job, what));
+            }
+            Look::Unreadable(what) => match self.unreadable.last_mut().filter(|last| last.name == *name) {
+                Some(last) => last.jobs += 1,
+                None => self.unreadable.push(Unreadable { name: name.clone(), jobs: 1, first: job, what }),
+            },
+        }
+    }
+}

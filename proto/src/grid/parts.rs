@@ -1,0 +1,86 @@
+//! How much a grid makes a coordinator hold.
+
+use std::num::NonZero;
+
+use super::{BATCH_WALKS, BLOCK_BATCHES, Grid, Walks};
+use crate::invalid::{Invalid, Result};
+
+/// Most parts of one dictionary: its jobs, or the blocks that they are divided into. The coordinator keeps account of each.
+pub const MAX_PARTS: u64 = 1_000_000;
+
+impl Grid {
+    /// Whether a coordinator takes it: its jobs have at most [`MAX_PARTS`] parts, also once they are traced with as many
+    /// walks as a target error allows.
+    ///
+    /// Not a rule of [`Self::new`]: grids that were taken before there was this limit can still be told of and deleted.
+    pub fn check_parts(&self) -> Result<()> {
+        let jobs = self.job_count() as u64;
+        let Some(blocks) = NonZero::new(MAX_PARTS / jobs) else {
+            let allowed = format!("a dictionary may have at most {MAX_PARTS}");
+            return Err(Invalid::new("transport points", jobs, allowed));
+        };
+        let fits = |walks: Walks| u64::from(walks.blocks()) <= blocks.get();
+        let most = self.quality.map(|q| ("quality.max_walks", q.max_walks));
+        match [Some(("walks", self.walks)), most].into_iter().flatten().find(|(_, walks)| !fits(*walks)) {
+            None => Ok(()),
+            Some((field, walks)) => {
+                let block = BLOCK_BATCHES * BATCH_WALKS;
+                let allowed = format!(
+                    "at most {} are allowed with {jobs} transport points, since each {block} walks are a part and a \
+                     dictionary may have at most {MAX_PARTS} parts",
+                    blocks.get() * block
+                );
+                Err(Invalid::new(field, walks.get(), allowed))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Axes, Quality};
+    use super::*;
+    use crate::scene::Scene;
+
+    #[test]
+    fn a_grid_of_too_many_parts_tells_how_many_walks_are_allowed() {
+        let with = |walks: u64, most: Option<u64>| {
+            let of = |walks| Walks::new(walks).unwrap();
+            let points = (1..=40).map(f64::from).collect();
+            let axes = Axes { sigma_t_per_mm: points, g: vec![0.0], thickness_mm: vec![1.0], ..paper_axes() };
+            let grid = Grid::new(Scene::paper(), axes, of(walks), 1, false).unwrap();
+            let quality = most.map(|most| Quality::new(0.01, of(most)).unwrap());
+            quality.map_or(Ok(grid.clone()), |quality| grid.with_quality(quality)).unwrap().check_parts()
+        };
+        assert_eq!(with(25_000_000_000, None), Ok(()));
+        let refused = with(1_000_000_000_000, None).unwrap_err();
+        assert_eq!(refused.field(), "walks");
+        let text = refused.to_string();
+        assert!(text.contains("at most 25000000000 are allowed with 40 transport points"), "{text}");
+        assert_eq!(with(5000, Some(25_000_000_000)), Ok(()));
+        assert_eq!(with(5000, Some(25_000_002_500)).unwrap_err().field(), "quality.max_walks");
+        assert_eq!(Grid::paper().check_parts(), Ok(()));
+    }
+
+    fn paper_axes() -> Axes {
+        let Grid { sigma_t_per_mm, albedo, g, thickness_mm, sample_ior, .. } = Grid::paper();
+        Axes { sigma_t_per_mm, albedo, g, thickness_mm, sample_ior }
+    }
+
+    #[test]
+    fn a_grid_of_too_many_points_is_not_taken() {
+        let axes = Axes {
+            sigma_t_per_mm: (1..=1001).map(|i| f64::from(i) / 100.0).collect(),
+            albedo: vec![0.5],
+            g: (0..1000).map(|i| f64::from(i) / 1001.0).collect(),
+            thickness_mm: vec![1.0],
+            sample_ior: vec![1.5],
+        };
+        let grid = Grid::new(Scene::smooth(), axes, Walks::PAPER, 1, false).unwrap();
+        let refused = grid.check_parts().unwrap_err();
+        assert_eq!(
+            refused.to_string(),
+            "transport points = 1001000 is not valid: a dictionary may have at most 1000000"
+        );
+    }
+}

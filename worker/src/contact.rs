@@ -1,0 +1,126 @@
+//! Whether the coordinator answers: told in one line when that changes, however many calls find it out.
+
+use std::sync::{Mutex, PoisonError};
+
+use tokio::time::Instant;
+use tonic::{Code, Status};
+
+#[derive(Debug)]
+pub(crate) struct Contact {
+    url: String,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    joined: bool,
+    /// When the last call began that was answered.
+    heard: Option<Instant>,
+    /// Since when no call has been answered.
+    lost: Option<Instant>,
+}
+
+/// What is worth a line in the log.
+#[derive(Debug, PartialEq)]
+enum Change {
+    NotReached,
+    Lost,
+    Found { lost: Instant },
+}
+
+impl Contact {
+    pub(crate) fn new(url: &str) -> Self {
+        Self { url: url.to_owned(), state: Mutex::default() }
+    }
+
+    pub(crate) fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// Tells that the coordinator has let this worker in, the first time.
+    pub(crate) fn joined(&self, label: &str, threads: usize) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if !std::mem::replace(&mut state.joined, true) {
+            tracing::info!(label, threads, "joined the coordinator at {}", self.url);
+        }
+    }
+
+    /// Notes how a call ended that began at a time.
+    pub(crate) fn note(&self, began: Instant, error: Option<&Status>) {
+        let unreachable = error.filter(|status| is_silence(status));
+        let change = {
+            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+            if unreachable.is_some() { state.failed(began, Instant::now()) } else { state.answered(began) }
+        };
+        let (url, why) = (&self.url, unreachable.map_or("", Status::message));
+        match change {
+            None => {}
+            Some(Change::NotReached) => {
+                tracing::warn!("the coordinator at {url} cannot be reached yet ({why}): trying again");
+            }
+            Some(Change::Lost) => {
+                tracing::warn!("lost the coordinator at {url} ({why}): results are kept, trying again");
+            }
+            Some(Change::Found { lost }) => {
+                let away_s = lost.elapsed().as_secs_f64();
+                tracing::info!("found the coordinator at {url} again, after {away_s:.1} s");
+            }
+        }
+    }
+}
+
+impl State {
+    fn answered(&mut self, began: Instant) -> Option<Change> {
+        self.heard = self.heard.max(Some(began));
+        let lost = self.lost.take()?;
+        self.joined.then_some(Change::Found { lost })
+    }
+
+    /// A call that began before the last one that was answered tells nothing new.
+    fn failed(&mut self, began: Instant, now: Instant) -> Option<Change> {
+        if self.lost.is_some() || self.heard.is_some_and(|heard| began < heard) {
+            return None;
+        }
+        self.lost = Some(now);
+        Some(if self.joined { Change::Lost } else { Change::NotReached })
+    }
+}
+
+/// Whether a call failed for want of an answer.
+pub(crate) fn is_silence(status: &Status) -> bool {
+    matches!(status.code(), Code::Unavailable | Code::DeadlineExceeded | Code::Cancelled | Code::Unknown)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn each_change_is_told_once() {
+        let at = {
+            let start = Instant::now();
+            move |s| start + Duration::from_secs(s)
+        };
+        let mut state = State::default();
+        assert_eq!(state.failed(at(0), at(1)), Some(Change::NotReached));
+        assert_eq!(state.failed(at(2), at(3)), None);
+        assert_eq!(state.answered(at(4)), None, "joining is told by itself");
+        state.joined = true;
+        assert_eq!(state.answered(at(5)), None);
+        assert_eq!(state.failed(at(6), at(7)), Some(Change::Lost));
+        assert_eq!(state.failed(at(6), at(8)), None);
+        assert_eq!(state.answered(at(9)), Some(Change::Found { lost: at(7) }));
+        assert_eq!(state.failed(at(8), at(20)), None, "it began before the coordinator was found again");
+        assert_eq!(state.failed(at(21), at(22)), Some(Change::Lost));
+    }
+
+    #[test]
+    fn a_coordinator_that_refuses_is_there() {
+        assert!(is_silence(&Status::unavailable("")));
+        for answer in [Status::internal(""), Status::aborted(""), Status::permission_denied("")] {
+            assert!(!is_silence(&answer), "{answer}");
+        }
+    }
+}
