@@ -86,12 +86,14 @@ pub(crate) async fn with_farm<T>(
 
 /// Whether a call failed because nobody is there any more.
 fn is_gone(error: &anyhow::Error) -> bool {
+    error.chain().filter_map(|cause| cause.downcast_ref::<tonic::Status>()).any(is_broken)
+}
+
+/// Whether a call was ended by the connection or the end of the coordinator.
+pub(crate) fn is_broken(status: &tonic::Status) -> bool {
     use std::error::Error;
     // A status that came over the wire has no source; one that the transport made has.
-    error
-        .chain()
-        .filter_map(|cause| cause.downcast_ref::<tonic::Status>())
-        .any(|status| status.code() == tonic::Code::Unavailable || status.source().is_some())
+    status.code() == tonic::Code::Unavailable || status.source().is_some()
 }
 
 /// A coordinator and perhaps a worker in this process.

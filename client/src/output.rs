@@ -7,6 +7,8 @@ use comfy_table::{Attribute, Cell, CellAlignment, LineStyle, Table, TableStyle};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use serde::Serialize;
 
+pub(crate) use crate::whole_file::write_whole;
+
 /// Version of the JSON shapes: fields may be added to a version, never changed or removed.
 const API: &str = "farmctl/1";
 
@@ -87,17 +89,6 @@ pub(crate) fn is_closed_pipe(error: &anyhow::Error) -> bool {
     let ours = error.chain().take_while(|c| !c.is::<tonic::Status>() && !c.is::<tonic::transport::Error>());
     ours.filter_map(|cause| cause.downcast_ref::<std::io::Error>())
         .any(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
-}
-
-/// Writes beside the file and renames, so that the file is whole or not there.
-pub(crate) fn write_whole(path: &std::path::Path, bytes: &[u8]) -> std::io::Result<()> {
-    let draft = std::path::PathBuf::from(format!("{}.partial", path.display()));
-    let written = std::fs::write(&draft, bytes).and_then(|()| std::fs::rename(&draft, path));
-    if written.is_err() {
-        // The first error is the one to tell.
-        let _ = std::fs::remove_file(&draft);
-    }
-    written
 }
 
 /// A text in yellow, where a terminal shows it; what is printed to a file or a pipe has no colours.

@@ -9,6 +9,7 @@ mod records;
 mod results;
 mod work;
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use farm_proto::ids::{DictionaryId, WorkerId};
@@ -170,6 +171,13 @@ impl Farm {
     pub(crate) fn status(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
         let dispatch = self.dispatch();
         dispatch.status(self.clock.now(), name).ok_or_else(|| not_found(&dispatch, name))
+    }
+
+    /// How many of the records of these ranges are done.
+    pub(crate) fn finished_records(&self, name: &DictionaryName, ranges: &[Range<usize>]) -> Result<usize> {
+        let dispatch = self.dispatch();
+        let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;
+        Ok(ranges.iter().map(|range| dictionary.finished_records(range.clone())).sum())
     }
 
     /// Dictionaries in the order of their numbers, from the one after `after` on, and the number of the last.

@@ -43,6 +43,9 @@ pub const PHYSICS_VERSION: u32 = 3;
 /// misunderstand them raises it: then these are refused when they register.
 pub const PROTOCOL_VERSION: u32 = 2;
 
+/// Metadata of the answer to an export: how many of the records asked for are done when it begins.
+pub const RECORDS_PROMISED: &str = "farm-records-promised";
+
 /// Generated from `proto/farm/v1/*.proto`.
 #[expect(clippy::pedantic, clippy::allow_attributes, reason = "generated code")]
 pub mod wire {

@@ -1,5 +1,7 @@
 //! How far a dictionary is, as people see it.
 
+use std::ops::Range;
+
 use farm_proto::Digest;
 use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
 
@@ -21,6 +23,17 @@ impl Dictionary {
             Desire::Pause => DictionaryState::Paused,
             Desire::Run => DictionaryState::Running,
         }
+    }
+
+    /// How many of the records of a range are done.
+    pub fn finished_records(&self, range: Range<usize>) -> usize {
+        let albedos = self.grid().albedo().len();
+        let finished = |job: usize| {
+            let done = self.jobs.get(job).is_some_and(|job| matches!(job.stage, Stage::Done { .. }));
+            let of_job = range.start.max(job * albedos)..range.end.min((job + 1) * albedos);
+            if done { of_job.len() } else { 0 }
+        };
+        (range.start / albedos..range.end.div_ceil(albedos)).map(finished).sum()
     }
 
     /// Work that is left, in scatterings.
