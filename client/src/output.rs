@@ -146,6 +146,14 @@ pub(crate) fn duration(d: std::time::Duration) -> String {
     }
 }
 
+/// Share of a dictionary's work that is done, as "36.2 % of the work" tells it. Work is what takes time, so that the time
+/// left goes with it; records differ in that.
+pub(crate) fn share_of_work(work_done: f64) -> String {
+    // Nothing is called done that is not.
+    let tenths = (1000.0 * work_done).floor();
+    format!("{:.1} %", tenths / 10.0)
+}
+
 /// A moment as "2026-11-21T09:30:00Z".
 pub(crate) fn utc(unix_ms: u64) -> String {
     jiff::Timestamp::from_second((unix_ms / 1000) as i64)
@@ -177,6 +185,7 @@ pub(crate) struct DictionaryJson {
     records_reused: usize,
     priority: i32,
     eta_s: Option<f64>,
+    goes_first: Option<String>,
     reason: String,
     walks_min: u64,
     walks_max: u64,
@@ -212,6 +221,7 @@ impl From<&DictionaryStatus> for DictionaryJson {
             records_reused: d.records_reused,
             priority: d.priority,
             eta_s: d.eta_s,
+            goes_first: d.goes_first.as_ref().map(ToString::to_string),
             reason: d.reason.clone(),
             walks_min: d.walks.0,
             walks_max: d.walks.1,

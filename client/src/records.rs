@@ -82,7 +82,7 @@ impl<'a> Records<'a> {
                 },
             }
         }
-        Err(anyhow::Error::new(status).context(self.incomplete()))
+        Err(self.connection.in_plain_words(status.into()).context(self.incomplete()))
     }
 
     async fn ask_for_rest(&mut self) -> Result<()> {

@@ -190,7 +190,7 @@ impl Farm {
         let mut rest = dispatch.dictionaries().filter(|d| d.id() > after);
         let page: Vec<&Dictionary> = rest.by_ref().take(most).collect();
         let last = rest.next().and(page.last()).map(|d| d.id());
-        (page.into_iter().map(|d| d.status(dispatch.eta_s(now, d))).collect(), last)
+        (page.into_iter().map(|d| dispatch.status_of(now, d)).collect(), last)
     }
 
     /// Workers in the order of their ids, from the one after `after` on.

@@ -25,7 +25,7 @@ mod convert;
 mod files;
 
 pub use digest::Digest;
-pub use files::{GridFile, SceneFile, SceneRef};
+pub use files::{GridFile, SceneFile, SceneRef, whole};
 pub use grid::{Grid, Quality, Walks};
 pub use ids::{DictionaryName, RequestLimits};
 pub use invalid::{Invalid, Result};

@@ -5,9 +5,11 @@ Asks the loaded media for their coefficients and g, and compares them with the m
 loaded but read by pbrt's rules, which needs no pbrt.
 
     python3 -m venv venv && venv/bin/pip install mitsuba
-    venv/bin/python tests/mitsuba/media.py --expected measured.json --dict media.py --xml media.xml --pbrt media.pbrt
+    farmctl measure examples/white.csv --mu 1 --g 0.4 -o media --json > measured.json
+    venv/bin/python tests/mitsuba/media.py --expected measured.json --dict media/media.py --xml media/media.xml \\
+        --pbrt media/media.pbrt
 
-The measured values are a list of materials, in the order of the files:
+The measured values are what `farmctl measure --json` prints or a list of materials, in the order of the files:
 
     [{"material": "Clear resin", "g": 0.4,
       "channels": [{"channel": "R", "sigma_t_per_mm": 6.0, "albedo": 0.9991, "g": 0.4}, …]}, …]
@@ -35,6 +37,19 @@ def parse():
     p.add_argument("--xml", type=Path, help="XML file with a scene of <medium> elements")
     p.add_argument("--pbrt", type=Path, help="pbrt file with MakeNamedMedium statements")
     return p.parse_args()
+
+
+def read_expected(path):
+    """The measured values, from a list or from what `farmctl measure --json` printed."""
+    measured = json.loads(path.read_text(encoding="utf-8"))
+    if isinstance(measured, list):
+        return measured
+    best = {}
+    for material in measured["data"]["materials"]:
+        refined = [(c["channel"], c["refined"]) for c in material["channels"] if c["refined"]]
+        values = ("sigma_t_per_mm", "albedo", "g")
+        best[material["material"]] = [{"channel": name, **{key: b[key] for key in values}} for name, b in refined]
+    return [{"material": name, "channels": channels} for name, channels in best.items() if channels]
 
 
 def read_dict(path):
@@ -240,7 +255,7 @@ def check_pbrt(check, statements, kind_of_each, materials):
 def main():
     args = parse()
     check = Check()
-    materials = json.loads(args.expected.read_text(encoding="utf-8"))
+    materials = read_expected(args.expected)
     source = read_dict(args.dict)
     check_mitsuba(check, "dictionary", source, materials)
     if args.xml:

@@ -24,6 +24,7 @@ pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> R
         }
         Some(file) => to_file(&connection, &name, &args, output.is_json(), file).await,
     };
+    let exported = exported.map_err(|error| connection.in_plain_words(error));
     connection.close().await?;
     exported
 }

@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use farm_proto::Digest;
 use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
+use farm_proto::{DictionaryName, Digest};
 
 use super::Dictionary;
 use super::job::{Job, Stage};
@@ -45,7 +45,7 @@ impl Dictionary {
         if self.counts.done == self.jobs.len() { 1.0 } else { self.counts.cost_done / self.counts.cost }
     }
 
-    pub fn status(&self, eta_s: Option<f64>) -> DictionaryStatus {
+    pub fn status(&self, eta_s: Option<f64>, goes_first: Option<DictionaryName>) -> DictionaryStatus {
         DictionaryStatus {
             name: self.stored.name.clone(),
             grid: (*self.stored.grid).clone(),
@@ -60,6 +60,7 @@ impl Dictionary {
             priority: self.stored.priority,
             reason: self.stored.reason.clone(),
             eta_s: eta_s.filter(|_| self.state() == DictionaryState::Running),
+            goes_first,
             records_reused: self.counts.reused * self.grid().albedo().len(),
             walks: self.counts.walks.unwrap_or_default(),
         }

@@ -196,9 +196,13 @@ async fn watch(
     }
 }
 
-/// Whether nothing has changed but the time that is left.
+/// Whether nothing has changed that people would see: the time that is left changes all the time, by a little.
 fn same(a: &DictionaryStatus, b: &DictionaryStatus) -> bool {
-    DictionaryStatus { eta_s: None, ..a.clone() } == DictionaryStatus { eta_s: None, ..b.clone() }
+    let near = match (a.eta_s, b.eta_s) {
+        (Some(a), Some(b)) => (a - b).abs() <= 0.1 * a.max(b),
+        (a, b) => a == b,
+    };
+    near && DictionaryStatus { eta_s: None, ..a.clone() } == DictionaryStatus { eta_s: None, ..b.clone() }
 }
 
 /// The numbers of the records that are wanted, in pieces that are read at once.

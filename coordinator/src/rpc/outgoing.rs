@@ -57,16 +57,16 @@ impl<T> Outlet<T> {
     pub(super) async fn send(&self, item: T) -> Result<(), Gone> {
         tokio::select! {
             () = self.shutdown.cancelled() => Err(self.stopping()),
-            sent = tokio::time::timeout(self.patience, self.sender.send(Ok(item))) => match sent {
-                Ok(sent) => sent.map_err(|_| Gone),
-                Err(_) => {
-                    let waited = self.patience.as_secs();
-                    self.end_with(Some(Status::deadline_exceeded(format!(
-                        "nothing was read for {waited} s, so the stream was ended early: ask for the rest again"
-                    ))));
-                    Err(Gone)
+            sent = tokio::time::timeout(self.patience, self.sender.send(Ok(item))) => {
+                if let Ok(sent) = sent {
+                    return sent.map_err(|_| Gone);
                 }
-            },
+                let waited = self.patience.as_secs();
+                self.end_with(Some(Status::deadline_exceeded(format!(
+                    "nothing was read for {waited} s, so the stream was ended early: ask for the rest again"
+                ))));
+                Err(Gone)
+            }
         }
     }
 
@@ -154,7 +154,7 @@ mod tests {
             }
             outlet.finish();
         });
-        tokio::time::sleep(PATIENCE - Duration::from_secs(1)).await;
+        tokio::time::sleep(PATIENCE.mul_f64(0.99)).await;
         assert_eq!(read(outgoing).await, (vec![0, 1, 2, 3, 4], None));
         sending.await.unwrap();
     }
