@@ -60,6 +60,19 @@ compare-mitsuba python="python3":
     cargo build --release
     {{python}} tests/mitsuba/compare.py
 
+# The media that `measure` writes for the example, loaded by Mitsuba 3, with the dictionary of a data folder; `python`
+# must have the package mitsuba.
+media-mitsuba data="farm-data" python="python3":
+    cargo build --release
+    rm -rf target/media && mkdir -p target/media
+    ./target/release/farmctl --data {{data}} measure examples/white.csv --mu 1 --g 0.4 -o target/media --json > target/media/measured.json
+    {{python}} tests/mitsuba/media.py --expected target/media/measured.json --dict target/media/media.py --xml target/media/media.xml --pbrt target/media/media.pbrt
+
+# README.md's Python recipe, exactly as it is written there; needs a Python package index.
+recipe:
+    cargo build --workspace --bins
+    BIN=target/debug examples/check
+
 # The deployment files against the programs, schemas and engines; some parts need root.
 deploy-check:
     cargo build --workspace --bins

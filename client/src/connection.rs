@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use farm_coordinator::store::DataDir;
 use farm_coordinator::{Config, Coordinator, Error, StoreError};
 use farm_proto::RequestLimits;
-use farm_proto::access::{ClientAccess, Link, Target, refusal};
+use farm_proto::access::{ClientAccess, Link, Target, failure, refusal};
 use farm_proto::wire::admin_client::AdminClient;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
@@ -68,7 +68,7 @@ pub(crate) async fn with_farm<T>(
         let connection = Connection::open(global, purpose).await?;
         let neighbour = matches!(connection.place, Place::Neighbour);
         let without_certificate = connection.without_certificate;
-        let result = work(&connection).await;
+        let result = work(&connection).await.map_err(|error| connection.in_plain_words(error));
         connection.close().await?;
         match result {
             Err(error) if neighbour && is_gone(&error) => tokio::time::sleep(LOOK_AGAIN).await,
@@ -84,14 +84,30 @@ pub(crate) async fn with_farm<T>(
     }
 }
 
+/// What is to be said when the transport fails.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Unreachable(String);
+
+/// The error of a call to a server; if the transport failed, why, in plain words.
+pub(crate) fn in_plain_words(error: anyhow::Error, url: &str) -> anyhow::Error {
+    let status = error.chain().find_map(|cause| cause.downcast_ref::<tonic::Status>());
+    match status.and_then(|status| failure(status, url)) {
+        Some(why) => anyhow::Error::new(Unreachable(why)).context(format!("no coordinator answers at {url}")),
+        None => error,
+    }
+}
+
 /// Whether a call failed because nobody is there any more.
 fn is_gone(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| cause.downcast_ref().is_some_and(is_broken) || cause.is::<Unreachable>())
+}
+
+/// Whether a call was ended by the connection or the end of the coordinator.
+pub(crate) fn is_broken(status: &tonic::Status) -> bool {
     use std::error::Error;
     // A status that came over the wire has no source; one that the transport made has.
-    error
-        .chain()
-        .filter_map(|cause| cause.downcast_ref::<tonic::Status>())
-        .any(|status| status.code() == tonic::Code::Unavailable || status.source().is_some())
+    status.code() == tonic::Code::Unavailable || status.source().is_some()
 }
 
 /// A coordinator and perhaps a worker in this process.
@@ -122,6 +138,9 @@ impl Connection {
             .map_err(|error| {
                 if let Some(status) = refusal(&error) {
                     return status.into();
+                }
+                if let Some(why) = failure(&error, &url) {
+                    return anyhow::Error::new(Unreachable(why));
                 }
                 let cause =
                     std::iter::successors(Some(&error as &dyn std::error::Error), |e| e.source()).last();
@@ -196,6 +215,11 @@ impl Connection {
     /// Whether the farm goes on when this process ends.
     pub(crate) fn is_server(&self) -> bool {
         matches!(self.place, Place::Server)
+    }
+
+    /// The error of a call; if it is the connection to a server that failed, why, in plain words.
+    pub(crate) fn in_plain_words(&self, error: anyhow::Error) -> anyhow::Error {
+        if self.is_server() { in_plain_words(error, &self.address) } else { error }
     }
 
     pub(crate) fn dictionaries(&self) -> DictionariesClient<Link> {

@@ -3,20 +3,23 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use farm_proto::{Grid, GridFile, Scene, SceneFile, SceneRef};
+use farm_proto::{Grid, GridFile, Invalid, Scene, SceneFile, SceneRef};
+use toml::de::DeTable;
 
 /// Largest grid or scene file that is read, in bytes.
 const LARGEST: u64 = 16 << 20;
 
 /// The grid that a TOML file describes. Scene files it names are looked for beside it.
 pub fn read_grid(path: &Path) -> Result<Grid> {
-    let file: GridFile = read_toml(path, "grid file")?;
+    let text = read_text(path, "grid file")?;
+    let file: GridFile = from_toml(&text, path, "grid file")?;
     let scene = match &file.scene {
         SceneRef::Named(name) => named_scene(name, path.parent().unwrap_or(Path::new(".")))
             .with_context(|| format!("grid file {}", path.display()))?,
-        SceneRef::Inline(scene) => to_scene(scene.clone(), path)?,
+        SceneRef::Inline(scene) => Scene::try_from(scene.clone())
+            .map_err(|e| in_file(e.within("scene"), &text, path, "grid file"))?,
     };
-    file.into_grid(scene).with_context(|| format!("grid file {}", path.display()))
+    file.into_grid(scene).map_err(|e| in_file(e, &text, path, "grid file"))
 }
 
 /// The scene of a name, `paper` or `smooth`, or of a TOML file.
@@ -36,21 +39,66 @@ fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
                     path.display()
                 );
             }
-            to_scene(read_toml(&path, "scene file")?, &path)
+            let text = read_text(&path, "scene file")?;
+            let scene: SceneFile = from_toml(&text, &path, "scene file")?;
+            Scene::try_from(scene).map_err(|e| in_file(e, &text, &path, "scene file"))
         }
     }
 }
 
-fn to_scene(file: SceneFile, path: &Path) -> Result<Scene> {
-    Scene::try_from(file).with_context(|| format!("scene in {}", path.display()))
-}
-
-fn read_toml<T: serde::de::DeserializeOwned>(path: &Path, what: &str) -> Result<T> {
+fn read_text(path: &Path, what: &str) -> Result<String> {
     let place = || format!("{what} {}", path.display());
     let size = std::fs::metadata(path).with_context(place)?.len();
     if size > LARGEST {
         bail!("{} has {size} bytes, {LARGEST} are allowed", place());
     }
-    let text = std::fs::read_to_string(path).with_context(place)?;
-    toml::from_str(&text).with_context(place)
+    std::fs::read_to_string(path).with_context(place)
+}
+
+fn from_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path, what: &str) -> Result<T> {
+    toml::from_str(text).with_context(|| format!("{what} {}", path.display()))
+}
+
+/// Tells where in a file a value stands that is not valid.
+fn in_file(invalid: Invalid, text: &str, path: &Path, what: &str) -> anyhow::Error {
+    let line = line_of(text, invalid.field()).map_or_else(String::new, |line| format!(", line {line}"));
+    anyhow::Error::new(invalid).context(format!("{what} {}{line}", path.display()))
+}
+
+/// The line of a field such as `layer[2].ior`, or of the innermost part of the path that is there; None if nothing is.
+fn line_of(text: &str, field: &str) -> Option<usize> {
+    let table = DeTable::parse(text).ok()?;
+    let mut parts = field.split(['.', '[']).map(|part| part.trim_end_matches(']'));
+    let mut value = table.get_ref().get(parts.next()?)?;
+    for part in parts {
+        let inner = match part.parse::<usize>() {
+            Ok(index) => value.get_ref().get(index),
+            Err(_) => value.get_ref().get(part),
+        };
+        let Some(inner) = inner else { break };
+        value = inner;
+    }
+    Some(text.get(..value.span().start)?.matches('\n').count() + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_have_lines() {
+        let text = "# a grid\nalbedo = [\n  0.5,\n  1.5,\n]\nwalks = 1\n[scene.light]\nring_deg = [1, 0]\n\
+                    [[scene.layer]]\nname = 'a'\n[[scene.layer]]\nname = 'b'\n";
+        for (field, line) in [
+            ("albedo[1]", Some(4)),
+            ("albedo", Some(2)),
+            ("walks", Some(6)),
+            ("scene.light.ring_deg", Some(8)),
+            ("scene.layer[1].name", Some(12)),
+            ("scene.layer[1].ior", Some(11)),
+            ("sigma_t_per_mm[0]", None),
+        ] {
+            assert_eq!(line_of(text, field), line, "{field}");
+        }
+    }
 }

@@ -8,12 +8,15 @@ mod connection;
 mod exit;
 mod figures;
 mod grid_file;
+mod interrupt;
 mod measurement_file;
 mod media;
 mod output;
 mod plot;
 mod progress;
+mod records;
 mod slurm;
+mod whole_file;
 
 use std::process::ExitCode;
 
@@ -30,6 +33,10 @@ pub async fn run(cli: Cli) -> ExitCode {
     match dispatch(cli, &output).await {
         Ok(code) => code,
         Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) if error.is::<interrupt::Interrupted>() => {
+            output.error(&error);
+            ExitCode::from(exit::INTERRUPTED)
+        }
         Err(error) => {
             output.error(&error);
             ExitCode::FAILURE

@@ -7,6 +7,8 @@ use comfy_table::{Attribute, Cell, CellAlignment, LineStyle, Table, TableStyle};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use serde::Serialize;
 
+pub(crate) use crate::whole_file::write_whole;
+
 /// Version of the JSON shapes: fields may be added to a version, never changed or removed.
 const API: &str = "farmctl/1";
 
@@ -89,17 +91,6 @@ pub(crate) fn is_closed_pipe(error: &anyhow::Error) -> bool {
         .any(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
-/// Writes beside the file and renames, so that the file is whole or not there.
-pub(crate) fn write_whole(path: &std::path::Path, bytes: &[u8]) -> std::io::Result<()> {
-    let draft = std::path::PathBuf::from(format!("{}.partial", path.display()));
-    let written = std::fs::write(&draft, bytes).and_then(|()| std::fs::rename(&draft, path));
-    if written.is_err() {
-        // The first error is the one to tell.
-        let _ = std::fs::remove_file(&draft);
-    }
-    written
-}
-
 /// A text in yellow, where a terminal shows it; what is printed to a file or a pipe has no colours.
 pub(crate) fn warning(text: &str) -> String {
     format!("\u{1b}[33m{text}\u{1b}[0m")
@@ -155,6 +146,14 @@ pub(crate) fn duration(d: std::time::Duration) -> String {
     }
 }
 
+/// Share of a dictionary's work that is done, as "36.2 % of the work" tells it. Work is what takes time, so that the time
+/// left goes with it; records differ in that.
+pub(crate) fn share_of_work(work_done: f64) -> String {
+    // Nothing is called done that is not.
+    let tenths = (1000.0 * work_done).floor();
+    format!("{:.1} %", tenths / 10.0)
+}
+
 /// A moment as "2026-11-21T09:30:00Z".
 pub(crate) fn utc(unix_ms: u64) -> String {
     jiff::Timestamp::from_second((unix_ms / 1000) as i64)
@@ -186,6 +185,7 @@ pub(crate) struct DictionaryJson {
     records_reused: usize,
     priority: i32,
     eta_s: Option<f64>,
+    goes_first: Option<String>,
     reason: String,
     walks_min: u64,
     walks_max: u64,
@@ -221,6 +221,7 @@ impl From<&DictionaryStatus> for DictionaryJson {
             records_reused: d.records_reused,
             priority: d.priority,
             eta_s: d.eta_s,
+            goes_first: d.goes_first.as_ref().map(ToString::to_string),
             reason: d.reason.clone(),
             walks_min: d.walks.0,
             walks_max: d.walks.1,

@@ -6,17 +6,18 @@ use std::time::Duration;
 use farm_proto::status::DictionaryStatus;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::output::{duration, grouped};
+use crate::output::{duration, grouped, share_of_work};
 
 /// Time between plain lines.
 const LINE: Duration = Duration::from_secs(10);
 
-/// Tells records done, their rate since the start, and when the rest will be done at the farm's present pace.
+/// Parts of a bar.
+const STEPS: u64 = 10_000;
+
+/// Tells the share of the work that is done, and when the rest will be done at the farm's pace.
 #[derive(Debug)]
 pub(crate) struct Progress {
     look: Look,
-    start: tokio::time::Instant,
-    records_at_start: usize,
 }
 
 #[derive(Debug)]
@@ -31,22 +32,22 @@ impl Progress {
         let look = if quiet {
             Look::Nothing
         } else if std::io::stderr().is_terminal() {
-            let bar = ProgressBar::new(first.records_total() as u64);
-            let style = ProgressStyle::with_template("{prefix} [{wide_bar}] {percent}%  {msg}");
+            let bar = ProgressBar::new(STEPS);
+            let style = ProgressStyle::with_template("{prefix} [{wide_bar}] {msg}");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
             bar.set_prefix(first.name.to_string());
             Look::Bar(bar)
         } else {
             Look::Lines { last: None }
         };
-        Self { look, start: tokio::time::Instant::now(), records_at_start: first.records_done() }
+        Self { look }
     }
 
     pub(crate) fn show(&mut self, status: &DictionaryStatus) {
-        let text = self.text(status);
+        let text = text(status);
         match &mut self.look {
             Look::Bar(bar) => {
-                bar.set_position(status.records_done() as u64);
+                bar.set_position((status.work_done * STEPS as f64) as u64);
                 bar.set_message(text);
             }
             Look::Lines { last } => {
@@ -65,14 +66,55 @@ impl Progress {
             bar.finish_and_clear();
         }
     }
+}
 
-    fn text(&self, status: &DictionaryStatus) -> String {
-        let (done, total) = (status.records_done(), status.records_total());
-        let count = format!("{} of {} records", grouped(done as u64), grouped(total as u64));
-        let elapsed = self.start.elapsed();
-        // Before the first jobs are back there is nothing to measure a rate with.
-        let Some(left) = status.eta_s.filter(|_| elapsed >= Duration::from_secs(1)) else { return count };
-        let rate = (done - self.records_at_start) as f64 / elapsed.as_secs_f64();
-        format!("{count}, {rate:.0} records/s, {} left", duration(Duration::from_secs_f64(left)))
+/// Share of the work, records, and what is known of the rest.
+fn text(status: &DictionaryStatus) -> String {
+    let (done, total) = (status.records_done(), status.records_total());
+    let mut text = format!(
+        "{} of the work, {} of {} records",
+        share_of_work(status.work_done),
+        grouped(done as u64),
+        grouped(total as u64)
+    );
+    if let Some(first) = &status.goes_first {
+        text += &format!(", {first} goes first");
+    }
+    if let Some(left) = status.eta_s {
+        text += &format!(", about {} left", duration(Duration::from_secs_f64(left)));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use farm_proto::status::DictionaryState;
+    use farm_proto::{DictionaryName, Digest, Grid};
+
+    use super::*;
+
+    #[test]
+    fn the_share_is_that_of_the_work_and_what_it_waits_for_is_told() {
+        let mut status = DictionaryStatus {
+            name: DictionaryName::new("fine").unwrap(),
+            grid: Grid::paper(),
+            grid_digest: Digest::from_bytes([0; 32]),
+            records_digest: None,
+            created_unix_ms: 0,
+            state: DictionaryState::Running,
+            jobs_done: 418,
+            jobs_leased: 0,
+            failed: Vec::new(),
+            work_done: 0.3629,
+            priority: 0,
+            reason: String::new(),
+            eta_s: None,
+            goes_first: Some(DictionaryName::new("coarse").unwrap()),
+            records_reused: 0,
+            walks: (0, 0),
+        };
+        assert_eq!(text(&status), "36.2 % of the work, 17,138 of 34,276 records, coarse goes first");
+        (status.goes_first, status.eta_s) = (None, Some(75.0));
+        assert_eq!(text(&status), "36.2 % of the work, 17,138 of 34,276 records, about 1 min 15 s left");
     }
 }

@@ -13,6 +13,7 @@ mod shared;
 mod tests;
 mod work;
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use farm_proto::ids::{DictionaryId, WorkerId};
@@ -184,6 +185,13 @@ impl Farm {
         dispatch.status(self.clock.now(), name).ok_or_else(|| not_found(&dispatch, name))
     }
 
+    /// How many of the records of these ranges are done.
+    pub(crate) fn finished_records(&self, name: &DictionaryName, ranges: &[Range<usize>]) -> Result<usize> {
+        let dispatch = self.dispatch();
+        let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;
+        Ok(ranges.iter().map(|range| dictionary.finished_records(range.clone())).sum())
+    }
+
     /// Dictionaries in the order of their numbers, from the one after `after` on, and the number of the last.
     pub(crate) fn statuses(
         &self,
@@ -194,7 +202,7 @@ impl Farm {
         let mut rest = dispatch.dictionaries().filter(|d| d.id() > after);
         let page: Vec<&Dictionary> = rest.by_ref().take(most).collect();
         let last = rest.next().and(page.last()).map(|d| d.id());
-        (page.into_iter().map(|d| d.status(dispatch.eta_s(now, d))).collect(), last)
+        (page.into_iter().map(|d| dispatch.status_of(now, d)).collect(), last)
     }
 
     /// Workers in the order of their ids, from the one after `after` on.

@@ -15,39 +15,44 @@ use tokio_util::sync::CancellationToken;
 
 /// Splits parameter grids into jobs for workers, stores the records and answers fits.
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(version, after_help = EXAMPLES)]
 struct Args {
-    /// Address to listen on. Beyond this machine only with --access or --insecure.
+    /// Address to listen on. One that other machines can reach needs --access or --insecure.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7700", env = "FARM_LISTEN")]
     listen: SocketAddr,
-    /// Address for figures and health over HTTP: /metrics, /livez, /readyz [default: none].
+    /// Address for metrics and health checks over HTTP: /metrics, /livez, /readyz [default: none].
     #[arg(long, value_name = "ADDR", env = "FARM_METRICS")]
     metrics: Option<SocketAddr>,
-    /// Folder of the database; not on a network filesystem.
+    /// Folder for the database; it must not be on a network filesystem.
     #[arg(long, value_name = "DIR", default_value = "farm-data", env = "FARM_DATA")]
     data: PathBuf,
-    /// Seconds without a word after which a worker's leases go to others.
+    /// Seconds of silence after which a worker's leases go to other workers.
     #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=86_400))]
     lease: u64,
     /// Failed attempts after which a job is given up.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     max_attempts: u32,
-    /// Share of the results that a second worker computes too, for comparison.
+    /// Share of the results, 0 to 1, that a second worker computes again for comparison.
     #[arg(long, value_name = "SHARE", default_value_t = 0.01, value_parser = share)]
     verify_share: f64,
-    /// Connections beyond this many are refused.
+    /// Largest number of connections; further ones are refused.
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     max_connections: u32,
-    /// The coordinator's access file: certificate and tokens, made by `farmctl access create`.
+    /// The coordinator's access file, with its certificate and tokens; created by `farmctl access create`.
     #[arg(long, value_name = "FILE", env = "FARM_ACCESS")]
     access: Option<PathBuf>,
-    /// Log lines as text or as JSON objects; FARM_LOG tells which, as in FARM_LOG=debug.
+    /// Log format: text, or one JSON object per line. FARM_LOG sets how much is logged, as in FARM_LOG=debug.
     #[arg(long, value_name = "FORMAT", env = "FARM_LOG_FORMAT", default_value = "text")]
     log_format: LogFormat,
-    /// Listen for other machines although nothing is encrypted and nobody is asked for a password.
+    /// Let other machines connect without encryption or tokens; only for networks you trust.
     #[arg(long)]
     insecure: bool,
 }
+
+const EXAMPLES: &str = "\
+Examples:
+  farm-coordinator                                serve ./farm-data to this machine, at http://127.0.0.1:7700
+  farm-coordinator --listen 0.0.0.0:7700 --access access/coordinator.toml --data /var/lib/farm";
 
 #[tokio::main]
 async fn main() -> ExitCode {

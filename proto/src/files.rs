@@ -20,6 +20,7 @@ pub struct GridFile {
     pub g: Option<Vec<f64>>,
     pub thickness_mm: Option<Vec<f64>>,
     pub sample_ior: Option<Vec<f64>>,
+    #[serde(default, deserialize_with = "whole_number")]
     pub walks: Option<u64>,
     pub seed: Option<u64>,
     #[serde(default)]
@@ -34,6 +35,7 @@ pub struct QualityTable {
     /// Root mean square of a profile's standard errors over its mean, for the noisiest albedo and channel.
     pub relative_std_error: f64,
     /// Where to stop in any case; 25 million if left out.
+    #[serde(default, deserialize_with = "whole_number")]
     pub max_walks: Option<u64>,
 }
 
@@ -154,7 +156,7 @@ impl TryFrom<SceneFile> for Scene {
     fn try_from(file: SceneFile) -> Result<Self> {
         let paper = Scene::paper();
         let light = match file.light {
-            Some(t) => RingLight::new(t.ring_deg[0], t.ring_deg[1]).map_err(|e| e.within("light"))?,
+            Some(t) => ring_light(t.ring_deg)?,
             None => paper.light(),
         };
         let sensor = match file.sensor {
@@ -167,8 +169,50 @@ impl TryFrom<SceneFile> for Scene {
             crate::invalid::each("channel", file.channels, |c| Channel::new(c.name, c.rho_light, c.rho_dark))?
         };
         let layers = crate::invalid::each("layer", file.layers, layer)?;
-        Scene::new(layers, channels, light, sensor, file.multiple_scattering)
+        let scene = Scene::new(layers, channels, light, sensor, file.multiple_scattering);
+        // In a file it is `[[layer]]` and `[[channel]]`.
+        scene.map_err(|e| {
+            let field = e.field().replacen("layers", "layer", 1).replacen("channels", "channel", 1);
+            e.renamed(field)
+        })
     }
+}
+
+/// A file has one key for both angles.
+fn ring_light([inner, outer]: [f64; 2]) -> Result<RingLight> {
+    RingLight::new(inner, outer).map_err(|_| {
+        let angles = format!("[{inner}, {outer}]");
+        Invalid::new(
+            "light.ring_deg",
+            angles,
+            "two angles from 0 to 90 degrees are needed, the second at least 0.01 above the first",
+        )
+    })
+}
+
+/// A whole number that may be written as 1_000_000 or 1e6.
+fn whole_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Number {
+        Whole(u64),
+        Float(f64),
+        Other(toml::Value),
+    }
+    let wrong = |given: &dyn std::fmt::Display| {
+        serde::de::Error::custom(format!("{given} is not a whole number, as 1000000 or 1e6 is"))
+    };
+    match Number::deserialize(deserializer)? {
+        Number::Whole(number) => Ok(Some(number)),
+        Number::Float(number) => whole(number).map(Some).ok_or_else(|| wrong(&number)),
+        Number::Other(value) => Err(wrong(&value)),
+    }
+}
+
+/// The whole number that a float is; None if it is none, or so large that floats have gaps.
+pub fn whole(number: f64) -> Option<u64> {
+    const EXACT: f64 = (1_u64 << 53) as f64;
+    ((0.0..=EXACT).contains(&number) && number.fract() == 0.0).then_some(number as u64)
 }
 
 fn layer(table: LayerTable) -> Result<Layer> {
@@ -235,6 +279,34 @@ mod tests {
     fn an_empty_grid_file_is_the_papers_grid() {
         let file: GridFile = toml::from_str("").unwrap();
         assert_eq!(file.into_grid(Scene::paper()).unwrap(), Grid::paper());
+    }
+
+    #[test]
+    fn fields_are_named_as_they_stand_in_the_file() {
+        let layer = "[[layer]]\nname = 's'\nsample = true\n";
+        let refused = |text: &str| {
+            let file: SceneFile = toml::from_str(text).unwrap();
+            Scene::try_from(file).unwrap_err().to_string()
+        };
+        let error = refused(&format!("[light]\nring_deg = [50, 40]\n{layer}"));
+        assert!(error.starts_with("light.ring_deg = [50, 40] is not valid: two angles"), "{error}");
+        let channel = "[[channel]]\nname = 'R'\nrho_light = 1\nrho_dark = 0\n";
+        let error = refused(&format!("{channel}{channel}{layer}"));
+        assert!(error.starts_with("channel[1].name = R is not valid"), "{error}");
+        let error = refused(&format!("{layer}{layer}"));
+        assert!(error.starts_with("layer = 2 sample layers is not valid"), "{error}");
+    }
+
+    #[test]
+    fn walks_may_be_written_as_people_write_large_numbers() {
+        for text in ["1000000", "1_000_000", "1e6", "1.0e+6"] {
+            let file: GridFile = toml::from_str(&format!("walks = {text}")).unwrap();
+            assert_eq!(file.walks, Some(1_000_000), "{text}");
+        }
+        for text in ["1.5", "-1e6", "1e30", "nan", "'many'"] {
+            let error = toml::from_str::<GridFile>(&format!("walks = {text}")).unwrap_err().to_string();
+            assert!(error.contains("is not a whole number"), "{text}: {error}");
+        }
     }
 
     #[test]

@@ -36,8 +36,12 @@ impl Walks {
         if (2 * BATCH_WALKS..=MAX_WALKS).contains(&walks) && walks.is_multiple_of(BATCH_WALKS) {
             Ok(Self(walks))
         } else {
-            let allowed =
-                format!("allowed are multiples of {BATCH_WALKS} from {} to {MAX_WALKS}", 2 * BATCH_WALKS);
+            let least = 2 * BATCH_WALKS;
+            let nearest = (walks.min(MAX_WALKS) + BATCH_WALKS / 2) / BATCH_WALKS * BATCH_WALKS;
+            let nearest = nearest.clamp(least, MAX_WALKS);
+            let allowed = format!(
+                "allowed are multiples of {BATCH_WALKS} from {least} to {MAX_WALKS}; the nearest is {nearest}"
+            );
             Err(Invalid::new("walks", walks, allowed))
         }
     }
@@ -335,6 +339,23 @@ fn axis(name: &str, values: Vec<f64>, check: impl Fn(f64) -> Result<f64>) -> Res
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_refused_number_of_walks_is_told_the_nearest_that_is_allowed() {
+        for (given, nearest) in [
+            (0, 5000),
+            (3749, 5000),
+            (6249, 5000),
+            (6250, 7500),
+            (1_000_001, 1_000_000),
+            (MAX_WALKS + 1, MAX_WALKS),
+            (u64::MAX, MAX_WALKS),
+        ] {
+            let error = Walks::new(given).unwrap_err();
+            assert!(error.allowed().ends_with(&format!("; the nearest is {nearest}")), "{given}: {error}");
+            assert!(Walks::new(nearest).is_ok());
+        }
+    }
 
     #[test]
     fn the_papers_grid_has_34276_records_in_836_jobs() {

@@ -25,7 +25,7 @@ mod convert;
 mod files;
 
 pub use digest::Digest;
-pub use files::{GridFile, SceneFile, SceneRef};
+pub use files::{GridFile, SceneFile, SceneRef, whole};
 pub use grid::{Grid, Quality, Walks};
 pub use ids::{DictionaryName, RequestLimits};
 pub use invalid::{Invalid, Result};
@@ -42,6 +42,9 @@ pub const PHYSICS_VERSION: u32 = 3;
 /// Version of the messages between workers and coordinator. Whoever changes them so that older programs would
 /// misunderstand them raises it: then these are refused when they register.
 pub const PROTOCOL_VERSION: u32 = 2;
+
+/// Metadata of the answer to an export: how many of the records asked for are done when it begins.
+pub const RECORDS_PROMISED: &str = "farm-records-promised";
 
 /// Generated from `proto/farm/v1/*.proto`.
 #[expect(clippy::pedantic, clippy::allow_attributes, reason = "generated code")]

@@ -4,6 +4,7 @@ use std::fmt;
 use std::io::IsTerminal;
 use std::str::FromStr;
 
+use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, filter};
@@ -20,6 +21,11 @@ pub enum LogError {
          levels by module, such as `info,farm_coordinator=debug`"
     )]
     Filter { filter: String, source: filter::ParseError },
+    #[error(
+        "{FILTER_VARIABLE}=`{filter}`: `{word}` is no level; allowed are error, warn, info, debug, trace, off, or \
+         levels by module, such as `info,farm_coordinator=debug`"
+    )]
+    Word { filter: String, word: String },
     #[error("{FILTER_VARIABLE}: is not UTF-8 text")]
     NotText,
     #[error("logs have been set up already")]
@@ -76,6 +82,12 @@ pub fn init(format: LogFormat, default_filter: &str) -> Result<(), LogError> {
 
 fn parse_filter(asked: Option<&str>, default_filter: &str) -> Result<EnvFilter, LogError> {
     let filter = asked.map(str::trim).filter(|f| !f.is_empty()).unwrap_or(default_filter);
+    // A module without a level would be taken for one to trace in full, and a misspelt level for a module.
+    let mut parts = filter.split(',').map(str::trim).filter(|part| !part.is_empty());
+    if let Some(word) = parts.find(|part| !part.contains(['=', '[']) && part.parse::<LevelFilter>().is_err())
+    {
+        return Err(LogError::Word { filter: filter.to_owned(), word: word.to_owned() });
+    }
     EnvFilter::builder()
         .parse(filter)
         .map_err(|source| LogError::Filter { filter: filter.to_owned(), source })
@@ -187,6 +199,12 @@ mod tests {
     fn a_wrong_filter_or_format_is_refused_with_what_is_allowed() {
         let error = parse_filter(Some("farm=loud"), "info").unwrap_err().to_string();
         assert!(error.starts_with("FARM_LOG=`farm=loud`: ") && error.contains("off"), "{error}");
+        let error = parse_filter(Some("info, verbose"), "info").unwrap_err().to_string();
+        assert!(
+            error.starts_with("FARM_LOG=`info, verbose`: `verbose` is no level; allowed are error"),
+            "{error}"
+        );
+        assert!(parse_filter(Some("WARN,farm_proto=trace,[call]=debug,off"), "info").is_ok());
         let error = "xml".parse::<LogFormat>().unwrap_err().to_string();
         assert_eq!(error, "log format `xml`: `text` or `json` is allowed");
         for format in [LogFormat::Text, LogFormat::Json] {

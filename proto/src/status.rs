@@ -70,6 +70,8 @@ pub struct DictionaryStatus {
     pub reason: String,
     /// Time that the rest takes at the present pace.
     pub eta_s: Option<f64>,
+    /// The dictionary that is served before, while none of this one's jobs is being computed.
+    pub goes_first: Option<DictionaryName>,
     /// Records that were there before it was submitted.
     pub records_reused: usize,
     /// Fewest and most walks of the points that are done; zeros before.

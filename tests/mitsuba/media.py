@@ -5,9 +5,11 @@ Asks the loaded media for their coefficients and g, and compares them with the m
 loaded but read by pbrt's rules, which needs no pbrt.
 
     python3 -m venv venv && venv/bin/pip install mitsuba
-    venv/bin/python tests/mitsuba/media.py --expected measured.json --dict media.py --xml media.xml --pbrt media.pbrt
+    farmctl measure examples/white.csv --mu 1 --g 0.4 -o media --json > measured.json
+    venv/bin/python tests/mitsuba/media.py --expected measured.json --dict media/media.py --xml media/media.xml \\
+        --pbrt media/media.pbrt
 
-The measured values are a list of materials, in the order of the files:
+The measured values are what `farmctl measure --json` prints or a list of materials, in the order of the files:
 
     [{"material": "Clear resin", "g": 0.4,
       "channels": [{"channel": "R", "sigma_t_per_mm": 6.0, "albedo": 0.9991, "g": 0.4}, …]}, …]
@@ -32,9 +34,22 @@ def parse():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--expected", type=Path, required=True, help="JSON file with the measured values")
     p.add_argument("--dict", type=Path, required=True, help="Python file with `media = {…}`")
-    p.add_argument("--xml", type=Path, help="XML file with <medium> elements")
+    p.add_argument("--xml", type=Path, help="XML file with a scene of <medium> elements")
     p.add_argument("--pbrt", type=Path, help="pbrt file with MakeNamedMedium statements")
     return p.parse_args()
+
+
+def read_expected(path):
+    """The measured values, from a list or from what `farmctl measure --json` printed."""
+    measured = json.loads(path.read_text(encoding="utf-8"))
+    if isinstance(measured, list):
+        return measured
+    best = {}
+    for material in measured["data"]["materials"]:
+        refined = [(c["channel"], c["refined"]) for c in material["channels"] if c["refined"]]
+        values = ("sigma_t_per_mm", "albedo", "g")
+        best[material["material"]] = [{"channel": name, **{key: b[key] for key in values}} for name, b in refined]
+    return [{"material": name, "channels": channels} for name, channels in best.items() if channels]
 
 
 def read_dict(path):
@@ -67,7 +82,7 @@ class Loaded:
 
 
 def load(source):
-    """The media of a dictionary or of XML as parts of a scene, each inside of a shape that refers to its name."""
+    """The media of a dictionary, or of a file that a scene includes, each inside of a shape that refers to its name."""
     if isinstance(source, dict):
         shapes = {
             f"shape of {name}": {"type": "sphere", "interior": {"type": "ref", "id": name}} for name in source
@@ -75,19 +90,28 @@ def load(source):
         scene = mi.load_dict({"type": "scene", **source, **shapes})
         names = list(source)
     else:
-        names = re.findall(r'^<medium type="homogeneous" id="([^"]*)">$', source, re.MULTILINE)
+        assert mi.load_file(str(source)).shapes() == [], "it loads by itself, and holds nothing but media"
+        names = [medium.get("id") for medium in xml_media(source)]
         shapes = "".join(f'<shape type="sphere"><ref name="interior" id="{name}"/></shape>' for name in names)
-        scene = mi.load_string(f'<scene version="3.0.0">\n{source}\n{shapes}</scene>')
+        include = f'<include filename="{source.resolve()}"/>'
+        scene = mi.load_string(f'<scene version="3.0.0">\n{include}\n{shapes}</scene>')
     loaded = {medium.name: medium for medium in (Loaded(s.interior_medium()) for s in scene.shapes())}
     assert len(loaded) == len(names) == len(set(names)), "a name occurs twice"
     return [loaded[name] for name in names]
+
+
+def xml_media(path):
+    """The elements of the one root; the parser is stricter than Mitsuba's, about comments for one."""
+    root = ElementTree.parse(path).getroot()
+    assert root.tag == "scene" and all(child.tag == "medium" for child in root), "a scene of media"
+    return list(root)
 
 
 def kinds(source):
     """rgb, spectrum or scalar, of each medium."""
     if isinstance(source, dict):
         return [m["sigma_t"]["type"] if isinstance(m["sigma_t"], dict) else "scalar" for m in source.values()]
-    tags = re.findall(r'<(rgb|spectrum|float) name="sigma_t"', source)
+    tags = [medium.find("*[@name='sigma_t']").tag for medium in xml_media(source)]
     return ["scalar" if tag == "float" else tag for tag in tags]
 
 
@@ -231,14 +255,12 @@ def check_pbrt(check, statements, kind_of_each, materials):
 def main():
     args = parse()
     check = Check()
-    materials = json.loads(args.expected.read_text(encoding="utf-8"))
+    materials = read_expected(args.expected)
     source = read_dict(args.dict)
     check_mitsuba(check, "dictionary", source, materials)
     if args.xml:
-        text = args.xml.read_text(encoding="utf-8")
-        ElementTree.fromstring(f"<scene>{text}</scene>")  # Stricter than Mitsuba's reader, about comments for one.
-        check_mitsuba(check, "XML", text, materials)
-        check.equal("kinds", kinds(text), kinds(source))
+        check_mitsuba(check, "XML", args.xml, materials)
+        check.equal("kinds", kinds(args.xml), kinds(source))
     if args.pbrt:
         # pbrt's text does not tell a scalar from a spectrum, the dictionary does.
         check_pbrt(check, read_pbrt(args.pbrt), kinds(source), materials)

@@ -13,6 +13,7 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
         "created_unix_ms",
         "eta_s",
         "failed_jobs",
+        "goes_first",
         "grid_digest",
         "jobs_done",
         "jobs_leased",

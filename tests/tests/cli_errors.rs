@@ -1,11 +1,12 @@
 //! What `farmctl` says to bad input and bad surroundings, and what it leaves on the disk.
 
+use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use farm_tests::cli::{GRID, HEAD, fails, farm, folder, rows, write};
-use farm_tests::process::{Ran, program, run};
+use farm_tests::process::{Ran, farmctl, program, run};
 
 #[test]
 fn a_scene_file_describes_any_stack() {
@@ -157,9 +158,83 @@ fn questions_without_a_farm_say_what_to_do_and_make_none() {
     fails(
         dir.path(),
         &["list", "--server", "http://127.0.0.1:9"],
-        &["no coordinator answers at http://127.0.0.1:9"],
+        &["no coordinator answers at http://127.0.0.1:9: nothing listens there (connection refused)"],
+    );
+    fails(
+        dir.path(),
+        &["export", "paper", "--server", "http://no-such-host.invalid:7700"],
+        &["no machine is known by the name no-such-host.invalid"],
     );
     assert!(!dir.path().join("farm-data").exists());
+}
+
+#[test]
+fn values_of_files_are_refused_with_their_line_and_their_key() {
+    let dir = folder();
+    write(dir.path(), "scene.toml", "[light]\nring_deg = [50, 40]\n[[layer]]\nname = 's'\nsample = true\n");
+    write(dir.path(), "named.toml", "scene = 'scene.toml'\n");
+    write(dir.path(), "axis.toml", "albedo = [\n  0.5,\n  1.5,\n]\n");
+    write(dir.path(), "walks.toml", "g = [0]\nwalks = 1e6\nthickness_mm = [0]\n");
+    write(dir.path(), "few.toml", "# few\nwalks = 1234\n");
+    for (file, told) in [
+        ("named.toml", "scene.toml, line 2: light.ring_deg = [50, 40] is not valid: two angles"),
+        ("axis.toml", "grid file axis.toml, line 3: albedo[1] = 1.5 is not valid"),
+        ("walks.toml", "grid file walks.toml, line 3: thickness_mm[0] = 0 is not valid"),
+        ("few.toml", "grid file few.toml, line 2: walks = 1234 is not valid"),
+        ("few.toml", "; the nearest is 5000"),
+    ] {
+        fails(dir.path(), &["submit", file], &[told]);
+    }
+    assert!(!dir.path().join("farm-data").exists());
+}
+
+#[test]
+fn a_folder_in_which_nothing_computes_says_to_submit_and_not_to_start_a_worker() {
+    let farm = unfinished();
+    let explained = run(farm.path(), &["explain", "long"]);
+    assert_eq!(explained.code, 0, "{}", explained.stderr);
+    let told =
+        "nothing computes in this folder at the moment: `farmctl submit` with the same grid file and name";
+    assert!(explained.stdout.contains(told), "{}", explained.stdout);
+    assert!(!explained.stdout.contains("farm-worker"), "{}", explained.stdout);
+}
+
+/// A folder with the dictionary `long`, which was interrupted.
+fn unfinished() -> tempfile::TempDir {
+    let dir = folder();
+    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 25000000"));
+    let mut submit = farmctl(dir.path())
+        .args(["submit", "long.toml"])
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("farmctl starts");
+    // The first line of progress comes when the dictionary is there.
+    let mut line = String::new();
+    let stderr = submit.stderr.take().expect("it is piped");
+    BufReader::new(stderr).read_line(&mut line).expect("it tells progress");
+    assert!(line.starts_with("long: 0.0 % of the work, 0 of 8 records"), "{line}");
+    submit.kill().expect("it is still at work");
+    submit.wait().expect("it ends");
+    dir
+}
+
+#[test]
+fn all_programs_refuse_a_log_filter_that_is_none() {
+    let dir = folder();
+    for (name, args) in [
+        ("farmctl", &["list"][..]),
+        ("farm-coordinator", &["--listen", "127.0.0.1:0", "--data", "data"]),
+        ("farm-worker", &["--server", "http://127.0.0.1:9"]),
+    ] {
+        for filter in ["farm=loud", "verbose"] {
+            let mut program = Command::new(program(name));
+            let ran = program.current_dir(dir.path()).args(args).env("FARM_LOG", filter).output().unwrap();
+            let told = String::from_utf8_lossy(&ran.stderr).into_owned();
+            assert_eq!(ran.status.code(), Some(1), "{name}: {told}");
+            assert!(told.starts_with(&format!("{name}: FARM_LOG=`{filter}`: ")), "{told}");
+        }
+    }
+    assert!(!dir.path().join("data").exists());
 }
 
 #[test]

@@ -27,7 +27,7 @@ fn digest(jobs: &[Vec<Record>]) -> Digest {
 }
 
 async fn exported(farm: &TestFarm, name: &str) -> Result<Vec<Record>> {
-    let request = ExportRequest { name: name.to_owned(), indices: vec![] };
+    let request = ExportRequest { name: name.to_owned(), ..Default::default() };
     let mut stream = farm.dictionaries().export(request).await?.into_inner();
     let mut records = Vec::new();
     while let Some(record) = stream.message().await? {
@@ -235,7 +235,7 @@ async fn a_client_that_does_not_read_does_not_hold_up_a_stop() -> Result<()> {
     farm.submit("large", &Grid::try_from(grid)?).await?;
     farm.done("large").await?;
     worker.stop().await?;
-    let request = ExportRequest { name: "large".to_owned(), indices: vec![] };
+    let request = ExportRequest { name: "large".to_owned(), ..Default::default() };
     let mut unread = farm.dictionaries().export(request).await?.into_inner();
     assert!(unread.message().await?.is_some());
     tokio::time::timeout(Duration::from_secs(8), farm.coordinator.stop()).await??;

@@ -4,24 +4,27 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use super::examples;
+
 #[derive(Debug, Subcommand)]
 pub enum AccessCommand {
-    /// Write access files for the coordinator and for each role: worker, client, admin.
+    /// Create access files for the coordinator and for each role: worker, client and admin.
+    #[command(after_help = examples::ACCESS_CREATE)]
     Create(AccessCreateArgs),
 }
 
 #[derive(Debug, Args)]
 pub struct AccessCreateArgs {
-    /// Folder to write them to; it must not exist.
+    /// Folder to create; it must not exist yet.
     pub folder: PathBuf,
-    /// Name or address by which others reach the coordinator; can be given several times, the first one goes into the
-    /// files of the roles.
+    /// Host name or address at which others reach the coordinator; may be given several times, and the first goes into
+    /// the roles' access files.
     #[arg(long, value_name = "NAME", required = true)]
     pub host: Vec<String>,
     /// Port of the coordinator.
     #[arg(long, value_name = "N", default_value_t = 7700)]
     pub port: u16,
-    /// Give each role a certificate of its own too, without which nobody can connect.
+    /// Also give each role a certificate of its own, and let nobody connect without one (mutual TLS).
     #[arg(long)]
     pub mutual: bool,
 }
@@ -46,7 +49,7 @@ pub struct WaitArgs {
 pub struct CancelArgs {
     /// Name of the dictionary.
     pub name: String,
-    /// Why; kept, and told to whoever asks.
+    /// Reason, which is kept and shown to anyone who asks.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub reason: String,
 }
@@ -55,7 +58,7 @@ pub struct CancelArgs {
 pub struct PriorityArgs {
     /// Name of the dictionary.
     pub name: String,
-    /// -1000 to 1000; higher goes first, 0 is usual.
+    /// From -1000 to 1000; higher goes first, 0 is the default.
     #[arg(allow_negative_numbers = true)]
     pub priority: i32,
 }
@@ -64,7 +67,7 @@ pub struct PriorityArgs {
 pub struct DeleteArgs {
     /// Name of the dictionary.
     pub name: String,
-    /// Do it; nothing is deleted without this.
+    /// Confirm; nothing is deleted without this.
     #[arg(long)]
     pub yes: bool,
 }
@@ -77,9 +80,10 @@ pub struct WorkersArgs {
 
 #[derive(Debug, Subcommand)]
 pub enum WorkersCommand {
-    /// List them; the same as no subcommand.
+    /// List the workers; the same as no subcommand.
     List,
-    /// Let a worker finish what it has and end.
+    /// Let a worker finish its jobs and leave.
+    #[command(after_help = examples::DRAIN)]
     Drain(DrainArgs),
 }
 
@@ -91,32 +95,32 @@ pub struct DrainArgs {
 
 #[derive(Debug, Args)]
 pub struct EventsArgs {
-    /// Only those of this dictionary.
+    /// Show only the events of this dictionary.
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
-    /// How many, the newest.
+    /// Number of events to show, the newest ones.
     #[arg(long, short = 'n', value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub number: u32,
-    /// Go on as they happen.
+    /// Keep running, and show events as they happen.
     #[arg(long, short)]
     pub follow: bool,
 }
 
 #[derive(Debug, Args)]
 pub struct DoctorArgs {
-    /// Compute damaged jobs again.
+    /// Recompute damaged jobs.
     #[arg(long)]
     pub repair: bool,
 }
 
 #[derive(Debug, Args)]
 pub struct BackupArgs {
-    /// File to write; it must not exist. Its checksum goes beside it, as FILE.b3.
+    /// File to write; it must not exist yet. Its checksum is written beside it, to FILE.b3.
     pub file: PathBuf,
 }
 
 #[derive(Debug, Args)]
 pub struct RestoreArgs {
-    /// The backup. It becomes the database of the folder that --data names.
+    /// The backup, which becomes the database of the folder given by --data.
     pub file: PathBuf,
 }

@@ -13,19 +13,19 @@ pub struct OptionArgs {
     /// Dictionary to search [default: the only one, or paper].
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
-    /// Only this anisotropy, or a range as in 0.2..0.6 [default: any].
+    /// Only this anisotropy, or a range such as 0.2..0.6 [default: any].
     #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
     pub g: Option<BoundsArg>,
-    /// Only this extinction coefficient, or a range as in 4..8, per mm [default: any].
+    /// Only this extinction coefficient in 1/mm, or a range such as 4..8 [default: any].
     #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
     pub sigma_t: Option<BoundsArg>,
-    /// Only this albedo, or a range as in 0.9.. [default: any].
+    /// Only this albedo, or a range such as 0.9.. [default: any].
     #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
     pub albedo: Option<BoundsArg>,
     /// Weight of the profiles' gradients.
     #[arg(long, default_value_t = 20.0, allow_negative_numbers = true)]
     pub lambda: f64,
-    /// Wavelet that takes the gradients.
+    /// Wavelet used to take the gradients.
     #[arg(long, value_enum, default_value_t = WaveletArg::Spline)]
     pub wavelet: WaveletArg,
     /// Level of the wavelet: gradients are smoothed over about 2^LEVEL pixels.
@@ -75,13 +75,13 @@ pub struct FitArgs {
     /// Factor on the measured values.
     #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
     pub mu: f64,
-    /// Standard error of that factor, to be contained in the error bars.
+    /// Standard error of that factor, which goes into the error bars.
     #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true)]
     pub mu_std_error: f64,
     /// Number of best records to show per channel.
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub top: u32,
-    /// Stay with the records of the dictionary: no optimum between them, no error bars.
+    /// Report records of the dictionary only: no optimum between them, no error bars.
     #[arg(long)]
     pub no_refine: bool,
     /// Draw profiles and gradients with their fits, one picture per material: FILE.svg or FILE.png.

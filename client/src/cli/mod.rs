@@ -1,9 +1,11 @@
 //! The command line.
 
 mod bounds;
+mod examples;
 mod farm;
 mod fit;
 mod slurm;
+mod whole;
 
 use std::path::PathBuf;
 
@@ -17,6 +19,7 @@ pub use farm::{
 };
 pub use fit::{FitArgs, MapArgs, MeasureArgs, MuArgs, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg};
 pub use slurm::{SlurmCommand, SlurmSubmitArgs};
+use whole::whole_number;
 
 /// Measures the optical parameters of translucent resins: computes dictionaries of simulated edge profiles and fits
 /// measured profiles to them.
@@ -39,26 +42,20 @@ Examples:
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
 
 Exit codes: 0 success, 1 error, 2 wrong usage; of a dictionary: 3 some jobs have failed, 4 some jobs are in
-quarantine, 5 cancelled, 6 still running when the time to wait was over; 130 interrupted.";
-
-const SIMULATE_EXAMPLES: &str = "\
-Examples:
-  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
-  farmctl simulate --sigma-t 4,6,8 --albedo 0.9,0.99 --g 0.4 --thickness 0.5,1 -o profiles.csv
-  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5,1 --measurement white -o white.csv";
+quarantine, 5 cancelled, 6 still running when --timeout ran out; 130 interrupted.";
 
 #[derive(Debug, Args)]
 pub struct Global {
-    /// URL of a coordinator, as in http://farm:7700.
+    /// URL of the coordinator, such as http://farm:7700.
     #[arg(long, value_name = "URL", env = "FARM_SERVER", global = true, help_heading = "General options")]
     pub server: Option<String>,
-    /// Access file of a coordinator: its URL, its certificate and a token.
+    /// Access file for the coordinator: its URL, its certificate and a token.
     #[arg(long, value_name = "FILE", env = "FARM_ACCESS", global = true, help_heading = "General options")]
     pub access: Option<PathBuf>,
     /// Run in this process even if a server is configured.
     #[arg(long, global = true, help_heading = "General options")]
     pub local: bool,
-    /// Folder of the local farm's data.
+    /// Folder for the local farm's data.
     #[arg(
         long,
         value_name = "DIR",
@@ -68,95 +65,121 @@ pub struct Global {
         help_heading = "General options"
     )]
     pub data: PathBuf,
-    /// Print one JSON object instead of text.
+    /// Print a single JSON object instead of text.
     #[arg(long, global = true, help_heading = "General options")]
     pub json: bool,
-    /// No progress on standard error.
+    /// Show no progress on standard error.
     #[arg(long, short, global = true, help_heading = "General options")]
     pub quiet: bool,
 }
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Compute a dictionary; one that exists with the same grid is continued.
+    /// Compute a dictionary; if it exists with the same grid, carry on with it.
+    #[command(after_help = examples::SUBMIT)]
     Submit(SubmitArgs),
-    /// Find the media that explain measured edge profiles, with error bars.
+    /// Find the media that best explain measured edge profiles, with error bars.
+    #[command(after_help = examples::FIT)]
     Fit(FitArgs),
     /// Find the scale factor and the anisotropy common to a set of materials.
+    #[command(after_help = examples::SCALE)]
     Scale(ScaleArgs),
-    /// Measure a set of materials: scale factor, common anisotropy, media with error bars.
+    /// Measure a set of materials: scale factor, common anisotropy, and media with error bars.
+    #[command(after_help = examples::MEASURE)]
     Measure(MeasureArgs),
-    /// Map the distance of measured profiles to every medium of a dictionary.
+    /// Map how far measured profiles are from every medium of a dictionary.
+    #[command(after_help = examples::MAP)]
     Map(MapArgs),
-    /// Tell which media similarity theory calls equal to one.
+    /// List the media that similarity theory considers equivalent to a given one.
+    #[command(after_help = examples::SIMILAR)]
     Similar(SimilarArgs),
     /// Simulate edge profiles, without a farm.
+    #[command(after_help = examples::SIMULATE)]
     Simulate(SimulateArgs),
     /// Show what the farm is doing.
+    #[command(after_help = examples::STATUS)]
     Status,
     /// List the dictionaries.
+    #[command(after_help = examples::LIST)]
     List,
-    /// Follow a dictionary until it has ended; the exit code tells how.
+    /// Follow the progress of a dictionary until it ends; the exit code says how it ended.
+    #[command(after_help = examples::WATCH)]
     Watch(NameArgs),
-    /// Wait without a word until dictionaries have ended; the exit code tells how.
+    /// Wait silently until dictionaries have ended; the exit code says how they ended.
+    #[command(after_help = examples::WAIT)]
     Wait(WaitArgs),
-    /// Tell why a dictionary is not done.
+    /// Explain why a dictionary is not finished yet.
+    #[command(after_help = examples::EXPLAIN)]
     Explain(NameArgs),
-    /// Give out no more jobs of a dictionary; those under way are finished.
+    /// Stop handing out jobs of a dictionary; jobs already running are finished.
+    #[command(after_help = examples::PAUSE)]
     Pause(NameArgs),
-    /// Go on with a dictionary that was paused or cancelled.
+    /// Resume a dictionary that was paused or cancelled.
+    #[command(after_help = examples::RESUME)]
     Resume(NameArgs),
-    /// End the work on a dictionary; finished records stay.
+    /// Stop work on a dictionary for good; finished records are kept.
+    #[command(after_help = examples::CANCEL)]
     Cancel(CancelArgs),
-    /// Try the jobs of a dictionary again that were given up.
+    /// Retry the jobs of a dictionary that were given up.
+    #[command(after_help = examples::RETRY)]
     Retry(NameArgs),
-    /// Say which dictionaries go first.
+    /// Set the priority of a dictionary.
+    #[command(after_help = examples::PRIORITY)]
     Priority(PriorityArgs),
-    /// Delete a dictionary, and the records that no other one uses.
+    /// Delete a dictionary and the records that no other dictionary uses.
+    #[command(after_help = examples::DELETE)]
     Delete(DeleteArgs),
-    /// List the workers, or let one leave.
+    /// List the workers, or ask one to leave.
+    #[command(after_help = examples::WORKERS)]
     Workers(WorkersArgs),
-    /// Show what has happened.
+    /// Show what has happened on the farm.
+    #[command(after_help = examples::EVENTS)]
     Events(EventsArgs),
-    /// Look for what is wrong: connection, versions, disk, every record.
+    /// Check everything: connection, versions, disk and every record.
+    #[command(after_help = examples::DOCTOR)]
     Doctor(DoctorArgs),
-    /// Copy the whole database to a file, verified, while the farm goes on.
+    /// Copy the whole database to a file and verify the copy, while the farm keeps running.
+    #[command(after_help = examples::BACKUP)]
     Backup(BackupArgs),
-    /// Make a backup the database of a folder that has none.
+    /// Restore a backup into a folder that has no database yet.
+    #[command(after_help = examples::RESTORE)]
     Restore(RestoreArgs),
-    /// Ask whether the coordinator serves; for health checks.
+    /// Check whether the coordinator is serving; meant for health checks.
+    #[command(after_help = examples::HEALTH)]
     Health,
-    /// Make the files by which coordinator, workers and people know each other.
+    /// Create the access files of coordinator, workers and people.
     #[command(subcommand)]
     Access(AccessCommand),
     /// Run workers on a Slurm cluster.
     #[command(subcommand)]
     Slurm(SlurmCommand),
-    /// Show one dictionary.
+    /// Show the details of a dictionary.
+    #[command(after_help = examples::SHOW)]
     Show(ShowArgs),
-    /// Write the finished records of a dictionary as CSV.
+    /// Export the finished records of a dictionary as CSV.
+    #[command(after_help = examples::EXPORT)]
     Export(ExportArgs),
     /// Print completions for a shell.
+    #[command(after_help = examples::COMPLETIONS)]
     Completions(CompletionsArgs),
 }
 
 #[derive(Debug, Args)]
 pub struct SubmitArgs {
-    /// Grid file in TOML; the paper's grid without one.
+    /// Grid file in TOML [default: the paper's grid].
     pub grid: Option<PathBuf>,
     /// Name of the dictionary [default: the file's name, or "paper"].
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
-    /// Wait until the dictionary is done. Always so without a server.
+    /// Wait until the dictionary is finished; without a server this is always so.
     #[arg(long)]
     pub wait: bool,
-    /// Dictionaries of higher priority go first: -1000 to 1000.
+    /// Priority from -1000 to 1000; higher goes first.
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     pub priority: i32,
 }
 
 #[derive(Debug, Args)]
-#[command(after_help = SIMULATE_EXAMPLES)]
 pub struct SimulateArgs {
     /// Extinction coefficients of the sample, per mm, as in 6 or 4,6,8.
     #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
@@ -195,7 +218,7 @@ pub struct SimulateArgs {
     #[arg(long, value_name = "N")]
     pub pixels: Option<u32>,
     /// Random walks: a multiple of 2500, at least 5000.
-    #[arg(long, value_name = "N", default_value_t = 250_000)]
+    #[arg(long, value_name = "N", default_value_t = 250_000, value_parser = whole_number)]
     pub walks: u64,
     /// Seed of the random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -230,13 +253,13 @@ pub struct ShowArgs {
 pub struct ExportArgs {
     /// Name of the dictionary.
     pub name: String,
-    /// File to write [default: standard output].
+    /// File to write [default: standard output]. It appears under this name once it is complete.
     #[arg(long, short, value_name = "FILE")]
     pub output: Option<PathBuf>,
     /// Write the profiles of one medium as a measurement of the material NAME, which `farmctl measure` reads.
     #[arg(long, value_name = "NAME")]
     pub measurement: Option<String>,
-    /// Only these extinction coefficients, as in 6,9.
+    /// Only these extinction coefficients, such as 6,9.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub sigma_t: Vec<f64>,
     /// Only these albedos.

@@ -11,7 +11,7 @@ use farm_proto::walltime::{Walltime, parse_span, parse_time_limit};
 
 #[derive(Debug, Subcommand)]
 pub enum SlurmCommand {
-    /// Submit workers as an array job; each ends by itself before its walltime or when there is no work.
+    /// Submit workers as an array job; each stops by itself before its walltime, or when it runs out of work.
     Submit(SlurmSubmitArgs),
 }
 
@@ -21,23 +21,23 @@ pub struct SlurmSubmitArgs {
     /// Number of workers; each is one task of the array.
     #[arg(long, value_name = "N", value_parser = at_most_a_million)]
     pub workers: NonZeroU32,
-    /// How many of them may run at the same time [default: all]. The others follow as these end, so that
-    /// work which is longer than the walltime needs one submission only.
+    /// How many of them may run at the same time [default: all]. The others follow as these end, so that work
+    /// which takes longer than the walltime needs only one submission.
     #[arg(long, value_name = "N", value_parser = at_most_a_million)]
     pub at_once: Option<NonZeroU32>,
     /// Walltime of each worker: minutes, MM:SS, HH:MM:SS, D-HH, D-HH:MM or D-HH:MM:SS.
     #[arg(long, value_name = "TIME")]
     pub time: Walltime,
-    /// Threads of each worker, and so the cores that it gets.
+    /// Threads of each worker, and so the number of cores it gets.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: u16,
     /// Partition to run in [default: the cluster's].
     #[arg(long, value_name = "NAME")]
     pub partition: Option<OneLine>,
-    /// How long running jobs of the farm may go on once a worker must stop.
+    /// How long jobs that are being computed may continue once a worker has to stop.
     #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_span)]
     pub grace: Duration,
-    /// End a worker that had no work for so long.
+    /// Stop a worker that has had no work for this long.
     #[arg(long, value_name = "DURATION", default_value = "5m", value_parser = parse_time_limit)]
     pub idle_exit: Duration,
     /// The workers' access file, on a filesystem that the nodes share [default: worker.toml beside --access].
@@ -50,13 +50,13 @@ pub struct SlurmSubmitArgs {
     /// Name of the job in Slurm.
     #[arg(long, value_name = "NAME", default_value = "farm-worker")]
     pub job_name: OneLine,
-    /// Log file of each worker; %A is the job's number, %a the task's.
+    /// Log file of each worker; %A is the job number, %a the task number.
     #[arg(long, value_name = "PATTERN", default_value = "farm-worker-%A_%a.log")]
     pub log: LogPattern,
-    /// A further option for sbatch, as in --sbatch-option=--account=lab; can be given several times.
+    /// Additional option for sbatch, such as --sbatch-option=--account=lab; may be given several times.
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
     pub sbatch_option: Vec<SbatchOption>,
-    /// Print the job script and submit nothing.
+    /// Print the job script without submitting it.
     #[arg(long)]
     pub dry_run: bool,
 }

@@ -1,16 +1,19 @@
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use farm_proto::status::DictionaryStatus;
-use farm_proto::wire::{ExportRequest, GetRequest};
+use farm_proto::wire::GetRequest;
 use farm_proto::{DictionaryName, Estimate, Grid, Invalid, Record};
 use serde::Serialize;
 
 use crate::cli::{ExportArgs, Global};
 use crate::connection::{Connection, Purpose};
+use crate::interrupt::{Interrupted, interrupted};
 use crate::measurement_file::MeasurementWriter;
 use crate::output::{Output, envelope};
+use crate::records::Records;
+use crate::whole_file::Draft;
 
 pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name.as_str())?;
@@ -22,12 +25,12 @@ pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> R
         }
         Some(file) => to_file(&connection, &name, &args, output.is_json(), file).await,
     };
+    let exported = exported.map_err(|error| connection.in_plain_words(error));
     connection.close().await?;
     exported
 }
 
-/// Writes beside the file and renames at the end, so that the file is whole or not there. A device or pipe is written to
-/// as it is.
+/// Writes a file that is whole or not there. A device or pipe is written to as it is.
 async fn to_file(
     connection: &Connection,
     name: &DictionaryName,
@@ -35,23 +38,17 @@ async fn to_file(
     json: bool,
     file: &Path,
 ) -> Result<()> {
-    let create = |path: &Path| {
-        let opened = std::fs::File::create(path).with_context(|| format!("output {}", path.display()));
-        opened.map(std::io::BufWriter::new)
-    };
-    if std::fs::symlink_metadata(file).is_ok_and(|m| !m.is_file()) {
-        return export(connection, name, args, json, create(file)?).await;
+    let place = || format!("output {}", file.display());
+    if std::fs::metadata(file).is_ok_and(|m| !m.is_file()) {
+        let out = std::io::BufWriter::new(std::fs::File::create(file).with_context(place)?);
+        return export(connection, name, args, json, out).await;
     }
-    let draft = PathBuf::from(format!("{}.partial", file.display()));
-    let mut written = export(connection, name, args, json, create(&draft)?).await;
-    if written.is_ok() {
-        written = std::fs::rename(&draft, file).with_context(|| format!("output {}", file.display()));
+    let mut draft = Draft::create(file).with_context(place)?;
+    tokio::select! {
+        exported = export(connection, name, args, json, &mut draft) => exported?,
+        () = interrupted() => return Err(Interrupted.into()),
     }
-    if written.is_err() {
-        // The first error is the one to tell.
-        let _ = std::fs::remove_file(&draft);
-    }
-    written
+    draft.finish().with_context(place)
 }
 
 async fn export(
@@ -62,27 +59,26 @@ async fn export(
     mut out: impl Write,
 ) -> Result<()> {
     let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
-    let grid = DictionaryStatus::try_from(status)?.grid;
-    let indices = selection(&grid, args)?;
+    let status = DictionaryStatus::try_from(status)?;
+    let grid = &status.grid;
+    let indices = selection(grid, args)?;
     let material = args.measurement.as_deref();
-    let mut measurement = material.map(|name| one_material(&grid, &indices, name, json)).transpose()?;
+    let mut measurement = material.map(|name| one_material(grid, &indices, name, json)).transpose()?;
     let wanted = if indices.is_empty() { grid.record_count() } else { indices.len() };
-    let request = ExportRequest { name: name.to_string(), indices };
-    let mut records = connection.dictionaries().export(request).await?.into_inner();
+    let mut records = Records::ask(connection, &status, indices).await?;
     if !json && measurement.is_none() {
-        write_head(&mut out, &grid)?;
+        write_head(&mut out, grid)?;
     }
     let mut count = 0;
-    while let Some(record) = records.message().await? {
-        let record = Record::try_from(record)?;
+    while let Some(record) = records.next().await? {
         count += 1;
         if let Some(measurement) = &mut measurement {
             let thickness_mm = grid.parameters(record.index).0.thickness_mm();
             measurement.add(grid.scene(), thickness_mm, &record.profiles)?;
         } else if json {
-            writeln!(out, "{}", envelope("record", &RecordJson::new(&grid, &record))?)?;
+            writeln!(out, "{}", envelope("record", &RecordJson::new(grid, &record))?)?;
         } else {
-            write_rows(&mut out, &grid, &record)?;
+            write_rows(&mut out, grid, &record)?;
         }
     }
     if let Some(measurement) = measurement {

@@ -10,6 +10,7 @@ use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 
 use crate::cli::Global;
+use crate::connection::in_plain_words;
 use crate::output::Output;
 
 /// Whoever asks for health wants a quick answer.
@@ -34,7 +35,8 @@ pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
         client.check(HealthCheckRequest { service: String::new() }).await
     });
     let answer = answer.await.with_context(|| format!("{url}: no answer within {} s", PATIENCE.as_secs()))?;
-    let status = answer.with_context(|| format!("no coordinator answers at {url}"))?.into_inner().status();
+    let answer = answer.map_err(|status| in_plain_words(status.into(), &url))?;
+    let status = answer.into_inner().status();
     ensure!(status == ServingStatus::Serving, "the coordinator at {url} is not serving");
     let data = HealthJson { serving: true, server: url };
     output.print("health", &data, || {

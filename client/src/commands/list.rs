@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::output::{DictionaryJson, Output, duration, grouped, table};
+use crate::output::{DictionaryJson, Output, duration, grouped, share_of_work, table};
 
 #[derive(Debug, Serialize)]
 struct ListJson {
@@ -37,7 +37,7 @@ pub(crate) fn text(dictionaries: &[DictionaryStatus]) -> String {
     if dictionaries.is_empty() {
         return "no dictionaries yet: `farmctl submit` computes one".to_owned();
     }
-    let head = ["dictionary", "state", "priority", "records", "of", "done", "left", "failed jobs"];
+    let head = ["dictionary", "state", "priority", "records", "of", "work done", "left", "failed jobs"];
     let row = |d: &DictionaryStatus| {
         vec![
             d.name.to_string(),
@@ -45,7 +45,7 @@ pub(crate) fn text(dictionaries: &[DictionaryStatus]) -> String {
             d.priority.to_string(),
             grouped(d.records_done() as u64),
             grouped(d.records_total() as u64),
-            format!("{:.1} %", 100.0 * d.work_done),
+            share_of_work(d.work_done),
             d.eta_s.map_or_else(String::new, |s| duration(std::time::Duration::from_secs_f64(s))),
             d.failed.len().to_string(),
         ]

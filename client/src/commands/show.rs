@@ -2,8 +2,8 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use farm_proto::status::{DictionaryStatus, FailedJob};
-use farm_proto::wire::{ExportRequest, GetRequest};
-use farm_proto::{DictionaryName, Record, SceneFile};
+use farm_proto::wire::GetRequest;
+use farm_proto::{DictionaryName, SceneFile};
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
@@ -11,6 +11,7 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::figures;
 use crate::output::{DictionaryJson, Output, grouped};
 use crate::plot::Picture;
+use crate::records::Records;
 
 #[derive(Debug, Serialize)]
 struct ShowJson {
@@ -64,12 +65,10 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
 
 async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {
     let axes = figures::chosen_axes(&status.grid);
-    let indices = axes.records(&status.grid);
-    let request = ExportRequest { name: status.name.to_string(), indices };
-    let mut answers = connection.dictionaries().export(request).await?.into_inner();
+    let mut answers = Records::ask(connection, status, axes.records(&status.grid)).await?;
     let mut records = Vec::new();
-    while let Some(record) = answers.message().await? {
-        records.push(Record::try_from(record)?);
+    while let Some(record) = answers.next().await? {
+        records.push(record);
     }
     if records.is_empty() {
         bail!("none of the records to be drawn is done yet");

@@ -24,7 +24,7 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
     })
     .await?;
     let code = match end {
-        End::Followed(watch::End::Interrupted) => ExitCode::from(exit::INTERRUPTED),
+        End::Left | End::Followed(watch::End::Interrupted) => ExitCode::from(exit::INTERRUPTED),
         End::Followed(watch::End::Ended(_)) => exit::code_of(&status),
         End::Submitted => ExitCode::SUCCESS,
     };
@@ -45,6 +45,8 @@ fn stem(file: &Path) -> Result<String> {
 enum End {
     /// Not waited for.
     Submitted,
+    /// Not waited for any longer; another process goes on with it.
+    Left,
     Followed(watch::End),
 }
 
@@ -61,8 +63,10 @@ async fn submit(
     if !args.wait && connection.is_server() {
         return Ok((status, End::Submitted));
     }
-    let (status, end) = follow(connection, status, quiet).await?;
-    Ok((status, End::Followed(end)))
+    match follow(connection, status, quiet).await? {
+        (status, watch::End::Interrupted) if !connection.is_embedded() => Ok((status, End::Left)),
+        (status, end) => Ok((status, End::Followed(end))),
+    }
 }
 
 fn text(status: &DictionaryStatus, end: &End) -> String {
@@ -70,6 +74,10 @@ fn text(status: &DictionaryStatus, end: &End) -> String {
     let (done, total) = (grouped(status.records_done() as u64), grouped(status.records_total() as u64));
     match end {
         End::Submitted => format!("{name}: {total} records are to be computed, {done} are done"),
+        End::Left => format!(
+            "{name}: {done} of {total} records are done, and the farm goes on computing: `farmctl watch {name}` to \
+             look again, `farmctl cancel {name}` to stop"
+        ),
         End::Followed(watch::End::Interrupted) => {
             format!("{name}: stopped, {done} of {total} records are stored; submit again to go on")
         }

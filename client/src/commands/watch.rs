@@ -12,6 +12,7 @@ use serde::Serialize;
 use crate::cli::{Global, WaitArgs};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
+use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{DictionaryJson, Output, grouped};
 use crate::progress::Progress;
 
@@ -55,20 +56,6 @@ pub(crate) async fn follow(
     Ok((status, End::Ended(start.elapsed())))
 }
 
-/// Ends when the process is asked to stop.
-async fn interrupted() {
-    use tokio::signal::unix::{SignalKind, signal};
-    match signal(SignalKind::terminate()) {
-        Ok(mut terminate) => tokio::select! {
-            _ = tokio::signal::ctrl_c() => {}
-            _ = terminate.recv() => {}
-        },
-        Err(_) => {
-            let _ = tokio::signal::ctrl_c().await;
-        }
-    }
-}
-
 pub(crate) async fn watch(global: &Global, name: &str, output: &Output) -> Result<ExitCode> {
     let name = DictionaryName::new(name)?;
     let (status, end) = with_farm(global, Purpose::Ask, async |connection| {
@@ -110,7 +97,7 @@ pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Re
             };
             let (status, end) = followed?;
             if matches!(end, End::Interrupted) {
-                bail!("interrupted");
+                return Err(Interrupted.into());
             }
             statuses.push(status);
         }

@@ -39,26 +39,32 @@ pub(crate) fn mitsuba_dict(media: &[MeasuredMedium]) -> String {
     text + "}\n"
 }
 
-/// Elements `<medium>`, which belong into a `<scene>`.
+/// A scene of nothing but media: it can be loaded as it is, and included by another scene, whose shapes then refer to the
+/// media by their ids.
 pub(crate) fn mitsuba_xml(media: &[MeasuredMedium]) -> String {
-    let mut text = format!("<!-- Measured media for Mitsuba 3, to put into a scene. -->\n<!-- {UNITS} -->\n");
+    let mut text = format!(
+        "<!-- Measured media for Mitsuba 3: put <include filename=\"media.xml\"/> into a scene, and into a shape
+     <ref name=\"interior\" id=\"…\"/> with the id of a medium. -->
+<!-- {UNITS} -->
+<scene version=\"3.0.0\">\n"
+    );
     for block in blocks(media) {
         let (name, scale, g) = (&block.name, scale(&block.values), block.g);
         let sigma_t = xml("sigma_t", &block.values, |c| c.sigma_t_per_mm / scale);
         let albedo = xml("albedo", &block.values, |c| c.albedo);
         text += &notes(&block).map(|note| xml_comment(&note)).collect::<String>();
         text += &format!(
-            "<medium type=\"homogeneous\" id=\"{name}\">
-    {sigma_t}
-    {albedo}
-    <float name=\"scale\" value=\"{scale:?}\"/>
-    <phase type=\"hg\">
-        <float name=\"g\" value=\"{g:?}\"/>
-    </phase>
-</medium>\n"
+            "    <medium type=\"homogeneous\" id=\"{name}\">
+        {sigma_t}
+        {albedo}
+        <float name=\"scale\" value=\"{scale:?}\"/>
+        <phase type=\"hg\">
+            <float name=\"g\" value=\"{g:?}\"/>
+        </phase>
+    </medium>\n"
         );
     }
-    text
+    text + "</scene>\n"
 }
 
 fn notes(block: &Block) -> impl Iterator<Item = String> {
@@ -112,7 +118,7 @@ fn xml_comment(text: &str) -> String {
     while text.contains("--") {
         text = text.replace("--", "- -");
     }
-    format!("<!-- {text} -->\n")
+    format!("    <!-- {text} -->\n")
 }
 
 #[cfg(test)]
@@ -159,40 +165,56 @@ media = {
 
     #[test]
     fn xml_of_each_kind() {
-        let expected = r#"<!-- Measured media for Mitsuba 3, to put into a scene. -->
+        let expected = r#"<!-- Measured media for Mitsuba 3: put <include filename="media.xml"/> into a scene, and into a shape
+     <ref name="interior" id="…"/> with the id of a medium. -->
 <!-- Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000. -->
-<!-- "Clear resin": R, G, B -->
-<!-- Unresolved: the measurement does not determine "G"; best values. -->
-<!-- sigma_t is in units of scale: Mitsuba takes rgb up to 1. Spectral variants smooth the channels. -->
-<medium type="homogeneous" id="Clear_resin">
-    <rgb name="sigma_t" value="0.6, 0.5, 0.4"/>
-    <rgb name="albedo" value="0.9991, 0.99, 0.98"/>
-    <float name="scale" value="10.0"/>
-    <phase type="hg">
-        <float name="g" value="0.4"/>
-    </phase>
-</medium>
-<!-- "Grey": spectra, measured from 450 to 650 nm and held constant beyond -->
-<!-- For spectral variants only: the others clamp these spectra. -->
-<medium type="homogeneous" id="Grey">
-    <spectrum name="sigma_t" value="360:9.0, 450:9.0, 650:7.5, 830:7.5"/>
-    <spectrum name="albedo" value="360:0.25, 450:0.25, 650:0.5, 830:0.5"/>
-    <float name="scale" value="1.0"/>
-    <phase type="hg">
-        <float name="g" value="0.4"/>
-    </phase>
-</medium>
-<!-- "Wax": channel "mean" -->
-<medium type="homogeneous" id="Wax_mean">
-    <float name="sigma_t" value="1e-7"/>
-    <float name="albedo" value="1.0"/>
-    <float name="scale" value="1.0"/>
-    <phase type="hg">
-        <float name="g" value="0.4"/>
-    </phase>
-</medium>
+<scene version="3.0.0">
+    <!-- "Clear resin": R, G, B -->
+    <!-- Unresolved: the measurement does not determine "G"; best values. -->
+    <!-- sigma_t is in units of scale: Mitsuba takes rgb up to 1. Spectral variants smooth the channels. -->
+    <medium type="homogeneous" id="Clear_resin">
+        <rgb name="sigma_t" value="0.6, 0.5, 0.4"/>
+        <rgb name="albedo" value="0.9991, 0.99, 0.98"/>
+        <float name="scale" value="10.0"/>
+        <phase type="hg">
+            <float name="g" value="0.4"/>
+        </phase>
+    </medium>
+    <!-- "Grey": spectra, measured from 450 to 650 nm and held constant beyond -->
+    <!-- For spectral variants only: the others clamp these spectra. -->
+    <medium type="homogeneous" id="Grey">
+        <spectrum name="sigma_t" value="360:9.0, 450:9.0, 650:7.5, 830:7.5"/>
+        <spectrum name="albedo" value="360:0.25, 450:0.25, 650:0.5, 830:0.5"/>
+        <float name="scale" value="1.0"/>
+        <phase type="hg">
+            <float name="g" value="0.4"/>
+        </phase>
+    </medium>
+    <!-- "Wax": channel "mean" -->
+    <medium type="homogeneous" id="Wax_mean">
+        <float name="sigma_t" value="1e-7"/>
+        <float name="albedo" value="1.0"/>
+        <float name="scale" value="1.0"/>
+        <phase type="hg">
+            <float name="g" value="0.4"/>
+        </phase>
+    </medium>
+</scene>
 "#;
         assert_eq!(mitsuba_xml(&three_kinds()), expected);
+    }
+
+    #[test]
+    fn xml_is_one_scene_with_a_medium_for_each_block() {
+        let text = mitsuba_xml(&three_kinds());
+        let document = roxmltree::Document::parse(&text).unwrap();
+        let scene = document.root_element();
+        assert_eq!((scene.tag_name().name(), scene.attribute("version")), ("scene", Some("3.0.0")));
+        let media = scene.children().filter(roxmltree::Node::is_element);
+        let ids: Vec<_> = media.map(|m| (m.tag_name().name(), m.attribute("id").unwrap())).collect();
+        assert_eq!(ids, [("medium", "Clear_resin"), ("medium", "Grey"), ("medium", "Wax_mean")]);
+        let empty = mitsuba_xml(&[]);
+        assert_eq!(roxmltree::Document::parse(&empty).unwrap().root_element().tag_name().name(), "scene");
     }
 
     #[test]
@@ -209,7 +231,9 @@ media = {
         let media = [medium("x --> <scene> \n---", vec![channel("c", 1.0, 0.5)])];
         let text = mitsuba_xml(&media);
         assert!(text.contains(r#"<!-- "x - -> <scene> \n- - -": channel "c" -->"#), "{text}");
-        for line in text.lines().filter_map(|line| line.strip_prefix("<!--")) {
+        let document = roxmltree::Document::parse(&text).unwrap();
+        assert_eq!(document.root_element().tag_name().name(), "scene");
+        for line in text.lines().filter_map(|line| line.trim_start().strip_prefix("<!--")) {
             assert!(!line.trim_end_matches("-->").contains("--"), "{line}");
         }
         let python = mitsuba_dict(&media);

@@ -141,6 +141,7 @@ impl Dispatcher {
             }
         }
         self.find_late(now);
+        self.pace.working(now, self.leases.len() > 0);
         let leases = &self.leases;
         for gone in self.workers.forget_silent(now, |id| leases.count_of(id) == 0) {
             self.events.push(Event::of_worker(EventKind::WorkerGone, gone, "not heard of any more"));

@@ -67,9 +67,7 @@ impl Dispatcher {
                 format!("none of {active} workers has been heard of for {} s", self.settings.lease.as_secs());
             reasons.push(reason("WORKERS_SILENT", text));
         }
-        let first = (std::cmp::Reverse(dictionary.priority()), dictionary.id());
-        let before = self.order.range(..first).filter_map(|(_, id)| self.dictionaries.get(id));
-        let before: Vec<_> = before.filter(|d| d.is_active() && d.pending() > 0).collect();
+        let before: Vec<_> = self.served_before(dictionary).filter(|d| d.pending() > 0).collect();
         if let (Some(next), true) = (before.first(), dictionary.pending() > 0) {
             let (count, waiting) = (before.len(), before.iter().map(|d| d.pending()).sum::<usize>());
             let text = format!(

@@ -50,6 +50,7 @@ impl Dispatcher {
         {
             self.grant(now, worker, part, Purpose::Copy, chance, &mut grant);
         }
+        self.pace.working(now, self.leases.len() > 0);
         Ok(grant)
     }
 

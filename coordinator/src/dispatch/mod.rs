@@ -170,20 +170,30 @@ impl Dispatcher {
     }
 
     pub fn status(&self, now: Duration, name: &DictionaryName) -> Option<DictionaryStatus> {
-        self.by_name(name).map(|dictionary| dictionary.status(self.eta_s(now, dictionary)))
+        self.by_name(name).map(|dictionary| self.status_of(now, dictionary))
     }
 
-    pub fn statuses(&self, now: Duration) -> impl Iterator<Item = DictionaryStatus> {
-        self.dictionaries.values().map(move |d| d.status(self.eta_s(now, d)))
+    pub fn status_of(&self, now: Duration, dictionary: &Dictionary) -> DictionaryStatus {
+        let goes_first =
+            || self.served_before(dictionary).find(|d| d.pending() > 0).map(|d| d.name().clone());
+        let waits = dictionary.pending() > 0 && dictionary.leased == 0 && dictionary.is_active();
+        dictionary.status(self.eta_s(now, dictionary), waits.then(goes_first).flatten())
     }
 
-    /// Time until a dictionary is done at the present pace, with all that is served before it.
-    pub fn eta_s(&self, now: Duration, dictionary: &Dictionary) -> Option<f64> {
-        let rate = self.pace.rate(now)?;
+    /// Active dictionaries that are served before this one, the first first.
+    fn served_before(&self, dictionary: &Dictionary) -> impl Iterator<Item = &Dictionary> {
         let first = (std::cmp::Reverse(dictionary.priority()), dictionary.id());
         let before = self.order.range(..first).filter_map(|(_, id)| self.dictionaries.get(id));
-        let cost: f64 = before.filter(|d| d.is_active()).map(Dictionary::cost_left).sum();
-        Some((cost + dictionary.cost_left()) / rate)
+        before.filter(|d| d.is_active())
+    }
+
+    /// Time until a dictionary is done at the present pace, with all that is served before it; None while there is no
+    /// pace to tell it from.
+    fn eta_s(&self, now: Duration, dictionary: &Dictionary) -> Option<f64> {
+        self.workers.active().next()?;
+        let rate = self.pace.rate(now, self.leases.len())?;
+        let before: f64 = self.served_before(dictionary).map(Dictionary::cost_left).sum();
+        Some((before + dictionary.cost_left()) / rate)
     }
 
     /// Parts that wait, and leases that are out.

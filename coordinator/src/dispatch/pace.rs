@@ -2,8 +2,14 @@
 
 use std::time::Duration;
 
-/// Completions fade out of the pace over this time.
+/// Completions fade out of the pace over this time at least,
 const MEMORY_S: f64 = 30.0;
+/// and over this many times what a part takes: otherwise the pace would fall between completions and leap with each.
+const PARTS_REMEMBERED: f64 = 3.0;
+/// Completions that are needed at least before a pace is told.
+const FEWEST: usize = 3;
+/// After so long without work the next is measured afresh: the workers may be others.
+const FORGOTTEN: Duration = Duration::from_mins(10);
 /// Share of the newest completion in the typical time of a part.
 const NEWEST: f64 = 0.05;
 /// A part is a straggler after this many times what is typical for its cost.
@@ -11,42 +17,66 @@ const PATIENCE: f64 = 3.0;
 /// No part is a straggler before.
 const LEAST: Duration = Duration::from_secs(2);
 
-/// An exponential average of the cost finished per second, and of the time from lease to result per unit of cost.
+/// Exponential averages of the cost finished per second in which there was work, and of the time from lease to result.
 #[derive(Debug, Default)]
 pub(super) struct Pace {
-    /// Cost finished, faded to the time `at`.
+    /// Cost finished, and the seconds of work in which it was, both faded to the time `at`.
     finished: f64,
+    worked_s: f64,
     at: Duration,
-    /// When work began after the last idle time.
-    since: Duration,
+    /// Whether leases are out since `at`. Time without any says nothing about how fast work is done.
+    working: bool,
+    completions: usize,
+    seconds_per_part: Option<f64>,
     seconds_per_cost: Option<f64>,
 }
 
 impl Pace {
-    pub fn completed(&mut self, now: Duration, cost: f64, took: Duration) {
-        self.finished = self.faded(now);
-        if self.finished < 1e-3 * cost {
-            self.since = now.saturating_sub(took);
-            self.finished = 0.0;
+    /// From now on leases are out, or none.
+    pub fn working(&mut self, now: Duration, working: bool) {
+        if working && !self.working && now.saturating_sub(self.at) > FORGOTTEN {
+            (self.finished, self.worked_s, self.completions) = (0.0, 0.0, 0);
         }
+        if working || self.working {
+            (self.finished, self.worked_s) = self.faded(now);
+            self.at = now;
+        }
+        self.working = working;
+    }
+
+    pub fn completed(&mut self, now: Duration, cost: f64, took: Duration) {
+        self.working(now, self.working);
         self.finished += cost;
-        self.at = now;
-        let newest = took.as_secs_f64() / cost;
-        self.seconds_per_cost = Some(match self.seconds_per_cost {
-            Some(before) => before + NEWEST * (newest - before),
-            None => newest,
-        });
+        self.completions += 1;
+        let average = |before: Option<f64>, newest: f64| {
+            Some(before.map_or(newest, |before| before + NEWEST * (newest - before)))
+        };
+        let took_s = took.as_secs_f64();
+        self.seconds_per_part = average(self.seconds_per_part, took_s);
+        self.seconds_per_cost = average(self.seconds_per_cost, took_s / cost);
     }
 
-    fn faded(&self, now: Duration) -> f64 {
-        self.finished * (-now.saturating_sub(self.at).as_secs_f64() / MEMORY_S).exp()
+    /// Cost finished and seconds of work, as they count now.
+    fn faded(&self, now: Duration) -> (f64, f64) {
+        if !self.working {
+            return (self.finished, self.worked_s);
+        }
+        let passed_s = now.saturating_sub(self.at).as_secs_f64();
+        if self.completions == 0 {
+            // How long a part takes is not known yet, and so not how long to remember.
+            return (0.0, self.worked_s + passed_s);
+        }
+        let memory_s = MEMORY_S.max(PARTS_REMEMBERED * self.seconds_per_part.unwrap_or(0.0));
+        let kept = (-passed_s / memory_s).exp();
+        (self.finished * kept, self.worked_s * kept + memory_s * (1.0 - kept))
     }
 
-    /// Cost finished per second of late; None if nothing was.
-    pub fn rate(&self, now: Duration) -> Option<f64> {
-        let elapsed = now.saturating_sub(self.since).as_secs_f64().max(1e-3);
-        let rate = self.faded(now) / (MEMORY_S * (1.0 - (-elapsed / MEMORY_S).exp()));
-        (self.finished > 0.0 && rate > 1e-9).then_some(rate)
+    /// Cost finished per second of late. None before each of the parts that are out can have been given out in the
+    /// place of one that is finished: what is under way counts for nothing yet.
+    pub fn rate(&self, now: Duration, out: usize) -> Option<f64> {
+        let (finished, worked_s) = self.faded(now);
+        let rate = finished / worked_s;
+        (self.completions >= out.max(FEWEST) && rate > 1e-9).then_some(rate)
     }
 
     /// Whether a part of this cost has been out for too long.
@@ -64,19 +94,71 @@ mod tests {
         Duration::from_secs_f64(s)
     }
 
-    #[test]
-    fn a_steady_pace_is_measured_from_the_start_and_forgotten_when_idle() {
-        let mut pace = Pace::default();
-        assert_eq!(pace.rate(seconds(1.0)), None);
-        // Ten of cost 5 a second, on four threads.
-        for i in 1..=600 {
-            pace.completed(seconds(100.0 + 0.1 * f64::from(i)), 5.0, seconds(0.4));
-            if i > 60 {
-                let rate = pace.rate(seconds(100.0 + 0.1 * f64::from(i))).unwrap();
-                assert!((rate / 50.0 - 1.0).abs() < 0.1, "{rate} after {i}");
-            }
+    /// Parts of cost 1 on so many slots, each of which begins the next when one is finished; the pace is asked for just
+    /// before and after each completion from the time `from_s` on.
+    fn rates(pace: &mut Pace, slots: usize, part_s: f64, parts: usize, from_s: f64) -> Vec<f64> {
+        pace.working(seconds(from_s), true);
+        // The look for what has expired.
+        pace.working(seconds(from_s + 0.5 * part_s), true);
+        let mut rates = Vec::new();
+        for part in 0..parts {
+            let now = from_s + part_s * ((part / slots + 1) as f64);
+            rates.extend(pace.rate(seconds(now - 1e-3), slots));
+            pace.completed(seconds(now), 1.0, seconds(part_s));
+            rates.extend(pace.rate(seconds(now), slots));
         }
-        assert!(pace.rate(seconds(1e4)).is_none_or(|rate| rate < 1e-6));
+        pace.working(seconds(from_s + part_s * parts.div_ceil(slots) as f64), false);
+        rates
+    }
+
+    fn assert_near(rates: &[f64], truth: f64, tolerance: f64) {
+        for rate in rates {
+            assert!((rate / truth).ln().abs() < tolerance, "{rate}, not {truth}");
+        }
+    }
+
+    #[test]
+    fn a_steady_pace_is_told_once_every_slot_was_turned_over_and_not_before() {
+        let mut pace = Pace::default();
+        let told = rates(&mut pace, 40, 0.4, 6000, 100.0);
+        assert_eq!(told.len(), 2 * 6000 - (2 * 40 - 1));
+        assert_near(&told[..80], 100.0, 0.8);
+        assert_near(&told[400..], 100.0, 0.2);
+    }
+
+    #[test]
+    fn a_pause_without_work_does_not_slow_the_pace() {
+        let mut pace = Pace::default();
+        rates(&mut pace, 4, 1.0, 400, 0.0);
+        assert_near(&[pace.rate(seconds(160.0), 4).unwrap()], 4.0, 0.05);
+        // A minute later the next dictionary is submitted.
+        let told = rates(&mut pace, 4, 1.0, 40, 160.0);
+        assert_near(&told, 4.0, 0.1);
+    }
+
+    #[test]
+    fn parts_that_take_minutes_do_not_make_the_pace_leap() {
+        let mut pace = Pace::default();
+        let told = rates(&mut pace, 4, 120.0, 40, 0.0);
+        // Just before the second round is finished, what is known is four parts in twice the time.
+        assert_near(&told, 4.0 / 120.0, 0.85);
+    }
+
+    #[test]
+    fn the_pace_of_long_ago_is_forgotten() {
+        let mut pace = Pace::default();
+        rates(&mut pace, 4, 1.0, 400, 0.0);
+        pace.working(seconds(1e4), true);
+        assert_eq!(pace.rate(seconds(1e4), 1), None);
+    }
+
+    #[test]
+    fn workers_that_have_fallen_silent_slow_the_pace() {
+        let mut pace = Pace::default();
+        pace.working(seconds(0.0), true);
+        (1..=100_u32).for_each(|s| pace.completed(seconds(s.into()), 1.0, seconds(1.0)));
+        let (before, after) = (pace.rate(seconds(100.0), 1), pace.rate(seconds(160.0), 1));
+        assert!(after.unwrap() < 0.2 * before.unwrap(), "{before:?} {after:?}");
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! How far a dictionary is, as people see it.
 
-use farm_proto::Digest;
+use std::ops::Range;
+
 use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
+use farm_proto::{DictionaryName, Digest};
 
 use super::Dictionary;
 use super::job::{Job, Stage};
@@ -24,6 +26,17 @@ impl Dictionary {
         }
     }
 
+    /// How many of the records of a range are done.
+    pub fn finished_records(&self, range: Range<usize>) -> usize {
+        let albedos = self.grid().albedo().len();
+        let finished = |job: usize| {
+            let done = self.jobs.get(job).is_some_and(|job| matches!(job.stage, Stage::Done { .. }));
+            let of_job = range.start.max(job * albedos)..range.end.min((job + 1) * albedos);
+            if done { of_job.len() } else { 0 }
+        };
+        (range.start / albedos..range.end.div_ceil(albedos)).map(finished).sum()
+    }
+
     /// Work that is left, in scatterings.
     pub fn cost_left(&self) -> f64 {
         (self.counts.cost - self.counts.cost_done).max(0.0)
@@ -33,7 +46,7 @@ impl Dictionary {
         if self.counts.done == self.jobs.len() { 1.0 } else { self.counts.cost_done / self.counts.cost }
     }
 
-    pub fn status(&self, eta_s: Option<f64>) -> DictionaryStatus {
+    pub fn status(&self, eta_s: Option<f64>, goes_first: Option<DictionaryName>) -> DictionaryStatus {
         DictionaryStatus {
             name: self.stored.name.clone(),
             grid: (*self.stored.grid).clone(),
@@ -48,6 +61,7 @@ impl Dictionary {
             priority: self.stored.priority,
             reason: self.stored.reason.clone(),
             eta_s: eta_s.filter(|_| self.state() == DictionaryState::Running),
+            goes_first,
             records_reused: self.counts.reused * self.grid().albedo().len(),
             walks: self.counts.walks.unwrap_or_default(),
         }

@@ -191,6 +191,7 @@ impl Dispatcher {
         if self.leases.get(key).is_some() {
             self.leases.remove(key.token);
         }
+        self.pace.working(now, self.leases.len() > 0);
         self.workers.job_done(arrived.worker);
     }
 

@@ -1,5 +1,6 @@
 //! Service `farm.v1.Dictionaries`.
 
+use std::ops::Range;
 use std::time::Duration;
 
 use farm_proto::ids::DictionaryId;
@@ -10,22 +11,20 @@ use farm_proto::wire::{
     GetRequest, ListRequest, ListResponse, PauseRequest, Reason, Record, ResumeRequest, RetryRequest,
     SetPriorityRequest, SubmitRequest, WatchRequest,
 };
-use farm_proto::{DictionaryName, Grid, Invalid, RequestLimits};
-use tokio::sync::{mpsc, watch};
-use tokio_stream::wrappers::ReceiverStream;
+use farm_proto::{DictionaryName, Grid, Invalid, RECORDS_PROMISED, RequestLimits};
+use tokio::sync::watch;
 use tonic::{Request, Response, Status};
 
 use super::Context;
+use super::outgoing::{Outgoing, Outlet, PATIENCE, outgoing};
 use super::page::{page_size, page_token};
 use super::status::required;
-use crate::farm::{detached, read_chunk};
+use crate::farm::{Farm, detached, read_chunk};
 
 /// Changes closer together than this are told as one.
 const WATCH_PAUSE: Duration = Duration::from_millis(100);
 /// Most dictionaries of one page.
 const DICTIONARIES: u32 = 100;
-/// How long a client may take to read one item of a stream.
-const PATIENCE: Duration = Duration::from_mins(2);
 /// Records on their way to a client that exports.
 const EXPORT_QUEUE: usize = 4;
 
@@ -115,7 +114,7 @@ impl Dictionaries for Context {
         Ok(Response::new(ExplainResponse { reasons }))
     }
 
-    type WatchStream = ReceiverStream<Result<Dictionary, Status>>;
+    type WatchStream = Outgoing<Dictionary>;
 
     async fn watch(&self, request: Request<WatchRequest>) -> Result<Response<Self::WatchStream>, Status> {
         let name = DictionaryName::new(request.into_inner().name)?;
@@ -123,39 +122,33 @@ impl Dictionaries for Context {
         let changes = self.farm.changes();
         let first = self.farm.status(&name)?;
         let place = self.limits.stream()?;
-        let (sender, receiver) = mpsc::channel(1);
-        let watching = watch(self.clone(), name, first, changes, sender);
+        let (outlet, updates) = outgoing(1, PATIENCE, self.shutdown.clone());
+        let farm = self.farm.clone();
         tokio::spawn(async move {
-            watching.await;
+            watch(&farm, name, first, changes, outlet).await;
             drop(place);
         });
-        Ok(Response::new(ReceiverStream::new(receiver)))
+        Ok(Response::new(updates))
     }
 
-    type ExportStream = ReceiverStream<Result<Record, Status>>;
+    type ExportStream = Outgoing<Record>;
 
     async fn export(&self, request: Request<ExportRequest>) -> Result<Response<Self::ExportStream>, Status> {
         let request = request.into_inner();
         let name = DictionaryName::new(request.name)?;
         let grid = self.farm.status(&name)?.grid;
-        let (total, chunk) = (grid.record_count(), read_chunk(&grid));
-        if let Some((i, bad)) = request.indices.iter().enumerate().find(|(_, n)| **n as usize >= total) {
-            let allowed = format!("the dictionary has records 0 to {}", total - 1);
-            return Err(Invalid::new(format!("indices[{i}]"), bad, allowed).to_status());
-        }
-        let ranges: Vec<_> = if request.indices.is_empty() {
-            (0..total).step_by(chunk).map(|first| first..(first + chunk).min(total)).collect()
-        } else {
-            request.indices.into_iter().map(|n| n as usize..n as usize + 1).collect()
-        };
+        let ranges = ranges(&grid, request.first, &request.indices)?;
+        let promised = self.farm.finished_records(&name, &ranges)?;
         let place = self.limits.stream()?;
-        let (sender, receiver) = mpsc::channel(EXPORT_QUEUE);
-        let exporting = export(self.clone(), name, ranges, sender);
+        let (outlet, records) = outgoing(EXPORT_QUEUE, PATIENCE, self.shutdown.clone());
+        let farm = self.farm.clone();
         tokio::spawn(async move {
-            exporting.await;
+            export(&farm, name, ranges, outlet).await;
             drop(place);
         });
-        Ok(Response::new(ReceiverStream::new(receiver)))
+        let mut response = Response::new(records);
+        response.metadata_mut().insert(RECORDS_PROMISED, promised.into());
+        Ok(response)
     }
 }
 
@@ -168,86 +161,82 @@ fn priority(priority: i32) -> Result<i32, Invalid> {
     Err(Invalid::new("priority", priority, allowed))
 }
 
-/// Hands an item to the client; false if it has gone or the coordinator stops, which must not wait for slow readers.
-async fn deliver<T>(
-    context: &Context,
-    sender: &mpsc::Sender<Result<T, Status>>,
-    item: Result<T, Status>,
-) -> bool {
-    tokio::select! {
-        () = context.shutdown.cancelled() => {
-            // If there is room the client learns why its stream ends.
-            let _ = sender.try_send(Err(Status::unavailable("the coordinator is stopping")));
-            false
-        }
-        sent = tokio::time::timeout(PATIENCE, sender.send(item)) => sent.is_ok_and(|sent| sent.is_ok()),
-    }
-}
-
 /// Sends every change until the dictionary has ended, the client has gone or the coordinator stops.
 async fn watch(
-    context: Context,
+    farm: &Farm,
     name: DictionaryName,
     mut status: DictionaryStatus,
     mut changes: watch::Receiver<()>,
-    sender: mpsc::Sender<Result<Dictionary, Status>>,
+    outlet: Outlet<Dictionary>,
 ) {
     loop {
         let running = status.state().is_open();
-        if !deliver(&context, &sender, Ok((&status).into())).await || !running {
+        if outlet.send((&status).into()).await.is_err() {
             return;
+        }
+        if !running {
+            return outlet.finish();
         }
         loop {
             tokio::select! {
-                () = context.shutdown.cancelled() => {
-                    let _ = sender.try_send(Err(Status::unavailable("the coordinator is stopping")));
-                    return;
-                }
-                () = sender.closed() => return,
+                _ = outlet.closed() => return,
                 changed = changes.changed() => if changed.is_err() { return },
             }
             tokio::time::sleep(WATCH_PAUSE).await;
             changes.mark_unchanged();
-            match context.farm.status(&name) {
+            match farm.status(&name) {
                 Ok(now) if same(&now, &status) => {}
                 Ok(now) => {
                     status = now;
                     break;
                 }
-                Err(error) => {
-                    deliver(&context, &sender, Err(error.into())).await;
-                    return;
-                }
+                Err(error) => return outlet.fail(error.into()),
             }
         }
     }
 }
 
-/// Whether nothing has changed but the time that is left.
+/// Whether nothing has changed that people would see: the time that is left changes all the time, by a little.
 fn same(a: &DictionaryStatus, b: &DictionaryStatus) -> bool {
-    DictionaryStatus { eta_s: None, ..a.clone() } == DictionaryStatus { eta_s: None, ..b.clone() }
+    let near = match (a.eta_s, b.eta_s) {
+        (Some(a), Some(b)) => (a - b).abs() <= 0.1 * a.max(b),
+        (a, b) => a == b,
+    };
+    near && DictionaryStatus { eta_s: None, ..a.clone() } == DictionaryStatus { eta_s: None, ..b.clone() }
+}
+
+/// The numbers of the records that are wanted, in pieces that are read at once.
+fn ranges(grid: &Grid, first: u32, indices: &[u32]) -> Result<Vec<Range<usize>>, Invalid> {
+    let (total, chunk) = (grid.record_count(), read_chunk(grid));
+    let allowed = || format!("the dictionary has records 0 to {}", total - 1);
+    if let Some((i, bad)) = indices.iter().enumerate().find(|(_, n)| **n as usize >= total) {
+        return Err(Invalid::new(format!("indices[{i}]"), bad, allowed()));
+    }
+    let first = first as usize;
+    // One beyond the last is what a client asks for that has everything.
+    if first > total {
+        return Err(Invalid::new("first", first, allowed()));
+    }
+    if indices.is_empty() {
+        return Ok((first..total).step_by(chunk).map(|from| from..(from + chunk).min(total)).collect());
+    }
+    let numbers = indices.iter().map(|n| *n as usize).filter(|n| *n >= first);
+    Ok(numbers.map(|n| n..n + 1).collect())
 }
 
 /// Sends the records of ranges of numbers, as fast as the client takes them.
-async fn export(
-    context: Context,
-    name: DictionaryName,
-    ranges: Vec<std::ops::Range<usize>>,
-    sender: mpsc::Sender<Result<Record, Status>>,
-) {
+async fn export(farm: &Farm, name: DictionaryName, ranges: Vec<Range<usize>>, outlet: Outlet<Record>) {
     for range in ranges {
-        match context.farm.records(&name, range).await {
+        match farm.records(&name, range).await {
             Ok(records) => {
                 for record in records {
-                    if !deliver(&context, &sender, Ok(record.into())).await {
+                    if outlet.send(record.into()).await.is_err() {
                         return;
                     }
                 }
             }
-            Err(error) => {
-                deliver(&context, &sender, Err(error.into())).await;
-                return;
-            }
+            Err(error) => return outlet.fail(error.into()),
         }
     }
+    outlet.finish();
 }

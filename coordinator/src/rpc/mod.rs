@@ -6,6 +6,7 @@ mod farm_status;
 mod fits;
 mod leases;
 mod limits;
+mod outgoing;
 mod page;
 mod results;
 mod status;

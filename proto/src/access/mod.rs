@@ -10,6 +10,7 @@ mod alert;
 mod client;
 mod coordinator;
 mod error;
+mod failure;
 mod file;
 mod link;
 mod pem;
@@ -22,6 +23,7 @@ pub use alert::refusal;
 pub use client::ClientAccess;
 pub use coordinator::CoordinatorAccess;
 pub use error::AccessError;
+pub use failure::failure;
 pub use link::Link;
 pub use target::{Bearer, Target};
 

@@ -62,6 +62,7 @@ impl From<&DictionaryStatus> for wire::Dictionary {
             priority: status.priority,
             reason: status.reason.clone(),
             eta_s: status.eta_s,
+            goes_first: status.goes_first.as_ref().map(ToString::to_string).unwrap_or_default(),
             records_reused: status.records_reused as u64,
             walks_min: status.walks.0,
             walks_max: status.walks.1,
@@ -95,6 +96,10 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
             priority: d.priority,
             reason: d.reason,
             eta_s: d.eta_s,
+            goes_first: match d.goes_first.as_str() {
+                "" => None,
+                name => Some(DictionaryName::new(name)?),
+            },
             records_reused: d.records_reused as usize,
             walks: (d.walks_min, d.walks_max),
         })

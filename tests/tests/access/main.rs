@@ -7,7 +7,7 @@ mod farm;
 use std::time::Duration;
 
 use farm_coordinator::incoming::Limits;
-use farm_proto::access::{ClientAccess, Role, Target};
+use farm_proto::access::{ClientAccess, Role, Target, failure};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, timeout};
@@ -118,7 +118,22 @@ async fn a_certificate_holds_for_the_hosts_that_were_named() {
         |name: &str| farm.target_of_text(&text.replacen("role", &format!("server_name = {name:?}\nrole"), 1));
     call(&under("farm.example.org").connect().await.unwrap(), FITS).await.unwrap();
     let error = under("other.example.org").connect().await.unwrap_err();
-    assert!(format!("{error:?}").contains("NotValidForName"), "{error:?}");
+    let told = failure(&error, "https://localhost").unwrap();
+    assert!(told.contains("its certificate is for another host"), "{told}");
+    let other = Farm::start(Access::Tokens).await;
+    let url = format!("https://localhost:{}", other.address.port());
+    let error = Target::new(Some(&access), Some(&url)).unwrap().connect().await.unwrap_err();
+    let told = failure(&error, &url).unwrap();
+    assert!(told.contains("not of the authority that this access file knows"), "{told}");
+}
+
+/// What a user is told of a coordinator that cannot be called.
+async fn why_unreachable(target: &Target) -> String {
+    let told = match target.connect().await {
+        Ok(link) => failure(&call(&link, FITS).await.unwrap_err(), target.url()),
+        Err(error) => failure(&error, target.url()),
+    };
+    told.expect("it has a reason in plain words")
 }
 
 #[tokio::test]
@@ -126,13 +141,16 @@ async fn who_mistakes_encryption_learns_it_quickly() {
     let start = Instant::now();
     let encrypted = Farm::start(Access::Tokens).await;
     let plain_url = format!("http://{}", encrypted.address);
-    timeout(SOON, try_call(&Target::new(None, Some(&plain_url)).unwrap(), FITS)).await.unwrap().unwrap_err();
+    let target = Target::new(None, Some(&plain_url)).unwrap();
+    let told = timeout(SOON, why_unreachable(&target)).await.unwrap();
+    assert!(told.contains("--access FILE") || told.contains("https://"), "{told}");
 
     let plain = Farm::start(Access::Open).await;
     let access = ClientAccess::read(&encrypted.file(Role::Client)).unwrap();
     let wrong =
         Target::new(Some(&access), Some(&format!("https://localhost:{}", plain.address.port()))).unwrap();
-    timeout(SOON, try_call(&wrong, FITS)).await.unwrap().unwrap_err();
+    let told = timeout(SOON, why_unreachable(&wrong)).await.unwrap();
+    assert!(told.contains("what answers there is not encrypted"), "{told}");
     assert!(start.elapsed() < SOON);
 }
 

@@ -8,6 +8,8 @@
 mod away;
 mod damage;
 mod disk;
+mod export;
+mod interrupted;
 mod kill;
 mod leave;
 mod limits;

@@ -73,7 +73,7 @@ async fn slow_clients_hinder_nobody_take_little_memory_and_do_not_hold_up_a_stop
     // Clients that ask for everything and read one record.
     let mut unread = Vec::new();
     for _ in 0..32 {
-        let request = ExportRequest { name: "large".to_owned(), indices: vec![] };
+        let request = ExportRequest { name: "large".to_owned(), ..Default::default() };
         let mut stream =
             DictionariesClient::new(link(&farm).await).export(request).await.unwrap().into_inner();
         assert!(stream.message().await.unwrap().is_some());

@@ -1,0 +1,24 @@
+//! Whole numbers on the command line: `1000000`, `1_000_000`, `1e6`.
+
+/// Reads a whole number as people write large ones.
+pub(super) fn whole_number(text: &str) -> Result<u64, String> {
+    let plain = text.trim().replace('_', "");
+    let number = plain.parse().ok().or_else(|| plain.parse().ok().and_then(farm_proto::whole));
+    number.ok_or_else(|| "a whole number is needed, as in 1000000, 1_000_000 or 1e6".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_numbers_are_read_as_people_write_them() {
+        for text in ["1000000", "1_000_000", "1e6", "1.0E+6"] {
+            assert_eq!(whole_number(text), Ok(1_000_000), "{text}");
+        }
+        assert_eq!(whole_number("18446744073709551615"), Ok(u64::MAX));
+        for text in ["", "1.5", "-1", "1e-3", "1e300", "inf", "million"] {
+            assert!(whole_number(text).is_err(), "{text}");
+        }
+    }
+}

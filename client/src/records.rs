@@ -1,0 +1,132 @@
+//! The finished records of a dictionary: all that were promised, or an error.
+//!
+//! A coordinator does not keep a stream for ever that nobody reads, and connections break. Then the rest is asked for
+//! again, from the first record that has not come.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use farm_proto::status::DictionaryStatus;
+use farm_proto::wire::{self, ExportRequest, GetRequest};
+use farm_proto::{RECORDS_PROMISED, Record};
+use tonic::{Code, Status, Streaming};
+
+use crate::connection::{Connection, is_broken};
+use crate::output::grouped;
+
+/// How often the rest is asked for without a record coming.
+const TRIES: u32 = 10;
+/// Pause before that.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// Records on their way, in the order of their numbers.
+#[derive(Debug)]
+pub(crate) struct Records<'a> {
+    connection: &'a Connection,
+    dictionary: &'a DictionaryStatus,
+    indices: Vec<u32>,
+    stream: Streaming<wire::Record>,
+    /// How many the coordinator said are done.
+    promised: usize,
+    received: usize,
+    /// Number of the first record that has not come.
+    next: u32,
+    tries: u32,
+}
+
+impl<'a> Records<'a> {
+    /// Asks for the records of these numbers, which increase; for all if there are none.
+    pub(crate) async fn ask(
+        connection: &'a Connection,
+        dictionary: &'a DictionaryStatus,
+        indices: Vec<u32>,
+    ) -> Result<Self> {
+        let (stream, promised) = ask(connection, dictionary, &indices, 0).await?;
+        Ok(Self { connection, dictionary, indices, stream, promised, received: 0, next: 0, tries: 0 })
+    }
+
+    /// The next record; None if all have come.
+    pub(crate) async fn next(&mut self) -> Result<Option<Record>> {
+        loop {
+            match self.stream.message().await {
+                // A coordinator that does not know where to begin begins at the beginning.
+                Ok(Some(record)) if record.index < self.next => {}
+                Ok(Some(record)) => {
+                    self.next = record.index + 1;
+                    self.received += 1;
+                    self.tries = 0;
+                    return Ok(Some(record.try_into()?));
+                }
+                Ok(None) if self.received < self.promised => {
+                    let early = anyhow::anyhow!("the coordinator ended the stream without a reason");
+                    return Err(early.context(self.incomplete()));
+                }
+                Ok(None) => return Ok(None),
+                Err(status) => self.go_on_after(status).await?,
+            }
+        }
+    }
+
+    /// Asks for the rest, if that may help.
+    async fn go_on_after(&mut self, mut status: Status) -> Result<()> {
+        while may_go_on(&status) && self.tries < TRIES {
+            self.tries += 1;
+            if self.tries > 1 {
+                tokio::time::sleep(PAUSE).await;
+            }
+            match self.ask_for_rest().await {
+                Ok(()) => return Ok(()),
+                Err(error) => match error.downcast::<Status>() {
+                    Ok(again) => status = again,
+                    Err(error) => return Err(error.context(self.incomplete())),
+                },
+            }
+        }
+        Err(self.connection.in_plain_words(status.into()).context(self.incomplete()))
+    }
+
+    async fn ask_for_rest(&mut self) -> Result<()> {
+        let name = self.dictionary.name.to_string();
+        let now = self.connection.dictionaries().get(GetRequest { name }).await?.into_inner();
+        ensure!(
+            DictionaryStatus::try_from(now)?.grid_digest == self.dictionary.grid_digest,
+            "dictionary {} has been replaced by another one meanwhile",
+            self.dictionary.name
+        );
+        let (stream, rest) = ask(self.connection, self.dictionary, &self.indices, self.next).await?;
+        self.stream = stream;
+        self.promised = self.promised.max(self.received + rest);
+        Ok(())
+    }
+
+    fn incomplete(&self) -> String {
+        let (came, promised) = (grouped(self.received as u64), grouped(self.promised as u64));
+        format!("only {came} of {promised} records came, run the same command again")
+    }
+}
+
+/// Whether an error is of the stream or the connection and not of what was asked for.
+fn may_go_on(status: &Status) -> bool {
+    matches!(status.code(), Code::DeadlineExceeded) || is_broken(status)
+}
+
+/// The stream of the records from `first` on, and how many of them are done.
+async fn ask(
+    connection: &Connection,
+    dictionary: &DictionaryStatus,
+    indices: &[u32],
+    first: u32,
+) -> Result<(Streaming<wire::Record>, usize)> {
+    let request = ExportRequest { name: dictionary.name.to_string(), indices: indices.to_vec(), first };
+    let answer = connection.dictionaries().export(request).await?;
+    let promised = match answer.metadata().get(RECORDS_PROMISED) {
+        Some(number) => {
+            let number = number.to_str().ok().and_then(|n| n.parse().ok());
+            number.with_context(|| format!("{RECORDS_PROMISED}: a number is expected of the coordinator"))?
+        }
+        // Coordinators did not always promise.
+        None if indices.is_empty() && first == 0 => dictionary.records_done(),
+        None => 0,
+    };
+    Ok((answer.into_inner(), promised))
+}

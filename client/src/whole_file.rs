@@ -1,0 +1,139 @@
+//! Files that are whole or not there.
+
+use std::ffi::OsString;
+use std::fs::{File, Permissions};
+use std::io::{self, BufWriter, Write};
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+
+use tempfile::{Builder, NamedTempFile};
+
+/// What a new file may be used for, before the process's mask.
+const NEW_FILE: u32 = 0o666;
+
+/// A file that is written beside its place under a name of its own, and gets its name by [`Draft::finish`]. Dropped before,
+/// it leaves nothing.
+#[derive(Debug)]
+pub(crate) struct Draft {
+    file: BufWriter<NamedTempFile>,
+    path: PathBuf,
+}
+
+impl Draft {
+    pub(crate) fn create(path: &Path) -> io::Result<Self> {
+        // What a link leads to is replaced, not the link.
+        let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let Some(name) = path.file_name() else {
+            return Err(io::Error::new(io::ErrorKind::IsADirectory, "this is no name for a file"));
+        };
+        let mut prefix = OsString::from(".");
+        prefix.push(name);
+        prefix.push(".");
+        let folder = folder_of(&path);
+        let mut builder = Builder::new();
+        builder.prefix(&prefix).suffix(".partial").permissions(Permissions::from_mode(NEW_FILE));
+        let file = builder.tempfile_in(folder)?;
+        if let Ok(before) = std::fs::metadata(&path) {
+            file.as_file().set_permissions(before.permissions())?;
+        }
+        Ok(Self { file: BufWriter::new(file), path })
+    }
+
+    /// Gives the file its name, when all of it is on the disk.
+    pub(crate) fn finish(self) -> io::Result<()> {
+        let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
+        file.as_file().sync_all()?;
+        file.persist(&self.path).map_err(|error| error.error)?;
+        // The name is on the disk when its folder is.
+        File::open(folder_of(&self.path))?.sync_all()
+    }
+}
+
+impl Write for Draft {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// Writes a file as a whole.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut draft = Draft::create(path)?;
+    draft.write_all(bytes)?;
+    draft.finish()
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = std::fs::read_dir(folder).unwrap();
+        let mut names: Vec<_> =
+            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn two_drafts_of_one_file_do_not_meet() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.csv");
+        let (mut first, mut second) = (Draft::create(&path).unwrap(), Draft::create(&path).unwrap());
+        first.write_all(b"first").unwrap();
+        second.write_all(b"the second").unwrap();
+        assert!(!path.exists(), "it has its name only when it is whole");
+        second.finish().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"the second");
+        first.finish().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"first");
+        assert_eq!(names(folder.path()), ["out.csv"]);
+    }
+
+    #[test]
+    fn what_is_given_up_leaves_the_file_of_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.csv");
+        write_whole(&path, b"before").unwrap();
+        let mut draft = Draft::create(&path).unwrap();
+        draft.write_all(b"half").unwrap();
+        draft.flush().unwrap();
+        drop(draft);
+        assert_eq!(std::fs::read(&path).unwrap(), b"before");
+        assert_eq!(names(folder.path()), ["out.csv"]);
+    }
+
+    #[test]
+    fn permissions_are_those_of_any_new_file_or_of_the_file_of_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let mode = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().permissions().mode();
+        std::fs::write(folder.path().join("usual"), "").unwrap();
+        write_whole(&folder.path().join("new"), b"").unwrap();
+        assert_eq!(mode("new"), mode("usual"));
+        let own = Permissions::from_mode(0o640);
+        std::fs::set_permissions(folder.path().join("new"), own).unwrap();
+        write_whole(&folder.path().join("new"), b"again").unwrap();
+        assert_eq!(mode("new") & 0o777, 0o640);
+    }
+
+    #[test]
+    fn a_link_stays_and_what_it_leads_to_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("there")).unwrap();
+        std::fs::write(folder.path().join("there/real.csv"), "before").unwrap();
+        std::os::unix::fs::symlink("there/real.csv", folder.path().join("link.csv")).unwrap();
+        write_whole(&folder.path().join("link.csv"), b"after").unwrap();
+        assert_eq!(std::fs::read_to_string(folder.path().join("there/real.csv")).unwrap(), "after");
+        assert!(folder.path().join("link.csv").is_symlink());
+    }
+}

@@ -1,0 +1,181 @@
+//! Streams to clients: items as fast as the client takes them, and a status if the end is not reached.
+//!
+//! A client that takes nothing for [`PATIENCE`] loses its stream, so that nobody holds records and a place here for
+//! ever. When it reads on it finds what was on its way and then `DEADLINE_EXCEEDED`: it can ask for the rest.
+
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+use tokio_stream::Stream;
+use tokio_util::sync::CancellationToken;
+use tonic::Status;
+
+/// How long a client may take to read one item.
+pub(super) const PATIENCE: Duration = Duration::from_mins(2);
+
+/// Why a stream has ended early; nothing if it was brought to its end.
+type Last = Arc<Mutex<Option<Status>>>;
+
+/// The end where items are put in. A stream whose outlet is dropped without [`Outlet::finish`] or [`Outlet::fail`] ends
+/// with an error.
+#[derive(Debug)]
+pub(super) struct Outlet<T> {
+    sender: mpsc::Sender<Result<T, Status>>,
+    last: Last,
+    shutdown: CancellationToken,
+    patience: Duration,
+}
+
+/// The end that the client reads.
+#[derive(Debug)]
+pub(super) struct Outgoing<T> {
+    receiver: mpsc::Receiver<Result<T, Status>>,
+    last: Last,
+}
+
+/// Nobody wants the rest of the stream.
+#[derive(Debug)]
+pub(super) struct Gone;
+
+/// A stream that holds so many items on their way, and ends with `shutdown` or when an item is not read in time.
+pub(super) fn outgoing<T>(
+    queue: usize,
+    patience: Duration,
+    shutdown: CancellationToken,
+) -> (Outlet<T>, Outgoing<T>) {
+    let (sender, receiver) = mpsc::channel(queue);
+    let last =
+        Arc::new(Mutex::new(Some(Status::internal("the stream was broken off: ask for the rest again"))));
+    (Outlet { sender, last: last.clone(), shutdown, patience }, Outgoing { receiver, last })
+}
+
+impl<T> Outlet<T> {
+    /// Hands an item to the client. A stop of the coordinator does not wait for slow readers.
+    pub(super) async fn send(&self, item: T) -> Result<(), Gone> {
+        tokio::select! {
+            () = self.shutdown.cancelled() => Err(self.stopping()),
+            sent = tokio::time::timeout(self.patience, self.sender.send(Ok(item))) => {
+                if let Ok(sent) = sent {
+                    return sent.map_err(|_| Gone);
+                }
+                let waited = self.patience.as_secs();
+                self.end_with(Some(Status::deadline_exceeded(format!(
+                    "nothing was read for {waited} s, so the stream was ended early: ask for the rest again"
+                ))));
+                Err(Gone)
+            }
+        }
+    }
+
+    /// Waits until the client has gone or the coordinator stops.
+    pub(super) async fn closed(&self) -> Gone {
+        tokio::select! {
+            () = self.shutdown.cancelled() => self.stopping(),
+            () = self.sender.closed() => Gone,
+        }
+    }
+
+    /// Everything was sent.
+    pub(super) fn finish(self) {
+        self.end_with(None);
+    }
+
+    /// The stream ends with an error, after what is on its way.
+    pub(super) fn fail(self, status: Status) {
+        self.end_with(Some(status));
+    }
+
+    fn stopping(&self) -> Gone {
+        self.end_with(Some(Status::unavailable("the coordinator is stopping")));
+        Gone
+    }
+
+    fn end_with(&self, last: Option<Status>) {
+        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = last;
+    }
+}
+
+impl<T> Stream for Outgoing<T> {
+    type Item = Result<T, Status>;
+
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let item = ready!(self.receiver.poll_recv(cx));
+        let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner).take().map(Err);
+        Poll::Ready(item.or_else(last))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio_stream::StreamExt;
+    use tonic::Code;
+
+    use super::*;
+
+    fn stream() -> (Outlet<u32>, Outgoing<u32>, CancellationToken) {
+        let shutdown = CancellationToken::new();
+        let (outlet, outgoing) = outgoing(2, PATIENCE, shutdown.clone());
+        (outlet, outgoing, shutdown)
+    }
+
+    /// The items and, if the stream did not reach its end, the code.
+    async fn read(outgoing: Outgoing<u32>) -> (Vec<u32>, Option<Code>) {
+        let mut items = Vec::new();
+        let mut outgoing = std::pin::pin!(outgoing);
+        while let Some(item) = outgoing.next().await {
+            match item {
+                Ok(item) => items.push(item),
+                Err(status) => return (items, Some(status.code())),
+            }
+        }
+        (items, None)
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_reader_that_pauses_for_too_long_finds_an_error_after_what_was_on_its_way() {
+        let (outlet, outgoing, _shutdown) = stream();
+        for item in 0..2 {
+            outlet.send(item).await.unwrap();
+        }
+        assert!(outlet.send(2).await.is_err(), "nobody reads");
+        drop(outlet);
+        assert_eq!(read(outgoing).await, (vec![0, 1], Some(Code::DeadlineExceeded)));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_reader_that_pauses_for_less_gets_everything() {
+        let (outlet, outgoing, _shutdown) = stream();
+        let sending = tokio::spawn(async move {
+            for item in 0..5 {
+                outlet.send(item).await.unwrap();
+            }
+            outlet.finish();
+        });
+        tokio::time::sleep(PATIENCE.mul_f64(0.99)).await;
+        assert_eq!(read(outgoing).await, (vec![0, 1, 2, 3, 4], None));
+        sending.await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn only_a_stream_that_was_finished_ends_well() {
+        let (outlet, outgoing, _shutdown) = stream();
+        outlet.send(0).await.unwrap();
+        drop(outlet);
+        assert_eq!(read(outgoing).await, (vec![0], Some(Code::Internal)));
+
+        let (outlet, outgoing, _shutdown) = stream();
+        outlet.fail(Status::data_loss("damaged"));
+        assert_eq!(read(outgoing).await, (vec![], Some(Code::DataLoss)));
+
+        let (outlet, outgoing, shutdown) = stream();
+        outlet.send(0).await.unwrap();
+        outlet.send(1).await.unwrap();
+        shutdown.cancel();
+        assert!(outlet.send(2).await.is_err());
+        drop(outlet);
+        assert_eq!(read(outgoing).await, (vec![0, 1], Some(Code::Unavailable)));
+    }
+}

@@ -1,0 +1,169 @@
+//! Why a coordinator does not answer, in plain words.
+
+use std::error::Error;
+use std::io;
+
+use rustls::{CertificateError, Error as TlsError};
+
+use super::alert::refusal;
+use super::error::root_cause;
+
+/// What the transport calls a message that is none: an answer of a program that does not speak HTTP/2 without
+/// encryption.
+const NOT_HTTP2: [&str; 2] = ["frame with invalid size", "frame received is malformed"];
+
+/// Why the coordinator at a URL does not answer, and what to look at; None for a failure of another kind.
+pub fn failure(error: &(dyn Error + 'static), url: &str) -> Option<String> {
+    if refusal(error).is_some() {
+        return None;
+    }
+    let mut causes = std::iter::successors(Some(error), |&cause| cause.source());
+    let known = causes.find_map(|cause| {
+        let io = cause.downcast_ref::<io::Error>();
+        let tls = io.and_then(io::Error::get_ref).and_then(|inner| inner.downcast_ref::<TlsError>());
+        match (tls.or_else(|| cause.downcast_ref()), io) {
+            (Some(tls), _) => of_encryption(tls),
+            (None, Some(io)) => of_connection(io, url),
+            (None, None) => None,
+        }
+    });
+    known.or_else(|| {
+        let cause = root_cause(error);
+        if cause.contains("failed to lookup address") {
+            let host = host(url);
+            return Some(format!("no machine is known by the name {host}: is it spelt rightly? ({cause})"));
+        }
+        NOT_HTTP2.iter().any(|text| cause.contains(text)).then(|| of_other_language(url))
+    })
+}
+
+fn of_connection(error: &io::Error, url: &str) -> Option<String> {
+    use io::ErrorKind;
+    let text = match error.kind() {
+        ErrorKind::ConnectionRefused => {
+            "nothing listens there (connection refused): does farm-coordinator run, and is the port the right one?"
+                .to_owned()
+        }
+        ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable => {
+            format!("no way leads to {}: is the machine up, and this one on its network? ({error})", host(url))
+        }
+        ErrorKind::TimedOut => {
+            format!("{} is silent: is the machine up, does a firewall keep the port? ({error})", host(url))
+        }
+        ErrorKind::ConnectionReset
+        | ErrorKind::ConnectionAborted
+        | ErrorKind::BrokenPipe
+        | ErrorKind::UnexpectedEof => {
+            let hint = if is_plain(url) { ", or it listens for https:// and wants an access file" } else { "" };
+            format!("the connection was cut ({error}): the coordinator may have ended{hint}")
+        }
+        _ => return None,
+    };
+    Some(text)
+}
+
+fn of_encryption(error: &TlsError) -> Option<String> {
+    let text = match error {
+        TlsError::InvalidCertificate(problem) => of_certificate(problem),
+        TlsError::InvalidMessage(_) => {
+            "what answers there is not encrypted: if the coordinator runs without an access file its URL begins with \
+             http://, otherwise another program has this port"
+                .to_owned()
+        }
+        _ => return None,
+    };
+    Some(text)
+}
+
+fn of_certificate(problem: &CertificateError) -> String {
+    match problem {
+        CertificateError::UnknownIssuer | CertificateError::BadSignature => {
+            "its certificate is not of the authority that this access file knows: is this the access file of that \
+             coordinator? (Files that `farmctl access create` made at another time do not fit.)"
+                .to_owned()
+        }
+        CertificateError::Expired | CertificateError::ExpiredContext { .. } => {
+            "its certificate has expired: make new access files with `farmctl access create`, or set this machine's clock"
+                .to_owned()
+        }
+        CertificateError::NotValidYet | CertificateError::NotValidYetContext { .. } => {
+            "its certificate is not valid yet: is the clock of this machine right, and that of the one that made it?"
+                .to_owned()
+        }
+        CertificateError::NotValidForName | CertificateError::NotValidForNameContext { .. } => format!(
+            "its certificate is for another host: use the name that `farmctl access create --host` was given, or \
+             write it as `server_name` into the access file ({problem})"
+        ),
+        other => format!("its certificate is not accepted: {other}"),
+    }
+}
+
+fn of_other_language(url: &str) -> String {
+    if is_plain(url) {
+        "what answers there is no coordinator without encryption: if it is one with access files, name yours with \
+         --access FILE and let the URL begin with https://; otherwise another program has this port"
+    } else {
+        "what answers there is no coordinator: another program has this port"
+    }
+    .to_owned()
+}
+
+fn is_plain(url: &str) -> bool {
+    url.starts_with("http://")
+}
+
+fn host(url: &str) -> &str {
+    let rest = url.split_once("://").map_or(url, |(_, rest)| rest).trim_end_matches('/');
+    rest.rsplit_once(':').map_or(rest, |(host, _)| host)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(error: impl Error + Send + Sync + 'static) -> Option<String> {
+        let transport: Box<dyn Error + Send + Sync> = Box::new(io::Error::other(error));
+        failure(&*transport, "http://farm:7700").or_else(|| {
+            let status = tonic::Status::from_error(transport);
+            failure(&status, "http://farm:7700")
+        })
+    }
+
+    fn of_certificate(error: CertificateError) -> String {
+        let error = io::Error::new(io::ErrorKind::InvalidData, TlsError::InvalidCertificate(error));
+        failure(&error, "https://farm:7700").unwrap()
+    }
+
+    #[test]
+    fn every_cause_is_told_with_what_to_look_at() {
+        for (kind, expected) in [
+            (io::ErrorKind::ConnectionRefused, "nothing listens there"),
+            (io::ErrorKind::HostUnreachable, "no way leads to farm"),
+            (io::ErrorKind::TimedOut, "farm is silent"),
+            (io::ErrorKind::ConnectionReset, "listens for https://"),
+        ] {
+            let text = failure(&io::Error::from(kind), "http://farm:7700").unwrap();
+            assert!(text.contains(expected), "{text}");
+        }
+        for (error, expected) in [
+            (CertificateError::UnknownIssuer, "not of the authority"),
+            (CertificateError::Expired, "has expired"),
+            (CertificateError::NotValidYet, "not valid yet"),
+            (CertificateError::NotValidForName, "for another host"),
+            (CertificateError::Revoked, "not accepted"),
+        ] {
+            let text = of_certificate(error);
+            assert!(text.contains(expected), "{text}");
+        }
+        let text = told(io::Error::other("connection error detected: frame with invalid size")).unwrap();
+        assert!(text.contains("--access FILE"), "{text}");
+        let lookup = io::Error::other("failed to lookup address information: Name or service not known");
+        assert!(told(lookup).unwrap().contains("by the name farm:"));
+    }
+
+    #[test]
+    fn what_has_another_reason_is_left_to_others() {
+        assert_eq!(failure(&tonic::Status::not_found("dictionary x"), "http://farm:7700"), None);
+        assert_eq!(told(io::Error::other("received fatal alert: CertificateRequired")), None);
+    }
+}

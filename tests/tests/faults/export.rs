@@ -1,0 +1,85 @@
+//! Exports whose stream is cut: everything comes in the end, or the command fails and says how much did.
+
+use std::process::{Child, Stdio};
+use std::time::Duration;
+
+use farm_tests::farm_processes::{FarmProcesses, SOON};
+use farm_tests::process::{Ran, farmctl};
+use farm_tests::proxy::{Direction, Proxy};
+
+use super::{GRID, RECORDS};
+
+/// What passes of the answers before the link is cut: some of the records, of 9 kB each, and not all.
+const PASSES: u64 = 100_000;
+
+/// A farm whose dictionary is done, and a link to it that holds the rest of an export back.
+async fn cut_in_the_middle() -> (FarmProcesses, Proxy, Child) {
+    let farm = FarmProcesses::start(&[]);
+    farm.submit("grid", GRID);
+    let worker = farm.worker("worker", &[]);
+    farm.done("grid");
+    drop(worker);
+    let proxy = Proxy::start(([127, 0, 0, 1], farm.port()).into()).await;
+    proxy.hold_after(Direction::Answers, PASSES);
+    let export = farmctl(farm.folder())
+        .args(["export", "grid", "-o", "all.csv", "--server", &proxy.url()])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    tokio::time::timeout(SOON, async {
+        while proxy.held_bytes() == 0 {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    })
+    .await
+    .expect("more is sent than passes");
+    (farm, proxy, export)
+}
+
+fn ended(export: Child) -> Ran {
+    export.wait_with_output().unwrap().into()
+}
+
+/// Drafts and finished files of the export.
+fn files(farm: &FarmProcesses) -> Vec<String> {
+    let names = std::fs::read_dir(farm.folder()).unwrap().map(|e| e.unwrap().file_name());
+    names.map(|name| name.into_string().unwrap()).filter(|name| name.contains("all.csv")).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_export_over_a_link_that_breaks_goes_on_where_it_was() {
+    let (farm, proxy, export) = cut_in_the_middle().await;
+    proxy.heal();
+    proxy.cut();
+    let ran = ended(export);
+    assert_eq!((ran.code, ran.stderr.as_str()), (0, ""));
+    let whole = farm.farmctl(&["export", "grid"]);
+    assert_eq!(std::fs::read_to_string(farm.folder().join("all.csv")).unwrap(), whole.stdout);
+    assert!(proxy.accepted() > 1, "it connected again");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_export_whose_coordinator_is_gone_fails_and_says_how_much_came() {
+    let (mut farm, proxy, export) = cut_in_the_middle().await;
+    farm.kill_coordinator();
+    proxy.cut();
+    let ran = ended(export);
+    assert_eq!(ran.code, 1, "{}", ran.stderr);
+    let told = ran.stderr.strip_prefix("farmctl: only ").unwrap_or_else(|| panic!("{}", ran.stderr));
+    let (came, rest) = told.split_once(' ').unwrap();
+    assert!((1..RECORDS).contains(&came.parse().unwrap()), "{told}");
+    assert!(rest.starts_with(&format!("of {RECORDS} records came, run the same command again: ")), "{told}");
+    assert_eq!(files(&farm), Vec::<String>::new(), "neither a draft nor a part of a file is left");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_export_to_a_file_that_is_interrupted_leaves_nothing_and_ends_with_130() {
+    let (farm, proxy, export) = cut_in_the_middle().await;
+    let id = rustix::process::Pid::from_child(&export);
+    rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
+    let ran = ended(export);
+    assert_eq!(ran.code, 130, "{}", ran.stderr);
+    assert_eq!(files(&farm), Vec::<String>::new());
+    drop(proxy);
+}

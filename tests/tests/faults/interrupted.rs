@@ -1,0 +1,47 @@
+//! Ctrl-C at a terminal that only looks on: the command ends, the farm does not.
+
+use std::process::Stdio;
+
+use farm_tests::farm_processes::{FarmProcesses, SOON, wait_for};
+use farm_tests::process::{Ran, farmctl};
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::LONG_JOBS;
+
+/// Starts a command, interrupts it as soon as it has taken charge of Ctrl-C, and waits for its end.
+fn interrupted(farm: &FarmProcesses, args: &[&str]) -> Ran {
+    let command = farmctl(farm.folder())
+        .args(args)
+        .args(["--server", &farm.url()])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    wait_for("the command handles Ctrl-C", SOON, || handles_interrupt(command.id()).then_some(()));
+    kill_process(Pid::from_child(&command), Signal::INT).unwrap();
+    command.wait_with_output().unwrap().into()
+}
+
+/// Whether the process has a handler for SIGINT.
+fn handles_interrupt(id: u32) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+    let signals = u64::from_str_radix(caught.trim(), 16).unwrap();
+    signals >> (Signal::INT.as_raw() - 1) & 1 == 1
+}
+
+#[test]
+fn ctrl_c_says_that_the_farm_goes_on_and_ends_with_130() {
+    let farm = FarmProcesses::start(&[]);
+    farm.submit("grid", LONG_JOBS);
+    let file = farm.folder().join("grid.toml");
+    let ran = interrupted(&farm, &["submit", file.to_str().unwrap(), "--wait"]);
+    assert_eq!(ran.code, 130, "{}", ran.stderr);
+    for part in ["the farm goes on computing", "`farmctl watch grid`", "`farmctl cancel grid`"] {
+        assert!(ran.stdout.contains(part), "{}", ran.stdout);
+    }
+    let ran = interrupted(&farm, &["wait", "grid"]);
+    assert_eq!((ran.code, ran.stderr.as_str()), (130, "farmctl: interrupted\n"));
+    assert_eq!(interrupted(&farm, &["watch", "grid"]).code, 130);
+    assert_eq!(farm.show("grid")["state"], "running");
+}
