@@ -121,7 +121,13 @@ fn bad_measurements_are_refused() {
     }
     write(dir, "m.csv", &(HEAD.to_owned() + &good));
     fails(dir, &["fit", "none.csv"], &["measurement none.csv", "No such file"]);
-    fails(dir, &["fit", "m.csv"], &["dictionary paper does not exist; there are: grid"]);
+    fails(
+        dir,
+        &["fit", "m.csv", "--dictionary", "paper"],
+        &["dictionary paper does not exist; there are: grid"],
+    );
+    // The only dictionary needs no name.
+    assert_eq!(run(dir, &["fit", "m.csv"]).code, 0);
     for (option, message) in [
         ("--mu=0", "mu = 0 is not valid"),
         ("--lambda=-1", "lambda = -1 is not valid"),
@@ -137,8 +143,8 @@ fn bad_measurements_are_refused() {
     }
     for (verb, option, message) in [
         ("scale", "--mu-min=0", "mu_min = 0 is not valid: allowed are numbers above 0"),
-        ("scale", "--mu-min=2", "mu_min = 2 to 1 is not valid: the lower bound must not exceed the upper"),
-        ("scale", "--mu-step=1e-9", "mu_step = 0.000000001 over 0.8 to 1 is not valid"),
+        ("scale", "--mu-min=2", "mu_min = 2 to 1.1 is not valid: the lower bound must not exceed the upper"),
+        ("scale", "--mu-step=1e-9", "mu_step = 0.000000001 over 0.8 to 1.1 is not valid"),
         ("measure", "--mu=-1", "mu = -1 is not valid"),
         ("map", "--channel=X", "material resin has no channel X; it has R"),
         ("map", "--material=x", "the file has no material x; it has resin"),

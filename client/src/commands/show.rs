@@ -65,7 +65,9 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
 
 async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {
     let axes = figures::chosen_axes(&status.grid);
-    let mut answers = Records::ask(connection, status, axes.records(&status.grid)).await?;
+    let mut wanted = axes.records(&status.grid);
+    wanted.sort_unstable();
+    let mut answers = Records::ask(connection, status, wanted).await?;
     let mut records = Vec::new();
     while let Some(record) = answers.next().await? {
         records.push(record);

@@ -12,8 +12,13 @@ use super::refine::{Block, Objective, Unknowns};
 use super::search;
 use super::sum::dot;
 
-/// Share of the unexplained χ² that a cause must take away.
+/// Share of the unexplained χ² that a cause must take away, …
 const CONVINCING: f64 = 0.6;
+/// … and the misfit that it may leave, or that share of the whole: what still does not fit explains nothing.
+const LEFT: (f64, f64) = (1.5 * MISFIT, 1.0 / 8.0);
+/// By this factor a cause must leave more than the removal of pixels to be thought less likely: whatever is wrong
+/// somewhere goes away with the pixels.
+const PIXELS_COST: f64 = 1.25;
 /// Standard deviations from which on a pixel lies apart.
 const APART: f64 = 5.0;
 /// Greatest share of pixels that can lie apart from the others.
@@ -35,8 +40,11 @@ pub(super) fn suspicion(
     tried.extend(large_causes(objective.question));
     let unknown = Suspicion { cause: Cause::Unknown, thickness_mm: None, amount: 0.0, misfit_left: misfit };
     let explained = |s: &Suspicion| misfit.powi(2) - s.misfit_left.powi(2);
-    let convincing = |s: &Suspicion| explained(s) >= CONVINCING * (misfit.powi(2) - 1.0);
-    let least = tried.into_iter().filter(convincing).min_by(|a, b| a.misfit_left.total_cmp(&b.misfit_left));
+    let convincing = |s: &Suspicion| {
+        explained(s) >= CONVINCING * (misfit.powi(2) - 1.0) && s.misfit_left <= LEFT.0.max(LEFT.1 * misfit)
+    };
+    let cost = |s: &Suspicion| if s.cause == Cause::Outliers { PIXELS_COST } else { 1.0 } * s.misfit_left;
+    let least = tried.into_iter().filter(convincing).min_by(|a, b| cost(a).total_cmp(&cost(b)));
     Some(least.unwrap_or(unknown))
 }
 

@@ -6,7 +6,6 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Instant, Sleep};
 use tonic::transport::server::Connected;
 
@@ -14,13 +13,11 @@ use tonic::transport::server::Connected;
 /// costs nothing to send.
 const GREETING_BYTES: usize = 24;
 
-/// A connection, its place among those allowed, and its deadline. Under TLS it is what TLS runs on.
+/// A connection and its deadline. Under TLS it is what TLS runs on.
 #[derive(Debug)]
 pub struct Guarded<IO> {
     io: IO,
     watch: Watch,
-    /// Given back when the connection is dropped.
-    _place: OwnedSemaphorePermit,
 }
 
 #[derive(Debug)]
@@ -35,11 +32,11 @@ struct Watch {
 }
 
 impl<IO> Guarded<IO> {
-    pub(super) fn new(io: IO, place: OwnedSemaphorePermit, hello: Duration, silence: Duration) -> Self {
+    pub(super) fn new(io: IO, hello: Duration, silence: Duration) -> Self {
         let alarm = Box::pin(tokio::time::sleep(hello.min(silence)));
         let heard = Instant::now();
         let watch = Watch { heard, greeting_left: GREETING_BYTES, hello, silence, alarm };
-        Self { io, watch, _place: place }
+        Self { io, watch }
     }
 }
 
@@ -118,18 +115,15 @@ impl<IO: Connected> Connected for Guarded<IO> {
 }
 
 #[cfg(test)]
-impl Guarded<tokio::net::TcpStream> {
+impl Guarded<super::Parting> {
     pub(super) fn nodelay(&self) -> bool {
-        self.io.nodelay().unwrap()
+        self.io.nodelay()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, DuplexStream};
-    use tokio::sync::Semaphore;
     use tokio::time::{advance, timeout};
 
     use super::*;
@@ -137,10 +131,9 @@ mod tests {
     const HELLO: Duration = Duration::from_secs(10);
     const SILENCE: Duration = Duration::from_mins(1);
 
-    async fn pair() -> (Guarded<DuplexStream>, DuplexStream) {
-        let place = Arc::new(Semaphore::new(1)).acquire_owned().await.unwrap();
+    fn pair() -> (Guarded<DuplexStream>, DuplexStream) {
         let (here, there) = tokio::io::duplex(1024);
-        (Guarded::new(here, place, HELLO, SILENCE), there)
+        (Guarded::new(here, HELLO, SILENCE), there)
     }
 
     /// How long it takes until a read fails, which it must by being overdue.
@@ -162,14 +155,14 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn who_does_not_begin_is_overdue_after_the_hello_time() {
-        let (mut guarded, _there) = pair().await;
+        let (mut guarded, _there) = pair();
         about(overdue_after(&mut guarded).await, HELLO);
         about(overdue_after(&mut guarded).await, Duration::ZERO);
     }
 
     #[tokio::test(start_paused = true)]
     async fn a_beginning_that_trickles_gains_no_time() {
-        let (mut guarded, mut there) = pair().await;
+        let (mut guarded, mut there) = pair();
         let trickle = tokio::spawn(async move {
             for _ in 1..GREETING_BYTES {
                 tokio::time::sleep(Duration::from_secs(1)).await;
@@ -183,7 +176,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn after_the_greeting_silence_counts_from_the_last_byte() {
-        let (mut guarded, mut there) = pair().await;
+        let (mut guarded, mut there) = pair();
         there.write_all(&[0; GREETING_BYTES]).await.unwrap();
         guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();
         for _ in 0..5 {
@@ -197,7 +190,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn bytes_that_wait_are_read_however_late() {
-        let (mut guarded, mut there) = pair().await;
+        let (mut guarded, mut there) = pair();
         there.write_all(&[7; GREETING_BYTES]).await.unwrap();
         advance(SILENCE * 2).await;
         assert_eq!(guarded.read_u8().await.unwrap(), 7);

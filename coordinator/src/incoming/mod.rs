@@ -4,6 +4,7 @@
 //! who comes when all are taken is sent away at once, and who takes one must show that he is alive.
 
 mod guarded;
+mod parting;
 
 use std::io;
 use std::pin::Pin;
@@ -21,6 +22,7 @@ use crate::clock::Clock;
 use crate::muffle::Muffle;
 
 pub use guarded::Guarded;
+pub use parting::Parting;
 
 /// After an error that others will follow, as when there are no file descriptors left: time for some to be freed.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -102,7 +104,7 @@ impl Incoming {
 
     /// A place for the connection; if there is none, it is closed. Left to the system's queue it would wait without knowing
     /// for what, and those behind it too.
-    fn admit(&self, stream: TcpStream, peer: std::net::SocketAddr) -> Option<Guarded<TcpStream>> {
+    fn admit(&self, stream: TcpStream, peer: std::net::SocketAddr) -> Option<Guarded<Parting>> {
         let Ok(place) = self.counts.places.clone().try_acquire_owned() else {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
             if let Some(connections) = self.refusals.count(self.clock.now()) {
@@ -115,7 +117,7 @@ impl Incoming {
             // It has most likely gone already, which its first read will tell.
             tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
         }
-        Some(Guarded::new(stream, place, self.limits.hello, self.limits.silence))
+        Some(Guarded::new(Parting::new(stream, place), self.limits.hello, self.limits.silence))
     }
 
     fn failed(&mut self, error: &io::Error) {
@@ -132,7 +134,7 @@ impl Incoming {
 }
 
 impl Stream for Incoming {
-    type Item = io::Result<Guarded<TcpStream>>;
+    type Item = io::Result<Guarded<Parting>>;
 
     fn poll_next(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
         let this = self.get_mut();

@@ -13,7 +13,7 @@ async fn listen(connections: usize) -> (Incoming, std::net::SocketAddr) {
     (Incoming::new(listener, Limits::new(connections)), address)
 }
 
-async fn next(incoming: &mut Incoming) -> Guarded<TcpStream> {
+async fn next(incoming: &mut Incoming) -> Guarded<Parting> {
     timeout(SOON, incoming.next()).await.unwrap().unwrap().unwrap()
 }
 

@@ -1,0 +1,140 @@
+//! A connection that is closed so that its other end hears why.
+
+use std::io::{self, IoSlice};
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _, ReadBuf};
+use tokio::net::TcpStream;
+use tokio::sync::OwnedSemaphorePermit;
+use tonic::transport::server::Connected;
+
+/// A connection that has said more than this has been let in: whatever ends it then is not the last word of a handshake.
+const HANDSHAKE_BYTES: usize = 32 << 10;
+/// How long and how much of the other end's words is listened to after the last of ours.
+const LINGER: Duration = Duration::from_secs(1);
+const MOST_BYTES: u64 = 64 << 10;
+
+/// A TCP connection and its place among those allowed.
+///
+/// A socket that is closed with unread bytes is reset, and a reset makes the other end forget what it has not read yet.
+/// With TLS 1.3 a client's first call is under way before it hears that its certificate is missing, so that it would
+/// mostly be reset and not told. Hence a connection that ends young stops sending, and listens for a moment.
+#[derive(Debug)]
+pub struct Parting {
+    stream: Option<TcpStream>,
+    heard: usize,
+    /// Given back when the connection is closed.
+    place: Option<OwnedSemaphorePermit>,
+}
+
+impl Parting {
+    pub(super) fn new(stream: TcpStream, place: OwnedSemaphorePermit) -> Self {
+        Self { stream: Some(stream), heard: 0, place: Some(place) }
+    }
+
+    fn stream(&mut self) -> Pin<&mut TcpStream> {
+        Pin::new(self.stream.as_mut().expect("it is there until it is dropped"))
+    }
+
+    #[cfg(test)]
+    pub(super) fn nodelay(&self) -> bool {
+        self.stream.as_ref().unwrap().nodelay().unwrap()
+    }
+}
+
+impl Drop for Parting {
+    fn drop(&mut self) {
+        let (stream, place) = (self.stream.take(), self.place.take());
+        let young = (1..HANDSHAKE_BYTES).contains(&self.heard);
+        if let (true, Some(mut stream), Ok(runtime)) = (young, stream, tokio::runtime::Handle::try_current())
+        {
+            runtime.spawn(async move {
+                let listen = async {
+                    stream.shutdown().await?;
+                    tokio::io::copy(&mut stream.take(MOST_BYTES), &mut tokio::io::sink()).await
+                };
+                // The other end may go as it likes.
+                let _ = tokio::time::timeout(LINGER, listen).await;
+                drop(place);
+            });
+        }
+    }
+}
+
+impl AsyncRead for Parting {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let this = self.get_mut();
+        let before = buf.filled().len();
+        let read = this.stream().poll_read(cx, buf);
+        this.heard = this.heard.saturating_add(buf.filled().len() - before);
+        read
+    }
+}
+
+impl AsyncWrite for Parting {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
+        self.get_mut().stream().poll_write(cx, buf)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.get_mut().stream().poll_flush(cx)
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.get_mut().stream().poll_shutdown(cx)
+    }
+
+    fn poll_write_vectored(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bufs: &[IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        self.get_mut().stream().poll_write_vectored(cx, bufs)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        true
+    }
+}
+
+impl Connected for Parting {
+    type ConnectInfo = <TcpStream as Connected>::ConnectInfo;
+
+    fn connect_info(&self) -> Self::ConnectInfo {
+        self.stream.as_ref().expect("it is there until it is dropped").connect_info()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use tokio::net::TcpListener;
+    use tokio::sync::Semaphore;
+
+    use super::*;
+
+    /// A last word reaches the other end although what that sent was never read, and the place is given back.
+    #[tokio::test]
+    async fn the_last_word_is_heard_though_not_all_was_read() {
+        let places = Arc::new(Semaphore::new(1));
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let mut there = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let (stream, _) = listener.accept().await.unwrap();
+        let mut here = Parting::new(stream, places.clone().try_acquire_owned().unwrap());
+        there.write_all(&[7; 5000]).await.unwrap();
+        here.read_exact(&mut [0; 10]).await.unwrap();
+        here.write_all(b"no").await.unwrap();
+        drop(here);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        there.write_all(&[7; 10]).await.unwrap();
+        let mut said = Vec::new();
+        there.read_to_end(&mut said).await.unwrap();
+        assert_eq!(said, b"no");
+        drop(there);
+        let place = tokio::time::timeout(Duration::from_secs(10), places.acquire()).await;
+        drop(place.unwrap().unwrap());
+    }
+}
