@@ -54,7 +54,10 @@ pub(super) fn find(
     let base = options.settings().mu;
     let scales = scales(wanted.mu.as_ref(), base);
     let reference = all_questions(dictionary, materials, &options.with_mu(base, 0.0)?)?;
-    let at_scale = |scale: &f64| reference.iter().map(|q| q.changed(|v| v * scale.exp())).collect();
+    let at_scale = |scale: &f64| {
+        let scaled = |values: &[f64]| values.iter().map(|v| v * scale.exp()).collect();
+        reference.iter().map(|q| q.changed(scaled)).collect()
+    };
     let at_scales: Vec<Vec<Question>> = scales.iter().map(at_scale).collect();
     let joint = Joint::new(&reference, wanted, (scales[0], scales[scales.len() - 1]));
     let start = joint.lowest_of_mesh(&scales, &at_scales);

@@ -126,8 +126,8 @@ impl<'a> Term<'a> {
     }
 
     /// The same with other values.
-    fn changed(&self, change: impl Fn(f64) -> f64) -> Self {
-        let values: Vec<f64> = self.values.iter().map(|v| change(*v)).collect();
+    fn changed(&self, change: impl Fn(&[f64]) -> Vec<f64>) -> Self {
+        let values = change(&self.values);
         let gradient = self.view.slope().magnitude(&values);
         let description = self.view.describe(&values, &gradient);
         let (resampled, view) = (self.resampled.clone(), self.view.clone());
@@ -215,14 +215,14 @@ impl<'a> Question<'a> {
     }
 
     /// The same with other values of all profiles; what they were measured as, and the options, stay as they are.
-    pub(super) fn changed(&self, change: impl Fn(f64) -> f64) -> Self {
+    pub(super) fn changed(&self, change: impl Fn(&[f64]) -> Vec<f64>) -> Self {
         let terms = self.terms.iter().map(|t| t.changed(&change)).collect();
         Self { terms, admissible: self.admissible.clone(), ..*self }
     }
 
     /// The same with each profile at the thickness of the one on the other side of the list.
     pub(super) fn swapped(&self) -> Self {
-        let other = |(t, thickness): (&Term<'a>, usize)| Term { thickness, ..t.changed(|v| v) };
+        let other = |(t, thickness): (&Term<'a>, usize)| Term { thickness, ..t.changed(<[f64]>::to_vec) };
         let thicknesses = self.terms.iter().rev().map(|t| t.thickness);
         let terms = self.terms.iter().zip(thicknesses).map(other).collect();
         Self { terms, admissible: self.admissible.clone(), ..*self }

@@ -53,9 +53,10 @@ struct Residuals<'a> {
     objective: &'a Objective<'a>,
     /// Where each term's pixels begin, and the end.
     starts: Vec<usize>,
-    /// Predicted values, in units of the noise like all that follows.
+    /// One over the noise of each pixel.
     weights: Vec<f64>,
     predicted: Vec<f64>,
+    /// In units of the noise, like the derivatives.
     residual: Vec<f64>,
     /// Derivatives by the free coordinates.
     jacobian: Vec<Vec<f64>>,
@@ -87,6 +88,11 @@ impl<'a> Residuals<'a> {
             all.starts.push(all.residual.len());
         }
         all
+    }
+
+    /// Predicted values of a term.
+    fn predicted(&self, term: usize) -> &[f64] {
+        &self.predicted[self.starts[term]..self.starts[term + 1]]
     }
 
     fn terms(&self) -> usize {
@@ -168,7 +174,7 @@ fn small_causes(residuals: &Residuals) -> Vec<Suspicion> {
     let question = residuals.objective.question;
     let sensor = question.dictionary.grid().scene().sensor();
     let pitch = sensor.pitch_mm();
-    let predicted = |term: usize| &residuals.predicted[residuals.starts[term]..residuals.starts[term + 1]];
+    let predicted = |term: usize| residuals.predicted(term);
     let half_width_mm = 5.0;
     let lit = |term: usize| {
         let pixels = question.terms[term].view.pixels();
@@ -203,24 +209,58 @@ fn small_causes(residuals: &Residuals) -> Vec<Suspicion> {
 
 /// Causes that change profiles much: the changed ones are fitted anew.
 fn large_causes(question: &Question) -> Vec<Suspicion> {
-    let mut tried = Vec::new();
+    let mut tried = vec![edge_offset(question)];
     let mut attempt = |cause: Cause, changed: &Question| {
-        let best = &search::best(changed, 1)[0];
-        let objective = Objective::new(changed, best);
-        let optimum = objective.descend(objective.start(&best.medium), objective.free());
-        let residuals = Residuals::new(&objective, optimum.x, &objective.blocks(optimum.x));
-        let (misfit_left, _) = residuals.without(vec![0.0; residuals.residual.len()]);
+        let (misfit_left, _) = fitted_anew(changed);
         tried.push(Suspicion { cause, thickness_mm: None, amount: 0.0, misfit_left });
     };
     let mu = question.options.settings().mu;
     let in_range = |v: &f64| (0.0..=mu).contains(v);
     if question.terms.iter().all(|t| t.values.iter().all(in_range)) {
-        attempt(Cause::GammaCoded, &question.changed(|v| mu * linear(v / mu)));
+        let decoded = |values: &[f64]| values.iter().map(|v| mu * linear(v / mu)).collect();
+        attempt(Cause::GammaCoded, &question.changed(decoded));
     }
     if question.terms.len() == 2 {
         attempt(Cause::ThicknessesSwapped, &question.swapped());
     }
     tried
+}
+
+/// The misfit of a question's best fit, and the shift of all its profiles that would still help.
+fn fitted_anew(question: &Question) -> (f64, f64) {
+    let best = &search::best(question, 1)[0];
+    let objective = Objective::new(question, best);
+    let optimum = objective.descend(objective.start(&best.medium), objective.free());
+    let residuals = Residuals::new(&objective, optimum.x, &objective.blocks(optimum.x));
+    let (misfit, _) = residuals.without(vec![0.0; residuals.residual.len()]);
+    let pitch = question.dictionary.grid().scene().sensor().pitch_mm();
+    let shifts =
+        residuals.column(None, |t| slope(residuals.predicted(t), pitch).iter().map(|v| -v).collect());
+    (misfit, residuals.without(shifts).1)
+}
+
+/// A shift of all profiles, which is not small beside an edge: found in a few steps.
+fn edge_offset(question: &Question) -> Suspicion {
+    const STEPS: usize = 3;
+    let pitch = question.dictionary.grid().scene().sensor().pitch_mm();
+    let (mut misfit_left, mut more) = fitted_anew(question);
+    let mut amount = 0.0;
+    for _ in 0..STEPS {
+        amount += more;
+        (misfit_left, more) = fitted_anew(&question.changed(|values| shifted(values, amount / pitch)));
+    }
+    Suspicion { cause: Cause::EdgeOffset, thickness_mm: None, amount, misfit_left }
+}
+
+/// The profile read so many pixels further on.
+fn shifted(values: &[f64], pixels: f64) -> Vec<f64> {
+    let last = values.len() - 1;
+    let at = |i: usize| {
+        let place = (i as f64 + pixels).clamp(0.0, last as f64);
+        let below = (place as usize).min(last - 1);
+        values[below] + (place - below as f64) * (values[below + 1] - values[below])
+    };
+    (0..values.len()).map(at).collect()
 }
 
 /// The linear value of an sRGB-coded one (IEC 61966-2-1).

@@ -44,8 +44,11 @@ pub(crate) fn dictionary() -> &'static FitDictionary {
     })
 }
 
-/// A medium's profile in one channel with 1 % of noise, told in its standard errors, and how well its level is known
-/// from the walks, as a share.
+/// Noise of most photographs, as a share of the value.
+pub(crate) const NOISE: f64 = 0.01;
+
+/// A medium's profile in one channel with noise that is a share of the value, told in its standard errors, and how well
+/// its level is known from the walks, as a share.
 pub(crate) fn photograph(
     medium: &Medium,
     channel: usize,
@@ -53,6 +56,7 @@ pub(crate) fn photograph(
     seed: u64,
     walks: u64,
     mu: f64,
+    noise_share: f64,
 ) -> (MeasuredProfile, f64) {
     let scene = Grid::paper().scene().clone();
     let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, 1.53).unwrap();
@@ -64,8 +68,8 @@ pub(crate) fn photograph(
     let level = mean(traced.std_errors()) / mean(traced.values());
     let exact: Vec<f64> = traced.values().iter().map(|v| f64::from(*v) / mu).collect();
     let mut noise = Normal::new(seed * 2 + u64::from(thickness_mm < 0.75));
-    let values = exact.iter().map(|v| v * (1.0 + 0.01 * noise.normal())).collect();
-    let std_errors = exact.iter().map(|v| 0.01 * v).collect();
+    let values = exact.iter().map(|v| v * (1.0 + noise_share * noise.normal())).collect();
+    let std_errors = exact.iter().map(|v| noise_share * v).collect();
     let x = (0..360).map(|i| scene.sensor().centre_mm(i)).collect();
     let name = scene.channels()[channel].name().to_owned();
     (MeasuredProfile::new(name, thickness_mm, x, values, Some(std_errors)).unwrap(), level)

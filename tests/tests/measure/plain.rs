@@ -9,7 +9,7 @@ use farm_proto::fit::{FitOptions, Interval, MuRange, Refined};
 use farm_proto::{Measurement, Medium};
 use farm_tests::statistics::{Normal, effort, median};
 
-use crate::{dictionary, photograph};
+use crate::{NOISE, dictionary, photograph};
 
 /// Nine media: σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, both evenly in the logarithm.
 fn media(seed: u64, g: f64) -> Vec<Medium> {
@@ -28,7 +28,7 @@ fn photographed(media: &[Medium], seed: u64, walks: u64) -> Vec<Measurement> {
         for (channel, medium) in media.iter().enumerate() {
             for thickness in [0.5, 1.0] {
                 let seed = 5_000 + seed * 100 + (3 * m + channel) as u64;
-                profiles.push(photograph(medium, channel, thickness, seed, walks, 1.0).0);
+                profiles.push(photograph(medium, channel, thickness, seed, walks, 1.0, NOISE).0);
             }
         }
         Measurement::new(format!("m{m}"), profiles).unwrap()
@@ -120,7 +120,7 @@ fn what_is_chosen_for_a_set_is_near_the_truth_and_its_uncertainty_is_in_every_in
 #[test]
 fn one_channel_that_does_not_determine_the_scale_factor_says_so() {
     let truth = Medium::new(6.3, 0.9985, 0.4).unwrap();
-    let profiles = [0.5, 1.0].map(|t| photograph(&truth, 0, t, 9_901, 1_000_000, 1.0).0);
+    let profiles = [0.5, 1.0].map(|t| photograph(&truth, 0, t, 9_901, 1_000_000, 1.0, NOISE).0);
     let found = measured(&[Measurement::new("white", profiles.to_vec()).unwrap()]);
     let r = found.materials[0].channels[0].refined.as_ref().unwrap();
     println!("{:?}\n{r:?}", found.common);

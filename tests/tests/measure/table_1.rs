@@ -4,7 +4,7 @@ use farm_coordinator::fit::{MeasurePlan, measure};
 use farm_proto::fit::{FitOptions, MuRange};
 use farm_proto::{Measurement, Medium};
 
-use crate::{dictionary, photograph};
+use crate::{NOISE, dictionary, photograph};
 
 /// A material and its σ_t and α in R, G, B.
 type Row = (&'static str, [(f64, f64); 3]);
@@ -25,7 +25,7 @@ fn table_1(mu: f64, seed: u64) -> Vec<Measurement> {
             let medium = Medium::new(*sigma_t, *albedo, 0.4).unwrap();
             for thickness in [0.5, 1.0] {
                 let seed = seed * 100 + (m * 3 + channel) as u64;
-                profiles.push(photograph(&medium, channel, thickness, seed, 1_000_000, mu).0);
+                profiles.push(photograph(&medium, channel, thickness, seed, 1_000_000, mu, NOISE).0);
             }
         }
         Measurement::new(*name, profiles).unwrap()
@@ -36,6 +36,7 @@ fn table_1(mu: f64, seed: u64) -> Vec<Measurement> {
 #[test]
 fn table_1_is_measured_with_a_hidden_factor() {
     let dictionary = dictionary();
+    let (mut held, mut count) = (0, 0);
     for (hidden, seed) in [(0.86, 1), (0.913, 2), (0.98, 3)] {
         let materials = table_1(hidden, seed);
         let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
@@ -52,8 +53,7 @@ fn table_1_is_measured_with_a_hidden_factor() {
         let by_records = found.scale.as_ref().unwrap().best.mu;
         assert!((by_records - hidden).abs() <= 0.005, "{by_records}");
         let g = common.g.unwrap();
-        assert!((g - 0.4).abs() < 0.03 && common.g_interval.unwrap().contains(0.4), "{common:?}");
-        let grid = dictionary.grid();
+        assert!((g - 0.4).abs() < 0.06 && common.g_interval.unwrap().contains(0.4), "{common:?}");
         for (material, (name, media)) in found.materials.iter().zip(&TABLE_1) {
             for (i, (channel, (sigma_t, albedo))) in material.channels.iter().zip(media).enumerate() {
                 let best = &channel.candidates[0].medium;
@@ -74,14 +74,15 @@ fn table_1_is_measured_with_a_hidden_factor() {
                     assert!(r.sigma_t_per_mm.contains(*sigma_t) && r.albedo.contains(*albedo), "{r:?}");
                     continue;
                 }
-                let steps = |axis: &[f64], a: f64, b: f64| {
-                    let place = |v: f64| axis.iter().position(|x| *x == v).unwrap();
-                    place(a).abs_diff(place(b))
-                };
-                let sigma_t_steps = steps(grid.sigma_t_per_mm(), best.sigma_t_per_mm(), *sigma_t);
-                let albedo_steps = steps(grid.albedo(), best.albedo(), *albedo);
-                assert!(sigma_t_steps <= 1 && albedo_steps <= 1, "{name}, channel {i}: {best:?}");
+                let off = (r.best.medium.sigma_t_per_mm() / sigma_t - 1.0).abs();
+                assert!(off < 0.1, "{name}, channel {i}: {r:?}");
+                let holds = [r.sigma_t_per_mm.contains(*sigma_t), r.albedo.contains(*albedo)];
+                held += holds.into_iter().filter(|holds| *holds).count();
+                count += holds.len();
             }
         }
     }
+    // 72 intervals of 95 %, those of a factor with what was chosen in common.
+    println!("{held} of {count} intervals hold");
+    assert!(held * 10 >= count * 9, "{held} of {count}");
 }

@@ -5,7 +5,7 @@ use farm_proto::fit::{Bounds, ChannelFit, FitOptions, FitSettings};
 use farm_proto::{Measurement, Medium};
 use farm_tests::statistics::{Normal, effort, median};
 
-use crate::{dictionary, photograph};
+use crate::{NOISE, dictionary, photograph};
 
 /// One medium's way there and back.
 struct Trip {
@@ -24,8 +24,8 @@ fn trips(count: u64, walks: u64, hold_g: bool) -> Vec<Trip> {
         let g = anisotropies[(random.uniform() * anisotropies.len() as f64) as usize];
         let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
         let truth = Medium::new(log(1.1, 28.0, s), 1.0 - log(1e-3, 0.7, a), g).unwrap();
-        let (thin, thin_level) = photograph(&truth, 0, 0.5, seed, walks, 1.0);
-        let (thick, thick_level) = photograph(&truth, 0, 1.0, seed, walks, 1.0);
+        let (thin, thin_level) = photograph(&truth, 0, 0.5, seed, walks, 1.0, NOISE);
+        let (thick, thick_level) = photograph(&truth, 0, 1.0, seed, walks, 1.0, NOISE);
         let measurement = Measurement::new("m", vec![thin, thick]).unwrap();
         let settings = FitSettings {
             g: if hold_g { Bounds::fixed(g) } else { Bounds::FREE },
