@@ -119,7 +119,17 @@ pub(crate) fn table(head: &[&str], right: &[usize], rows: impl IntoIterator<Item
             column.set_cell_alignment(CellAlignment::Right);
         }
     }
-    table.to_string()
+    without_margins(&table.to_string())
+}
+
+/// The table without the blank columns at its sides, rules as wide as what is between them.
+fn without_margins(table: &str) -> String {
+    let is_rule = |line: &str| line.starts_with('─');
+    let row = |line: &str| line.strip_prefix(' ').unwrap_or(line).trim_end().to_owned();
+    let shown = |line: &str| anstream::adapter::strip_str(&row(line)).to_string().chars().count();
+    let width = table.lines().filter(|l| !is_rule(l)).map(shown).max().unwrap_or(0);
+    let line = |line: &str| if is_rule(line) { "─".repeat(width) } else { row(line) };
+    table.lines().map(line).collect::<Vec<_>>().join("\n")
 }
 
 /// 34276 → "34,276".

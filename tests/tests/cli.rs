@@ -4,6 +4,7 @@ use std::process::Command;
 
 use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, keys, rows, write};
 use farm_tests::process::{Ran, farmctl, program, run};
+use serde_json::{Value, json as value};
 
 #[test]
 fn every_verb_tells_its_result_in_one_stable_json_shape() {
@@ -224,6 +225,8 @@ fn every_answer_of_the_fit_has_its_json_shape() {
     assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 301);
     let measure = json(&ask(&["measure"]), "measure");
     assert_eq!(keys(&measure), with(&["common", "common_g", "materials", "notes", "scale"]));
+    // The dictionary has one anisotropy: there was nothing to choose.
+    assert_eq!((&measure["common_g"], &measure["common"]["g_interval"]), (&value!(0.4), &Value::Null));
     let map = json(&ask(&["map"]), "map");
     assert_eq!(keys(&map), with(&["maps", "notes"]));
     let expected = ["albedo", "best_layer", "channel", "layers", "material", "sample_ior", "sigma_t_per_mm"];

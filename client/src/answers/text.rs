@@ -238,7 +238,7 @@ pub(crate) fn common_text(common: &Common) -> String {
                 significant(g, 3)
             ));
         }
-        (Some(g), None) => lines.push(format!("anisotropy g = {g}, as given")),
+        (Some(g), None) => lines.push(format!("anisotropy g = {g}: given, or the dictionary's only one")),
         (None, _) => lines.push("every channel has its own anisotropy".to_owned()),
     }
     lines.iter().map(|l| wrapped(l)).collect::<Vec<_>>().join("\n")
@@ -329,13 +329,13 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
     Ok(String::from_utf8(writer.into_inner()?)?)
 }
 
-/// The best records of one channel, with the terms of their errors.
+/// The best records of one channel, with the terms of their errors: root mean squares of differences.
 pub(crate) fn neighbours(candidates: &[Candidate]) -> String {
     let terms = candidates.first().map_or(&[][..], |c| &c.thicknesses);
     let mut head = vec!["error".to_owned(), "σ_t /mm".into(), "α".into(), "g".into(), "index".into()];
     for term in terms {
-        head.push(format!("rms values\n{} mm", term.thickness_mm));
-        head.push(format!("rms gradients\n{} mm", term.thickness_mm));
+        head.push(format!("values\n{} mm", term.thickness_mm));
+        head.push(format!("gradients\n{} mm", term.thickness_mm));
     }
     let rows = candidates.iter().map(|c| {
         let m = &c.medium;

@@ -21,6 +21,8 @@ use super::surrogate::{ALBEDO, G, SIGMA_T};
 
 /// Widest distance of two scale factors of the mesh, in the logarithm.
 const MESH_STEP: f64 = 0.05;
+/// Most channels that are looked at on the mesh.
+const MESH_CHANNELS: usize = 16;
 /// How well a channel's optimum is followed on the mesh, and at its end.
 const ROUGHLY: f64 = 1e-4;
 const WELL: f64 = 1e-7;
@@ -143,29 +145,39 @@ impl<'a> Joint<'a> {
     }
 
     /// The lowest point of a mesh over the scale factors and the dictionary's anisotropies, from the best records there.
+    /// With many channels some of them, evenly spaced, are enough to find it.
     fn lowest_of_mesh(&self, scales: &[f64], at_scales: &[Vec<Question>]) -> State {
         let nodes: Vec<Range<usize>> = if self.shared[G] {
             self.nodes.clone().map(|n| n..n + 1).collect()
         } else {
             vec![self.nodes.clone()]
         };
-        let mut lowest: Option<State> = None;
-        for (scale, questions) in scales.iter().zip(at_scales) {
-            for nodes in &nodes {
-                let optimum = |(objective, question): (&Objective, &Question)| {
-                    let best = &search::best_within(question, nodes, 1)[0];
-                    let mut x = objective.start(&best.medium);
-                    x[SCALE] = *scale;
-                    objective.descend_until(objective.clamp(x), self.own(objective), ROUGHLY)
-                };
-                let optima: Vec<Optimum> = self.objectives.par_iter().zip(questions).map(optimum).collect();
-                let error = optima.iter().map(|o| o.error).sum();
-                if lowest.as_ref().is_none_or(|l| error < l.error) {
-                    lowest = Some(State { shared: optima[0].x, optima, error });
+        let stride = self.objectives.len().div_ceil(MESH_CHANNELS);
+        let (mut lowest, mut place) = (f64::INFINITY, (0, 0));
+        for (i, scale) in scales.iter().enumerate() {
+            for (k, nodes) in nodes.iter().enumerate() {
+                let error = self.from_records(*scale, &at_scales[i], nodes, stride).error;
+                if error < lowest {
+                    (lowest, place) = (error, (i, k));
                 }
             }
         }
-        lowest.expect("a mesh has a point")
+        let (i, k) = place;
+        self.from_records(scales[i], &at_scales[i], &nodes[k], 1)
+    }
+
+    /// The optima of every `stride`th channel, from its best record at a scale factor and at some of the anisotropies.
+    fn from_records(&self, scale: f64, questions: &[Question], nodes: &Range<usize>, stride: usize) -> State {
+        let optimum = |(objective, question): (&Objective, &Question)| {
+            let best = &search::best_within(question, nodes, 1)[0];
+            let mut x = objective.start(&best.medium);
+            x[SCALE] = scale;
+            objective.descend_until(objective.clamp(x), self.own(objective), ROUGHLY)
+        };
+        let pairs: Vec<_> = self.objectives.iter().zip(questions).step_by(stride).collect();
+        let optima: Vec<Optimum> = pairs.into_par_iter().map(optimum).collect();
+        let error = optima.iter().map(|o| o.error).sum();
+        State { shared: optima[0].x, optima, error }
     }
 
     /// Goes down from a state, moving what is shared and `free`.

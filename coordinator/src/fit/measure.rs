@@ -44,6 +44,16 @@ pub fn measure(
     plan: &MeasurePlan,
 ) -> Result<Measured, Invalid> {
     let scale = plan.search_mu.map(|range| scale(dictionary, materials, options, &range)).transpose()?;
+    Ok(Measured { scale, ..measure_refined(dictionary, materials, options, plan)? })
+}
+
+/// The same without the paper's search by records.
+pub fn measure_refined(
+    dictionary: &FitDictionary,
+    materials: &[Measurement],
+    options: &FitOptions,
+    plan: &MeasurePlan,
+) -> Result<Measured, Invalid> {
     let settings = *options.settings();
     let wanted = Wanted {
         mu: plan.search_mu,
@@ -68,7 +78,7 @@ pub fn measure(
         }
         measured.common.mu_chosen = true;
     }
-    Ok(Measured { scale, ..measured })
+    Ok(measured)
 }
 
 /// What is measured, and with what.
@@ -138,11 +148,21 @@ impl Set<'_> {
             mu_std_error,
             mu_interval: mu_interval(found.mu, mu_std_error, wanted.mu.as_ref()),
             mu_chosen: searches_mu,
-            g: found.g.or(settings.g.is_fixed().then_some(settings.g.min())),
+            g: found.g.or_else(|| self.only_g()),
             g_interval,
             by_g: found.by_g.clone(),
         };
         Ok(Measured { scale: None, common, materials })
+    }
+
+    /// The anisotropy, if there is no choice.
+    fn only_g(&self) -> Option<f64> {
+        let bounds = self.options.settings().g;
+        match self.dictionary.grid().g() {
+            _ if bounds.is_fixed() => Some(bounds.min()),
+            [only] => Some(*only),
+            _ => None,
+        }
     }
 
     /// Linear in ln(1 − g), in which similar media lie on straight lines.

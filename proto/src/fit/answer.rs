@@ -209,7 +209,7 @@ pub struct Common {
     pub mu_chosen: bool,
     /// None if every channel has its own.
     pub g: Option<f64>,
-    /// None if g was given.
+    /// None if g was given, or the dictionary has one only.
     pub g_interval: Option<Interval>,
     /// Sums of refined errors with each anisotropy of the dictionary; empty if g was given.
     pub by_g: Vec<GError>,
