@@ -156,18 +156,18 @@ impl<'a> Joint<'a> {
         let (mut lowest, mut place) = (f64::INFINITY, (0, 0));
         for (i, scale) in scales.iter().enumerate() {
             for (k, nodes) in nodes.iter().enumerate() {
-                let error = self.from_records(*scale, &at_scales[i], nodes, stride).error;
+                let error = self.over_records(*scale, &at_scales[i], nodes, stride).error;
                 if error < lowest {
                     (lowest, place) = (error, (i, k));
                 }
             }
         }
         let (i, k) = place;
-        self.from_records(scales[i], &at_scales[i], &nodes[k], 1)
+        self.over_records(scales[i], &at_scales[i], &nodes[k], 1)
     }
 
     /// The optima of every `stride`th channel, from its best record at a scale factor and at some of the anisotropies.
-    fn from_records(&self, scale: f64, questions: &[Question], nodes: &Range<usize>, stride: usize) -> State {
+    fn over_records(&self, scale: f64, questions: &[Question], nodes: &Range<usize>, stride: usize) -> State {
         let optimum = |(objective, question): (&Objective, &Question)| {
             let best = &search::best_within(question, nodes, 1)[0];
             let mut x = objective.start(&best.medium);
