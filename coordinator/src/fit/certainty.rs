@@ -31,6 +31,8 @@ pub(super) struct Analysis<'a> {
     pub objective: Objective<'a>,
     optimum: Optimum,
     blocks: Vec<Block>,
+    /// Where the error falls at the optimum, by all unknowns.
+    downhill: DVec4,
     pub noise: Noise,
 }
 
@@ -53,7 +55,8 @@ impl<'a> Analysis<'a> {
         let optimum = objective.descend(objective.start(&best.medium), objective.free());
         let blocks = objective.blocks(optimum.x);
         let noise = Noise::new(&objective, optimum.x, &blocks);
-        Self { objective, optimum, blocks, noise }
+        let downhill = Descent::new(&blocks).downhill;
+        Self { objective, optimum, blocks, downhill, noise }
     }
 
     pub(super) fn part(&self) -> Part<'_> {
@@ -61,7 +64,7 @@ impl<'a> Analysis<'a> {
     }
 
     fn part_with(&self, own: [bool; 4]) -> Part<'_> {
-        Part { noise: &self.noise, own, downhill: Descent::new(&self.blocks).downhill }
+        Part { noise: &self.noise, own, downhill: self.downhill }
     }
 
     /// The refined fit of a channel on its own, or in company.
