@@ -2,8 +2,10 @@
 
 mod json;
 mod misfit;
+mod table;
 mod text;
 
 pub(crate) use json::{CandidateJson, CommonJson, MaterialJson, OptionsJson, ScaleJson};
 pub(crate) use misfit::misfit_short;
-pub(crate) use text::{albedo, common_text, fits_text, neighbours, scale_text, significant, table_csv};
+pub(crate) use table::table_csv;
+pub(crate) use text::{albedo, common_text, fits_text, neighbours, scale_text, significant};

@@ -166,7 +166,7 @@ fn media(fits: &[MaterialFit]) -> String {
 }
 
 /// What a reader of the numbers must know.
-fn remarks(channel: &ChannelFit) -> Vec<String> {
+pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {
     let valley = channel.refined.as_ref().is_some_and(|r| r.valley);
     let advice = valley.then(|| "σ_t and g trade off: trust σ_s(1−g) and σ_a".to_owned());
     warnings(channel).into_iter().chain(advice).collect()
@@ -274,61 +274,6 @@ pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
     text
 }
 
-/// The table as CSV: one row a channel.
-pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record([
-        "material",
-        "channel",
-        "sigma_t_per_mm",
-        "sigma_t_low",
-        "sigma_t_high",
-        "albedo",
-        "albedo_low",
-        "albedo_high",
-        "g",
-        "g_low",
-        "g_high",
-        "error",
-        "resolved",
-        "grid_sigma_t_per_mm",
-        "grid_albedo",
-        "grid_g",
-        "grid_error",
-        "remarks",
-        "reduced_scattering_per_mm",
-        "reduced_scattering_low",
-        "reduced_scattering_high",
-        "absorption_per_mm",
-        "absorption_low",
-        "absorption_high",
-        "misfit",
-    ])?;
-    for fit in fits {
-        for channel in &fit.channels {
-            let (Some(r), Some(grid)) = (&channel.refined, channel.candidates.first()) else { continue };
-            let low = |i: &Interval| if i.open_low { String::new() } else { i.low.to_string() };
-            let high = |i: &Interval| if i.open_high { String::new() } else { i.high.to_string() };
-            let (m, n) = (&r.best.medium, &grid.medium);
-            let mut row = vec![fit.material.clone(), channel.channel.clone()];
-            row.extend([m.sigma_t_per_mm().to_string(), low(&r.sigma_t_per_mm), high(&r.sigma_t_per_mm)]);
-            row.extend([m.albedo().to_string(), low(&r.albedo), high(&r.albedo)]);
-            row.extend([m.g().to_string(), low(&r.g), high(&r.g)]);
-            row.extend([r.best.error.to_string(), r.resolved.to_string()]);
-            row.extend([n.sigma_t_per_mm(), n.albedo(), n.g(), grid.error].map(|v| v.to_string()));
-            row.push(remarks(channel).join("; "));
-            let scattering = m.albedo() * m.sigma_t_per_mm() * (1.0 - m.g());
-            let i = &r.reduced_scattering_per_mm;
-            row.extend([scattering.to_string(), low(i), high(i)]);
-            let absorption = m.sigma_t_per_mm() * (1.0 - m.albedo());
-            row.extend([absorption.to_string(), low(&r.absorption_per_mm), high(&r.absorption_per_mm)]);
-            row.push(r.misfit.to_string());
-            writer.write_record(&row)?;
-        }
-    }
-    Ok(String::from_utf8(writer.into_inner()?)?)
-}
-
 /// The best records of one channel, with the terms of their errors: root mean squares of differences.
 pub(crate) fn neighbours(candidates: &[Candidate]) -> String {
     let terms = candidates.first().map_or(&[][..], |c| &c.thicknesses);
@@ -352,6 +297,7 @@ pub(crate) fn neighbours(candidates: &[Candidate]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::table_csv;
     use super::*;
 
     #[test]
