@@ -1,4 +1,8 @@
-//! What a farm does when the disk does not give back what it was given.
+//! A farm on a store of its own, without network: what it does when the disk does not give back what it was given, and
+//! how dictionaries share records.
+
+mod intake;
+mod waiting;
 
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};

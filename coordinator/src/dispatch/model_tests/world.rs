@@ -13,7 +13,7 @@ use super::super::look_over::STALL;
 use super::super::tests::Counted;
 use super::super::{Arrived, Dictionary, Dispatcher, Effect, Origin, Purpose, Settings};
 use super::ops::Op;
-use super::store::ModelStore;
+use super::store::{DoneJob, ModelStore};
 use crate::stored::{DesiredState, Outcome};
 
 pub const LEASE: Duration = Duration::from_secs(8);
@@ -318,11 +318,19 @@ impl World {
         }
     }
 
+    /// Forgets a job's records. They lie at the walks that they are of, so that other jobs for these lose them too.
     pub fn recompute(&mut self, id: DictionaryId, job: u32) {
-        if self.store.done.remove(&(id, job)).is_some() {
+        let Some(walks) = self.store.done.get(&(id, job)).map(|done| done.walks) else { return };
+        let kind = self.store.kind(id);
+        let same = |(of, done): &(&(DictionaryId, u32), &DoneJob)| {
+            of.1 == job && done.walks == walks && self.store.kind(of.0) == kind
+        };
+        let forgotten: Vec<_> = self.store.done.iter().filter(same).map(|(of, _)| *of).collect();
+        for (id, job) in forgotten {
+            self.store.done.remove(&(id, job));
             self.reopen(id, job);
-            self.find_blocks();
         }
+        self.find_blocks();
     }
 
     pub fn reopen(&mut self, id: DictionaryId, job: u32) {
