@@ -1,4 +1,4 @@
-use farm_proto::access::{ClientAccess, CoordinatorAccess};
+use farm_link::{ClientAccess, CoordinatorAccess};
 
 use super::*;
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use farm_proto::{Grid, GridFile, Invalid, Scene, SceneFile, SceneRef};
+use optics_model::{Grid, GridFile, Invalid, Scene, SceneFile, SceneRef};
 use toml::de::DeTable;
 
 /// Largest grid or scene file that is read, in bytes.

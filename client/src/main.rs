@@ -3,7 +3,8 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use farm_proto::logs::{self, LogFormat};
+use farm_link::logs;
+use farm_link::logs::LogFormat;
 
 #[tokio::main]
 async fn main() -> ExitCode {

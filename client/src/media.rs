@@ -9,7 +9,7 @@ mod pbrt;
 
 use std::collections::HashSet;
 
-use farm_proto::fit::MaterialFit;
+use optics_model::fit::MaterialFit;
 
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
 pub(crate) use self::pbrt::pbrt;
@@ -38,7 +38,7 @@ pub(crate) struct ChannelMedium {
 /// The refined media of a measurement.
 pub(crate) fn measured(fits: &[MaterialFit]) -> Vec<MeasuredMedium> {
     let medium = |fit: &MaterialFit| {
-        let channel = |c: &farm_proto::fit::ChannelFit| {
+        let channel = |c: &optics_model::fit::ChannelFit| {
             let refined = c.refined.as_ref()?;
             let medium = &refined.best.medium;
             Some(ChannelMedium {

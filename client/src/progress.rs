@@ -88,8 +88,9 @@ fn text(status: &DictionaryStatus) -> String {
 
 #[cfg(test)]
 mod tests {
+    use farm_proto::DictionaryName;
     use farm_proto::status::DictionaryState;
-    use farm_proto::{DictionaryName, Digest, Grid};
+    use optics_model::{Digest, Grid};
 
     use super::*;
 

@@ -6,9 +6,11 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
+use farm_proto::RECORDS_PROMISED;
 use farm_proto::status::DictionaryStatus;
-use farm_proto::wire::{self, ExportRequest, GetRequest};
-use farm_proto::{RECORDS_PROMISED, Record};
+use farm_proto::wire;
+use farm_proto::wire::{ExportRequest, GetRequest};
+use optics_model::Record;
 use tonic::{Code, Status, Streaming};
 
 use crate::connection::{Connection, is_broken};

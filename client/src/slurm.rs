@@ -7,7 +7,7 @@ use std::num::NonZeroU32;
 use std::str::FromStr;
 use std::time::Duration;
 
-use farm_proto::walltime::{Walltime, span_text};
+use farm_link::walltime::{Walltime, span_text};
 use quote::{sbatch_quoted, shell_quoted};
 
 /// What a worker needs after its grace to deliver finished records and hand the other leases back.

@@ -10,13 +10,14 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
-use farm_coordinator::fit::{self, DictionaryBuilder, FitDictionary};
 use farm_coordinator::store::{DataDir, Store};
 use farm_coordinator::{Config, Coordinator, load_dictionary};
-use farm_proto::fit::{Bounds, FitOptions, FitSettings, MuRange};
 use farm_proto::wire::FitRequest;
 use farm_proto::wire::fits_client::FitsClient;
-use farm_proto::{Estimate, Grid, MeasuredProfile, Measurement, Profile, Record};
+use optics_fit as fit;
+use optics_fit::{DictionaryBuilder, FitDictionary};
+use optics_model::fit::{Bounds, FitOptions, FitSettings, MuRange};
+use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, Profile, Record};
 use tokio_util::sync::CancellationToken;
 use tonic::transport::{Channel, Endpoint};
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use farm_proto::access::CoordinatorAccess;
+use farm_link::CoordinatorAccess;
 
 #[derive(Debug, Clone)]
 pub struct Config {

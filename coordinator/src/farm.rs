@@ -16,14 +16,16 @@ mod work;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
-use farm_proto::{DictionaryName, Grid, Invalid};
+use optics_model::{Grid, Invalid};
 use tokio::sync::watch;
 
 use crate::clock::{Clock, Random};
 use crate::config::Config;
-use crate::dispatch::{self, Dictionary, DispatchError, Event, EventKind, Origin, Settings};
+use crate::dispatch;
+use crate::dispatch::{Dictionary, DispatchError, Event, EventKind, Origin, Settings};
 use crate::store::{Store, StoreError};
 use crate::web::Metrics;
 pub(crate) use backup::Backup;

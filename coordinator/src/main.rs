@@ -8,8 +8,9 @@ use std::time::Duration;
 
 use clap::Parser;
 use farm_coordinator::{Config, Coordinator};
-use farm_proto::access::CoordinatorAccess;
-use farm_proto::logs::{self, LogFormat};
+use farm_link::CoordinatorAccess;
+use farm_link::logs;
+use farm_link::logs::LogFormat;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::invalid::{Invalid, Result};
+use optics_model::invalid::{Invalid, Result};
 
 /// Name of a dictionary: 1 to 64 letters, digits, `-`, `_` or `.`, beginning with a letter or digit.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -78,18 +78,6 @@ impl RequestLimits {
     pub const TEXT_BYTES: usize = 1000;
     /// Longest wait for work.
     pub const WAIT_MS: u64 = 30_000;
-    /// Most neighbours of one fit.
-    pub const TOP: u32 = 10_000;
-    /// Highest level of the wavelet derivative.
-    pub const WAVELET_LEVEL: u32 = 10;
-    /// Most scale factors of one search.
-    pub const MU_VALUES: usize = 10_000;
-    /// Most materials of one request.
-    pub const MATERIALS: usize = 256;
-    /// Most profiles of one measurement.
-    pub const MEASURED_PROFILES: usize = 1024;
-    /// Most pixels of one measured profile.
-    pub const MEASURED_PIXELS: usize = 100_000;
 }
 
 #[cfg(test)]

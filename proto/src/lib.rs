@@ -1,43 +1,15 @@
-//! Domain types of the farm and its gRPC interface, package `farm.v1`.
+//! The farm's gRPC interface, package `farm.v1`, and its words: dictionaries, workers, leases.
 //!
-//! A domain type has private fields and one validating constructor: whoever holds a [`Grid`] or a
-//! [`Scene`] holds a correct one. The generated wire types are in [`wire`]; `convert` is the only
-//! place that turns one into the other.
-
-pub mod access;
-pub mod digest;
-pub mod fit;
-pub mod grid;
-pub mod ids;
-pub mod invalid;
-pub mod job;
-pub mod logs;
-pub mod measurement;
-pub mod optics;
-pub mod packed;
-pub mod profile;
-pub mod scene;
-pub mod status;
-pub mod sums;
-pub mod walltime;
+//! The generated wire types are in [`wire`]; `convert` is the only place that turns them into the types of
+//! `optics-model` and of this crate, and back.
 
 mod convert;
-mod files;
+pub mod ids;
+pub mod lease;
+pub mod status;
 
-pub use digest::Digest;
-pub use files::{GridFile, SceneFile, SceneRef, whole};
-pub use grid::{Grid, Quality, Walks};
+pub use convert::to_status;
 pub use ids::{DictionaryName, RequestLimits};
-pub use invalid::{Invalid, Result};
-pub use measurement::{MeasuredProfile, Measurement};
-pub use optics::{Medium, TransportPoint};
-pub use packed::PackedRecords;
-pub use profile::{Derivatives, Estimate, Profile, Record};
-pub use scene::Scene;
-
-/// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
-/// Workers and coordinator must agree on it.
-pub const PHYSICS_VERSION: u32 = 3;
 
 /// Version of the messages between workers and coordinator. Whoever changes them so that older programs would
 /// misunderstand them raises it: then these are refused when they register.

@@ -2,9 +2,9 @@
 
 use std::fmt;
 
-use crate::digest::Digest;
-use crate::grid::Grid;
 use crate::ids::{DictionaryName, WorkerId};
+use optics_model::digest::Digest;
+use optics_model::grid::Grid;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum DictionaryState {

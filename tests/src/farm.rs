@@ -6,14 +6,14 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use farm_coordinator::{Config, Coordinator};
-use farm_proto::access::Target;
-use farm_proto::grid::Axes;
-use farm_proto::scene::{Channel, Scene, Sensor};
+use farm_link::Target;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::fits_client::FitsClient;
 use farm_proto::wire::{SubmitRequest, WatchRequest};
-use farm_proto::{Grid, Walks};
+use optics_model::grid::Axes;
+use optics_model::scene::{Channel, Scene, Sensor};
+use optics_model::{Grid, Walks};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;

@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 use std::time::Duration;
 
-use farm_proto::{Digest, Grid};
+use optics_model::{Digest, Grid};
 use rayon::prelude::*;
 pub use rustix::process::Signal;
 use serde_json::Value;

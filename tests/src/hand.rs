@@ -4,15 +4,17 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
 use bytes::Bytes;
-use farm_proto::job::{JobSpec, Lease};
+use farm_proto::PROTOCOL_VERSION;
+use farm_proto::lease::Lease;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionKind, CompletionOutcome, HeldLease, RegisterRequest,
     RenewRequest, ResultHeader,
 };
-use farm_proto::{Grid, PHYSICS_VERSION, PROTOCOL_VERSION, Record};
-use farm_worker::tracer::trace;
+use optics_model::job::JobSpec;
+use optics_model::{Grid, PHYSICS_VERSION, Record};
+use optics_tracer::trace;
 use tonic::Status;
 use tonic::transport::Channel;
 
@@ -68,7 +70,11 @@ impl HandWorker {
     pub async fn acquire(&mut self, max_leases: u32) -> Result<Vec<Lease>, Status> {
         let request = AcquireRequest { worker_id: self.id.clone(), max_leases, wait_ms: 0 };
         let leases = self.client.acquire(request).await?.into_inner().leases;
-        Ok(leases.into_iter().map(Lease::try_from).collect::<Result<_, _>>()?)
+        Ok(leases
+            .into_iter()
+            .map(Lease::try_from)
+            .collect::<Result<_, _>>()
+            .map_err(|e| farm_proto::to_status(&e))?)
     }
 
     /// Whether the lease is still held.

@@ -20,20 +20,6 @@ fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     found
 }
 
-#[test]
-fn domain_types_know_no_runtime() {
-    let sources = sources(&root().join("proto/src"));
-    let domain =
-        sources.iter().filter(|(path, _)| !path.components().any(|part| part.as_os_str() == "access"));
-    for (path, text) in domain {
-        assert!(
-            !text.contains("tokio"),
-            "only the way to a coordinator needs a runtime, not {}",
-            path.display()
-        );
-    }
-}
-
 fn assert_absent(folder: &str, words: &[&str]) {
     for (path, text) in sources(&root().join(folder)) {
         for word in words {
@@ -48,29 +34,79 @@ fn dependencies(krate: &str) -> Vec<String> {
     manifest["dependencies"].as_table().unwrap().keys().cloned().collect()
 }
 
+/// What every crate may use of the project.
+const ARROWS: [(&str, &[&str]); 9] = [
+    ("optics/model", &[]),
+    ("optics/tracer", &["optics-model"]),
+    ("optics/fit", &["optics-model"]),
+    ("proto", &["optics-model"]),
+    ("proto/link", &[]),
+    ("coordinator", &["optics-model", "optics-fit", "farm-proto", "farm-link"]),
+    ("worker", &["optics-model", "optics-tracer", "farm-proto", "farm-link"]),
+    (
+        "client",
+        &[
+            "optics-model",
+            "optics-tracer",
+            "optics-fit",
+            "farm-proto",
+            "farm-link",
+            "farm-coordinator",
+            "farm-worker",
+        ],
+    ),
+    // Sees all.
+    (
+        "tests",
+        &[
+            "optics-model",
+            "optics-tracer",
+            "optics-fit",
+            "farm-proto",
+            "farm-link",
+            "farm-coordinator",
+            "farm-worker",
+            "farmctl",
+        ],
+    ),
+];
+
 #[test]
 fn crates_depend_in_one_direction() {
-    let forbidden = [
-        ("proto", &["farm-coordinator", "farm-worker", "farmctl", "sqlx"][..]),
-        ("coordinator", &["farm-worker", "farmctl"]),
-        ("worker", &["farm-coordinator", "farmctl", "sqlx"]),
-    ];
-    for (krate, others) in forbidden {
-        let found = dependencies(krate);
-        for other in others {
-            assert!(!found.iter().any(|d| d == other), "{krate} must not depend on {other}");
+    for (krate, allowed) in ARROWS {
+        let ours = |d: &String| d.starts_with("optics-") || d.starts_with("farm");
+        for dependency in dependencies(krate).into_iter().filter(ours) {
+            assert!(allowed.contains(&dependency.as_str()), "{krate} must not depend on {dependency}");
         }
     }
 }
 
 #[test]
-fn the_tracer_knows_no_network_and_no_runtime() {
-    assert_absent("worker/src/tracer", &["tokio", "tonic::", "sqlx", "std::time", "mul_add"]);
+fn the_science_knows_no_runtime_network_clock_database_or_file() {
+    let used = ["blake3", "bytes", "fearless_simd", "glam", "rayon", "serde", "thiserror", "toml"];
+    for krate in ["optics/model", "optics/tracer", "optics/fit"] {
+        for dependency in dependencies(krate).iter().filter(|d| !d.starts_with("optics-")) {
+            assert!(used.contains(&dependency.as_str()), "{krate} must not depend on {dependency}");
+        }
+        let ambient = ["std::time", "std::fs", "std::net", "std::env", "std::process"];
+        assert_absent(&format!("{krate}/src"), &ambient);
+    }
 }
 
 #[test]
-fn the_fit_is_numerics_alone() {
-    assert_absent("coordinator/src/fit", &["sqlx", "tonic::", "tokio", "crate::store", "crate::rpc"]);
+fn the_tracers_bits_are_the_same_on_every_machine() {
+    assert_absent("optics/tracer/src", &["mul_add"]);
+}
+
+/// Grids are stored as their messages, so one module of the store knows those too.
+#[test]
+fn wire_types_stay_at_the_edges_of_the_coordinator() {
+    for (path, text) in sources(&root().join("coordinator/src")) {
+        let at_the_edge = ["src/rpc/", "src/store/dictionaries.rs", "src/store/tests.rs"]
+            .iter()
+            .any(|edge| path.to_string_lossy().contains(edge));
+        assert!(at_the_edge || !text.contains("wire::"), "{} must not use wire types", path.display());
+    }
 }
 
 #[test]

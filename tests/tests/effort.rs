@@ -1,12 +1,12 @@
 //! How much is traced: divided jobs, target errors, and records that are there already.
 
 use anyhow::Result;
-use farm_proto::grid::Axes;
-use farm_proto::job::JobSpec;
-use farm_proto::{Digest, Grid, Quality, Record, Walks};
 use farm_tests::farm::{TestFarm, small_grid};
 use farm_tests::hand::traced;
-use farm_worker::tracer::{trace, trace_block};
+use optics_model::grid::Axes;
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Grid, Quality, Record, Walks};
+use optics_tracer::{trace, trace_block};
 use std::sync::atomic::AtomicBool;
 
 /// One transport point, few pixels, so that many walks are cheap.
@@ -18,7 +18,7 @@ fn one_point(walks: u64) -> Result<Grid> {
         thickness_mm: vec![0.5],
         sample_ior: vec![1.53],
     };
-    let sensor = farm_proto::scene::Sensor::new(10.0, 12, 0.0)?;
+    let sensor = optics_model::scene::Sensor::new(10.0, 12, 0.0)?;
     let scene = small_grid().scene().clone().with_sensor(sensor);
     Ok(Grid::new(scene, axes, Walks::new(walks)?, 1, false)?)
 }
@@ -28,7 +28,7 @@ fn blocks_traced_apart_make_the_records_of_the_whole() -> Result<()> {
     let job = JobSpec::of(&one_point(2_250_000)?, 0);
     let stop = AtomicBool::new(false);
     let whole = trace(&job, &stop)?;
-    let mut total = farm_proto::sums::Sums::new(&job);
+    let mut total = optics_model::sums::Sums::new(&job);
     let blocks: Vec<_> = [2, 0, 1].map(|block| (block, trace_block(&job, block, &stop))).into();
     for wanted in 0..3 {
         let sums = blocks.iter().find(|(block, _)| *block == wanted).map(|(_, sums)| sums.clone());

@@ -1,8 +1,8 @@
 //! The measurement that is shipped as an example, from grid to fit, as the README tells it.
 
-use farm_proto::{Grid, SceneFile};
 use farm_tests::process::run;
 use farm_tests::reference::root;
+use optics_model::{Grid, SceneFile};
 use serde_json::Value;
 
 /// All extinctions and albedos of the paper at g = 0.4, with 100,000 walks a point instead of 250,000: each channel of

@@ -4,17 +4,17 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use bytes::Bytes;
-use farm_proto::fit::ChannelFit;
-use farm_proto::job::{JobSpec, Lease};
+use farm_proto::lease::Lease;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
     CompletionKind, ExportRequest, FitRequest, GetRequest, RegisterRequest, SubmitRequest,
 };
-use farm_proto::{
-    Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, PROTOCOL_VERSION, Record, Walks, wire,
-};
+use farm_proto::{PROTOCOL_VERSION, wire};
 use farm_tests::farm::{TestCoordinator, TestFarm, TestWorker, done, small_grid};
 use farm_tests::hand::{falsified, on_wire, traced, with_number};
+use optics_model::fit::ChannelFit;
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Record, Walks};
 use tonic::Code;
 use tonic_types::StatusExt;
 

@@ -6,13 +6,13 @@
 
 use std::sync::atomic::AtomicBool;
 
-use farm_proto::job::JobSpec;
-use farm_proto::profile::{Profile, Record};
-use farm_proto::scene::{Channel, RingLight, Scene, Sensor};
-use farm_proto::{Digest, TransportPoint, Walks};
 use farm_tests::reference;
 use farm_tests::statistics::{Mean, chi2_per_pixel, effort, errors_of_neighbours};
-use farm_worker::tracer::{Kernel, trace, trace_with};
+use optics_model::job::JobSpec;
+use optics_model::profile::{Profile, Record};
+use optics_model::scene::{Channel, RingLight, Scene, Sensor};
+use optics_model::{Digest, TransportPoint, Walks};
+use optics_tracer::{Kernel, trace, trace_with};
 
 struct Run {
     scene: Scene,

@@ -5,7 +5,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use farm_proto::access::{ClientAccess, Target};
+use farm_link::{ClientAccess, Target};
 use farm_proto::wire::RegisterRequest;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_tests::farm_processes::{LONG, Process, SOON, Signal, free_port, undisturbed, wait_for};
@@ -92,7 +92,7 @@ impl Site {
         let request = RegisterRequest {
             label: "weak".to_owned(),
             threads: 1,
-            physics_version: farm_proto::PHYSICS_VERSION,
+            physics_version: optics_model::PHYSICS_VERSION,
             protocol_version: farm_proto::PROTOCOL_VERSION,
             instance: "weak".to_owned(),
             version: String::new(),

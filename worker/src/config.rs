@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use farm_proto::access::Target;
+use farm_link::Target;
 
 /// Where to get jobs from, how much to compute at a time and when to stop.
 #[derive(Debug, Clone)]

@@ -5,11 +5,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use farm_proto::job::{JobSpec, LeaseKey};
-use farm_proto::sums::Sums;
+use farm_proto::RequestLimits;
+use farm_proto::lease::LeaseKey;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::{CompleteRequest, CompletionKind, CompletionOutcome, ResultHeader};
-use farm_proto::{Digest, PackedRecords, RequestLimits};
+use optics_model::job::JobSpec;
+use optics_model::sums::Sums;
+use optics_model::{Digest, PackedRecords};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tonic::{Code, Status};
 

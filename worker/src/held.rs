@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use farm_proto::Digest;
-use farm_proto::job::LeaseKey;
+use farm_proto::lease::LeaseKey;
+use optics_model::Digest;
 
 /// Switches between a job's lease and its tracing.
 #[derive(Debug, Default)]

@@ -1,6 +1,6 @@
 //! The worker: leases jobs, traces their walks on all cores, returns the records.
 //!
-//! `tracer` is the physics and knows nothing of networks; `agent` talks to the coordinator; `pool` stands between
+//! `optics-tracer` is the physics and knows nothing of networks; `agent` talks to the coordinator; `pool` stands between
 //! them, so that no walk ever blocks an async thread.
 
 mod agent;
@@ -11,7 +11,6 @@ mod heartbeat;
 mod held;
 mod pool;
 mod session;
-pub mod tracer;
 
 pub use agent::{Ended, run};
 pub use config::Config;

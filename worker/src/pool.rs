@@ -5,13 +5,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use farm_proto::PackedRecords;
-use farm_proto::job::JobSpec;
-use farm_proto::sums::Sums;
+use optics_model::PackedRecords;
+use optics_model::job::JobSpec;
+use optics_model::sums::Sums;
 use tokio::sync::oneshot;
 
 use crate::held::Switches;
-use crate::tracer::{Stopped, trace, trace_block};
+use optics_tracer::{Stopped, trace, trace_block};
 
 /// What a job came to.
 #[derive(Debug, Clone)]

@@ -4,14 +4,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use backon::{ExponentialBuilder, Retryable};
-use farm_proto::access::Link;
-use farm_proto::job::{Lease, LeaseKey};
+use farm_link::Link;
+use farm_proto::lease::{Lease, LeaseKey};
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionOutcome, FailRequest, HandBackRequest, HeldLease,
     RegisterRequest, RenewRequest,
 };
-use farm_proto::{Digest, PHYSICS_VERSION, PROTOCOL_VERSION, RequestLimits};
+use farm_proto::{PROTOCOL_VERSION, RequestLimits, to_status};
+use optics_model::{Digest, PHYSICS_VERSION};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Response, Status};
@@ -144,7 +145,8 @@ impl Session {
         };
         let answer = self.call(self.client.clone().acquire(timed(request, CALL))).await;
         let answer = self.known(&worker_id, answer).await?;
-        let leases = answer.leases.into_iter().map(|l| Lease::try_from(l).map_err(|e| e.to_status()));
+        let leases =
+            answer.leases.into_iter().map(|l| Lease::try_from(l).map_err(|invalid| to_status(&invalid)));
         Ok((leases.collect::<Result<_, _>>()?, answer.drain))
     }
 

@@ -1,6 +1,6 @@
 //! JSON shapes of fits; see client/README.md.
 
-use farm_proto::fit::{
+use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, FitOptions, GError, Interval, MaterialFit, Outside,
     Refined, ScaleCurve, ScalePoint, Suspicion, Wavelet,
 };
@@ -122,7 +122,7 @@ struct ThicknessJson {
 
 impl From<&Candidate> for CandidateJson {
     fn from(c: &Candidate) -> Self {
-        let thickness = |t: &farm_proto::fit::ThicknessError| ThicknessJson {
+        let thickness = |t: &optics_model::fit::ThicknessError| ThicknessJson {
             thickness_mm: t.thickness_mm,
             value_rms: t.value_rms,
             gradient_rms: t.gradient_rms,

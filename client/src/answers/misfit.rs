@@ -1,6 +1,6 @@
 //! What people are told of a fit that noise does not explain.
 
-use farm_proto::fit::{Cause, MISFIT, Refined, Suspicion};
+use optics_model::fit::{Cause, MISFIT, Refined, Suspicion};
 
 use super::text::significant;
 

@@ -1,6 +1,6 @@
 //! The table of a measurement as CSV.
 
-use farm_proto::fit::{Interval, MaterialFit};
+use optics_model::fit::{Interval, MaterialFit};
 
 use super::text::remarks;
 

@@ -1,6 +1,6 @@
 //! Tables of fits.
 
-use farm_proto::fit::{Candidate, ChannelFit, Common, GError, Interval, MaterialFit, Outside, ScaleCurve};
+use optics_model::fit::{Candidate, ChannelFit, Common, GError, Interval, MaterialFit, Outside, ScaleCurve};
 
 use super::misfit::misfit;
 use crate::output::{table, warning};
@@ -311,8 +311,8 @@ mod tests {
     }
 
     fn channel(name: &str, sigma_t: f64, resolved: bool, misfit: f64) -> ChannelFit {
-        use farm_proto::Medium;
-        use farm_proto::fit::{Cause, Refined, Suspicion};
+        use optics_model::Medium;
+        use optics_model::fit::{Cause, Refined, Suspicion};
         let between = |low: f64, high: f64| Interval { low, high, open_low: false, open_high: false };
         let best = Candidate {
             medium: Medium::new(sigma_t, 0.999_827, 0.534_7).unwrap(),
@@ -406,7 +406,7 @@ mod tests {
         assert!(common_text(&common).starts_with("scale factor μ = 1, as given"));
         let scale = |curvature| ScaleCurve {
             points: Vec::new(),
-            best: farm_proto::fit::ScalePoint { mu: 0.913, error: 0.2 },
+            best: optics_model::fit::ScalePoint { mu: 0.913, error: 0.2 },
             std_error: None,
             curvature: Some(curvature),
             at_end: false,

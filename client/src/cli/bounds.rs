@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use farm_proto::fit::Bounds;
+use optics_model::fit::Bounds;
 
 /// One value or a range, as given.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,7 +35,7 @@ impl FromStr for BoundsArg {
 
 impl BoundsArg {
     /// The checked bounds; free if nothing was given.
-    pub fn check(arg: Option<Self>, field: &str) -> farm_proto::Result<Bounds> {
+    pub fn check(arg: Option<Self>, field: &str) -> optics_model::Result<Bounds> {
         arg.map_or(Ok(Bounds::FREE), |b| Bounds::new(field, b.min, b.max))
     }
 }

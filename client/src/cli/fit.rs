@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use farm_proto::fit::{FitOptions, FitSettings, MuRange, Wavelet};
+use optics_model::fit::{FitOptions, FitSettings, MuRange, Wavelet};
 
 use super::bounds::BoundsArg;
 
@@ -48,7 +48,7 @@ pub enum WaveletArg {
 }
 
 impl OptionArgs {
-    pub fn settings(&self) -> farm_proto::Result<FitSettings> {
+    pub fn settings(&self) -> optics_model::Result<FitSettings> {
         Ok(FitSettings {
             lambda: self.lambda,
             wavelet: match self.wavelet {
@@ -90,7 +90,7 @@ pub struct FitArgs {
 }
 
 impl FitArgs {
-    pub fn options(&self) -> farm_proto::Result<FitOptions> {
+    pub fn options(&self) -> optics_model::Result<FitOptions> {
         FitOptions::new(FitSettings {
             mu: self.mu,
             mu_std_error: self.mu_std_error,
@@ -117,7 +117,7 @@ pub struct MuArgs {
 }
 
 impl MuArgs {
-    pub fn range(&self) -> farm_proto::Result<MuRange> {
+    pub fn range(&self) -> optics_model::Result<MuRange> {
         MuRange::new(self.mu_min, self.mu_max, self.mu_step)
     }
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 
 use crate::slurm::{LogPattern, OneLine, SbatchOption};
-use farm_proto::walltime::{Walltime, parse_span, parse_time_limit};
+use farm_link::walltime::{Walltime, parse_span, parse_time_limit};
 
 #[derive(Debug, Subcommand)]
 pub enum SlurmCommand {

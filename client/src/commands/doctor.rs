@@ -3,9 +3,9 @@
 use std::process::ExitCode;
 
 use anyhow::Result;
-use farm_proto::PHYSICS_VERSION;
 use farm_proto::status::WorkerState;
 use farm_proto::wire::{InspectRequest, InspectResponse, StatusRequest, StatusResponse, UnreadableJobs};
+use optics_model::PHYSICS_VERSION;
 use serde::Serialize;
 
 use super::workers;

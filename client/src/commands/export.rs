@@ -2,9 +2,10 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::GetRequest;
-use farm_proto::{DictionaryName, Estimate, Grid, Invalid, Record};
+use optics_model::{Estimate, Grid, Invalid, Record};
 use serde::Serialize;
 
 use crate::cli::{ExportArgs, Global};

@@ -1,9 +1,9 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use farm_proto::Measurement;
-use farm_proto::fit::{FitOptions, MaterialFit};
 use farm_proto::wire::FitRequest;
+use optics_model::Measurement;
+use optics_model::fit::{FitOptions, MaterialFit};
 use serde::Serialize;
 
 use super::which;

@@ -1,7 +1,7 @@
 use anyhow::{Context, Result, bail};
-use farm_proto::Measurement;
-use farm_proto::fit::{DistanceMap, FitOptions, FitSettings, MapLayer};
 use farm_proto::wire::MapRequest;
+use optics_model::Measurement;
+use optics_model::fit::{DistanceMap, FitOptions, FitSettings, MapLayer};
 use serde::Serialize;
 
 use super::which;

@@ -1,8 +1,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use farm_proto::fit::{Common, FitOptions, FitSettings, MaterialFit, ScaleCurve};
 use farm_proto::wire::{MeasureRequest, MeasureResponse};
+use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
 use super::which;

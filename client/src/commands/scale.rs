@@ -1,6 +1,6 @@
 use anyhow::{Context, Result};
-use farm_proto::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use farm_proto::wire::ScaleRequest;
+use optics_model::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
 use super::measure::OLDER;

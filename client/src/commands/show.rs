@@ -1,9 +1,10 @@
 use std::path::Path;
 
 use anyhow::{Result, bail};
+use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryStatus, FailedJob};
 use farm_proto::wire::GetRequest;
-use farm_proto::{DictionaryName, SceneFile};
+use optics_model::SceneFile;
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
@@ -81,7 +82,7 @@ async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -
 fn text(status: &DictionaryStatus) -> String {
     let grid = &status.grid;
     let sensor = grid.scene().sensor();
-    let channels: Vec<_> = grid.scene().channels().iter().map(farm_proto::scene::Channel::name).collect();
+    let channels: Vec<_> = grid.scene().channels().iter().map(optics_model::scene::Channel::name).collect();
     let digest = status.records_digest.map_or("– (not complete)".to_owned(), |d| d.to_string());
     let mut lines = vec![
         ("dictionary", status.name.to_string()),

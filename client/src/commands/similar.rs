@@ -1,5 +1,5 @@
 use anyhow::Result;
-use farm_proto::Medium;
+use optics_model::Medium;
 use serde::Serialize;
 
 use crate::answers::{albedo, significant};
@@ -12,7 +12,7 @@ pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
     let media = args
         .to
         .iter()
-        .map(|g| farm_proto::optics::check_g(*g).and_then(|g| farm_coordinator::fit::similar(&medium, g)))
+        .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
         .collect::<Result<Vec<Medium>, _>>()?;
     let json = |m: &Medium| MediumJson {
         sigma_t_per_mm: m.sigma_t_per_mm(),

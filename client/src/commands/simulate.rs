@@ -2,10 +2,10 @@ use std::io::Write;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
-use farm_proto::job::JobSpec;
-use farm_proto::scene::{Channel, Scene, Sensor};
-use farm_proto::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
-use farm_worker::tracer;
+use optics_model::job::JobSpec;
+use optics_model::scene::{Channel, Scene, Sensor};
+use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
+
 use serde::Serialize;
 
 use crate::cli::SimulateArgs;
@@ -144,7 +144,7 @@ fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Style
 
 /// Profile by profile as they are traced.
 fn write(style: &Style, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
-    let each = |job: &JobSpec| anyhow::Ok(tracer::trace(job, &AtomicBool::new(false))?);
+    let each = |job: &JobSpec| anyhow::Ok(optics_tracer::trace(job, &AtomicBool::new(false))?);
     match style {
         Style::Measurement(material) => {
             let mut measurement = MeasurementWriter::new(&mut out, material)?;

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::cli::{Global, SlurmCommand, SlurmSubmitArgs};
 use crate::output::{Output, grouped};
 use crate::slurm::{Coordinator, Submission};
-use farm_proto::walltime::span_text;
+use farm_link::walltime::span_text;
 
 /// Variables that sbatch puts above the script's lines; what the script says of these must hold.
 const OVERRIDES: [&str; 9] = [

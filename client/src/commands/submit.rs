@@ -2,9 +2,10 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
+use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
-use farm_proto::{DictionaryName, Grid};
+use optics_model::Grid;
 
 use super::watch::{self, follow};
 use crate::cli::{Global, SubmitArgs};

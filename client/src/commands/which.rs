@@ -10,7 +10,7 @@ use crate::connection::Connection;
 const USUAL: &str = "paper";
 
 /// Checks a name that was given, before anything is connected.
-pub(crate) fn check(given: Option<&String>) -> farm_proto::Result<()> {
+pub(crate) fn check(given: Option<&String>) -> optics_model::Result<()> {
     given.map_or(Ok(()), |name| {
         DictionaryName::new(name.as_str()).map(|_| ()).map_err(|e| e.within("dictionary"))
     })

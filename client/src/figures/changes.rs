@@ -3,11 +3,10 @@
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
-use farm_coordinator::fit::derivative;
-use farm_proto::fit::FitSettings;
-use farm_proto::job::JobSpec;
-use farm_proto::{Medium, Record, TransportPoint};
-use farm_worker::tracer;
+use optics_fit::derivative;
+use optics_model::fit::FitSettings;
+use optics_model::job::JobSpec;
+use optics_model::{Medium, Record, TransportPoint};
 
 use crate::answers::{albedo, significant};
 use crate::plot::{ChangesFigure, ChangesPanel, Curve, LabelledCurve, Picture, changes_figure};
@@ -61,7 +60,7 @@ fn profile(job: &JobSpec, medium: &Medium) -> Result<Curve> {
     )?;
     let scene = job.scene().clone();
     let job = JobSpec::new(scene, point, vec![medium.albedo()], job.walks(), job.seed(), false)?;
-    let records = tracer::trace(&job, &AtomicBool::new(false))?;
+    let records = optics_tracer::trace(&job, &AtomicBool::new(false))?;
     let record: &Record = records.first().context("the tracer gave no record")?;
     let sensor = job.scene().sensor();
     let values: Vec<f64> =

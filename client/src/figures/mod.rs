@@ -6,8 +6,8 @@ mod overview;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use farm_proto::Medium;
-use farm_proto::fit::{ChannelFit, Common, Curve, DistanceMap, MaterialFit, ScaleCurve};
+use optics_model::Medium;
+use optics_model::fit::{ChannelFit, Common, Curve, DistanceMap, MaterialFit, ScaleCurve};
 
 use crate::answers::{albedo, misfit_short, significant};
 use crate::plot::{
@@ -45,7 +45,7 @@ fn panels(channel: &ChannelFit) -> Vec<FitPanel> {
             significant(m.g(), 3)
         )
     };
-    let panel = |c: &farm_proto::fit::FitCurves| {
+    let panel = |c: &optics_model::fit::FitCurves| {
         let curve = |curve: &Curve| plot::Curve {
             x_mm: c.x_mm.clone(),
             values: curve.values.clone(),

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use anyhow::Result;
-use farm_proto::{Grid, Record};
+use optics_model::{Grid, Record};
 
 use crate::plot::{OverviewFigure, Picture, overview_figure};
 

@@ -14,7 +14,7 @@ mod write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use farm_proto::Measurement;
+use optics_model::Measurement;
 
 use crate::output::Output;
 pub use note::Note;

@@ -1,8 +1,8 @@
 //! From rows to profiles.
 
 use anyhow::{Context, Result, bail};
-use farm_proto::measurement::colour;
-use farm_proto::{Invalid, MeasuredProfile, Measurement};
+use optics_model::measurement::colour;
+use optics_model::{Invalid, MeasuredProfile, Measurement};
 
 use super::note::Note;
 use super::number::Decimal;

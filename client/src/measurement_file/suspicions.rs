@@ -1,7 +1,7 @@
 //! What the checks found, with the places in the file.
 
 use anyhow::{Result, bail};
-use farm_proto::measurement::checks::{Finding, check};
+use optics_model::measurement::checks::{Finding, check};
 
 use super::note::Note;
 use super::rows::{Profiles, place_of};

@@ -248,7 +248,7 @@ fn suspicions_are_notes_one_of_a_kind() {
 
 #[test]
 fn what_is_written_is_read_back_in_silence() {
-    use farm_proto::{Estimate, Profile, Scene};
+    use optics_model::{Estimate, Profile, Scene};
     let scene = Scene::paper();
     let profile = |i: usize| {
         let x = |pixel| scene.sensor().centre_mm(pixel);

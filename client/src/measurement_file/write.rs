@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use anyhow::Result;
-use farm_proto::{Invalid, Profile, Scene};
+use optics_model::{Invalid, Profile, Scene};
 
 /// Writes the profiles of one material.
 pub(crate) struct MeasurementWriter<W: Write> {

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::job::LeaseKey;
+use farm_proto::lease::LeaseKey;
 
 use super::job::{self, Strike};
 use super::leases::Held;

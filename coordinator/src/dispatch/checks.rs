@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use farm_proto::Digest;
+use optics_model::Digest;
 
 use super::PartId;
 

@@ -3,10 +3,11 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use farm_proto::job::JobSpec;
 use farm_proto::status::DictionaryState;
-use farm_proto::{DictionaryName, Digest, Grid, Invalid, Walks};
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Grid, Invalid, Walks};
 
 use super::checks::Vote;
 use super::job::{Job, Part, Stage, Strike};

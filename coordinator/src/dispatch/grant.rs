@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use farm_proto::Digest;
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::job::{Lease, LeaseKey};
+use farm_proto::lease::{Lease, LeaseKey};
+use optics_model::Digest;
 
 use super::leases::{Held, Leases};
 use super::{Chance, Dictionary, DispatchError, Dispatcher, Grant, PartId, Purpose};

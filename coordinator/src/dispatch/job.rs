@@ -1,6 +1,6 @@
 //! One job of a dictionary and how far it is.
 
-use farm_proto::{Digest, Walks};
+use optics_model::{Digest, Walks};
 
 use super::Origin;
 use crate::store::EndedJob;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::job::LeaseKey;
+use farm_proto::lease::LeaseKey;
 
 /// A unit of work: a job, or one block of a divided job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -26,10 +26,11 @@ mod workers;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::job::Lease;
+use farm_proto::lease::Lease;
 use farm_proto::status::DictionaryStatus;
-use farm_proto::{DictionaryName, Walks};
+use optics_model::Walks;
 
 use crate::store::Desire;
 use checks::Checks;

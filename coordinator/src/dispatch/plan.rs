@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use farm_proto::{Grid, Invalid, TransportPoint, Walks};
+use optics_model::{Grid, Invalid, TransportPoint, Walks};
 
 use super::job::Job;
 

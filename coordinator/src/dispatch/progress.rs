@@ -2,8 +2,9 @@
 
 use std::ops::Range;
 
+use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
-use farm_proto::{DictionaryName, Digest};
+use optics_model::Digest;
 
 use super::Dictionary;
 use super::job::{Job, Stage};

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::job::{JobSpec, LeaseKey};
-use farm_proto::{Digest, Walks};
+use farm_proto::lease::LeaseKey;
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Walks};
 
 use super::checks::{self, Verdict, Vote};
 use super::job::{Stage, Strike};

@@ -6,8 +6,8 @@
 use std::cmp::Reverse;
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::job::JobSpec;
-use farm_proto::{Digest, Grid, TransportPoint, Walks};
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Grid, TransportPoint, Walks};
 
 use super::{Dictionary, Dispatcher, Origin, PartId};
 

@@ -6,11 +6,12 @@ mod trust;
 use std::sync::Arc;
 use std::time::Duration;
 
-use farm_proto::grid::Axes;
+use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::job::{Lease, LeaseKey};
+use farm_proto::lease::{Lease, LeaseKey};
 use farm_proto::status::{DictionaryState, DictionaryStatus};
-use farm_proto::{DictionaryName, Digest, Grid, Scene, Walks};
+use optics_model::grid::Axes;
+use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{
     Admission, Arrived, Chance, Dictionary, DispatchError, Dispatcher, Origin, Registration, Settings,

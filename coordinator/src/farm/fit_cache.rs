@@ -2,13 +2,14 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use farm_proto::{DictionaryName, Grid};
+use optics_model::Grid;
 use tokio::sync::OnceCell;
 
 use super::{FarmError, Result, blocking, read_chunk};
-use crate::fit::{DictionaryBuilder, FitDictionary};
 use crate::store::Store;
+use optics_fit::{DictionaryBuilder, FitDictionary};
 
 /// Dictionaries kept at a time.
 const KEPT: usize = 2;

@@ -1,7 +1,8 @@
 //! A look at the whole database.
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use farm_proto::{DictionaryName, Grid};
+use optics_model::Grid;
 
 use super::Farm;
 use super::records::UNSTEADY;

@@ -2,9 +2,10 @@
 
 use std::collections::HashSet;
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryState, DictionaryStatus};
-use farm_proto::{DictionaryName, Digest, Grid};
+use optics_model::{Digest, Grid};
 
 use super::{Farm, FarmError, Result, blocking, not_found};
 use crate::clock::Clock;
@@ -229,6 +230,6 @@ impl Farm {
 
 /// All jobs of a grid, with their identities.
 fn identities(grid: &Grid) -> Vec<(u32, Digest)> {
-    use farm_proto::job::JobSpec;
+    use optics_model::job::JobSpec;
     (0..grid.job_count()).map(|job| (job as u32, JobSpec::of(grid, job).identity())).collect()
 }

@@ -5,13 +5,14 @@
 
 use std::ops::Range;
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use farm_proto::{DictionaryName, Grid, Invalid, Record};
+use optics_model::{Grid, Invalid, Record};
 
 use super::{Farm, FarmError, Result, blocking};
 use crate::dispatch::{Event, EventKind};
-use crate::fit::FitDictionary;
 use crate::store::StoreError;
+use optics_fit::FitDictionary;
 
 /// What is said of records that were damaged at the first reading, and not at the second.
 pub(super) const UNSTEADY: &str = "it differed from what was stored at one reading, and not at the next";

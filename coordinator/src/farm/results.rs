@@ -2,9 +2,10 @@
 
 use std::sync::PoisonError;
 
-use farm_proto::Digest;
 use farm_proto::ids::WorkerId;
-use farm_proto::job::{JobSpec, LeaseKey};
+use farm_proto::lease::LeaseKey;
+use optics_model::Digest;
+use optics_model::job::JobSpec;
 
 use super::records::UNSTEADY;
 use super::{Farm, Result};

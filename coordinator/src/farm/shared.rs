@@ -1,8 +1,9 @@
 //! Jobs that are ended by records that came for another dictionary.
 
-use farm_proto::Digest;
 use farm_proto::ids::DictionaryId;
-use farm_proto::job::{JobSpec, LeaseKey};
+use farm_proto::lease::LeaseKey;
+use optics_model::Digest;
+use optics_model::job::JobSpec;
 
 use super::Farm;
 use crate::dispatch::{Dictionary, Origin};

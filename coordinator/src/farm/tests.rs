@@ -3,14 +3,13 @@
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-use farm_proto::grid::Axes;
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::job::JobSpec;
-use farm_proto::scene::{Scene, Sensor};
 use farm_proto::status::DictionaryState;
-use farm_proto::{
-    DictionaryName, Estimate, Grid, PHYSICS_VERSION, PROTOCOL_VERSION, PackedRecords, Profile, Record, Walks,
-};
+use farm_proto::{DictionaryName, PROTOCOL_VERSION};
+use optics_model::grid::Axes;
+use optics_model::job::JobSpec;
+use optics_model::scene::{Scene, Sensor};
+use optics_model::{Estimate, Grid, PHYSICS_VERSION, PackedRecords, Profile, Record, Walks};
 use sqlx::Connection;
 
 use super::{Farm, FarmError, Outcome, Versions};

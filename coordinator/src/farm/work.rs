@@ -1,8 +1,9 @@
 //! What workers ask for: leases and renewals; and what follows from it for the store.
 
+use farm_proto::PROTOCOL_VERSION;
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::job::LeaseKey;
-use farm_proto::{Digest, PHYSICS_VERSION, PROTOCOL_VERSION};
+use farm_proto::lease::LeaseKey;
+use optics_model::{Digest, PHYSICS_VERSION};
 
 use super::{Farm, FarmError, Result, chance};
 use crate::clock::random_token;

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use farm_proto::access::CoordinatorAccess;
+use farm_link::CoordinatorAccess;
 use http::header::AUTHORIZATION;
 use http::{Request, Response};
 use tonic::Status;

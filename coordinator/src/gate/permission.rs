@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use farm_proto::access::{CoordinatorAccess, Role};
+use farm_link::{CoordinatorAccess, Role};
 use http::header::AUTHORIZATION;
 use http::{Extensions, HeaderMap};
 use tonic::Status;

@@ -11,14 +11,15 @@ use farm_proto::wire::{
     GetRequest, ListRequest, ListResponse, PauseRequest, Reason, Record, ResumeRequest, RetryRequest,
     SetPriorityRequest, SubmitRequest, WatchRequest,
 };
-use farm_proto::{DictionaryName, Grid, Invalid, RECORDS_PROMISED, RequestLimits};
+use farm_proto::{DictionaryName, RECORDS_PROMISED, RequestLimits, to_status};
+use optics_model::{Grid, Invalid};
 use tokio::sync::watch;
 use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::outgoing::{Outgoing, Outlet, PATIENCE, outgoing};
 use super::page::{page_size, page_token};
-use super::status::required;
+use super::status::{OrStatus, required};
 use crate::farm::{Farm, detached, read_chunk};
 
 /// Changes closer together than this are told as one.
@@ -32,23 +33,25 @@ const EXPORT_QUEUE: usize = 4;
 impl Dictionaries for Context {
     async fn submit(&self, request: Request<SubmitRequest>) -> Result<Response<Dictionary>, Status> {
         let request = request.into_inner();
-        let name = DictionaryName::new(request.name)?;
-        let grid = Grid::try_from(required("grid", request.grid)?).map_err(|e| e.within("grid"))?;
-        let priority = priority(request.priority)?;
+        let name = DictionaryName::new(request.name).or_status()?;
+        let grid =
+            Grid::try_from(required("grid", request.grid)?).map_err(|e| e.within("grid")).or_status()?;
+        let priority = priority(request.priority).or_status()?;
         let farm = self.farm.clone();
         let status = detached(async move { farm.submit(name, grid, priority).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
     async fn get(&self, request: Request<GetRequest>) -> Result<Response<Dictionary>, Status> {
-        let name = DictionaryName::new(request.into_inner().name)?;
+        let name = DictionaryName::new(request.into_inner().name).or_status()?;
         Ok(Response::new((&self.farm.status(&name)?).into()))
     }
 
     async fn list(&self, request: Request<ListRequest>) -> Result<Response<ListResponse>, Status> {
         let request = request.into_inner();
         let most = page_size(request.page_size, DICTIONARIES, DICTIONARIES);
-        let (page, last) = self.farm.statuses(DictionaryId(page_token(&request.page_token)?), most);
+        let (page, last) =
+            self.farm.statuses(DictionaryId(page_token(&request.page_token).or_status()?), most);
         Ok(Response::new(ListResponse {
             dictionaries: page.iter().map(Into::into).collect(),
             next_page_token: last.map(|id| id.0.to_string()).unwrap_or_default(),
@@ -56,14 +59,14 @@ impl Dictionaries for Context {
     }
 
     async fn pause(&self, request: Request<PauseRequest>) -> Result<Response<Dictionary>, Status> {
-        let name = DictionaryName::new(request.into_inner().name)?;
+        let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let farm = self.farm.clone();
         let status = detached(async move { farm.pause(&name).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
     async fn resume(&self, request: Request<ResumeRequest>) -> Result<Response<Dictionary>, Status> {
-        let name = DictionaryName::new(request.into_inner().name)?;
+        let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let farm = self.farm.clone();
         let status = detached(async move { farm.resume(&name).await }).await?;
         Ok(Response::new((&status).into()))
@@ -71,11 +74,11 @@ impl Dictionaries for Context {
 
     async fn cancel(&self, request: Request<CancelRequest>) -> Result<Response<Dictionary>, Status> {
         let request = request.into_inner();
-        let name = DictionaryName::new(request.name)?;
+        let name = DictionaryName::new(request.name).or_status()?;
         if request.reason.len() > RequestLimits::TEXT_BYTES {
             let given = format!("{} bytes", request.reason.len());
             let allowed = format!("at most {} are allowed", RequestLimits::TEXT_BYTES);
-            return Err(Invalid::new("reason", given, allowed).to_status());
+            return Err(to_status(&Invalid::new("reason", given, allowed)));
         }
         let farm = self.farm.clone();
         let status = detached(async move { farm.cancel(&name, &request.reason).await }).await?;
@@ -83,7 +86,7 @@ impl Dictionaries for Context {
     }
 
     async fn retry(&self, request: Request<RetryRequest>) -> Result<Response<Dictionary>, Status> {
-        let name = DictionaryName::new(request.into_inner().name)?;
+        let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let farm = self.farm.clone();
         let status = detached(async move { farm.retry(&name).await }).await?;
         Ok(Response::new((&status).into()))
@@ -94,21 +97,22 @@ impl Dictionaries for Context {
         request: Request<SetPriorityRequest>,
     ) -> Result<Response<Dictionary>, Status> {
         let request = request.into_inner();
-        let (name, priority) = (DictionaryName::new(request.name)?, priority(request.priority)?);
+        let (name, priority) =
+            (DictionaryName::new(request.name).or_status()?, priority(request.priority).or_status()?);
         let farm = self.farm.clone();
         let status = detached(async move { farm.set_priority(&name, priority).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
     async fn delete(&self, request: Request<DeleteRequest>) -> Result<Response<DeleteResponse>, Status> {
-        let name = DictionaryName::new(request.into_inner().name)?;
+        let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let farm = self.farm.clone();
         let records_deleted = detached(async move { farm.delete(&name).await }).await?;
         Ok(Response::new(DeleteResponse { records_deleted }))
     }
 
     async fn explain(&self, request: Request<ExplainRequest>) -> Result<Response<ExplainResponse>, Status> {
-        let name = DictionaryName::new(request.into_inner().name)?;
+        let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let reasons = self.farm.explain(&name)?.into_iter();
         let reasons = reasons.map(|r| Reason { code: r.code.to_owned(), text: r.text }).collect();
         Ok(Response::new(ExplainResponse { reasons }))
@@ -117,7 +121,7 @@ impl Dictionaries for Context {
     type WatchStream = Outgoing<Dictionary>;
 
     async fn watch(&self, request: Request<WatchRequest>) -> Result<Response<Self::WatchStream>, Status> {
-        let name = DictionaryName::new(request.into_inner().name)?;
+        let name = DictionaryName::new(request.into_inner().name).or_status()?;
         // Before the first look, so that no change falls between the two.
         let changes = self.farm.changes();
         let first = self.farm.status(&name)?;
@@ -135,9 +139,9 @@ impl Dictionaries for Context {
 
     async fn export(&self, request: Request<ExportRequest>) -> Result<Response<Self::ExportStream>, Status> {
         let request = request.into_inner();
-        let name = DictionaryName::new(request.name)?;
+        let name = DictionaryName::new(request.name).or_status()?;
         let grid = self.farm.status(&name)?.grid;
-        let ranges = ranges(&grid, request.first, &request.indices)?;
+        let ranges = ranges(&grid, request.first, &request.indices).or_status()?;
         let promised = self.farm.finished_records(&name, &ranges)?;
         let place = self.limits.stream()?;
         let (outlet, records) = outgoing(EXPORT_QUEUE, PATIENCE, self.shutdown.clone());

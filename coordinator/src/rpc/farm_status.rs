@@ -6,11 +6,13 @@ use farm_proto::wire::{
     Event, ListEventsRequest, ListEventsResponse, ListWorkersRequest, ListWorkersResponse, StatusRequest,
     StatusResponse,
 };
-use farm_proto::{Invalid, PHYSICS_VERSION, RequestLimits};
+use farm_proto::{RequestLimits, to_status};
+use optics_model::{Invalid, PHYSICS_VERSION};
 use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::page::{page_size, page_token};
+use super::status::OrStatus;
 use crate::store::StoredEvent;
 
 /// Most workers, and most events, of one page.
@@ -47,7 +49,7 @@ impl Farm for Context {
         let request = request.into_inner();
         if request.page_token.len() > RequestLimits::TEXT_BYTES {
             let allowed = "one from an earlier answer is needed";
-            return Err(Invalid::new("page_token", "a long text", allowed).to_status());
+            return Err(to_status(&Invalid::new("page_token", "a long text", allowed)));
         }
         let most = page_size(request.page_size, PAGE, PAGE);
         let workers = self.farm.workers(&WorkerId(request.page_token), most);
@@ -62,7 +64,7 @@ impl Farm for Context {
         request: Request<ListEventsRequest>,
     ) -> Result<Response<ListEventsResponse>, Status> {
         let request = request.into_inner();
-        let after = page_token(&request.page_token)?;
+        let after = page_token(&request.page_token).or_status()?;
         let most = page_size(request.page_size, EVENTS, PAGE) as u32;
         let events = if request.newest {
             self.farm.newest_events(&request.dictionary, most).await?

@@ -1,25 +1,29 @@
 //! Service `farm.v1.Fits`.
 
-use farm_proto::fit::{FitOptions, MaterialFit, MuRange};
+use farm_proto::DictionaryName;
+use farm_proto::wire;
 use farm_proto::wire::fits_server::Fits;
 use farm_proto::wire::{
-    self, FitRequest, FitResponse, MapRequest, MapResponse, MeasureRequest, MeasureResponse, ScaleRequest,
+    FitRequest, FitResponse, MapRequest, MapResponse, MeasureRequest, MeasureResponse, ScaleRequest,
     ScaleResponse, SimilarRequest, SimilarResponse,
 };
-use farm_proto::{DictionaryName, Invalid, Measurement, Medium, RequestLimits};
+use optics_model::fit::{FitOptions, MaterialFit, MuRange};
+use optics_model::limits::FitLimits;
+use optics_model::{Invalid, Measurement, Medium};
 use tonic::{Request, Response, Status};
 
 use super::Context;
-use super::status::required;
-use crate::fit::FitDictionary;
-use crate::fit::{self, MeasurePlan};
+use super::status::{OrStatus, required};
+use optics_fit as fit;
+use optics_fit::FitDictionary;
+use optics_fit::MeasurePlan;
 
 #[tonic::async_trait]
 impl Fits for Context {
     async fn fit(&self, request: Request<FitRequest>) -> Result<Response<FitResponse>, Status> {
         let request = request.into_inner();
-        let name = dictionary_name(request.dictionary)?;
-        let options = options(request.options)?;
+        let name = dictionary_name(request.dictionary).or_status()?;
+        let options = options(request.options).or_status()?;
         let measurement = measurement(request.measurement)?;
         let answer = self.ask(&name, move |d| fit::fit(d, &measurement, &options)).await?;
         Ok(Response::new(FitResponse { fit: Some(answer.into()) }))
@@ -27,10 +31,11 @@ impl Fits for Context {
 
     async fn scale(&self, request: Request<ScaleRequest>) -> Result<Response<ScaleResponse>, Status> {
         let request = request.into_inner();
-        let name = dictionary_name(request.dictionary)?;
-        let options = options(request.options)?;
-        let range = MuRange::try_from(request.mu.unwrap_or_default()).map_err(|e| e.within("mu"))?;
-        let materials = materials(request.materials)?;
+        let name = dictionary_name(request.dictionary).or_status()?;
+        let options = options(request.options).or_status()?;
+        let range =
+            MuRange::try_from(request.mu.unwrap_or_default()).map_err(|e| e.within("mu")).or_status()?;
+        let materials = materials(request.materials).or_status()?;
         let plan = MeasurePlan { search_mu: Some(range), common_g: true };
         let question = move |d: &fit::FitDictionary| {
             let curve = fit::scale(d, &materials, &options, &range)?;
@@ -46,21 +51,23 @@ impl Fits for Context {
 
     async fn similar(&self, request: Request<SimilarRequest>) -> Result<Response<SimilarResponse>, Status> {
         let request = request.into_inner();
-        let medium = Medium::try_from(required("medium", request.medium)?).map_err(|e| e.within("medium"))?;
+        let medium = Medium::try_from(required("medium", request.medium)?)
+            .map_err(|e| e.within("medium"))
+            .or_status()?;
         let similar = |(i, g): (usize, f64)| {
-            farm_proto::optics::check_g(g)
+            optics_model::medium::check_g(g)
                 .and_then(|g| fit::similar(&medium, g))
                 .map(Into::into)
                 .map_err(|e| e.within(format_args!("g[{i}]")))
         };
-        let media = request.g.into_iter().enumerate().map(similar).collect::<Result<_, _>>()?;
+        let media = request.g.into_iter().enumerate().map(similar).collect::<Result<_, _>>().or_status()?;
         Ok(Response::new(SimilarResponse { media }))
     }
 
     async fn map(&self, request: Request<MapRequest>) -> Result<Response<MapResponse>, Status> {
         let request = request.into_inner();
-        let name = dictionary_name(request.dictionary)?;
-        let options = options(request.options)?;
+        let name = dictionary_name(request.dictionary).or_status()?;
+        let options = options(request.options).or_status()?;
         let measurement = measurement(request.measurement)?;
         let maps = self.ask(&name, move |d| fit::distance_map(d, &measurement, &options)).await?;
         Ok(Response::new(MapResponse { maps: maps.into_iter().map(Into::into).collect() }))
@@ -68,12 +75,12 @@ impl Fits for Context {
 
     async fn measure(&self, request: Request<MeasureRequest>) -> Result<Response<MeasureResponse>, Status> {
         let request = request.into_inner();
-        let name = dictionary_name(request.dictionary)?;
-        let options = options(request.options)?;
+        let name = dictionary_name(request.dictionary).or_status()?;
+        let options = options(request.options).or_status()?;
         let search_mu = request.search_mu.map(MuRange::try_from).transpose();
-        let search_mu = search_mu.map_err(|e| e.within("search_mu"))?;
+        let search_mu = search_mu.map_err(|e| e.within("search_mu")).or_status()?;
         let plan = MeasurePlan { search_mu, common_g: request.common_g };
-        let materials = materials(request.materials)?;
+        let materials = materials(request.materials).or_status()?;
         let answer = self.ask(&name, move |d| fit::measure(d, &materials, &options, &plan)).await?;
         Ok(Response::new(MeasureResponse {
             scale: answer.scale.map(Into::into),
@@ -111,13 +118,13 @@ fn options(options: Option<wire::FitOptions>) -> Result<FitOptions, Invalid> {
 
 fn measurement(measurement: Option<wire::Measurement>) -> Result<Measurement, Status> {
     let measurement = required("measurement", measurement)?;
-    Ok(Measurement::try_from(measurement).map_err(|e| e.within("measurement"))?)
+    Ok(Measurement::try_from(measurement).map_err(|e| e.within("measurement")).or_status()?)
 }
 
 fn materials(materials: Vec<wire::Measurement>) -> Result<Vec<Measurement>, Invalid> {
     let n = materials.len();
-    if !(1..=RequestLimits::MATERIALS).contains(&n) {
-        let allowed = format!("1 to {} are allowed", RequestLimits::MATERIALS);
+    if !(1..=FitLimits::MATERIALS).contains(&n) {
+        let allowed = format!("1 to {} are allowed", FitLimits::MATERIALS);
         return Err(Invalid::new("materials", n, allowed));
     }
     let decode = |(i, m): (usize, wire::Measurement)| {

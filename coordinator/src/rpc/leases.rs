@@ -3,18 +3,19 @@
 use std::time::Duration;
 
 use farm_proto::ids::WorkerId;
-use farm_proto::job::LeaseKey;
+use farm_proto::lease::LeaseKey;
 use farm_proto::wire::leases_server::Leases;
 use farm_proto::wire::{
     AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, FailRequest, FailResponse,
     HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse, RenewRequest, RenewResponse,
 };
-use farm_proto::{Digest, Invalid, RequestLimits};
+use farm_proto::{RequestLimits, to_status};
+use optics_model::{Digest, Invalid};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::Context;
 use super::results;
-use super::status::required;
+use super::status::{OrStatus, required};
 use crate::dispatch::Registration;
 use crate::farm::{Versions, detached};
 
@@ -31,7 +32,7 @@ impl Leases for Context {
         if !(1..=INSTANCE_BYTES).contains(&request.instance.len()) {
             let given = format!("{} bytes", request.instance.len());
             let allowed = format!("1 to {INSTANCE_BYTES} are allowed");
-            return Err(Invalid::new("instance", given, allowed).to_status());
+            return Err(to_status(&Invalid::new("instance", given, allowed)));
         }
         let about = Registration {
             label: shortened(request.label),
@@ -51,7 +52,7 @@ impl Leases for Context {
         let max = request.max_leases;
         if !(1..=RequestLimits::LEASES).contains(&max) {
             let allowed = format!("allowed are 1 to {}", RequestLimits::LEASES);
-            return Err(Invalid::new("max_leases", max, allowed).to_status());
+            return Err(to_status(&Invalid::new("max_leases", max, allowed)));
         }
         let wait = tokio::time::sleep(Duration::from_millis(request.wait_ms.min(RequestLimits::WAIT_MS)));
         tokio::pin!(wait);
@@ -77,11 +78,11 @@ impl Leases for Context {
         let most = 2 * RequestLimits::LEASES as usize;
         if request.leases.len() > most {
             let allowed = format!("at most {most} are allowed");
-            return Err(Invalid::new("leases", request.leases.len(), allowed).to_status());
+            return Err(to_status(&Invalid::new("leases", request.leases.len(), allowed)));
         }
         let held = request.leases.into_iter().map(|lease| {
             let key = LeaseKey::from(required("key", lease.key)?);
-            Ok((key, lease.running, identity(&lease.identity)?))
+            Ok((key, lease.running, identity(&lease.identity).or_status()?))
         });
         let held = held.collect::<Result<_, Status>>()?;
         let (lost, drain) = self.farm.renew(&WorkerId(request.worker_id), held)?;

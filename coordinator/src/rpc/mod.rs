@@ -27,7 +27,8 @@ use tonic::transport::Server;
 use crate::config::Config;
 use crate::farm::Farm;
 use crate::gate::GateLayer;
-use crate::incoming::{self, Connections, Incoming};
+use crate::incoming;
+use crate::incoming::{Connections, Incoming};
 use crate::web::Metrics;
 use limits::Limits;
 

@@ -1,6 +1,6 @@
 //! Lists in pages.
 
-use farm_proto::Invalid;
+use optics_model::Invalid;
 
 /// Items of a page: what is asked for, up to `most`; `default` if nothing is.
 pub(super) fn page_size(asked: u32, default: u32, most: u32) -> usize {

@@ -4,16 +4,18 @@ use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use farm_proto::ids::WorkerId;
-use farm_proto::job::{JobSpec, LeaseKey};
-use farm_proto::sums::Sums;
+use farm_proto::lease::LeaseKey;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::{CompleteRequest, CompletionKind, CompletionOutcome, ResultHeader};
-use farm_proto::{Digest, Invalid, PackedRecords, RequestLimits};
+use farm_proto::{RequestLimits, to_status};
+use optics_model::job::JobSpec;
+use optics_model::sums::Sums;
+use optics_model::{Digest, Invalid, PackedRecords};
 use tonic::{Code, Status, Streaming};
 
 use super::Context;
 use super::leases::identity;
-use super::status::required;
+use super::status::{OrStatus, required};
 use crate::dispatch::Admission;
 use crate::farm::{FarmError, Outcome};
 use crate::store;
@@ -29,15 +31,19 @@ pub(super) async fn receive(
     let mut tasks = Vec::new();
     let mut next = next(&mut stream).await?;
     if next.is_none() {
-        return Err(Invalid::new("content", "nothing", "a header comes first").to_status());
+        return Err(to_status(&Invalid::new("content", "nothing", "a header comes first")));
     }
     while let Some(content) = next.take() {
         let Content::Header(header) = content else {
-            return Err(Invalid::new("content", "no header", "a header comes before each result").to_status());
+            return Err(to_status(&Invalid::new(
+                "content",
+                "no header",
+                "a header comes before each result",
+            )));
         };
         if tasks.len() == RequestLimits::LEASES as usize {
             let allowed = format!("at most {} in one call are allowed", RequestLimits::LEASES);
-            return Err(Invalid::new("results", tasks.len() + 1, allowed).to_status());
+            return Err(to_status(&Invalid::new("results", tasks.len() + 1, allowed)));
         }
         let key = LeaseKey::from(required("key", header.key.clone())?);
         let worker = WorkerId(header.worker_id.clone());
@@ -109,7 +115,7 @@ fn admit(
     worker: &WorkerId,
     key: &LeaseKey,
 ) -> Result<Admission, Status> {
-    let identity: Digest = identity(&header.identity)?;
+    let identity: Digest = identity(&header.identity).or_status()?;
     Ok(context.farm.admit(worker, key, identity)?)
 }
 
@@ -135,10 +141,10 @@ async fn content_of(
 ) -> Result<(store::Content, Option<Content>), Status> {
     let (bytes, after) = gather(stream, job).await?;
     if job.block().is_none() {
-        return Ok((store::Content::Records(PackedRecords::new(job, bytes)?), after));
+        return Ok((store::Content::Records(PackedRecords::new(job, bytes).or_status()?), after));
     }
     // Refused here rather than when they are merged.
-    Sums::from_le_bytes(job, 1, &bytes)?;
+    Sums::from_le_bytes(job, 1, &bytes).or_status()?;
     Ok((store::Content::Sums(bytes), after))
 }
 
@@ -156,19 +162,19 @@ async fn gather(
             (after @ (None | Some(Content::Header(_))), _) => return Ok((whole.freeze(), after)),
             (Some(Content::Records(_)), _) => {
                 let allowed = "the job is divided: sums are wanted";
-                return Err(Invalid::new("content", "records", allowed).to_status());
+                return Err(to_status(&Invalid::new("content", "records", allowed)));
             }
             (Some(Content::Sums(_)), _) => {
                 let allowed = "the job is not divided: records are wanted";
-                return Err(Invalid::new("content", "sums", allowed).to_status());
+                return Err(to_status(&Invalid::new("content", "sums", allowed)));
             }
         };
         if piece.is_empty() {
-            return Err(Invalid::new(what, "an empty piece", "each piece brings something").to_status());
+            return Err(to_status(&Invalid::new(what, "an empty piece", "each piece brings something")));
         }
         if whole.len() + piece.len() > wanted {
             let given = format!("more than {wanted} bytes");
-            return Err(Invalid::new(what, given, format!("{wanted} are needed")).to_status());
+            return Err(to_status(&Invalid::new(what, given, format!("{wanted} are needed"))));
         }
         whole.extend_from_slice(&piece);
     }

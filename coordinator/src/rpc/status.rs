@@ -1,6 +1,7 @@
 //! Errors as gRPC statuses, in one place.
 
-use farm_proto::Invalid;
+use farm_proto::to_status;
+use optics_model::Invalid;
 use tonic::{Code, Status};
 
 use crate::dispatch::DispatchError;
@@ -9,7 +10,7 @@ use crate::farm::FarmError;
 impl From<FarmError> for Status {
     fn from(error: FarmError) -> Self {
         let code = match &error {
-            FarmError::Invalid(invalid) => return invalid.to_status(),
+            FarmError::Invalid(invalid) => return to_status(invalid),
             FarmError::NotFound { .. }
             | FarmError::Worker { .. }
             | FarmError::Dispatch(DispatchError::UnknownJob(_)) => Code::NotFound,
@@ -36,7 +37,18 @@ impl From<FarmError> for Status {
     }
 }
 
+/// A value of a request that was refused, as a status.
+pub(super) trait OrStatus<T> {
+    fn or_status(self) -> Result<T, Status>;
+}
+
+impl<T> OrStatus<T> for Result<T, Invalid> {
+    fn or_status(self) -> Result<T, Status> {
+        self.map_err(|invalid| to_status(&invalid))
+    }
+}
+
 /// A message field that must be there.
 pub(super) fn required<T>(field: &str, value: Option<T>) -> Result<T, Status> {
-    value.ok_or_else(|| Invalid::new(field, "nothing", "a value is needed").to_status())
+    value.ok_or_else(|| to_status(&Invalid::new(field, "nothing", "a value is needed")))
 }

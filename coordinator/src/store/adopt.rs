@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::{Digest, Grid};
+use optics_model::{Digest, Grid};
 use sqlx::SqliteConnection;
 
 use super::{Result, Store, StoredDictionary, doing, points};

@@ -10,7 +10,7 @@ mod script;
 use std::collections::HashMap;
 
 use bytes::Bytes;
-use farm_proto::{Digest, PackedRecords, Quality};
+use optics_model::{Digest, PackedRecords, Quality};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use self::facts::{Ended, Facts};

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::{DictionaryName, Digest, Grid, wire};
+use farm_proto::{DictionaryName, wire};
+use optics_model::{Digest, Grid};
 use prost::Message;
 
 use super::{Result, Store, StoreError, doing, points};

@@ -1,7 +1,7 @@
 //! Table `jobs`: those that have ended.
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::{Digest, Walks};
+use optics_model::{Digest, Walks};
 
 use super::{Result, Store, StoreError, doing};
 

@@ -5,8 +5,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::profile::RecordShape;
-use farm_proto::{Digest, Grid, Profile, Record};
+use optics_model::profile::RecordShape;
+use optics_model::{Digest, Grid, Profile, Record};
 use sqlx::{Connection, QueryBuilder, Sqlite, SqliteConnection};
 
 use super::{Result, Store, StoreError, doing, jobs};

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use farm_proto::Digest;
-use farm_proto::job::JobSpec;
-use farm_proto::sums::Sums;
+use optics_model::Digest;
+use optics_model::job::JobSpec;
+use optics_model::sums::Sums;
 use sqlx::{Connection, SqliteConnection};
 
 use super::{Result, Store, StoreError, doing};

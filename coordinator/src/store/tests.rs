@@ -1,10 +1,11 @@
 mod blocks;
 mod damage;
 
-use farm_proto::grid::Axes;
-use farm_proto::job::JobSpec;
-use farm_proto::scene::{Scene, Sensor};
-use farm_proto::{DictionaryName, Digest, Estimate, Grid, PackedRecords, Profile, Quality, Record, Walks};
+use farm_proto::DictionaryName;
+use optics_model::grid::Axes;
+use optics_model::job::JobSpec;
+use optics_model::scene::{Scene, Sensor};
+use optics_model::{Digest, Estimate, Grid, PackedRecords, Profile, Quality, Record, Walks};
 use prost::Message;
 
 use super::{

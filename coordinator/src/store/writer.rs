@@ -13,8 +13,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use farm_proto::ids::DictionaryId;
-use farm_proto::job::JobSpec;
-use farm_proto::{Digest, PackedRecords, Quality, Walks};
+use optics_model::job::JobSpec;
+use optics_model::{Digest, PackedRecords, Quality, Walks};
 use sqlx::{Connection, SqliteConnection};
 use tokio::sync::{mpsc, oneshot};
 

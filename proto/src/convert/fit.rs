@@ -1,12 +1,12 @@
 //! Fit options and answers.
 
 use super::required;
-use crate::fit::{
+use crate::wire;
+use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Curve, FitCurves, FitOptions, FitSettings, Interval, MaterialFit,
     Outside, Refined, Suspicion, ThicknessError, Wavelet,
 };
-use crate::invalid::{Invalid, Result, each};
-use crate::wire;
+use optics_model::invalid::{Invalid, Result, each};
 
 fn bounds(field: &str, bounds: Option<wire::Bounds>) -> Result<Bounds> {
     let bounds = bounds.unwrap_or_default();

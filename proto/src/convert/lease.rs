@@ -1,13 +1,14 @@
 //! Leases and jobs.
 
 use super::required;
-use crate::grid::Walks;
 use crate::ids::{DictionaryId, Token};
-use crate::invalid::{Invalid, Result};
-use crate::job::{JobSpec, Lease, LeaseKey};
-use crate::optics::TransportPoint;
-use crate::scene::Scene;
+use crate::lease::{Lease, LeaseKey};
 use crate::wire;
+use optics_model::grid::Walks;
+use optics_model::invalid::{Invalid, Result};
+use optics_model::job::JobSpec;
+use optics_model::medium::TransportPoint;
+use optics_model::scene::Scene;
 
 impl From<LeaseKey> for wire::LeaseKey {
     fn from(key: LeaseKey) -> Self {

@@ -1,8 +1,8 @@
 //! Measurements.
 
-use crate::invalid::{Invalid, Result, each};
-use crate::measurement::{MeasuredProfile, Measurement};
 use crate::wire;
+use optics_model::invalid::{Invalid, Result, each};
+use optics_model::measurement::{MeasuredProfile, Measurement};
 
 impl From<&Measurement> for wire::Measurement {
     fn from(measurement: &Measurement) -> Self {

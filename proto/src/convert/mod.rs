@@ -1,4 +1,4 @@
-//! Wire ↔ domain, once. Everything that comes in passes a validating constructor; everything that
+//! Wire ↔ model, once. Everything that comes in passes a validating constructor; everything that
 //! goes out is a plain `From`.
 
 mod fit;
@@ -8,7 +8,15 @@ mod model;
 mod scale;
 mod status;
 
-use crate::invalid::{Invalid, Result};
+use optics_model::{Invalid, Result};
+use tonic_types::{ErrorDetails, StatusExt};
+
+/// A refusal as status `INVALID_ARGUMENT`, with a `google.rpc.BadRequest` that names the field.
+pub fn to_status(invalid: &Invalid) -> tonic::Status {
+    let why = format!("{} is not valid: {}", invalid.given(), invalid.allowed());
+    let details = ErrorDetails::with_bad_request_violation(invalid.field(), why);
+    tonic::Status::with_error_details(tonic::Code::InvalidArgument, invalid.to_string(), details)
+}
 
 /// A message field that must be there.
 fn required<T>(field: &str, value: Option<T>) -> Result<T> {

@@ -1,12 +1,12 @@
 //! Scenes, grids, points, profiles, records.
 
 use super::required;
-use crate::grid::{Axes, Grid, Quality, Walks};
-use crate::invalid::{Invalid, Result, each};
-use crate::optics::{Medium, TransportPoint};
-use crate::profile::{Derivatives, Estimate, Profile, Record};
-use crate::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
 use crate::wire;
+use optics_model::grid::{Axes, Grid, Quality, Walks};
+use optics_model::invalid::{Invalid, Result, each};
+use optics_model::medium::{Medium, TransportPoint};
+use optics_model::profile::{Derivatives, Estimate, Profile, Record};
+use optics_model::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
 
 impl From<&Scene> for wire::Scene {
     fn from(scene: &Scene) -> Self {
@@ -185,12 +185,35 @@ fn profile(p: wire::Profile) -> Result<Profile> {
 
 #[cfg(test)]
 mod tests {
+    use optics_model::{Digest, PHYSICS_VERSION};
+    use prost::Message;
+
     use super::*;
 
     #[test]
     fn a_grid_survives_the_wire() {
         let grid = Grid::paper();
         assert_eq!(Grid::try_from(wire::Grid::from(&grid)).unwrap(), grid);
+    }
+
+    /// The canonical bytes that grids and scenes are digested by are those of the messages.
+    #[test]
+    fn digests_are_of_the_messages_bytes() {
+        let quality = Quality::new(0.01, Walks::new(1_000_000).unwrap()).unwrap();
+        let axes = Axes {
+            sigma_t_per_mm: vec![1.0, 300.0],
+            albedo: vec![0.0, 0.5],
+            g: vec![-0.5, 0.0],
+            thickness_mm: vec![1.0],
+            sample_ior: vec![1.5],
+        };
+        let smooth = Grid::new(Scene::smooth(), axes, Walks::new(5000).unwrap(), u64::MAX, true).unwrap();
+        for grid in [Grid::paper(), smooth.clone(), smooth.with_quality(quality).unwrap()] {
+            let mut hasher = blake3::Hasher::new_derive_key("farm.v1 grid");
+            hasher.update(&PHYSICS_VERSION.to_le_bytes());
+            hasher.update(&wire::Grid::from(&grid).encode_to_vec());
+            assert_eq!(Digest::of_grid(&grid).as_bytes(), hasher.finalize().as_bytes());
+        }
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! The search of the scale factor, and distance maps.
 
 use super::required;
-use crate::fit::{Common, DistanceMap, GError, MapLayer, MuRange, ScaleCurve, ScalePoint};
-use crate::invalid::{Invalid, Result, each};
-use crate::optics::Medium;
 use crate::wire;
+use optics_model::fit::{Common, DistanceMap, GError, MapLayer, MuRange, ScaleCurve, ScalePoint};
+use optics_model::invalid::{Invalid, Result, each};
+use optics_model::medium::Medium;
 
 impl TryFrom<wire::MuRange> for MuRange {
     type Error = Invalid;

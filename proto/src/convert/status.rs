@@ -1,12 +1,12 @@
 //! Progress of dictionaries and workers.
 
 use super::required;
-use crate::digest::Digest;
-use crate::grid::Grid;
 use crate::ids::{DictionaryName, WorkerId};
-use crate::invalid::{Invalid, Result};
 use crate::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerState, WorkerStatus};
 use crate::wire;
+use optics_model::digest::Digest;
+use optics_model::grid::Grid;
+use optics_model::invalid::{Invalid, Result};
 
 /// Most jobs given up that one message tells.
 const FAILED_JOBS: usize = 1000;

@@ -5,13 +5,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use farm_proto::job::JobSpec;
+use farm_proto::PROTOCOL_VERSION;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionKind, Lease, RegisterRequest, ResultHeader,
 };
-use farm_proto::{Grid, PHYSICS_VERSION, PROTOCOL_VERSION, PackedRecords};
+use optics_model::job::JobSpec;
+use optics_model::{Grid, PHYSICS_VERSION, PackedRecords};
 use tonic::transport::Channel;
 
 /// Longest wait for work: at the end of the load all wait in vain once.

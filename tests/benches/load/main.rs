@@ -24,13 +24,13 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use farm_proto::grid::Axes;
-use farm_proto::scene::{Channel, Scene, Sensor};
 use farm_proto::wire::SubmitRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
-use farm_proto::{Grid, Walks};
 use farm_tests::process::{Killed, coordinator};
 use farm_tests::usage::Usage;
+use optics_model::grid::Axes;
+use optics_model::scene::{Channel, Scene, Sensor};
+use optics_model::{Grid, Walks};
 use tonic::transport::{Channel as Link, Endpoint};
 
 use crew::{Crew, Latencies};

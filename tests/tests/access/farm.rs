@@ -11,7 +11,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use farm_coordinator::gate::{Caller, GateLayer, RequestId};
 use farm_coordinator::incoming::{Connections, Incoming, Limits};
-use farm_proto::access::{ClientAccess, CoordinatorAccess, Link, Role, Target};
+use farm_link::{ClientAccess, CoordinatorAccess, Link, Role, Target};
 use http_body_util::BodyExt as _;
 use http_body_util::Full;
 use tokio::net::TcpListener;

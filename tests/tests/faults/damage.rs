@@ -65,7 +65,7 @@ fn damaged_records_are_never_handed_out_but_named_and_computed_again() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_fit_with_damaged_records_is_refused_as_data_loss() {
     use farm_proto::wire::fits_client::FitsClient;
-    use farm_proto::{MeasuredProfile, Measurement};
+    use optics_model::{MeasuredProfile, Measurement};
     let farm = damaged();
     let link = tonic::transport::Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap();
     let (grid, records) = (grid_of(GRID), traced(&grid_of(GRID), 0));

@@ -13,12 +13,12 @@ mod there_and_back;
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
-use farm_coordinator::fit::{DictionaryBuilder, FitDictionary};
-use farm_proto::grid::Axes;
-use farm_proto::job::JobSpec;
-use farm_proto::{Grid, MeasuredProfile, Medium, TransportPoint, Walks};
 use farm_tests::statistics::{Normal, effort};
-use farm_worker::tracer::trace;
+use optics_fit::{DictionaryBuilder, FitDictionary};
+use optics_model::grid::Axes;
+use optics_model::job::JobSpec;
+use optics_model::{Grid, MeasuredProfile, Medium, TransportPoint, Walks};
+use optics_tracer::trace;
 
 /// The dictionary of the tests, traced once.
 pub(crate) fn dictionary() -> &'static FitDictionary {

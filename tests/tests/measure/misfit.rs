@@ -2,9 +2,9 @@
 
 use std::sync::OnceLock;
 
-use farm_coordinator::fit::fit;
-use farm_proto::fit::{Bounds, Cause, FitOptions, FitSettings, MISFIT, Refined};
-use farm_proto::{MeasuredProfile, Measurement, Medium};
+use optics_fit::fit;
+use optics_model::fit::{Bounds, Cause, FitOptions, FitSettings, MISFIT, Refined};
+use optics_model::{MeasuredProfile, Measurement, Medium};
 
 use crate::{dictionary, photograph};
 

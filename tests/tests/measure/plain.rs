@@ -4,10 +4,10 @@
 //! set, and their uncertainty is in every interval. With `FARM_TEST_EFFORT=8`, 25 sets: g = 0, 0.2, 0.4, 0.7, 0.8, five of
 //! each, against the paper's whole dictionary.
 
-use farm_coordinator::fit::{MeasurePlan, Measured, measure};
-use farm_proto::fit::{FitOptions, Interval, MuRange, Refined};
-use farm_proto::{Measurement, Medium};
 use farm_tests::statistics::{Normal, effort, median};
+use optics_fit::{MeasurePlan, Measured, measure};
+use optics_model::fit::{FitOptions, Interval, MuRange, Refined};
+use optics_model::{Measurement, Medium};
 
 use crate::{NOISE, dictionary, photograph};
 

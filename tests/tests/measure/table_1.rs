@@ -1,8 +1,8 @@
 //! The paper's five materials, photographed with an exposure that is off.
 
-use farm_coordinator::fit::{MeasurePlan, measure};
-use farm_proto::fit::{FitOptions, MuRange};
-use farm_proto::{Measurement, Medium};
+use optics_fit::{MeasurePlan, measure};
+use optics_model::fit::{FitOptions, MuRange};
+use optics_model::{Measurement, Medium};
 
 use crate::{NOISE, dictionary, photograph};
 

@@ -1,9 +1,9 @@
 //! One channel at a time: 25 media go round, 200 with `FARM_TEST_EFFORT=8`.
 
-use farm_coordinator::fit::fit;
-use farm_proto::fit::{Bounds, ChannelFit, FitOptions, FitSettings};
-use farm_proto::{Measurement, Medium};
 use farm_tests::statistics::{Normal, effort, median};
+use optics_fit::fit;
+use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings};
+use optics_model::{Measurement, Medium};
 
 use crate::{NOISE, dictionary, photograph};
 

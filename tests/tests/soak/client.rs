@@ -5,18 +5,19 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use farm_proto::grid::Axes;
-use farm_proto::scene::Scene;
+use farm_proto::wire;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
 use farm_proto::wire::fits_client::FitsClient;
 use farm_proto::wire::{
-    self, CancelRequest, DeleteRequest, DictionaryState, FitRequest, ListEventsRequest, ListRequest,
-    ResumeRequest, SubmitRequest, WatchRequest,
+    CancelRequest, DeleteRequest, DictionaryState, FitRequest, ListEventsRequest, ListRequest, ResumeRequest,
+    SubmitRequest, WatchRequest,
 };
-use farm_proto::{Digest, Grid, MeasuredProfile, Measurement, Walks};
 use farm_tests::hand::traced;
 use farm_tests::statistics::Normal;
+use optics_model::grid::Axes;
+use optics_model::scene::Scene;
+use optics_model::{Digest, Grid, MeasuredProfile, Measurement, Walks};
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Request, Status};
 
@@ -204,7 +205,7 @@ impl Client {
     }
 
     /// A record of the dictionary, measured: the best fit is its own medium.
-    async fn fit(&self, name: &str, grid: &Grid, records: &[farm_proto::Record]) {
+    async fn fit(&self, name: &str, grid: &Grid, records: &[optics_model::Record]) {
         let (sensor, wanted) = (grid.scene().sensor(), grid.record_at(0, 1, 1, 0, 2));
         let x = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
         let channel = grid.scene().channels()[0].name();

@@ -1,7 +1,7 @@
 //! Dictionaries that ask for the same walks.
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::job::LeaseKey;
+use farm_proto::lease::LeaseKey;
 
 use super::super::shared::Place;
 use super::super::{Dictionary, Origin};

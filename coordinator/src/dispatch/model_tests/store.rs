@@ -3,10 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use farm_proto::grid::Axes;
+use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use farm_proto::job::JobSpec;
-use farm_proto::{DictionaryName, Digest, Grid, Scene, Walks};
+use optics_model::grid::Axes;
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::super::Origin;
 use crate::store::{Desire, EndedJob, Stored, StoredDictionary};

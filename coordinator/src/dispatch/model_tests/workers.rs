@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use farm_proto::Digest;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::job::{JobSpec, Lease, LeaseKey};
+use farm_proto::lease::{Lease, LeaseKey};
+use optics_model::Digest;
+use optics_model::job::JobSpec;
 
 use super::super::{Admission, DispatchError, Dispatcher, Origin, Purpose, Registration};
 use super::world::{Arriving, LEASE, Process, WORKERS, World};

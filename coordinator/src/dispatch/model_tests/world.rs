@@ -3,9 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use farm_proto::Walks;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::job::{JobSpec, Lease, LeaseKey};
+use farm_proto::lease::{Lease, LeaseKey};
+use optics_model::Walks;
+use optics_model::job::JobSpec;
 
 use super::super::blame::STALL;
 use super::super::tests::Counted;

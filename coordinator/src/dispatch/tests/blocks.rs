@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use farm_proto::grid::Axes;
 use farm_proto::ids::DictionaryId;
-use farm_proto::job::Lease;
+use farm_proto::lease::Lease;
 use farm_proto::status::DictionaryState;
-use farm_proto::{Digest, Grid, Scene, Walks};
+use optics_model::grid::Axes;
+use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{Bench, arrive, job_of, seconds, stored};
 use crate::dispatch::{Admission, Dictionary};

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use farm_proto::grid::Axes;
+use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use farm_proto::job::Lease;
-use farm_proto::{DictionaryName, Digest, Grid, Scene, Walks};
+use farm_proto::lease::Lease;
+use optics_model::grid::Axes;
+use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{Bench, DIGEST, stored};
 use crate::dispatch::Dictionary;

@@ -1,7 +1,7 @@
 //! Checks, disputes, and who is fenced off.
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::{Digest, Walks};
+use optics_model::{Digest, Walks};
 
 use super::{Bench, DIGEST, about, arrive, job_of, origin, seconds, worker};
 use crate::dispatch::checks::is_drawn;

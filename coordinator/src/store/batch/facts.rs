@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::{Digest, Walks};
+use optics_model::{Digest, Walks};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::super::{Completion, Result, doing, jobs, points};

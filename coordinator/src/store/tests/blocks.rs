@@ -1,9 +1,10 @@
 //! Jobs divided into blocks.
 
-use farm_proto::grid::Axes;
-use farm_proto::job::JobSpec;
-use farm_proto::sums::Sums;
-use farm_proto::{DictionaryName, Digest, Grid, Walks};
+use farm_proto::DictionaryName;
+use optics_model::grid::Axes;
+use optics_model::job::JobSpec;
+use optics_model::sums::Sums;
+use optics_model::{Digest, Grid, Walks};
 
 use super::{completion, dictionary, grid, open};
 use crate::store::{Completion, Content, Store, StoreError, Stored, StoredDictionary};

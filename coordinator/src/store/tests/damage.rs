@@ -1,8 +1,8 @@
 //! Disks that give back other bytes than they were given, are full, or are held by others.
 
-use farm_proto::PackedRecords;
-use farm_proto::job::JobSpec;
-use farm_proto::scene::{Scene, Sensor};
+use optics_model::PackedRecords;
+use optics_model::job::JobSpec;
+use optics_model::scene::{Scene, Sensor};
 
 use super::{
     all_records, all_records_of, complete, completion, defect, dictionary, open, overlapping, records, reuse,

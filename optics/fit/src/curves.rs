@@ -1,0 +1,38 @@
+//! The profiles and gradients of a fit, for those who draw them.
+
+use optics_model::fit::{Candidate, Curve, FitCurves, Refined};
+
+use super::question::{Question, Term};
+use super::refine::Objective;
+
+pub(super) fn curves(
+    question: &Question,
+    candidates: &[Candidate],
+    refined: Option<&Refined>,
+) -> Vec<FitCurves> {
+    let sensor = question.dictionary.grid().scene().sensor();
+    let objective = refined.map(|r| {
+        let objective = Objective::new(question, &r.best);
+        let x = objective.start(&r.best.medium);
+        (objective, x)
+    });
+    let curves = |(i, term): (usize, &Term)| FitCurves {
+        thickness_mm: question.dictionary.grid().thickness_mm()[term.thickness],
+        x_mm: term.view.pixels().map(|pixel| sensor.centre_mm(pixel)).collect(),
+        measured: Curve { values: term.values.clone(), gradient: term.gradient.clone() },
+        candidates: candidates
+            .iter()
+            .filter_map(|c| c.thicknesses[i].record)
+            .map(|record| {
+                let (values, gradient) = question.profile(term, record);
+                let wide = |f: &[f32]| f.iter().copied().map(f64::from).collect();
+                Curve { values: wide(values), gradient: wide(gradient) }
+            })
+            .collect(),
+        refined: objective.as_ref().map(|(objective, x)| {
+            let values = objective.predict(term, *x).values;
+            Curve { gradient: term.view.slope().magnitude(&values), values }
+        }),
+    };
+    question.terms.iter().enumerate().map(curves).collect()
+}

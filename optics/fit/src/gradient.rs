@@ -1,0 +1,150 @@
+//! Robust derivative of a noisy profile by an undecimated wavelet transform, after Luo, Bai and Shao 2006
+//! ("Application of the wavelet transforms on axial strain calculation in ultrasound elastography").
+
+use optics_model::fit::Wavelet;
+
+/// Derivative per sample of f, at i + ½.
+///
+/// The chord from the first to the last sample is taken off before and its slope added afterwards, so that both ends
+/// are 0 and straight lines are differentiated exactly. `level` stages of full convolution follow, the taps of stage
+/// n being 2^(n−1) apart: low-pass, and high-pass in the last.
+///
+/// # Panics
+/// With fewer than two samples or a level outside 1 to 10.
+pub fn derivative(f: &[f64], wavelet: Wavelet, level: u32) -> Vec<f64> {
+    assert!(f.len() >= 2 && (1..=10).contains(&level), "{} samples, level {level}", f.len());
+    let n = f.len();
+    let slope = (f[n - 1] - f[0]) / (n - 1) as f64;
+    let mut y: Vec<f64> = f.iter().enumerate().map(|(i, v)| v - f[0] - slope * i as f64).collect();
+    let (low, high, scale) = filters(wavelet);
+    for stage in 1..=level {
+        y = convolve(&y, stage_taps(stage, level, low, high), 1 << (stage - 1));
+    }
+    // The middle N of the longer result, rounding half away from zero.
+    let offset = (y.len() - n).div_ceil(2);
+    let factor = scale / 2_f64.powi(level as i32).powf(1.5);
+    y[offset..offset + n].iter().map(|v| slope - factor * v).collect()
+}
+
+/// The adjoint of [`derivative`]: Σ_i k_i (∇f)_i = Σ_j (∇ᵀk)_j f_j for every f.
+///
+/// # Panics
+/// As [`derivative`].
+pub fn derivative_adjoint(k: &[f64], wavelet: Wavelet, level: u32) -> Vec<f64> {
+    assert!(k.len() >= 2 && (1..=10).contains(&level), "{} samples, level {level}", k.len());
+    let n = k.len();
+    let (low, high, scale) = filters(wavelet);
+    let reach: usize = (1..=level).map(|s| (stage_taps(s, level, low, high).len() - 1) << (s - 1)).sum();
+    let offset = reach.div_ceil(2);
+    let factor = scale / 2_f64.powi(level as i32).powf(1.5);
+    let mut y = vec![0.0; n + reach];
+    for (out, k) in y[offset..offset + n].iter_mut().zip(k) {
+        *out = -factor * k;
+    }
+    for stage in (1..=level).rev() {
+        y = correlate(&y, stage_taps(stage, level, low, high), 1 << (stage - 1));
+    }
+    // The chord was taken off before and its slope added after.
+    let (sum, moment) = y.iter().enumerate().fold((0.0, 0.0), |(s, m), (i, v)| (s + v, m + i as f64 * v));
+    let of_slope = (k.iter().sum::<f64>() - moment) / (n - 1) as f64;
+    y[0] -= sum + of_slope;
+    y[n - 1] += of_slope;
+    y
+}
+
+fn stage_taps(stage: u32, level: u32, low: &'static [f64], high: &'static [f64]) -> &'static [f64] {
+    if stage < level { low } else { high }
+}
+
+/// The adjoint of [`convolve`].
+fn correlate(y: &[f64], taps: &[f64], spacing: usize) -> Vec<f64> {
+    let n = y.len() - (taps.len() - 1) * spacing;
+    let mut x = vec![0.0; n];
+    for (k, tap) in taps.iter().enumerate() {
+        for (out, v) in x.iter_mut().zip(&y[k * spacing..]) {
+            *out += tap * v;
+        }
+    }
+    x
+}
+
+/// Low-pass taps, high-pass taps, and the factor that makes the result a derivative per sample.
+fn filters(wavelet: Wavelet) -> (&'static [f64], &'static [f64], f64) {
+    const R: f64 = std::f64::consts::SQRT_2;
+    match wavelet {
+        Wavelet::QuadraticSpline => {
+            (&[R / 8.0, 3.0 * R / 8.0, 3.0 * R / 8.0, R / 8.0], &[-2.0 * R, 2.0 * R], 1.0)
+        }
+        Wavelet::Haar => (&[1.0 / R, 1.0 / R], &[-1.0 / R, 1.0 / R], 4.0),
+    }
+}
+
+/// Full convolution with `spacing` − 1 zeros between the taps.
+fn convolve(x: &[f64], taps: &[f64], spacing: usize) -> Vec<f64> {
+    let mut y = vec![0.0; x.len() + (taps.len() - 1) * spacing];
+    for (k, tap) in taps.iter().enumerate() {
+        for (out, v) in y[k * spacing..].iter_mut().zip(x) {
+            *out += tap * v;
+        }
+    }
+    y
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Columns of `tests/data/wavelet.csv`: f, spline levels 2 to 5, Haar level 4.
+    fn golden() -> Vec<Vec<f64>> {
+        let text = include_str!("../../../tests/data/wavelet.csv");
+        let rows = text.lines().filter(|l| !l.starts_with('#')).skip(1);
+        let rows: Vec<Vec<f64>> = rows.map(|l| l.split(',').map(|v| v.parse().unwrap()).collect()).collect();
+        (0..rows[0].len()).map(|c| rows.iter().map(|r| r[c]).collect()).collect()
+    }
+
+    #[test]
+    fn derivatives_equal_the_golden_values() {
+        let columns = golden();
+        let spline = (2..=5).map(|level| (Wavelet::QuadraticSpline, level));
+        for ((wavelet, level), expected) in spline.chain([(Wavelet::Haar, 4)]).zip(&columns[1..]) {
+            for (i, (a, b)) in derivative(&columns[0], wavelet, level).iter().zip(expected).enumerate() {
+                assert!((a - b).abs() < 1e-9, "{wavelet:?} level {level}, sample {i}: {a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_adjoint_gives_the_same_inner_products() {
+        let wave = |n: usize, a: f64| (0..n).map(|i| (a * i as f64).sin() + 0.1 * a).collect::<Vec<f64>>();
+        for n in [8, 50, 361] {
+            for (wavelet, level) in
+                [(Wavelet::QuadraticSpline, 1), (Wavelet::QuadraticSpline, 4), (Wavelet::Haar, 3)]
+            {
+                let (f, k) = (wave(n, 0.37), wave(n, 1.1));
+                let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+                let there = dot(&k, &derivative(&f, wavelet, level));
+                let back = dot(&derivative_adjoint(&k, wavelet, level), &f);
+                assert!((there - back).abs() < 1e-10, "{n} {wavelet:?} {level}: {there} {back}");
+            }
+        }
+    }
+
+    #[test]
+    fn straight_lines_are_differentiated_exactly() {
+        let line: Vec<f64> = (0..50).map(|i| 3.0 - 0.25 * f64::from(i)).collect();
+        for level in 1..=5 {
+            for d in derivative(&line, Wavelet::QuadraticSpline, level) {
+                assert!((d + 0.25).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn level_one_is_the_forward_difference() {
+        let f: Vec<f64> = (0..20).map(|i| f64::from(i * i)).collect();
+        let d = derivative(&f, Wavelet::QuadraticSpline, 1);
+        for i in 0..19 {
+            assert!((d[i] - (f[i + 1] - f[i])).abs() < 1e-9, "{i}");
+        }
+    }
+}

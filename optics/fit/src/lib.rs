@@ -1,0 +1,69 @@
+//! Numerics of the fit over plain slices: no SQL, no gRPC.
+//!
+//! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and what goes beyond them: refinement
+//! between the records of the dictionary, and error bars.
+
+mod certainty;
+mod common;
+mod curves;
+mod dictionary;
+mod gradient;
+mod intervals;
+mod local_axis;
+mod map;
+mod measure;
+mod noise;
+mod question;
+mod refine;
+#[cfg(test)]
+mod refine_tests;
+mod resample;
+mod scale;
+mod search;
+mod shared;
+mod similarity;
+mod sketch;
+mod sum;
+mod surrogate;
+mod suspicion;
+#[cfg(test)]
+mod testing;
+mod view;
+
+use optics_model::fit::{ChannelFit, FitOptions, MaterialFit};
+use optics_model::{Invalid, Measurement};
+use rayon::prelude::*;
+
+pub use dictionary::{DictionaryBuilder, FitDictionary};
+pub use gradient::derivative;
+pub use map::distance_map;
+pub use measure::{MeasurePlan, Measured, measure, measure_refined};
+pub use scale::scale;
+pub use similarity::similar;
+
+use certainty::Analysis;
+use question::{Question, questions};
+
+/// Fits every channel of a measurement on its own, jointly over its thicknesses.
+pub fn fit(
+    dictionary: &FitDictionary,
+    measurement: &Measurement,
+    options: &FitOptions,
+) -> Result<MaterialFit, Invalid> {
+    let questions = questions(dictionary, measurement, options)?;
+    let channels = match questions.as_slice() {
+        // Not worth waking other threads for.
+        [one] => vec![answer(one)],
+        several => several.par_iter().map(answer).collect(),
+    };
+    Ok(MaterialFit { material: measurement.material().to_owned(), channels })
+}
+
+fn answer(question: &Question) -> ChannelFit {
+    let settings = question.options.settings();
+    let candidates = search::best(question, settings.top as usize);
+    let refined = settings.refine.then(|| Analysis::new(question, &candidates[0]).refined(None));
+    let curves =
+        if settings.curves { curves::curves(question, &candidates, refined.as_ref()) } else { Vec::new() };
+    ChannelFit { channel: question.name.to_owned(), candidates, refined, outside: question.outside(), curves }
+}

@@ -1,0 +1,67 @@
+//! Maps of the distance over all media, Fig. 9 of the paper.
+
+use optics_model::fit::{DistanceMap, FitOptions, MapLayer};
+use optics_model::{Invalid, Measurement};
+use rayon::prelude::*;
+
+use super::dictionary::FitDictionary;
+use super::question::{Place, Question, questions};
+use super::similarity::similar;
+
+/// One map per channel of a measurement: the error of Eq. 1 for every admissible medium.
+pub fn distance_map(
+    dictionary: &FitDictionary,
+    measurement: &Measurement,
+    options: &FitOptions,
+) -> Result<Vec<DistanceMap>, Invalid> {
+    Ok(questions(dictionary, measurement, options)?.iter().map(map).collect())
+}
+
+fn map(question: &Question) -> DistanceMap {
+    let grid = question.dictionary.grid();
+    let admissible = &question.admissible;
+    // Maps of several refractive indices would be maps of several dictionaries: that of the best is drawn.
+    let ior = best_ior(question);
+    let mut layers: Vec<MapLayer> = admissible.g.clone().map(|g| layer(question, ior, g)).collect();
+    let by_error =
+        |(_, a): &(usize, &MapLayer), (_, b): &(usize, &MapLayer)| a.best.error.total_cmp(&b.best.error);
+    let best_layer = layers.iter().enumerate().min_by(by_error).map_or(0, |(i, _)| i);
+    let best = layers[best_layer].best.medium;
+    for layer in &mut layers {
+        layer.similar = similar(&best, layer.g).ok();
+    }
+    DistanceMap {
+        channel: question.name.to_owned(),
+        sigma_t_per_mm: grid.sigma_t_per_mm()[admissible.sigma_t.clone()].to_vec(),
+        albedo: grid.albedo()[admissible.albedo.clone()].to_vec(),
+        sample_ior: grid.sample_ior()[ior],
+        best_layer,
+        layers,
+    }
+}
+
+fn best_ior(question: &Question) -> usize {
+    let iors = question.dictionary.grid().sample_ior();
+    let best = super::search::best(question, 1);
+    iors.iter().position(|v| *v == best[0].sample_ior).unwrap_or(0)
+}
+
+fn layer(question: &Question, ior: usize, g: usize) -> MapLayer {
+    let admissible = &question.admissible;
+    let albedos = admissible.albedo.len();
+    let place = |n: usize| Place {
+        ior,
+        sigma_t: admissible.sigma_t.start + n / albedos,
+        g,
+        albedo: admissible.albedo.start + n % albedos,
+    };
+    let errors: Vec<f64> =
+        (0..admissible.sigma_t.len() * albedos).into_par_iter().map(|n| question.error(place(n))).collect();
+    let best = errors.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(n, _)| n);
+    MapLayer {
+        g: question.dictionary.grid().g()[g],
+        best: question.candidate(place(best)),
+        errors,
+        similar: None,
+    }
+}

@@ -1,0 +1,216 @@
+use optics_model::fit::{Bounds, Candidate, FitOptions, FitSettings, MuRange, Outside, Wavelet};
+use optics_model::{Estimate, MeasuredProfile, Measurement, Medium, Profile, Record};
+
+use crate::testing::{dictionary, measured, profile_value};
+use crate::{DictionaryBuilder, FitDictionary, derivative, fit, scale};
+
+fn options(change: impl FnOnce(&mut FitSettings)) -> FitOptions {
+    let mut settings = FitSettings::default();
+    change(&mut settings);
+    FitOptions::new(settings).unwrap()
+}
+
+fn best(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions) -> Vec<Candidate> {
+    fit(dictionary, m, options).unwrap().channels.remove(0).candidates
+}
+
+#[test]
+fn the_medium_that_was_measured_is_found() {
+    let dictionary = dictionary(360);
+    for (sigma_t, albedo, g) in [(1.0, 0.3, 0.4), (4.0, 0.9, 0.0), (8.0, 0.6, 0.4)] {
+        for (pixels, width) in [(360, 10.0), (720, 10.0), (90, 10.0), (200, 6.0)] {
+            let m = measured(sigma_t, albedo, g, pixels, width);
+            let found = &best(&dictionary, &m, &FitOptions::default())[0];
+            let expected = Medium::new(sigma_t, albedo, g).unwrap();
+            assert_eq!(found.medium, expected, "{pixels} pixels over {width} mm");
+        }
+    }
+}
+
+/// Eqs. 1 and 2 written down once more, as plainly as can be.
+fn brute_force(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions) -> Vec<(f64, Medium)> {
+    let grid = dictionary.grid();
+    let mut all = Vec::new();
+    for (s, &sigma_t) in grid.sigma_t_per_mm().iter().enumerate() {
+        for (g, &anisotropy) in grid.g().iter().enumerate() {
+            for (a, &albedo) in grid.albedo().iter().enumerate() {
+                let mut error = 0.0;
+                for (t, profile) in m.profiles().iter().enumerate() {
+                    let record = grid.record_at(0, s, g, t, a);
+                    let simulated: Vec<f64> =
+                        dictionary.values(record, 1).iter().map(|v| f64::from(*v)).collect();
+                    let f: Vec<f64> = profile.values().iter().map(|v| options.settings().mu * v).collect();
+                    let slope = |f: &[f64]| derivative(f, Wavelet::QuadraticSpline, 4);
+                    let rms = |a: &[f64], b: &[f64]| {
+                        (a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() / a.len() as f64).sqrt()
+                    };
+                    // Per sample of 10 mm / 360, whatever the pitch of the profile.
+                    let scale = simulated.len() as f64 / 360.0;
+                    let abs = |f: Vec<f64>| f.into_iter().map(|v| v.abs() * scale).collect::<Vec<_>>();
+                    error += rms(&f, &simulated);
+                    error += options.settings().lambda * rms(&abs(slope(&f)), &abs(slope(&simulated)));
+                }
+                all.push((error, Medium::new(sigma_t, albedo, anisotropy).unwrap()));
+            }
+        }
+    }
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    all
+}
+
+#[test]
+fn the_answer_is_that_of_brute_force() {
+    for pixels in [360, 90] {
+        let dictionary = dictionary(pixels);
+        let m = measured(3.0, 0.7, 0.2, pixels as usize, 10.0);
+        let all = options(|s| {
+            s.lambda = 5.0;
+            s.mu = 0.9;
+            s.top = 24;
+        });
+        let one = options(|s| s.top = 1);
+        for options in [FitOptions::default(), all, one] {
+            let found = best(&dictionary, &m, &options);
+            let expected = brute_force(&dictionary, &m, &options);
+            assert_eq!(found.len(), options.settings().top as usize);
+            for (candidate, (error, medium)) in found.iter().zip(&expected) {
+                assert_eq!(candidate.medium, *medium);
+                assert!((candidate.error - error).abs() < 1e-6, "{} {error}", candidate.error);
+            }
+        }
+    }
+}
+
+/// A dictionary whose profiles depend on the extinction alone: all media with the same one are equally good.
+#[test]
+fn equal_errors_come_in_the_order_of_the_records() {
+    let grid = dictionary(360).grid().clone();
+    let mut builder = DictionaryBuilder::new(grid.clone());
+    for index in 0..grid.record_count() {
+        let (point, _) = grid.parameters(index);
+        let value = |i: usize| {
+            profile_value(grid.scene().sensor().centre_mm(i), point.sigma_t_per_mm(), 0.5, 0.0, 1.0, 1.0)
+        };
+        let values: Vec<f32> = (0..360).map(|i| value(i) as f32).collect();
+        let radiance_factor = Estimate::new(values, vec![0.0; 360]).unwrap();
+        builder.add(&Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; 3] });
+    }
+    let options = FitOptions::default();
+    let found = best(&builder.build(), &measured(4.0, 0.5, 0.0, 360, 10.0), &options);
+    let records: Vec<usize> = found.iter().map(|c| c.thicknesses[0].record.unwrap()).collect();
+    let first = grid.record_at(0, 2, 0, 0, 0);
+    let next_g = grid.record_at(0, 2, 1, 0, 0);
+    assert_eq!(records, [first, first + 1, first + 2, next_g, next_g + 1]);
+    assert!(found.iter().all(|c| c.error == found[0].error));
+}
+
+#[test]
+fn an_error_is_the_sum_of_its_terms() {
+    let dictionary = dictionary(360);
+    for candidate in best(&dictionary, &measured(3.0, 0.7, 0.2, 360, 10.0), &FitOptions::default()) {
+        let sum: f64 = candidate.thicknesses.iter().map(|t| t.value_rms + 20.0 * t.gradient_rms).sum();
+        assert!((sum - candidate.error).abs() < 1e-12);
+        let (point, medium) = dictionary.grid().parameters(candidate.thicknesses[1].record.unwrap());
+        assert_eq!((point.thickness_mm(), medium), (1.0, candidate.medium));
+    }
+}
+
+#[test]
+fn bounds_are_kept_and_those_outside_the_dictionary_refused() {
+    let dictionary = dictionary(360);
+    let m = measured(4.0, 0.9, 0.0, 360, 10.0);
+    let fixed = options(|s| {
+        s.g = Bounds::fixed(0.4);
+        s.top = 24;
+    });
+    let found = best(&dictionary, &m, &fixed);
+    assert_eq!(found.len(), 12);
+    assert!(found.iter().all(|c| c.medium.g() == 0.4));
+    let within = options(|s| {
+        s.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(1.5), Some(4.0)).unwrap();
+        s.albedo = Bounds::new("albedo", None, Some(0.6)).unwrap();
+        s.top = 24;
+    });
+    let found = best(&dictionary, &m, &within);
+    assert_eq!(found.len(), 2 * 2 * 2);
+    assert!(
+        found.iter().all(|c| (1.5..=4.0).contains(&c.medium.sigma_t_per_mm()) && c.medium.albedo() <= 0.6)
+    );
+    // Between two nodes both are looked at.
+    let between = options(|s| {
+        s.sigma_t_per_mm = Bounds::fixed(3.0);
+        s.top = 24;
+    });
+    let found = best(&dictionary, &m, &between);
+    assert_eq!(found.len(), 2 * 6);
+    assert!(found.iter().all(|c| [2.0, 4.0].contains(&c.medium.sigma_t_per_mm())));
+    let refuse =
+        |change: fn(&mut FitSettings)| fit(&dictionary, &m, &options(change)).unwrap_err().to_string();
+    assert_eq!(refuse(|s| s.g = Bounds::fixed(0.5)), "g = 0.5 is not valid: the dictionary has 0 to 0.4");
+    let above = refuse(|s| s.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(9.0), None).unwrap());
+    assert_eq!(above, "sigma_t_per_mm = 9 to inf is not valid: the dictionary has 1 to 8");
+}
+
+/// The view over a part of the pixels, and those of other wavelets, go through the same bounds and sums.
+#[test]
+fn parts_wavelets_and_levels_have_answers_of_their_own() {
+    let dictionary = dictionary(360);
+    let part = measured(8.0, 0.6, 0.4, 200, 6.0);
+    for (wavelet, level) in [(Wavelet::QuadraticSpline, 2), (Wavelet::Haar, 4), (Wavelet::QuadraticSpline, 4)]
+    {
+        let options = options(|s| {
+            s.wavelet = wavelet;
+            s.level = level;
+            s.top = 24;
+        });
+        let found = best(&dictionary, &part, &options);
+        assert_eq!(found[0].medium, Medium::new(8.0, 0.6, 0.4).unwrap());
+        assert!(found.windows(2).all(|w| w[0].error <= w[1].error));
+        let few = FitOptions::new(FitSettings { top: 3, ..*options.settings() }).unwrap();
+        assert_eq!(best(&dictionary, &part, &few), found[..3]);
+    }
+}
+
+#[test]
+fn profiles_beyond_all_records_are_fitted_and_marked() {
+    let dictionary = dictionary(360);
+    let outside = |factor: f64| {
+        let m = measured(4.0, 0.9, 0.0, 360, 10.0);
+        let scaled = options(|s| s.mu = factor);
+        let channel = fit(&dictionary, &m, &scaled).unwrap().channels.remove(0);
+        (channel.outside, channel.candidates.len())
+    };
+    assert_eq!(outside(1.0), (None, 5));
+    assert_eq!(outside(10.0), (Some(Outside::Brighter), 5));
+    assert_eq!(outside(0.01), (Some(Outside::Darker), 5));
+}
+
+#[test]
+fn unknown_channels_and_thicknesses_and_foreign_ranges_are_refused() {
+    let dictionary = dictionary(360);
+    let x: Vec<f64> = (0..50).map(|i| f64::from(i) * 0.1).collect();
+    let refuse = |channel: &str, thickness: f64, shift: f64| {
+        let x: Vec<f64> = x.iter().map(|x| x + shift).collect();
+        let profile = MeasuredProfile::new(channel, thickness, x.clone(), x, None).unwrap();
+        let m = Measurement::new("m", vec![profile]).unwrap();
+        fit(&dictionary, &m, &FitOptions::default()).unwrap_err().to_string()
+    };
+    assert_eq!(refuse("X", 0.5, 0.0), "channel = X is not valid: the dictionary has R, G, B");
+    assert_eq!(
+        refuse("R", 0.7, 0.0),
+        "thickness_mm = 0.7 is not valid: the dictionary has 0.5, 1; `farmctl submit GRID.toml` computes one with all \
+         of them if the grid file says thickness_mm = [0.5, 0.7, 1], and takes over what is there"
+    );
+    let range = refuse("R", 0.5, 100.0);
+    assert!(range.contains("it covers 0 pixels of the dictionary's -5 to 5 mm, 8 are needed"), "{range}");
+}
+
+#[test]
+fn profiles_of_too_many_ranges_are_refused() {
+    let dictionary = dictionary(360);
+    let several: Vec<_> = [10.0, 9.5, 9.0, 8.5, 8.0].map(|width| measured(4.0, 0.9, 0.0, 180, width)).into();
+    let (options, range) = (FitOptions::default(), MuRange::new(1.0, 1.0, 1.0).unwrap());
+    assert!(scale(&dictionary, &several[..4], &options, &range).is_ok());
+    let error = scale(&dictionary, &several, &options, &range).unwrap_err().to_string();
+    assert!(error.contains("x_mm = 5 different ranges"), "{error}");
+}

@@ -1,0 +1,188 @@
+//! Short descriptions of profiles that bound their distances from below, so that a search need not look at most
+//! records.
+//!
+//! With an orthonormal basis of a few directions, f = m + Σ c_k φ_k + ρ with ρ orthogonal to all φ_k, and
+//!
+//! ‖f − f'‖² = Σ (c_k − c'_k)² + ‖ρ − ρ'‖² ≥ Σ (c_k − c'_k)² + (‖ρ‖ − ‖ρ'‖)².
+//!
+//! Any basis makes this true; one that holds most of the profiles' variety makes it sharp.
+
+use super::sum::dot;
+
+/// Directions of a basis. More make the bound sharper and longer to compute.
+const DIRECTIONS: usize = 16;
+
+/// Relative rounding error that is allowed for in single precision.
+const ROUNDING: f32 = 1e-5;
+
+/// An orthonormal basis about a mean profile.
+#[derive(Debug)]
+pub(super) struct Basis {
+    mean: Vec<f64>,
+    directions: Vec<Vec<f64>>,
+}
+
+impl Basis {
+    /// Gram–Schmidt with pivoting: the sample that the basis describes worst gives the next direction.
+    pub(super) fn of(samples: &[&[f32]]) -> Self {
+        let n = samples.first().map_or(0, |s| s.len());
+        let mut mean = vec![0.0; n];
+        for sample in samples {
+            for (m, v) in mean.iter_mut().zip(*sample) {
+                *m += f64::from(*v) / samples.len() as f64;
+            }
+        }
+        let centred = |s: &&[f32]| s.iter().zip(&mean).map(|(v, m)| f64::from(*v) - m).collect::<Vec<_>>();
+        let mut rests: Vec<Vec<f64>> = samples.iter().map(centred).collect();
+        let mut directions: Vec<Vec<f64>> = Vec::new();
+        while directions.len() < DIRECTIONS.min(n) {
+            let by_norm = |a: &&Vec<f64>, b: &&Vec<f64>| dot(a, a).total_cmp(&dot(b, b));
+            let Some(worst) = rests.iter().max_by(by_norm) else { break };
+            let Some(direction) = orthonormal(worst, &directions) else { break };
+            for rest in &mut rests {
+                let along = dot(rest, &direction);
+                subtract(rest, along, &direction);
+            }
+            directions.push(direction);
+        }
+        Self { mean, directions }
+    }
+
+    /// Coefficients, and the norm of what they leave, both as root mean squares over the pixels.
+    fn describe(&self, profile: impl Iterator<Item = f64>) -> Description {
+        let mut rest: Vec<f64> = profile.zip(&self.mean).map(|(v, m)| v - m).collect();
+        let scale = 1.0 / (rest.len() as f64).sqrt();
+        let size = dot(&rest, &rest).sqrt() * scale;
+        let coefficient = |direction: &Vec<f64>| {
+            let c = dot(&rest, direction);
+            subtract(&mut rest, c, direction);
+            (c * scale) as f32
+        };
+        let coefficients = self.directions.iter().map(coefficient).collect();
+        Description { coefficients, rest: (dot(&rest, &rest).sqrt() * scale) as f32, size: size as f32 }
+    }
+
+    pub(super) fn describe_record(&self, profile: &[f32]) -> Description {
+        self.describe(profile.iter().map(|v| f64::from(*v)))
+    }
+
+    pub(super) fn describe_target(&self, profile: &[f64]) -> Description {
+        self.describe(profile.iter().copied())
+    }
+}
+
+/// A unit vector along what of `v` is orthogonal to the directions; none if nothing is left.
+fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
+    let mut unit = v.to_vec();
+    let norm = dot(&unit, &unit).sqrt();
+    if norm < 1e-9 {
+        return None;
+    }
+    for v in &mut unit {
+        *v /= norm;
+    }
+    // Once more against all: rounding leaves a trace, and the bound lives on orthogonality.
+    for direction in directions {
+        let along = dot(&unit, direction);
+        subtract(&mut unit, along, direction);
+    }
+    let norm = dot(&unit, &unit).sqrt();
+    for v in &mut unit {
+        *v /= norm;
+    }
+    Some(unit)
+}
+
+fn subtract(from: &mut [f64], factor: f64, direction: &[f64]) {
+    for (v, d) in from.iter_mut().zip(direction) {
+        *v -= factor * d;
+    }
+}
+
+/// One profile in a basis.
+#[derive(Debug)]
+pub(super) struct Description {
+    coefficients: Vec<f32>,
+    rest: f32,
+    size: f32,
+}
+
+/// Descriptions of many profiles, coefficient by coefficient.
+#[derive(Debug)]
+pub(super) struct Sketch {
+    profiles: usize,
+    /// `[coefficient][profile]`, the norms of the rests last.
+    rows: Vec<f32>,
+    largest: f32,
+}
+
+impl Sketch {
+    pub(super) fn of(descriptions: &[Description]) -> Self {
+        let coefficients = descriptions.first().map_or(0, |d| d.coefficients.len());
+        let row = |k: usize| descriptions.iter().map(move |d| d.coefficients[k]);
+        let rests = descriptions.iter().map(|d| d.rest);
+        Self {
+            profiles: descriptions.len(),
+            rows: (0..coefficients).flat_map(row).chain(rests).collect(),
+            largest: descriptions.iter().map(|d| d.size).fold(0.0, f32::max),
+        }
+    }
+
+    /// Adds `weight` times a lower bound of the root mean square distance between the target and each of the
+    /// profiles from `first` on.
+    pub(super) fn add_bounds(&self, target: &Description, weight: f32, first: usize, bounds: &mut [f32]) {
+        const BLOCK: usize = 256;
+        let slack = ROUNDING * (target.size + self.largest);
+        let coefficients = target.coefficients.iter().chain([&target.rest]);
+        let mut squares = [0.0_f32; BLOCK];
+        for (block, bounds) in bounds.chunks_mut(BLOCK).enumerate() {
+            let start = first + block * BLOCK;
+            let squares = &mut squares[..bounds.len()];
+            squares.fill(0.0);
+            for (row, target) in self.rows.chunks_exact(self.profiles.max(1)).zip(coefficients.clone()) {
+                for (square, c) in squares.iter_mut().zip(&row[start..]) {
+                    *square += (c - target) * (c - target);
+                }
+            }
+            for (bound, square) in bounds.iter_mut().zip(squares) {
+                *bound += weight * (square.sqrt() * (1.0 - ROUNDING) - slack).max(0.0);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sum::rms_difference;
+
+    /// Profiles with structure and noise.
+    fn profiles(count: usize) -> Vec<Vec<f32>> {
+        let value = |i: usize, x: usize| {
+            let (a, w) = (0.1 + (i % 7) as f32 * 0.1, 2.0 + (i % 11) as f32);
+            a + 0.2 * ((x as f32 - 30.0) / w).tanh() + 1e-3 * ((i * 7919 + x * 104_729) % 97) as f32 / 97.0
+        };
+        (0..count).map(|i| (0..60).map(|x| value(i, x)).collect()).collect()
+    }
+
+    #[test]
+    fn bounds_never_exceed_the_distance_and_are_sharp() {
+        let profiles = profiles(300);
+        let rows: Vec<&[f32]> = profiles.iter().map(Vec::as_slice).collect();
+        let basis = Basis::of(&rows[..100]);
+        let sketch = Sketch::of(&rows.iter().map(|p| basis.describe_record(p)).collect::<Vec<_>>());
+        let mut ratios = Vec::new();
+        for target in profiles.iter().step_by(13) {
+            let target: Vec<f64> = target.iter().map(|v| 1.01 * f64::from(*v)).collect();
+            let mut bounds = vec![0.0; 290];
+            sketch.add_bounds(&basis.describe_target(&target), 1.0, 10, &mut bounds);
+            for (bound, profile) in bounds.iter().zip(&profiles[10..]) {
+                let distance = rms_difference(&target, profile);
+                assert!(f64::from(*bound) <= distance, "{bound} {distance}");
+                ratios.push(f64::from(*bound) / distance);
+            }
+        }
+        let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+        assert!(mean > 0.95, "{mean}");
+    }
+}

@@ -1,0 +1,211 @@
+//! Profiles between the records: a smooth model of the dictionary that also averages its noise.
+//!
+//! The coordinates are those in which profiles change most evenly: ln σ_t; √(1 − α), to which diffusion is linear; and
+//! ln(1 − g), in which similar media lie on straight lines. Across σ_t and g, where every record has walks of its own,
+//! a local polynomial is fitted by weighted least squares, which averages the noise of the records about; across
+//! albedos, which share their walks, the four nearest are interpolated.
+
+use optics_model::Medium;
+
+use super::dictionary::FitDictionary;
+use super::local_axis::{LocalAxis, Weights};
+
+/// Position in (ln σ_t, √(1 − α), ln(1 − g)).
+pub(super) type Coordinates = [f64; 3];
+pub(super) const SIGMA_T: usize = 0;
+pub(super) const ALBEDO: usize = 1;
+pub(super) const G: usize = 2;
+
+pub(super) fn coordinates(medium: &Medium) -> Coordinates {
+    [medium.sigma_t_per_mm().ln(), (1.0 - medium.albedo()).sqrt(), (1.0 - medium.g()).ln()]
+}
+
+pub(super) fn sigma_t(ln_sigma_t: f64) -> f64 {
+    ln_sigma_t.exp()
+}
+
+pub(super) fn albedo(root_co_albedo: f64) -> f64 {
+    1.0 - root_co_albedo * root_co_albedo
+}
+
+pub(super) fn g(ln_one_minus_g: f64) -> f64 {
+    1.0 - ln_one_minus_g.exp()
+}
+
+/// Cubic interpolation between the four nearest nodes, or all if there are fewer. `nodes` fall.
+fn interpolation(nodes: &[f64], x: f64) -> Weights {
+    let n = nodes.len();
+    let count = n.min(4);
+    let after = nodes.partition_point(|v| *v >= x);
+    let first = after.saturating_sub(2).min(n - count);
+    let near = &nodes[first..first + count];
+    let weight = |i: usize| -> (f64, f64) {
+        let others = || (0..count).filter(move |j| *j != i);
+        let value = others().map(|j| (x - near[j]) / (near[i] - near[j])).product();
+        let slope = others().map(|k| {
+            let rest: f64 =
+                others().filter(|j| *j != k).map(|j| (x - near[j]) / (near[i] - near[j])).product();
+            rest / (near[i] - near[k])
+        });
+        (value, slope.sum())
+    };
+    let (values, slopes) = (0..count).map(weight).unzip();
+    Weights { first, values, slopes }
+}
+
+/// A profile between the records and its derivatives by the coordinates.
+#[derive(Debug, Clone)]
+pub(super) struct Prediction {
+    pub values: Vec<f64>,
+    pub slopes: [Vec<f64>; 3],
+}
+
+/// The model of one channel at one refractive index of the sample.
+#[derive(Debug)]
+pub(super) struct Surrogate<'a> {
+    dictionary: &'a FitDictionary,
+    channel: usize,
+    ior: usize,
+    sigma_t: LocalAxis,
+    g: LocalAxis,
+    /// √(1 − α), falling.
+    albedo: Vec<f64>,
+}
+
+impl<'a> Surrogate<'a> {
+    pub(super) fn new(dictionary: &'a FitDictionary, channel: usize, ior: usize) -> Self {
+        let grid = dictionary.grid();
+        let sigma_t = grid.sigma_t_per_mm().iter().map(|v| v.ln()).collect();
+        let g = grid.g().iter().map(|v| (1.0 - v).ln()).collect();
+        let albedo = grid.albedo().iter().map(|v| (1.0 - v).sqrt()).collect();
+        Self {
+            dictionary,
+            channel,
+            ior,
+            sigma_t: LocalAxis::new(sigma_t, 0.6),
+            g: LocalAxis::new(g, 0.8),
+            albedo,
+        }
+    }
+
+    /// Index of the sample's refractive index.
+    pub(super) fn ior(&self) -> usize {
+        self.ior
+    }
+
+    /// Least and greatest value of each coordinate.
+    pub(super) fn limits(&self) -> [(f64, f64); 3] {
+        let albedo = (self.albedo[self.albedo.len() - 1], self.albedo[0]);
+        [self.sigma_t.range(), albedo, self.g.range()]
+    }
+
+    fn row(&self, sigma_t: usize, g: usize, thickness: usize, albedo: usize) -> &[f32] {
+        let record = self.dictionary.grid().record_at(self.ior, sigma_t, g, thickness, albedo);
+        self.dictionary.values(record, self.channel)
+    }
+
+    pub(super) fn predict(
+        &self,
+        thickness: usize,
+        pixels: std::ops::Range<usize>,
+        x: Coordinates,
+    ) -> Prediction {
+        let s = self.sigma_t.weights(x[SIGMA_T]);
+        let a = interpolation(&self.albedo, x[ALBEDO]);
+        let g = self.g.weights(x[G]);
+        let zero = || vec![0.0; pixels.len()];
+        let mut values = zero();
+        let mut slopes = [zero(), zero(), zero()];
+        for i in 0..s.values.len() {
+            for k in 0..g.values.len() {
+                for j in 0..a.values.len() {
+                    let row = self.row(s.first + i, g.first + k, thickness, a.first + j);
+                    let weight = s.values[i] * a.values[j] * g.values[k];
+                    let by = [
+                        s.slopes[i] * a.values[j] * g.values[k],
+                        s.values[i] * a.slopes[j] * g.values[k],
+                        s.values[i] * a.values[j] * g.slopes[k],
+                    ];
+                    accumulate(&row[pixels.clone()], weight, by, &mut values, &mut slopes);
+                }
+            }
+        }
+        Prediction { values, slopes }
+    }
+
+    /// What the records' noise does to `N` functionals of the model's profile at `x`: their covariance.
+    ///
+    /// The noise is read off the records about: what the local polynomial leaves of them is noise, and a little of the
+    /// polynomial's own failure. `functionals` are weights of the pixels of `pixels`.
+    pub(super) fn noise<const N: usize>(
+        &self,
+        thickness: usize,
+        pixels: &std::ops::Range<usize>,
+        x: Coordinates,
+        functionals: &[Vec<f64>; N],
+    ) -> [[f64; N]; N] {
+        let a = interpolation(&self.albedo, x[ALBEDO]);
+        let (first_s, window_s, hat_s) = self.sigma_t.hat(x[SIGMA_T]);
+        let (first_g, window_g, hat_g) = self.g.hat(x[G]);
+        let image = |s: usize, g: usize| -> [f64; N] {
+            let mut image = [0.0; N];
+            for (j, weight) in a.values.iter().enumerate() {
+                let row = &self.row(first_s + s, first_g + g, thickness, a.first + j)[pixels.clone()];
+                for (out, f) in image.iter_mut().zip(functionals) {
+                    *out += weight * row.iter().zip(f).map(|(v, f)| f64::from(*v) * f).sum::<f64>();
+                }
+            }
+            image
+        };
+        let (ns, ng) = (window_s.len(), window_g.len());
+        let images: Vec<[f64; N]> = (0..ns * ng).map(|n| image(n / ng, n % ng)).collect();
+        let mut scatter = [[0.0; N]; N];
+        let mut total = 0.0;
+        for i in 0..ns {
+            for k in 0..ng {
+                let mut rest = images[i * ng + k];
+                let mut squares = 0.0;
+                for (m, image) in images.iter().enumerate() {
+                    let h = hat_s[i][m / ng] * hat_g[k][m % ng];
+                    squares += h * h;
+                    (0..N).for_each(|c| rest[c] -= h * image[c]);
+                }
+                // Variance of a rest over that of a record.
+                let left = 1.0 - 2.0 * hat_s[i][i] * hat_g[k][k] + squares;
+                if left < 1e-6 {
+                    continue;
+                }
+                let weight = window_s[i] * window_g[k];
+                total += weight;
+                add_outer(&mut scatter, rest, weight / left);
+            }
+        }
+        if total == 0.0 {
+            return scatter;
+        }
+        let square = |w: Weights| w.values.iter().map(|w| w * w).sum::<f64>();
+        let leverage = square(self.sigma_t.weights(x[SIGMA_T])) * square(self.g.weights(x[G]));
+        scatter.map(|row| row.map(|v| v * leverage / total))
+    }
+}
+
+/// Adds factor · v vᵀ.
+fn add_outer<const N: usize>(matrix: &mut [[f64; N]; N], v: [f64; N], factor: f64) {
+    for (row, a) in matrix.iter_mut().zip(v) {
+        for (cell, b) in row.iter_mut().zip(v) {
+            *cell += factor * a * b;
+        }
+    }
+}
+
+fn accumulate(row: &[f32], weight: f64, by: [f64; 3], values: &mut [f64], slopes: &mut [Vec<f64>; 3]) {
+    let [s, a, g] = slopes;
+    let outs = values.iter_mut().zip(s).zip(a).zip(g);
+    for (v, (((value, s), a), g)) in row.iter().zip(outs) {
+        let v = f64::from(*v);
+        *value += weight * v;
+        *s += by[0] * v;
+        *a += by[1] * v;
+        *g += by[2] * v;
+    }
+}

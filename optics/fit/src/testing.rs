@@ -1,0 +1,102 @@
+//! A dictionary and measurements for tests, from a formula.
+
+use optics_model::grid::Axes;
+use optics_model::scene::{Scene, Sensor};
+use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, Profile, Record, Walks};
+
+use super::{DictionaryBuilder, FitDictionary};
+
+/// Edge profiles that stand for simulated ones: smooth, and different for every parameter combination.
+pub(super) fn profile_value(x: f64, sigma_t: f64, albedo: f64, g: f64, thickness: f64, channel: f64) -> f64 {
+    let width = 0.3 + thickness / (sigma_t * (1.0 - g));
+    let level = albedo * (0.2 + 0.1 * channel);
+    level + 0.3 * albedo * (x / width).tanh() / (1.0 + thickness)
+}
+
+pub(super) fn coarse_axes() -> Axes {
+    Axes {
+        sigma_t_per_mm: vec![1.0, 2.0, 4.0, 8.0],
+        albedo: vec![0.3, 0.6, 0.9],
+        g: vec![0.0, 0.4],
+        thickness_mm: vec![0.5, 1.0],
+        sample_ior: vec![1.5],
+    }
+}
+
+/// As dense as the paper's, over a part of its range.
+pub(super) fn dense_axes() -> Axes {
+    Axes {
+        sigma_t_per_mm: (0..15).map(|i| 1.5 * 1.12_f64.powi(i)).collect(),
+        albedo: vec![0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.94, 0.97, 0.99],
+        g: vec![0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+        ..coarse_axes()
+    }
+}
+
+pub(super) fn dictionary(pixels: u32) -> FitDictionary {
+    noisy_dictionary(coarse_axes(), pixels, 0.0)
+}
+
+/// Records whose level is off by a normal error that all albedos of a transport point share, as walks make it.
+pub(super) fn noisy_dictionary(axes: Axes, pixels: u32, noise: f64) -> FitDictionary {
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
+    let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
+    let sensor = grid.scene().sensor();
+    let mut builder = DictionaryBuilder::new(grid.clone());
+    for index in (0..grid.record_count()).rev() {
+        let (point, medium) = grid.parameters(index);
+        let gain = 1.0 + noise * normal(index as u64 / grid.albedo().len() as u64);
+        let profile = |channel: usize| {
+            let value = |i| {
+                let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
+                let x = sensor.centre_mm(i);
+                (gain * profile_value(x, s, a, g, point.thickness_mm(), channel as f64)) as f32
+            };
+            let values: Vec<f32> = (0..sensor.pixels()).map(value).collect();
+            let std_errors = vec![0.0; values.len()];
+            Profile { radiance_factor: Estimate::new(values, std_errors).unwrap(), derivatives: None }
+        };
+        builder.add(&Record { index, profiles: (0..3).map(profile).collect() });
+    }
+    builder.build()
+}
+
+/// A standard normal number that belongs to `n`: the sum of twelve uniform ones.
+pub(super) fn normal(n: u64) -> f64 {
+    let uniform = |i: u64| {
+        let mut z = (n * 12 + i + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    (0..12).map(uniform).sum::<f64>() - 6.0
+}
+
+/// A measurement in channel G at both thicknesses with 1 % of normal noise, told in its standard errors or not.
+pub(super) fn noisy_measurement(medium: (f64, f64, f64), seed: u64, told: bool) -> Measurement {
+    let (sigma_t, albedo, g) = medium;
+    let profile = |(t, thickness): (u64, f64)| {
+        let x: Vec<f64> = (0..360).map(|i| (f64::from(i) + 0.5) / 36.0 - 5.0).collect();
+        let exact: Vec<f64> =
+            x.iter().map(|x| profile_value(*x, sigma_t, albedo, g, thickness, 1.0)).collect();
+        let noise =
+            |(i, v): (usize, &f64)| v * (1.0 + 0.01 * normal((seed * 2 + t) * 360 + i as u64 + 1_000_000));
+        let values = exact.iter().enumerate().map(noise).collect();
+        let std_errors = told.then(|| exact.iter().map(|v| 0.01 * v).collect());
+        MeasuredProfile::new("G", thickness, x, values, std_errors).unwrap()
+    };
+    Measurement::new("test", vec![profile((0, 0.5)), profile((1, 1.0))]).unwrap()
+}
+
+/// A measurement of a medium at both thicknesses, in channel G, over `width` mm.
+pub(super) fn measured(sigma_t: f64, albedo: f64, g: f64, pixels: usize, width: f64) -> Measurement {
+    let profile = |thickness: f64| {
+        let pitch = width / pixels as f64;
+        let x: Vec<f64> = (0..pixels).map(|i| (i as f64 + 0.5) * pitch - width / 2.0).collect();
+        let ripple = |i: usize| 0.003 * ((i * 7919) % 13) as f64 / 13.0;
+        let value = |(i, x): (usize, &f64)| profile_value(*x, sigma_t, albedo, g, thickness, 1.0) + ripple(i);
+        let values = x.iter().enumerate().map(value).collect();
+        MeasuredProfile::new("G", thickness, x, values, None).unwrap()
+    };
+    Measurement::new("test", vec![profile(0.5), profile(1.0)]).unwrap()
+}

@@ -1,0 +1,114 @@
+//! Scenes and grids as bytes, for digests alone: what is digested must be the same for ever, whatever becomes of the
+//! messages that programs exchange.
+//!
+//! The bytes are those of the messages `Scene` and `Grid` of package `farm.v1` at its first release, in protobuf's
+//! encoding: fields in the order of their numbers, numbers that are zero and texts that are empty left out, repeated
+//! numbers packed. `proto` has a test that holds them against the messages of today.
+
+use crate::grid::Grid;
+use crate::scene::{Layer, LayerMedium, Scene};
+
+/// Protobuf's wire types.
+const VARINT: u32 = 0;
+const FIXED_64: u32 = 1;
+const LENGTH: u32 = 2;
+
+pub(crate) fn scene(scene: &Scene) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for layer in scene.layers() {
+        message(&mut bytes, 1, &self::layer(layer));
+    }
+    for channel in scene.channels() {
+        let mut of_channel = Vec::new();
+        text(&mut of_channel, 1, channel.name());
+        number(&mut of_channel, 2, channel.rho_light());
+        number(&mut of_channel, 3, channel.rho_dark());
+        message(&mut bytes, 2, &of_channel);
+    }
+    let mut light = Vec::new();
+    number(&mut light, 1, scene.light().inner_deg());
+    number(&mut light, 2, scene.light().outer_deg());
+    message(&mut bytes, 3, &light);
+    let mut sensor = Vec::new();
+    number(&mut sensor, 1, scene.sensor().width_mm());
+    whole(&mut sensor, 2, scene.sensor().pixels() as u64);
+    number(&mut sensor, 3, scene.sensor().polar_deg());
+    message(&mut bytes, 4, &sensor);
+    whole(&mut bytes, 5, u64::from(scene.multiple_scattering()));
+    bytes
+}
+
+fn layer(layer: &Layer) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    text(&mut bytes, 1, layer.name());
+    number(&mut bytes, 2, layer.roughness());
+    let mut medium = Vec::new();
+    let field = match layer.medium() {
+        LayerMedium::Clear { ior, thickness_mm } => {
+            number(&mut medium, 1, ior);
+            number(&mut medium, 2, thickness_mm);
+            3
+        }
+        LayerMedium::Sample => 4,
+    };
+    message(&mut bytes, field, &medium);
+    bytes
+}
+
+pub(crate) fn grid(grid: &Grid) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    message(&mut bytes, 1, &scene(grid.scene()));
+    let axes = [grid.sigma_t_per_mm(), grid.albedo(), grid.g(), grid.thickness_mm(), grid.sample_ior()];
+    for (field, axis) in (2..).zip(axes) {
+        let packed: Vec<u8> = axis.iter().flat_map(|v| v.to_le_bytes()).collect();
+        message(&mut bytes, field, &packed);
+    }
+    whole(&mut bytes, 7, grid.walks().get());
+    whole(&mut bytes, 8, grid.seed());
+    whole(&mut bytes, 9, u64::from(grid.derivatives()));
+    if let Some(target) = grid.quality() {
+        let mut quality = Vec::new();
+        number(&mut quality, 1, target.relative_std_error());
+        whole(&mut quality, 2, target.max_walks().get());
+        message(&mut bytes, 10, &quality);
+    }
+    bytes
+}
+
+fn message(bytes: &mut Vec<u8>, field: u32, content: &[u8]) {
+    key(bytes, field, LENGTH);
+    varint(bytes, content.len() as u64);
+    bytes.extend_from_slice(content);
+}
+
+fn text(bytes: &mut Vec<u8>, field: u32, text: &str) {
+    if !text.is_empty() {
+        message(bytes, field, text.as_bytes());
+    }
+}
+
+fn number(bytes: &mut Vec<u8>, field: u32, value: f64) {
+    if value != 0.0 {
+        key(bytes, field, FIXED_64);
+        bytes.extend_from_slice(&value.to_le_bytes());
+    }
+}
+
+fn whole(bytes: &mut Vec<u8>, field: u32, value: u64) {
+    if value != 0 {
+        key(bytes, field, VARINT);
+        varint(bytes, value);
+    }
+}
+
+fn key(bytes: &mut Vec<u8>, field: u32, wire_type: u32) {
+    varint(bytes, u64::from(field << 3 | wire_type));
+}
+
+fn varint(bytes: &mut Vec<u8>, mut value: u64) {
+    while value > 0x7f {
+        bytes.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    bytes.push(value as u8);
+}

@@ -1,0 +1,239 @@
+//! Answers of the fit.
+
+use crate::medium::Medium;
+
+/// One term of Eq. 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ThicknessError {
+    pub thickness_mm: f64,
+    /// Root mean square of μ F_A − F_S.
+    pub value_rms: f64,
+    /// Root mean square of |∇ μ F_A| − |∇ F_S|, before λ.
+    pub gradient_rms: f64,
+    /// Number of the record compared with; none if it lies between records.
+    pub record: Option<usize>,
+}
+
+/// A medium of the dictionary and how well it explains a channel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Candidate {
+    pub medium: Medium,
+    pub sample_ior: f64,
+    /// Σ over thicknesses of value_rms + λ · gradient_rms.
+    pub error: f64,
+    pub thicknesses: Vec<ThicknessError>,
+}
+
+/// Where a quantity lies with a confidence of 95 %.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    pub low: f64,
+    pub high: f64,
+    /// The data allow still lower values; `low` is only where the dictionary or the given bounds end.
+    pub open_low: bool,
+    /// The same for higher values.
+    pub open_high: bool,
+}
+
+impl Interval {
+    pub fn contains(&self, value: f64) -> bool {
+        (self.open_low || value >= self.low) && (self.open_high || value <= self.high)
+    }
+}
+
+/// The continuous optimum of Eq. 1 near the best record, and how sure it is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refined {
+    pub best: Candidate,
+    pub sigma_t_per_mm: Interval,
+    pub albedo: Interval,
+    pub g: Interval,
+    /// Reduced scattering coefficient σ_s (1 − g), which similarity theory leaves alone.
+    pub reduced_scattering_per_mm: Interval,
+    /// Absorption coefficient σ_t (1 − α), which similarity theory leaves alone.
+    pub absorption_per_mm: Interval,
+    /// Covariance of (ln σ_t, √(1 − α), ln(1 − g)), row by row; zeros where a parameter was held.
+    pub covariance: [[f64; 3]; 3],
+    /// Correlation of ln σ_t with ln(1 − g); zero if one of them was held.
+    pub correlation: f64,
+    /// σ_t and g trade off along media that similarity theory calls equal: neither is known on its own.
+    pub valley: bool,
+    /// Whether the data determine σ_t and the albedo at this anisotropy.
+    pub resolved: bool,
+    /// Standard error of one measured value (times μ): root mean square over pixels.
+    pub measurement_noise: f64,
+    /// Share of the variance of ln σ_t that comes from the dictionary's noise, 0 to 1.
+    pub dictionary_share: f64,
+    /// Root mean square of the residuals over that of the noise, of the measurement and of the dictionary: 1 if noise
+    /// explains all.
+    pub misfit: f64,
+    /// The likeliest reason, if the misfit exceeds [`MISFIT`].
+    pub suspicion: Option<Suspicion>,
+}
+
+/// Misfit above which a fit is said not to explain its measurement.
+pub const MISFIT: f64 = 2.0;
+
+/// The likeliest single reason why a fit leaves more than noise explains.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Suspicion {
+    pub cause: Cause,
+    /// The profile concerned; none if all are.
+    pub thickness_mm: Option<f64>,
+    /// How much, in the unit of the cause.
+    pub amount: f64,
+    /// The misfit that would be left without it.
+    pub misfit_left: f64,
+}
+
+/// What may be wrong with a measurement, or with the scene that it is compared with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// No single cause tried explains it.
+    Unknown,
+    /// The edge lies beside x = 0: by so many mm.
+    EdgeOffset,
+    /// The values are too large by this share.
+    Gain,
+    /// The values are too large by this radiance factor.
+    Zero,
+    /// The light rises from x = −5 mm to 5 mm by this share.
+    Slope,
+    /// The edge is blurred by a camera: standard deviation in mm.
+    Blur,
+    /// So many pixels lie apart from the others: dust, scratches, bubbles.
+    Outliers,
+    /// The values are coded as for a screen (sRGB), not linear.
+    GammaCoded,
+    /// The profiles of the thicknesses are exchanged.
+    ThicknessesSwapped,
+}
+
+/// Whether a profile lies beyond all records of the dictionary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outside {
+    Brighter,
+    Darker,
+}
+
+impl Outside {
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Brighter => "brighter",
+            Self::Darker => "darker",
+        }
+    }
+}
+
+/// A profile and the magnitude of its gradient per pixel of 10 mm / 360.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    pub values: Vec<f64>,
+    pub gradient: Vec<f64>,
+}
+
+/// What was compared at one thickness.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitCurves {
+    pub thickness_mm: f64,
+    pub x_mm: Vec<f64>,
+    /// μ F_A on the dictionary's pixels.
+    pub measured: Curve,
+    /// The candidates' profiles, in their order.
+    pub candidates: Vec<Curve>,
+    pub refined: Option<Curve>,
+}
+
+/// The answer for one channel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChannelFit {
+    pub channel: String,
+    /// Records, best first.
+    pub candidates: Vec<Candidate>,
+    pub refined: Option<Refined>,
+    pub outside: Option<Outside>,
+    /// One per thickness, if asked for.
+    pub curves: Vec<FitCurves>,
+}
+
+/// The answers for one material.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MaterialFit {
+    pub material: String,
+    pub channels: Vec<ChannelFit>,
+}
+
+/// One value of Eq. 3's curve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScalePoint {
+    pub mu: f64,
+    /// (1/μ) Σ over materials and channels of the least error.
+    pub error: f64,
+}
+
+/// How well all materials are explained with one anisotropy.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GError {
+    pub g: f64,
+    /// Eq. 3's error at μ*.
+    pub error: f64,
+    /// The scale factor that would be the best with this anisotropy, and the error there.
+    pub best: ScalePoint,
+}
+
+/// The search of Eq. 3.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScaleCurve {
+    pub points: Vec<ScalePoint>,
+    /// μ*: the least error.
+    pub best: ScalePoint,
+    /// Jackknife over materials and channels; none with fewer than two.
+    pub std_error: Option<f64>,
+    /// Second derivative of the relative error by μ at μ*: how sharp the minimum is.
+    pub curvature: Option<f64>,
+    /// μ* lies at an end of the values that were tried.
+    pub at_end: bool,
+    pub by_g: Vec<GError>,
+    /// The anisotropy with the least error common to all materials, at μ*.
+    pub best_g: f64,
+}
+
+/// What all channels of a set of materials share, chosen by the errors of refined fits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Common {
+    pub mu: f64,
+    pub mu_std_error: f64,
+    /// Open where the range of the search ends first; on both sides if the data do not determine μ.
+    pub mu_interval: Interval,
+    /// Whether μ was searched, not given.
+    pub mu_chosen: bool,
+    /// None if every channel has its own.
+    pub g: Option<f64>,
+    /// None if g was given, or the dictionary has one only.
+    pub g_interval: Option<Interval>,
+    /// Sums of refined errors with each anisotropy of the dictionary; empty if g was given.
+    pub by_g: Vec<GError>,
+}
+
+/// Distances of one channel's measurement to all media of one anisotropy.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MapLayer {
+    pub g: f64,
+    /// `[sigma_t][albedo]`.
+    pub errors: Vec<f64>,
+    pub best: Candidate,
+    /// The medium similar to the best of all layers, after Eqs. 4 and 6.
+    pub similar: Option<Medium>,
+}
+
+/// The distance over all media, Fig. 9.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DistanceMap {
+    pub channel: String,
+    pub sigma_t_per_mm: Vec<f64>,
+    pub albedo: Vec<f64>,
+    pub sample_ior: f64,
+    /// The layer of the best medium.
+    pub best_layer: usize,
+    pub layers: Vec<MapLayer>,
+}

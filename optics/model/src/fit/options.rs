@@ -1,0 +1,252 @@
+//! Settings of Eqs. 1 to 3.
+
+use crate::invalid::{Invalid, Result, check};
+use crate::limits::FitLimits;
+use crate::medium::{check_albedo, check_g, check_sigma_t};
+
+/// Wavelet whose smoothing function is differentiated for the gradients.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Wavelet {
+    /// Low-pass √2 [1, 3, 3, 1]/8, high-pass √2 [−2, 2].
+    #[default]
+    QuadraticSpline,
+    /// Low-pass [1, 1]/√2, high-pass [−1, 1]/√2.
+    Haar,
+}
+
+/// An interval that a parameter must lie in; one value if both ends are equal.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    min: f64,
+    max: f64,
+}
+
+impl Bounds {
+    pub const FREE: Self = Self { min: f64::NEG_INFINITY, max: f64::INFINITY };
+
+    /// `field` is named in the error if the ends are the wrong way round.
+    pub fn new(field: &str, min: Option<f64>, max: Option<f64>) -> Result<Self> {
+        let bounds = Self { min: min.unwrap_or(f64::NEG_INFINITY), max: max.unwrap_or(f64::INFINITY) };
+        if bounds.min > bounds.max {
+            let given = format!("{} to {}", bounds.min, bounds.max);
+            return Err(Invalid::new(field, given, "the lower bound must not exceed the upper"));
+        }
+        Ok(bounds)
+    }
+
+    pub fn fixed(value: f64) -> Self {
+        Self { min: value, max: value }
+    }
+
+    pub fn min(&self) -> f64 {
+        self.min
+    }
+
+    pub fn max(&self) -> f64 {
+        self.max
+    }
+
+    pub fn is_fixed(&self) -> bool {
+        self.min == self.max
+    }
+
+    pub fn is_free(&self) -> bool {
+        *self == Self::FREE
+    }
+
+    pub fn contains(&self, value: f64) -> bool {
+        (self.min..=self.max).contains(&value)
+    }
+
+    fn check(self, check: impl Fn(f64) -> Result<f64>) -> Result<Self> {
+        for end in [self.min, self.max] {
+            if !end.is_infinite() {
+                check(end)?;
+            }
+        }
+        Ok(self)
+    }
+}
+
+/// What a [`FitOptions`] is made of, not yet checked.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitSettings {
+    /// Weight of the gradient term of Eq. 2.
+    pub lambda: f64,
+    /// Factor on the measured values.
+    pub mu: f64,
+    /// Standard error of μ; the error bars of a refined fit contain it.
+    pub mu_std_error: f64,
+    /// Relative standard error of the scale of each profile on its own: exposure, illumination, positioning.
+    pub gain_std_error: f64,
+    /// Standard error of the zero of each profile on its own, as a radiance factor: stray light, black level.
+    pub offset_std_error: f64,
+    pub wavelet: Wavelet,
+    /// Level of the wavelet: it smooths over about 2^level pixels.
+    pub level: u32,
+    pub sigma_t_per_mm: Bounds,
+    pub albedo: Bounds,
+    pub g: Bounds,
+    /// How many neighbours are wanted.
+    pub top: u32,
+    /// Go on from the best record to a continuous optimum with error bars.
+    pub refine: bool,
+    /// Return the profiles and gradients that were compared.
+    pub curves: bool,
+}
+
+impl Default for FitSettings {
+    /// The paper's λ = 20, μ = 1, the quadratic spline at level 4, everything free, five neighbours; each profile's scale
+    /// known to 0.3 %, and its zero to 0.1 % of white, since no photograph's are known better.
+    fn default() -> Self {
+        Self {
+            lambda: 20.0,
+            mu: 1.0,
+            mu_std_error: 0.0,
+            gain_std_error: 0.003,
+            offset_std_error: 0.001,
+            wavelet: Wavelet::QuadraticSpline,
+            level: 4,
+            sigma_t_per_mm: Bounds::FREE,
+            albedo: Bounds::FREE,
+            g: Bounds::FREE,
+            top: 5,
+            refine: false,
+            curves: false,
+        }
+    }
+}
+
+/// Checked settings of Eqs. 1 and 2.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FitOptions(FitSettings);
+
+impl FitOptions {
+    pub fn new(settings: FitSettings) -> Result<Self> {
+        let s = &settings;
+        if !(1..=FitLimits::TOP).contains(&s.top) {
+            return Err(Invalid::new("top", s.top, format!("allowed are 1 to {}", FitLimits::TOP)));
+        }
+        if !(1..=FitLimits::WAVELET_LEVEL).contains(&s.level) {
+            let allowed = format!("allowed are 1 to {}", FitLimits::WAVELET_LEVEL);
+            return Err(Invalid::new("level", s.level, allowed));
+        }
+        check("lambda", s.lambda, |v| (0.0..=1e9).contains(&v), "allowed are 0 to 1e9")?;
+        check_mu("mu", s.mu)?;
+        check("mu_std_error", s.mu_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
+        check("gain_std_error", s.gain_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
+        check("offset_std_error", s.offset_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
+        s.sigma_t_per_mm.check(check_sigma_t)?;
+        s.albedo.check(check_albedo)?;
+        s.g.check(check_g)?;
+        Ok(Self(settings))
+    }
+
+    pub fn settings(&self) -> &FitSettings {
+        &self.0
+    }
+
+    /// The same with another μ, and its standard error.
+    pub fn with_mu(self, mu: f64, mu_std_error: f64) -> Result<Self> {
+        Self::new(FitSettings { mu, mu_std_error, ..self.0 })
+    }
+
+    /// The same with the anisotropy held at a value.
+    pub fn with_g(self, g: f64) -> Result<Self> {
+        Self::new(FitSettings { g: Bounds::fixed(g), ..self.0 })
+    }
+}
+
+fn check_mu(field: &str, mu: f64) -> Result<f64> {
+    check(field, mu, |v| v > 0.0 && v <= 1e3, "allowed are numbers above 0, at most 1000")
+}
+
+/// Equally spaced scale factors to try.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MuRange {
+    min: f64,
+    max: f64,
+    step: f64,
+}
+
+impl MuRange {
+    pub fn new(min: f64, max: f64, step: f64) -> Result<Self> {
+        check_mu("mu_min", min)?;
+        check_mu("mu_max", max)?;
+        if min > max {
+            let given = format!("{min} to {max}");
+            return Err(Invalid::new("mu_min", given, "the lower bound must not exceed the upper"));
+        }
+        check("mu_step", step, |v| v > 0.0, "allowed are numbers above 0")?;
+        let range = Self { min, max, step };
+        let most = FitLimits::MU_VALUES;
+        let count = (max - min) / step;
+        if count >= most as f64 {
+            let allowed = format!("at most {most} values are allowed");
+            return Err(Invalid::new("mu_step", format_args!("{step} over {min} to {max}"), allowed));
+        }
+        Ok(range)
+    }
+
+    /// First value, last value, step.
+    pub fn parts(&self) -> (f64, f64, f64) {
+        (self.min, self.max, self.step)
+    }
+
+    /// Values from the first to the last that does not exceed the end, by more than rounding.
+    pub fn values(&self) -> Vec<f64> {
+        let count = ((self.max - self.min) / self.step + 1e-9).floor() as usize + 1;
+        // Decimals such as 0.913 come out as they are written.
+        let tidy = |v: f64| (v * 1e12).round() / 1e12;
+        (0..count).map(|i| tidy(self.min + i as f64 * self.step)).collect()
+    }
+}
+
+impl Default for MuRange {
+    /// 0.8 to 1.1 in steps of 0.001: the paper's range ends at 1, where calibrated photographs lie.
+    fn default() -> Self {
+        Self { min: 0.8, max: 1.1, step: 1e-3 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_out_of_range_are_refused_with_field_value_and_range() {
+        let default = FitSettings::default;
+        for (settings, field) in [
+            (FitSettings { mu: 0.0, ..default() }, "mu"),
+            (FitSettings { mu: f64::NAN, ..default() }, "mu"),
+            (FitSettings { lambda: -1.0, ..default() }, "lambda"),
+            (FitSettings { level: 0, ..default() }, "level"),
+            (FitSettings { level: 11, ..default() }, "level"),
+            (FitSettings { top: 0, ..default() }, "top"),
+            (FitSettings { g: Bounds::fixed(1.0), ..default() }, "g"),
+            (FitSettings { albedo: Bounds::fixed(1.5), ..default() }, "albedo"),
+            (FitSettings { mu_std_error: -0.1, ..default() }, "mu_std_error"),
+            (FitSettings { gain_std_error: f64::NAN, ..default() }, "gain_std_error"),
+        ] {
+            assert_eq!(FitOptions::new(settings).unwrap_err().field(), field);
+        }
+    }
+
+    #[test]
+    fn contradictory_bounds_are_refused() {
+        let error = Bounds::new("sigma_t_per_mm", Some(9.0), Some(4.0)).unwrap_err();
+        let told = "sigma_t_per_mm = 9 to 4 is not valid: the lower bound must not exceed the upper";
+        assert_eq!(error.to_string(), told);
+        assert!(Bounds::new("g", None, Some(0.4)).unwrap().contains(-0.5));
+    }
+
+    #[test]
+    fn scale_factors_are_those_of_the_paper_and_bounded_in_number() {
+        let values = MuRange::default().values();
+        assert_eq!((values.len(), values[0], values[113], values[300]), (301, 0.8, 0.913, 1.1));
+        assert_eq!(MuRange::new(0.0, 1.0, 0.1).unwrap_err().field(), "mu_min");
+        assert_eq!(MuRange::new(0.9, 0.8, 0.1).unwrap_err().field(), "mu_min");
+        assert_eq!(MuRange::new(0.8, 1.0, 1e-9).unwrap_err().field(), "mu_step");
+        assert_eq!(MuRange::new(0.9, 0.9, 0.1).unwrap().values(), [0.9]);
+    }
+}

@@ -1,0 +1,33 @@
+//! What the science of the farm is about: media, scenes, grids, profiles, measurements, and the answers of fits.
+//!
+//! A type with a rule to keep has private fields and one validating constructor: whoever holds a [`Grid`] or a
+//! [`Scene`] holds a correct one. Nothing here knows a runtime, a network, a clock, a database or a file.
+
+mod canonical;
+pub mod digest;
+mod files;
+pub mod fit;
+pub mod grid;
+pub mod invalid;
+pub mod job;
+pub mod limits;
+pub mod measurement;
+pub mod medium;
+pub mod packed;
+pub mod profile;
+pub mod scene;
+pub mod sums;
+
+pub use digest::Digest;
+pub use files::{GridFile, SceneFile, SceneRef, whole};
+pub use grid::{Grid, Quality, Walks};
+pub use invalid::{Invalid, Result};
+pub use measurement::{MeasuredProfile, Measurement};
+pub use medium::{Medium, TransportPoint};
+pub use packed::PackedRecords;
+pub use profile::{Derivatives, Estimate, Profile, Record};
+pub use scene::Scene;
+
+/// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
+/// Workers and coordinator must agree on it.
+pub const PHYSICS_VERSION: u32 = 3;

@@ -1,0 +1,20 @@
+//! Bounds of what one question may ask for.
+
+/// Bounds of a question to a dictionary.
+#[derive(Debug)]
+pub struct FitLimits;
+
+impl FitLimits {
+    /// Most neighbours of one fit.
+    pub const TOP: u32 = 10_000;
+    /// Highest level of the wavelet derivative.
+    pub const WAVELET_LEVEL: u32 = 10;
+    /// Most scale factors of one search.
+    pub const MU_VALUES: usize = 10_000;
+    /// Most materials of one request.
+    pub const MATERIALS: usize = 256;
+    /// Most profiles of one measurement.
+    pub const PROFILES: usize = 1024;
+    /// Most pixels of one measured profile.
+    pub const PIXELS: usize = 100_000;
+}

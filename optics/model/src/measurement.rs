@@ -1,0 +1,190 @@
+//! Measured edge profiles.
+
+pub mod checks;
+mod colour;
+
+pub use colour::colour;
+
+use crate::invalid::{Invalid, Result};
+use crate::limits::FitLimits;
+use crate::medium::check_thickness;
+
+/// Fewest pixels of a measured profile: less does not tell an edge from a slope.
+pub const MIN_PIXELS: usize = 8;
+
+/// The edge profile of one channel at one thickness, at equally spaced pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredProfile {
+    channel: String,
+    thickness_mm: f64,
+    x_mm: Vec<f64>,
+    values: Vec<f64>,
+    std_errors: Option<Vec<f64>>,
+}
+
+impl MeasuredProfile {
+    /// `x_mm` are pixel centres at a constant pitch, rising from the dark side to the light side with
+    /// the edge at 0; `values` are linear radiance factors.
+    pub fn new(
+        channel: impl Into<String>,
+        thickness_mm: f64,
+        x_mm: Vec<f64>,
+        values: Vec<f64>,
+        std_errors: Option<Vec<f64>>,
+    ) -> Result<Self> {
+        check_thickness(thickness_mm)?;
+        let n = x_mm.len();
+        if !(MIN_PIXELS..=FitLimits::PIXELS).contains(&n) {
+            let allowed = format!("{MIN_PIXELS} to {} are allowed", FitLimits::PIXELS);
+            return Err(Invalid::new("x_mm", format_args!("{n} pixels"), allowed));
+        }
+        check_pitch(&x_mm)?;
+        check_numbers("values", n, &values, |v| v.abs() <= 1e6, "numbers of size up to 1e6 are allowed")?;
+        if values.iter().all(|v| *v == values[0]) {
+            let allowed = "a constant profile says nothing about the medium";
+            return Err(Invalid::new("values", format_args!("{} everywhere", values[0]), allowed));
+        }
+        if let Some(errors) = &std_errors {
+            check_numbers("std_errors", n, errors, |v| v >= 0.0, "numbers from 0 on are allowed")?;
+        }
+        Ok(Self { channel: channel.into(), thickness_mm, x_mm, values, std_errors })
+    }
+
+    pub fn channel(&self) -> &str {
+        &self.channel
+    }
+
+    pub fn thickness_mm(&self) -> f64 {
+        self.thickness_mm
+    }
+
+    pub fn x_mm(&self) -> &[f64] {
+        &self.x_mm
+    }
+
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    pub fn std_errors(&self) -> Option<&[f64]> {
+        self.std_errors.as_deref()
+    }
+
+    pub fn pitch_mm(&self) -> f64 {
+        pitch(&self.x_mm)
+    }
+}
+
+fn pitch(x: &[f64]) -> f64 {
+    (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64
+}
+
+/// Steps may differ from the mean by 2 %, so that rounded decimals pass.
+fn check_pitch(x: &[f64]) -> Result<()> {
+    if let Some(i) = x.iter().position(|v| !v.is_finite()) {
+        return Err(Invalid::new(format!("x_mm[{i}]"), x[i], "numbers must be finite"));
+    }
+    if let Some(i) = x.windows(2).position(|w| w[1] <= w[0]) {
+        return Err(Invalid::new(format!("x_mm[{}]", i + 1), x[i + 1], "x must be strictly rising"));
+    }
+    let mean = pitch(x);
+    if let Some(i) = x.windows(2).position(|w| ((w[1] - w[0]) / mean - 1.0).abs() > 0.02) {
+        let given = format!("{} after {}", x[i + 1], x[i]);
+        let allowed = format!("pixels must be equally spaced (mean pitch {mean:.5} mm)");
+        return Err(Invalid::new(format!("x_mm[{}]", i + 1), given, allowed));
+    }
+    Ok(())
+}
+
+fn check_numbers(field: &str, n: usize, v: &[f64], ok: impl Fn(f64) -> bool, allowed: &str) -> Result<()> {
+    if v.len() != n {
+        return Err(Invalid::new(
+            field,
+            format_args!("{} numbers", v.len()),
+            format!("{n} are needed, one per pixel"),
+        ));
+    }
+    match v.iter().position(|v| !(v.is_finite() && ok(*v))) {
+        Some(i) => Err(Invalid::new(format!("{field}[{i}]"), v[i], allowed)),
+        None => Ok(()),
+    }
+}
+
+/// All profiles of one material: any channels, any thicknesses, each pair once.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measurement {
+    material: String,
+    profiles: Vec<MeasuredProfile>,
+}
+
+impl Measurement {
+    pub fn new(material: impl Into<String>, profiles: Vec<MeasuredProfile>) -> Result<Self> {
+        let n = profiles.len();
+        if !(1..=FitLimits::PROFILES).contains(&n) {
+            let allowed = format!("1 to {} are allowed", FitLimits::PROFILES);
+            return Err(Invalid::new("profiles", n, allowed));
+        }
+        for (i, p) in profiles.iter().enumerate() {
+            let same = |q: &MeasuredProfile| q.channel == p.channel && q.thickness_mm == p.thickness_mm;
+            if profiles[..i].iter().any(same) {
+                let given = format!("channel {} at {} mm", p.channel, p.thickness_mm);
+                return Err(Invalid::new(format!("profiles[{i}]"), given, "each may be given once"));
+            }
+        }
+        Ok(Self { material: material.into(), profiles })
+    }
+
+    pub fn material(&self) -> &str {
+        &self.material
+    }
+
+    pub fn profiles(&self) -> &[MeasuredProfile] {
+        &self.profiles
+    }
+
+    /// Channel names in the order of their first profile.
+    pub fn channels(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for p in &self.profiles {
+            if !names.contains(&p.channel.as_str()) {
+                names.push(&p.channel);
+            }
+        }
+        names
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn profile(x: Vec<f64>, v: Vec<f64>) -> Result<MeasuredProfile> {
+        MeasuredProfile::new("R", 0.5, x, v, None)
+    }
+
+    fn ramp(n: usize) -> Vec<f64> {
+        (0..n).map(|i| i as f64 * 0.1).collect()
+    }
+
+    #[test]
+    fn profiles_must_be_finite_rising_evenly_spaced_and_not_constant() {
+        assert!(profile(ramp(10), ramp(10)).is_ok());
+        let mut nan = ramp(10);
+        nan[3] = f64::NAN;
+        assert_eq!(profile(ramp(10), nan).unwrap_err().field(), "values[3]");
+        let mut falling = ramp(10);
+        falling.swap(4, 5);
+        assert_eq!(profile(falling, ramp(10)).unwrap_err().field(), "x_mm[5]");
+        let mut uneven = ramp(10);
+        uneven[9] = 1.5;
+        assert!(profile(uneven, ramp(10)).unwrap_err().to_string().contains("equally spaced"));
+        assert!(profile(ramp(10), vec![0.5; 10]).unwrap_err().to_string().contains("constant"));
+        assert!(profile(vec![], vec![]).unwrap_err().to_string().contains("0 pixels"));
+    }
+
+    #[test]
+    fn the_same_profile_twice_is_refused() {
+        let p = profile(ramp(10), ramp(10)).unwrap();
+        assert_eq!(Measurement::new("white", vec![p.clone(), p]).unwrap_err().field(), "profiles[1]");
+    }
+}

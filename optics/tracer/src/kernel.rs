@@ -1,0 +1,110 @@
+//! The ways to run walks: one after the other, or in vectors with the instructions of this machine.
+
+use std::fmt;
+use std::sync::atomic::AtomicBool;
+
+use fearless_simd::{Level, dispatch};
+use optics_model::sums::Sums;
+
+use super::exits::{Chunk, Exit, Exits};
+use super::stack::Stack;
+use super::tally::Tally;
+use super::{Stopped, walk, wavefront};
+
+/// How walks are run. All kernels give the same bits.
+#[derive(Debug, Clone, Copy)]
+pub struct Kernel(Way);
+
+#[derive(Debug, Clone, Copy)]
+enum Way {
+    Scalar,
+    Vector(Level),
+}
+
+impl Kernel {
+    /// One walk after the other: slow, and plain enough to be checked by eye.
+    pub const SCALAR: Self = Self(Way::Scalar);
+
+    /// What runs fastest here: the vector kernel with the best instructions of this machine, or the scalar one where
+    /// vectors have to be pieced together.
+    pub fn fastest() -> Self {
+        match Level::new() {
+            #[cfg(target_arch = "x86_64")]
+            Level::Sse2(_) => Self::SCALAR,
+            level if level.is_fallback() => Self::SCALAR,
+            level => Self(Way::Vector(level)),
+        }
+    }
+
+    /// All kernels that this machine can run: vectors from wide to narrow, then the scalar one.
+    pub fn all() -> Vec<Self> {
+        let level = Level::new();
+        let mut levels = vec![level];
+        #[cfg(target_arch = "x86_64")]
+        levels.extend(
+            [
+                level.as_avx2().map(Level::Avx2),
+                level.as_sse4_2().map(Level::Sse4_2),
+                level.as_sse2().map(Level::Sse2),
+            ]
+            .into_iter()
+            .flatten(),
+        );
+        levels.push(Level::baseline());
+        let mut kernels: Vec<_> = levels.into_iter().map(|level| Self(Way::Vector(level))).collect();
+        kernels.dedup_by_key(|kernel| kernel.name());
+        kernels.push(Self::SCALAR);
+        kernels
+    }
+
+    pub fn name(self) -> &'static str {
+        match self.0 {
+            Way::Scalar => "scalar",
+            #[cfg(target_arch = "x86_64")]
+            Way::Vector(Level::Avx512(_)) => "avx512",
+            #[cfg(target_arch = "x86_64")]
+            Way::Vector(Level::Avx2(_)) => "avx2",
+            #[cfg(target_arch = "x86_64")]
+            Way::Vector(Level::Sse4_2(_)) => "sse4.2",
+            #[cfg(target_arch = "x86_64")]
+            Way::Vector(Level::Sse2(_)) => "sse2",
+            #[cfg(target_arch = "aarch64")]
+            Way::Vector(Level::Neon(_)) => "neon",
+            Way::Vector(_) => "portable",
+        }
+    }
+
+    pub(super) fn run_chunk(
+        self,
+        stack: &Stack,
+        chunk: Chunk,
+        stop: &AtomicBool,
+        exits: &mut Exits,
+    ) -> Result<(), Stopped> {
+        match self.0 {
+            Way::Scalar => walk::run_chunk(stack, chunk, stop, exits),
+            Way::Vector(level) => wavefront::run_chunk(level, stack, chunk, stop, exits),
+        }
+    }
+
+    /// Adds the exits of one batch to the tally and the batch to the sums. The loops over albedos are plain; here the
+    /// compiler may use this machine's vectors for them.
+    pub(super) fn score<'a>(
+        self,
+        tally: &mut Tally<'_>,
+        exits: impl Iterator<Item = Exit<'a>>,
+        partial: &mut Sums,
+    ) {
+        let level = match self.0 {
+            Way::Scalar => Level::baseline(),
+            Way::Vector(level) => level,
+        };
+        dispatch!(level, _simd => tally.add_batch(exits, partial));
+    }
+}
+
+impl fmt::Display for Kernel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}

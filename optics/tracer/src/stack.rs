@@ -1,0 +1,91 @@
+//! A scene and a transport point made ready for the walk: slabs, interfaces, sensor and ring in single
+//! precision.
+
+use glam::Vec3;
+use optics_model::scene::{LayerMedium, sin2};
+use optics_model::{Scene, TransportPoint};
+
+use super::fresnel::RelativeIndex;
+use super::phase::HenyeyGreenstein;
+
+/// A plane interface, seen from both sides.
+#[derive(Debug, Clone, Copy)]
+pub struct Interface {
+    pub from_above: RelativeIndex,
+    pub from_below: RelativeIndex,
+    /// GGX roughness; 0 is smooth.
+    pub alpha: f32,
+}
+
+/// What the walk needs to know of a scene at one transport point.
+#[derive(Debug, Clone)]
+pub struct Stack {
+    /// Thickness in mm of each slab from top to bottom; slab 0 is the air above, the base lies under the last.
+    pub thickness_mm: Vec<f32>,
+    /// `interfaces[i]` lies between slab i and slab i + 1.
+    pub interfaces: Vec<Interface>,
+    /// The slab that scatters.
+    pub sample: usize,
+    /// Mean free path in mm.
+    pub mean_free_path_mm: f32,
+    pub phase: HenyeyGreenstein,
+    /// Direction in which walks leave the sensor, in air.
+    pub sensor_direction: Vec3,
+    /// Bounds of sin² of the polar angle in air between which the light is seen.
+    pub ring_sin2: [f32; 2],
+    pub multiple_scattering: bool,
+}
+
+impl Stack {
+    pub fn new(scene: &Scene, point: &TransportPoint) -> Self {
+        let mut iors = vec![1.0];
+        let mut thickness_mm = vec![0.0];
+        let mut sample = 0;
+        for layer in scene.layers() {
+            let (ior, thickness) = match layer.medium() {
+                LayerMedium::Clear { ior, thickness_mm } => (ior, thickness_mm),
+                LayerMedium::Sample => {
+                    sample = thickness_mm.len();
+                    (point.sample_ior(), point.thickness_mm())
+                }
+            };
+            iors.push(ior);
+            thickness_mm.push(thickness as f32);
+        }
+        let interface = |i: usize| Interface {
+            from_above: RelativeIndex::new(iors[i], iors[i + 1]),
+            from_below: RelativeIndex::new(iors[i + 1], iors[i]),
+            alpha: scene.layers()[i].roughness() as f32,
+        };
+        let (light, polar) = (scene.light(), scene.sensor().polar_deg());
+        // A ring that reaches the horizon or the zenith must not lose directions to rounding.
+        let inner = if light.inner_deg() == 0.0 { -1.0 } else { sin2(light.inner_deg()) as f32 };
+        let outer = if light.outer_deg() == 90.0 { 2.0 } else { sin2(light.outer_deg()) as f32 };
+        let (sin_polar, cos_polar) = (sin2(polar).sqrt(), (1.0 - sin2(polar)).sqrt());
+        Self {
+            interfaces: (0..scene.layers().len()).map(interface).collect(),
+            thickness_mm,
+            sample,
+            mean_free_path_mm: (1.0 / point.sigma_t_per_mm()) as f32,
+            phase: HenyeyGreenstein::new(point.g()),
+            sensor_direction: Vec3::new(0.0, sin_polar as f32, -cos_polar as f32),
+            ring_sin2: [inner, outer],
+            multiple_scattering: scene.multiple_scattering(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_papers_scene_has_five_interfaces_with_the_sample_third() {
+        let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).unwrap();
+        let stack = Stack::new(&Scene::paper(), &point);
+        assert_eq!((stack.interfaces.len(), stack.sample), (5, 3));
+        let alphas: Vec<f32> = stack.interfaces.iter().map(|i| i.alpha).collect();
+        assert_eq!(alphas, [0.0, 0.0, 0.05, 0.05, 0.15]);
+        assert_eq!(stack.thickness_mm, [0.0, 0.17, 0.02, 0.5, 0.02, 0.0]);
+    }
+}

@@ -1,0 +1,80 @@
+//! Flights in the sample: two a block of random numbers, each to a scattering or to a face.
+
+use fearless_simd::{Bytes, Simd, SimdBase, SimdMask, i32x16};
+
+use super::lanes::{Floats, Mask, Walks, Words};
+use super::numbers::{Philox, choose, constant, flip, ln, root, symmetric, uniform, unit_vector};
+use crate::stack::Stack;
+
+/// What a flight needs to know of the sample.
+#[derive(Debug, Clone, Copy)]
+pub struct Sample {
+    mean_free_path_mm: f32,
+    thickness_mm: f32,
+    g: f32,
+    numerator: [f32; 3],
+}
+
+impl Sample {
+    pub fn new(stack: &Stack) -> Self {
+        Self {
+            mean_free_path_mm: stack.mean_free_path_mm,
+            thickness_mm: stack.thickness_mm[stack.sample],
+            g: stack.phase.g,
+            numerator: stack.phase.numerator,
+        }
+    }
+
+    /// Two flights of the chosen lanes. A walk that would pass a face stays where the flight began; returned are the
+    /// lanes that have scattered twice.
+    #[inline(always)]
+    pub fn fly_twice<S: Simd>(&self, random: &Philox<S>, walks: &mut Walks<S>, lanes: Mask<S>) -> Mask<S> {
+        let [path, angles, next_path, next_angles] = random.words(walks.block, walks.walk);
+        walks.block += 1;
+        let inside = self.fly(walks, lanes, path, angles);
+        self.fly(walks, inside, next_path, next_angles)
+    }
+
+    #[inline(always)]
+    fn fly<S: Simd>(
+        &self,
+        walks: &mut Walks<S>,
+        lanes: Mask<S>,
+        path: Words<S>,
+        angles: Words<S>,
+    ) -> Mask<S> {
+        let free = ln(uniform(path)) * -self.mean_free_path_mm;
+        let z = walks.z + walks.dz * free;
+        let down = walks.dz.simd_lt(0.0);
+        let up = walks.dz.simd_gt(0.0);
+        let reaches_face = (down & z.simd_le(0.0)) | (up & z.simd_ge(self.thickness_mm));
+        let scatters = lanes & !reaches_face;
+        let free = choose(scatters, free, constant(free, 0.0));
+        walks.z = choose(scatters, z, walks.z);
+        walks.x += walks.dx * free;
+        walks.length += free;
+        // A true lane is −1.
+        let minus_one: i32x16<S> = scatters.to_vector();
+        walks.scatterings -= minus_one.bitcast::<Words<S>>();
+        let [dx, dy, dz] = self.scatter([walks.dx, walks.dy, walks.dz], angles);
+        walks.dx = choose(scatters, dx, walks.dx);
+        walks.dy = choose(scatters, dy, walks.dy);
+        walks.dz = choose(scatters, dz, walks.dz);
+        scatters
+    }
+
+    /// Henyey–Greenstein, see [`crate::phase`].
+    #[inline(always)]
+    fn scatter<S: Simd>(&self, [nx, ny, nz]: [Floats<S>; 3], bits: Words<S>) -> [Floats<S>; 3] {
+        let xi = symmetric(bits);
+        let [c2, c1, c0] = self.numerator;
+        let denominator = xi * self.g + 1.0;
+        let cos = ((xi * c2 + c1) * xi + c0) / (denominator * denominator);
+        let sin = root(constant(xi, 1.0) - cos * cos);
+        let (x, y) = unit_vector(bits);
+        let (x, y) = (sin * x, sin * y);
+        let q = (nx * x + ny * y) / (nz.abs() + 1.0);
+        let k = q + cos;
+        [nx * k - x, ny * k - y, nz * k + flip(q, nz)]
+    }
+}
