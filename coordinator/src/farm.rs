@@ -2,13 +2,13 @@
 
 mod backup;
 mod events;
-mod figures;
 mod fit_cache;
 mod inspection;
 mod manage;
 mod records;
 mod results;
 mod shared;
+mod snapshot;
 #[cfg(test)]
 mod tests;
 mod work;
@@ -25,15 +25,16 @@ use tokio::sync::watch;
 use crate::clock::{Clock, Random};
 use crate::config::Config;
 use crate::dispatch;
-use crate::dispatch::{Dictionary, DispatchError, Event, EventKind, Origin, Settings};
+use crate::dispatch::{Dictionary, DispatchError, Event, EventKind, Settings};
+use crate::metrics::Metrics;
 use crate::store::{Store, StoreError};
-use crate::web::Metrics;
+use crate::stored::Origin;
 pub(crate) use backup::Backup;
 use events::Recorder;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
 pub(crate) use records::read_chunk;
-pub(crate) use results::Outcome;
+pub(crate) use results::Fate;
 pub(crate) use work::Versions;
 
 #[derive(Debug, thiserror::Error)]

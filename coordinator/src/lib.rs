@@ -3,16 +3,17 @@
 //! `rpc → (dispatch, fit) → store`, never back; [`farm::Farm`] ties them together. The caller owns the port
 //! and the stop signal.
 
+pub mod authorisation;
 pub mod clock;
 pub mod config;
+pub mod connections;
 pub mod dispatch;
 mod farm;
-pub mod gate;
-pub mod incoming;
-mod muffle;
+mod metrics;
 mod rpc;
 pub mod store;
-mod web;
+mod stored;
+mod throttle;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,10 +24,10 @@ use tokio_util::sync::CancellationToken;
 pub use config::Config;
 use farm::Farm;
 pub use farm::{FarmError, load_dictionary};
+use metrics::{BuildInfo, Metrics, MetricsServer};
 use optics_model::PHYSICS_VERSION;
 pub use store::StoreError;
 use store::{Commit, DataDir, Store};
-use web::{BuildInfo, Metrics, Web};
 
 /// How often expired leases are looked for.
 const REAP: Duration = Duration::from_secs(1);
@@ -65,12 +66,12 @@ impl Coordinator {
         Ok(Self { farm: Arc::new(farm), config: config.clone() })
     }
 
-    /// Serves until `shutdown`, then closes the database. Figures are told over HTTP on a listener of their own, if
+    /// Serves until `shutdown`, then closes the database. Metrics are served over HTTP on a listener of their own, if
     /// there is one.
     pub async fn serve(
         self,
         listener: TcpListener,
-        figures: Option<TcpListener>,
+        metrics: Option<TcpListener>,
         shutdown: CancellationToken,
     ) -> Result<(), Error> {
         let address = listener.local_addr().map_err(Error::Address)?;
@@ -79,23 +80,23 @@ impl Coordinator {
         }
         self.farm.started();
         tracing::info!(%address, "coordinator is serving");
-        let figures =
-            figures.map(|listener| tokio::spawn(web::serve(listener, self.web(), shutdown.clone())));
+        let metrics = metrics
+            .map(|listener| tokio::spawn(metrics::serve(listener, self.metrics_server(), shutdown.clone())));
         let reaper = tokio::spawn(reap(self.farm.clone(), shutdown.clone()));
         let served = rpc::serve(self.farm.clone(), &self.config, listener, shutdown.clone()).await;
         shutdown.cancel();
         let _ = reaper.await;
-        if let Some(figures) = figures {
-            let _ = figures.await;
+        if let Some(metrics) = metrics {
+            let _ = metrics.await;
         }
         self.farm.store().dir().forget_address();
         self.farm.close().await;
         Ok(served?)
     }
 
-    fn web(&self) -> Web {
-        let (figures, ready) = (self.farm.clone(), self.farm.clone());
-        Web::new(self.farm.metrics().clone(), move || figures.figures(), move || ready.ready())
+    fn metrics_server(&self) -> MetricsServer {
+        let (farm, ready) = (self.farm.clone(), self.farm.clone());
+        MetricsServer::new(self.farm.metrics().clone(), move || farm.snapshot(), move || ready.ready())
     }
 }
 

@@ -113,7 +113,17 @@ fn wire_types_stay_at_the_edges_of_the_coordinator() {
 fn dispatch_is_synchronous_and_blind() {
     assert_absent(
         "coordinator/src/dispatch",
-        &["tokio", "async fn", "Instant", "SystemTime", "sqlx", "tonic::", "crate::rpc"],
+        &[
+            "tokio",
+            "async fn",
+            "Instant",
+            "SystemTime",
+            "sqlx",
+            "tonic::",
+            "crate::rpc",
+            "crate::store::",
+            "crate::farm",
+        ],
     );
 }
 

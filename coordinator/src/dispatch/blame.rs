@@ -5,7 +5,8 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::LeaseKey;
 
-use super::job::{self, Strike};
+use super::job;
+use super::job::Strike;
 use super::leases::Held;
 use super::{DispatchError, Dispatcher, Effect, Event, EventKind, PartId, Purpose};
 

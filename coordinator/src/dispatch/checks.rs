@@ -2,15 +2,12 @@
 //!
 //! Results are deterministic, so of two that differ one is wrong. A third worker decides: what two agree on is right.
 
+use crate::stored::Origin;
 use std::collections::BTreeMap;
 
 use optics_model::Digest;
 
 use super::PartId;
-
-/// A worker's process, by the number of its row in the store: what results are traced back to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Origin(pub i64);
 
 /// Checks that may wait; when there are more, the oldest are dropped.
 const MOST: usize = 1000;

@@ -11,9 +11,11 @@ use optics_model::{Digest, Grid, Invalid, Walks};
 
 use super::checks::Vote;
 use super::job::{Job, Part, Stage, Strike};
-use super::plan::{self, Plan};
-use super::{Origin, PartId, shared};
-use crate::store::{Desire, EndedJob, StoredDictionary};
+use super::plan;
+use super::plan::Plan;
+use super::{PartId, shared};
+use crate::stored::Origin;
+use crate::stored::{DesiredState, EndedJob, StoredDictionary};
 
 /// Numbers that change with every job, kept so that nobody has to count.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
@@ -129,12 +131,12 @@ impl Dictionary {
 
     /// Whether results are wanted. What was leased before a pause may still be finished.
     pub(super) fn takes_results(&self) -> bool {
-        self.stored.desire != Desire::Cancel && self.is_workable()
+        self.stored.desire != DesiredState::Cancel && self.is_workable()
     }
 
     /// Whether parts of it may be given out.
     pub fn is_active(&self) -> bool {
-        self.stored.desire == Desire::Run && self.is_workable()
+        self.stored.desire == DesiredState::Run && self.is_workable()
     }
 
     /// Whether its jobs could be worked on, whatever people want of it.
@@ -363,7 +365,7 @@ impl Dictionary {
         again
     }
 
-    pub(super) fn set_desire(&mut self, desire: Desire, reason: String) {
+    pub(super) fn set_desire(&mut self, desire: DesiredState, reason: String) {
         self.stored.desire = desire;
         if self.too_large.is_none() {
             self.stored.reason = reason;

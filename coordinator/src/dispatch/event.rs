@@ -2,7 +2,7 @@
 
 use farm_proto::ids::DictionaryId;
 
-use super::Origin;
+use crate::stored::Origin;
 
 /// Something that the store has to do.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use optics_model::{Digest, Walks};
 
-use super::Origin;
-use crate::store::EndedJob;
+use crate::stored::EndedJob;
+use crate::stored::Origin;
 
 /// A block of a divided job, or the whole of one that is not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -23,6 +23,7 @@ mod shared;
 mod tests;
 mod workers;
 
+use crate::stored::Origin;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -32,9 +33,8 @@ use farm_proto::lease::Lease;
 use farm_proto::status::DictionaryStatus;
 use optics_model::Walks;
 
-use crate::store::Desire;
+use crate::stored::DesiredState;
 use checks::Checks;
-pub use checks::Origin;
 pub use dictionary::Dictionary;
 pub use event::{Effect, Event, EventKind};
 pub use explain::Reason;
@@ -229,10 +229,10 @@ impl Dispatcher {
     }
 
     /// What people want of a dictionary; the store has it already.
-    pub fn set_desire(&mut self, id: DictionaryId, desire: Desire, reason: String) {
+    pub fn set_desire(&mut self, id: DictionaryId, desire: DesiredState, reason: String) {
         if let Some(dictionary) = self.dictionaries.get_mut(&id) {
             dictionary.set_desire(desire, reason);
-            if desire == Desire::Cancel {
+            if desire == DesiredState::Cancel {
                 let held: Vec<Token> =
                     self.leases.iter().filter(|h| h.key.dictionary == id).map(|h| h.key.token).collect();
                 for token in held {

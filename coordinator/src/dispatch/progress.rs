@@ -8,7 +8,7 @@ use optics_model::Digest;
 
 use super::Dictionary;
 use super::job::{Job, Stage};
-use crate::store::Desire;
+use crate::stored::DesiredState;
 
 impl Dictionary {
     pub fn state(&self) -> DictionaryState {
@@ -20,10 +20,10 @@ impl Dictionary {
         }
         match self.stored.desire {
             _ if self.too_large.is_some() => DictionaryState::Cancelled,
-            Desire::Cancel => DictionaryState::Cancelled,
+            DesiredState::Cancel => DictionaryState::Cancelled,
             _ if self.open_jobs() == 0 => DictionaryState::Failed,
-            Desire::Pause => DictionaryState::Paused,
-            Desire::Run => DictionaryState::Running,
+            DesiredState::Pause => DictionaryState::Paused,
+            DesiredState::Run => DictionaryState::Running,
         }
     }
 

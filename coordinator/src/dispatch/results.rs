@@ -7,9 +7,11 @@ use farm_proto::lease::LeaseKey;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Walks};
 
-use super::checks::{self, Verdict, Vote};
+use super::checks;
+use super::checks::{Verdict, Vote};
 use super::job::{Stage, Strike};
-use super::{DispatchError, Dispatcher, Effect, Event, EventKind, Origin, PartId, Purpose};
+use super::{DispatchError, Dispatcher, Effect, Event, EventKind, PartId, Purpose};
+use crate::stored::Origin;
 
 /// What to do with a result that has come in.
 #[derive(Debug, Clone, PartialEq)]

@@ -9,7 +9,8 @@ use farm_proto::ids::DictionaryId;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, TransportPoint, Walks};
 
-use super::{Dictionary, Dispatcher, Origin, PartId};
+use super::{Dictionary, Dispatcher, PartId};
+use crate::stored::Origin;
 
 /// A job of a dictionary.
 pub type Place = (DictionaryId, u32);

@@ -13,10 +13,9 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
 
-use super::{
-    Admission, Arrived, Chance, Dictionary, DispatchError, Dispatcher, Origin, Registration, Settings,
-};
-use crate::store::{Desire, EndedJob, StoredDictionary};
+use super::{Admission, Arrived, Chance, Dictionary, DispatchError, Dispatcher, Registration, Settings};
+use crate::stored::Origin;
+use crate::stored::{DesiredState, EndedJob, StoredDictionary};
 
 pub(super) const DIGEST: Digest = Digest::from_bytes([7; 32]);
 
@@ -43,7 +42,7 @@ pub(super) fn stored() -> StoredDictionary {
         grid: Arc::new(grid),
         created_unix_ms: 0,
         priority: 0,
-        desire: Desire::Run,
+        desire: DesiredState::Run,
         reason: String::new(),
     }
 }
@@ -260,12 +259,12 @@ fn priorities_and_desires_decide_what_is_given_out() {
     bench.farm.set_priority(DictionaryId(2), 5);
     assert_eq!(bench.acquire(0, "a", 1)[0].key.dictionary, DictionaryId(2));
     assert!(bench.reasons(0).contains(&"HIGHER_PRIORITY"));
-    bench.farm.set_desire(DictionaryId(2), Desire::Pause, String::new());
+    bench.farm.set_desire(DictionaryId(2), DesiredState::Pause, String::new());
     assert_eq!(bench.acquire(0, "a", 1)[0].key.dictionary, DictionaryId(1));
-    bench.farm.set_desire(DictionaryId(1), Desire::Cancel, "enough".to_owned());
+    bench.farm.set_desire(DictionaryId(1), DesiredState::Cancel, "enough".to_owned());
     assert!(bench.acquire(0, "a", 9).is_empty());
     assert_eq!((bench.state(), bench.status().reason.as_str()), (DictionaryState::Cancelled, "enough"));
-    bench.farm.set_desire(DictionaryId(1), Desire::Run, String::new());
+    bench.farm.set_desire(DictionaryId(1), DesiredState::Run, String::new());
     assert_eq!(bench.acquire(1, "a", 9).len(), 3, "what was out when it was cancelled is out no more");
 }
 
@@ -348,7 +347,7 @@ fn what_was_leased_before_a_pause_is_finished_and_nothing_else_is_given_out() {
     for second in (4..=20).step_by(4) {
         bench.farm.expire(seconds(second));
     }
-    bench.farm.set_desire(DictionaryId(1), Desire::Pause, String::new());
+    bench.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
     assert!(bench.acquire(20, "b", 9).is_empty(), "no second copy either");
     assert!(matches!(bench.admit("a", &leases[0]), Ok(Admission::Store { .. })));
 }

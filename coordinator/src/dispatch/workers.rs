@@ -6,7 +6,8 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{WorkerState, WorkerStatus};
 
-use super::{DispatchError, Dispatcher, Event, EventKind, Origin};
+use super::{DispatchError, Dispatcher, Event, EventKind};
+use crate::stored::Origin;
 
 /// Workers that hold no lease are forgotten after this long.
 const FORGET: Duration = Duration::from_mins(10);

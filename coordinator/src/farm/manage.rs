@@ -10,7 +10,8 @@ use optics_model::{Digest, Grid};
 use super::{Farm, FarmError, Result, blocking, not_found};
 use crate::clock::Clock;
 use crate::dispatch::{Dictionary, Event, EventKind, Plan, Reason};
-use crate::store::{Desire, StoreError, StoredDictionary, StoredEvent};
+use crate::store::{StoreError, StoredEvent};
+use crate::stored::{DesiredState, StoredDictionary};
 
 impl Farm {
     /// Creates a dictionary, or finds the one of the same name and grid. Records that exist already are used.
@@ -83,23 +84,23 @@ impl Farm {
     }
 
     pub(crate) async fn pause(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
-        self.change(name, Desire::Pause, "", &[DictionaryState::Running, DictionaryState::Paused]).await
+        self.change(name, DesiredState::Pause, "", &[DictionaryState::Running, DictionaryState::Paused]).await
     }
 
     pub(crate) async fn resume(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
         let from = [DictionaryState::Paused, DictionaryState::Cancelled, DictionaryState::Running];
-        self.change(name, Desire::Run, "", &from).await
+        self.change(name, DesiredState::Run, "", &from).await
     }
 
     pub(crate) async fn cancel(&self, name: &DictionaryName, reason: &str) -> Result<DictionaryStatus> {
         let from = [DictionaryState::Running, DictionaryState::Paused, DictionaryState::Cancelled];
-        self.change(name, Desire::Cancel, reason, &from).await
+        self.change(name, DesiredState::Cancel, reason, &from).await
     }
 
     async fn change(
         &self,
         name: &DictionaryName,
-        desire: Desire,
+        desire: DesiredState,
         reason: &str,
         from: &[DictionaryState],
     ) -> Result<DictionaryStatus> {
@@ -107,11 +108,11 @@ impl Farm {
         let status = self.status(name)?;
         if !from.contains(&status.state()) {
             let allowed = match desire {
-                Desire::Run => {
+                DesiredState::Run => {
                     "only one that is paused or cancelled can be resumed; `retry` is for failed jobs"
                 }
-                Desire::Pause => "only one that is running can be paused",
-                Desire::Cancel => "only one that is running or paused can be cancelled",
+                DesiredState::Pause => "only one that is running can be paused",
+                DesiredState::Cancel => "only one that is running or paused can be cancelled",
             };
             return Err(FarmError::WrongState {
                 name: name.clone(),
@@ -120,19 +121,19 @@ impl Farm {
             });
         }
         let (id, grid) = self.found(name)?;
-        if desire == Desire::Run {
+        if desire == DesiredState::Run {
             grid.check_parts()?;
         }
         self.store.set_desire(id, desire, reason).await?;
         self.dispatch().set_desire(id, desire, reason.to_owned());
-        if desire == Desire::Run {
+        if desire == DesiredState::Run {
             let _nothing_is_forgotten = self.records.read().await;
             self.take_over_done(id).await?;
         }
         let kind = match desire {
-            Desire::Run => EventKind::Resumed,
-            Desire::Pause => EventKind::Paused,
-            Desire::Cancel => EventKind::Cancelled,
+            DesiredState::Run => EventKind::Resumed,
+            DesiredState::Pause => EventKind::Paused,
+            DesiredState::Cancel => EventKind::Cancelled,
         };
         self.recorder.record(name.as_str(), &Event::of_dictionary(kind, id, reason));
         self.work.send_replace(());

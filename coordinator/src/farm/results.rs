@@ -9,13 +9,15 @@ use optics_model::job::JobSpec;
 
 use super::records::UNSTEADY;
 use super::{Farm, Result};
-use crate::dispatch::{Admission, Arrived, Event, EventKind, Origin};
-use crate::store::{Completion, Content, StoreError, Stored};
-use crate::web::{JobOutcome, VerificationOutcome};
+use crate::dispatch::{Admission, Arrived, Event, EventKind};
+use crate::metrics::{JobOutcome, VerificationOutcome};
+use crate::store::StoreError;
+use crate::stored::Origin;
+use crate::stored::{Completion, JobResult, Outcome};
 
 /// What became of a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Outcome {
+pub(crate) enum Fate {
     Stored,
     Duplicate,
     Conflict,
@@ -30,29 +32,29 @@ impl Farm {
         worker: WorkerId,
         key: LeaseKey,
         admission: Admission,
-        content: Content,
-    ) -> Result<Outcome> {
+        content: JobResult,
+    ) -> Result<Fate> {
         let outcome = match admission {
             Admission::Store { job, by } => {
                 let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
                 self.store_result(&arrived, job.clone(), content).await
             }
             Admission::Compare { by, stored, .. } => Ok(self.compare(by, &key, stored, content.digest())),
-            Admission::Repeated { .. } => Ok(Outcome::Duplicate),
+            Admission::Repeated { .. } => Ok(Fate::Duplicate),
         };
         self.settle().await;
         self.changed.send_replace(());
         let outcome = outcome?;
         match outcome {
-            Outcome::Stored => self.metrics.job_completed(JobOutcome::Stored),
-            Outcome::Duplicate => self.metrics.job_completed(JobOutcome::Duplicate),
-            Outcome::Conflict => self.metrics.job_completed(JobOutcome::Conflict),
-            Outcome::Unwanted => {}
+            Fate::Stored => self.metrics.job_completed(JobOutcome::Stored),
+            Fate::Duplicate => self.metrics.job_completed(JobOutcome::Duplicate),
+            Fate::Conflict => self.metrics.job_completed(JobOutcome::Conflict),
+            Fate::Unwanted => {}
         }
         Ok(outcome)
     }
 
-    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, content: Content) -> Result<Outcome> {
+    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, content: JobResult) -> Result<Fate> {
         let key = arrived.key;
         let quality = self.dispatch().by_id(key.dictionary).and_then(|d| d.grid().quality());
         let completion = Completion {
@@ -69,14 +71,14 @@ impl Farm {
         self.note_store_fault(stored.as_ref().err());
         let now = self.clock.now();
         match stored {
-            Ok(Stored::Finished { records }) => {
+            Ok(Outcome::Finished { records }) => {
                 self.dispatch().finished(now, arrived, records);
                 self.serve_others(key, arrived.by).await;
                 if self.dispatch().checks().2 > 0 {
                     self.work.send_replace(());
                 }
             }
-            Ok(Stored::Part) => {
+            Ok(Outcome::Part) => {
                 self.dispatch().part_finished(now, arrived);
                 // Blocks are shared by dictionaries that ask for the same: another one may have merged those that this one
                 // has counted.
@@ -85,17 +87,17 @@ impl Farm {
                     self.work.send_replace(());
                 }
             }
-            Ok(Stored::MoreWalks(walks)) => {
+            Ok(Outcome::MoreWalks(walks)) => {
                 self.dispatch().prolong(now, arrived, walks);
                 self.find_blocks_of(key).await?;
                 self.work.send_replace(());
             }
-            Ok(Stored::Unwanted) => return Ok(Outcome::Unwanted),
-            Ok(Stored::Before { records, new }) => return Ok(self.compare(arrived.by, key, records, new)),
-            Ok(Stored::Differs) => {
+            Ok(Outcome::Unwanted) => return Ok(Fate::Unwanted),
+            Ok(Outcome::Before { records, new }) => return Ok(self.compare(arrived.by, key, records, new)),
+            Ok(Outcome::Differs) => {
                 drop(nothing_is_forgotten);
                 self.distrust(arrived, &job).await?;
-                return Ok(Outcome::Conflict);
+                return Ok(Fate::Conflict);
             }
             Err(error) => {
                 drop(nothing_is_forgotten);
@@ -105,7 +107,7 @@ impl Farm {
                 return Err(error.into());
             }
         }
-        Ok(Outcome::Stored)
+        Ok(Fate::Stored)
     }
 
     /// Other records are stored for the same walks, by a job of another dictionary: one of two workers has computed
@@ -147,7 +149,7 @@ impl Farm {
         Ok(())
     }
 
-    fn compare(&self, by: Origin, key: &LeaseKey, stored: Digest, new: Digest) -> Outcome {
+    fn compare(&self, by: Origin, key: &LeaseKey, stored: Digest, new: Digest) -> Fate {
         let mut dispatch = self.dispatch();
         let before = dispatch.checks();
         let equal = dispatch.compared(by, key, stored, new);
@@ -160,7 +162,7 @@ impl Farm {
             // A third worker decides, which may be waiting for work.
             self.work.send_replace(());
         }
-        if equal { Outcome::Duplicate } else { Outcome::Conflict }
+        if equal { Fate::Duplicate } else { Fate::Conflict }
     }
 
     fn note_store_fault(&self, error: Option<&StoreError>) {

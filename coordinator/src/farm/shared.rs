@@ -6,8 +6,9 @@ use optics_model::Digest;
 use optics_model::job::JobSpec;
 
 use super::Farm;
-use crate::dispatch::{Dictionary, Origin};
+use crate::dispatch::Dictionary;
 use crate::store::StoreError;
+use crate::stored::Origin;
 
 impl Farm {
     /// Ends the jobs of other dictionaries that the records of a job serve too. The caller sees to it that nothing is

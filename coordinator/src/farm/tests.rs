@@ -12,12 +12,13 @@ use optics_model::scene::{Scene, Sensor};
 use optics_model::{Estimate, Grid, PHYSICS_VERSION, PackedRecords, Profile, Record, Walks};
 use sqlx::Connection;
 
-use super::{Farm, FarmError, Outcome, Versions};
+use super::{Farm, FarmError, Fate, Versions};
 use crate::config::Config;
 use crate::dispatch::Registration;
+use crate::metrics::{BuildInfo, Metrics};
 use crate::rpc;
-use crate::store::{Completion, Content, DataDir, Desire, Store};
-use crate::web::{BuildInfo, Metrics};
+use crate::store::{DataDir, Store};
+use crate::stored::{Completion, DesiredState, JobResult};
 
 const JOBS: u32 = 40;
 
@@ -39,12 +40,12 @@ fn value(job: u32) -> f32 {
 }
 
 /// Records of a job whose numbers are all the same.
-fn content(job: &JobSpec, value: f32) -> Content {
+fn content(job: &JobSpec, value: f32) -> JobResult {
     let estimate = || Estimate::new(vec![value; 4], vec![0.1; 4]).unwrap();
     let profile = || Profile { radiance_factor: estimate(), derivatives: None };
     let record = |index| Record { index, profiles: (0..3).map(|_| profile()).collect() };
     let first = job.first_record();
-    Content::Records(PackedRecords::pack(job, &(first..first + 2).map(record).collect::<Vec<_>>()))
+    JobResult::Records(PackedRecords::pack(job, &(first..first + 2).map(record).collect::<Vec<_>>()))
 }
 
 fn completion(dictionary: DictionaryId, worker: i64, job_number: u32) -> Completion {
@@ -220,7 +221,7 @@ async fn worker(farm: &Farm, label: &str) -> WorkerId {
 }
 
 /// Gives a worker one job, and takes records whose numbers are all the same.
-async fn deliver(farm: &Farm, worker: &WorkerId, value: f32) -> Outcome {
+async fn deliver(farm: &Farm, worker: &WorkerId, value: f32) -> Fate {
     let lease = farm.acquire(worker, 1).unwrap().leases.remove(0);
     let admission = farm.admit(worker, &lease.key, lease.job.identity()).unwrap();
     let content = content(&lease.job, value);
@@ -234,13 +235,13 @@ async fn a_dispute_wakes_workers_that_wait() {
     store.create_dictionary(name(), grid(), 0, 8).await.unwrap();
     let farm = load_with(store, 1.0).await;
     let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
-    assert_eq!(deliver(&farm, &first, 0.25).await, Outcome::Stored);
+    assert_eq!(deliver(&farm, &first, 0.25).await, Fate::Stored);
     let lease = farm.acquire(&second, 1).unwrap().leases.remove(0);
     let third = farm.work();
     let admission = farm.admit(&second, &lease.key, lease.job.identity()).unwrap();
     let other = content(&lease.job, 0.5);
     let outcome = farm.complete(second, lease.key, admission, other).await.unwrap();
-    assert_eq!(outcome, Outcome::Conflict);
+    assert_eq!(outcome, Fate::Conflict);
     assert!(third.has_changed().unwrap(), "there is something to decide");
 }
 
@@ -251,7 +252,7 @@ async fn work(farm: &Farm, worker: &WorkerId) -> usize {
         let admission = farm.admit(worker, &lease.key, lease.job.identity()).unwrap();
         let content = content(&lease.job, value(lease.key.job));
         let outcome = farm.complete(worker.clone(), lease.key, admission, content).await.unwrap();
-        assert_eq!(outcome, Outcome::Stored);
+        assert_eq!(outcome, Fate::Stored);
         done += 1;
     }
     done
@@ -292,7 +293,7 @@ async fn records_that_came_for_another_dictionary_are_found_by_resume_and_restar
     assert_eq!(farm.status(&second).unwrap().jobs_done, 0);
     // As if the coordinator had been killed before it resumed.
     let (id, _) = farm.found(&second).unwrap();
-    farm.store.set_desire(id, Desire::Run, "").await.unwrap();
+    farm.store.set_desire(id, DesiredState::Run, "").await.unwrap();
     farm.close().await;
     drop(farm);
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();

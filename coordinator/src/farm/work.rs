@@ -7,11 +7,10 @@ use optics_model::{Digest, PHYSICS_VERSION};
 
 use super::{Farm, FarmError, Result, chance};
 use crate::clock::random_token;
-use crate::dispatch::{
-    Admission, Dictionary, Effect, EventKind, Grant, Origin, Purpose, Registration, Settings,
-};
+use crate::dispatch::{Admission, Dictionary, Effect, EventKind, Grant, Purpose, Registration, Settings};
+use crate::metrics::{JobFailure, LeaseKind};
 use crate::store::StoreError;
-use crate::web::{JobFailure, LeaseKind};
+use crate::stored::Origin;
 
 /// What a worker and the coordinator must agree on.
 #[derive(Debug, Clone, Copy)]

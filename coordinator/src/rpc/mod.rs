@@ -24,12 +24,12 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tonic::transport::Server;
 
+use crate::authorisation::AuthorisationLayer;
 use crate::config::Config;
+use crate::connections;
+use crate::connections::{Connections, Incoming};
 use crate::farm::Farm;
-use crate::gate::GateLayer;
-use crate::incoming;
-use crate::incoming::{Connections, Incoming};
-use crate::web::Metrics;
+use crate::metrics::Metrics;
 use limits::Limits;
 
 /// HTTP/2 pings find links that were cut without a word.
@@ -64,7 +64,7 @@ pub(crate) async fn serve(
     let metrics = farm.metrics().clone();
     let context = Context { farm, shutdown: shutdown.clone(), limits: Limits::default() };
     let limit = RequestLimits::MESSAGE_BYTES;
-    let connections = Incoming::new(listener, incoming::Limits::new(config.max_connections));
+    let connections = Incoming::new(listener, connections::Limits::new(config.max_connections));
     tokio::spawn(count_refused(connections.connections(), metrics.clone(), shutdown.clone()));
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<DictionariesServer<Context>>().await;
@@ -85,7 +85,7 @@ pub(crate) async fn serve(
         .http2_keepalive_timeout(Some(KEEPALIVE))
         .max_concurrent_streams(STREAMS)
         .max_frame_size(FRAME_BYTES)
-        .layer(GateLayer::new(config.access.clone(), move |method, code, took| {
+        .layer(AuthorisationLayer::new(config.access.clone(), move |method, code, took| {
             metrics.rpc(method, code, took);
         }));
     if let Some(access) = &config.access {

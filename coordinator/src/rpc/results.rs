@@ -17,8 +17,8 @@ use super::Context;
 use super::leases::identity;
 use super::status::{OrStatus, required};
 use crate::dispatch::Admission;
-use crate::farm::{FarmError, Outcome};
-use crate::store;
+use crate::farm::{FarmError, Fate};
+use crate::stored::JobResult;
 
 /// How long a client may take for the next piece of a result.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -74,7 +74,7 @@ pub(super) async fn receive(
 }
 
 enum Task {
-    Storing(tokio::task::JoinHandle<Result<Outcome, FarmError>>),
+    Storing(tokio::task::JoinHandle<Result<Fate, FarmError>>),
     Refused(String),
 }
 
@@ -94,14 +94,14 @@ impl Task {
                     Err(error) => return Err(error.into()),
                 };
                 match outcome {
-                    Outcome::Stored => (CompletionKind::Stored, String::new()),
-                    Outcome::Duplicate => (CompletionKind::Duplicate, String::new()),
-                    Outcome::Conflict => {
+                    Fate::Stored => (CompletionKind::Stored, String::new()),
+                    Fate::Duplicate => (CompletionKind::Duplicate, String::new()),
+                    Fate::Conflict => {
                         let message = "other records than these are stored: this worker or an earlier one \
                                        computes wrongly";
                         (CompletionKind::Conflict, message.to_owned())
                     }
-                    Outcome::Unwanted => (CompletionKind::Refused, "not wanted any more".to_owned()),
+                    Fate::Unwanted => (CompletionKind::Refused, "not wanted any more".to_owned()),
                 }
             }
         };
@@ -138,14 +138,14 @@ fn bytes_of(job: &JobSpec) -> usize {
 async fn content_of(
     stream: &mut Streaming<CompleteRequest>,
     job: &JobSpec,
-) -> Result<(store::Content, Option<Content>), Status> {
+) -> Result<(JobResult, Option<Content>), Status> {
     let (bytes, after) = gather(stream, job).await?;
     if job.block().is_none() {
-        return Ok((store::Content::Records(PackedRecords::new(job, bytes).or_status()?), after));
+        return Ok((JobResult::Records(PackedRecords::new(job, bytes).or_status()?), after));
     }
     // Refused here rather than when they are merged.
     Sums::from_le_bytes(job, 1, &bytes).or_status()?;
-    Ok((store::Content::Sums(bytes), after))
+    Ok((JobResult::Sums(bytes), after))
 }
 
 /// The pieces of one result as a whole, not longer than it may be, and what comes after it. They are copied to a place of

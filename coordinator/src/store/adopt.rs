@@ -6,7 +6,8 @@ use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Grid};
 use sqlx::SqliteConnection;
 
-use super::{Result, Store, StoredDictionary, doing, points};
+use super::{Result, Store, doing, points};
+use crate::stored::StoredDictionary;
 
 const WHAT: &str = "moving records to the present schema";
 

@@ -15,7 +15,8 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use self::facts::{Ended, Facts};
 use self::script::Script;
-use super::{Completion, Content, Result, Stored, doing, points, sums};
+use super::{Result, doing, points, sums};
+use crate::stored::{Completion, JobResult, Outcome};
 
 /// Most values of one query that are looked up or written.
 const ROWS: usize = 256;
@@ -53,7 +54,7 @@ struct End<'a> {
 }
 
 /// Stores results in a transaction; what becomes of each, in their order.
-pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Stored>> {
+pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Outcome>> {
     let mut known = Known { facts: Facts::look(tx, completions).await?, points: Points::default() };
     let wanted: Vec<&Completion> = completions.iter().filter(|c| known.is_wanted(c)).collect();
     known.points = Points::look(tx, &wanted, &known.facts).await?;
@@ -92,9 +93,9 @@ impl Known {
     }
 
     /// What becomes of a result of which nothing is kept; None if it is wanted.
-    fn verdict(&self, completion: &Completion) -> Option<Stored> {
+    fn verdict(&self, completion: &Completion) -> Option<Outcome> {
         if self.is_refused(completion) {
-            return Some(Stored::Unwanted);
+            return Some(Outcome::Unwanted);
         }
         let Ended { records: Some(records), walks } =
             self.facts.ended.get(&(completion.dictionary, completion.job_number))?
@@ -102,10 +103,10 @@ impl Known {
             return None;
         };
         // Records of other walks, and sums, cannot be compared with these.
-        let comparable = matches!(completion.content, Content::Records(_))
+        let comparable = matches!(completion.content, JobResult::Records(_))
             && walks.is_none_or(|walks| walks == completion.job.walks());
-        let before = || Stored::Before { records: *records, new: completion.content.digest() };
-        Some(if comparable { before() } else { Stored::Unwanted })
+        let before = || Outcome::Before { records: *records, new: completion.content.digest() };
+        Some(if comparable { before() } else { Outcome::Unwanted })
     }
 
     /// Takes a result that is wanted: notes what is to be written if it ends its job.
@@ -114,17 +115,17 @@ impl Known {
         tx: &mut SqliteConnection,
         completion: &'a Completion,
         ends: &mut Vec<End<'a>>,
-    ) -> Result<Stored> {
+    ) -> Result<Outcome> {
         let Completion { job, worker, content, quality, .. } = completion;
         let merged;
         let (records, gathered) = match content {
-            Content::Records(records) => (records, None),
-            Content::Sums(bytes) => {
+            JobResult::Records(records) => (records, None),
+            JobResult::Sums(bytes) => {
                 let point = points::point(tx, Digest::of_sums(job)).await?;
                 points::contribute(tx, point, *worker).await?;
                 let block = job.block().unwrap_or(0);
                 let Some(total) = sums::add(tx, point, job, block, bytes).await? else {
-                    return Ok(Stored::Part);
+                    return Ok(Outcome::Part);
                 };
                 merged = PackedRecords::pack(job, &total.into_records(job));
                 (&merged, Some(point))
@@ -136,16 +137,16 @@ impl Known {
             if let Some(gathered) = gathered {
                 points::forget_gathered(tx, gathered).await?;
             }
-            return Ok(Stored::MoreWalks(more));
+            return Ok(Outcome::MoreWalks(more));
         }
         let Some(point) = self.points.put(job.identity(), job.albedo(), records) else {
-            return Ok(Stored::Differs);
+            return Ok(Outcome::Differs);
         };
         let digest = records.digest();
         let ended = Ended { records: Some(digest), walks: Some(job.walks()) };
         self.facts.ended.insert((completion.dictionary, completion.job_number), ended);
         ends.push(End { completion, point, digest, gathered });
-        Ok(Stored::Finished { records: digest })
+        Ok(Outcome::Finished { records: digest })
     }
 }
 

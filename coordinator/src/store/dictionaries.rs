@@ -8,37 +8,7 @@ use optics_model::{Digest, Grid};
 use prost::Message;
 
 use super::{Result, Store, StoreError, doing, points};
-
-/// What people want of a dictionary.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Desire {
-    Run,
-    Pause,
-    Cancel,
-}
-
-impl Desire {
-    fn as_str(self) -> &'static str {
-        match self {
-            Self::Run => "run",
-            Self::Pause => "pause",
-            Self::Cancel => "cancel",
-        }
-    }
-}
-
-#[derive(Debug, Clone, PartialEq)]
-pub struct StoredDictionary {
-    pub id: DictionaryId,
-    pub name: DictionaryName,
-    pub grid: Arc<Grid>,
-    pub grid_digest: Digest,
-    pub created_unix_ms: u64,
-    pub priority: i32,
-    pub desire: Desire,
-    /// Why it was cancelled.
-    pub reason: String,
-}
+use crate::stored::{DesiredState, StoredDictionary};
 
 #[derive(sqlx::FromRow)]
 struct DictionaryRow {
@@ -61,8 +31,9 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
         let grid = wire::Grid::decode(&row.grid[..]).map_err(|e| corrupt("grid", e.to_string()))?;
         let digest = <[u8; 32]>::try_from(&row.grid_digest[..])
             .map_err(|_| corrupt("grid_digest", format!("{} bytes", row.grid_digest.len())))?;
-        let desire =
-            [Desire::Run, Desire::Pause, Desire::Cancel].into_iter().find(|d| d.as_str() == row.desire);
+        let desire = [DesiredState::Run, DesiredState::Pause, DesiredState::Cancel]
+            .into_iter()
+            .find(|d| d.as_str() == row.desire);
         Ok(Self {
             id: DictionaryId(row.id),
             name: DictionaryName::new(row.name.clone()).map_err(|e| corrupt("name", e.to_string()))?,
@@ -120,12 +91,12 @@ impl Store {
             grid_digest,
             created_unix_ms,
             priority,
-            desire: Desire::Run,
+            desire: DesiredState::Run,
             reason: String::new(),
         })
     }
 
-    pub async fn set_desire(&self, id: DictionaryId, desire: Desire, reason: &str) -> Result<()> {
+    pub async fn set_desire(&self, id: DictionaryId, desire: DesiredState, reason: &str) -> Result<()> {
         sqlx::query("UPDATE dictionaries SET desire = ?, reason = ? WHERE id = ?")
             .bind(desire.as_str())
             .bind(reason)

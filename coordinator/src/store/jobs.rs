@@ -4,33 +4,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Walks};
 
 use super::{Result, Store, StoreError, doing};
-
-/// How a job ended.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum EndedJob {
-    Done {
-        job: u32,
-        walks: Walks,
-        records: Digest,
-        /// Row of the worker that computed it, if one did it alone.
-        by: Option<i64>,
-        /// Its records were there before.
-        reused: bool,
-    },
-    GivenUp {
-        job: u32,
-        reason: String,
-        quarantined: bool,
-    },
-}
-
-impl EndedJob {
-    pub fn job(&self) -> u32 {
-        match self {
-            Self::Done { job, .. } | Self::GivenUp { job, .. } => *job,
-        }
-    }
-}
+use crate::stored::EndedJob;
 
 #[derive(sqlx::FromRow)]
 struct JobRow {

@@ -25,11 +25,9 @@ use sqlx::{ConnectOptions, Connection, Row, SqliteConnection, SqlitePool};
 use tokio::sync::mpsc;
 
 pub use data_dir::{ADDRESS_FILE, DataDir};
-pub use dictionaries::{Desire, StoredDictionary};
 pub use events::StoredEvent;
-pub use jobs::EndedJob;
 pub use points::StoredJob;
-pub use writer::{Commit, Completion, Content, Stored};
+pub use writer::Commit;
 
 /// Older versions can corrupt a WAL database at a reset of the log.
 const OLDEST_SQLITE: &str = "3.51.3";

@@ -8,10 +8,8 @@ use optics_model::scene::{Scene, Sensor};
 use optics_model::{Digest, Estimate, Grid, PackedRecords, Profile, Quality, Record, Walks};
 use prost::Message;
 
-use super::{
-    Commit, Completion, Content, DataDir, Desire, EndedJob, Store, StoreError, Stored, StoredDictionary,
-    StoredEvent,
-};
+use super::{Commit, DataDir, Store, StoreError, StoredEvent};
+use crate::stored::{Completion, DesiredState, EndedJob, JobResult, Outcome, StoredDictionary};
 
 fn grid() -> Grid {
     let axes = Axes {
@@ -44,7 +42,7 @@ async fn dictionary(store: &Store) -> StoredDictionary {
 /// A result of a job by worker 1 of the table.
 fn completion(dictionary: &StoredDictionary, job: u32, value: f32) -> Completion {
     let spec = JobSpec::of(&dictionary.grid, job as usize);
-    let content = Content::Records(PackedRecords::pack(&spec, &records(spec.first_record(), value)));
+    let content = JobResult::Records(PackedRecords::pack(&spec, &records(spec.first_record(), value)));
     Completion { dictionary: dictionary.id, job_number: job, job: spec, worker: 1, content, quality: None }
 }
 
@@ -53,7 +51,7 @@ pub(super) fn defect() -> Quality {
     Quality::new(1.0, Walks::new(2_500_000).unwrap()).unwrap()
 }
 
-async fn complete(store: &Store, dictionary: &StoredDictionary, job: u32, value: f32) -> Stored {
+async fn complete(store: &Store, dictionary: &StoredDictionary, job: u32, value: f32) -> Outcome {
     store.complete(completion(dictionary, job, value)).await.unwrap()
 }
 
@@ -76,16 +74,16 @@ async fn what_was_committed_is_there_after_reopening() {
     let created = dictionary(&store).await;
     let records_of = records(2, 0.25);
     let digest = Digest::of_records(&records_of);
-    assert_eq!(complete(&store, &created, 1, 0.25).await, Stored::Finished { records: digest });
+    assert_eq!(complete(&store, &created, 1, 0.25).await, Outcome::Finished { records: digest });
     store.give_up_job(created.id, 0, "no luck", true).await.unwrap();
-    store.set_desire(created.id, Desire::Pause, "lunch").await.unwrap();
+    store.set_desire(created.id, DesiredState::Pause, "lunch").await.unwrap();
     store.set_priority(created.id, -3).await.unwrap();
     store.close().await;
     drop(store);
 
     let store = open(dir.path()).await;
     let expected = StoredDictionary {
-        desire: Desire::Pause,
+        desire: DesiredState::Pause,
         reason: "lunch".to_owned(),
         priority: -3,
         ..created.clone()
@@ -107,10 +105,10 @@ async fn a_second_completion_tells_the_first_and_changes_nothing() {
     store.worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     let digest = Digest::of_records(&records(0, 0.25));
-    assert_eq!(complete(&store, &d, 0, 0.25).await, Stored::Finished { records: digest });
-    assert_eq!(complete(&store, &d, 0, 0.25).await, Stored::Before { records: digest, new: digest });
+    assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { records: digest });
+    assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Before { records: digest, new: digest });
     let new = Digest::of_records(&records(0, 0.5));
-    assert_eq!(complete(&store, &d, 0, 0.5).await, Stored::Before { records: digest, new });
+    assert_eq!(complete(&store, &d, 0, 0.5).await, Outcome::Before { records: digest, new });
     store.give_up_job(d.id, 0, "too late", false).await.unwrap();
     assert_eq!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap(), [done(0, digest)]);
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
@@ -132,9 +130,9 @@ async fn results_that_come_together_are_committed_together_and_a_bad_one_stops_n
         store.complete(nobodys),
         store.complete(completion(&d, 0, 0.25)),
     );
-    assert!(matches!(a, Ok(Stored::Finished { .. })), "{a:?}");
+    assert!(matches!(a, Ok(Outcome::Finished { .. })), "{a:?}");
     assert!(b.unwrap_err().to_string().contains("FOREIGN KEY"), "no worker 99 has registered");
-    assert!(matches!(c, Ok(Stored::Before { .. })), "{c:?}");
+    assert!(matches!(c, Ok(Outcome::Before { .. })), "{c:?}");
     assert_eq!(commits.try_iter().collect::<Vec<_>>(), [3]);
 }
 
@@ -145,7 +143,7 @@ async fn a_result_of_a_deleted_dictionary_is_no_fault_and_leaves_nothing_behind(
     store.worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     store.delete_dictionary(d.id, &[]).await.unwrap();
-    assert_eq!(complete(&store, &d, 0, 0.25).await, Stored::Unwanted);
+    assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Unwanted);
     let points = store.points_of(&[completion(&d, 0, 0.25).job.identity()]).await.unwrap();
     assert!(points.is_empty(), "nobody would ever delete its records");
 }
@@ -211,7 +209,7 @@ async fn a_fenced_workers_records_are_forgotten_and_no_others() {
     assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.id, 1)]);
     assert_eq!(store.fenced().await.unwrap(), [(bad, "wrong".to_owned())]);
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
-    assert!(matches!(complete(&store, &d, 1, 0.25).await, Stored::Finished { .. }), "it can be done again");
+    assert!(matches!(complete(&store, &d, 1, 0.25).await, Outcome::Finished { .. }), "it can be done again");
 }
 
 #[tokio::test]
@@ -250,12 +248,12 @@ async fn more_walks_are_asked_for_until_the_noise_is_low_enough() {
     let quality = |target| Some(Quality::new(target, Walks::new(50_000).unwrap()).unwrap());
     let result = |target| Completion { quality: quality(target), ..completion(&d, 0, 0.25) };
     // (0.4 / 0.2)² · 1.1 = 4.4 times 5000 walks, rounded up to batches.
-    let more = Stored::MoreWalks(Walks::new(22_500).unwrap());
+    let more = Outcome::MoreWalks(Walks::new(22_500).unwrap());
     assert_eq!(store.complete(result(0.2)).await.unwrap(), more);
     assert!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap().is_empty());
-    let most = Stored::MoreWalks(Walks::new(50_000).unwrap());
+    let most = Outcome::MoreWalks(Walks::new(50_000).unwrap());
     assert_eq!(store.complete(result(0.01)).await.unwrap(), most, "but no more than allowed");
-    assert!(matches!(store.complete(result(0.41)).await.unwrap(), Stored::Finished { .. }));
+    assert!(matches!(store.complete(result(0.41)).await.unwrap(), Outcome::Finished { .. }));
 }
 
 #[tokio::test]

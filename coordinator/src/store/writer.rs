@@ -11,14 +11,11 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
-use bytes::Bytes;
-use farm_proto::ids::DictionaryId;
-use optics_model::job::JobSpec;
-use optics_model::{Digest, PackedRecords, Quality, Walks};
 use sqlx::{Connection, SqliteConnection};
 use tokio::sync::{mpsc, oneshot};
 
 use super::{Result, Store, StoreError, batch, doing};
+use crate::stored::{Completion, Outcome};
 
 /// Results of one transaction.
 const BATCH: usize = 1024;
@@ -26,44 +23,6 @@ const BATCH: usize = 1024;
 const BATCH_BYTES: usize = 32 << 20;
 /// Results that may wait for the writer.
 const QUEUE: usize = 4096;
-
-/// A result to be stored.
-#[derive(Debug)]
-pub struct Completion {
-    pub dictionary: DictionaryId,
-    pub job_number: u32,
-    pub job: JobSpec,
-    /// Row of the worker.
-    pub worker: i64,
-    pub content: Content,
-    /// If the records must reach a target error.
-    pub quality: Option<Quality>,
-}
-
-#[derive(Debug)]
-pub enum Content {
-    Records(PackedRecords),
-    /// Of the block that the job names.
-    Sums(Bytes),
-}
-
-/// What became of a result.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Stored {
-    /// The job is done.
-    Finished { records: Digest },
-    /// A block is stored; others are missing.
-    Part,
-    /// The target error is not reached: nothing is kept, and more walks are needed.
-    MoreWalks(Walks),
-    /// Nothing is kept: the dictionary was deleted, the worker is fenced off, or the job is done and this cannot be compared
-    /// with its records.
-    Unwanted,
-    /// The job was done before, with the records that have this digest; these have another, or the same.
-    Before { records: Digest, new: Digest },
-    /// Nothing is kept: another job has stored other records for the same walks.
-    Differs,
-}
 
 /// How a commit went, for whoever measures.
 #[derive(Debug, Clone, Copy)]
@@ -73,27 +32,11 @@ pub struct Commit {
     pub took: Duration,
 }
 
-pub(super) type Request = (Completion, oneshot::Sender<Result<Stored>>);
-
-impl Content {
-    pub fn digest(&self) -> Digest {
-        match self {
-            Self::Records(records) => records.digest(),
-            Self::Sums(bytes) => Digest::of_bytes(bytes),
-        }
-    }
-
-    fn bytes(&self) -> usize {
-        match self {
-            Self::Records(records) => records.bytes().len(),
-            Self::Sums(bytes) => bytes.len(),
-        }
-    }
-}
+pub(super) type Request = (Completion, oneshot::Sender<Result<Outcome>>);
 
 impl Store {
     /// Stores a result durably: when this returns it is on the disk.
-    pub async fn complete(&self, completion: Completion) -> Result<Stored> {
+    pub async fn complete(&self, completion: Completion) -> Result<Outcome> {
         let (sender, receiver) = oneshot::channel();
         self.completions.send((completion, sender)).await.map_err(|_| StoreError::Closed)?;
         receiver.await.map_err(|_| StoreError::Closed)?
@@ -124,8 +67,8 @@ pub(super) async fn run(
         let start = tokio::time::Instant::now();
         let (completions, senders): (Vec<_>, Vec<_>) = requests.drain(..).unzip();
         let results = write_all(&pool, &completions).await;
-        let finished = |(completion, result): (&Completion, &Result<Stored>)| match result {
-            Ok(Stored::Finished { .. }) => completion.job.albedo().len(),
+        let finished = |(completion, result): (&Completion, &Result<Outcome>)| match result {
+            Ok(Outcome::Finished { .. }) => completion.job.albedo().len(),
             _ => 0,
         };
         let records = completions.iter().zip(&results).map(finished).sum();
@@ -138,7 +81,7 @@ pub(super) async fn run(
 }
 
 /// All in one transaction; if one of them makes that fail, each in its own, so that it stops no other.
-async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<Result<Stored>> {
+async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<Result<Outcome>> {
     match guarded(write(pool, completions)).await {
         Ok(stored) => return stored.into_iter().map(Ok).collect(),
         Err(error) if completions.len() == 1 => return vec![Err(error)],
@@ -187,7 +130,7 @@ fn concerns_all(error: &StoreError) -> bool {
     }
 }
 
-async fn write(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Result<Vec<Stored>> {
+async fn write(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Result<Vec<Outcome>> {
     let mut connection = pool.acquire().await.map_err(doing("waiting for the database"))?;
     let written = write_in(&mut connection, completions).await;
     if written.is_err() {
@@ -198,7 +141,7 @@ async fn write(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Result<Ve
     written
 }
 
-async fn write_in(connection: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Stored>> {
+async fn write_in(connection: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Outcome>> {
     let mut tx =
         connection.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to store records"))?;
     let stored = batch::store(&mut tx, completions).await?;

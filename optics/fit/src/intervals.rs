@@ -3,10 +3,10 @@
 use glam::DMat4;
 use optics_model::fit::Interval;
 
-use super::certainty::Z;
 use super::noise::Spread;
 use super::refine::{Block, Objective, Optimum, PARAMETERS};
 use super::surrogate::{ALBEDO, G, SIGMA_T};
+use super::uncertainty::Z;
 
 /// What the ends of intervals are found with.
 #[derive(Clone, Copy)]

@@ -3,7 +3,6 @@
 //! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and what goes beyond them: refinement
 //! between the records of the dictionary, and error bars.
 
-mod certainty;
 mod common;
 mod curves;
 mod dictionary;
@@ -28,6 +27,7 @@ mod surrogate;
 mod suspicion;
 #[cfg(test)]
 mod testing;
+mod uncertainty;
 mod view;
 
 use optics_model::fit::{ChannelFit, FitOptions, MaterialFit};
@@ -41,8 +41,8 @@ pub use measure::{MeasurePlan, Measured, measure, measure_refined};
 pub use scale::scale;
 pub use similarity::similar;
 
-use certainty::Analysis;
 use question::{Question, questions};
+use uncertainty::Analysis;
 
 /// Fits every channel of a measurement on its own, jointly over its thicknesses.
 pub fn fit(

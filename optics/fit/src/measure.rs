@@ -1,4 +1,4 @@
-//! The whole job of the paper: scale factor, common anisotropy, fits, refinement, certainty.
+//! The whole job of the paper: scale factor, common anisotropy, fits, refinement, uncertainty.
 
 use optics_model::fit::{
     Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, MuRange, ScaleCurve,
@@ -6,7 +6,6 @@ use optics_model::fit::{
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
-use super::certainty::{Analysis, Company, Z};
 use super::common::{Found, Wanted, all_questions, find};
 use super::curves;
 use super::dictionary::FitDictionary;
@@ -16,6 +15,7 @@ use super::scale::scale;
 use super::search;
 use super::shared::{Part, Shared};
 use super::surrogate::{G, Surrogate};
+use super::uncertainty::{Analysis, Company, Z};
 
 /// What was found for a set of materials.
 #[derive(Debug, Clone, PartialEq)]

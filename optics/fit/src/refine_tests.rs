@@ -1,4 +1,4 @@
-//! Refinement and certainty on a dictionary whose truth is a formula.
+//! Refinement and uncertainty on a dictionary whose truth is a formula.
 
 use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Refined};
 

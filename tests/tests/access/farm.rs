@@ -9,8 +9,8 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use bytes::Bytes;
-use farm_coordinator::gate::{Caller, GateLayer, RequestId};
-use farm_coordinator::incoming::{Connections, Incoming, Limits};
+use farm_coordinator::authorisation::{AuthorisationLayer, Caller, RequestId};
+use farm_coordinator::connections::{Connections, Incoming, Limits};
 use farm_link::{ClientAccess, CoordinatorAccess, Link, Role, Target};
 use http_body_util::BodyExt as _;
 use http_body_util::Full;
@@ -55,7 +55,7 @@ impl Farm {
         let coordinator = coordinator_access(access, &dir.path().join("access"), address.port());
         let observed = Arc::new(Mutex::new(vec![]));
         let into = observed.clone();
-        let gate = GateLayer::new(coordinator.clone(), move |method, code, took| {
+        let gate = AuthorisationLayer::new(coordinator.clone(), move |method, code, took| {
             assert!(took < Duration::from_mins(1));
             into.lock().unwrap().push((method.to_owned(), code));
         });

@@ -6,7 +6,7 @@ mod farm;
 
 use std::time::Duration;
 
-use farm_coordinator::incoming::Limits;
+use farm_coordinator::connections::Limits;
 use farm_link::{ClientAccess, Role, Target, failure};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;

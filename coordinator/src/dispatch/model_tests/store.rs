@@ -10,7 +10,7 @@ use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::super::Origin;
-use crate::store::{Desire, EndedJob, Stored, StoredDictionary};
+use crate::stored::{DesiredState, EndedJob, Outcome, StoredDictionary};
 
 /// Blocks of a job with so many walks, and who computed them.
 type Blocks = BTreeMap<u32, Origin>;
@@ -66,7 +66,7 @@ impl ModelStore {
             grid: Arc::new(grid),
             created_unix_ms: 0,
             priority: 0,
-            desire: Desire::Run,
+            desire: DesiredState::Run,
             reason: String::new(),
         };
         self.dictionaries.insert(id, stored);
@@ -128,15 +128,15 @@ impl ModelStore {
     }
 
     /// Stores a result as the real one does; None if its dictionary is gone.
-    pub fn complete(&mut self, id: DictionaryId, job: u32, spec: &JobSpec, by: Origin) -> Option<Stored> {
+    pub fn complete(&mut self, id: DictionaryId, job: u32, spec: &JobSpec, by: Origin) -> Option<Outcome> {
         let dictionary = self.dictionaries.get(&id)?;
         if self.fenced.contains_key(&by) {
-            return Some(Stored::Unwanted);
+            return Some(Outcome::Unwanted);
         }
         if let Some(done) = self.done.get(&(id, job)) {
             let comparable = spec.block().is_none() && done.walks == spec.walks();
-            let before = Stored::Before { records: done.records, new: done.records };
-            return Some(if comparable { before } else { Stored::Unwanted });
+            let before = Outcome::Before { records: done.records, new: done.records };
+            return Some(if comparable { before } else { Outcome::Unwanted });
         }
         let mut by = BTreeSet::from([by]);
         if let Some(block) = spec.block() {
@@ -144,18 +144,18 @@ impl ModelStore {
             let blocks = self.blocks.entry(place).or_default();
             blocks.entry(block).or_insert(*by.first().unwrap());
             if blocks.len() < spec.walks().blocks() as usize {
-                return Some(Stored::Part);
+                return Some(Outcome::Part);
             }
             by = self.blocks.remove(&place).unwrap().into_values().collect();
         }
         let needed = walks_needed(dictionary.grid.seed());
         if let Some(more) = needed.filter(|needed| needed.get() > spec.walks().get()) {
-            return Some(Stored::MoreWalks(more));
+            return Some(Outcome::MoreWalks(more));
         }
         let records = self.digest(id, job, spec, &by);
         self.given_up.remove(&(id, job));
         self.done.insert((id, job), DoneJob { walks: spec.walks(), records, by });
-        Some(Stored::Finished { records })
+        Some(Outcome::Finished { records })
     }
 
     /// Forgets a worker's part in everything: the jobs to be computed again.

@@ -13,7 +13,7 @@ use super::super::tests::Counted;
 use super::super::{Arrived, Dictionary, Dispatcher, Effect, Origin, Purpose, Settings};
 use super::ops::Op;
 use super::store::ModelStore;
-use crate::store::{Desire, Stored};
+use crate::stored::{DesiredState, Outcome};
 
 pub const LEASE: Duration = Duration::from_secs(8);
 pub const MAX_ATTEMPTS: u32 = 2;
@@ -139,9 +139,9 @@ impl World {
             Op::Stall(seconds) => self.expire(Duration::from_secs(seconds)),
             Op::Restart => self.restart(),
             Op::Submit(kind) => self.submit(kind),
-            Op::Pause(at) => self.set_desire(at, Desire::Pause),
-            Op::Resume(at) => self.set_desire(at, Desire::Run),
-            Op::Cancel(at) => self.set_desire(at, Desire::Cancel),
+            Op::Pause(at) => self.set_desire(at, DesiredState::Pause),
+            Op::Resume(at) => self.set_desire(at, DesiredState::Run),
+            Op::Cancel(at) => self.set_desire(at, DesiredState::Cancel),
             Op::Priority(at, to) => {
                 if let Some(id) = self.dictionary(at) {
                     self.store.dictionaries.get_mut(&id).unwrap().priority = to;
@@ -187,8 +187,8 @@ impl World {
         let place = (key.dictionary, key.job);
         let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
         match self.store.complete(key.dictionary, key.job, &job, by) {
-            None | Some(Stored::Unwanted) => {}
-            Some(Stored::Finished { records }) => {
+            None | Some(Outcome::Unwanted) => {}
+            Some(Outcome::Finished { records }) => {
                 self.strikes.remove(&place);
                 self.walks.insert(place, job.walks());
                 self.farm.finished(self.now, &arrived, records);
@@ -199,8 +199,8 @@ impl World {
                     }
                 }
             }
-            Some(Stored::Part) => self.farm.part_finished(self.now, &arrived),
-            Some(Stored::MoreWalks(walks)) => {
+            Some(Outcome::Part) => self.farm.part_finished(self.now, &arrived),
+            Some(Outcome::MoreWalks(walks)) => {
                 self.farm.prolong(self.now, &arrived, walks);
                 if !self.store.given_up.contains_key(&place) && self.walks_of(place) == job.walks().get() {
                     self.walks.insert(place, walks);
@@ -208,8 +208,8 @@ impl World {
                 }
                 self.find_blocks();
             }
-            Some(Stored::Before { records, .. }) => self.compare(by, &key, &job, records),
-            Some(Stored::Differs) => unreachable!("the model's store compares no points"),
+            Some(Outcome::Before { records, .. }) => self.compare(by, &key, &job, records),
+            Some(Outcome::Differs) => unreachable!("the model's store compares no points"),
         }
     }
 
@@ -315,7 +315,7 @@ impl World {
         }
     }
 
-    fn set_desire(&mut self, at: usize, desire: Desire) {
+    fn set_desire(&mut self, at: usize, desire: DesiredState) {
         let Some(id) = self.dictionary(at) else { return };
         if self.farm.by_id(id).unwrap().open_jobs() > 0 {
             self.store.dictionaries.get_mut(&id).unwrap().desire = desire;
@@ -337,7 +337,7 @@ impl World {
 
     fn delete(&mut self, at: usize) {
         let Some(id) = self.dictionary(at) else { return };
-        self.set_desire(at, Desire::Cancel);
+        self.set_desire(at, DesiredState::Cancel);
         self.store.delete(id);
         self.strikes.retain(|(of, _), _| *of != id);
         self.farm.remove_dictionary(id);
@@ -375,7 +375,7 @@ impl World {
         for _ in 0..300 {
             // One that was done may be open again, for a worker that was fenced off, and still be paused.
             for at in 0..self.store.dictionaries.len() {
-                self.set_desire(at, Desire::Run);
+                self.set_desire(at, DesiredState::Run);
             }
             self.step(&Op::Expire(20));
             for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {

@@ -4,7 +4,8 @@ use farm_proto::ids::DictionaryId;
 use farm_proto::status::DictionaryState;
 
 use super::{Bench, DIGEST, about, job_of, key, seconds, worker};
-use crate::dispatch::{Effect, Origin};
+use crate::dispatch::Effect;
+use crate::stored::Origin;
 
 #[test]
 fn a_job_is_given_up_after_the_allowed_failures_with_all_reasons() {

@@ -10,7 +10,7 @@ use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{Bench, DIGEST, stored};
 use crate::dispatch::Dictionary;
-use crate::store::{Desire, StoredDictionary};
+use crate::stored::{DesiredState, StoredDictionary};
 
 const FIRST: DictionaryId = DictionaryId(1);
 const SECOND: DictionaryId = DictionaryId(2);
@@ -75,8 +75,8 @@ fn when_the_first_is_paused_cancelled_deleted_or_gives_up_the_second_computes_it
         let held = bench.acquire(0, "a", 9);
         assert!(bench.acquire(1, "b", 9).is_empty());
         match how {
-            0 => bench.farm.set_desire(FIRST, Desire::Pause, String::new()),
-            1 => bench.farm.set_desire(FIRST, Desire::Cancel, String::new()),
+            0 => bench.farm.set_desire(FIRST, DesiredState::Pause, String::new()),
+            1 => bench.farm.set_desire(FIRST, DesiredState::Cancel, String::new()),
             2 => bench.farm.remove_dictionary(FIRST),
             _ => {
                 bench.fail(1, "a", &held[0]);
@@ -94,9 +94,9 @@ fn when_the_first_is_paused_cancelled_deleted_or_gives_up_the_second_computes_it
 #[test]
 fn what_the_second_has_begun_the_first_waits_for() {
     let mut bench = overlapping(vec![0.5, 0.9]);
-    bench.farm.set_desire(FIRST, Desire::Pause, String::new());
+    bench.farm.set_desire(FIRST, DesiredState::Pause, String::new());
     assert_eq!(places(&bench.acquire(0, "a", 1)), [(SECOND, 2)]);
-    bench.farm.set_desire(FIRST, Desire::Run, String::new());
+    bench.farm.set_desire(FIRST, DesiredState::Run, String::new());
     assert_eq!(places(&bench.acquire(1, "b", 9)), [(FIRST, 1), (FIRST, 0), (SECOND, 1)]);
 }
 

@@ -6,8 +6,9 @@ use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Walks};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::super::{Completion, Result, doing, jobs, points};
+use super::super::{Result, doing, jobs, points};
 use super::ROWS;
+use crate::stored::Completion;
 
 #[derive(Debug, Default)]
 pub(super) struct Facts {

@@ -7,7 +7,8 @@ use optics_model::sums::Sums;
 use optics_model::{Digest, Grid, Walks};
 
 use super::{completion, dictionary, grid, open};
-use crate::store::{Completion, Content, Store, StoreError, Stored, StoredDictionary};
+use crate::store::{Store, StoreError};
+use crate::stored::{Completion, JobResult, Outcome, StoredDictionary};
 
 /// Sums that stand for a block: numbers with rounding errors, so that the order of additions shows.
 fn block_sums(job: &JobSpec, block: u32) -> Sums {
@@ -50,11 +51,11 @@ async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
                 assert_eq!(store.stored_blocks(&whole).await.unwrap(), there, "after a restart");
             }
             let job = whole.clone().with_block(block).unwrap();
-            let content = Content::Sums(block_sums(&job, block).to_le_bytes().into());
+            let content = JobResult::Sums(block_sums(&job, block).to_le_bytes().into());
             let completion =
                 Completion { dictionary: d.id, job_number: 0, job, worker: 1, content, quality: None };
             let stored = store.complete(completion).await.unwrap();
-            let last = if n == 4 { Stored::Finished { records: expected } } else { Stored::Part };
+            let last = if n == 4 { Outcome::Finished { records: expected } } else { Outcome::Part };
             assert_eq!(stored, last, "order {i}, block {block}");
         }
         assert!(store.stored_blocks(&whole).await.unwrap().is_empty(), "sums are gone");
@@ -80,9 +81,9 @@ async fn complete_block(
     (dictionary, job): &(StoredDictionary, JobSpec),
     block: u32,
     worker: i64,
-) -> Stored {
+) -> Outcome {
     let job = job.clone().with_block(block).unwrap();
-    let content = Content::Sums(block_sums(&job, block).to_le_bytes().into());
+    let content = JobResult::Sums(block_sums(&job, block).to_le_bytes().into());
     let completion =
         Completion { dictionary: dictionary.id, job_number: 0, job, worker, content, quality: None };
     store.complete(completion).await.unwrap()
@@ -94,12 +95,12 @@ async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
     let store = open(dir.path()).await;
     store.worker("instance", "label").await.unwrap();
     let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
-    assert_eq!(complete_block(&store, &a, 0, 1).await, Stored::Part);
+    assert_eq!(complete_block(&store, &a, 0, 1).await, Outcome::Part);
     assert!(store.stored_blocks(&b.1).await.unwrap().is_empty());
-    assert_eq!(complete_block(&store, &b, 1, 1).await, Stored::Part);
-    assert!(matches!(complete_block(&store, &a, 1, 1).await, Stored::Finished { .. }));
+    assert_eq!(complete_block(&store, &b, 1, 1).await, Outcome::Part);
+    assert!(matches!(complete_block(&store, &a, 1, 1).await, Outcome::Finished { .. }));
     assert_eq!(store.stored_blocks(&b.1).await.unwrap(), [1].into());
-    assert!(matches!(complete_block(&store, &b, 0, 1).await, Stored::Finished { .. }));
+    assert!(matches!(complete_block(&store, &b, 0, 1).await, Outcome::Finished { .. }));
 }
 
 #[tokio::test]
@@ -109,8 +110,8 @@ async fn a_late_block_of_a_job_that_is_done_is_not_compared_with_its_records() {
     store.worker("instance", "label").await.unwrap();
     let d = divided(&store, "d", vec![0.5]).await;
     complete_block(&store, &d, 0, 1).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
-    assert_eq!(complete_block(&store, &d, 1, 1).await, Stored::Unwanted);
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Outcome::Finished { .. }));
+    assert_eq!(complete_block(&store, &d, 1, 1).await, Outcome::Unwanted);
 }
 
 #[tokio::test]
@@ -120,15 +121,15 @@ async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
     store.worker("good", "label").await.unwrap();
     let bad = store.worker("bad", "label").await.unwrap();
     let d = divided(&store, "divided", vec![0.5]).await;
-    assert_eq!(complete_block(&store, &d, 0, bad).await, Stored::Part);
+    assert_eq!(complete_block(&store, &d, 0, bad).await, Outcome::Part);
     assert_eq!(store.fence(bad, "wrong").await.unwrap(), []);
     assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "its blocks are gone");
-    assert_eq!(complete_block(&store, &d, 0, bad).await, Stored::Unwanted);
+    assert_eq!(complete_block(&store, &d, 0, bad).await, Outcome::Unwanted);
     complete_block(&store, &d, 0, 1).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Outcome::Finished { .. }));
     let other = dictionary(&store).await;
     let late = Completion { worker: bad, ..completion(&other, 1, 0.5) };
-    assert_eq!(store.complete(late).await.unwrap(), Stored::Unwanted);
+    assert_eq!(store.complete(late).await.unwrap(), Outcome::Unwanted);
 }
 
 #[tokio::test]
@@ -139,7 +140,7 @@ async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
     let bad = store.worker("bad", "label").await.unwrap();
     let d = divided(&store, "divided", vec![0.5]).await;
     complete_block(&store, &d, 0, bad).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Stored::Finished { .. }));
+    assert!(matches!(complete_block(&store, &d, 1, 1).await, Outcome::Finished { .. }));
     assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.0.id, 0)]);
 }
 
@@ -165,12 +166,12 @@ async fn a_damaged_block_is_noticed_before_it_is_merged() {
     store.worker("instance", "label").await.unwrap();
     let d = divided(&store, "d", vec![0.5]).await;
     for (first, second) in [(0, 1), (1, 0)] {
-        assert_eq!(complete_block(&store, &d, first, 1).await, Stored::Part);
+        assert_eq!(complete_block(&store, &d, first, 1).await, Outcome::Part);
         assert_eq!(store.damaged_blocks(&d.1).await.unwrap(), None);
         let flip = "UPDATE sums SET sums = cast(x'01' || substr(sums, 2) AS BLOB)";
         sqlx::query(flip).execute(&store.write).await.unwrap();
         let job = d.1.clone().with_block(second).unwrap();
-        let content = Content::Sums(block_sums(&job, second).to_le_bytes().into());
+        let content = JobResult::Sums(block_sums(&job, second).to_le_bytes().into());
         let last = Completion { dictionary: d.0.id, job_number: 0, job, worker: 1, content, quality: None };
         let error = store.complete(last).await.unwrap_err();
         assert!(matches!(error, StoreError::Corrupt { table: "sums", .. }), "{error}");

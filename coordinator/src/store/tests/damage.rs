@@ -7,7 +7,8 @@ use optics_model::scene::{Scene, Sensor};
 use super::{
     all_records, all_records_of, complete, completion, defect, dictionary, open, overlapping, records, reuse,
 };
-use crate::store::{Commit, Completion, Content, DataDir, Store, StoreError, Stored};
+use crate::store::{Commit, DataDir, Store, StoreError};
+use crate::stored::{Completion, JobResult, Outcome};
 
 #[tokio::test]
 async fn a_record_that_is_not_what_was_stored_is_noticed() {
@@ -28,7 +29,7 @@ async fn a_record_that_is_not_what_was_stored_is_noticed() {
         "table records, row 1, column profiles is corrupt: record = 1 bytes is not valid: 96 are needed"
     );
     assert_eq!(store.forget_job(d.id, 0).await.unwrap(), [(d.id, 0)]);
-    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }), "it can be done again");
+    assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }), "it can be done again");
 }
 
 /// A full disk, played by SQLite's own limit: the error tells it, nothing of the job is stored, and once there is room
@@ -45,12 +46,12 @@ async fn after_a_full_disk_the_store_works_on() {
     let (point, albedo, walks) = (small.job.point(), small.job.albedo().to_vec(), small.job.walks());
     let job = JobSpec::new(scene, point, albedo, walks, 1, false).unwrap();
     let zeros = vec![0; PackedRecords::bytes_of(&job)];
-    let content = Content::Records(PackedRecords::new(&job, zeros.into()).unwrap());
+    let content = JobResult::Records(PackedRecords::new(&job, zeros.into()).unwrap());
     let too_large = Completion { job, content, ..small };
     let full = store.complete(too_large).await.unwrap_err();
     assert!(full.to_string().contains("database or disk is full"), "{full}");
     assert!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap().is_empty());
-    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }));
+    assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }));
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
 }
 
@@ -81,7 +82,7 @@ async fn other_records_for_the_same_walks_are_refused_and_both_can_be_done_again
     let (d, e) = (dictionary(&store).await, overlapping(&store, "e", vec![0.9, 0.95]).await);
     let result = |value| {
         let job = JobSpec::of(&e.grid, 0);
-        let content = Content::Records(PackedRecords::pack(&job, &records(0, value)));
+        let content = JobResult::Records(PackedRecords::pack(&job, &records(0, value)));
         Completion { dictionary: e.id, job_number: 0, job, worker: 1, content, quality: None }
     };
     // In one transaction, and in two.
@@ -92,14 +93,14 @@ async fn other_records_for_the_same_walks_are_refused_and_both_can_be_done_again
         } else {
             (store.complete(completion(&d, 1, 0.25)).await, store.complete(result(0.5)).await)
         };
-        assert!(matches!(first, Ok(Stored::Finished { .. })), "{first:?}");
-        assert_eq!(second.unwrap(), Stored::Differs);
+        assert!(matches!(first, Ok(Outcome::Finished { .. })), "{first:?}");
+        assert_eq!(second.unwrap(), Outcome::Differs);
         assert!(store.ended_jobs(e.id, e.grid.walks()).await.unwrap().is_empty());
         let point = completion(&d, 1, 0.25).job.identity();
         assert_eq!(store.forget_point(point).await.unwrap(), [(d.id, 1)]);
     }
     let (first, second) = tokio::join!(store.complete(completion(&d, 1, 0.25)), store.complete(result(0.25)));
-    assert!(matches!((first, second), (Ok(Stored::Finished { .. }), Ok(Stored::Finished { .. }))));
+    assert!(matches!((first, second), (Ok(Outcome::Finished { .. }), Ok(Outcome::Finished { .. }))));
     assert_eq!(all_records_of(&store, &e).await, records(0, 0.25));
     let rows: (i64,) = sqlx::query_as("SELECT count(*) FROM records").fetch_one(&store.read).await.unwrap();
     assert_eq!(rows, (3,), "each record once");
@@ -131,7 +132,7 @@ async fn a_database_that_is_held_fails_all_results_at_once() {
     }
     assert_eq!(commits.try_iter().count(), 1);
     held.rollback().await.unwrap();
-    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }));
+    assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }));
 }
 
 /// A defect, played by a panic before a commit: the result that brings it fails alone, and the writer goes on.
@@ -144,7 +145,7 @@ async fn a_panic_while_writing_is_an_error_and_leaves_nothing_behind() {
     let bad = Completion { quality: Some(defect()), ..completion(&d, 0, 0.25) };
     let (bad, good) = tokio::join!(store.complete(bad), store.complete(completion(&d, 1, 0.5)));
     assert!(matches!(bad, Err(StoreError::Defect)), "{bad:?}");
-    assert!(matches!(good, Ok(Stored::Finished { .. })), "{good:?}");
+    assert!(matches!(good, Ok(Outcome::Finished { .. })), "{good:?}");
     assert_eq!(all_records(&store, &d).await, records(2, 0.5));
-    assert!(matches!(complete(&store, &d, 0, 0.25).await, Stored::Finished { .. }));
+    assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }));
 }

@@ -7,7 +7,7 @@ use tokio::task::JoinHandle;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use super::figures::MOST_RATIOS;
+use super::snapshot::MOST_RATIOS;
 use super::*;
 
 const FIT: &str = "/farm.v1.Fits/Fit";
@@ -17,11 +17,11 @@ fn fresh() -> Metrics {
     Metrics::new(build, [FIT, "/farm.v1.Leases/Take"])
 }
 
-fn figures() -> Figures {
-    Figures {
-        jobs: JobFigures { pending: 5, leased: 4, done: 3, failed: 2 },
-        workers: WorkerFigures { working: 6, ..WorkerFigures::default() },
-        dictionaries: DictionaryFigures { cancelled: 1, ..DictionaryFigures::default() },
+fn snapshot() -> Snapshot {
+    Snapshot {
+        jobs: JobCounts { pending: 5, leased: 4, done: 3, failed: 2 },
+        workers: WorkerCounts { working: 6, ..WorkerCounts::default() },
+        dictionaries: DictionaryCounts { cancelled: 1, ..DictionaryCounts::default() },
         work_done: (0..150).map(|n| (format!("d-{n}"), f64::from(n) / 150.0)).collect(),
         database_bytes: 65_536,
     }
@@ -33,10 +33,10 @@ struct Served {
     task: JoinHandle<()>,
 }
 
-async fn start(web: Web) -> Served {
+async fn start(server: MetricsServer) -> Served {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (address, stop) = (listener.local_addr().unwrap(), CancellationToken::new());
-    let task = tokio::spawn(serve(listener, web, stop.clone()));
+    let task = tokio::spawn(serve(listener, server, stop.clone()));
     Served { address, stop, task }
 }
 
@@ -77,7 +77,7 @@ async fn what_was_counted_is_told() {
     metrics.committed(Duration::from_millis(3), 4, 36);
     metrics.connection_refused();
     metrics.fitted(Duration::from_micros(300));
-    let served = start(Web::new(metrics.clone(), figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(metrics.clone(), snapshot, || Ok(()))).await;
     let text = served.metrics().await;
     for line in [
         r#"farm_rpc_seconds_bucket{le="0.0001",method="/farm.v1.Fits/Fit",code="OK"} 0"#,
@@ -108,7 +108,7 @@ async fn what_was_counted_is_told() {
 
 #[tokio::test]
 async fn what_holds_now_is_told_for_a_hundred_dictionaries_at_most() {
-    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let text = served.metrics().await;
     for line in [
         r#"farm_jobs{state="pending"} 5"#,
@@ -129,7 +129,7 @@ async fn what_holds_now_is_told_for_a_hundred_dictionaries_at_most() {
 #[cfg(target_os = "linux")]
 #[tokio::test]
 async fn the_process_tells_what_it_takes() {
-    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let text = served.metrics().await;
     let value = |name: &str| {
         let line = text.lines().find_map(|line| line.strip_prefix(&format!("{name} "))).unwrap();
@@ -146,7 +146,7 @@ async fn no_caller_can_make_the_figures_grow() {
     for n in 0..1000 {
         metrics.rpc(&format!("/made.up/{n}\"\n"), n - 500, Duration::ZERO);
     }
-    let served = start(Web::new(metrics, Figures::default, || Ok(()))).await;
+    let served = start(MetricsServer::new(metrics, Snapshot::default, || Ok(()))).await;
     let text = served.metrics().await;
     let counts: Vec<_> = text.lines().filter(|line| line.starts_with("farm_rpc_seconds_count{")).collect();
     assert!(counts.iter().all(|line| line.contains("method=\"other\"")), "{counts:?}");
@@ -157,7 +157,7 @@ async fn no_caller_can_make_the_figures_grow() {
 async fn every_metric_has_a_sentence_of_help_and_a_type() {
     let metrics = fresh();
     metrics.rpc(FIT, 0, Duration::ZERO);
-    let served = start(Web::new(metrics, figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(metrics, snapshot, || Ok(()))).await;
     let text = served.metrics().await;
     let types = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
     let names: Vec<_> = types.map(|line| line.split(' ').next().unwrap()).collect();
@@ -173,7 +173,7 @@ async fn every_metric_has_a_sentence_of_help_and_a_type() {
 
 #[tokio::test]
 async fn who_asks_for_open_metrics_gets_it() {
-    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let (head, body) =
         served.get("/metrics", "Accept: application/openmetrics-text;version=1.0.0,*/*\r\n").await;
     assert!(head.contains("content-type: application/openmetrics-text; version=1.0.0"), "{head}");
@@ -183,7 +183,8 @@ async fn who_asks_for_open_metrics_gets_it() {
 
 #[tokio::test]
 async fn health_is_told_with_the_reason_and_other_paths_are_listed() {
-    let served = start(Web::new(fresh(), figures, || Err("the database is being opened".to_owned()))).await;
+    let served =
+        start(MetricsServer::new(fresh(), snapshot, || Err("the database is being opened".to_owned()))).await;
     let (head, body) = served.get("/livez", "").await;
     assert!(head.starts_with("HTTP/1.1 200 ") && body == "ok", "{head} {body}");
     let (head, body) = served.get("/readyz", "").await;
@@ -191,14 +192,14 @@ async fn health_is_told_with_the_reason_and_other_paths_are_listed() {
     let (head, body) = served.get("/favicon.ico", "").await;
     assert!(head.starts_with("HTTP/1.1 404 "), "{head}");
     assert!(["/metrics", "/livez", "/readyz"].iter().all(|path| body.contains(path)), "{body}");
-    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let (head, body) = served.get("/readyz", "").await;
     assert!(head.starts_with("HTTP/1.1 200 ") && body == "ok", "{head} {body}");
 }
 
 #[tokio::test]
 async fn it_stops_at_once_whatever_is_connected() {
-    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let _silent = TcpStream::connect(served.address).await.unwrap();
     let mut halting = TcpStream::connect(served.address).await.unwrap();
     halting.write_all(b"GET /livez HTTP/1.1\r\nHost:").await.unwrap();
@@ -214,7 +215,7 @@ async fn it_stops_at_once_whatever_is_connected() {
 
 #[tokio::test]
 async fn idle_connections_alone_do_not_delay_the_stop() {
-    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let mut idle = TcpStream::connect(served.address).await.unwrap();
     idle.write_all(b"GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
     let mut answer = [0; 15];
@@ -229,9 +230,9 @@ async fn an_answer_that_hangs_does_not_delay_the_stop() {
     let hang = move || {
         entered.send(()).unwrap();
         std::thread::sleep(Duration::from_secs(4));
-        Figures::default()
+        Snapshot::default()
     };
-    let served = start(Web::new(fresh(), hang, || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), hang, || Ok(()))).await;
     let mut stream = TcpStream::connect(served.address).await.unwrap();
     stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
     tokio::task::spawn_blocking(move || inside.recv().unwrap()).await.unwrap();
@@ -241,7 +242,7 @@ async fn an_answer_that_hangs_does_not_delay_the_stop() {
 
 #[tokio::test]
 async fn an_answer_that_panics_ends_its_connection_alone() {
-    let served = start(Web::new(fresh(), || panic!("no figures"), || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), || panic!("no snapshot"), || Ok(()))).await;
     let mut stream = TcpStream::connect(served.address).await.unwrap();
     stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
     let mut answer = Vec::new();
@@ -252,7 +253,7 @@ async fn an_answer_that_panics_ends_its_connection_alone() {
 
 #[tokio::test(start_paused = true)]
 async fn a_request_that_does_not_arrive_is_not_waited_for() {
-    let served = start(Web::new(fresh(), figures, || Ok(()))).await;
+    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let mut stream = TcpStream::connect(served.address).await.unwrap();
     stream.write_all(b"GET /livez HTTP/1.1\r\n").await.unwrap();
     let mut answer = Vec::new();

@@ -14,10 +14,10 @@ pub const MOST_RATIOS: usize = 100;
 
 /// What the coordinator tells when it is asked; the caller sees to it that this is quick.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Figures {
-    pub jobs: JobFigures,
-    pub workers: WorkerFigures,
-    pub dictionaries: DictionaryFigures,
+pub struct Snapshot {
+    pub jobs: JobCounts,
+    pub workers: WorkerCounts,
+    pub dictionaries: DictionaryCounts,
     /// Name and share of the work that is done, 0 to 1; the first [`MOST_RATIOS`] are told.
     pub work_done: Vec<(String, f64)>,
     /// The database with its log.
@@ -25,7 +25,7 @@ pub struct Figures {
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct JobFigures {
+pub struct JobCounts {
     pub pending: u64,
     pub leased: u64,
     pub done: u64,
@@ -33,7 +33,7 @@ pub struct JobFigures {
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct WorkerFigures {
+pub struct WorkerCounts {
     pub working: u64,
     pub idle: u64,
     pub draining: u64,
@@ -41,7 +41,7 @@ pub struct WorkerFigures {
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct DictionaryFigures {
+pub struct DictionaryCounts {
     pub running: u64,
     pub paused: u64,
     pub done: u64,
@@ -49,44 +49,44 @@ pub struct DictionaryFigures {
     pub cancelled: u64,
 }
 
-/// The figures of one answer.
+/// The metrics of one answer.
 #[derive(Debug)]
 pub(super) struct Scrape {
-    figures: Figures,
+    snapshot: Snapshot,
     process: Process,
 }
 
 impl Scrape {
-    pub(super) fn new(figures: Figures) -> Self {
-        Self { figures, process: Process::now() }
+    pub(super) fn new(snapshot: Snapshot) -> Self {
+        Self { snapshot, process: Process::now() }
     }
 }
 
 impl Collector for Scrape {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
-        states(&mut encoder, &self.figures)?;
+        states(&mut encoder, &self.snapshot)?;
         let done =
-            self.figures.work_done.iter().take(MOST_RATIOS).map(|(name, ratio)| (name.as_str(), *ratio));
+            self.snapshot.work_done.iter().take(MOST_RATIOS).map(|(name, ratio)| (name.as_str(), *ratio));
         labelled(
             &mut encoder,
             ("farm_work_done_ratio", "Share of a dictionary's work that is done, from 0 to 1."),
             "dictionary",
             done,
         )?;
-        let bytes = self.figures.database_bytes;
+        let bytes = self.snapshot.database_bytes;
         gauge(&mut encoder, "farm_database_bytes", "Size of the database with its log.", &bytes)?;
         process(&mut encoder, &self.process)
     }
 }
 
-fn states(encoder: &mut DescriptorEncoder<'_>, figures: &Figures) -> fmt::Result {
-    let JobFigures { pending, leased, done, failed } = figures.jobs;
+fn states(encoder: &mut DescriptorEncoder<'_>, snapshot: &Snapshot) -> fmt::Result {
+    let JobCounts { pending, leased, done, failed } = snapshot.jobs;
     let jobs = [("pending", pending), ("leased", leased), ("done", done), ("failed", failed)];
     labelled(encoder, ("farm_jobs", "Jobs of all dictionaries by state."), "state", jobs)?;
-    let WorkerFigures { working, idle, draining, silent } = figures.workers;
+    let WorkerCounts { working, idle, draining, silent } = snapshot.workers;
     let workers = [("working", working), ("idle", idle), ("draining", draining), ("silent", silent)];
     labelled(encoder, ("farm_workers", "Registered workers by state."), "state", workers)?;
-    let DictionaryFigures { running, paused, done, failed, cancelled } = figures.dictionaries;
+    let DictionaryCounts { running, paused, done, failed, cancelled } = snapshot.dictionaries;
     let dictionaries = [
         ("running", running),
         ("paused", paused),

@@ -1,7 +1,7 @@
 //! The two text formats that scrapers ask for.
 //!
 //! OpenMetrics describes a counter without the `_total` of its samples, the older format with it; a reader of the
-//! older one would take our counters for figures without type or help.
+//! older one would take our counters for metrics without type or help.
 
 use std::collections::HashSet;
 

@@ -1,6 +1,6 @@
 //! What the coordinator counts and times while it works.
 //!
-//! Each label takes values of a fixed list alone, so that no caller can make the figures grow.
+//! Each label takes values of a fixed list alone, so that no caller can make the metrics grow.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
 use super::exposition::{self, Format};
-use super::figures::{Figures, Scrape};
+use super::snapshot::{Scrape, Snapshot};
 
 /// 0.1 ms to a minute, three a decade.
 const SECONDS: [f64; 18] = [
@@ -202,10 +202,10 @@ impl Metrics {
         self.0.fit_seconds.observe(elapsed.as_secs_f64());
     }
 
-    /// All figures as text, with those that hold at this moment.
-    pub(super) fn expose(&self, figures: Figures, format: Format) -> Result<String, std::fmt::Error> {
+    /// All metrics as text, with those that hold at this moment.
+    pub(super) fn expose(&self, snapshot: Snapshot, format: Format) -> Result<String, std::fmt::Error> {
         let mut now = Registry::default();
-        now.register_collector(Box::new(Scrape::new(figures)));
+        now.register_collector(Box::new(Scrape::new(snapshot)));
         let mut text = String::new();
         text::encode_registry(&mut text, &self.0.registry)?;
         text::encode_registry(&mut text, &now)?;

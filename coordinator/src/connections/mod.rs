@@ -19,7 +19,7 @@ use tokio::time::Sleep;
 use tokio_stream::Stream;
 
 use crate::clock::Clock;
-use crate::muffle::Muffle;
+use crate::throttle::Throttle;
 
 pub use guarded::Guarded;
 pub use parting::Parting;
@@ -78,8 +78,8 @@ pub struct Incoming {
     counts: Arc<Counts>,
     pause: Option<Pin<Box<Sleep>>>,
     clock: Clock,
-    refusals: Muffle,
-    errors: Muffle,
+    refusals: Throttle,
+    errors: Throttle,
 }
 
 impl Incoming {
@@ -93,8 +93,8 @@ impl Incoming {
             counts,
             pause: None,
             clock: Clock::start(),
-            refusals: Muffle::new(TELL),
-            errors: Muffle::new(TELL),
+            refusals: Throttle::new(TELL),
+            errors: Throttle::new(TELL),
         }
     }
 

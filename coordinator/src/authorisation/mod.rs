@@ -1,6 +1,6 @@
 //! What every call passes on its way in and out: a request id, the question who may do it, and an observer.
 //!
-//! [`GateLayer`] goes around all services (`Server::builder().layer(…)`), so that a service added later is guarded
+//! [`AuthorisationLayer`] goes around all services (`Server::builder().layer(…)`), so that a service added later is guarded
 //! without a word: what is not known to be for others is for admins.
 
 mod permission;
@@ -22,7 +22,7 @@ use tower::{Layer, Service};
 use tracing::Instrument as _;
 
 use crate::clock::Clock;
-use crate::muffle::Muffle;
+use crate::throttle::Throttle;
 
 pub use permission::Caller;
 pub use report::ObservedBody;
@@ -36,23 +36,23 @@ pub const OTHER_METHOD: &str = "other";
 /// Refused calls are told of in the log at most this often.
 const TELL_REFUSED: Duration = Duration::from_secs(10);
 
-/// Makes [`Gate`]s. With an access file, calls need its tokens; without, everybody may do everything.
+/// Makes services [`Authorised`]. With an access file, calls need its tokens; without, everybody may do everything.
 #[derive(Clone)]
-pub struct GateLayer {
+pub struct AuthorisationLayer {
     shared: Arc<Shared>,
 }
 
 type Observer = dyn Fn(&str, i32, Duration) + Send + Sync;
 
-/// What the gates of all connections share.
+/// What the services of all connections share.
 struct Shared {
     access: Option<Arc<CoordinatorAccess>>,
     observer: Box<Observer>,
     clock: Clock,
-    refused: Muffle,
+    refused: Throttle,
 }
 
-impl GateLayer {
+impl AuthorisationLayer {
     /// `observer` is told of every call once, when it has ended: the method's path or [`OTHER_METHOD`], the gRPC code
     /// (1, cancelled, if the caller has gone before the end), and how long it took.
     pub fn new(
@@ -60,40 +60,40 @@ impl GateLayer {
         observer: impl Fn(&str, i32, Duration) + Send + Sync + 'static,
     ) -> Self {
         let observer = Box::new(observer);
-        let shared = Shared { access, observer, clock: Clock::start(), refused: Muffle::new(TELL_REFUSED) };
+        let shared = Shared { access, observer, clock: Clock::start(), refused: Throttle::new(TELL_REFUSED) };
         Self { shared: Arc::new(shared) }
     }
 }
 
-impl fmt::Debug for GateLayer {
+impl fmt::Debug for AuthorisationLayer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("GateLayer").field("access", &self.shared.access).finish_non_exhaustive()
+        f.debug_struct("AuthorisationLayer").field("access", &self.shared.access).finish_non_exhaustive()
     }
 }
 
-impl<S> Layer<S> for GateLayer {
-    type Service = Gate<S>;
+impl<S> Layer<S> for AuthorisationLayer {
+    type Service = Authorised<S>;
 
-    fn layer(&self, inner: S) -> Gate<S> {
-        Gate { inner, shared: self.shared.clone() }
+    fn layer(&self, inner: S) -> Authorised<S> {
+        Authorised { inner, shared: self.shared.clone() }
     }
 }
 
-/// A service behind the gate. Handlers find [`RequestId`] and, with an access file, [`Caller`] in the extensions of
+/// A service that only admitted calls reach. Handlers find [`RequestId`] and, with an access file, [`Caller`] in the extensions of
 /// their request.
 #[derive(Clone)]
-pub struct Gate<S> {
+pub struct Authorised<S> {
     inner: S,
     shared: Arc<Shared>,
 }
 
-impl<S: fmt::Debug> fmt::Debug for Gate<S> {
+impl<S: fmt::Debug> fmt::Debug for Authorised<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Gate").field("inner", &self.inner).finish_non_exhaustive()
+        f.debug_struct("Authorised").field("inner", &self.inner).finish_non_exhaustive()
     }
 }
 
-impl<S, B> Service<Request<B>> for Gate<S>
+impl<S, B> Service<Request<B>> for Authorised<S>
 where
     S: Service<Request<B>, Response = Response<Body>>,
     S::Future: Send + 'static,

@@ -1,11 +1,11 @@
-//! Figures and health over plain HTTP, on a port of its own: `/metrics`, `/livez`, `/readyz`.
+//! Metrics and health over plain HTTP, on a port of its own: `/metrics`, `/livez`, `/readyz`.
 //!
 //! Whoever can reach the port can read the names of dictionaries and how much is done; nothing can be changed.
 
+mod counters;
 mod exposition;
-mod figures;
-mod metrics;
 mod process;
+mod snapshot;
 
 #[cfg(test)]
 mod tests;
@@ -30,8 +30,8 @@ use tokio_util::sync::CancellationToken;
 
 use self::exposition::Format;
 
-pub use self::figures::{DictionaryFigures, Figures, JobFigures, WorkerFigures};
-pub use self::metrics::{BuildInfo, JobFailure, JobOutcome, LeaseKind, Metrics, VerificationOutcome};
+pub use self::counters::{BuildInfo, JobFailure, JobOutcome, LeaseKind, Metrics, VerificationOutcome};
+pub use self::snapshot::{DictionaryCounts, JobCounts, Snapshot, WorkerCounts};
 
 /// What a request may take to arrive, and how long a connection may wait for the next one.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(15);
@@ -45,7 +45,7 @@ const BUFFER_BYTES: usize = 16_384;
 const MOST_HEADERS: usize = 64;
 
 const PATHS: &str = "not found; there are:
-/metrics  figures for Prometheus
+/metrics  metrics for Prometheus
 /livez    whether the process answers
 /readyz   whether it can serve
 ";
@@ -54,31 +54,31 @@ type Ask<T> = Arc<dyn Fn() -> T + Send + Sync>;
 
 /// What the port tells. Both closures are called for each request on a thread that serves others: they must be quick.
 #[derive(Clone)]
-pub struct Web {
+pub struct MetricsServer {
     metrics: Metrics,
-    figures: Ask<Figures>,
+    snapshot: Ask<Snapshot>,
     ready: Ask<Result<(), String>>,
 }
 
-impl Web {
+impl MetricsServer {
     /// `ready` tells why the caller cannot serve, if it cannot.
     pub fn new(
         metrics: Metrics,
-        figures: impl Fn() -> Figures + Send + Sync + 'static,
+        snapshot: impl Fn() -> Snapshot + Send + Sync + 'static,
         ready: impl Fn() -> Result<(), String> + Send + Sync + 'static,
     ) -> Self {
-        Self { metrics, figures: Arc::new(figures), ready: Arc::new(ready) }
+        Self { metrics, snapshot: Arc::new(snapshot), ready: Arc::new(ready) }
     }
 }
 
-impl fmt::Debug for Web {
+impl fmt::Debug for MetricsServer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Web").field("metrics", &self.metrics).finish_non_exhaustive()
+        f.debug_struct("MetricsServer").field("metrics", &self.metrics).finish_non_exhaustive()
     }
 }
 
 /// Answers until the token is cancelled, and ends within two seconds then, whatever is connected.
-pub async fn serve(listener: TcpListener, state: Web, shutdown: CancellationToken) {
+pub async fn serve(listener: TcpListener, state: MetricsServer, shutdown: CancellationToken) {
     let router = router(state);
     let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     let mut connections = JoinSet::new();
@@ -105,7 +105,7 @@ pub async fn serve(listener: TcpListener, state: Web, shutdown: CancellationToke
     .await;
 }
 
-fn router(state: Web) -> Router {
+fn router(state: MetricsServer) -> Router {
     Router::new()
         .route("/metrics", get(metrics))
         .route("/livez", get(|| async { "ok" }))
@@ -114,22 +114,22 @@ fn router(state: Web) -> Router {
         .with_state(state)
 }
 
-async fn metrics(State(web): State<Web>, headers: HeaderMap) -> Response {
+async fn metrics(State(state): State<MetricsServer>, headers: HeaderMap) -> Response {
     let accepted = headers.get_all(ACCEPT).iter().filter_map(|value| value.to_str().ok());
     let format = Format::best_of(accepted);
-    match web.metrics.expose((web.figures)(), format) {
+    match state.metrics.expose((state.snapshot)(), format) {
         Ok(text) => {
             ([(CONTENT_TYPE, format.content_type()), (CACHE_CONTROL, "no-store")], text).into_response()
         }
         // Writing to a string does not fail; a metric that breaks the library's rules would.
         Err(error) => {
-            (StatusCode::INTERNAL_SERVER_ERROR, format!("writing the figures: {error}\n")).into_response()
+            (StatusCode::INTERNAL_SERVER_ERROR, format!("writing the metrics: {error}\n")).into_response()
         }
     }
 }
 
-async fn ready(State(web): State<Web>) -> Response {
-    match (web.ready)() {
+async fn ready(State(state): State<MetricsServer>) -> Response {
+    match (state.ready)() {
         Ok(()) => "ok".into_response(),
         Err(reason) => (StatusCode::SERVICE_UNAVAILABLE, reason).into_response(),
     }

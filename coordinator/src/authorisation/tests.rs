@@ -8,11 +8,12 @@ use super::*;
 
 type Told = Arc<Mutex<Vec<(String, i32)>>>;
 
-fn gate<S>(service: S) -> (Gate<S>, Told) {
+fn guarded<S>(service: S) -> (Authorised<S>, Told) {
     let told = Told::default();
     let into = told.clone();
-    let layer =
-        GateLayer::new(None, move |method, code, _| into.lock().unwrap().push((method.to_owned(), code)));
+    let layer = AuthorisationLayer::new(None, move |method, code, _| {
+        into.lock().unwrap().push((method.to_owned(), code))
+    });
     (layer.layer(service), told)
 }
 
@@ -44,8 +45,8 @@ fn stream(code: Option<&'static str>) -> Response<Body> {
 
 #[tokio::test]
 async fn a_stream_is_told_of_when_its_trailers_have_come() {
-    let (mut gate, told) = gate(answering(|_| stream(Some("5"))));
-    let response = gate.call(request("/farm.v1.Fits/Fit")).await.unwrap();
+    let (mut service, told) = guarded(answering(|_| stream(Some("5"))));
+    let response = service.call(request("/farm.v1.Fits/Fit")).await.unwrap();
     assert!(told.lock().unwrap().is_empty(), "the stream has not ended");
     response.into_body().collect().await.unwrap();
     assert_eq!(*told.lock().unwrap(), [("/farm.v1.Fits/Fit".to_owned(), 5)]);
@@ -53,40 +54,40 @@ async fn a_stream_is_told_of_when_its_trailers_have_come() {
 
 #[tokio::test]
 async fn a_stream_that_is_let_go_of_is_cancelled_and_one_without_code_unknown() {
-    let (mut gate, told) = gate(answering(|_| stream(None)));
-    let mut body = gate.call(request("/a")).await.unwrap().into_body();
+    let (mut service, told) = guarded(answering(|_| stream(None)));
+    let mut body = service.call(request("/a")).await.unwrap().into_body();
     body.frame().await.unwrap().unwrap();
     drop(body);
-    gate.call(request("/b")).await.unwrap().into_body().collect().await.unwrap();
+    service.call(request("/b")).await.unwrap().into_body().collect().await.unwrap();
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1), ("/b".to_owned(), 2)]);
 }
 
 #[tokio::test]
 async fn a_call_that_is_let_go_of_before_its_answer_is_cancelled() {
-    let (mut gate, told) = gate(tower::service_fn(|_: Request<Body>| {
+    let (mut service, told) = guarded(tower::service_fn(|_: Request<Body>| {
         std::future::pending::<Result<Response<Body>, Infallible>>()
     }));
-    drop(gate.call(request("/a")));
+    drop(service.call(request("/a")));
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1)]);
 }
 
 #[tokio::test]
 async fn an_answer_without_body_is_told_of_by_its_header() {
-    let (mut gate, told) = gate(answering(|_| Status::not_found("no").into_http()));
-    drop(gate.call(request("/a")).await.unwrap());
+    let (mut service, told) = guarded(answering(|_| Status::not_found("no").into_http()));
+    drop(service.call(request("/a")).await.unwrap());
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 5)]);
 }
 
 #[tokio::test]
 async fn paths_where_nothing_is_are_told_of_together() {
-    let (mut gate, told) = gate(answering(|_| Status::unimplemented("no").into_http()));
-    drop(gate.call(request("/made/up")).await.unwrap());
+    let (mut service, told) = guarded(answering(|_| Status::unimplemented("no").into_http()));
+    drop(service.call(request("/made/up")).await.unwrap());
     assert_eq!(*told.lock().unwrap(), [(OTHER_METHOD.to_owned(), 12)]);
 }
 
 #[tokio::test]
 async fn handlers_see_the_request_id_and_not_the_token() {
-    let (mut gate, _) = gate(answering(|request| {
+    let (mut service, _) = guarded(answering(|request| {
         assert!(request.headers().get("authorization").is_none());
         assert!(request.extensions().get::<Caller>().is_none(), "nobody is asked who he is");
         assert_eq!(request.extensions().get::<RequestId>().unwrap().as_str(), "my-id");
@@ -94,6 +95,6 @@ async fn handlers_see_the_request_id_and_not_the_token() {
     }));
     let mut request = request("/a");
     request.headers_mut().insert("x-request-id", "my-id".parse().unwrap());
-    let response = gate.call(request).await.unwrap();
+    let response = service.call(request).await.unwrap();
     assert_eq!(response.headers().get("x-request-id").unwrap(), "my-id");
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// Counts events, and says now and then that it is time to tell how many there were.
 #[derive(Debug)]
-pub(crate) struct Muffle {
+pub(crate) struct Throttle {
     every: Duration,
     state: Mutex<State>,
 }
@@ -16,7 +16,7 @@ struct State {
     untold: u64,
 }
 
-impl Muffle {
+impl Throttle {
     pub(crate) fn new(every: Duration) -> Self {
         Self { every, state: Mutex::default() }
     }
@@ -39,7 +39,7 @@ mod tests {
 
     #[test]
     fn the_first_is_told_at_once_and_the_others_are_told_together() {
-        let muffle = Muffle::new(Duration::from_secs(10));
+        let muffle = Throttle::new(Duration::from_secs(10));
         let at = |seconds| muffle.count(Duration::from_secs(seconds));
         assert_eq!(
             [at(5), at(5), at(14), at(15), at(16), at(99)],

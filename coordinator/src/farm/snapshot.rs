@@ -1,23 +1,23 @@
-//! What the port for figures tells.
+//! States and counts at one moment, for the port of the metrics.
 
 use farm_proto::status::{DictionaryState, WorkerState};
 
 use super::Farm;
-use crate::web::{DictionaryFigures, Figures, JobFigures, WorkerFigures};
+use crate::metrics::{DictionaryCounts, JobCounts, Snapshot, WorkerCounts};
 
 impl Farm {
     /// States and progress now.
-    pub(crate) fn figures(&self) -> Figures {
+    pub(crate) fn snapshot(&self) -> Snapshot {
         let database_bytes = self.store.bytes();
         let (dispatch, now) = (self.dispatch(), self.clock.now());
-        let mut figures = Figures { database_bytes, ..Figures::default() };
+        let mut snapshot = Snapshot { database_bytes, ..Snapshot::default() };
         let (pending, leased) = dispatch.load();
-        figures.jobs = JobFigures { pending: pending as u64, leased: leased as u64, ..JobFigures::default() };
+        snapshot.jobs = JobCounts { pending: pending as u64, leased: leased as u64, ..JobCounts::default() };
         for dictionary in dispatch.dictionaries() {
             let (done, failed) = dictionary.ended();
-            figures.jobs.done += done as u64;
-            figures.jobs.failed += failed as u64;
-            let DictionaryFigures { running, paused, done, failed, cancelled } = &mut figures.dictionaries;
+            snapshot.jobs.done += done as u64;
+            snapshot.jobs.failed += failed as u64;
+            let DictionaryCounts { running, paused, done, failed, cancelled } = &mut snapshot.dictionaries;
             *match dictionary.state() {
                 DictionaryState::Running => running,
                 DictionaryState::Paused => paused,
@@ -25,13 +25,13 @@ impl Farm {
                 DictionaryState::Failed => failed,
                 DictionaryState::Cancelled | DictionaryState::Outdated => cancelled,
             } += 1;
-            figures.work_done.push((dictionary.name().to_string(), dictionary.work_done()));
+            snapshot.work_done.push((dictionary.name().to_string(), dictionary.work_done()));
         }
         // Those that are still at work are the most interesting, then the newest.
-        figures.work_done.reverse();
-        figures.work_done.sort_by_key(|(_, done)| *done >= 1.0);
+        snapshot.work_done.reverse();
+        snapshot.work_done.sort_by_key(|(_, done)| *done >= 1.0);
         for worker in dispatch.workers(now, &farm_proto::ids::WorkerId(String::new()), usize::MAX) {
-            let WorkerFigures { working, idle, draining, silent } = &mut figures.workers;
+            let WorkerCounts { working, idle, draining, silent } = &mut snapshot.workers;
             *match worker.state {
                 WorkerState::Fenced => continue,
                 WorkerState::Silent => silent,
@@ -40,7 +40,7 @@ impl Farm {
                 WorkerState::Idle => idle,
             } += 1;
         }
-        figures
+        snapshot
     }
 
     /// Why it cannot serve, if it cannot.

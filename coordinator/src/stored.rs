@@ -1,0 +1,126 @@
+//! What is stored, and what it means. The store maps its rows to these types, and `dispatch` begins from them after a
+//! restart, so that neither needs to know the other.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use farm_proto::DictionaryName;
+use farm_proto::ids::DictionaryId;
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Grid, PackedRecords, Quality, Walks};
+
+/// What people want of a dictionary.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DesiredState {
+    Run,
+    Pause,
+    Cancel,
+}
+
+impl DesiredState {
+    pub(crate) fn as_str(self) -> &'static str {
+        match self {
+            Self::Run => "run",
+            Self::Pause => "pause",
+            Self::Cancel => "cancel",
+        }
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredDictionary {
+    pub id: DictionaryId,
+    pub name: DictionaryName,
+    pub grid: Arc<Grid>,
+    pub grid_digest: Digest,
+    pub created_unix_ms: u64,
+    pub priority: i32,
+    pub desire: DesiredState,
+    /// Why it was cancelled.
+    pub reason: String,
+}
+
+/// How a job ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum EndedJob {
+    Done {
+        job: u32,
+        walks: Walks,
+        records: Digest,
+        /// Row of the worker that computed it, if one did it alone.
+        by: Option<i64>,
+        /// Its records were there before.
+        reused: bool,
+    },
+    GivenUp {
+        job: u32,
+        reason: String,
+        quarantined: bool,
+    },
+}
+
+impl EndedJob {
+    pub fn job(&self) -> u32 {
+        match self {
+            Self::Done { job, .. } | Self::GivenUp { job, .. } => *job,
+        }
+    }
+}
+
+/// A worker's process, by the number of its row in the store: what results are traced back to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Origin(pub i64);
+
+/// A result to be stored.
+#[derive(Debug)]
+pub struct Completion {
+    pub dictionary: DictionaryId,
+    pub job_number: u32,
+    pub job: JobSpec,
+    /// Row of the worker.
+    pub worker: i64,
+    pub content: JobResult,
+    /// If the records must reach a target error.
+    pub quality: Option<Quality>,
+}
+
+#[derive(Debug)]
+pub enum JobResult {
+    Records(PackedRecords),
+    /// Of the block that the job names.
+    Sums(Bytes),
+}
+
+/// What became of a result.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Outcome {
+    /// The job is done.
+    Finished { records: Digest },
+    /// A block is stored; others are missing.
+    Part,
+    /// The target error is not reached: nothing is kept, and more walks are needed.
+    MoreWalks(Walks),
+    /// Nothing is kept: the dictionary was deleted, the worker is fenced off, or the job is done and this cannot be compared
+    /// with its records.
+    Unwanted,
+    /// The job was done before, with the records that have this digest; these have another, or the same.
+    Before { records: Digest, new: Digest },
+    /// Nothing is kept: another job has stored other records for the same walks.
+    Differs,
+}
+
+impl JobResult {
+    pub fn digest(&self) -> Digest {
+        match self {
+            Self::Records(records) => records.digest(),
+            Self::Sums(bytes) => Digest::of_bytes(bytes),
+        }
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        match self {
+            Self::Records(records) => records.bytes().len(),
+            Self::Sums(bytes) => bytes.len(),
+        }
+    }
+}
