@@ -1,4 +1,4 @@
-//! The documents: links lead somewhere, the book has every page, and the map of the code stays a map.
+//! The documents: links and paths lead somewhere, the book has every page, and the map of the code stays a map.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -7,6 +7,10 @@ use std::path::{Component, Path, PathBuf};
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+}
+
+fn is_document(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "md")
 }
 
 /// All Markdown files by their path from the root.
@@ -20,7 +24,7 @@ fn documents() -> BTreeMap<PathBuf, String> {
             let is_folder = path.is_dir() && !path.is_symlink();
             if is_folder && !name.starts_with('.') && name != "target" && name != "venv" {
                 folders.push(path);
-            } else if name.ends_with(".md") {
+            } else if is_document(&path) {
                 let text = std::fs::read_to_string(&path).unwrap();
                 found.insert(path.strip_prefix(&root).unwrap().to_owned(), text);
             }
@@ -114,6 +118,24 @@ fn dead_links_are_found() {
     assert_eq!(dead, expected.map(|link| format!("docs/planted.md:{link}")));
 }
 
+/// Paths in code style that begin with a folder of the project.
+fn paths(text: &str) -> impl Iterator<Item = &str> {
+    let folders =
+        ["client", "coordinator", "deploy", "docs", "examples", "optics", "proto", "tests", "worker"];
+    let is_path =
+        move |code: &&str| code.split_once('/').is_some_and(|(folder, _)| folders.contains(&folder));
+    prose(text).flat_map(|(_, line)| line.split('`').skip(1).step_by(2)).filter(is_path)
+}
+
+#[test]
+fn every_path_in_the_documents_exists() {
+    let documents = documents();
+    let places = documents.iter().flat_map(|(page, text)| paths(text).map(move |path| (page, path)));
+    let gone: Vec<_> = places.filter(|(_, path)| !root().join(path).exists()).collect();
+    assert!(gone.is_empty(), "{gone:?}");
+    assert!(paths(&documents[Path::new("ARCHITECTURE.md")]).count() > 20, "paths are found");
+}
+
 /// A document outside of the book would be a dead link in it.
 #[test]
 fn the_book_has_every_page_that_there_is_or_that_a_page_links_to() {
@@ -124,9 +146,7 @@ fn the_book_has_every_page_that_there_is_or_that_a_page_links_to() {
     let in_docs = documents.keys().filter(|path| path.starts_with("docs") && *path != summary).cloned();
     let linked = pages.iter().flat_map(|page| {
         let targets = links(&documents[page]).into_iter().map(|(_, link)| link.split('#').next().unwrap());
-        targets
-            .map(|target| resolved(page, target))
-            .filter(|path| path.extension().is_some_and(|e| e == "md"))
+        targets.map(|target| resolved(page, target)).filter(|path| is_document(path))
     });
     for page in in_docs.chain(linked) {
         assert!(pages.contains(&page), "docs/SUMMARY.md does not name {}", page.display());
