@@ -107,6 +107,15 @@ pub enum Outcome {
     Before { records: Digest, new: Digest },
     /// Nothing is kept: another job has stored other records for the same walks.
     Differs,
+    /// A block that is stored already, or was merged: nothing is left to compare with.
+    Repeated,
+}
+
+impl Outcome {
+    /// Whether other records are stored than these.
+    pub fn is_conflict(self) -> bool {
+        matches!(self, Self::Differs) || matches!(self, Self::Before { records, new } if records != new)
+    }
 }
 
 impl JobResult {

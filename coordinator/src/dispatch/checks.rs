@@ -33,6 +33,8 @@ pub(super) enum Verdict {
     Agreed,
     /// The same worker said the same again.
     Repeated,
+    /// The same worker says something else than before.
+    Contradicted,
     /// Two results differ: another worker is needed.
     Disputed,
     /// Two agree against these.
@@ -92,7 +94,7 @@ impl Checks {
                 self.open.remove(&part);
             }
             self.disputed += 1;
-            return Verdict::Wrong(vec![new.by]);
+            return Verdict::Contradicted;
         }
         votes.push(new);
         let count = |digest: Digest| votes.iter().filter(|v| v.digest == digest).count();

@@ -35,7 +35,7 @@ pub(super) struct Job {
     /// Leases given out so far.
     pub attempts: u32,
     pub strikes: Vec<Strike>,
-    /// Place in the order of work.
+    /// JobRef in the order of work.
     pub rank: u32,
     /// Expected time of the whole job, in scatterings.
     pub cost: f64,

@@ -10,8 +10,8 @@ use optics_model::{Digest, Walks};
 use super::checks;
 use super::checks::{Verdict, Vote};
 use super::job::{Stage, Strike};
-use super::{DispatchError, Dispatcher, Effect, Event, EventKind, PartId, Purpose};
-use crate::stored::Origin;
+use super::{Count, DispatchError, Dispatcher, Effect, Event, EventKind, JobRef, PartId, Purpose};
+use crate::stored::{Origin, Outcome};
 
 /// What to do with a result that has come in.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,6 +42,16 @@ pub struct Arrived<'a> {
     pub key: &'a LeaseKey,
     /// Of its whole job.
     pub walks: Walks,
+}
+
+/// What is to be looked up in the store now that a result has come.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Next {
+    Nothing,
+    /// Which blocks of the job there are.
+    FindBlocks,
+    /// These jobs of other dictionaries, which the records may serve too.
+    Serve(Vec<JobRef>),
 }
 
 impl Dispatcher {
@@ -88,6 +98,32 @@ impl Dispatcher {
         }
     }
 
+    /// Notes what the store has made of a result. [`Outcome::Differs`] is for [`Self::distrust`].
+    pub fn arrived(&mut self, now: Duration, arrived: &Arrived, outcome: Outcome) -> Next {
+        let key = arrived.key;
+        match outcome {
+            Outcome::Finished { records } => {
+                self.finished(now, arrived, records);
+                Next::Serve(self.served_by((key.dictionary, key.job)))
+            }
+            Outcome::Part => {
+                self.part_finished(now, arrived);
+                // Blocks are shared by dictionaries that ask for the same: another one may have merged those that this
+                // one has counted.
+                if self.waits_for_nothing(key) { Next::FindBlocks } else { Next::Nothing }
+            }
+            Outcome::MoreWalks(walks) => {
+                self.prolong(now, arrived, walks);
+                Next::FindBlocks
+            }
+            Outcome::Before { records, new } => {
+                self.compared(arrived.by, key, records, new);
+                Next::Nothing
+            }
+            Outcome::Unwanted | Outcome::Repeated | Outcome::Differs => Next::Nothing,
+        }
+    }
+
     /// Notes that a job's records are stored.
     pub fn finished(&mut self, now: Duration, arrived: &Arrived, records: Digest) {
         let Arrived { by, key, walks, .. } = *arrived;
@@ -103,6 +139,7 @@ impl Dispatcher {
         let suspect = self.suspects.remove(&(id, key.job));
         if walks.blocks() == 1 && (suspect || checks::is_drawn(records, self.settings.check_share)) {
             self.checks.want(PartId::from(key), Vote { by: Some(by), digest: records });
+            self.outbox.work = true;
         }
         self.tell_end(id);
     }
@@ -113,7 +150,7 @@ impl Dispatcher {
             let (done, given_up) = dictionary.ended();
             let kind = if given_up == 0 { EventKind::Done } else { EventKind::Ended };
             let message = format!("{done} jobs done, {given_up} given up");
-            self.events.push(Event::of_dictionary(kind, id, message));
+            self.outbox.events.push(Event::of_dictionary(kind, dictionary.name(), message));
         }
     }
 
@@ -128,13 +165,7 @@ impl Dispatcher {
             self.free(key.token);
         }
         let what = "other records than those of the same walks in another dictionary";
-        self.events.push(Event {
-            kind: EventKind::ResultsDiffer,
-            dictionary: Some(key.dictionary),
-            job: Some(key.job),
-            worker: self.workers.label_of(arrived.by),
-            message: format!("{what}: both are computed again"),
-        });
+        self.tell_difference(arrived.by, key, format!("{what}: both are computed again"));
         let reason = format!("attempt {}: {what}", key.attempt);
         self.strike(key, Strike { worker: Some(arrived.by), silent: false, reason });
     }
@@ -169,6 +200,7 @@ impl Dispatcher {
         self.end_leases_of_job(id, job);
         if let Some(dictionary) = self.dictionaries.get_mut(&id) {
             dictionary.prolong(job, more);
+            self.outbox.work = true;
         }
     }
 
@@ -196,6 +228,7 @@ impl Dispatcher {
         }
         self.pace.working(now, self.leases.len() > 0);
         self.workers.job_done(arrived.worker);
+        self.outbox.changed = true;
     }
 
     /// Compares a result with the one that is stored. True if they are equal.
@@ -220,32 +253,37 @@ impl Dispatcher {
         };
         let verdict =
             self.checks.vote(part, Vote { by: first, digest: stored }, Vote { by: Some(by), digest: new });
-        let label = self.workers.label_of(by);
-        let event = |message: String| Event {
-            kind: EventKind::ResultsDiffer,
-            dictionary: Some(key.dictionary),
-            job: Some(key.job),
-            worker: label.clone(),
-            message,
-        };
+        self.outbox.changed = true;
         let confirmed = match &verdict {
             Verdict::Agreed => true,
             Verdict::Wrong(wrong) => stored == new && !wrong.contains(&Some(by)),
-            Verdict::Disputed | Verdict::Repeated => false,
+            Verdict::Disputed | Verdict::Repeated | Verdict::Contradicted => false,
         };
         if confirmed {
             let (dictionary, job) = (part.dictionary, part.job);
-            self.effects.push(Effect::Agreed { dictionary, job, worker: by });
+            self.outbox.effects.push(Effect::Agreed { dictionary, job, worker: by });
         }
         match verdict {
-            Verdict::Agreed | Verdict::Repeated => {}
+            Verdict::Repeated => {}
+            Verdict::Agreed => self.outbox.counts.push(Count::Agreed),
             Verdict::Disputed => {
+                self.outbox.counts.push(Count::Disputed);
+                // A third worker decides, which may be waiting for work.
+                self.outbox.work = true;
                 let first = first.map_or_else(|| "an earlier one".to_owned(), |o| self.workers.label_of(o));
-                self.events
-                    .push(event(format!("other records than those of {first}: a third worker decides")));
+                self.tell_difference(
+                    by,
+                    key,
+                    format!("other records than those of {first}: a third worker decides"),
+                );
+            }
+            Verdict::Contradicted => {
+                self.outbox.counts.push(Count::Disputed);
+                self.tell_difference(by, key, "records differ between workers");
+                self.fence(part, Some(by));
             }
             Verdict::Wrong(wrong) => {
-                self.events.push(event("records differ between workers".to_owned()));
+                self.tell_difference(by, key, "records differ between workers");
                 for origin in wrong {
                     self.fence(part, origin);
                 }
@@ -254,12 +292,19 @@ impl Dispatcher {
         stored == new
     }
 
+    fn tell_difference(&mut self, by: Origin, key: &LeaseKey, message: impl Into<String>) {
+        if let Some(dictionary) = self.dictionaries.get(&key.dictionary) {
+            let event = Event::of_job(EventKind::ResultsDiffer, dictionary.name(), key.job, message);
+            self.outbox.events.push(event.by(self.workers.label_of(by)));
+        }
+    }
+
     /// Fences off whoever computed wrongly; if that is not known, at least the job is computed again.
     fn fence(&mut self, part: PartId, origin: Option<Origin>) {
         let name = self.dictionaries.get(&part.dictionary).map(|d| d.name().to_string()).unwrap_or_default();
         let Some(origin) = origin else {
             let (dictionary, job) = (part.dictionary, part.job);
-            self.effects.push(Effect::Recompute { dictionary, job });
+            self.outbox.effects.push(Effect::Recompute { dictionary, job });
             return;
         };
         let reason = format!("its records of job {} of {name} are wrong: two other results agree", part.job);
@@ -268,12 +313,12 @@ impl Dispatcher {
         }
         self.workers.fence(origin, reason.clone());
         let label = self.workers.label_of(origin);
-        self.events.push(Event::of_worker(EventKind::WorkerFenced, label, reason.clone()));
+        self.outbox.events.push(Event::of_worker(EventKind::WorkerFenced, label, reason.clone()));
         for id in self.workers.ids_of(origin) {
             for token in self.leases.of_worker(&id) {
                 self.free(token);
             }
         }
-        self.effects.push(Effect::Fence { worker: origin, reason });
+        self.outbox.effects.push(Effect::Fence { worker: origin, reason });
     }
 }

@@ -7,7 +7,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::Grid;
 use tokio::sync::OnceCell;
 
-use super::{FarmError, Result, blocking, read_chunk};
+use super::{FarmError, Result, blocking};
 use crate::store::Store;
 use optics_fit::{DictionaryBuilder, FitDictionary};
 
@@ -68,7 +68,7 @@ pub async fn load_dictionary(
     grid: &Arc<Grid>,
 ) -> Result<FitDictionary> {
     let (jobs, albedos) = (grid.job_count(), grid.albedo().len());
-    let chunk = (read_chunk(grid) / albedos).max(1);
+    let chunk = ((8 << 20) / (albedos * grid.record_bytes())).clamp(1, 1024);
     let mut builder = DictionaryBuilder::new((**grid).clone());
     for first in (0..jobs).step_by(chunk) {
         let range = first..(first + chunk).min(jobs);

@@ -10,7 +10,6 @@ use farm_proto::ids::DictionaryId;
 use optics_model::{Grid, Invalid, Record};
 
 use super::{Farm, FarmError, Result, blocking};
-use crate::dispatch::{Event, EventKind};
 use crate::store::StoreError;
 use optics_fit::FitDictionary;
 
@@ -34,7 +33,7 @@ impl Farm {
     /// What to say of a job that was damaged when it was read: it is read again, and computed again if need be.
     async fn doubted(&self, name: &DictionaryName, id: DictionaryId, grid: &Grid, job: u32) -> FarmError {
         let name = name.clone();
-        match self.forget_if_damaged(&name, id, grid, job).await {
+        match self.forget_if_damaged(id, grid, job).await {
             Ok(Some(what)) => FarmError::Damaged { name, job, what },
             Ok(None) => FarmError::Unreadable { name, job, what: UNSTEADY.to_owned() },
             Err(error) => FarmError::Unreadable { name, job, what: error.to_string() },
@@ -55,7 +54,6 @@ impl Farm {
     /// Reads a job once more; only if that finds damage too it is computed again, if its dictionary goes on.
     pub(super) async fn forget_if_damaged(
         &self,
-        name: &DictionaryName,
         id: DictionaryId,
         grid: &Grid,
         job: u32,
@@ -65,12 +63,9 @@ impl Farm {
         let mut again = self.store.forget_job(id, job).await?;
         // One that has lost its end has no records to be forgotten.
         again.push((id, job));
-        self.reopen(again);
+        self.begin_again(again);
         drop(no_result_on_its_way);
-        let event = Event::of_dictionary(EventKind::JobDamaged, id, what.clone());
-        self.recorder.record(name.as_str(), &Event { job: Some(job), ..event });
-        self.work.send_replace(());
-        self.changed.send_replace(());
+        self.door.transition(|dispatcher, _| dispatcher.damaged(id, job, &what));
         Ok(Some(what))
     }
 
@@ -92,9 +87,4 @@ impl Farm {
         };
         Ok(blocking(move || question(&dictionary)).await?)
     }
-}
-
-/// Records of a grid that are read at a time: some 8 MiB.
-pub(crate) fn read_chunk(grid: &Grid) -> usize {
-    ((8 << 20) / grid.record_bytes()).clamp(1, 1024)
 }

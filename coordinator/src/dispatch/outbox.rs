@@ -1,8 +1,39 @@
-//! What the dispatcher tells: effects that must be made durable, and events for people.
+//! What comes of a change of the dispatcher's state, noted where it is decided. Whoever made the change takes it all
+//! and carries it out.
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 
+use super::Purpose;
 use crate::stored::Origin;
+
+/// All that came of the changes since it was last taken.
+#[derive(Debug, Default)]
+pub struct Outbox {
+    /// What must be made durable, in this order.
+    pub effects: Vec<Effect>,
+    pub events: Vec<Event>,
+    pub counts: Vec<Count>,
+    /// There may be work for a worker that waits.
+    pub work: bool,
+    /// People who watch may see something new.
+    pub changed: bool,
+}
+
+/// Something that the metrics count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Count {
+    Granted(Purpose),
+    /// Leases whose workers were silent too long.
+    Expired(usize),
+    GivenUp {
+        quarantined: bool,
+    },
+    /// A comparison between workers that found the same.
+    Agreed,
+    /// A comparison that did not.
+    Disputed,
+}
 
 /// Something that the store has to do.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -89,7 +120,8 @@ impl EventKind {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Event {
     pub kind: EventKind,
-    pub dictionary: Option<DictionaryId>,
+    /// Name of the dictionary; empty if it concerns none.
+    pub dictionary: String,
     pub job: Option<u32>,
     /// Label of the worker; empty if it concerns none.
     pub worker: String,
@@ -98,14 +130,22 @@ pub struct Event {
 
 impl Event {
     pub fn of_farm(kind: EventKind, message: impl Into<String>) -> Self {
-        Self { kind, dictionary: None, job: None, worker: String::new(), message: message.into() }
+        Self { kind, dictionary: String::new(), job: None, worker: String::new(), message: message.into() }
     }
 
-    pub fn of_dictionary(kind: EventKind, dictionary: DictionaryId, message: impl Into<String>) -> Self {
-        Self { dictionary: Some(dictionary), ..Self::of_farm(kind, message) }
+    pub fn of_dictionary(kind: EventKind, name: &DictionaryName, message: impl Into<String>) -> Self {
+        Self { dictionary: name.to_string(), ..Self::of_farm(kind, message) }
     }
 
     pub fn of_worker(kind: EventKind, worker: impl Into<String>, message: impl Into<String>) -> Self {
-        Self { worker: worker.into(), ..Self::of_farm(kind, message) }
+        Self::of_farm(kind, message).by(worker)
+    }
+    pub fn of_job(kind: EventKind, name: &DictionaryName, job: u32, message: impl Into<String>) -> Self {
+        Self { job: Some(job), ..Self::of_dictionary(kind, name, message) }
+    }
+
+    #[must_use]
+    pub fn by(self, worker: impl Into<String>) -> Self {
+        Self { worker: worker.into(), ..self }
     }
 }
