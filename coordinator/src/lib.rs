@@ -1,6 +1,6 @@
 //! The coordinator: splits a grid into jobs, leases them to workers, stores the records, answers fits.
 //!
-//! `rpc → (dispatch, fit) → store`, never back; [`farm::Farm`] ties them together. The caller owns the port
+//! `rpc → (dispatch, fit) → store`, never back; `farm::Farm` ties them together. The caller owns the port
 //! and the stop signal.
 
 pub mod authorisation;

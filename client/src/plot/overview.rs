@@ -35,7 +35,7 @@ pub(crate) struct OverviewFigure {
     pub albedo: Vec<f64>,
     pub g: Vec<f64>,
     pub x_mm: Vec<f64>,
-    /// Over [thickness][σ_t][albedo][g], each as long as `x_mm` or empty if there is no record.
+    /// Over `[thickness][σ_t][albedo][g]`, each as long as `x_mm` or empty if there is no record.
     pub profiles: Vec<Vec<f64>>,
 }
 

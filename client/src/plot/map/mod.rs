@@ -24,7 +24,7 @@ pub(crate) struct MapFigure {
 #[derive(Clone, Debug)]
 pub(crate) struct MapPanel {
     pub g: f64,
-    /// Over [σ_t][albedo]; NaN where there is none.
+    /// Over `[σ_t][albedo]`; NaN where there is none.
     pub distance: Vec<f64>,
     /// The best record of all, if it has this g.
     pub best: Option<MapPoint>,
