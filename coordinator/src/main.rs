@@ -8,9 +8,8 @@ use std::time::Duration;
 
 use clap::Parser;
 use farm_coordinator::{Config, Coordinator};
-use farm_link::CoordinatorAccess;
-use farm_link::logs;
 use farm_link::logs::LogFormat;
+use farm_link::{CoordinatorAccess, logs};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 

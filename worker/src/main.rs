@@ -5,10 +5,9 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use farm_link::logs;
 use farm_link::logs::LogFormat;
 use farm_link::walltime::{parse_span, parse_time_limit};
-use farm_link::{AccessError, ClientAccess, Target};
+use farm_link::{AccessError, ClientAccess, Target, logs};
 use farm_worker::{Config, Error};
 use tokio_util::sync::CancellationToken;
 

@@ -2,12 +2,12 @@
 //!
 //! Results are deterministic, so of two that differ one is wrong. A third worker decides: what two agree on is right.
 
-use crate::stored::Origin;
 use std::collections::BTreeMap;
 
 use optics_model::Digest;
 
 use super::PartId;
+use crate::stored::Origin;
 
 /// Checks that may wait; when there are more, the oldest are dropped.
 const MOST: usize = 1000;

@@ -2,8 +2,7 @@
 
 use optics_model::{Digest, Walks};
 
-use crate::stored::EndedJob;
-use crate::stored::Origin;
+use crate::stored::{EndedJob, Origin};
 
 /// A block of a divided job, or the whole of one that is not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

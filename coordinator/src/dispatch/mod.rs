@@ -24,7 +24,6 @@ mod shared;
 mod tests;
 mod workers;
 
-use crate::stored::Origin;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -34,7 +33,7 @@ use farm_proto::lease::Lease;
 use farm_proto::status::DictionaryStatus;
 use optics_model::Walks;
 
-use crate::stored::DesiredState;
+use crate::stored::{DesiredState, Origin};
 use checks::Checks;
 pub use dictionary::Dictionary;
 pub use explain::Reason;

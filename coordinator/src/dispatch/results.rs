@@ -7,10 +7,9 @@ use farm_proto::lease::LeaseKey;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Walks};
 
-use super::checks;
 use super::checks::{Verdict, Vote};
 use super::job::{Stage, Strike};
-use super::{Count, DispatchError, Dispatcher, Effect, Event, EventKind, JobRef, PartId, Purpose};
+use super::{Count, DispatchError, Dispatcher, Effect, Event, EventKind, JobRef, PartId, Purpose, checks};
 use crate::stored::{Origin, Outcome};
 
 /// What to do with a result that has come in.

@@ -14,8 +14,7 @@ use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{Admission, Arrived, Dictionary, DispatchError, Dispatcher, Registration, Settings, TokenSource};
-use crate::stored::Origin;
-use crate::stored::{DesiredState, EndedJob, StoredDictionary};
+use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary};
 
 pub(super) const DIGEST: Digest = Digest::from_bytes([7; 32]);
 

@@ -6,8 +6,7 @@ use optics_model::{Digest, Walks};
 use super::{Bench, DIGEST, about, arrive, job_of, origin, seconds, worker};
 use crate::dispatch::checks::is_drawn;
 use crate::dispatch::{DispatchError, Effect};
-use crate::stored::EndedJob;
-use crate::stored::Origin;
+use crate::stored::{EndedJob, Origin};
 
 #[test]
 fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
