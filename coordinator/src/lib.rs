@@ -1,7 +1,7 @@
 //! The coordinator: splits a grid into jobs, leases them to workers, stores the records, answers fits.
 //!
-//! `rpc → (dispatch, fit) → store`, never back; `farm::Farm` ties them together. The caller owns the port
-//! and the stop signal.
+//! `rpc → farm → (dispatch, store, optics-fit)`, never back; dispatch and store do not know each other. The caller
+//! owns the port and the stop signal.
 
 pub mod authorisation;
 pub mod clock;

@@ -4,6 +4,7 @@
 //! tokens from a [`TokenSource`], results as calls. What comes of it – what must be made durable, what people may want
 //! to know, whom to wake – is in the [`Outbox`].
 
+mod arrivals;
 mod blame;
 mod checks;
 mod dictionary;
@@ -18,7 +19,6 @@ mod outbox;
 mod pace;
 mod plan;
 mod progress;
-mod results;
 mod shared;
 #[cfg(test)]
 mod tests;
@@ -34,6 +34,7 @@ use farm_proto::status::DictionaryStatus;
 use optics_model::Walks;
 
 use crate::stored::{DesiredState, Origin};
+pub use arrivals::{Admission, Arrived, Next};
 use checks::Checks;
 pub use dictionary::Dictionary;
 pub use explain::Reason;
@@ -42,7 +43,6 @@ pub use leases::{PartId, Purpose};
 pub use outbox::{Count, Effect, Event, EventKind, Outbox};
 use pace::Pace;
 pub use plan::Plan;
-pub use results::{Admission, Arrived, Next};
 pub use shared::JobRef;
 pub use workers::Registration;
 use workers::Workers;
