@@ -28,7 +28,6 @@ use crate::dispatch;
 use crate::dispatch::{Dictionary, DispatchError, Event, EventKind, Settings};
 use crate::metrics::Metrics;
 use crate::store::{Store, StoreError};
-use crate::stored::Origin;
 pub(crate) use backup::Backup;
 use events::Recorder;
 use fit_cache::FitCache;
@@ -124,8 +123,8 @@ impl Farm {
             check_share: config.check_share,
         };
         let mut dispatch = dispatch::Dispatcher::new(settings);
-        for (worker, reason) in store.fenced().await? {
-            dispatch.remember_fence(Origin(worker), reason);
+        for (worker, reason) in store.fenced_workers().await? {
+            dispatch.remember_fence(worker, reason);
         }
         let mut ids = Vec::new();
         for stored in store.dictionaries().await? {

@@ -7,7 +7,7 @@ use super::{Farm, Result, blocking};
 use crate::clock::random_token;
 use crate::dispatch::{Event, EventKind};
 use crate::store::DataDir;
-use crate::store::copy::BackupReport;
+use crate::store::backup::BackupReport;
 
 /// A verified copy of the database, which goes with this.
 #[derive(Debug)]
@@ -44,7 +44,7 @@ impl Farm {
         let name = format!("{}{}.db", DataDir::BACKUP_PREFIX, &random_token()[..8]);
         let backup = Backup { file: self.store.dir().path().join(name) };
         let report = self.store.backup(&backup.file).await?;
-        let message = format!("{} records, {} bytes", report.content.records, report.bytes);
+        let message = format!("{} records, {} bytes", report.counts.records, report.bytes);
         self.recorder.record("", &Event::of_farm(EventKind::BackupMade, message));
         Ok((backup, report))
     }

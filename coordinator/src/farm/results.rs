@@ -61,7 +61,7 @@ impl Farm {
             dictionary: key.dictionary,
             job_number: key.job,
             job,
-            worker: arrived.by.0,
+            worker: arrived.by,
             content,
             quality,
         };

@@ -10,7 +10,6 @@ use crate::clock::random_token;
 use crate::dispatch::{Admission, Dictionary, Effect, EventKind, Grant, Purpose, Registration, Settings};
 use crate::metrics::{JobFailure, LeaseKind};
 use crate::store::StoreError;
-use crate::stored::Origin;
 
 /// What a worker and the coordinator must agree on.
 #[derive(Debug, Clone, Copy)]
@@ -40,7 +39,7 @@ impl Farm {
         versions: Versions,
     ) -> Result<(WorkerId, Settings)> {
         versions.check()?;
-        let origin = Origin(self.store.worker(instance, &about.label).await?);
+        let origin = self.store.register_worker(instance, &about.label).await?;
         let id = WorkerId(random_token());
         let settings = {
             let mut dispatch = self.dispatch();
@@ -161,12 +160,12 @@ impl Farm {
                 self.store.give_up_job(*dictionary, *job, reason, *quarantined).await
             }
             Effect::Agreed { dictionary, job, worker } => {
-                self.store.note_agreement(*dictionary, *job, worker.0).await
+                self.store.note_agreement(*dictionary, *job, *worker).await
             }
             Effect::Recompute { dictionary, job } => self.forget_job(*dictionary, *job).await,
             Effect::Fence { worker, reason } => {
                 let _no_result_on_its_way = self.records.write().await;
-                let forgotten = self.store.fence(worker.0, reason).await?;
+                let forgotten = self.store.fence(*worker, reason).await?;
                 self.reopen(forgotten);
                 // Blocks of jobs that had not ended are gone too.
                 let all: Vec<_> = self.dispatch().dictionaries().map(Dictionary::id).collect();

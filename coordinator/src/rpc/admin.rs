@@ -14,7 +14,7 @@ use tonic::{Request, Response, Status};
 
 use super::Context;
 use crate::farm::{Backup, detached};
-use crate::store::copy::BackupReport;
+use crate::store::backup::BackupReport;
 
 /// Bytes of one piece of a backup.
 const PIECE: usize = 1 << 20;
@@ -73,9 +73,9 @@ async fn send(backup: &Backup, report: &BackupReport, sender: &mpsc::Sender<Resu
     let header = BackupHeader {
         bytes: report.bytes,
         digest: report.blake3_hex.clone(),
-        dictionaries: report.content.dictionaries,
-        jobs: report.content.jobs,
-        records: report.content.records,
+        dictionaries: report.counts.dictionaries,
+        jobs: report.counts.jobs,
+        records: report.counts.records,
     };
     let mut next = Some(Ok(Content::Header(header)));
     let mut offset = 0;
