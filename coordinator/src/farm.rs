@@ -29,7 +29,6 @@ use crate::config::Config;
 use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Settings};
 use crate::metrics::Metrics;
 use crate::store::{Store, StoreError};
-use crate::stored::Origin;
 pub(crate) use backup::{Backup, BackupPart};
 use door::Door;
 use events::Recorder;
@@ -233,8 +232,8 @@ async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, Sto
         max_attempts: config.max_attempts,
         check_share: config.check_share,
     });
-    for (worker, reason) in store.fenced().await? {
-        dispatcher.remember_fence(Origin(worker), reason);
+    for (worker, reason) in store.fenced_workers().await? {
+        dispatcher.remember_fence(worker, reason);
     }
     for stored in store.dictionaries().await? {
         let ended = store.ended_jobs(stored.id, stored.grid.walks()).await?;

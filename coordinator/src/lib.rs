@@ -12,7 +12,7 @@ mod farm;
 mod metrics;
 mod rpc;
 pub mod store;
-mod stored;
+pub mod stored;
 mod throttle;
 
 use std::sync::Arc;

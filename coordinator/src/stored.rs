@@ -47,8 +47,8 @@ pub enum EndedJob {
         job: u32,
         walks: Walks,
         records: Digest,
-        /// Row of the worker that computed it, if one did it alone.
-        by: Option<i64>,
+        /// The worker that computed it, if one did it alone.
+        by: Option<Origin>,
         /// Its records were there before.
         reused: bool,
     },
@@ -77,8 +77,7 @@ pub struct Completion {
     pub dictionary: DictionaryId,
     pub job_number: u32,
     pub job: JobSpec,
-    /// Row of the worker.
-    pub worker: i64,
+    pub worker: Origin,
     pub content: JobResult,
     /// If the records must reach a target error.
     pub quality: Option<Quality>,

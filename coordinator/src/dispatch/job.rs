@@ -80,7 +80,7 @@ impl Job {
         self.stage = match end {
             EndedJob::Done { walks, records, by, reused, .. } => {
                 self.set_walks(*walks);
-                Stage::Done { records: *records, by: by.map(Origin), reused: *reused }
+                Stage::Done { records: *records, by: *by, reused: *reused }
             }
             EndedJob::GivenUp { reason, quarantined, .. } => {
                 Stage::GivenUp { reason: reason.clone(), quarantined: *quarantined }

@@ -7,7 +7,7 @@ use super::{Farm, FarmError, Result, blocking};
 use crate::clock::random_token;
 use crate::dispatch::EventKind;
 use crate::store::DataDir;
-use crate::store::copy::BackupReport;
+use crate::store::backup::BackupReport;
 
 /// Bytes of a piece.
 const PIECE: usize = 1 << 20;
@@ -61,7 +61,7 @@ impl Farm {
         let name = format!("{}{}.db", DataDir::BACKUP_PREFIX, &random_token()[..8]);
         let mut backup = Backup { file: self.store.dir().path().join(name), report: None, offset: 0 };
         let report = self.store.backup(&backup.file).await?;
-        let message = format!("{} records, {} bytes", report.content.records, report.bytes);
+        let message = format!("{} records, {} bytes", report.counts.records, report.bytes);
         self.door.note(EventKind::BackupMade, message);
         backup.report = Some(report);
         Ok(backup)

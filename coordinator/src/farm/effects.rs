@@ -33,7 +33,7 @@ impl Farm {
                 self.store.give_up_job(*dictionary, *job, reason, *quarantined).await
             }
             Effect::Agreed { dictionary, job, worker } => {
-                self.store.note_agreement(*dictionary, *job, worker.0).await
+                self.store.note_agreement(*dictionary, *job, *worker).await
             }
             Effect::Recompute { dictionary, job } => {
                 let _no_result_on_its_way = self.records.write().await;
@@ -42,7 +42,7 @@ impl Farm {
             }
             Effect::Fence { worker, reason } => {
                 let _no_result_on_its_way = self.records.write().await;
-                self.begin_again(self.store.fence(worker.0, reason).await?);
+                self.begin_again(self.store.fence(*worker, reason).await?);
                 // Blocks of jobs that had not ended are gone too.
                 let all = self.door.query(|d, _| d.dictionaries().map(Dictionary::id).collect::<Vec<_>>());
                 for id in all {

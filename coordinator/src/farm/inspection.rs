@@ -6,7 +6,7 @@ use optics_model::Grid;
 
 use super::Farm;
 use super::records::UNSTEADY;
-use crate::store::StoreError;
+use crate::store::{JobRecords, StoreError};
 
 /// What a look at the whole database found.
 #[derive(Debug, Default)]
@@ -73,11 +73,10 @@ impl Farm {
         repair: bool,
     ) -> Result<Look, StoreError> {
         let range = job as usize..job as usize + 1;
-        let Some(read) = self.store.jobs_with_records(id, grid, range).await?.pop() else {
-            return Ok(Look::Nothing);
-        };
-        if read.damage(grid.albedo().len()).is_none() {
-            return Ok(Look::Good(read.records.len()));
+        match self.store.finished_jobs(id, grid, range).await?.pop() {
+            None => return Ok(Look::Nothing),
+            Some(Ok(JobRecords { records, .. })) => return Ok(Look::Good(records.numbers().len())),
+            Some(Err(_)) => {}
         }
         let confirmed = if repair {
             self.forget_if_damaged(id, grid, job).await?

@@ -11,7 +11,6 @@ use tokio_util::sync::CancellationToken;
 use super::{Farm, FarmError, Result};
 use crate::clock::{Random, random_token};
 use crate::dispatch::{Admission, Grant, Registration, Settings};
-use crate::stored::Origin;
 
 /// What a worker and the coordinator must agree on.
 #[derive(Debug, Clone, Copy)]
@@ -41,7 +40,7 @@ impl Farm {
         versions: Versions,
     ) -> Result<(WorkerId, Settings)> {
         versions.check()?;
-        let origin = Origin(self.store.worker(instance, &about.label).await?);
+        let origin = self.store.register_worker(instance, &about.label).await?;
         let id = WorkerId(random_token());
         let settings = self.door.transition(|dispatcher, now| {
             dispatcher.register(now, id.clone(), origin, about).map(|()| dispatcher.settings())

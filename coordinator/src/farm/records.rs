@@ -10,7 +10,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::{Grid, Invalid, Record};
 
 use super::{Farm, FarmError, Result, blocking};
-use crate::store::StoreError;
+use crate::store::{Damaged, JobRecords, StoreError};
 use optics_fit::FitDictionary;
 
 /// What is said of records that were damaged at the first reading, and not at the second.
@@ -22,12 +22,17 @@ impl Farm {
         let (id, grid) = self.found(name)?;
         let albedos = grid.albedo().len();
         let jobs = range.start / albedos..range.end.div_ceil(albedos);
-        let stored = self.store.jobs_with_records(id, &grid, jobs).await?;
-        if let Some(job) = stored.iter().find(|job| job.damage(albedos).is_some()) {
-            return Err(self.doubted(name, id, &grid, job.job).await);
+        let mut wanted = Vec::with_capacity(range.len());
+        for found in self.store.finished_jobs(id, &grid, jobs).await? {
+            match found {
+                Ok(JobRecords { records, .. }) => {
+                    let numbers = records.numbers().filter(|number| range.contains(number));
+                    wanted.extend(numbers.map(|number| records.record(number)));
+                }
+                Err(Damaged { job, .. }) => return Err(self.doubted(name, id, &grid, job).await),
+            }
         }
-        let wanted = stored.into_iter().flat_map(|job| job.records).filter(|r| range.contains(&r.index));
-        Ok(wanted.collect())
+        Ok(wanted)
     }
 
     /// What to say of a job that was damaged when it was read: it is read again, and computed again if need be.
@@ -47,8 +52,7 @@ impl Farm {
         grid: &Grid,
         job: u32,
     ) -> Result<Option<String>, StoreError> {
-        let read = self.store.job_read_afresh(id, grid, job as usize).await?;
-        Ok(read.map_or(Some("its end is missing".to_owned()), |read| read.damage(grid.albedo().len())))
+        Ok(self.store.job_read_again(id, grid, job).await?.err().map(|damaged| damaged.what))
     }
 
     /// Reads a job once more; only if that finds damage too it is computed again, if its dictionary goes on.

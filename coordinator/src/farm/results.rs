@@ -56,7 +56,7 @@ impl Farm {
             dictionary: key.dictionary,
             job_number: key.job,
             job: job.clone(),
-            worker: arrived.by.0,
+            worker: arrived.by,
             content: result,
             quality,
         };

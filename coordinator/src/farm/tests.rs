@@ -23,7 +23,7 @@ use crate::dispatch::Registration;
 use crate::metrics::{BuildInfo, Metrics};
 use crate::rpc;
 use crate::store::{DataDir, Store};
-use crate::stored::{Completion, DesiredState, JobResult, Outcome};
+use crate::stored::{Completion, DesiredState, JobResult, Origin, Outcome};
 
 const JOBS: u32 = 40;
 
@@ -53,7 +53,7 @@ fn content(job: &JobSpec, value: f32) -> JobResult {
     JobResult::Records(PackedRecords::pack(job, &(first..first + 2).map(record).collect::<Vec<_>>()))
 }
 
-fn completion(dictionary: DictionaryId, worker: i64, job_number: u32) -> Completion {
+fn completion(dictionary: DictionaryId, worker: Origin, job_number: u32) -> Completion {
     let job = JobSpec::of(&grid(), job_number as usize);
     let content = content(&job, value(job_number));
     Completion { dictionary, job_number, job, worker, content, quality: None }
@@ -78,7 +78,7 @@ async fn load_with(store: Store, check_share: f64) -> Arc<Farm> {
 async fn done() -> (Arc<Farm>, tempfile::TempDir) {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let worker = store.worker("instance", "label").await.unwrap();
+    let worker = store.register_worker("instance", "label").await.unwrap();
     let dictionary = store.create_dictionary(name(), grid(), 0, 7).await.unwrap();
     for job in 0..JOBS {
         store.complete(completion(dictionary.id, worker, job)).await.unwrap();

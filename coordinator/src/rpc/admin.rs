@@ -57,9 +57,9 @@ fn piece(part: BackupPart) -> BackupPiece {
         BackupPart::Report(report) => Content::Header(BackupHeader {
             bytes: report.bytes,
             digest: report.blake3_hex,
-            dictionaries: report.content.dictionaries,
-            jobs: report.content.jobs,
-            records: report.content.records,
+            dictionaries: report.counts.dictionaries,
+            jobs: report.counts.jobs,
+            records: report.counts.records,
         }),
         BackupPart::Data(data) => Content::Data(data),
     };

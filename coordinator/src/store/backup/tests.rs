@@ -115,7 +115,7 @@ fn without_checksum(file: &Path) {
 }
 
 /// Both must refuse it in the same words, and the data directory must stay empty.
-async fn refusal(file: &Path) -> CopyError {
+async fn refusal(file: &Path) -> BackupError {
     let home = tempfile::tempdir().unwrap();
     let dir = DataDir::lock(home.path()).unwrap();
     let restored = restore(file, &dir, newest()).await.unwrap_err();
@@ -132,11 +132,11 @@ async fn what_was_backed_up_is_restored_to_the_byte() {
     let (dir, copy) = with_backup().await;
     let report = verify(&copy, newest()).await.unwrap();
     assert_eq!(report.checksum, Checksum::Agrees);
-    let content = Content { schema_version: newest(), dictionaries: 1, jobs: 60, records: 120 };
-    assert_eq!(report.content, content);
+    let counts = BackupCounts { schema_version: newest(), dictionaries: 1, jobs: 60, records: 120 };
+    assert_eq!(report.counts, counts);
     let home = dir.path().join("home");
     let restored = restore(&copy, &DataDir::lock(&home).unwrap(), newest()).await.unwrap();
-    assert_eq!((restored.content, restored.checksum), (content, Checksum::Agrees));
+    assert_eq!((restored.counts, restored.checksum), (counts, Checksum::Agrees));
     assert_eq!(std::fs::read(&copy).unwrap(), std::fs::read(home.join("farm.db")).unwrap());
     let pool = open(&home.join("farm.db")).await;
     add_job(&pool, 60, b"it can be written to").await;
@@ -162,9 +162,9 @@ async fn all_that_was_committed_before_the_call_is_in_the_backup_of_a_busy_datab
         let before = committed.load(Ordering::SeqCst);
         let copy = dir.path().join(format!("copy {round}%?#"));
         let report = backup(&read, &copy, newest()).await.unwrap();
-        let jobs = report.content.jobs as i64;
+        let jobs = report.counts.jobs as i64;
         assert!(jobs >= before, "{jobs} of {before} jobs");
-        assert_eq!(report.content.records, 2 * report.content.jobs, "a job came without its records");
+        assert_eq!(report.counts.records, 2 * report.counts.jobs, "a job came without its records");
         let copied = reader(&copy).await;
         let last: i64 = sqlx::query_scalar("SELECT max(job) FROM jobs").fetch_one(&copied).await.unwrap();
         assert_eq!(last, jobs - 1, "a job before the last is missing");
@@ -181,10 +181,10 @@ async fn a_changed_page_header_is_refused() {
     for (offset, message) in [(0, ""), (7, "ragmentation")] {
         let (_dir, copy) = with_backup().await;
         change(&copy, 3 * PAGE_BYTES + offset, |byte| byte ^ 0x1F);
-        assert!(matches!(refusal(&copy).await, CopyError::Checksum { .. }));
+        assert!(matches!(refusal(&copy).await, BackupError::Checksum { .. }));
         without_checksum(&copy);
         let error = refusal(&copy).await;
-        assert!(matches!(&error, CopyError::Damaged { first, .. } if !first.is_empty()), "{error}");
+        assert!(matches!(&error, BackupError::Damaged { first, .. } if !first.is_empty()), "{error}");
         assert!(error.to_string().contains(message), "{error}");
     }
 }
@@ -195,7 +195,7 @@ async fn a_changed_bit_within_a_profile_is_seen_by_the_checksum_alone() {
     let at = position(&copy, MARK);
     change(&copy, at, |byte| byte ^ 1);
     let error = refusal(&copy).await;
-    assert!(matches!(error, CopyError::Checksum { .. }), "{error}");
+    assert!(matches!(error, BackupError::Checksum { .. }), "{error}");
     assert!(error.to_string().contains("copy.b3 says"), "{error}");
     without_checksum(&copy);
     assert_eq!(verify(&copy, newest()).await.unwrap().checksum, Checksum::Absent);
@@ -205,7 +205,7 @@ async fn a_changed_bit_within_a_profile_is_seen_by_the_checksum_alone() {
 async fn a_checksum_that_is_none_is_refused() {
     let (_dir, copy) = with_backup().await;
     std::fs::write(checksum::sidecar(&copy), "not a checksum").unwrap();
-    assert!(matches!(refusal(&copy).await, CopyError::NotAChecksum { .. }));
+    assert!(matches!(refusal(&copy).await, BackupError::NotAChecksum { .. }));
 }
 
 #[tokio::test]
@@ -238,7 +238,7 @@ async fn what_is_no_farms_database_is_refused_with_the_reason() {
         assert!(error.ends_with(&format!("is not a farm's database: {reason}")), "{error}");
     }
     assert!(refusal(dir.path()).await.to_string().ends_with("it is not a file"));
-    assert!(matches!(refusal(&dir.path().join("nowhere")).await, CopyError::File { .. }));
+    assert!(matches!(refusal(&dir.path().join("nowhere")).await, BackupError::File { .. }));
 }
 
 #[tokio::test]
@@ -271,7 +271,7 @@ async fn the_farms_number_survives_a_backup() {
 async fn a_newer_schema_asks_for_a_newer_version() {
     let (_dir, copy) = with_backup().await;
     let error = verify(&copy, newest() - 1).await.unwrap_err();
-    assert!(matches!(error, CopyError::NewerSchema { .. }), "{error}");
+    assert!(matches!(error, BackupError::NewerSchema { .. }), "{error}");
     let told = format!(
         "has schema {}, but this version knows schemas up to {}: install the version",
         newest(),
@@ -299,7 +299,7 @@ async fn a_reference_to_nothing_is_damage() {
 async fn a_database_whose_log_is_not_merged_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let pool = filled(dir.path()).await;
-    assert!(matches!(refusal(&dir.path().join("farm.db")).await, CopyError::Unmerged { .. }));
+    assert!(matches!(refusal(&dir.path().join("farm.db")).await, BackupError::Unmerged { .. }));
     pool.close().await;
     verify(&dir.path().join("farm.db"), newest()).await.unwrap();
 }
@@ -311,12 +311,12 @@ async fn nothing_that_exists_is_overwritten() {
     let copy = dir.path().join("copy");
     std::fs::write(&copy, "dear").unwrap();
     let error = backup(&pool, &copy, newest()).await.unwrap_err();
-    assert!(matches!(error, CopyError::Exists { .. }), "{error}");
+    assert!(matches!(error, BackupError::Exists { .. }), "{error}");
     assert_eq!(std::fs::read(&copy).unwrap(), b"dear");
     assert!(!checksum::sidecar(&copy).exists() && !draft::with_suffix(&copy, ".draft").exists());
     let draft = Draft::create(&dir.path().join("late")).unwrap();
     std::fs::write(dir.path().join("late"), "dear").unwrap();
-    assert!(matches!(draft.publish(&dir.path().join("late")), Err(CopyError::Exists { .. })));
+    assert!(matches!(draft.publish(&dir.path().join("late")), Err(BackupError::Exists { .. })));
     assert_eq!(std::fs::read(dir.path().join("late")).unwrap(), b"dear");
 }
 
@@ -344,7 +344,7 @@ async fn leftovers_of_a_killed_backup_are_removed_but_not_those_of_a_running_one
     std::fs::write(checksum::sidecar(&copy), "stale").unwrap();
     let running = Draft::create(&copy).unwrap();
     let error = backup(&pool, &copy, newest()).await.unwrap_err();
-    assert!(matches!(error, CopyError::Busy { .. }), "{error}");
+    assert!(matches!(error, BackupError::Busy { .. }), "{error}");
     assert!(leftover.exists());
     // A killed process unlocks, but does not remove.
     std::fs::copy(&leftover, dir.path().join("kept")).unwrap();

@@ -1,4 +1,4 @@
-//! Moves the records of the first schema, which belonged to dictionaries, to points.
+//! What SQL alone cannot migrate: the records of the first schema, which belonged to dictionaries, are moved to points.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ const WHAT: &str = "moving records to the present schema";
 
 impl Store {
     /// In one transaction, so that a process that is killed leaves everything as it was.
-    pub(super) async fn adopt_first_schema(&self) -> Result<()> {
+    pub(super) async fn move_records_of_first_schema(&self) -> Result<()> {
         let table: Option<(i64,)> = sqlx::query_as(
             "SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = 'records_of_dictionaries'",
         )
@@ -26,14 +26,14 @@ impl Store {
         let dictionaries = self.dictionaries().await?;
         let mut tx = self.begin().await?;
         for StoredDictionary { id, grid, .. } in dictionaries {
-            adopt(&mut tx, id, &grid).await?;
+            move_dictionary(&mut tx, id, &grid).await?;
         }
         sqlx::query("DROP TABLE records_of_dictionaries").execute(&mut *tx).await.map_err(doing(WHAT))?;
         tx.commit().await.map_err(doing(WHAT))
     }
 }
 
-async fn adopt(tx: &mut SqliteConnection, id: DictionaryId, grid: &Arc<Grid>) -> Result<()> {
+async fn move_dictionary(tx: &mut SqliteConnection, id: DictionaryId, grid: &Arc<Grid>) -> Result<()> {
     let jobs: Vec<(i64,)> =
         sqlx::query_as("SELECT job FROM jobs WHERE dictionary_id = ? AND records_digest IS NOT NULL")
             .bind(id.0)

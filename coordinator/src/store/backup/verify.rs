@@ -8,7 +8,7 @@ use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::checksum::{self, sidecar};
-use super::{APPLICATION_ID, CopyError, Result, blocking, draft, failed};
+use super::{APPLICATION_ID, BackupError, Result, blocking, draft, failed};
 
 const HEADER_BYTES: usize = 100;
 const MAGIC: &[u8] = b"SQLite format 3\0";
@@ -17,9 +17,9 @@ const MOST_MESSAGES: usize = 5;
 const SQLITE_CORRUPT: i32 = 11;
 const SQLITE_NOTADB: i32 = 26;
 
-/// What a database holds.
+/// How much a database holds, and in which form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Content {
+pub struct BackupCounts {
     pub schema_version: i64,
     pub dictionaries: u64,
     pub jobs: u64,
@@ -39,7 +39,7 @@ pub struct Verified {
     pub bytes: u64,
     pub digest: blake3::Hash,
     pub checksum: Checksum,
-    pub content: Content,
+    pub counts: BackupCounts,
 }
 
 /// Checks a database that nobody writes to: form, checksum (if there is a `.b3` beside it), schema, SQLite's own
@@ -47,8 +47,8 @@ pub struct Verified {
 pub async fn verify(file: &Path, newest_schema: i64) -> Result<Verified> {
     let path = file.to_owned();
     let (bytes, digest, checksum) = blocking(move || verify_bytes(&path)).await?;
-    let content = verify_tables(file, newest_schema).await?;
-    Ok(Verified { bytes, digest, checksum, content })
+    let counts = verify_tables(file, newest_schema).await?;
+    Ok(Verified { bytes, digest, checksum, counts })
 }
 
 fn verify_bytes(path: &Path) -> Result<(u64, blake3::Hash, Checksum)> {
@@ -102,7 +102,7 @@ fn refuse_log(path: &Path) -> Result<()> {
     for suffix in ["-wal", "-journal"] {
         let log = draft::with_suffix(path, suffix);
         if log.metadata().is_ok_and(|meta| meta.len() > 0) {
-            return Err(CopyError::Unmerged { file: path.to_owned(), log });
+            return Err(BackupError::Unmerged { file: path.to_owned(), log });
         }
     }
     Ok(())
@@ -113,7 +113,7 @@ fn compare(path: &Path, digest: blake3::Hash) -> Result<Checksum> {
     match checksum::read(&sidecar)? {
         None => Ok(Checksum::Absent),
         Some(expected) if expected == digest => Ok(Checksum::Agrees),
-        Some(expected) => Err(CopyError::Checksum {
+        Some(expected) => Err(BackupError::Checksum {
             file: path.to_owned(),
             sidecar,
             expected: expected.to_string(),
@@ -122,14 +122,14 @@ fn compare(path: &Path, digest: blake3::Hash) -> Result<Checksum> {
     }
 }
 
-async fn verify_tables(path: &Path, newest_schema: i64) -> Result<Content> {
+async fn verify_tables(path: &Path, newest_schema: i64) -> Result<BackupCounts> {
     let reader = Reader { path };
     let options = SqliteConnectOptions::new().filename(path).read_only(true).immutable(true);
     let mut connection = reader.outcome("opening", options.connect().await)?;
-    let content = reader.check(&mut connection, newest_schema).await;
+    let counts = reader.check(&mut connection, newest_schema).await;
     // All is read by now; a connection that cannot be closed changes nothing about the file.
     let _ = connection.close().await;
-    content
+    counts
 }
 
 struct Reader<'a> {
@@ -137,11 +137,11 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    async fn check(&self, connection: &mut SqliteConnection, newest_schema: i64) -> Result<Content> {
+    async fn check(&self, connection: &mut SqliteConnection, newest_schema: i64) -> Result<BackupCounts> {
         let schema_version = self.schema(connection, newest_schema).await?;
         self.integrity(connection).await?;
         self.references(connection).await?;
-        Ok(Content {
+        Ok(BackupCounts {
             schema_version,
             dictionaries: self.count(connection, "dictionaries").await?,
             jobs: self.count(connection, "jobs").await?,
@@ -165,7 +165,7 @@ impl Reader<'_> {
             sqlx::query_scalar(version).fetch_one(connection).await,
         )?;
         if found > newest {
-            return Err(CopyError::NewerSchema { file: self.path.to_owned(), found, newest });
+            return Err(BackupError::NewerSchema { file: self.path.to_owned(), found, newest });
         }
         if found < 1 {
             return Err(not_ours(self.path, "it says nothing about its schema"));
@@ -182,7 +182,7 @@ impl Reader<'_> {
         }
         // One message may hold several lines.
         let first = messages.iter().flat_map(|message| message.lines()).take(MOST_MESSAGES);
-        Err(CopyError::Damaged { file: self.path.to_owned(), first: first.map(str::to_owned).collect() })
+        Err(BackupError::Damaged { file: self.path.to_owned(), first: first.map(str::to_owned).collect() })
     }
 
     async fn references(&self, connection: &mut SqliteConnection) -> Result<()> {
@@ -195,7 +195,10 @@ impl Reader<'_> {
         let tell = |(table, parent, rows)| {
             format!("{rows} rows of table {table} refer to rows of {parent} that are missing")
         };
-        Err(CopyError::Damaged { file: self.path.to_owned(), first: broken.into_iter().map(tell).collect() })
+        Err(BackupError::Damaged {
+            file: self.path.to_owned(),
+            first: broken.into_iter().map(tell).collect(),
+        })
     }
 
     async fn count(&self, connection: &mut SqliteConnection, table: &'static str) -> Result<u64> {
@@ -214,16 +217,16 @@ impl Reader<'_> {
                 (SQLITE_CORRUPT | SQLITE_NOTADB, Some(error)) => {
                     damaged(self.path, format!("{what}: {}", error.message()))
                 }
-                _ => CopyError::Query { file: self.path.to_owned(), what, source },
+                _ => BackupError::Query { file: self.path.to_owned(), what, source },
             }
         })
     }
 }
 
-fn not_ours(path: &Path, why: &str) -> CopyError {
-    CopyError::NotADatabase { file: path.to_owned(), why: why.to_owned() }
+fn not_ours(path: &Path, why: &str) -> BackupError {
+    BackupError::NotADatabase { file: path.to_owned(), why: why.to_owned() }
 }
 
-fn damaged(path: &Path, why: String) -> CopyError {
-    CopyError::Damaged { file: path.to_owned(), first: vec![why] }
+fn damaged(path: &Path, why: String) -> BackupError {
+    BackupError::Damaged { file: path.to_owned(), first: vec![why] }
 }

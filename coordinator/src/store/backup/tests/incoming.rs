@@ -24,7 +24,7 @@ async fn a_whole_backup_gets_its_name_and_its_checksum() {
     let file = dir.path().join("received");
     received(&file, &bytes).publish(&digest, newest()).await.unwrap();
     let verified = verify(&file, newest()).await.unwrap();
-    assert_eq!((verified.checksum, verified.content.jobs), (Checksum::Agrees, 60));
+    assert_eq!((verified.checksum, verified.counts.jobs), (Checksum::Agrees, 60));
 }
 
 #[tokio::test]
@@ -33,11 +33,11 @@ async fn another_file_that_took_the_name_keeps_its_checksum() {
     let (file, checksum) = (dir.path().join("received"), dir.path().join("received.b3"));
     let incoming = received(&file, &bytes);
     let busy = Incoming::create(&file).unwrap_err();
-    assert!(matches!(busy, CopyError::Busy { .. }), "{busy}");
+    assert!(matches!(busy, BackupError::Busy { .. }), "{busy}");
     std::fs::write(&file, "another").unwrap();
     std::fs::write(&checksum, "its checksum").unwrap();
     let taken = incoming.publish(&digest, newest()).await.unwrap_err();
-    assert!(matches!(taken, CopyError::Exists { .. }), "{taken}");
+    assert!(matches!(taken, BackupError::Exists { .. }), "{taken}");
     assert_eq!(std::fs::read_to_string(&file).unwrap(), "another");
     assert_eq!(std::fs::read_to_string(&checksum).unwrap(), "its checksum");
 }
@@ -51,7 +51,7 @@ async fn a_backup_that_came_in_short_or_changed_leaves_nothing() {
     changed[mark] ^= 1;
     for wrong in [&bytes[..bytes.len() - PAGE_BYTES], &changed] {
         let refused = received(&file, wrong).publish(&digest, newest()).await.unwrap_err();
-        assert!(matches!(refused, CopyError::Damaged { .. }), "{refused}");
+        assert!(matches!(refused, BackupError::Damaged { .. }), "{refused}");
         let left = |name: &str| dir.path().join(name).exists();
         assert!(!left("received") && !left("received.b3") && !left("received.draft"));
     }

@@ -6,7 +6,7 @@ use std::io::ErrorKind;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use super::{CopyError, Result, failed};
+use super::{BackupError, Result, failed};
 
 pub(super) fn with_suffix(file: &Path, suffix: &str) -> PathBuf {
     let mut name = OsString::from(file);
@@ -19,7 +19,7 @@ pub(super) fn refuse_existing(file: &Path) -> Result<()> {
     match file.symlink_metadata() {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
         Err(error) => Err(failed(file, "cannot be looked up")(error)),
-        Ok(_) => Err(CopyError::Exists { file: file.to_owned() }),
+        Ok(_) => Err(BackupError::Exists { file: file.to_owned() }),
     }
 }
 
@@ -62,7 +62,7 @@ impl Draft {
     pub(super) fn publish(mut self, target: &Path) -> Result<()> {
         self.file.sync_all().map_err(failed(target, "writing to disk"))?;
         rename_new(&self.path, target).map_err(|error| match error.kind() {
-            ErrorKind::AlreadyExists => CopyError::Exists { file: target.to_owned() },
+            ErrorKind::AlreadyExists => BackupError::Exists { file: target.to_owned() },
             _ => failed(target, "cannot be given its name")(error),
         })?;
         self.published = true;
@@ -100,7 +100,7 @@ fn remove_leftover(path: &Path, target: &Path) -> Result<()> {
 fn lock(file: &File, target: &Path) -> Result<()> {
     match file.try_lock() {
         Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
-        Err(TryLockError::WouldBlock) => Err(CopyError::Busy { file: target.to_owned() }),
+        Err(TryLockError::WouldBlock) => Err(BackupError::Busy { file: target.to_owned() }),
     }
 }
 

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::{CopyError, Result, draft, failed};
+use super::{BackupError, Result, draft, failed};
 
 /// A longer file is no checksum; names of files take at most 255 bytes, escaped at most twice that.
 const LONGEST_BYTES: u64 = 1024;
@@ -45,7 +45,7 @@ pub(super) fn read(sidecar: &Path) -> Result<Option<blake3::Hash>> {
     };
     let mut bytes = Vec::new();
     file.take(LONGEST_BYTES).read_to_end(&mut bytes).map_err(failed(sidecar, "cannot be read"))?;
-    parse(&bytes).map(Some).ok_or_else(|| CopyError::NotAChecksum { sidecar: sidecar.to_owned() })
+    parse(&bytes).map(Some).ok_or_else(|| BackupError::NotAChecksum { sidecar: sidecar.to_owned() })
 }
 
 fn parse(bytes: &[u8]) -> Option<blake3::Hash> {

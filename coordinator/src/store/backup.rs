@@ -20,13 +20,13 @@ use self::checksum::sidecar;
 use self::draft::Draft;
 use super::DataDir;
 
-pub use self::verify::{Checksum, Content, Verified, verify};
+pub use self::verify::{BackupCounts, Checksum, Verified, verify};
 
 /// "FARM" in the header of a database (`PRAGMA application_id`), by which `file` and this program know it.
 pub const APPLICATION_ID: u32 = 0x4641_524D;
 
 #[derive(Debug, thiserror::Error)]
-pub enum CopyError {
+pub enum BackupError {
     #[error("{file}: {what}: {source}")]
     File { file: PathBuf, what: &'static str, source: std::io::Error },
     #[error("{file}: {what}: {source}")]
@@ -57,11 +57,11 @@ pub enum CopyError {
     HoldsDatabase { dir: PathBuf, files: Vec<String> },
 }
 
-type Result<T, E = CopyError> = std::result::Result<T, E>;
+type Result<T, E = BackupError> = std::result::Result<T, E>;
 
 /// Names what was being done to a file when it failed.
-fn failed(file: &Path, what: &'static str) -> impl FnOnce(std::io::Error) -> CopyError {
-    move |source| CopyError::File { file: file.to_owned(), what, source }
+fn failed(file: &Path, what: &'static str) -> impl FnOnce(std::io::Error) -> BackupError {
+    move |source| BackupError::File { file: file.to_owned(), what, source }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -69,7 +69,7 @@ pub struct BackupReport {
     pub file: PathBuf,
     pub bytes: u64,
     pub blake3_hex: String,
-    pub content: Content,
+    pub counts: BackupCounts,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -78,7 +78,7 @@ pub struct RestoreReport {
     pub bytes: u64,
     pub blake3_hex: String,
     pub checksum: Checksum,
-    pub content: Content,
+    pub counts: BackupCounts,
 }
 
 /// Copies the database behind `pool` to a new file while it is being written to.
@@ -91,14 +91,14 @@ pub async fn backup(pool: &SqlitePool, destination: &Path, newest_schema: i64) -
     let target = destination.clone();
     let draft = blocking(move || Draft::create(&target)).await?;
     sqlx::query("VACUUM INTO ?").bind(address(draft.path())).execute(pool).await.map_err(|source| {
-        CopyError::Query { file: destination.clone(), what: "copying the database", source }
+        BackupError::Query { file: destination.clone(), what: "copying the database", source }
     })?;
     let verified = publish_verified(draft, &destination, None, newest_schema).await?;
     Ok(BackupReport {
         file: destination,
         bytes: verified.bytes,
         blake3_hex: verified.digest.to_hex().to_string(),
-        content: verified.content,
+        counts: verified.counts,
     })
 }
 
@@ -138,7 +138,7 @@ async fn publish_verified(
     let digest = verified.digest;
     if let Some(expected) = expected.filter(|expected| *digest.to_hex() != **expected) {
         let why = format!("it came in with BLAKE3 {digest}, not {expected}");
-        return Err(CopyError::Damaged { file: destination.to_owned(), first: vec![why] });
+        return Err(BackupError::Damaged { file: destination.to_owned(), first: vec![why] });
     }
     let target = destination.to_owned();
     blocking(move || publish_with_checksum(draft, &target, digest)).await?;
@@ -162,7 +162,7 @@ pub async fn restore(file: &Path, dir: &DataDir, newest_schema: i64) -> Result<R
         bytes: verified.bytes,
         blake3_hex: digest.to_hex().to_string(),
         checksum: verified.checksum,
-        content: verified.content,
+        counts: verified.counts,
     })
 }
 
@@ -205,7 +205,7 @@ fn copy(source: &Path, draft: &Draft, digest: blake3::Hash) -> Result<()> {
     let why = format!(
         "its copy has BLAKE3 {found} instead of {digest}; it changed meanwhile, or a disk is failing"
     );
-    Err(CopyError::Damaged { file: source.to_owned(), first: vec![why] })
+    Err(BackupError::Damaged { file: source.to_owned(), first: vec![why] })
 }
 
 /// A log without its database would be merged into the restored one, and ruin it.
@@ -220,7 +220,7 @@ fn refuse_database(database: &Path) -> Result<()> {
         return Ok(());
     }
     let dir = database.parent().unwrap_or(Path::new(".")).to_owned();
-    Err(CopyError::HoldsDatabase { dir, files: there })
+    Err(BackupError::HoldsDatabase { dir, files: there })
 }
 
 /// Runs what waits for disks where nobody else is kept waiting.
