@@ -35,6 +35,13 @@ impl Link {
     }
 }
 
+/// A link without a token, such as one to a coordinator in the same process.
+impl From<Channel> for Link {
+    fn from(channel: Channel) -> Self {
+        Self::new(channel, Bearer::default())
+    }
+}
+
 type Answer = Result<http::Response<Body>, tonic::transport::Error>;
 
 impl Service<http::Request<Body>> for Link {
