@@ -14,6 +14,7 @@ mod coordinator;
 mod error;
 mod failure;
 mod file;
+mod handshake;
 mod link;
 pub mod logs;
 mod pem;
