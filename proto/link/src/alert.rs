@@ -4,7 +4,7 @@ use std::error::Error;
 
 use tonic::Status;
 
-use super::error::root_cause;
+use crate::error::root_cause;
 
 /// How rustls words what the other side ended a connection with. HTTP/2 passes on the words alone.
 const ALERT: &str = "received fatal alert: ";

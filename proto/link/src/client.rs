@@ -6,10 +6,10 @@ use secrecy::{ExposeSecret as _, SecretString};
 use serde::Deserialize;
 use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
 
-use super::error::{AccessError, root_cause};
-use super::handshake::{Credentials, Handshake};
-use super::target::{Bearer, checked_endpoint};
-use super::{HANDSHAKE, Role, TOKEN_BYTES, file, pem};
+use crate::error::{AccessError, root_cause};
+use crate::handshake::{Credentials, Handshake};
+use crate::target::{Bearer, checked_endpoint};
+use crate::{HANDSHAKE, Role, TOKEN_BYTES, file, pem};
 
 /// How to reach a coordinator, how to know it, and the token to show it.
 ///
@@ -88,7 +88,7 @@ impl ClientAccess {
     }
 
     /// The same encryption as that of an endpoint of this file; None if it has none.
-    pub(super) fn handshake(&self, endpoint: &Endpoint) -> Option<Handshake> {
+    pub(crate) fn handshake(&self, endpoint: &Endpoint) -> Option<Handshake> {
         let fields = &self.fields;
         let key = fields.key.as_ref().map(SecretString::expose_secret);
         let identity = fields.certificate.as_deref().zip(key);
@@ -149,8 +149,8 @@ fn check_token(token: &str) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{TOKEN, ca, certificate, key, private_file};
     use super::*;
+    use crate::testing::{TOKEN, ca, certificate, key, private_file};
 
     fn content(more: &str) -> String {
         format!(

@@ -8,8 +8,8 @@ use serde::Deserialize;
 use subtle::{ConditionallySelectable as _, ConstantTimeEq as _};
 use tonic::transport::{Certificate, Identity, Server, ServerTlsConfig};
 
-use super::error::{AccessError, root_cause};
-use super::{HANDSHAKE, Role, TOKEN_BYTES, file, pem, token_hash};
+use crate::error::{AccessError, root_cause};
+use crate::{HANDSHAKE, Role, TOKEN_BYTES, file, pem, token_hash};
 
 /// Tokens are compared with all entries at every call.
 const MOST_TOKENS: usize = 1000;
@@ -166,8 +166,8 @@ fn token(table: TokenTable) -> Result<Token, (&'static str, String)> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{TOKEN, ca, certificate, key, private_file};
     use super::*;
+    use crate::testing::{TOKEN, ca, certificate, key, private_file};
 
     fn entry(role: &str, name: &str, token: &str) -> String {
         format!("[[token]]\nrole = \"{role}\"\nname = \"{name}\"\nblake3 = \"{}\"\n", token_hash(token))

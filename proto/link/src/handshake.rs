@@ -16,7 +16,7 @@ use tokio_rustls::TlsConnector;
 use tonic::Status;
 use tonic::codegen::http::Uri;
 
-use super::alert::refusal;
+use crate::alert::refusal;
 
 /// How long a coordinator may take to object.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -24,7 +24,7 @@ const HTTPS_PORT: u16 = 443;
 
 /// What a client shows in a handshake, and whom it expects.
 #[derive(Debug, Clone)]
-pub(super) struct Handshake {
+pub(crate) struct Handshake {
     host: String,
     port: u16,
     name: ServerName<'static>,
@@ -33,7 +33,7 @@ pub(super) struct Handshake {
 
 /// What an access file says about handshakes, all in PEM.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Credentials<'a> {
+pub(crate) struct Credentials<'a> {
     pub authority: &'a str,
     /// A certificate and its key.
     pub identity: Option<(&'a str, &'a str)>,
@@ -43,7 +43,7 @@ pub(super) struct Credentials<'a> {
 
 impl Handshake {
     /// None if the credentials cannot be used.
-    pub(super) fn new(uri: &Uri, credentials: Credentials<'_>) -> Option<Self> {
+    pub(crate) fn new(uri: &Uri, credentials: Credentials<'_>) -> Option<Self> {
         let host = uri.host()?.trim_start_matches('[').trim_end_matches(']').to_owned();
         let name = ServerName::try_from(credentials.server_name.unwrap_or(&host)).ok()?.to_owned();
         let port = uri.port_u16().unwrap_or(HTTPS_PORT);
@@ -51,7 +51,7 @@ impl Handshake {
     }
 
     /// Why the coordinator does not accept the certificate, or its absence; None if it does not say so.
-    pub(super) async fn refusal(&self) -> Option<Status> {
+    pub(crate) async fn refusal(&self) -> Option<Status> {
         let ended = tokio::time::timeout(PATIENCE, self.listen()).await;
         ended.ok()?.err().and_then(|error| refusal(&error))
     }

@@ -11,9 +11,9 @@ use tonic::codegen::{Service, http};
 use tonic::transport::Channel;
 use tonic::{ConnectError, Status, TimeoutExpired};
 
-use super::alert::refusal;
-use super::handshake::Handshake;
-use super::target::Bearer;
+use crate::alert::refusal;
+use crate::handshake::Handshake;
+use crate::target::Bearer;
 
 /// How long a call may take to its first answer if it does not say so itself.
 const DEADLINE: Duration = Duration::from_mins(5);
@@ -37,7 +37,7 @@ pub struct Link {
 }
 
 impl Link {
-    pub(super) fn new(channel: Channel, bearer: Bearer, handshake: Option<Handshake>) -> Self {
+    pub(crate) fn new(channel: Channel, bearer: Bearer, handshake: Option<Handshake>) -> Self {
         Self { channel, bearer, handshake }
     }
 }
@@ -83,7 +83,7 @@ async fn why_refused(error: &tonic::transport::Error, handshake: Option<Handshak
 }
 
 /// Whether a connection ended that had come about, or seemed to.
-pub(super) fn was_cut(error: &tonic::transport::Error) -> bool {
+pub(crate) fn was_cut(error: &tonic::transport::Error) -> bool {
     let mut causes = std::iter::successors(Some(error as &(dyn Error + 'static)), |&cause| cause.source());
     !causes.any(|cause| cause.is::<ConnectError>() || cause.is::<TimeoutExpired>())
 }

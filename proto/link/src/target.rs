@@ -6,10 +6,10 @@ use std::time::Duration;
 use tonic::codegen::http::header::{AUTHORIZATION, HeaderMap, HeaderValue};
 use tonic::transport::{Channel, Endpoint};
 
-use super::client::ClientAccess;
-use super::error::{AccessError, root_cause};
-use super::handshake::Handshake;
-use super::link::{Link, was_cut};
+use crate::client::ClientAccess;
+use crate::error::{AccessError, root_cause};
+use crate::handshake::Handshake;
+use crate::link::{Link, was_cut};
 
 const CONNECT: Duration = Duration::from_secs(10);
 /// HTTP/2 pings find links that were cut without a word.
@@ -58,7 +58,7 @@ impl Target {
     }
 
     #[cfg(test)]
-    pub(super) fn handshake(&self) -> Option<&Handshake> {
+    pub(crate) fn handshake(&self) -> Option<&Handshake> {
         self.handshake.as_ref()
     }
 
@@ -75,7 +75,7 @@ pub struct Bearer {
 
 impl Bearer {
     /// A token that has been checked to consist of visible characters.
-    pub(super) fn of(token: &str) -> Self {
+    pub(crate) fn of(token: &str) -> Self {
         let mut header = HeaderValue::try_from(format!("Bearer {token}")).ok();
         if let Some(header) = &mut header {
             // Keeps it out of logs, and out of HTTP/2's tables of headers that were sent before.
@@ -84,7 +84,7 @@ impl Bearer {
         Self { header }
     }
 
-    pub(super) fn mark(&self, headers: &mut HeaderMap) {
+    pub(crate) fn mark(&self, headers: &mut HeaderMap) {
         if let Some(header) = &self.header {
             headers.insert(AUTHORIZATION, header.clone());
         }
@@ -93,13 +93,13 @@ impl Bearer {
 
 /// Who can listen to a connection to a URL.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct UrlSecurity {
-    pub(super) encrypted: bool,
-    pub(super) loopback: bool,
+pub(crate) struct UrlSecurity {
+    pub(crate) encrypted: bool,
+    pub(crate) loopback: bool,
 }
 
 /// The endpoint at a URL, with everything but encryption.
-pub(super) fn checked_endpoint(url: &str) -> Result<(Endpoint, UrlSecurity), AccessError> {
+pub(crate) fn checked_endpoint(url: &str) -> Result<(Endpoint, UrlSecurity), AccessError> {
     let wrong = |problem: String| AccessError::Url { url: url.to_owned(), problem };
     // Other schemes, such as `unix:`, mean something to the transport but not to the farm.
     if !["http://", "https://"].iter().any(|scheme| url.starts_with(scheme)) {

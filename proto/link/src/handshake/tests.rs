@@ -11,9 +11,9 @@ use tonic::service::Routes;
 use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 
-use super::super::testing::{TOKEN, ca, certificate, key, private_file};
-use super::super::{ClientAccess, CoordinatorAccess, Link, Target, token_hash};
 use super::*;
+use crate::testing::{TOKEN, ca, certificate, key, private_file};
+use crate::{ClientAccess, CoordinatorAccess, Link, Target, token_hash};
 
 /// Whether the reason comes in time depends on the moment, so that one call proves little.
 const CALLS: usize = 20;
