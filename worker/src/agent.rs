@@ -1,23 +1,26 @@
-//! The worker's life: lease, trace, deliver, until told to stop.
+//! The worker's life: lease, trace, deliver, until there is a reason to end.
 
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
+use farm_link::Link;
 use farm_proto::lease::Lease;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
-use tokio::task::JoinSet;
+use tokio::task::{JoinHandle, JoinSet};
+use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
 use crate::config::Config;
-use crate::delivery::{Buffer, Finished, bytes_of, deliver};
+use crate::delivery::{ResultBuffer, deliver};
 use crate::heartbeat::beat;
-use crate::held::{Held, Switches};
-use crate::pool::{Outcome, Pool};
-use crate::session::{Error, Session, failed, is_refusal, jittered};
+use crate::idle::IdleTime;
+use crate::job::Workshop;
+use crate::leases::HeldLeases;
+use crate::pool::Pool;
+use crate::retry::{Pauses, is_refusal, log_failure};
+use crate::session::{Error, Introduction, Session};
 
-/// How long one call waits for work.
-const WAIT: Duration = Duration::from_secs(20);
 /// Pause after a call that failed, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
 /// How long finished records may take to be delivered once the worker is told to stop.
@@ -30,7 +33,7 @@ const MARGIN: Duration = Duration::from_secs(5);
 /// Why a worker ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ended {
-    /// It was told to by its caller.
+    /// Its caller stopped it.
     Stopped,
     /// The coordinator asked it to leave.
     Drained,
@@ -52,125 +55,162 @@ impl fmt::Display for Ended {
 /// Works until `shutdown`, the time limit, or the coordinator's wish; then gives jobs that are being traced the grace
 /// to end, delivers what is finished and hands the other leases back.
 pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, Error> {
+    let link = config.coordinator.connect_lazy();
+    work_over(link, config, shutdown).await
+}
+
+async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> Result<Ended, Error> {
+    let limit = Instant::now() + working_time(&config);
     let pool = Pool::new(config.threads)?;
-    let limit = tokio::time::Instant::now()
-        + config.time_limit.map_or(Duration::MAX / 4, |limit| working_time(&config, limit));
-    let grace = config.grace;
-    let held: Arc<Held> = Arc::default();
-    let url = config.coordinator.url().to_owned();
-    let (buffer, threads, idle_exit) = (Buffer::new(config.buffer_bytes), config.threads, config.idle_exit);
-    let Some(session) = Session::open(config, held.clone(), &shutdown).await? else {
+    let held: Arc<HeldLeases> = Arc::default();
+    let url = config.coordinator.url();
+    let introduction = Introduction { label: config.label.clone(), threads: config.threads };
+    let Some(session) = Session::open(link, url, introduction, held.clone(), &shutdown).await? else {
         tracing::info!("stopped before the coordinator at {url} was reached");
         return Ok(Ended::Stopped);
     };
-    let agent = Agent {
-        // One job more than threads: the next is there when one ends.
-        places: Arc::new(Semaphore::new(threads + 1)),
-        buffer,
-        idle_exit,
-        session: Arc::new(session),
-        held,
-        pool,
-        drain: CancellationToken::new(),
-    };
-    let ending = CancellationToken::new();
-    let heartbeat =
-        tokio::spawn(beat(agent.session.clone(), agent.held.clone(), agent.drain.clone(), ending.clone()));
+    let session = Arc::new(session);
     let (finished, queue) = mpsc::unbounded_channel();
-    let delivery = tokio::spawn(deliver(agent.session.clone(), agent.held.clone(), queue));
-    let mut jobs = JoinSet::new();
-    let ended = tokio::select! {
-        () = shutdown.cancelled() => Ok(Ended::Stopped),
-        () = agent.drain.cancelled() => Ok(Ended::Drained),
-        () = tokio::time::sleep_until(limit) => Ok(Ended::TimeLimit),
-        ended = agent.work(&mut jobs, finished) => ended,
-    };
-    agent.wind_up(jobs, delivery, if ended.is_ok() { grace } else { Duration::ZERO }).await;
-    // A heartbeat after this would register the worker again.
-    ending.cancel();
-    let _ = heartbeat.await;
-    if let Ok(reason) = ended {
-        agent.leave(reason).await;
-    }
-    ended
+    let delivery = tokio::spawn(deliver(session.clone(), held.clone(), queue));
+    let buffer = ResultBuffer::new(config.buffer_bytes);
+    let workshop = Workshop { session: session.clone(), held: held.clone(), pool, buffer, finished };
+    let agent = Agent::new(session, held, &config);
+    agent.work_until(limit, shutdown, workshop, delivery).await
 }
 
 /// Time to work in, so that grace and delivery end before the limit.
-fn working_time(config: &Config, limit: Duration) -> Duration {
-    limit.saturating_sub(config.grace + MARGIN).max(limit / 2)
+fn working_time(config: &Config) -> Duration {
+    /// As good as for ever, and still an instant that the clock can tell.
+    const FOREVER: Duration = Duration::from_secs(u32::MAX as u64);
+    config.time_limit.map_or(FOREVER, |limit| limit.saturating_sub(config.grace + MARGIN).max(limit / 2))
 }
 
 struct Agent {
     session: Arc<Session>,
-    held: Arc<Held>,
-    places: Arc<Semaphore>,
-    buffer: Buffer,
-    pool: Pool,
+    held: Arc<HeldLeases>,
+    /// One for each job that may be on this worker without a result.
+    slots: Arc<Semaphore>,
     /// The coordinator wants the worker to leave.
     drain: CancellationToken,
+    grace: Duration,
     idle_exit: Option<Duration>,
 }
 
 impl Agent {
-    /// Leases and traces until there is a reason to end.
-    async fn work(
+    fn new(session: Arc<Session>, held: Arc<HeldLeases>, config: &Config) -> Self {
+        Self {
+            session,
+            held,
+            // One job more than threads: the next is there when one ends.
+            slots: Arc::new(Semaphore::new(config.threads + 1)),
+            drain: CancellationToken::new(),
+            grace: config.grace,
+            idle_exit: config.idle_exit,
+        }
+    }
+
+    async fn work_until(
         &self,
-        jobs: &mut JoinSet<()>,
-        finished: mpsc::UnboundedSender<Finished>,
+        limit: Instant,
+        shutdown: CancellationToken,
+        workshop: Workshop,
+        delivery: JoinHandle<()>,
     ) -> Result<Ended, Error> {
+        let ending = CancellationToken::new();
+        let heartbeat =
+            tokio::spawn(beat(self.session.clone(), self.held.clone(), self.drain.clone(), ending.clone()));
+        let mut jobs = JoinSet::new();
+        let ended = tokio::select! {
+            () = shutdown.cancelled() => Ok(Ended::Stopped),
+            () = self.drain.cancelled() => Ok(Ended::Drained),
+            () = sleep_until(limit) => Ok(Ended::TimeLimit),
+            ended = self.work(&mut jobs, workshop) => ended,
+        };
+        self.wind_up(jobs, delivery, if ended.is_ok() { self.grace } else { Duration::ZERO }).await;
+        // A heartbeat after this would register the worker again.
+        ending.cancel();
+        let _ = heartbeat.await;
+        if let Ok(reason) = ended {
+            self.leave(reason).await;
+        }
+        ended
+    }
+
+    /// Leases and traces until there is a reason to end.
+    async fn work(&self, jobs: &mut JoinSet<()>, workshop: Workshop) -> Result<Ended, Error> {
         loop {
-            let Some((leases, permits)) = self.next_leases().await? else {
+            let Some((leases, slots)) = self.next_leases().await? else {
                 return Ok(if self.drain.is_cancelled() { Ended::Drained } else { Ended::Idle });
             };
-            for (lease, permit) in leases.into_iter().zip(permits) {
+            for (lease, slot) in leases.into_iter().zip(slots) {
                 let switches = self.held.add(lease.key, lease.job.identity());
-                let job = Job {
-                    session: self.session.clone(),
-                    held: self.held.clone(),
-                    pool: self.pool.clone(),
-                    buffer: self.buffer.clone(),
-                    finished: finished.clone(),
-                };
-                jobs.spawn(job.run(lease, switches, permit));
+                jobs.spawn(workshop.clone().run(lease, switches, slot));
             }
             while jobs.try_join_next().is_some() {}
         }
     }
 
-    /// Leases for the places that are free, with their places; None if the worker is to end.
+    /// Leases for the slots that are free, with their slots; None if the worker is to end.
     async fn next_leases(&self) -> Result<Option<(Vec<Lease>, Vec<OwnedSemaphorePermit>)>, Error> {
-        let mut pause = PAUSE.0;
-        let mut idle_since = tokio::time::Instant::now();
+        let mut pauses = Pauses::new(PAUSE.0, PAUSE.1);
+        let mut idle = IdleTime::new(self.idle_exit);
         loop {
-            let Ok(first) = self.places.clone().acquire_owned().await else { return Ok(None) };
-            let mut permits = vec![first];
-            permits.extend(std::iter::from_fn(|| self.places.clone().try_acquire_owned().ok()));
+            let slots = self.free_slots().await;
             if !self.held.is_empty() {
-                idle_since = tokio::time::Instant::now();
+                idle.reset();
             }
-            let wait =
-                self.idle_exit.map_or(WAIT, |limit| limit.saturating_sub(idle_since.elapsed()).min(WAIT));
-            match self.session.acquire(permits.len(), wait).await {
+            match self.session.acquire(slots.len(), idle.wait()).await {
                 Ok((_, true)) => {
                     self.drain.cancel();
                     return Ok(None);
                 }
-                Ok((leases, _)) if leases.is_empty() => {
-                    pause = PAUSE.0;
-                    let idle = self.held.is_empty()
-                        && self.idle_exit.is_some_and(|limit| idle_since.elapsed() >= limit);
-                    if idle {
-                        return Ok(None);
-                    }
-                }
-                Ok((leases, _)) => return Ok(Some((leases, permits))),
+                Ok((leases, _)) if !leases.is_empty() => return Ok(Some((leases, slots))),
+                Ok(_) if idle.is_over() && self.held.is_empty() => return Ok(None),
+                Ok(_) => pauses.reset(),
                 Err(status) if is_refusal(&status) => return Err(Error::Refused(status)),
                 Err(status) => {
-                    failed(&status, "no leases");
-                    tokio::time::sleep(jittered(pause)).await;
-                    pause = (2 * pause).min(PAUSE.1);
+                    log_failure(&status, "no leases");
+                    pauses.wait().await;
                 }
             }
+        }
+    }
+
+    /// Waits for a slot, and takes all that are free then.
+    async fn free_slots(&self) -> Vec<OwnedSemaphorePermit> {
+        let first = self.slots.clone().acquire_owned().await.ok();
+        let others = std::iter::from_fn(|| self.slots.clone().try_acquire_owned().ok());
+        first.into_iter().chain(others).collect()
+    }
+
+    /// Hands back what has not begun, lets the rest end within the grace, and delivers.
+    async fn wind_up(&self, jobs: JoinSet<()>, mut delivery: JoinHandle<()>, grace: Duration) {
+        let waiting = self.held.give_up_waiting();
+        if !waiting.is_empty()
+            && grace > Duration::ZERO
+            && let Err(status) = self.session.hand_back(waiting, false).await
+        {
+            tracing::warn!(message = status.message(), "leases could not be handed back yet");
+        }
+        self.end_jobs(jobs, grace).await;
+        // All senders are gone with the jobs: the delivery ends when all is delivered.
+        if timeout(DELIVERY, &mut delivery).await.is_err() {
+            delivery.abort();
+            tracing::warn!(
+                "finished records could not be delivered in time: their jobs will be computed again"
+            );
+        }
+    }
+
+    /// Lets jobs end within the grace, and stops those that do not.
+    async fn end_jobs(&self, mut jobs: JoinSet<()>, grace: Duration) {
+        if timeout(grace, all_ended(&mut jobs)).await.is_ok() {
+            return;
+        }
+        self.held.stop_all();
+        // One that waits for room, or tells of its failure, would wait as long as the coordinator is away.
+        if timeout(STOPPING, all_ended(&mut jobs)).await.is_err() {
+            jobs.shutdown().await;
         }
     }
 
@@ -188,74 +228,11 @@ impl Agent {
             }
         }
     }
-
-    /// Hands back what has not begun, lets the rest end within the grace, and delivers.
-    async fn wind_up(
-        &self,
-        mut jobs: JoinSet<()>,
-        mut delivery: tokio::task::JoinHandle<()>,
-        grace: Duration,
-    ) {
-        let waiting = self.held.give_up_waiting();
-        if !waiting.is_empty()
-            && grace > Duration::ZERO
-            && let Err(status) = self.session.hand_back(waiting, false).await
-        {
-            tracing::warn!(message = status.message(), "leases could not be handed back yet");
-        }
-        let all = async { while jobs.join_next().await.is_some() {} };
-        if tokio::time::timeout(grace, all).await.is_err() {
-            self.held.stop_all();
-            // One that waits for room, or tells of its failure, would wait as long as the coordinator is away.
-            let stopped = async { while jobs.join_next().await.is_some() {} };
-            if tokio::time::timeout(STOPPING, stopped).await.is_err() {
-                jobs.shutdown().await;
-            }
-        }
-        // All senders are gone with the jobs: the delivery ends when all is delivered.
-        if tokio::time::timeout(DELIVERY, &mut delivery).await.is_err() {
-            delivery.abort();
-            tracing::warn!(
-                "finished records could not be delivered in time: their jobs will be computed again"
-            );
-        }
-    }
 }
 
-/// What one job needs on its way from lease to result.
-struct Job {
-    session: Arc<Session>,
-    held: Arc<Held>,
-    pool: Pool,
-    buffer: Buffer,
-    finished: mpsc::UnboundedSender<Finished>,
+async fn all_ended(jobs: &mut JoinSet<()>) {
+    while jobs.join_next().await.is_some() {}
 }
 
-impl Job {
-    /// A lease that is stopped with the worker stays held, to be handed back.
-    async fn run(self, Lease { key, job }: Lease, switches: Arc<Switches>, place: OwnedSemaphorePermit) {
-        let (bytes, identity) = (bytes_of(&job), job.identity());
-        // If results cannot be delivered, tracing waits here.
-        let Some(room) = self.buffer.take(bytes).await else { return };
-        match self.pool.trace(job, switches).await {
-            Outcome::Traced(traced) => {
-                self.held.traced(&key);
-                // The next job may begin while this result is on its way.
-                drop(place);
-                let _ = self.finished.send(Finished { key, identity, traced, bytes, _room: room });
-            }
-            Outcome::Panicked(reason) => {
-                tracing::error!(job = key.job, attempt = key.attempt, reason, "job failed");
-                if let Err(status) = self.session.fail(&key, &reason).await {
-                    tracing::warn!(
-                        job = key.job,
-                        message = status.message(),
-                        "the failure is not wanted any more"
-                    );
-                }
-                self.held.remove(&key);
-            }
-            Outcome::Stopped => {}
-        }
-    }
-}
+#[cfg(test)]
+mod tests;

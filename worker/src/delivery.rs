@@ -4,46 +4,45 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use bytes::Bytes;
 use farm_proto::RequestLimits;
 use farm_proto::lease::LeaseKey;
-use farm_proto::wire::complete_request::Content;
-use farm_proto::wire::{CompleteRequest, CompletionKind, CompletionOutcome, ResultHeader};
+use farm_proto::wire::{CompletionKind, CompletionOutcome};
 use optics_model::job::JobSpec;
 use optics_model::sums::Sums;
 use optics_model::{Digest, PackedRecords};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tonic::{Code, Status};
 
-use crate::held::Held;
-use crate::pool::Traced;
-use crate::session::{Session, jittered};
+use crate::leases::HeldLeases;
+use crate::pool::JobResult;
+use crate::retry::Pauses;
+use crate::session::Session;
+
+mod messages;
 
 /// Bytes after which a call takes no more results.
 const BATCH_BYTES: usize = 16 << 20;
 /// Pause after a call of which nothing was stored, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
-/// Bytes of one piece of a result.
-const PIECE: usize = 1 << 20;
 
-/// A result that waits, with its room in the buffer.
+/// A result that is not acknowledged yet, with its room in the buffer.
 #[derive(Debug)]
-pub(crate) struct Finished {
+pub(crate) struct PendingResult {
     pub key: LeaseKey,
     pub identity: Digest,
-    pub traced: Traced,
+    pub result: JobResult,
     pub bytes: usize,
     pub _room: OwnedSemaphorePermit,
 }
 
-/// Memory of all results that wait, in KiB.
+/// Memory for all results that are not acknowledged yet, in KiB.
 #[derive(Debug, Clone)]
-pub(crate) struct Buffer {
+pub(crate) struct ResultBuffer {
     room: Arc<Semaphore>,
     kib: u32,
 }
 
-impl Buffer {
+impl ResultBuffer {
     pub(crate) fn new(bytes: usize) -> Self {
         let kib = (bytes / 1024).clamp(1, u32::MAX as usize >> 4) as u32;
         Self { room: Arc::new(Semaphore::new(kib as usize)), kib }
@@ -67,11 +66,11 @@ pub(crate) fn bytes_of(job: &JobSpec) -> usize {
 /// Delivers until the queue is closed and empty.
 pub(crate) async fn deliver(
     session: Arc<Session>,
-    held: Arc<Held>,
-    mut queue: mpsc::UnboundedReceiver<Finished>,
+    held: Arc<HeldLeases>,
+    mut queue: mpsc::UnboundedReceiver<PendingResult>,
 ) {
     let mut waiting = VecDeque::new();
-    let mut pause = PAUSE.0;
+    let mut pauses = Pauses::new(PAUSE.0, PAUSE.1);
     while !waiting.is_empty() || queue.recv().await.map(|first| waiting.push_back(first)).is_some() {
         while let Ok(next) = queue.try_recv() {
             waiting.push_back(next);
@@ -79,10 +78,9 @@ pub(crate) async fn deliver(
         let batch = next_batch(&mut waiting);
         let (count, not_stored) = (batch.len(), send(&session, &held, batch).await);
         if not_stored.len() < count {
-            pause = PAUSE.0;
+            pauses.reset();
         } else {
-            tokio::time::sleep(jittered(pause)).await;
-            pause = (2 * pause).min(PAUSE.1);
+            pauses.wait().await;
         }
         // The others first: one that cannot be stored must not keep them waiting.
         waiting.extend(not_stored);
@@ -90,7 +88,7 @@ pub(crate) async fn deliver(
 }
 
 /// The results that have waited longest, as many as go into a call.
-fn next_batch(waiting: &mut VecDeque<Finished>) -> Vec<Finished> {
+fn next_batch(waiting: &mut VecDeque<PendingResult>) -> Vec<PendingResult> {
     let (mut batch, mut bytes) = (Vec::new(), 0);
     while bytes < BATCH_BYTES
         && batch.len() < RequestLimits::LEASES as usize
@@ -104,44 +102,52 @@ fn next_batch(waiting: &mut VecDeque<Finished>) -> Vec<Finished> {
 
 /// Sends results until they are acknowledged or refused for good; gives back those that the coordinator's store did
 /// not take.
-async fn send(session: &Session, held: &Held, batch: Vec<Finished>) -> Vec<Finished> {
-    match session.complete(|worker| parts(worker, &batch), batch.iter().map(|f| f.bytes).sum()).await {
-        Ok(outcomes) => {
-            let mut not_stored = Vec::new();
-            let mut outcomes = outcomes.into_iter();
-            for finished in batch {
-                let Some(outcome) = outcomes.next() else {
-                    not_stored.push(finished);
-                    continue;
-                };
-                tell(&finished.key, &outcome);
-                if outcome.kind() == CompletionKind::NotStored {
-                    not_stored.push(finished);
-                } else {
-                    held.remove(&finished.key);
-                }
-            }
-            not_stored
-        }
+async fn send(session: &Session, held: &HeldLeases, batch: Vec<PendingResult>) -> Vec<PendingResult> {
+    let limit = messages::time_limit(batch.iter().map(|result| result.bytes).sum());
+    match session.complete(|worker_id| messages::of_results(worker_id, &batch), limit).await {
+        Ok(outcomes) => settle(held, batch, outcomes),
         // One of them is not as it should be; the others must not suffer.
         Err(status) if batch.len() > 1 && status.code() == Code::InvalidArgument => {
             let mut not_stored = Vec::new();
-            for finished in batch {
-                not_stored.extend(Box::pin(send(session, held, vec![finished])).await);
+            for result in batch {
+                not_stored.extend(Box::pin(send(session, held, vec![result])).await);
             }
             not_stored
         }
         Err(status) => {
-            for finished in &batch {
-                refused(session, &finished.key, &status).await;
-                held.remove(&finished.key);
+            for result in &batch {
+                give_up(session, &result.key, &status).await;
+                held.remove(&result.key);
             }
             Vec::new()
         }
     }
 }
 
-fn tell(key: &LeaseKey, outcome: &CompletionOutcome) {
+/// Drops the results that the coordinator has decided on; gives back the others.
+fn settle(
+    held: &HeldLeases,
+    batch: Vec<PendingResult>,
+    outcomes: Vec<CompletionOutcome>,
+) -> Vec<PendingResult> {
+    let mut outcomes = outcomes.into_iter();
+    let mut not_stored = Vec::new();
+    for result in batch {
+        let outcome = outcomes.next();
+        if let Some(outcome) = &outcome {
+            log_outcome(&result.key, outcome);
+        }
+        // What the answer leaves out is not acknowledged either.
+        if outcome.is_none_or(|outcome| outcome.kind() == CompletionKind::NotStored) {
+            not_stored.push(result);
+        } else {
+            held.remove(&result.key);
+        }
+    }
+    not_stored
+}
+
+fn log_outcome(key: &LeaseKey, outcome: &CompletionOutcome) {
     let (dictionary, job, attempt) = (key.dictionary.0, key.job, key.attempt);
     let message = outcome.message.as_str();
     match outcome.kind() {
@@ -159,8 +165,8 @@ fn tell(key: &LeaseKey, outcome: &CompletionOutcome) {
     }
 }
 
-/// A result that no repetition would bring in.
-async fn refused(session: &Session, key: &LeaseKey, status: &Status) {
+/// Gives up a result that no repetition would bring in.
+async fn give_up(session: &Session, key: &LeaseKey, status: &Status) {
     tracing::error!(job = key.job, attempt = key.attempt, message = status.message(), "result refused");
     // The job would come back for ever if nobody told that it came to nothing.
     if status.code() == Code::InvalidArgument
@@ -170,31 +176,5 @@ async fn refused(session: &Session, key: &LeaseKey, status: &Status) {
     }
 }
 
-/// The messages of a call that delivers results.
-fn parts(worker: &str, batch: &[Finished]) -> Vec<CompleteRequest> {
-    let mut parts = Vec::new();
-    let mut push = |content| parts.push(CompleteRequest { content: Some(content) });
-    for Finished { key, identity, traced, .. } in batch {
-        push(Content::Header(ResultHeader {
-            worker_id: worker.to_owned(),
-            key: Some((*key).into()),
-            identity: identity.as_bytes().to_vec(),
-        }));
-        match traced {
-            Traced::Records(records) => pieces(records.bytes()).for_each(|p| push(Content::Records(p))),
-            Traced::Sums(sums) => pieces(&sums.to_le_bytes().into()).for_each(|p| push(Content::Sums(p))),
-        }
-    }
-    parts
-}
-
-fn pieces(bytes: &Bytes) -> impl Iterator<Item = Bytes> {
-    (0..bytes.len()).step_by(PIECE).map(|start| bytes.slice(start..bytes.len().min(start + PIECE)))
-}
-
-/// How long a delivery may take.
-pub(crate) fn time_for(bytes: usize) -> Duration {
-    /// Slowest link, in bytes a second, over which results are delivered before the call is given up and repeated.
-    const SLOWEST: f64 = 50_000.0;
-    Duration::from_mins(1) + Duration::from_secs_f64(bytes as f64 / SLOWEST)
-}
+#[cfg(test)]
+mod tests;

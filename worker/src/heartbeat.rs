@@ -3,40 +3,49 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use crate::held::Held;
-use crate::session::{Session, failed};
+use crate::leases::HeldLeases;
+use crate::retry::log_failure;
+use crate::session::Session;
 
-/// Renews four times per lease until `end`; `drain` is told when the coordinator wants the worker to leave.
+/// Renews four times per lease until `end`; cancels `drain` when the coordinator wants the worker to leave.
 pub(crate) async fn beat(
     session: Arc<Session>,
-    held: Arc<Held>,
+    held: Arc<HeldLeases>,
     drain: CancellationToken,
     end: CancellationToken,
 ) {
-    let mut tick = tokio::time::interval((session.lease() / 4).max(Duration::from_millis(50)));
-    tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    loop {
-        tokio::select! {
-            () = end.cancelled() => return,
-            _ = tick.tick() => {}
+    end.run_until_cancelled(async {
+        loop {
+            // A coordinator that was restarted may have another length of leases.
+            let next = Instant::now() + interval(session.lease());
+            renew(&session, &held, &drain).await;
+            sleep_until(next).await;
         }
-        let renewed = tokio::select! {
-            () = end.cancelled() => return,
-            renewed = session.renew(held.all()) => renewed,
-        };
-        match renewed {
-            Ok((lost, leave)) => {
-                for key in lost.into_iter().filter(|key| held.lose(key)) {
-                    tracing::warn!(job = key.job, attempt = key.attempt, "lease lost: its job is dropped");
-                }
-                if leave && !drain.is_cancelled() {
-                    tracing::info!("the coordinator asks this worker to leave");
-                    drain.cancel();
-                }
+    })
+    .await;
+}
+
+fn interval(lease: Duration) -> Duration {
+    (lease / 4).max(Duration::from_millis(50))
+}
+
+async fn renew(session: &Session, held: &HeldLeases, drain: &CancellationToken) {
+    match session.renew(held.all()).await {
+        Ok((lost, leave)) => {
+            for key in lost.into_iter().filter(|key| held.lose(key)) {
+                tracing::warn!(job = key.job, attempt = key.attempt, "lease lost: its job is dropped");
             }
-            Err(status) => failed(&status, "no heartbeat"),
+            if leave && !drain.is_cancelled() {
+                tracing::info!("the coordinator asks this worker to leave");
+                drain.cancel();
+            }
         }
+        Err(status) => log_failure(&status, "no heartbeat"),
     }
 }
+
+#[cfg(test)]
+mod tests;

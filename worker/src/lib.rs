@@ -1,16 +1,22 @@
 //! The worker: leases jobs, traces their walks on all cores, returns the records.
 //!
-//! `optics-tracer` is the physics and knows nothing of networks; `agent` talks to the coordinator; `pool` stands between
-//! them, so that no walk ever blocks an async thread.
+//! `optics-tracer` is the physics and knows nothing of networks; `session` talks to the coordinator; `pool` stands between
+//! them, so that no walk ever blocks an async thread. `agent` ties them together: it leases jobs, `job` takes each from
+//! its lease to its result, `delivery` keeps results until they are acknowledged, `heartbeat` renews the leases.
 
 mod agent;
 mod config;
-mod contact;
 mod delivery;
 mod heartbeat;
-mod held;
+mod idle;
+mod job;
+mod leases;
 mod pool;
+mod reachability;
+mod retry;
 mod session;
+#[cfg(test)]
+mod testing;
 
 pub use agent::{Ended, run};
 pub use config::Config;

@@ -1,32 +1,31 @@
-//! The threads that trace, apart from those that talk.
+//! The threads that trace, apart from those that talk to the coordinator.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use optics_model::PackedRecords;
 use optics_model::job::JobSpec;
 use optics_model::sums::Sums;
+use optics_tracer::{Stopped, trace, trace_block};
 use tokio::sync::oneshot;
 
-use crate::held::Switches;
-use optics_tracer::{Stopped, trace, trace_block};
+use crate::leases::JobSwitches;
 
-/// What a job came to.
+/// What tracing a job yields.
 #[derive(Debug, Clone)]
-pub(crate) enum Traced {
+pub(crate) enum JobResult {
     Records(PackedRecords),
     /// Of one block of a divided job.
     Sums(Sums),
 }
 
-/// How tracing a job ended.
+/// How the tracing of a job ended.
 #[derive(Debug)]
-pub(crate) enum Outcome {
-    Traced(Traced),
+pub(crate) enum TraceEnd {
+    Finished(JobResult),
     Stopped,
-    /// The tracer panicked: a defect, told to the coordinator.
+    /// The tracer panicked, which is a defect. The coordinator is given this text.
     Panicked(String),
 }
 
@@ -40,35 +39,82 @@ impl Pool {
     }
 
     /// Traces a job; its switch ends it early.
-    pub(crate) async fn trace(&self, job: JobSpec, switches: Arc<Switches>) -> Outcome {
+    pub(crate) async fn trace(&self, job: JobSpec, switches: Arc<JobSwitches>) -> TraceEnd {
         let (sender, receiver) = oneshot::channel();
         self.0.spawn(move || {
             // Nobody listens any more if the agent was dropped.
             let _ = sender.send(trace_now(&job, &switches));
         });
-        receiver.await.unwrap_or(Outcome::Stopped)
+        receiver.await.unwrap_or(TraceEnd::Stopped)
     }
 }
 
-fn trace_now(job: &JobSpec, switches: &Switches) -> Outcome {
-    // First this, then a look at the stop switch: whoever stops what is not running cannot miss it.
-    switches.running.store(true, Ordering::SeqCst);
-    if switches.stop.load(Ordering::SeqCst) {
-        return Outcome::Stopped;
+fn trace_now(job: &JobSpec, switches: &JobSwitches) -> TraceEnd {
+    if !switches.start() {
+        return TraceEnd::Stopped;
     }
-    let traced = catch_unwind(AssertUnwindSafe(|| match job.block() {
-        Some(block) => trace_block(job, block, &switches.stop).map(Traced::Sums),
-        None => trace(job, &switches.stop).map(|records| Traced::Records(PackedRecords::pack(job, &records))),
-    }));
-    match traced {
-        Ok(Ok(traced)) => Outcome::Traced(traced),
-        Ok(Err(Stopped)) => Outcome::Stopped,
-        Err(panic) => Outcome::Panicked(message(panic.as_ref())),
+    guarded(|| match job.block() {
+        Some(block) => trace_block(job, block, &switches.stop).map(JobResult::Sums),
+        None => {
+            trace(job, &switches.stop).map(|records| JobResult::Records(PackedRecords::pack(job, &records)))
+        }
+    })
+}
+
+/// A panic ends the job and not the thread.
+fn guarded(trace: impl FnOnce() -> Result<JobResult, Stopped>) -> TraceEnd {
+    match catch_unwind(AssertUnwindSafe(trace)) {
+        Ok(Ok(result)) => TraceEnd::Finished(result),
+        Ok(Err(Stopped)) => TraceEnd::Stopped,
+        Err(panic) => TraceEnd::Panicked(panic_text(panic.as_ref())),
     }
 }
 
-fn message(panic: &(dyn Any + Send)) -> String {
+fn panic_text(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
     format!("the tracer panicked: {}", text.unwrap_or("no message"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{endless_job, job};
+
+    #[tokio::test]
+    async fn a_job_has_the_records_that_the_tracer_yields() {
+        let pool = Pool::new(1).unwrap();
+        let switches = Arc::<JobSwitches>::default();
+        let end = pool.trace(job(1), switches.clone()).await;
+        let TraceEnd::Finished(JobResult::Records(records)) = end else { panic!("{end:?}") };
+        let expected = trace(&job(1), &switches.stop).unwrap();
+        assert_eq!(records, PackedRecords::pack(&job(1), &expected));
+    }
+
+    #[tokio::test]
+    async fn a_job_that_was_stopped_before_does_not_begin_and_one_that_runs_ends() {
+        let pool = Pool::new(1).unwrap();
+        let before = Arc::<JobSwitches>::default();
+        before.stop();
+        assert!(matches!(pool.trace(endless_job(), before).await, TraceEnd::Stopped));
+        let during = Arc::<JobSwitches>::default();
+        let traced = tokio::spawn({
+            let (pool, switches) = (pool.clone(), during.clone());
+            async move { pool.trace(endless_job(), switches).await }
+        });
+        while !during.is_running() {
+            tokio::task::yield_now().await;
+        }
+        during.stop();
+        assert!(matches!(traced.await.unwrap(), TraceEnd::Stopped));
+    }
+
+    #[test]
+    fn a_panic_becomes_a_text_for_the_coordinator() {
+        let end = guarded(|| panic!("σ_t is {}", -1));
+        let TraceEnd::Panicked(text) = end else { panic!("{end:?}") };
+        assert_eq!(text, "the tracer panicked: σ_t is -1");
+        let end = guarded(|| std::panic::panic_any(7));
+        assert!(matches!(end, TraceEnd::Panicked(text) if text.ends_with("no message")));
+    }
 }

@@ -1,9 +1,8 @@
 //! The worker's side of `farm.v1.Leases`: registration, and calls that are repeated until they get an answer.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use backon::{ExponentialBuilder, Retryable};
 use farm_link::Link;
 use farm_proto::lease::{Lease, LeaseKey};
 use farm_proto::wire::leases_client::LeasesClient;
@@ -17,14 +16,13 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Response, Status};
 
-use crate::config::Config;
-use crate::contact::{Contact, is_silence};
-use crate::delivery::time_for;
-use crate::held::Held;
+use crate::leases::HeldLeases;
+use crate::reachability::Reachability;
+use crate::retry::repeat;
 
 /// Longest time a call may take that neither carries records nor holds leases.
 const CALL: Duration = Duration::from_mins(1);
-/// Longest time to take leave: whoever stops a worker waits for it.
+/// Longest time that leaving may take: whoever stops a worker waits for it.
 const LEAVE: Duration = Duration::from_secs(5);
 
 #[derive(Debug, thiserror::Error)]
@@ -35,108 +33,74 @@ pub enum Error {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
+/// What a worker says of itself when it registers.
+#[derive(Debug, Clone)]
+pub(crate) struct Introduction {
+    pub label: String,
+    pub threads: usize,
+}
+
+/// What the coordinator answered to the last registration.
+#[derive(Debug, Clone, Default)]
+struct Registration {
+    worker_id: String,
+    lease: Duration,
+}
+
 /// A registered connection. Registers anew by itself when the coordinator has forgotten the worker.
 #[derive(Debug)]
 pub(crate) struct Session {
     client: LeasesClient<Link>,
-    config: Config,
+    introduction: Introduction,
     /// Tells the coordinator that this is the same process when it registers again.
     instance: String,
-    worker_id: Mutex<String>,
-    lease: Duration,
-    held: Arc<Held>,
-    contact: Contact,
+    registration: Mutex<Registration>,
+    /// Held while the worker registers again: every registration frees the leases of the one before.
+    registering: tokio::sync::Mutex<()>,
+    held: Arc<HeldLeases>,
+    reachability: Reachability,
 }
 
 impl Session {
-    /// Connects and registers, waiting for the coordinator as long as it takes; None if `shutdown` comes first.
+    /// Registers, waiting for the coordinator at `url` as long as it takes; None if `shutdown` comes first.
     pub(crate) async fn open(
-        config: Config,
-        held: Arc<Held>,
+        link: Link,
+        url: &str,
+        introduction: Introduction,
+        held: Arc<HeldLeases>,
         shutdown: &CancellationToken,
     ) -> Result<Option<Self>, Error> {
-        let client = LeasesClient::new(config.coordinator.connect_lazy())
-            .max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
-            .max_encoding_message_size(RequestLimits::MESSAGE_BYTES);
-        let instance = instance();
-        let contact = Contact::new(config.coordinator.url());
-        let worker_id = Mutex::default();
-        let mut session = Self { client, config, instance, worker_id, lease: Duration::ZERO, held, contact };
-        let registered = tokio::select! {
+        let session = Self {
+            client: LeasesClient::new(link)
+                .max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
+                .max_encoding_message_size(RequestLimits::MESSAGE_BYTES),
+            introduction,
+            instance: instance(),
+            registration: Mutex::default(),
+            registering: tokio::sync::Mutex::default(),
+            held,
+            reachability: Reachability::new(url),
+        };
+        tokio::select! {
             registered = repeat(|| session.register()) => registered.map_err(Error::Refused)?,
             () = shutdown.cancelled() => return Ok(None),
-        };
-        session.lease = registered;
+        }
         Ok(Some(session))
     }
 
     /// How long a lease holds without renewal.
     pub(crate) fn lease(&self) -> Duration {
-        self.lease
+        self.registration().lease
     }
 
     pub(crate) fn url(&self) -> &str {
-        self.contact.url()
-    }
-
-    /// Makes a call, and notes whether there was an answer.
-    async fn call<T>(&self, call: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Status> {
-        let began = Instant::now();
-        let answer = call.await;
-        self.contact.note(began, answer.as_ref().err());
-        answer.map(Response::into_inner)
-    }
-
-    async fn register(&self) -> Result<Duration, Status> {
-        let request = RegisterRequest {
-            label: self.config.label.clone(),
-            threads: self.config.threads as u32,
-            physics_version: PHYSICS_VERSION,
-            protocol_version: PROTOCOL_VERSION,
-            instance: self.instance.clone(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-        };
-        let response = self.call(self.client.clone().register(timed(request, CALL))).await?;
-        self.contact.joined(&self.config.label, self.config.threads);
-        *self.worker_id.lock().unwrap_or_else(PoisonError::into_inner) = response.worker_id;
-        Ok(Duration::from_millis(response.lease_ms))
-    }
-
-    fn worker_id(&self) -> String {
-        self.worker_id.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Registers again if that is what an answer to a call in the name of `worker` asks for.
-    async fn known<T>(&self, worker: &str, answer: Result<T, Status>) -> Result<T, Status> {
-        if let Err(status) = &answer
-            && status.code() == Code::Aborted
-            && worker == self.worker_id()
-        {
-            tracing::warn!("the coordinator does not know this worker: registering again");
-            self.register().await?;
-            self.announce().await;
-        }
-        answer
-    }
-
-    /// Tells a coordinator that was restarted what this worker has in hand, before it asks for more: otherwise it could
-    /// be given its own jobs again.
-    async fn announce(&self) {
-        let worker_id = self.worker_id();
-        let mut leases = self.held.all().into_iter().map(on_wire).peekable();
-        while leases.peek().is_some() {
-            let leases = leases.by_ref().take(RequestLimits::LEASES as usize).collect();
-            let request = RenewRequest { worker_id: worker_id.clone(), leases };
-            // What is lost the next heartbeat finds out.
-            if let Err(status) = self.call(self.client.clone().renew(timed(request, self.lease / 2))).await {
-                tracing::warn!(message = status.message(), "leases could not be announced");
-                return;
-            }
-        }
+        self.reachability.url()
     }
 
     /// Waits up to `wait` for jobs; tells also whether the worker is to leave.
     pub(crate) async fn acquire(&self, max: usize, wait: Duration) -> Result<(Vec<Lease>, bool), Status> {
+        // Between a registration and the announcement that follows, it could be given its own jobs.
+        drop(self.registering.lock().await);
         let worker_id = self.worker_id();
         let request = AcquireRequest {
             worker_id: worker_id.clone(),
@@ -163,7 +127,7 @@ impl Session {
             let rest = leases.split_off(leases.len().min(RequestLimits::LEASES as usize));
             let request = RenewRequest { worker_id: worker_id.clone(), leases };
             // A heartbeat that comes late is worth nothing.
-            let answer = self.call(self.client.clone().renew(timed(request, self.lease / 2))).await;
+            let answer = self.call(self.client.clone().renew(timed(request, self.lease() / 2))).await;
             let answer = self.known(&worker_id, answer).await?;
             lost.extend(answer.lost.into_iter().map(LeaseKey::from));
             drain |= answer.drain;
@@ -174,21 +138,23 @@ impl Session {
         }
     }
 
-    /// Delivers results until they are acknowledged or refused for good; `parts` makes the messages for a worker's id.
+    /// Delivers results until they are acknowledged or refused for good. `parts` makes the messages for a worker's id;
+    /// a call may take `limit`.
     pub(crate) async fn complete(
         &self,
         parts: impl Fn(&str) -> Vec<CompleteRequest>,
-        bytes: usize,
+        limit: Duration,
     ) -> Result<Vec<CompletionOutcome>, Status> {
         repeat(|| async {
             let worker_id = self.worker_id();
             let parts = tokio_stream::iter(parts(&worker_id));
-            let answer = self.call(self.client.clone().complete(timed(parts, time_for(bytes)))).await;
+            let answer = self.call(self.client.clone().complete(timed(parts, limit))).await;
             Ok(self.known(&worker_id, answer).await?.outcomes)
         })
         .await
     }
 
+    /// Reports that a job could not be computed.
     pub(crate) async fn fail(&self, key: &LeaseKey, reason: &str) -> Result<(), Status> {
         repeat(|| async {
             let worker_id = self.worker_id();
@@ -205,6 +171,68 @@ impl Session {
         let leases = leases.into_iter().map(Into::into).collect();
         let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving };
         self.call(self.client.clone().hand_back(timed(request, LEAVE))).await.map(drop)
+    }
+
+    /// Makes a call, and notes whether there was an answer.
+    async fn call<T>(&self, call: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Status> {
+        let began = Instant::now();
+        let answer = call.await;
+        self.reachability.note(began, answer.as_ref().err());
+        answer.map(Response::into_inner)
+    }
+
+    async fn register(&self) -> Result<(), Status> {
+        let Introduction { label, threads } = &self.introduction;
+        let request = RegisterRequest {
+            label: label.clone(),
+            threads: *threads as u32,
+            physics_version: PHYSICS_VERSION,
+            protocol_version: PROTOCOL_VERSION,
+            instance: self.instance.clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+        };
+        let response = self.call(self.client.clone().register(timed(request, CALL))).await?;
+        self.reachability.joined(label, *threads);
+        let lease = Duration::from_millis(response.lease_ms);
+        *self.registration() = Registration { worker_id: response.worker_id, lease };
+        Ok(())
+    }
+
+    /// Registers again if that is what an answer to a call in the name of `worker` asks for.
+    async fn known<T>(&self, worker: &str, answer: Result<T, Status>) -> Result<T, Status> {
+        if answer.as_ref().is_err_and(|status| status.code() == Code::Aborted) {
+            let _one_at_a_time = self.registering.lock().await;
+            if worker == self.worker_id() {
+                tracing::warn!("the coordinator does not know this worker: registering again");
+                self.register().await?;
+                self.announce().await;
+            }
+        }
+        answer
+    }
+
+    /// Tells a coordinator that was restarted what this worker has in hand, before it asks for more: otherwise it could
+    /// be given its own jobs again.
+    async fn announce(&self) {
+        let Registration { worker_id, lease } = self.registration().clone();
+        let mut leases = self.held.all().into_iter().map(on_wire).peekable();
+        while leases.peek().is_some() {
+            let leases = leases.by_ref().take(RequestLimits::LEASES as usize).collect();
+            let request = RenewRequest { worker_id: worker_id.clone(), leases };
+            // What is lost the next heartbeat finds out.
+            if let Err(status) = self.call(self.client.clone().renew(timed(request, lease / 2))).await {
+                tracing::warn!(message = status.message(), "leases could not be announced");
+                return;
+            }
+        }
+    }
+
+    fn worker_id(&self) -> String {
+        self.registration().worker_id.clone()
+    }
+
+    fn registration(&self) -> MutexGuard<'_, Registration> {
+        self.registration.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -228,55 +256,5 @@ fn instance() -> String {
     format!("{:032x}", u128::from_be_bytes(bytes))
 }
 
-/// Whether the same call may succeed later.
-pub(crate) fn is_passing(status: &Status) -> bool {
-    matches!(
-        status.code(),
-        Code::Unavailable
-            | Code::DeadlineExceeded
-            | Code::Aborted
-            | Code::Cancelled
-            | Code::Internal
-            | Code::ResourceExhausted
-            | Code::Unknown
-    )
-}
-
-/// Whether the coordinator does not want this worker, now or later.
-pub(crate) fn is_refusal(status: &Status) -> bool {
-    matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied | Code::FailedPrecondition)
-}
-
-/// Tells that a call failed. That the coordinator does not answer, or does not know this worker any more, is told once and
-/// not for each call.
-pub(crate) fn failed(status: &Status, what: &str) {
-    let (code, message) = (status.code(), status.message());
-    if is_silence(status) || status.code() == Code::Aborted {
-        tracing::debug!(?code, message, "{what}");
-    } else {
-        tracing::warn!(?code, message, "{what}");
-    }
-}
-
-/// Half to the whole of a pause, so that workers do not come back all at once.
-pub(crate) fn jittered(pause: Duration) -> Duration {
-    let mut byte = [0_u8];
-    // Without randomness there is no jitter.
-    let _ = getrandom::fill(&mut byte);
-    pause.mul_f64(0.5 + f64::from(byte[0]) / 512.0)
-}
-
-/// Calls until the answer is not a passing fault, with growing pauses of random length.
-async fn repeat<T, F: Future<Output = Result<T, Status>>>(call: impl FnMut() -> F) -> Result<T, Status> {
-    let pauses = ExponentialBuilder::default()
-        .with_min_delay(Duration::from_millis(100))
-        .with_max_delay(Duration::from_secs(10))
-        .with_jitter()
-        .without_max_times();
-    call.retry(pauses)
-        .when(is_passing)
-        .notify(|status, pause| {
-            failed(status, &format!("the call is repeated in {pause:.1?}"));
-        })
-        .await
-}
+#[cfg(test)]
+mod tests;

@@ -4,17 +4,19 @@ use std::error::Error;
 
 use tonic::Status;
 
-use super::error::root_cause;
+use crate::error::root_cause;
 
 /// How rustls words what the other side ended a connection with. HTTP/2 passes on the words alone.
 const ALERT: &str = "received fatal alert: ";
-/// Alerts about certificates that were shown.
-const NOT_ACCEPTED: [&str; 7] = [
+/// Alerts about certificates that were shown. `DecryptError` is the one for a wrong signature: the certificate is of an
+/// authority of the right name with another key, as those of other access files are.
+const NOT_ACCEPTED: [&str; 8] = [
     "AccessDenied",
     "BadCertificate",
     "CertificateExpired",
     "CertificateRevoked",
     "CertificateUnknown",
+    "DecryptError",
     "UnknownCA",
     "UnsupportedCertificate",
 ];
@@ -64,6 +66,7 @@ mod tests {
             Alert::CertificateExpired,
             Alert::CertificateRevoked,
             Alert::CertificateUnknown,
+            Alert::DecryptError,
             Alert::UnknownCA,
             Alert::UnsupportedCertificate,
         ] {

@@ -6,9 +6,10 @@ use secrecy::{ExposeSecret as _, SecretString};
 use serde::Deserialize;
 use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
 
-use super::error::{AccessError, root_cause};
-use super::target::{Bearer, checked_endpoint};
-use super::{HANDSHAKE, Role, TOKEN_BYTES, file, pem};
+use crate::error::{AccessError, root_cause};
+use crate::handshake::{Credentials, Handshake};
+use crate::target::{Bearer, checked_endpoint};
+use crate::{HANDSHAKE, Role, TOKEN_BYTES, file, pem};
 
 /// How to reach a coordinator, how to know it, and the token to show it.
 ///
@@ -26,12 +27,12 @@ use super::{HANDSHAKE, Role, TOKEN_BYTES, file, pem};
 #[derive(Debug, Clone)]
 pub struct ClientAccess {
     path: PathBuf,
-    content: Content,
+    fields: ClientFields,
 }
 
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Content {
+struct ClientFields {
     role: Role,
     server: String,
     ca_certificate: String,
@@ -44,41 +45,41 @@ struct Content {
 impl ClientAccess {
     /// Reads and checks a file; what it says is known to be usable afterwards.
     pub fn read(path: &Path) -> Result<Self, AccessError> {
-        let content: Content = file::read_secret(path, "the file of a worker, a client or an admin")?;
-        let access = Self { path: path.to_owned(), content };
+        let fields = file::read_secret(path, "the file of a worker, a client or an admin")?;
+        let access = Self { path: path.to_owned(), fields };
         access.check_fields()?;
         access.endpoint(None)?;
         Ok(access)
     }
 
     pub fn role(&self) -> Role {
-        self.content.role
+        self.fields.role
     }
 
     /// Whether there is a certificate to show, for coordinators that ask for one.
     pub fn has_certificate(&self) -> bool {
-        self.content.certificate.is_some()
+        self.fields.certificate.is_some()
     }
 
     /// The coordinator's URL.
     pub fn server(&self) -> &str {
-        &self.content.server
+        &self.fields.server
     }
 
     /// Adds the token to calls.
     pub fn bearer(&self) -> Bearer {
-        Bearer::of(self.content.token.expose_secret())
+        Bearer::of(self.fields.token.expose_secret())
     }
 
     /// The coordinator, or the one at `override_url`, with encryption. A URL without is taken on loopback only, since the
     /// token would be there for all to read.
     pub fn endpoint(&self, override_url: Option<&str>) -> Result<Endpoint, AccessError> {
-        let url = override_url.unwrap_or(&self.content.server);
-        let (endpoint, place) = checked_endpoint(url)?;
-        if place.encrypted {
+        let url = override_url.unwrap_or(&self.fields.server);
+        let (endpoint, security) = checked_endpoint(url)?;
+        if security.encrypted {
             return endpoint.tls_config(self.tls()).map_err(|error| self.unusable(&error));
         }
-        if place.loopback {
+        if security.loopback {
             return Ok(endpoint);
         }
         let problem =
@@ -86,24 +87,35 @@ impl ClientAccess {
         Err(AccessError::Url { url: url.to_owned(), problem: problem.to_owned() })
     }
 
+    /// The same encryption as that of an endpoint of this file; None if it has none.
+    pub(crate) fn handshake(&self, endpoint: &Endpoint) -> Option<Handshake> {
+        let fields = &self.fields;
+        let key = fields.key.as_ref().map(SecretString::expose_secret);
+        let identity = fields.certificate.as_deref().zip(key);
+        let server_name = fields.server_name.as_deref();
+        let credentials = Credentials { authority: &fields.ca_certificate, identity, server_name };
+        let uri = endpoint.uri();
+        (uri.scheme_str() == Some("https")).then(|| Handshake::new(uri, credentials))?
+    }
+
     fn tls(&self) -> ClientTlsConfig {
-        let authority = Certificate::from_pem(&self.content.ca_certificate);
+        let authority = Certificate::from_pem(&self.fields.ca_certificate);
         let mut tls = ClientTlsConfig::new().ca_certificate(authority).timeout(HANDSHAKE);
-        if let (Some(certificate), Some(key)) = (&self.content.certificate, &self.content.key) {
+        if let (Some(certificate), Some(key)) = (&self.fields.certificate, &self.fields.key) {
             tls = tls.identity(Identity::from_pem(certificate, key.expose_secret()));
         }
-        match &self.content.server_name {
+        match &self.fields.server_name {
             Some(name) => tls.domain_name(name),
             None => tls,
         }
     }
 
     fn check_fields(&self) -> Result<(), AccessError> {
-        let content = &self.content;
+        let fields = &self.fields;
         let wrong = |field, problem| self.wrong(field, problem);
-        pem::check_certificates(&content.ca_certificate).map_err(|p| wrong("ca_certificate", p))?;
-        check_token(content.token.expose_secret()).map_err(|p| wrong("token", p))?;
-        match (&content.certificate, &content.key) {
+        pem::check_certificates(&fields.ca_certificate).map_err(|p| wrong("ca_certificate", p))?;
+        check_token(fields.token.expose_secret()).map_err(|p| wrong("token", p))?;
+        match (&fields.certificate, &fields.key) {
             (Some(certificate), Some(key)) => {
                 pem::check_certificates(certificate).map_err(|p| wrong("certificate", p))?;
                 pem::check_key(key.expose_secret()).map_err(|p| wrong("key", p))
@@ -137,8 +149,8 @@ fn check_token(token: &str) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{TOKEN, ca, certificate, key, private_file};
     use super::*;
+    use crate::testing::{TOKEN, ca, certificate, key, private_file};
 
     fn content(more: &str) -> String {
         format!(

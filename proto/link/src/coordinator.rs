@@ -8,8 +8,8 @@ use serde::Deserialize;
 use subtle::{ConditionallySelectable as _, ConstantTimeEq as _};
 use tonic::transport::{Certificate, Identity, Server, ServerTlsConfig};
 
-use super::error::{AccessError, root_cause};
-use super::{HANDSHAKE, Role, TOKEN_BYTES, file, pem, token_hash};
+use crate::error::{AccessError, root_cause};
+use crate::{HANDSHAKE, Role, TOKEN_BYTES, file, pem, token_hash};
 
 /// Tokens are compared with all entries at every call.
 const MOST_TOKENS: usize = 1000;
@@ -49,7 +49,7 @@ struct Token {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Content {
+struct CoordinatorFields {
     certificate: String,
     key: SecretString,
     client_ca: Option<String>,
@@ -68,23 +68,23 @@ struct TokenTable {
 impl CoordinatorAccess {
     /// Reads and checks a file, down to the key's belonging to the certificate.
     pub fn read(path: &Path) -> Result<Self, AccessError> {
-        let content: Content = file::read_secret(path, "the coordinator's file")?;
+        let fields: CoordinatorFields = file::read_secret(path, "the coordinator's file")?;
         let wrong = |field: &str, problem| AccessError::Field {
             path: path.to_owned(),
             field: field.to_owned(),
             problem,
         };
-        pem::check_certificates(&content.certificate).map_err(|p| wrong("certificate", p))?;
-        pem::check_key(content.key.expose_secret()).map_err(|p| wrong("key", p))?;
-        if let Some(authority) = &content.client_ca {
+        pem::check_certificates(&fields.certificate).map_err(|p| wrong("certificate", p))?;
+        pem::check_key(fields.key.expose_secret()).map_err(|p| wrong("key", p))?;
+        if let Some(authority) = &fields.client_ca {
             pem::check_certificates(authority).map_err(|p| wrong("client_ca", p))?;
         }
         let access = Self {
             path: path.to_owned(),
-            certificate: content.certificate,
-            key: content.key,
-            client_ca: content.client_ca,
-            tokens: tokens(content.tokens).map_err(|(field, problem)| wrong(&field, problem))?,
+            certificate: fields.certificate,
+            key: fields.key,
+            client_ca: fields.client_ca,
+            tokens: tokens(fields.tokens).map_err(|(field, problem)| wrong(&field, problem))?,
         };
         access.check_tls()?;
         Ok(access)
@@ -166,8 +166,8 @@ fn token(table: TokenTable) -> Result<Token, (&'static str, String)> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{TOKEN, ca, certificate, key, private_file};
     use super::*;
+    use crate::testing::{TOKEN, ca, certificate, key, private_file};
 
     fn entry(role: &str, name: &str, token: &str) -> String {
         format!("[[token]]\nrole = \"{role}\"\nname = \"{name}\"\nblake3 = \"{}\"\n", token_hash(token))

@@ -22,6 +22,6 @@ pub enum AccessError {
 }
 
 /// The innermost cause: the transport's own text is only "transport error".
-pub(super) fn root_cause(error: &dyn std::error::Error) -> String {
+pub(crate) fn root_cause(error: &dyn std::error::Error) -> String {
     std::iter::successors(Some(error), |e| e.source()).last().map_or_else(String::new, ToString::to_string)
 }

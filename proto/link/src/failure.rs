@@ -5,8 +5,8 @@ use std::io;
 
 use rustls::{CertificateError, Error as TlsError};
 
-use super::alert::refusal;
-use super::error::root_cause;
+use crate::alert::refusal;
+use crate::error::root_cause;
 
 /// What the transport calls a message that is none: an answer of a program that does not speak HTTP/2 without
 /// encryption.

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde::de::DeserializeOwned;
 
-use super::error::AccessError;
+use crate::error::AccessError;
 
 /// Nobody's certificates are longer.
 const LONGEST_BYTES: u64 = 1 << 20;
@@ -17,7 +17,7 @@ const LONGEST_BYTES: u64 = 1 << 20;
 const OTHERS: u32 = 0o007;
 
 /// Reads a file that only its owner and group can open. `expected` says whose it should be.
-pub(super) fn read_secret<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T, AccessError> {
+pub(crate) fn read_secret<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T, AccessError> {
     let failed = |source| AccessError::Read { path: path.to_owned(), source };
     let file = File::open(path).map_err(failed)?;
     let metadata = file.metadata().map_err(failed)?;

@@ -1,12 +1,23 @@
-//! How the farm's programs reach each other. [`logs`] and [`walltime`] are what several of them share besides.
+//! How the farm's programs reach each other, and what else several of them need.
 //!
-//! Access files say who may do what, and how both sides know each other.
+//! # Links
 //!
-//! The coordinator has one file ([`CoordinatorAccess`]): its certificate and key, and the hashes of the tokens it
-//! accepts. Everybody else has a file of their own role ([`ClientAccess`]): the coordinator's URL, the certificate
-//! authority to check it by, and a token. [`Target`] makes a connection of such a file, or of a bare URL.
+//! A [`Link`] is a gRPC connection to a coordinator on which every call carries a token, ends in time and learns why it
+//! is not wanted. [`Target`] makes one from an access file, or from a bare URL. [`failure`] says in plain words why a
+//! coordinator does not answer.
 //!
-//! All are TOML, and secret: a file that every user of the machine can open is refused.
+//! # Access files
+//!
+//! They say who may do what, and how both sides know each other. All are TOML, and secret: a file that every user of
+//! the machine can open is refused.
+//!
+//! The coordinator has one file ([`CoordinatorAccess`]): its certificate and key, and the hashes of the tokens that it
+//! accepts. Everybody else has a file for a [`Role`] ([`ClientAccess`]): the coordinator's URL, the authority that
+//! vouches for its certificate, and a token.
+//!
+//! # Besides
+//!
+//! [`logs`] sets up what the programs log. [`walltime`] reads times as Slurm and people write them.
 
 mod alert;
 mod client;
@@ -14,6 +25,7 @@ mod coordinator;
 mod error;
 mod failure;
 mod file;
+mod handshake;
 mod link;
 pub mod logs;
 mod pem;

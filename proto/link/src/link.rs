@@ -1,17 +1,19 @@
-//! A connection on which every call carries a token and ends in time.
+//! A connection on which every call carries a token, ends in time, and learns why it is not wanted.
 
+use std::error::Error;
 use std::future::Future;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::{Service, http};
 use tonic::transport::Channel;
+use tonic::{ConnectError, Status, TimeoutExpired};
 
-use super::alert::refusal;
-use super::target::Bearer;
+use crate::alert::refusal;
+use crate::handshake::Handshake;
+use crate::target::Bearer;
 
 /// How long a call may take to its first answer if it does not say so itself.
 const DEADLINE: Duration = Duration::from_mins(5);
@@ -20,18 +22,30 @@ const GRACE: Duration = Duration::from_secs(2);
 
 /// A connection on which every call carries the token, if there is one.
 ///
-/// Each call ends with `DEADLINE_EXCEEDED` when no answer has begun a little after its deadline (`grpc-timeout`, or else
-/// five minutes), and with `UNAUTHENTICATED` when the coordinator ends the connection for want of a certificate. The transport sees to deadlines too, but not in all of its states: a call on a connection that the
+/// A call ends with `DEADLINE_EXCEEDED` when no answer has begun a little after its deadline (`grpc-timeout`, or else
+/// five minutes). The transport sees to deadlines too, but not in all of its states: a call on a connection that the
 /// coordinator closes in the moment in which it is opened may otherwise wait for ever.
+///
+/// A call ends with `UNAUTHENTICATED` when the coordinator ends the connection because of the certificate that it was
+/// shown, or because it was shown none.
 #[derive(Debug, Clone)]
 pub struct Link {
     channel: Channel,
     bearer: Bearer,
+    /// Asks why the connection was cut.
+    handshake: Option<Handshake>,
 }
 
 impl Link {
-    pub(super) fn new(channel: Channel, bearer: Bearer) -> Self {
-        Self { channel, bearer }
+    pub(crate) fn new(channel: Channel, bearer: Bearer, handshake: Option<Handshake>) -> Self {
+        Self { channel, bearer, handshake }
+    }
+}
+
+/// A link without a token, such as one to a coordinator in the same process.
+impl From<Channel> for Link {
+    fn from(channel: Channel) -> Self {
+        Self::new(channel, Bearer::default(), None)
     }
 }
 
@@ -49,11 +63,29 @@ impl Service<http::Request<Body>> for Link {
     fn call(&mut self, mut request: http::Request<Body>) -> Self::Future {
         self.bearer.mark(request.headers_mut());
         let deadline = request.headers().get("grpc-timeout").and_then(|value| parse(value.to_str().ok()?));
-        let answer = self.channel.call(request);
-        let answer =
-            async { answer.await.or_else(|error| refusal(&error).map(Status::into_http).ok_or(error)) };
+        let (answer, handshake) = (self.channel.call(request), self.handshake.clone());
+        let answer = async move {
+            match answer.await {
+                Err(error) => why_refused(&error, handshake).await.map(Status::into_http).ok_or(error),
+                answer => answer,
+            }
+        };
         Box::pin(in_time(deadline.unwrap_or(DEADLINE) + GRACE, answer))
     }
+}
+
+/// Why the coordinator does not accept the certificate, or its absence; None if the call failed for another reason.
+async fn why_refused(error: &tonic::transport::Error, handshake: Option<Handshake>) -> Option<Status> {
+    match (refusal(error), handshake) {
+        (None, Some(handshake)) if was_cut(error) => handshake.refusal().await,
+        (refusal, _) => refusal,
+    }
+}
+
+/// Whether a connection ended that had come about, or seemed to.
+pub(crate) fn was_cut(error: &tonic::transport::Error) -> bool {
+    let mut causes = std::iter::successors(Some(error as &(dyn Error + 'static)), |&cause| cause.source());
+    !causes.any(|cause| cause.is::<ConnectError>() || cause.is::<TimeoutExpired>())
 }
 
 async fn in_time(limit: Duration, answer: impl Future<Output = Answer>) -> Answer {

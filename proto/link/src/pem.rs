@@ -4,7 +4,7 @@ use rustls_pki_types::pem::PemObject as _;
 use rustls_pki_types::{CertificateDer, PrivateKeyDer};
 
 /// What is wrong with a text that should hold certificates; to be said after the field's name.
-pub(super) fn check_certificates(pem: &str) -> Result<(), String> {
+pub(crate) fn check_certificates(pem: &str) -> Result<(), String> {
     let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem.as_bytes()).collect();
     match certificates {
         Ok(list) if !list.is_empty() => Ok(()),
@@ -14,7 +14,7 @@ pub(super) fn check_certificates(pem: &str) -> Result<(), String> {
 }
 
 /// What is wrong with a text that should hold a private key. Does not show it.
-pub(super) fn check_key(pem: &str) -> Result<(), String> {
+pub(crate) fn check_key(pem: &str) -> Result<(), String> {
     match PrivateKeyDer::from_pem_slice(pem.as_bytes()) {
         Ok(_) => Ok(()),
         Err(_) => {

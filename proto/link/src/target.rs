@@ -4,11 +4,12 @@ use std::net::IpAddr;
 use std::time::Duration;
 
 use tonic::codegen::http::header::{AUTHORIZATION, HeaderMap, HeaderValue};
-use tonic::transport::Endpoint;
+use tonic::transport::{Channel, Endpoint};
 
-use super::client::ClientAccess;
-use super::error::{AccessError, root_cause};
-use super::link::Link;
+use crate::client::ClientAccess;
+use crate::error::{AccessError, root_cause};
+use crate::handshake::Handshake;
+use crate::link::{Link, was_cut};
 
 const CONNECT: Duration = Duration::from_secs(10);
 /// HTTP/2 pings find links that were cut without a word.
@@ -19,6 +20,7 @@ const KEEPALIVE: Duration = Duration::from_secs(20);
 pub struct Target {
     endpoint: Endpoint,
     bearer: Bearer,
+    handshake: Option<Handshake>,
     url: String,
 }
 
@@ -31,8 +33,9 @@ impl Target {
             (None, Some(url)) => (bare_endpoint(url)?, Bearer::default()),
             (None, None) => return Err(AccessError::NoServer),
         };
+        let handshake = access.and_then(|access| access.handshake(&endpoint));
         let url = url.or(access.map(ClientAccess::server)).unwrap_or_default().to_owned();
-        Ok(Self { endpoint, bearer, url })
+        Ok(Self { endpoint, bearer, handshake, url })
     }
 
     pub fn url(&self) -> &str {
@@ -41,12 +44,26 @@ impl Target {
 
     /// Connects now.
     pub async fn connect(&self) -> Result<Link, tonic::transport::Error> {
-        Ok(Link::new(self.endpoint.connect().await?, self.bearer.clone()))
+        match self.endpoint.connect().await {
+            Ok(channel) => Ok(self.link(channel)),
+            // The first call finds out why.
+            Err(error) if was_cut(&error) => Ok(self.connect_lazy()),
+            Err(error) => Err(error),
+        }
     }
 
     /// Connects at the first call. Must be called within a tokio runtime.
     pub fn connect_lazy(&self) -> Link {
-        Link::new(self.endpoint.connect_lazy(), self.bearer.clone())
+        self.link(self.endpoint.connect_lazy())
+    }
+
+    #[cfg(test)]
+    pub(crate) fn handshake(&self) -> Option<&Handshake> {
+        self.handshake.as_ref()
+    }
+
+    fn link(&self, channel: Channel) -> Link {
+        Link::new(channel, self.bearer.clone(), self.handshake.clone())
     }
 }
 
@@ -58,7 +75,7 @@ pub struct Bearer {
 
 impl Bearer {
     /// A token that has been checked to consist of visible characters.
-    pub(super) fn of(token: &str) -> Self {
+    pub(crate) fn of(token: &str) -> Self {
         let mut header = HeaderValue::try_from(format!("Bearer {token}")).ok();
         if let Some(header) = &mut header {
             // Keeps it out of logs, and out of HTTP/2's tables of headers that were sent before.
@@ -67,22 +84,22 @@ impl Bearer {
         Self { header }
     }
 
-    pub(super) fn mark(&self, headers: &mut HeaderMap) {
+    pub(crate) fn mark(&self, headers: &mut HeaderMap) {
         if let Some(header) = &self.header {
             headers.insert(AUTHORIZATION, header.clone());
         }
     }
 }
 
-/// What matters of a URL.
+/// Who can listen to a connection to a URL.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
-    pub(super) encrypted: bool,
-    pub(super) loopback: bool,
+pub(crate) struct UrlSecurity {
+    pub(crate) encrypted: bool,
+    pub(crate) loopback: bool,
 }
 
 /// The endpoint at a URL, with everything but encryption.
-pub(super) fn checked_endpoint(url: &str) -> Result<(Endpoint, Place), AccessError> {
+pub(crate) fn checked_endpoint(url: &str) -> Result<(Endpoint, UrlSecurity), AccessError> {
     let wrong = |problem: String| AccessError::Url { url: url.to_owned(), problem };
     // Other schemes, such as `unix:`, mean something to the transport but not to the farm.
     if !["http://", "https://"].iter().any(|scheme| url.starts_with(scheme)) {
@@ -99,18 +116,18 @@ pub(super) fn checked_endpoint(url: &str) -> Result<(Endpoint, Place), AccessErr
     if !matches!(uri.path(), "" | "/") || uri.query().is_some() {
         return Err(wrong("must end after host and port".to_owned()));
     }
-    let place = Place { encrypted: url.starts_with("https://"), loopback: is_loopback(host) };
+    let security = UrlSecurity { encrypted: url.starts_with("https://"), loopback: is_loopback(host) };
     let endpoint = endpoint
         .connect_timeout(CONNECT)
         .http2_keep_alive_interval(KEEPALIVE)
         .keep_alive_timeout(KEEPALIVE)
         .tcp_nodelay(true);
-    Ok((endpoint, place))
+    Ok((endpoint, security))
 }
 
 fn bare_endpoint(url: &str) -> Result<Endpoint, AccessError> {
-    let (endpoint, place) = checked_endpoint(url)?;
-    if place.encrypted {
+    let (endpoint, security) = checked_endpoint(url)?;
+    if security.encrypted {
         let problem = "is encrypted, which needs an access file (--access FILE or FARM_ACCESS): it holds the \
                        certificate to know the coordinator by, and a token";
         return Err(AccessError::Url { url: url.to_owned(), problem: problem.to_owned() });

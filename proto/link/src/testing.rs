@@ -1,11 +1,11 @@
-//! Certificates and files for the tests of this module.
+//! Certificates and files for tests.
 
 use std::io::Write as _;
 use std::sync::LazyLock;
 
 use rcgen::{CertificateParams, KeyPair};
 
-pub(super) const TOKEN: &str = "0123456789abcdef0123456789abcdef";
+pub(crate) const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 
 struct Pair {
     certificate: String,
@@ -22,21 +22,21 @@ static AUTHORITY: LazyLock<Pair> = LazyLock::new(pair);
 static MEMBER: LazyLock<Pair> = LazyLock::new(pair);
 
 /// A certificate whose key nobody has here.
-pub(super) fn ca() -> &'static str {
+pub(crate) fn ca() -> &'static str {
     &AUTHORITY.certificate
 }
 
-pub(super) fn certificate() -> &'static str {
+pub(crate) fn certificate() -> &'static str {
     &MEMBER.certificate
 }
 
 /// The key of [`certificate`].
-pub(super) fn key() -> &'static str {
+pub(crate) fn key() -> &'static str {
     &MEMBER.key
 }
 
 /// A file that only its owner can open.
-pub(super) fn private_file(text: &str) -> tempfile::NamedTempFile {
+pub(crate) fn private_file(text: &str) -> tempfile::NamedTempFile {
     let mut file = tempfile::NamedTempFile::new().unwrap();
     file.write_all(text.as_bytes()).unwrap();
     file

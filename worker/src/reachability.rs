@@ -1,12 +1,13 @@
-//! Whether the coordinator answers: told in one line when that changes, however many calls find it out.
+//! Whether the coordinator answers: logged in one line when that changes, however many calls find it out.
 
 use std::sync::{Mutex, PoisonError};
 
 use tokio::time::Instant;
 use tonic::{Code, Status};
 
+/// What the calls of all tasks have found out.
 #[derive(Debug)]
-pub(crate) struct Contact {
+pub(crate) struct Reachability {
     url: String,
     state: Mutex<State>,
 }
@@ -14,8 +15,8 @@ pub(crate) struct Contact {
 #[derive(Debug, Default)]
 struct State {
     joined: bool,
-    /// When the last call began that was answered.
-    heard: Option<Instant>,
+    /// When the latest call began that was answered.
+    answered: Option<Instant>,
     /// Since when no call has been answered.
     lost: Option<Instant>,
 }
@@ -28,7 +29,7 @@ enum Change {
     Found { lost: Instant },
 }
 
-impl Contact {
+impl Reachability {
     pub(crate) fn new(url: &str) -> Self {
         Self { url: url.to_owned(), state: Mutex::default() }
     }
@@ -37,7 +38,7 @@ impl Contact {
         &self.url
     }
 
-    /// Tells that the coordinator has let this worker in, the first time.
+    /// Logs that the coordinator has let this worker in, the first time.
     pub(crate) fn joined(&self, label: &str, threads: usize) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if !std::mem::replace(&mut state.joined, true) {
@@ -45,7 +46,7 @@ impl Contact {
         }
     }
 
-    /// Notes how a call ended that began at a time.
+    /// Notes how a call ended that began at `began`: with an answer, or with an error.
     pub(crate) fn note(&self, began: Instant, error: Option<&Status>) {
         let unreachable = error.filter(|status| is_silence(status));
         let change = {
@@ -71,14 +72,14 @@ impl Contact {
 
 impl State {
     fn answered(&mut self, began: Instant) -> Option<Change> {
-        self.heard = self.heard.max(Some(began));
+        self.answered = self.answered.max(Some(began));
         let lost = self.lost.take()?;
         self.joined.then_some(Change::Found { lost })
     }
 
-    /// A call that began before the last one that was answered tells nothing new.
+    /// A call that began before the latest that was answered tells nothing new.
     fn failed(&mut self, began: Instant, now: Instant) -> Option<Change> {
-        if self.lost.is_some() || self.heard.is_some_and(|heard| began < heard) {
+        if self.lost.is_some() || self.answered.is_some_and(|answered| began < answered) {
             return None;
         }
         self.lost = Some(now);

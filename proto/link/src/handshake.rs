@@ -1,0 +1,91 @@
+//! A TLS handshake by itself, to learn why a coordinator ends connections.
+//!
+//! In TLS 1.3 a client has ended its handshake before the server has looked at the client's certificate. By the time
+//! the server objects, the client is sending already, and what is sent to a closed connection makes the system throw
+//! away the server's last words. Whoever only listens after the handshake hears them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use rustls::{ClientConfig, RootCertStore};
+use rustls_pki_types::pem::PemObject as _;
+use rustls_pki_types::{CertificateDer, PrivateKeyDer, ServerName};
+use tokio::io::{self, AsyncReadExt as _};
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tonic::Status;
+use tonic::codegen::http::Uri;
+
+use crate::alert::refusal;
+
+/// How long a coordinator may take to object.
+const PATIENCE: Duration = Duration::from_secs(3);
+const HTTPS_PORT: u16 = 443;
+
+/// What a client shows in a handshake, and whom it expects.
+#[derive(Debug, Clone)]
+pub(crate) struct Handshake {
+    host: String,
+    port: u16,
+    name: ServerName<'static>,
+    config: Arc<ClientConfig>,
+}
+
+/// What an access file says about handshakes, all in PEM.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Credentials<'a> {
+    pub authority: &'a str,
+    /// A certificate and its key.
+    pub identity: Option<(&'a str, &'a str)>,
+    /// The name in the coordinator's certificate, if it is not the host.
+    pub server_name: Option<&'a str>,
+}
+
+impl Handshake {
+    /// None if the credentials cannot be used.
+    pub(crate) fn new(uri: &Uri, credentials: Credentials<'_>) -> Option<Self> {
+        let host = uri.host()?.trim_start_matches('[').trim_end_matches(']').to_owned();
+        let name = ServerName::try_from(credentials.server_name.unwrap_or(&host)).ok()?.to_owned();
+        let port = uri.port_u16().unwrap_or(HTTPS_PORT);
+        Some(Self { host, port, name, config: Arc::new(config(credentials)?) })
+    }
+
+    /// Why the coordinator does not accept the certificate, or its absence; None if it does not say so.
+    pub(crate) async fn refusal(&self) -> Option<Status> {
+        let ended = tokio::time::timeout(PATIENCE, self.listen()).await;
+        ended.ok()?.err().and_then(|error| refusal(&error))
+    }
+
+    /// Ends with the first word of the coordinator, or when it ends the connection.
+    async fn listen(&self) -> io::Result<()> {
+        let stream = TcpStream::connect((self.host.as_str(), self.port)).await?;
+        let mut stream = TlsConnector::from(self.config.clone()).connect(self.name.clone(), stream).await?;
+        stream.read_u8().await.map(drop)
+    }
+}
+
+fn config(Credentials { authority, identity, .. }: Credentials<'_>) -> Option<ClientConfig> {
+    let mut roots = RootCertStore::empty();
+    roots.add_parsable_certificates(certificates(authority)?);
+    let builder = ClientConfig::builder_with_provider(Arc::new(rustls::crypto::ring::default_provider()))
+        .with_safe_default_protocol_versions()
+        .ok()?
+        .with_root_certificates(roots);
+    let mut config = match identity {
+        Some((certificate, key)) => {
+            let key = PrivateKeyDer::from_pem_slice(key.as_bytes()).ok()?;
+            builder.with_client_auth_cert(certificates(certificate)?, key).ok()?
+        }
+        None => builder.with_no_client_auth(),
+    };
+    // The coordinator speaks nothing else.
+    config.alpn_protocols = vec![b"h2".to_vec()];
+    Some(config)
+}
+
+fn certificates(pem: &str) -> Option<Vec<CertificateDer<'static>>> {
+    CertificateDer::pem_slice_iter(pem.as_bytes()).collect::<Result<_, _>>().ok()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,140 @@
+//! Coordinators with mutual TLS, and clients with and without certificates.
+
+use std::net::SocketAddr;
+
+use tokio::io::AsyncWriteExt as _;
+use tokio::net::TcpListener;
+use tonic::Code;
+use tonic::body::Body;
+use tonic::codegen::{Service as _, http};
+use tonic::service::Routes;
+use tonic::transport::Server;
+use tonic::transport::server::TcpIncoming;
+
+use super::*;
+use crate::testing::{TOKEN, ca, certificate, key, private_file};
+use crate::{ClientAccess, CoordinatorAccess, Link, Target, token_hash};
+
+/// Whether the reason comes in time depends on the moment, so that one call proves little.
+const CALLS: usize = 20;
+
+/// Starts a coordinator that lets in whoever has a certificate of an authority.
+fn coordinator(client_ca: &str) -> SocketAddr {
+    let (certificate, key, hash) = (certificate(), key(), token_hash(TOKEN));
+    let file = private_file(&format!(
+        "certificate = '''\n{certificate}'''\nkey = '''\n{key}'''\nclient_ca = '''\n{client_ca}'''\n\
+         [[token]]\nrole = \"worker\"\nname = \"a\"\nblake3 = \"{hash}\"\n"
+    ));
+    let access = CoordinatorAccess::read(file.path()).unwrap();
+    let incoming = TcpIncoming::bind("127.0.0.1:0".parse().unwrap()).unwrap();
+    let address = incoming.local_addr().unwrap();
+    let mut server = Server::builder().tls_config(access.server_tls()).unwrap();
+    tokio::spawn(server.add_routes(Routes::default()).serve_with_incoming(incoming));
+    address
+}
+
+fn target(address: SocketAddr, with_certificate: bool) -> Target {
+    let mut text = format!(
+        "role = \"worker\"\nserver = \"https://{address}\"\nserver_name = \"localhost\"\ntoken = \"{TOKEN}\"\n\
+         ca_certificate = '''\n{}'''\n",
+        certificate()
+    );
+    if with_certificate {
+        text += &format!("certificate = '''\n{}'''\nkey = '''\n{}'''\n", certificate(), key());
+    }
+    let access = ClientAccess::read(private_file(&text).path()).unwrap();
+    Target::new(Some(&access), None).unwrap()
+}
+
+/// A way to a server on which the first connection breaks before the server has objected to the certificate.
+async fn breaking_once(server: SocketAddr) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    tokio::spawn(async move {
+        let (client, _) = listener.accept().await.unwrap();
+        pass_hellos(client, server).await.unwrap();
+        loop {
+            let (mut client, _) = listener.accept().await.unwrap();
+            let mut server = TcpStream::connect(server).await.unwrap();
+            tokio::spawn(async move { io::copy_bidirectional(&mut client, &mut server).await });
+        }
+    });
+    address
+}
+
+/// Passes on what each side says first, and nothing after that.
+async fn pass_hellos(mut client: TcpStream, server: SocketAddr) -> io::Result<()> {
+    let mut server = TcpStream::connect(server).await?;
+    let mut bytes = vec![0; 1 << 16];
+    let length = client.read(&mut bytes).await?;
+    server.write_all(&bytes[..length]).await?;
+    let length = server.read(&mut bytes).await?;
+    client.write_all(&bytes[..length]).await?;
+    client.read(&mut bytes).await.map(drop)
+}
+
+/// The status of a call to a method that there is not.
+async fn call(mut link: Link) -> Status {
+    std::future::poll_fn(|context| link.poll_ready(context)).await.unwrap();
+    let request = http::Request::post("/farm.v1.Leases/Nothing").body(Body::empty()).unwrap();
+    match link.call(request).await {
+        Ok(answer) => Status::from_header_map(answer.headers()).unwrap(),
+        Err(error) => Status::from_error(error.into()),
+    }
+}
+
+#[tokio::test]
+async fn whoever_shows_no_certificate_is_told_at_every_call() {
+    let target = target(coordinator(ca()), false);
+    for n in 0..CALLS {
+        let link = if n % 2 == 0 { target.connect_lazy() } else { target.connect().await.unwrap() };
+        let status = call(link).await;
+        assert_eq!(status.code(), Code::Unauthenticated, "call {n}: {status:?}");
+        assert!(status.message().contains("--mutual"), "{status:?}");
+    }
+}
+
+#[tokio::test]
+async fn whoever_shows_a_strange_certificate_is_told_at_every_call() {
+    let target = target(coordinator(ca()), true);
+    for n in 0..CALLS {
+        let status = call(target.connect_lazy()).await;
+        assert_eq!(status.code(), Code::Unauthenticated, "call {n}: {status:?}");
+        assert!(status.message().contains("does not accept"), "{status:?}");
+    }
+}
+
+#[tokio::test]
+async fn whoever_does_not_hear_the_reason_asks_for_it() {
+    for connect_lazily in [true, false] {
+        let target = target(breaking_once(coordinator(ca())).await, false);
+        let link = if connect_lazily { target.connect_lazy() } else { target.connect().await.unwrap() };
+        let status = call(link).await;
+        assert_eq!(status.code(), Code::Unauthenticated, "{status:?}");
+    }
+}
+
+#[tokio::test]
+async fn whoever_shows_the_right_certificate_gets_in() {
+    let target = target(coordinator(certificate()), true);
+    assert_eq!(call(target.connect_lazy()).await.code(), Code::Unimplemented);
+    assert!(target.handshake().unwrap().refusal().await.is_none());
+}
+
+#[tokio::test]
+async fn a_coordinator_that_has_ended_refuses_nobody() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let target = target(listener.local_addr().unwrap(), false);
+    drop(listener);
+    assert!(target.handshake().unwrap().refusal().await.is_none());
+    assert_eq!(call(target.connect_lazy()).await.code(), Code::Unavailable);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_coordinator_that_says_nothing_is_not_listened_to_for_long() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let target = target(listener.local_addr().unwrap(), false);
+    let start = tokio::time::Instant::now();
+    assert!(target.handshake().unwrap().refusal().await.is_none());
+    assert_eq!(start.elapsed(), PATIENCE);
+}

@@ -1,0 +1,240 @@
+//! Whole workers, from their first lease to their leave. The clock is paused where nothing is traced.
+
+use std::collections::BTreeSet;
+
+use farm_link::Target;
+use tonic::Status;
+
+use super::*;
+use crate::delivery::bytes_of;
+use crate::testing::{
+    Answer, Call, Coordinator, DeliveredResult, Method, endless_job, job, lease, lease_of, long_job, session,
+};
+
+/// Heartbeats come every 50 ms.
+const SHORT_LEASE: Duration = Duration::from_millis(200);
+const FOREVER: Duration = Duration::from_hours(1);
+
+/// A worker at work.
+struct Working {
+    coordinator: Coordinator,
+    shutdown: CancellationToken,
+    worker: JoinHandle<Result<Ended, Error>>,
+}
+
+impl Working {
+    fn start(coordinator: &Coordinator, change: impl FnOnce(Config) -> Config) -> Self {
+        let target = Target::new(None, Some("http://test")).unwrap();
+        let config = Config { threads: 1, grace: FOREVER, ..Config::new(target) };
+        let shutdown = CancellationToken::new();
+        let worker = tokio::spawn(work_over(coordinator.link(), change(config), shutdown.clone()));
+        Self { coordinator: coordinator.clone(), shutdown, worker }
+    }
+
+    async fn ended(self) -> Result<Ended, Error> {
+        timeout(Duration::from_mins(1), self.worker).await.expect("the worker ends").unwrap()
+    }
+
+    /// Waits until a renewal says of exactly these jobs that they are being traced.
+    async fn runs(&self, jobs: &[u32]) {
+        let running = |call: &Call| {
+            let leases = call.renew()?.leases;
+            let running = leases.iter().filter(|l| l.running).map(|l| l.key.as_ref().unwrap().job);
+            (running.collect::<BTreeSet<_>>() == jobs.iter().copied().collect()).then_some(())
+        };
+        self.coordinator.wait_for(1, running).await;
+    }
+}
+
+fn coordinator() -> Coordinator {
+    let coordinator = Coordinator::start();
+    coordinator.set_lease(SHORT_LEASE);
+    coordinator
+}
+
+fn delivered(coordinator: &Coordinator) -> Vec<DeliveredResult> {
+    let results = coordinator.calls(|call| match call {
+        Call::Complete(results) => Some(results.clone()),
+        _ => None,
+    });
+    results.concat()
+}
+
+/// Jobs of each call that hands leases back, and whether the worker left with it.
+fn handed_back(coordinator: &Coordinator) -> Vec<(Vec<u32>, bool)> {
+    let calls = coordinator.calls(Call::hand_back);
+    calls.into_iter().map(|c| (c.leases.into_iter().map(|key| key.job).collect(), c.leaving)).collect()
+}
+
+fn assert_left_for_good(coordinator: &Coordinator) {
+    let last = coordinator.calls(|call| Some(call.clone())).pop();
+    assert!(
+        matches!(&last, Some(Call::HandBack(request)) if request.leaving),
+        "{last:?} would let it in again"
+    );
+}
+
+#[tokio::test]
+async fn every_job_is_traced_and_delivered_before_an_idle_worker_leaves() {
+    let coordinator = coordinator();
+    let (jobs, block) = (0..5, job(9).with_block(0).unwrap());
+    coordinator.offer(jobs.clone().map(lease).chain([lease_of(5, block.clone())]));
+    let idle_exit = Some(Duration::from_millis(50));
+    let working = Working::start(&coordinator, |config| Config { idle_exit, ..config });
+    assert_eq!(working.ended().await.unwrap(), Ended::Idle);
+    let mut results = delivered(&coordinator);
+    results.sort_unstable_by_key(|result| result.key.job);
+    let expected = jobs.map(|n| job(n.into())).chain([block]);
+    for (n, (result, job)) in results.iter().zip(expected).enumerate() {
+        assert_eq!((result.key.job as usize, result.bytes), (n, bytes_of(&job)));
+        assert_eq!(result.identity, job.identity().as_bytes());
+    }
+    assert_eq!(results.len(), 6);
+    assert_eq!(handed_back(&coordinator), [(vec![], true)]);
+}
+
+#[tokio::test]
+async fn a_worker_holds_one_job_more_than_it_has_threads() {
+    let coordinator = coordinator();
+    coordinator.offer((0..9).map(|n| lease_of(n, endless_job())));
+    let working =
+        Working::start(&coordinator, |config| Config { threads: 2, grace: Duration::ZERO, ..config });
+    working.runs(&[0, 1]).await;
+    let asked: Vec<_> = coordinator.calls(Call::acquire).iter().map(|call| call.max_leases).collect();
+    assert_eq!(asked, [3]);
+    working.shutdown.cancel();
+    assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
+}
+
+#[tokio::test]
+async fn a_worker_that_is_to_leave_ends_what_runs_and_hands_the_rest_back() {
+    let coordinator = coordinator();
+    coordinator.offer([lease_of(0, long_job()), lease(1)]);
+    let working = Working::start(&coordinator, |config| config);
+    working.runs(&[0]).await;
+    coordinator.drain();
+    assert_eq!(working.ended().await.unwrap(), Ended::Drained);
+    assert_eq!(delivered(&coordinator).iter().map(|result| result.key.job).collect::<Vec<_>>(), [0]);
+    assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![], true)]);
+    assert_left_for_good(&coordinator);
+}
+
+#[tokio::test]
+async fn a_stopped_worker_hands_back_what_has_not_begun_and_what_the_grace_does_not_suffice_for() {
+    let coordinator = coordinator();
+    coordinator.offer([lease_of(0, endless_job()), lease(1)]);
+    let grace = Duration::from_millis(100);
+    let working = Working::start(&coordinator, |config| Config { grace, ..config });
+    working.runs(&[0]).await;
+    working.shutdown.cancel();
+    assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
+    assert!(delivered(&coordinator).is_empty());
+    assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![0], true)]);
+    assert_left_for_good(&coordinator);
+}
+
+#[tokio::test]
+async fn a_lost_lease_makes_room_for_the_next_job() {
+    let coordinator = coordinator();
+    let [lost, next] = [0, 1].map(|n| lease_of(n, endless_job()));
+    coordinator.offer([lost.clone(), next]);
+    let working = Working::start(&coordinator, |config| Config { grace: Duration::ZERO, ..config });
+    working.runs(&[0]).await;
+    coordinator.lose(lost.key);
+    working.runs(&[1]).await;
+    working.shutdown.cancel();
+    assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
+    assert_eq!(handed_back(&coordinator), [(vec![1], true)]);
+}
+
+#[tokio::test]
+async fn a_restarted_coordinator_interrupts_no_job_and_gets_its_result() {
+    let coordinator = coordinator();
+    coordinator.offer([lease_of(0, long_job())]);
+    let idle_exit = Some(Duration::from_millis(50));
+    let working = Working::start(&coordinator, |config| Config { idle_exit, ..config });
+    working.runs(&[0]).await;
+    coordinator.restart(SHORT_LEASE);
+    assert_eq!(working.ended().await.unwrap(), Ended::Idle);
+    assert_eq!(coordinator.calls(Call::register).len(), 2);
+    assert_eq!(delivered(&coordinator).len(), 1);
+}
+
+#[tokio::test]
+async fn a_worker_that_is_fenced_off_ends_with_the_reason_and_stops_its_jobs() {
+    let coordinator = coordinator();
+    let fenced = Status::permission_denied("this worker is fenced off: its records were wrong");
+    coordinator.offer([lease_of(0, endless_job())]);
+    let working = Working::start(&coordinator, |config| config);
+    working.runs(&[0]).await;
+    coordinator.answer(Method::Acquire, Answer::Error(fenced));
+    // Ends the call that waits for work.
+    coordinator.restart(SHORT_LEASE);
+    let error = working.ended().await.unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "the coordinator refused this worker: this worker is fenced off: its records were wrong"
+    );
+    assert_eq!(handed_back(&coordinator), []);
+}
+
+#[tokio::test(start_paused = true)]
+async fn faults_are_outlasted_until_the_time_limit() {
+    let coordinator = Coordinator::start();
+    for _ in 0..3 {
+        coordinator.answer(Method::Acquire, Answer::Error(Status::unavailable("")));
+    }
+    let (time_limit, grace) = (Some(Duration::from_mins(10)), Duration::from_mins(1));
+    let start = Instant::now();
+    let worker = Working::start(&coordinator, |config| Config { grace, time_limit, ..config }).worker;
+    assert_eq!(worker.await.unwrap().unwrap(), Ended::TimeLimit);
+    let worked = Duration::from_secs(600 - 60 - 5);
+    assert!((worked..worked + Duration::from_secs(1)).contains(&start.elapsed()), "{:?}", start.elapsed());
+    assert!(coordinator.calls(Call::acquire).len() > 20, "it asked for work until then");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_worker_is_idle_only_after_its_time_without_work() {
+    let coordinator = Coordinator::start();
+    let start = Instant::now();
+    let idle_exit = Some(Duration::from_secs(50));
+    let worker = Working::start(&coordinator, |config| Config { idle_exit, ..config }).worker;
+    assert_eq!(worker.await.unwrap().unwrap(), Ended::Idle);
+    assert!((50..52).contains(&start.elapsed().as_secs()), "{:?}", start.elapsed());
+}
+
+#[test]
+fn grace_and_delivery_fit_into_the_time_limit() {
+    let target = Target::new(None, Some("http://test")).unwrap();
+    let time = |limit_s, grace_s| {
+        let time_limit = Some(Duration::from_secs(limit_s));
+        let grace = Duration::from_secs(grace_s);
+        working_time(&Config { grace, time_limit, ..Config::new(target.clone()) }).as_secs()
+    };
+    assert_eq!(time(3600, 10), 3585);
+    assert_eq!(time(20, 10), 10, "half of a short limit is for working");
+    assert_eq!(time(10, 60), 5);
+}
+
+/// How long it takes to end jobs that do not stop and a delivery that never succeeds.
+#[tokio::test(start_paused = true)]
+async fn what_does_not_end_is_given_up_in_time() {
+    let coordinator = Coordinator::start();
+    let (session, held) = session(&coordinator).await;
+    let target = Target::new(None, Some("http://test")).unwrap();
+    let agent = Agent::new(session, held.clone(), &Config::new(target));
+    coordinator.set_down(true);
+    let switches = held.add(lease(0).key, job(0).identity());
+    assert!(switches.start());
+    let (dropped, gone) = tokio::sync::oneshot::channel::<()>();
+    let mut jobs = JoinSet::new();
+    jobs.spawn(async move {
+        let _held = dropped;
+        std::future::pending::<()>().await;
+    });
+    let (start, grace) = (Instant::now(), Duration::from_secs(30));
+    agent.wind_up(jobs, tokio::spawn(std::future::pending()), grace).await;
+    assert_eq!(start.elapsed().as_secs(), (grace + STOPPING + DELIVERY).as_secs());
+    assert!(switches.stop.load(std::sync::atomic::Ordering::SeqCst));
+    gone.await.unwrap_err();
+}

@@ -1,0 +1,103 @@
+//! Leases that are renewed, lost and handed over. The clock is paused: time passes when all wait.
+
+use std::sync::atomic::Ordering;
+
+use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
+
+use super::*;
+use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
+
+const LEASE: Duration = Duration::from_secs(30);
+
+struct Beating {
+    coordinator: Coordinator,
+    held: Arc<HeldLeases>,
+    drain: CancellationToken,
+    end: CancellationToken,
+    heartbeat: JoinHandle<()>,
+}
+
+impl Beating {
+    async fn start() -> Self {
+        let coordinator = Coordinator::start();
+        let (session, held) = session(&coordinator).await;
+        let (drain, end) = (CancellationToken::new(), CancellationToken::new());
+        let heartbeat = tokio::spawn(beat(session, held.clone(), drain.clone(), end.clone()));
+        Self { coordinator, held, drain, end, heartbeat }
+    }
+
+    fn beats(&self) -> usize {
+        self.coordinator.calls(Call::renew).len()
+    }
+
+    /// Renewals within a time from now.
+    async fn beats_within(&self, time: Duration) -> usize {
+        let before = self.beats();
+        sleep(time).await;
+        self.beats() - before
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn leases_are_renewed_four_times_while_they_hold() {
+    let beating = Beating::start().await;
+    let identity = job(1).identity();
+    beating.held.add(lease(0).key, identity);
+    assert!(beating.held.add(lease(1).key, identity).start());
+    assert!((39..=41).contains(&beating.beats_within(10 * LEASE).await));
+    let renewal = beating.coordinator.calls(Call::renew).pop().unwrap();
+    let mut told: Vec<_> = renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
+    told.sort_unstable();
+    assert_eq!(told, [(0, false), (1, true)]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_lost_lease_stops_its_job_and_is_renewed_no_more() {
+    let beating = Beating::start().await;
+    let [kept, lost] = [0, 1].map(|n| beating.held.add(lease(n).key, job(1).identity()));
+    beating.coordinator.lose(lease(1).key);
+    sleep(LEASE).await;
+    assert!(lost.stop.load(Ordering::SeqCst));
+    assert!(!kept.stop.load(Ordering::SeqCst));
+    let renewal = beating.coordinator.calls(Call::renew).pop().unwrap();
+    assert_eq!(renewal.leases.len(), 1);
+    assert_eq!(renewal.leases[0].key.clone().unwrap().job, 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_wish_that_the_worker_leave_is_passed_on_while_leases_are_still_renewed() {
+    let beating = Beating::start().await;
+    assert!(!beating.drain.is_cancelled());
+    beating.coordinator.drain();
+    timeout(LEASE, beating.drain.cancelled()).await.unwrap();
+    assert!(beating.beats_within(2 * LEASE).await >= 7, "what still runs keeps its lease");
+}
+
+#[tokio::test(start_paused = true)]
+async fn renewals_that_get_no_answer_are_given_up_in_time_for_another() {
+    let beating = Beating::start().await;
+    for _ in 0..20 {
+        beating.coordinator.answer(Method::Renew, Answer::Never);
+    }
+    assert!(beating.beats_within(10 * LEASE).await >= 15, "at least three in two leases");
+}
+
+#[tokio::test(start_paused = true)]
+async fn after_a_restart_renewals_come_as_often_as_the_coordinator_wants_now() {
+    let beating = Beating::start().await;
+    sleep(LEASE).await;
+    beating.coordinator.restart(LEASE / 10);
+    sleep(LEASE).await;
+    assert!((39..=41).contains(&beating.beats_within(LEASE).await));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_heartbeat_ends_at_once_even_in_a_call() {
+    let beating = Beating::start().await;
+    beating.coordinator.answer(Method::Renew, Answer::Never);
+    let beats = beating.beats();
+    beating.coordinator.wait_for(beats + 1, Call::renew).await;
+    beating.end.cancel();
+    timeout(Duration::from_millis(1), beating.heartbeat).await.unwrap().unwrap();
+}

@@ -1,0 +1,79 @@
+//! One job on its way from lease to result.
+
+use std::sync::Arc;
+
+use farm_proto::lease::{Lease, LeaseKey};
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
+
+use crate::delivery::{PendingResult, ResultBuffer, bytes_of};
+use crate::leases::{HeldLeases, JobSwitches};
+use crate::pool::{Pool, TraceEnd};
+use crate::session::Session;
+
+/// What all jobs of a worker share. The delivery ends when the last of these is dropped.
+#[derive(Debug, Clone)]
+pub(crate) struct Workshop {
+    pub session: Arc<Session>,
+    pub held: Arc<HeldLeases>,
+    pub pool: Pool,
+    pub buffer: ResultBuffer,
+    pub finished: mpsc::UnboundedSender<PendingResult>,
+}
+
+impl Workshop {
+    /// Traces a job and passes its result on; gives its slot back as soon as another job may begin.
+    ///
+    /// The lease of a job that is stopped with the worker stays held, to be handed back.
+    pub(crate) async fn run(
+        self,
+        Lease { key, job }: Lease,
+        switches: Arc<JobSwitches>,
+        slot: OwnedSemaphorePermit,
+    ) {
+        let (bytes, identity) = (bytes_of(&job), job.identity());
+        // If results cannot be delivered, tracing waits here.
+        let Some(room) = self.buffer.take(bytes).await else { return };
+        match self.pool.trace(job, switches).await {
+            TraceEnd::Finished(result) => {
+                self.held.mark_traced(&key);
+                // The next job may begin while this result is on its way.
+                drop(slot);
+                let _ = self.finished.send(PendingResult { key, identity, result, bytes, _room: room });
+            }
+            TraceEnd::Panicked(reason) => self.report_failure(&key, &reason).await,
+            TraceEnd::Stopped => {}
+        }
+    }
+
+    async fn report_failure(&self, key: &LeaseKey, reason: &str) {
+        tracing::error!(job = key.job, attempt = key.attempt, reason, "job failed");
+        if let Err(status) = self.session.fail(key, reason).await {
+            let message = status.message();
+            tracing::warn!(job = key.job, message, "the failure is not wanted any more");
+        }
+        self.held.remove(key);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
+
+    #[tokio::test(start_paused = true)]
+    async fn a_job_that_makes_the_tracer_panic_is_reported_and_held_no_more() {
+        let coordinator = Coordinator::start();
+        let (session, held) = session(&coordinator).await;
+        let (finished, _queue) = mpsc::unbounded_channel();
+        let (pool, buffer) = (Pool::new(1).unwrap(), ResultBuffer::new(1));
+        let workshop = Workshop { session, held: held.clone(), pool, buffer, finished };
+        let key = lease(4).key;
+        held.add(key, job(4).identity());
+        coordinator.answer(Method::Fail, Answer::Lost);
+        workshop.report_failure(&key, "the tracer panicked: no message").await;
+        let failures = coordinator.calls(Call::fail);
+        assert_eq!(failures.len(), 2, "the first report got no answer");
+        assert!(failures.iter().all(|f| f.lease.as_ref().unwrap().job == 4 && f.reason.contains("panicked")));
+        assert!(held.is_empty());
+    }
+}

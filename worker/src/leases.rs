@@ -1,0 +1,182 @@
+//! The leases that this worker holds, and the switches of their jobs.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use farm_proto::lease::LeaseKey;
+use optics_model::Digest;
+
+/// What connects a job's lease with its tracing, which happens on another thread.
+#[derive(Debug, Default)]
+pub(crate) struct JobSwitches {
+    /// Ends the tracing, or keeps it from beginning.
+    pub stop: AtomicBool,
+    /// The job is being traced.
+    pub running: AtomicBool,
+}
+
+impl JobSwitches {
+    pub(crate) fn stop(&self) {
+        self.stop.store(true, Ordering::SeqCst);
+    }
+
+    pub(crate) fn is_running(&self) -> bool {
+        self.running.load(Ordering::SeqCst)
+    }
+
+    /// Marks the job as running; false if it has been stopped before.
+    pub(crate) fn start(&self) -> bool {
+        // In this order: whoever finds the job not running and stops it can be sure that it will not be traced.
+        self.running.store(true, Ordering::SeqCst);
+        !self.stop.load(Ordering::SeqCst)
+    }
+}
+
+#[derive(Debug)]
+struct Entry {
+    switches: Arc<JobSwitches>,
+    identity: Digest,
+    /// The job has a result, which is delivered even if the lease is lost.
+    traced: bool,
+}
+
+/// All leases from the moment they are granted until their results are acknowledged.
+#[derive(Debug, Default)]
+pub(crate) struct HeldLeases(Mutex<HashMap<LeaseKey, Entry>>);
+
+impl HeldLeases {
+    pub(crate) fn add(&self, key: LeaseKey, identity: Digest) -> Arc<JobSwitches> {
+        let switches = Arc::new(JobSwitches::default());
+        self.map().insert(key, Entry { switches: switches.clone(), identity, traced: false });
+        switches
+    }
+
+    pub(crate) fn remove(&self, key: &LeaseKey) {
+        self.map().remove(key);
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.map().is_empty()
+    }
+
+    /// Notes that the job has a result.
+    pub(crate) fn mark_traced(&self, key: &LeaseKey) {
+        if let Some(entry) = self.map().get_mut(key) {
+            entry.traced = true;
+            entry.switches.running.store(false, Ordering::SeqCst);
+        }
+    }
+
+    /// All leases, whether each job is being traced, and what its records depend on.
+    pub(crate) fn all(&self) -> Vec<(LeaseKey, bool, Digest)> {
+        self.map().iter().map(|(key, e)| (*key, e.switches.is_running(), e.identity)).collect()
+    }
+
+    /// Forgets a lease that is lost and stops its job; false if the job has a result or had ended already.
+    pub(crate) fn lose(&self, key: &LeaseKey) -> bool {
+        let mut map = self.map();
+        if map.get(key).is_none_or(|e| e.traced) {
+            return false;
+        }
+        if let Some(entry) = map.remove(key) {
+            entry.switches.stop();
+        }
+        true
+    }
+
+    /// Stops the jobs that are not being traced yet and forgets their leases, which it returns.
+    pub(crate) fn give_up_waiting(&self) -> Vec<LeaseKey> {
+        let mut given_up = Vec::new();
+        self.map().retain(|key, entry| {
+            let waits = !entry.traced && !entry.switches.is_running();
+            if waits {
+                entry.switches.stop();
+                given_up.push(*key);
+            }
+            !waits
+        });
+        given_up
+    }
+
+    pub(crate) fn stop_all(&self) {
+        for entry in self.map().values() {
+            entry.switches.stop();
+        }
+    }
+
+    /// Leases of jobs without a result.
+    pub(crate) fn untraced(&self) -> Vec<LeaseKey> {
+        self.map().iter().filter(|(_, e)| !e.traced).map(|(key, _)| *key).collect()
+    }
+
+    fn map(&self) -> MutexGuard<'_, HashMap<LeaseKey, Entry>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{job, lease};
+
+    /// Three leases: one waits for a thread, one is being traced, one has its result.
+    fn one_of_each() -> (HeldLeases, [Arc<JobSwitches>; 3], [LeaseKey; 3]) {
+        let held = HeldLeases::default();
+        let keys = [0, 1, 2].map(|n| lease(n).key);
+        let switches = keys.map(|key| held.add(key, job(1).identity()));
+        assert!(switches[1].start() && switches[2].start());
+        held.mark_traced(&keys[2]);
+        (held, switches, keys)
+    }
+
+    fn stopped(switches: &[Arc<JobSwitches>; 3]) -> [bool; 3] {
+        [0, 1, 2].map(|n: usize| switches[n].stop.load(Ordering::SeqCst))
+    }
+
+    #[test]
+    fn only_the_job_that_is_being_traced_is_told_to_run() {
+        let (held, _, keys) = one_of_each();
+        let mut all = held.all();
+        all.sort_unstable_by_key(|(key, ..)| *key);
+        let identity = job(1).identity();
+        assert_eq!(all, [(keys[0], false, identity), (keys[1], true, identity), (keys[2], false, identity)]);
+    }
+
+    #[test]
+    fn a_lost_lease_stops_its_job_and_only_that() {
+        let (held, switches, keys) = one_of_each();
+        assert!(held.lose(&keys[1]));
+        assert_eq!(stopped(&switches), [false, true, false]);
+        assert_eq!(held.untraced(), [keys[0]]);
+        assert!(!held.lose(&keys[1]), "it is lost once");
+    }
+
+    #[test]
+    fn a_job_with_a_result_keeps_its_lease_when_the_coordinator_calls_it_lost() {
+        let (held, switches, keys) = one_of_each();
+        assert!(!held.lose(&keys[2]));
+        assert_eq!(held.all().len(), 3);
+        assert_eq!(stopped(&switches), [false; 3]);
+    }
+
+    #[test]
+    fn giving_up_what_waits_leaves_running_jobs_and_results_alone() {
+        let (held, switches, keys) = one_of_each();
+        assert_eq!(held.give_up_waiting(), [keys[0]]);
+        assert_eq!(stopped(&switches), [true, false, false]);
+        assert!(!switches[0].start(), "what was given up does not begin");
+        assert_eq!(held.untraced(), [keys[1]]);
+        assert_eq!(held.all().len(), 2);
+    }
+
+    #[test]
+    fn stopping_all_forgets_no_lease() {
+        let (held, switches, keys) = one_of_each();
+        held.stop_all();
+        assert_eq!(stopped(&switches), [true; 3]);
+        let mut untraced = held.untraced();
+        untraced.sort_unstable();
+        assert_eq!(untraced, keys[..2]);
+    }
+}

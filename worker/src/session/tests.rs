@@ -1,0 +1,189 @@
+//! Registration, and calls through faults. The clock is paused: time passes when all wait.
+
+use farm_proto::wire::LeaseKey as WireKey;
+use tonic::Code;
+
+use super::*;
+use crate::testing::{Answer, Call, Coordinator, Method, introduction, job, lease, session};
+
+const LEASE: Duration = Duration::from_secs(30);
+
+async fn open(coordinator: &Coordinator, shutdown: &CancellationToken) -> Result<Option<Session>, Error> {
+    Session::open(coordinator.link(), "http://test", introduction(), Arc::default(), shutdown).await
+}
+
+/// Holds so many leases.
+fn hold(held: &HeldLeases, count: u32) -> Vec<LeaseKey> {
+    let identity = job(1).identity();
+    let key = lease(0).key;
+    (0..count).map(|n| LeaseKey { job: n, ..key }).inspect(|key| drop(held.add(*key, identity))).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn registration_waits_for_a_coordinator_that_is_away() {
+    let coordinator = Coordinator::start();
+    coordinator.set_down(true);
+    let shutdown = CancellationToken::new();
+    let (session, ()) = tokio::join!(open(&coordinator, &shutdown), async {
+        tokio::time::sleep(Duration::from_hours(1)).await;
+        coordinator.set_down(false);
+    });
+    assert_eq!(session.unwrap().unwrap().lease(), LEASE);
+    let registrations = coordinator.calls(Call::register);
+    assert_eq!(registrations.len(), 1);
+    assert_eq!((registrations[0].label.as_str(), registrations[0].threads), ("test", 2));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_wait_for_a_coordinator_can_be_ended() {
+    let coordinator = Coordinator::start();
+    coordinator.set_down(true);
+    let shutdown = CancellationToken::new();
+    let (session, ()) = tokio::join!(open(&coordinator, &shutdown), async {
+        tokio::time::sleep(Duration::from_mins(1)).await;
+        shutdown.cancel();
+    });
+    assert!(session.unwrap().is_none());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_worker_that_is_refused_ends_with_the_reason() {
+    let coordinator = Coordinator::start();
+    let refusal = Status::failed_precondition("physics version 1 and 2 differ: install the same");
+    coordinator.answer(Method::Register, Answer::Error(refusal));
+    let error = open(&coordinator, &CancellationToken::new()).await.unwrap_err();
+    assert!(error.to_string().ends_with("install the same"), "{error}");
+    assert_eq!(coordinator.calls(Call::register).len(), 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_unknown_worker_registers_again_and_tells_what_it_holds_before_it_asks_for_more() {
+    let coordinator = Coordinator::start();
+    let (session, held) = session(&coordinator).await;
+    let identity = job(1).identity();
+    let [waiting, running] = [lease(0).key, lease(1).key];
+    held.add(waiting, identity);
+    assert!(held.add(running, identity).start());
+    coordinator.restart(LEASE);
+    let refused = session.acquire(1, Duration::ZERO).await.unwrap_err();
+    assert_eq!(refused.code(), Code::Aborted);
+    let registrations = coordinator.calls(Call::register);
+    assert_eq!(registrations.len(), 2);
+    assert_eq!(registrations[0].instance, registrations[1].instance, "it is the same process");
+    let [renewal] = &coordinator.calls(Call::renew)[..] else { panic!("one renewal was expected") };
+    assert_eq!(renewal.worker_id, "worker-2");
+    let mut told: Vec<_> = renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
+    told.sort_unstable();
+    assert_eq!(told, [(0, false), (1, true)]);
+    assert!(renewal.leases.iter().all(|l| l.identity == identity.as_bytes()));
+    session.acquire(1, Duration::ZERO).await.unwrap();
+    assert_eq!(coordinator.calls(Call::acquire).last().unwrap().worker_id, "worker-2");
+}
+
+#[tokio::test(start_paused = true)]
+async fn calls_that_find_the_worker_unknown_at_once_register_it_once() {
+    let coordinator = Coordinator::start();
+    let (session, held) = session(&coordinator).await;
+    hold(&held, 1);
+    coordinator.restart(LEASE);
+    let key = lease(9).key;
+    let (acquired, renewed, failed) = tokio::join!(
+        session.acquire(1, Duration::ZERO),
+        session.renew(held.all()),
+        session.fail(&key, "the tracer panicked"),
+    );
+    assert_eq!(acquired.unwrap_err().code(), Code::Aborted);
+    assert_eq!(renewed.unwrap_err().code(), Code::Aborted);
+    failed.unwrap();
+    // A second registration would free the leases that were announced after the first.
+    assert_eq!(coordinator.calls(Call::register).len(), 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_coordinator_of_another_version_after_a_restart_refuses_the_worker() {
+    let coordinator = Coordinator::start();
+    let (session, _) = session(&coordinator).await;
+    coordinator.restart(LEASE);
+    coordinator.answer(Method::Register, Answer::Error(Status::failed_precondition("install the same")));
+    let refused = session.acquire(1, Duration::ZERO).await.unwrap_err();
+    assert_eq!((refused.code(), refused.message()), (Code::FailedPrecondition, "install the same"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn leases_hold_as_long_as_the_coordinator_said_last() {
+    let coordinator = Coordinator::start();
+    let (session, _) = session(&coordinator).await;
+    let shorter = Duration::from_secs(5);
+    coordinator.restart(shorter);
+    session.renew(vec![]).await.unwrap_err();
+    assert_eq!(session.lease(), shorter);
+}
+
+#[tokio::test(start_paused = true)]
+async fn renewals_and_announcements_name_every_lease_in_calls_that_the_coordinator_takes() {
+    let most = RequestLimits::LEASES as usize;
+    let coordinator = Coordinator::start();
+    let (session, held) = session(&coordinator).await;
+    let mut keys = hold(&held, 2 * RequestLimits::LEASES + 7);
+    // In the first call and in the last.
+    let all = held.all();
+    let lost = [all[0].0, all[2 * most + 6].0];
+    for key in lost {
+        coordinator.lose(key);
+    }
+    let (told, drain) = session.renew(all).await.unwrap();
+    assert_eq!((told, drain), (lost.to_vec(), false));
+    coordinator.restart(LEASE);
+    session.acquire(1, Duration::ZERO).await.unwrap_err();
+    let calls = coordinator.calls(Call::renew);
+    for calls in [&calls[..3], &calls[3..]] {
+        assert_eq!(calls.iter().map(|call| call.leases.len()).collect::<Vec<_>>(), [most, most, 7]);
+        let named = calls.iter().flat_map(|call| &call.leases).filter_map(|l| l.key.clone());
+        let mut named: Vec<LeaseKey> = named.map(|key: WireKey| key.into()).collect();
+        named.sort_unstable();
+        keys.sort_unstable();
+        assert_eq!(named, keys);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_worker_without_leases_is_heard_of_and_hears_that_it_is_to_leave() {
+    let coordinator = Coordinator::start();
+    let (session, _) = session(&coordinator).await;
+    assert_eq!(session.renew(vec![]).await.unwrap(), (vec![], false));
+    coordinator.drain();
+    assert_eq!(session.renew(vec![]).await.unwrap(), (vec![], true));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_failure_is_reported_until_it_is_taken() {
+    let coordinator = Coordinator::start();
+    let (session, _) = session(&coordinator).await;
+    coordinator.answer(Method::Fail, Answer::Error(Status::unavailable("")));
+    coordinator.answer(Method::Fail, Answer::Lost);
+    session.fail(&lease(3).key, "the tracer panicked").await.unwrap();
+    let calls = coordinator.calls(Call::fail);
+    assert_eq!(calls.len(), 3);
+    assert!(calls.iter().all(|c| c.lease.as_ref().unwrap().job == 3 && c.reason == "the tracer panicked"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_call_for_work_that_is_never_answered_ends() {
+    let coordinator = Coordinator::start();
+    let (session, _) = session(&coordinator).await;
+    coordinator.answer(Method::Acquire, Answer::Never);
+    let start = Instant::now();
+    session.acquire(1, Duration::from_secs(20)).await.unwrap_err();
+    assert!((CALL..2 * CALL).contains(&start.elapsed()), "{:?}", start.elapsed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn leaving_is_tried_once_and_keeps_nobody_waiting() {
+    let coordinator = Coordinator::start();
+    let (session, _) = session(&coordinator).await;
+    coordinator.answer(Method::HandBack, Answer::Never);
+    let start = Instant::now();
+    session.hand_back(vec![lease(1).key], true).await.unwrap_err();
+    assert!(start.elapsed() < 2 * LEAVE, "{:?}", start.elapsed());
+    assert_eq!(coordinator.calls(Call::hand_back).len(), 1);
+}

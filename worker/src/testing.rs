@@ -1,0 +1,63 @@
+//! What the tests share: small jobs, and a coordinator in the process that answers as it is told.
+
+mod coordinator;
+mod network;
+
+use std::sync::Arc;
+
+use farm_proto::ids::{DictionaryId, Token};
+use farm_proto::lease::{Lease, LeaseKey};
+use optics_model::grid::{BATCH_WALKS, Walks};
+use optics_model::job::JobSpec;
+use optics_model::medium::TransportPoint;
+use optics_model::scene::{Scene, Sensor};
+use tokio_util::sync::CancellationToken;
+
+pub(crate) use coordinator::{Answer, Call, Coordinator, DeliveredResult, Method};
+
+use crate::leases::HeldLeases;
+use crate::session::{Introduction, Session};
+
+/// A job of a few milliseconds.
+pub(crate) fn job(seed: u64) -> JobSpec {
+    job_of_walks(seed, 2 * BATCH_WALKS)
+}
+
+/// A job of a good part of a second.
+pub(crate) fn long_job() -> JobSpec {
+    job_of_walks(0, 400 * BATCH_WALKS)
+}
+
+/// A job that ends only when it is stopped.
+pub(crate) fn endless_job() -> JobSpec {
+    job_of_walks(0, 1_000_000 * BATCH_WALKS)
+}
+
+fn job_of_walks(seed: u64, walks: u64) -> JobSpec {
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, 8, 0.0).unwrap());
+    let point = TransportPoint::new(1.0, 0.0, 0.5, 1.53).unwrap();
+    JobSpec::new(scene, point, vec![0.5, 0.9], Walks::new(walks).unwrap(), seed, false).unwrap()
+}
+
+/// A lease of [`job`] number `n`.
+pub(crate) fn lease(n: u32) -> Lease {
+    lease_of(n, job(n.into()))
+}
+
+pub(crate) fn lease_of(n: u32, job: JobSpec) -> Lease {
+    let token = Token(u128::from(n) + 1);
+    Lease { key: LeaseKey { dictionary: DictionaryId(1), job: n, attempt: 1, token, part: 0 }, job }
+}
+
+pub(crate) fn introduction() -> Introduction {
+    Introduction { label: "test".to_owned(), threads: 2 }
+}
+
+/// A session with a coordinator, and the leases that it announces.
+pub(crate) async fn session(coordinator: &Coordinator) -> (Arc<Session>, Arc<HeldLeases>) {
+    let held = Arc::<HeldLeases>::default();
+    let shutdown = CancellationToken::new();
+    let session =
+        Session::open(coordinator.link(), "http://test", introduction(), held.clone(), &shutdown).await;
+    (Arc::new(session.unwrap().expect("nobody shuts it down")), held)
+}

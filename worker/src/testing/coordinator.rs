@@ -1,0 +1,326 @@
+//! A coordinator that keeps account of all calls and answers as it is told; by itself it takes everything.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use farm_link::Link;
+use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::wire::complete_request::Content;
+use farm_proto::wire::leases_server::{Leases, LeasesServer};
+use farm_proto::wire::{
+    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, CompletionKind, CompletionOutcome,
+    FailRequest, FailResponse, HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse,
+    RenewRequest, RenewResponse,
+};
+use hyper_util::rt::TokioIo;
+use tokio::sync::watch;
+use tokio_stream::wrappers::UnboundedReceiverStream;
+use tonic::transport::{Endpoint, Server};
+use tonic::{Request, Response, Status, Streaming};
+
+use super::network::Network;
+
+/// How long a test waits for something to happen.
+const PATIENCE: Duration = Duration::from_mins(1);
+
+/// A result as it came in.
+#[derive(Debug, Clone)]
+pub(crate) struct DeliveredResult {
+    pub key: LeaseKey,
+    pub identity: Vec<u8>,
+    pub bytes: usize,
+}
+
+/// A call as it came in.
+#[derive(Debug, Clone)]
+pub(crate) enum Call {
+    Register(RegisterRequest),
+    Acquire(AcquireRequest),
+    Renew(RenewRequest),
+    Complete(Vec<DeliveredResult>),
+    HandBack(HandBackRequest),
+    Fail(FailRequest),
+}
+
+impl Call {
+    pub(crate) fn register(&self) -> Option<RegisterRequest> {
+        if let Self::Register(request) = self { Some(request.clone()) } else { None }
+    }
+
+    pub(crate) fn acquire(&self) -> Option<AcquireRequest> {
+        if let Self::Acquire(request) = self { Some(request.clone()) } else { None }
+    }
+
+    pub(crate) fn renew(&self) -> Option<RenewRequest> {
+        if let Self::Renew(request) = self { Some(request.clone()) } else { None }
+    }
+
+    /// The jobs whose results are delivered.
+    pub(crate) fn complete(&self) -> Option<Vec<u32>> {
+        let Self::Complete(results) = self else { return None };
+        Some(results.iter().map(|result| result.key.job).collect())
+    }
+
+    pub(crate) fn hand_back(&self) -> Option<HandBackRequest> {
+        if let Self::HandBack(request) = self { Some(request.clone()) } else { None }
+    }
+
+    pub(crate) fn fail(&self) -> Option<FailRequest> {
+        if let Self::Fail(request) = self { Some(request.clone()) } else { None }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) enum Method {
+    Register,
+    Acquire,
+    Renew,
+    Complete,
+    HandBack,
+    Fail,
+}
+
+/// What becomes of a call, instead of the ordinary.
+#[derive(Debug, Clone)]
+pub(crate) enum Answer {
+    Error(Status),
+    /// The call is received, but its connection is cut before the answer.
+    Lost,
+    /// For results, one by one.
+    Outcomes(Vec<CompletionKind>),
+    /// Longer than anybody waits.
+    Never,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct Coordinator(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    network: Network,
+    state: Mutex<State>,
+    /// Counts changes of the state.
+    changes: watch::Sender<u64>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    calls: Vec<Call>,
+    answers: HashMap<Method, VecDeque<Answer>>,
+    offered: VecDeque<Lease>,
+    lost: Vec<LeaseKey>,
+    drain: bool,
+    lease: Duration,
+    registrations: usize,
+    /// Id of the worker that is registered.
+    known: Option<String>,
+}
+
+impl Coordinator {
+    pub(crate) fn start() -> Self {
+        let (network, incoming) = Network::new();
+        let state = State { lease: Duration::from_secs(30), ..State::default() };
+        let shared = Shared { network, state: Mutex::new(state), changes: watch::Sender::new(0) };
+        let coordinator = Self(Arc::new(shared));
+        let service = LeasesServer::new(coordinator.clone());
+        let server = Server::builder().add_service(service);
+        tokio::spawn(server.serve_with_incoming(UnboundedReceiverStream::new(incoming)));
+        coordinator
+    }
+
+    pub(crate) fn link(&self) -> Link {
+        let shared = self.0.clone();
+        let connector = tower::service_fn(move |_| {
+            let connection = shared.network.connect().map(TokioIo::new);
+            async { connection }
+        });
+        Endpoint::from_static("http://test").connect_with_connector_lazy(connector).into()
+    }
+
+    /// The next call of a method is answered so; several in the order in which they are told.
+    pub(crate) fn answer(&self, method: Method, answer: Answer) {
+        self.change(|state| state.answers.entry(method).or_default().push_back(answer));
+    }
+
+    pub(crate) fn offer(&self, leases: impl IntoIterator<Item = Lease>) {
+        self.change(|state| state.offered.extend(leases));
+    }
+
+    /// Tells the worker at the next renewal that a lease is lost.
+    pub(crate) fn lose(&self, key: LeaseKey) {
+        self.change(|state| state.lost.push(key));
+    }
+
+    pub(crate) fn drain(&self) {
+        self.change(|state| state.drain = true);
+    }
+
+    /// As after a restart: the worker is not known, and leases hold so long.
+    pub(crate) fn restart(&self, lease: Duration) {
+        self.set_lease(lease);
+        self.change(|state| state.known = None);
+    }
+
+    /// Leases hold so long for those that register from now on.
+    pub(crate) fn set_lease(&self, lease: Duration) {
+        self.change(|state| state.lease = lease);
+    }
+
+    pub(crate) fn set_down(&self, down: bool) {
+        self.0.network.set_down(down);
+    }
+
+    /// What `of` picks from all calls so far.
+    pub(crate) fn calls<T>(&self, of: impl FnMut(&Call) -> Option<T>) -> Vec<T> {
+        self.state().calls.iter().filter_map(of).collect()
+    }
+
+    /// Waits until `of` picks so many calls, and returns them.
+    pub(crate) async fn wait_for<T>(&self, count: usize, mut of: impl FnMut(&Call) -> Option<T>) -> Vec<T> {
+        let mut changes = self.0.changes.subscribe();
+        let enough = async {
+            loop {
+                let calls = self.calls(&mut of);
+                if calls.len() >= count {
+                    return calls;
+                }
+                changes.changed().await.unwrap();
+            }
+        };
+        tokio::time::timeout(PATIENCE, enough)
+            .await
+            .unwrap_or_else(|_| panic!("{count} such calls were expected: {:#?}", self.state().calls))
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.state.lock().unwrap()
+    }
+
+    fn change<T>(&self, change: impl FnOnce(&mut State) -> T) -> T {
+        let changed = change(&mut self.state());
+        self.0.changes.send_modify(|count| *count += 1);
+        changed
+    }
+
+    /// Notes a call, and gives it the answer that was told for it; None is the ordinary.
+    async fn receive(&self, method: Method, call: Call) -> Result<Option<Vec<CompletionKind>>, Status> {
+        let answer = self.change(|state| {
+            state.calls.push(call);
+            state.answers.get_mut(&method)?.pop_front()
+        });
+        match answer {
+            None => Ok(None),
+            Some(Answer::Outcomes(outcomes)) => Ok(Some(outcomes)),
+            Some(Answer::Error(status)) => Err(status),
+            Some(Answer::Lost) => {
+                self.0.network.cut();
+                std::future::pending().await
+            }
+            Some(Answer::Never) => std::future::pending().await,
+        }
+    }
+
+    fn check(&self, worker_id: &str) -> Result<(), Status> {
+        if self.state().known.as_deref() == Some(worker_id) {
+            return Ok(());
+        }
+        Err(Status::aborted(format!("worker {worker_id} is not known: register")))
+    }
+
+    /// Leases that are offered, or the wish that the worker leave.
+    fn grant(&self, most: u32) -> Option<AcquireResponse> {
+        let mut state = self.state();
+        let count = state.offered.len().min(most as usize);
+        let leases: Vec<_> = state.offered.drain(..count).map(Into::into).collect();
+        (state.drain || !leases.is_empty()).then_some(AcquireResponse { leases, drain: state.drain })
+    }
+}
+
+#[tonic::async_trait]
+impl Leases for Coordinator {
+    async fn register(
+        &self,
+        request: Request<RegisterRequest>,
+    ) -> Result<Response<RegisterResponse>, Status> {
+        self.receive(Method::Register, Call::Register(request.into_inner())).await?;
+        Ok(Response::new(self.change(|state| {
+            state.registrations += 1;
+            let worker_id = format!("worker-{}", state.registrations);
+            state.known = Some(worker_id.clone());
+            RegisterResponse { worker_id, lease_ms: state.lease.as_millis() as u64 }
+        })))
+    }
+
+    async fn acquire(&self, request: Request<AcquireRequest>) -> Result<Response<AcquireResponse>, Status> {
+        let request = request.into_inner();
+        self.receive(Method::Acquire, Call::Acquire(request.clone())).await?;
+        self.check(&request.worker_id)?;
+        let mut changes = self.0.changes.subscribe();
+        let wait = tokio::time::sleep(Duration::from_millis(request.wait_ms));
+        tokio::pin!(wait);
+        loop {
+            changes.mark_unchanged();
+            if let Some(granted) = self.grant(request.max_leases) {
+                return Ok(Response::new(granted));
+            }
+            tokio::select! {
+                () = &mut wait => return Ok(Response::new(AcquireResponse::default())),
+                _ = changes.changed() => self.check(&request.worker_id)?,
+            }
+        }
+    }
+
+    async fn renew(&self, request: Request<RenewRequest>) -> Result<Response<RenewResponse>, Status> {
+        let request = request.into_inner();
+        self.receive(Method::Renew, Call::Renew(request.clone())).await?;
+        self.check(&request.worker_id)?;
+        let named: Vec<LeaseKey> =
+            request.leases.into_iter().filter_map(|lease| lease.key).map(Into::into).collect();
+        let mut state = self.state();
+        let lost = state.lost.extract_if(.., |key| named.contains(key)).map(Into::into).collect();
+        Ok(Response::new(RenewResponse { lost, drain: state.drain }))
+    }
+
+    async fn complete(
+        &self,
+        request: Request<Streaming<CompleteRequest>>,
+    ) -> Result<Response<CompleteResponse>, Status> {
+        let mut messages = request.into_inner();
+        let mut worker_id = String::new();
+        let mut results: Vec<DeliveredResult> = Vec::new();
+        while let Some(message) = messages.message().await? {
+            match message.content.expect("no message is empty") {
+                Content::Header(header) => {
+                    worker_id = header.worker_id;
+                    let key = header.key.expect("a header has a key").into();
+                    results.push(DeliveredResult { key, identity: header.identity, bytes: 0 });
+                }
+                Content::Records(piece) | Content::Sums(piece) => {
+                    results.last_mut().expect("a header comes first").bytes += piece.len();
+                }
+            }
+        }
+        let count = results.len();
+        let outcomes = self.receive(Method::Complete, Call::Complete(results)).await?;
+        self.check(&worker_id)?;
+        let outcomes = outcomes.unwrap_or_else(|| vec![CompletionKind::Stored; count]);
+        let outcome = |kind: CompletionKind| CompletionOutcome { kind: kind.into(), message: String::new() };
+        Ok(Response::new(CompleteResponse { outcomes: outcomes.into_iter().map(outcome).collect() }))
+    }
+
+    async fn hand_back(
+        &self,
+        request: Request<HandBackRequest>,
+    ) -> Result<Response<HandBackResponse>, Status> {
+        self.receive(Method::HandBack, Call::HandBack(request.into_inner())).await?;
+        Ok(Response::new(HandBackResponse {}))
+    }
+
+    async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailResponse>, Status> {
+        let request = request.into_inner();
+        self.receive(Method::Fail, Call::Fail(request.clone())).await?;
+        self.check(&request.worker_id)?;
+        Ok(Response::new(FailResponse {}))
+    }
+}
