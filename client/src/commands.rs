@@ -20,6 +20,8 @@ pub(crate) mod simulate;
 pub(crate) mod slurm;
 pub(crate) mod status;
 pub(crate) mod submit;
+#[cfg(test)]
+mod tests;
 pub(crate) mod watch;
 mod which;
 pub(crate) mod workers;

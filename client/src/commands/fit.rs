@@ -32,9 +32,18 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
         Some(path) => figures::write_fits(&fits, path)?,
         None => Vec::new(),
     };
-    let options = OptionsJson::new(&dictionary, &options);
-    let data = FitJson { options, materials: fits.iter().map(Into::into).collect(), notes };
+    let data = data(&dictionary, &options, &fits, notes);
     output.print("fit", &data, || text(&fits, args.top, &pictures))
+}
+
+pub(super) fn data(
+    dictionary: &str,
+    options: &FitOptions,
+    fits: &[MaterialFit],
+    notes: Vec<Note>,
+) -> FitJson {
+    let options = OptionsJson::new(dictionary, options);
+    FitJson { options, materials: fits.iter().map(Into::into).collect(), notes }
 }
 
 async fn fit_all(
@@ -75,7 +84,7 @@ fn text(fits: &[MaterialFit], top: u32, pictures: &[PathBuf]) -> String {
 }
 
 #[derive(Debug, Serialize)]
-struct FitJson {
+pub(super) struct FitJson {
     #[serde(flatten)]
     options: OptionsJson,
     materials: Vec<MaterialJson>,

@@ -30,9 +30,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     if let Some(path) = &args.plot {
         figures::write_maps(&maps, path)?;
     }
-    let json = |(material, map): &(String, DistanceMap)| MapJson::new(material, map);
-    let options = OptionsJson::new(&dictionary, &options);
-    let data = JsonData { options, maps: maps.iter().map(json).collect(), notes };
+    let data = data(&dictionary, &options, &maps, notes);
     output.print("map", &data, || {
         let tell = |(material, map): &(String, DistanceMap)| text(material, map);
         maps.iter().map(tell).collect::<Vec<_>>().join("\n\n")
@@ -108,8 +106,19 @@ fn text(material: &str, map: &DistanceMap) -> String {
     format!("{material}, channel {}\n{}", map.channel, table(&head, &[0, 1, 2, 3, 4, 5], rows))
 }
 
+pub(super) fn data(
+    dictionary: &str,
+    options: &FitOptions,
+    maps: &[(String, DistanceMap)],
+    notes: Vec<Note>,
+) -> JsonData {
+    let json = |(material, map): &(String, DistanceMap)| MapJson::new(material, map);
+    let options = OptionsJson::new(dictionary, options);
+    JsonData { options, maps: maps.iter().map(json).collect(), notes }
+}
+
 #[derive(Debug, Serialize)]
-struct JsonData {
+pub(super) struct JsonData {
     #[serde(flatten)]
     options: OptionsJson,
     maps: Vec<MapJson>,

@@ -50,14 +50,7 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
     let options = options.with_mu(found.common.mu, found.common.mu_std_error)?;
-    let data = JsonData {
-        options: OptionsJson::new(&dictionary, &options),
-        common_g: found.common.g,
-        common: (&found.common).into(),
-        scale: found.scale.as_ref().map(Into::into),
-        materials: found.materials.iter().map(Into::into).collect(),
-        notes,
-    };
+    let data = data(&dictionary, &options, &found, notes);
     output.print("measure", &data, || text(&found, args.output.as_deref(), &pictures))
 }
 
@@ -66,11 +59,11 @@ pub(super) const OLDER: &str = "the farm's answer does not tell what was chosen 
                                 older than this farmctl; upgrade it";
 
 /// A checked answer.
-struct Found {
+pub(super) struct Found {
     /// The paper's curve; none if the scale factor was given.
-    scale: Option<ScaleCurve>,
-    common: Common,
-    materials: Vec<MaterialFit>,
+    pub(super) scale: Option<ScaleCurve>,
+    pub(super) common: Common,
+    pub(super) materials: Vec<MaterialFit>,
 }
 
 impl TryFrom<MeasureResponse> for Found {
@@ -111,8 +104,19 @@ fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     Ok(())
 }
 
+pub(super) fn data(dictionary: &str, options: &FitOptions, found: &Found, notes: Vec<Note>) -> JsonData {
+    JsonData {
+        options: OptionsJson::new(dictionary, options),
+        common_g: found.common.g,
+        common: (&found.common).into(),
+        scale: found.scale.as_ref().map(Into::into),
+        materials: found.materials.iter().map(Into::into).collect(),
+        notes,
+    }
+}
+
 #[derive(Debug, Serialize)]
-struct JsonData {
+pub(super) struct JsonData {
     #[serde(flatten)]
     options: OptionsJson,
     /// Null if every channel has its own.

@@ -40,20 +40,31 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
         figures::scale(&scale, &common)?.write(path)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
-    let data = JsonData {
-        options: OptionsJson::new(&dictionary, &options),
-        scale: (&scale).into(),
-        common: (&common).into(),
-        materials: fits.iter().map(Into::into).collect(),
-        notes,
-    };
+    let data = data(&dictionary, &options, &scale, &common, &fits, notes);
     output.print("scale", &data, || {
         format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(args.plot.as_deref()))
     })
 }
 
+pub(super) fn data(
+    dictionary: &str,
+    options: &FitOptions,
+    scale: &ScaleCurve,
+    common: &Common,
+    fits: &[MaterialFit],
+    notes: Vec<Note>,
+) -> JsonData {
+    JsonData {
+        options: OptionsJson::new(dictionary, options),
+        scale: scale.into(),
+        common: common.into(),
+        materials: fits.iter().map(Into::into).collect(),
+        notes,
+    }
+}
+
 #[derive(Debug, Serialize)]
-struct JsonData {
+pub(super) struct JsonData {
     #[serde(flatten)]
     options: OptionsJson,
     scale: ScaleJson,

@@ -15,7 +15,7 @@ use crate::plot::Picture;
 use crate::records::Records;
 
 #[derive(Debug, Serialize)]
-struct ShowJson {
+pub(super) struct ShowJson {
     #[serde(flatten)]
     dictionary: DictionaryJson,
     grid: GridJson,
@@ -46,9 +46,13 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         Ok(status)
     })
     .await?;
+    output.print("show", &data(&status), || text(&status))
+}
+
+pub(super) fn data(status: &DictionaryStatus) -> ShowJson {
     let grid = &status.grid;
-    let data = ShowJson {
-        dictionary: DictionaryJson::from(&status),
+    ShowJson {
+        dictionary: DictionaryJson::from(status),
         grid: GridJson {
             sigma_t_per_mm: grid.sigma_t_per_mm().to_vec(),
             albedo: grid.albedo().to_vec(),
@@ -60,8 +64,7 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
             derivatives: grid.derivatives(),
             scene: SceneFile::from(grid.scene()),
         },
-    };
-    output.print("show", &data, || text(&status))
+    }
 }
 
 async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {

@@ -8,20 +8,7 @@ use crate::output::{Output, table};
 
 /// Needs no farm: the formulas are those of the service's `Similar`.
 pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
-    let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
-    let media = args
-        .to
-        .iter()
-        .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
-        .collect::<Result<Vec<Medium>, _>>()?;
-    let json = |m: &Medium| MediumJson {
-        sigma_t_per_mm: m.sigma_t_per_mm(),
-        albedo: m.albedo(),
-        g: m.g(),
-        reduced_scattering_per_mm: m.sigma_t_per_mm() * m.albedo() * (1.0 - m.g()),
-        absorption_per_mm: m.sigma_t_per_mm() * (1.0 - m.albedo()),
-    };
-    let data = JsonData { medium: json(&medium), similar: media.iter().map(json).collect() };
+    let data = data(args)?;
     output.print("similar", &data, || {
         let row = |m: &MediumJson| {
             vec![
@@ -37,8 +24,25 @@ pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
     })
 }
 
+pub(super) fn data(args: &SimilarArgs) -> Result<JsonData> {
+    let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
+    let media = args
+        .to
+        .iter()
+        .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
+        .collect::<Result<Vec<Medium>, _>>()?;
+    let json = |m: &Medium| MediumJson {
+        sigma_t_per_mm: m.sigma_t_per_mm(),
+        albedo: m.albedo(),
+        g: m.g(),
+        reduced_scattering_per_mm: m.sigma_t_per_mm() * m.albedo() * (1.0 - m.g()),
+        absorption_per_mm: m.sigma_t_per_mm() * (1.0 - m.albedo()),
+    };
+    Ok(JsonData { medium: json(&medium), similar: media.iter().map(json).collect() })
+}
+
 #[derive(Debug, Serialize)]
-struct JsonData {
+pub(super) struct JsonData {
     medium: MediumJson,
     similar: Vec<MediumJson>,
 }

@@ -115,10 +115,10 @@ enum Style {
     Measurement(String),
 }
 
-struct JsonStyle {
-    several: bool,
-    walks: u64,
-    seed: u64,
+pub(super) struct JsonStyle {
+    pub(super) several: bool,
+    pub(super) walks: u64,
+    pub(super) seed: u64,
 }
 
 fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Style> {
@@ -195,7 +195,7 @@ fn write_rows(out: &mut impl Write, medium: &str, scene: &Scene, profiles: &[Pro
 }
 
 #[derive(Debug, Serialize)]
-struct SimulateJson {
+pub(super) struct SimulateJson {
     /// Told if there are several.
     #[serde(flatten)]
     medium: Option<MediumJson>,
@@ -214,7 +214,7 @@ struct MediumJson {
 }
 
 impl SimulateJson {
-    fn new(style: &JsonStyle, job: &JobSpec, albedo: f64, record: &Record) -> Self {
+    pub(super) fn new(style: &JsonStyle, job: &JobSpec, albedo: f64, record: &Record) -> Self {
         let (scene, point) = (job.scene(), job.point());
         let medium = MediumJson {
             sigma_t_per_mm: point.sigma_t_per_mm(),
