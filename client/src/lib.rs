@@ -6,7 +6,6 @@ pub mod cli;
 mod commands;
 mod connection;
 mod exit;
-mod figures;
 mod grid_file;
 mod interrupt;
 mod measurement_file;
@@ -16,6 +15,8 @@ mod plot;
 mod progress;
 mod records;
 mod slurm;
+#[cfg(test)]
+mod testing;
 mod whole_file;
 
 use std::process::ExitCode;

@@ -111,10 +111,8 @@ fn known(fits: &[MaterialFit]) -> String {
         let mut row = vec![short(material), channel.channel.clone()];
         if let Some(r) = &channel.refined {
             let m = &r.best.medium;
-            let scattering = m.albedo() * m.sigma_t_per_mm() * (1.0 - m.g());
-            let absorption = m.sigma_t_per_mm() * (1.0 - m.albedo());
-            row.extend([three(scattering), interval(&r.reduced_scattering_per_mm, three)]);
-            row.extend([two(absorption), interval(&r.absorption_per_mm, two)]);
+            row.extend([three(m.reduced_scattering_per_mm()), interval(&r.reduced_scattering_per_mm, three)]);
+            row.extend([two(m.absorption_per_mm()), interval(&r.absorption_per_mm, two)]);
             row.extend([two(r.misfit), format!("{:.4}", r.best.error)]);
         } else {
             row.extend(std::iter::repeat_n("–".to_owned(), 6));
@@ -265,8 +263,8 @@ pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
     if scale.by_g.len() > 1 {
         let row = |e: &GError| {
             let mark = if e.g == scale.best_g { " (best)" } else { "" };
-            let there = format!("{:.4}", e.best.error);
-            vec![format!("{}{mark}", e.g), format!("{:.4}", e.error), e.best.mu.to_string(), there]
+            let there = format!("{:.4}", e.best_mu_error);
+            vec![format!("{}{mark}", e.g), format!("{:.4}", e.error), e.best_mu.to_string(), there]
         };
         let head = ["g common\nto all", "error\nat μ*", "its own\nbest μ", "error\nthere"];
         text += &format!("\n\n{}", table(&head, &[0, 1, 2, 3], scale.by_g.iter().map(row)));
@@ -299,6 +297,7 @@ pub(crate) fn neighbours(candidates: &[Candidate]) -> String {
 mod tests {
     use super::super::table_csv;
     use super::*;
+    use crate::testing::channel;
 
     #[test]
     fn numbers_have_as_many_digits_as_they_need() {
@@ -310,55 +309,14 @@ mod tests {
         );
     }
 
-    fn channel(name: &str, sigma_t: f64, resolved: bool, misfit: f64) -> ChannelFit {
-        use optics_model::Medium;
-        use optics_model::fit::{Cause, Refined, Suspicion};
-        let between = |low: f64, high: f64| Interval { low, high, open_low: false, open_high: false };
-        let best = Candidate {
-            medium: Medium::new(sigma_t, 0.999_827, 0.534_7).unwrap(),
-            sample_ior: 1.53,
-            error: 0.0626,
-            thicknesses: Vec::new(),
-        };
-        let suspicion = Suspicion {
-            cause: Cause::EdgeOffset,
-            thickness_mm: Some(0.5),
-            amount: 0.0712,
-            misfit_left: 1.04,
-        };
-        let refined = Refined {
-            best: best.clone(),
-            sigma_t_per_mm: between(0.9 * sigma_t, 1.1 * sigma_t),
-            albedo: between(0.999_494, 0.999_986),
-            g: between(0.4123, 0.6312),
-            reduced_scattering_per_mm: between(13.46, 14.52),
-            absorption_per_mm: between(0.000_174, 0.005_93),
-            covariance: [[0.0; 3]; 3],
-            correlation: 0.0,
-            valley: true,
-            resolved,
-            measurement_noise: 0.01,
-            dictionary_share: 0.1,
-            misfit,
-            suspicion: (misfit > 2.0).then_some(suspicion),
-        };
-        ChannelFit {
-            channel: name.into(),
-            candidates: vec![best],
-            refined: Some(refined),
-            outside: None,
-            curves: Vec::new(),
-        }
-    }
-
     /// Nothing is wider than a terminal of 80 columns, however long the names, and warnings are told once.
     #[test]
     fn fits_are_told_in_eighty_columns_with_what_is_wrong() {
-        let channels = vec![
-            channel("R", 11.53, true, 3.42),
-            channel("G", 27.61, false, 0.96),
-            channel("B", 19.87, false, 0.93),
-        ];
+        let mut channels =
+            vec![channel("R", 11.53, 3.42), channel("G", 27.61, 0.96), channel("B", 19.87, 0.93)];
+        for channel in &mut channels[1..] {
+            channel.refined.as_mut().unwrap().resolved = false;
+        }
         let fits = [MaterialFit { material: "Vero White Plus".into(), channels }];
         let text = anstream::adapter::strip_str(&fits_text(&fits)).to_string();
         for line in text.lines() {

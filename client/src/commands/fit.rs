@@ -7,13 +7,12 @@ use optics_model::fit::{FitOptions, MaterialFit};
 use serde::Serialize;
 
 use super::which;
-use crate::answers::{MaterialJson, OptionsJson, fits_text, neighbours};
+use crate::answers::{UsedOptions, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::figures;
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
-use crate::plot::Picture;
+use crate::plot::{self, Picture};
 
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
     let options = args.options()?;
@@ -29,21 +28,28 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     })
     .await?;
     let pictures = match &args.plot {
-        Some(path) => figures::write_fits(&fits, path)?,
+        Some(path) => plot::write_fits(&fits, path)?,
         None => Vec::new(),
     };
-    let data = data(&dictionary, &options, &fits, notes);
+    let data = data(&dictionary, &options, &fits, &notes);
     output.print("fit", &data, || text(&fits, args.top, &pictures))
 }
 
-pub(super) fn data(
-    dictionary: &str,
+pub(super) fn data<'a>(
+    dictionary: &'a str,
     options: &FitOptions,
-    fits: &[MaterialFit],
-    notes: Vec<Note>,
-) -> FitJson {
-    let options = OptionsJson::new(dictionary, options);
-    FitJson { options, materials: fits.iter().map(Into::into).collect(), notes }
+    materials: &'a [MaterialFit],
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        materials: &'a [MaterialFit],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
+    }
+    Data { options: UsedOptions::new(dictionary, options), materials, notes }
 }
 
 async fn fit_all(
@@ -77,17 +83,5 @@ fn text(fits: &[MaterialFit], top: u32, pictures: &[PathBuf]) -> String {
             }
         }
     }
-    for picture in pictures {
-        text += &format!("\ndrawn: {}", picture.display());
-    }
-    text
-}
-
-#[derive(Debug, Serialize)]
-pub(super) struct FitJson {
-    #[serde(flatten)]
-    options: OptionsJson,
-    materials: Vec<MaterialJson>,
-    /// What was assumed when the file was read, and what looks suspicious in it.
-    notes: Vec<Note>,
+    text + &plot::drawn(pictures)
 }

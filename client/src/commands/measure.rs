@@ -6,14 +6,13 @@ use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, ScaleCurve
 use serde::Serialize;
 
 use super::which;
-use crate::answers::{CommonJson, MaterialJson, OptionsJson, ScaleJson, common_text, fits_text, table_csv};
+use crate::answers::{UsedOptions, common_text, fits_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
-use crate::figures;
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::media;
 use crate::output::{Output, write_whole};
-use crate::plot::Picture;
+use crate::plot::{self, Picture};
 
 pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> Result<()> {
     let settings = FitSettings {
@@ -43,14 +42,14 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     .await?;
     let found = Found::try_from(answer)?;
     let pictures = match &args.plot {
-        Some(path) => figures::write_fits(&found.materials, path)?,
+        Some(path) => plot::write_fits(&found.materials, path)?,
         None => Vec::new(),
     };
     if let Some(folder) = &args.output {
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
     let options = options.with_mu(found.common.mu, found.common.mu_std_error)?;
-    let data = data(&dictionary, &options, &found, notes);
+    let data = data(&dictionary, &options, &found, &notes);
     output.print("measure", &data, || text(&found, args.output.as_deref(), &pictures))
 }
 
@@ -80,9 +79,7 @@ impl TryFrom<MeasureResponse> for Found {
 
 fn text(found: &Found, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
     let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(&found.materials));
-    for picture in pictures {
-        text += &format!("\ndrawn: {}", picture.display());
-    }
+    text += &plot::drawn(pictures);
     if let Some(folder) = folder {
         text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
     }
@@ -104,27 +101,31 @@ fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     Ok(())
 }
 
-pub(super) fn data(dictionary: &str, options: &FitOptions, found: &Found, notes: Vec<Note>) -> JsonData {
-    JsonData {
-        options: OptionsJson::new(dictionary, options),
+pub(super) fn data<'a>(
+    dictionary: &'a str,
+    options: &FitOptions,
+    found: &'a Found,
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        /// Null if every channel has its own.
+        common_g: Option<f64>,
+        common: &'a Common,
+        /// Null if the scale factor was given.
+        scale: Option<&'a ScaleCurve>,
+        materials: &'a [MaterialFit],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
+    }
+    Data {
+        options: UsedOptions::new(dictionary, options),
         common_g: found.common.g,
-        common: (&found.common).into(),
-        scale: found.scale.as_ref().map(Into::into),
-        materials: found.materials.iter().map(Into::into).collect(),
+        common: &found.common,
+        scale: found.scale.as_ref(),
+        materials: &found.materials,
         notes,
     }
-}
-
-#[derive(Debug, Serialize)]
-pub(super) struct JsonData {
-    #[serde(flatten)]
-    options: OptionsJson,
-    /// Null if every channel has its own.
-    common_g: Option<f64>,
-    common: CommonJson,
-    /// Null if the scale factor was given.
-    scale: Option<ScaleJson>,
-    materials: Vec<MaterialJson>,
-    /// What was assumed when the file was read, and what looks suspicious in it.
-    notes: Vec<Note>,
 }

@@ -5,13 +5,12 @@ use serde::Serialize;
 
 use super::measure::OLDER;
 use super::which;
-use crate::answers::{CommonJson, MaterialJson, OptionsJson, ScaleJson, common_text, scale_text};
+use crate::answers::{UsedOptions, common_text, scale_text};
 use crate::cli::{Global, ScaleArgs};
 use crate::connection::{Purpose, with_farm};
-use crate::figures::{self, drawn};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
-use crate::plot::Picture;
+use crate::plot::{Picture, drawn, scale_figure};
 
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
     let options = FitOptions::new(args.options.settings()?)?;
@@ -37,40 +36,33 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let fits: Vec<MaterialFit> =
         answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?;
     if let Some(path) = &args.plot {
-        figures::scale(&scale, &common)?.write(path)?;
+        scale_figure(&scale, &common)?.write(path)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
-    let data = data(&dictionary, &options, &scale, &common, &fits, notes);
+    let data = data(&dictionary, &options, &scale, &common, &fits, &notes);
     output.print("scale", &data, || {
-        format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(args.plot.as_deref()))
+        format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(&args.plot))
     })
 }
 
-pub(super) fn data(
-    dictionary: &str,
+pub(super) fn data<'a>(
+    dictionary: &'a str,
     options: &FitOptions,
-    scale: &ScaleCurve,
-    common: &Common,
-    fits: &[MaterialFit],
-    notes: Vec<Note>,
-) -> JsonData {
-    JsonData {
-        options: OptionsJson::new(dictionary, options),
-        scale: scale.into(),
-        common: common.into(),
-        materials: fits.iter().map(Into::into).collect(),
-        notes,
+    scale: &'a ScaleCurve,
+    common: &'a Common,
+    materials: &'a [MaterialFit],
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        scale: &'a ScaleCurve,
+        /// By the errors of refined fits.
+        common: &'a Common,
+        materials: &'a [MaterialFit],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
     }
-}
-
-#[derive(Debug, Serialize)]
-pub(super) struct JsonData {
-    #[serde(flatten)]
-    options: OptionsJson,
-    scale: ScaleJson,
-    /// By the errors of refined fits.
-    common: CommonJson,
-    materials: Vec<MaterialJson>,
-    /// What was assumed when the file was read, and what looks suspicious in it.
-    notes: Vec<Note>,
+    Data { options: UsedOptions::new(dictionary, options), scale, common, materials, notes }
 }

@@ -1,3 +1,5 @@
+mod overview;
+
 use std::path::Path;
 
 use anyhow::{Result, bail};
@@ -9,7 +11,6 @@ use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::figures;
 use crate::output::{DictionaryJson, Output, grouped};
 use crate::plot::Picture;
 use crate::records::Records;
@@ -68,7 +69,7 @@ pub(super) fn data(status: &DictionaryStatus) -> ShowJson {
 }
 
 async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {
-    let axes = figures::chosen_axes(&status.grid);
+    let axes = overview::chosen_axes(&status.grid);
     let mut wanted = axes.records(&status.grid);
     wanted.sort_unstable();
     let mut answers = Records::ask(connection, status, wanted).await?;
@@ -79,7 +80,7 @@ async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -
     if records.is_empty() {
         bail!("none of the records to be drawn is done yet");
     }
-    figures::overview(status.name.as_str(), &status.grid, &axes, &records)?.write(path)
+    overview::picture(status.name.as_str(), &status.grid, &axes, &records)?.write(path)
 }
 
 fn text(status: &DictionaryStatus) -> String {

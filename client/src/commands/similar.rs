@@ -10,11 +10,11 @@ use crate::output::{Output, table};
 pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
     let data = data(args)?;
     output.print("similar", &data, || {
-        let row = |m: &MediumJson| {
+        let row = |m: &Shared| {
             vec![
-                m.g.to_string(),
-                significant(m.sigma_t_per_mm, 4),
-                albedo(m.albedo),
+                m.medium.g().to_string(),
+                significant(m.medium.sigma_t_per_mm(), 4),
+                albedo(m.medium.albedo()),
                 significant(m.reduced_scattering_per_mm, 4),
                 significant(m.absorption_per_mm, 4),
             ]
@@ -31,27 +31,30 @@ pub(super) fn data(args: &SimilarArgs) -> Result<JsonData> {
         .iter()
         .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
         .collect::<Result<Vec<Medium>, _>>()?;
-    let json = |m: &Medium| MediumJson {
-        sigma_t_per_mm: m.sigma_t_per_mm(),
-        albedo: m.albedo(),
-        g: m.g(),
-        reduced_scattering_per_mm: m.sigma_t_per_mm() * m.albedo() * (1.0 - m.g()),
-        absorption_per_mm: m.sigma_t_per_mm() * (1.0 - m.albedo()),
-    };
-    Ok(JsonData { medium: json(&medium), similar: media.iter().map(json).collect() })
+    Ok(JsonData { medium: medium.into(), similar: media.iter().map(|m| (*m).into()).collect() })
 }
 
 #[derive(Debug, Serialize)]
 pub(super) struct JsonData {
-    medium: MediumJson,
-    similar: Vec<MediumJson>,
+    medium: Shared,
+    similar: Vec<Shared>,
 }
 
+/// A medium, and what media share that are similar to it.
 #[derive(Debug, Serialize)]
-struct MediumJson {
-    sigma_t_per_mm: f64,
-    albedo: f64,
-    g: f64,
+struct Shared {
+    #[serde(flatten)]
+    medium: Medium,
     reduced_scattering_per_mm: f64,
     absorption_per_mm: f64,
+}
+
+impl From<Medium> for Shared {
+    fn from(medium: Medium) -> Self {
+        Self {
+            medium,
+            reduced_scattering_per_mm: medium.reduced_scattering_per_mm(),
+            absorption_per_mm: medium.absorption_per_mm(),
+        }
+    }
 }

@@ -1,3 +1,5 @@
+mod changes;
+
 use std::io::Write;
 use std::sync::atomic::AtomicBool;
 
@@ -9,7 +11,6 @@ use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
 use serde::Serialize;
 
 use crate::cli::SimulateArgs;
-use crate::figures;
 use crate::grid_file::read_scene;
 use crate::measurement_file::{MeasurementWriter, check_name};
 use crate::output::{Output, envelope, write_whole};
@@ -34,7 +35,7 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
 fn simulate(args: &SimulateArgs, style: &Style, jobs: &[JobSpec]) -> Result<()> {
     if let Some(path) = &args.plot {
         let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], args.g[0])?);
-        figures::changes(job, &medium, args.change)?.write(path)?;
+        changes::picture(job, &medium, args.change)?.write(path)?;
     }
     let Some(path) = &args.output else {
         return write(style, jobs, std::io::BufWriter::new(std::io::stdout().lock()));

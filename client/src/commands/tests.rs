@@ -6,7 +6,7 @@ use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerSta
 use farm_proto::wire::StatusResponse;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, FitCurves, FitOptions, FitSettings,
-    GError, Interval, MapLayer, MaterialFit, Outside, Refined, ScaleCurve, ScalePoint, Suspicion,
+    GError, MapLayer, MaterialFit, Outside, Refined, ScaleCurve, ScalePoint, Suspicion,
     ThicknessError, Wavelet,
 };
 use optics_model::grid::{Axes, Quality};
@@ -20,6 +20,7 @@ use super::{fit, list, map, measure, scale, show, similar, simulate, status, wor
 use crate::cli::SimilarArgs;
 use crate::measurement_file::Note;
 use crate::output::envelope;
+use crate::testing::interval;
 
 /// One answer a line, as `--json` prints it. Fields may be added to a version, never changed or removed: a line may only
 /// grow.
@@ -46,12 +47,12 @@ fn answers() -> Vec<String> {
     };
     let dictionaries = [dictionary(true), dictionary(false)];
     vec![
-        line("fit", &fit::data("paper", &free, &fits, notes())),
-        line("fit", &fit::data("paper", &bound, &fits[..1], Vec::new())),
-        line("scale", &scale::data("paper", &bound, &scale_curve, &common[0], &fits[1..], notes())),
-        line("measure", &measure::data("paper", &free, &found(0, Some(scale_curve.clone())), notes())),
-        line("measure", &measure::data("paper", &bound, &found(1, None), Vec::new())),
-        line("map", &map::data("paper", &free, &[("resin".to_owned(), distance_map())], notes())),
+        line("fit", &fit::data("paper", &free, &fits, &notes())),
+        line("fit", &fit::data("paper", &bound, &fits[..1], &[])),
+        line("scale", &scale::data("paper", &bound, &scale_curve, &common[0], &fits[1..], &notes())),
+        line("measure", &measure::data("paper", &free, &found(0, Some(scale_curve.clone())), &notes())),
+        line("measure", &measure::data("paper", &bound, &found(1, None), &[])),
+        line("map", &map::data("paper", &free, &[material_map()], &notes())),
         line("similar", &similar::data(&similar_args()).unwrap()),
         simulated(false),
         simulated(true),
@@ -85,10 +86,6 @@ fn options() -> [FitOptions; 2] {
         ..FitSettings::default()
     };
     [FitOptions::default(), FitOptions::new(bound).unwrap()]
-}
-
-fn interval(low: f64, high: f64) -> Interval {
-    Interval { low, high, open_low: low == 0.0, open_high: high > 1.0 }
 }
 
 fn candidate(sigma_t: f64, record: Option<usize>) -> Candidate {
@@ -177,8 +174,8 @@ fn materials() -> Vec<MaterialFit> {
 }
 
 fn by_g() -> Vec<GError> {
-    let best = ScalePoint { mu: 0.912, error: 0.28 };
-    vec![GError { g: 0.0, error: 0.3, best }, GError { g: 0.4, error: 0.281, best }]
+    let best = |g, error| GError { g, error, best_mu: 0.912, best_mu_error: 0.28 };
+    vec![best(0.0, 0.3), best(0.4, 0.281)]
 }
 
 fn common(g: Option<f64>) -> Common {
@@ -206,10 +203,14 @@ fn scale_curve() -> ScaleCurve {
     }
 }
 
+fn material_map() -> map::MaterialMap {
+    map::MaterialMap { material: "resin".to_owned(), map: distance_map() }
+}
+
 fn distance_map() -> DistanceMap {
     let layer = |g, similar| MapLayer {
         g,
-        errors: vec![0.1, 0.2, 0.3, 0.4, f64::NAN, 0.6],
+        errors: vec![vec![0.1, 0.2, 0.3], vec![0.4, f64::NAN, 0.6]],
         best: candidate(4.0, Some(12)),
         similar,
     };
