@@ -2,6 +2,7 @@
 
 pub(crate) mod access;
 pub(crate) mod backup;
+mod chosen_dictionary;
 pub(crate) mod completions;
 pub(crate) mod doctor;
 pub(crate) mod events;
@@ -23,5 +24,4 @@ pub(crate) mod submit;
 #[cfg(test)]
 mod tests;
 pub(crate) mod watch;
-mod which;
 pub(crate) mod workers;

@@ -9,11 +9,11 @@ mod exit;
 mod grid_file;
 mod interrupt;
 mod measurement_file;
-mod media;
 mod output;
 mod plot;
 mod progress;
 mod records;
+mod renderers;
 mod slurm;
 #[cfg(test)]
 mod testing;

@@ -2,7 +2,7 @@
 
 use optics_model::fit::{Interval, MaterialFit};
 
-use super::text::remarks;
+use super::remarks::remarks;
 
 /// The table as CSV: one row a channel.
 pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {

@@ -6,7 +6,7 @@ use optics_model::Measurement;
 use optics_model::fit::{FitOptions, MaterialFit};
 use serde::Serialize;
 
-use super::which;
+use super::chosen_dictionary;
 use crate::answers::{UsedOptions, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
@@ -17,12 +17,12 @@ use crate::plot::{self, Picture};
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
     let options = args.options()?;
     let given = args.options.dictionary.as_ref();
-    which::check(given)?;
+    chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurement)?.told(&args.measurement, output);
     let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = which::dictionary(connection, given).await?;
+        let dictionary = chosen_dictionary::name(connection, given).await?;
         let fits = fit_all(connection, &dictionary, &materials, &options).await?;
         Ok((dictionary, fits))
     })

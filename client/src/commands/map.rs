@@ -4,7 +4,7 @@ use optics_model::Measurement;
 use optics_model::fit::{DistanceMap, FitOptions, FitSettings, MapLayer};
 use serde::Serialize;
 
-use super::which;
+use super::chosen_dictionary;
 use crate::answers::{UsedOptions, albedo, significant};
 use crate::cli::{Global, MapArgs};
 use crate::connection::{Connection, Purpose, with_farm};
@@ -15,13 +15,13 @@ use crate::plot::{self, Picture};
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
     let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings()? })?;
     let given = args.options.dictionary.as_ref();
-    which::check(given)?;
+    chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurement)?.told(&args.measurement, output);
     let materials = chosen(materials, &args)?;
     let (dictionary, maps) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = which::dictionary(connection, given).await?;
+        let dictionary = chosen_dictionary::name(connection, given).await?;
         let maps = map_all(connection, &dictionary, &materials, &options).await?;
         Ok((dictionary, maps))
     })

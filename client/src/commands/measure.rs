@@ -5,14 +5,14 @@ use farm_proto::wire::{MeasureRequest, MeasureResponse};
 use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
-use super::which;
+use super::chosen_dictionary;
 use crate::answers::{UsedOptions, common_text, fits_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
-use crate::media;
 use crate::output::{Output, write_whole};
 use crate::plot::{self, Picture};
+use crate::renderers;
 
 pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> Result<()> {
     let settings = FitSettings {
@@ -24,12 +24,12 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     let options = FitOptions::new(settings)?;
     let range = args.search.range()?;
     let given = args.options.dictionary.as_ref();
-    which::check(given)?;
+    chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = which::dictionary(connection, given).await?;
+        let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = MeasureRequest {
             dictionary: dictionary.clone(),
             materials: materials.iter().map(Into::into).collect(),
@@ -88,12 +88,12 @@ fn text(found: &Found, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
 
 fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     std::fs::create_dir_all(folder)?;
-    let media = media::measured(&found.materials);
+    let media = renderers::measured(&found.materials);
     let files = [
         ("table.csv", table_csv(&found.materials)?),
-        ("media.py", media::mitsuba_dict(&media)),
-        ("media.xml", media::mitsuba_xml(&media)),
-        ("media.pbrt", media::pbrt(&media)),
+        ("media.py", renderers::mitsuba_dict(&media)),
+        ("media.xml", renderers::mitsuba_xml(&media)),
+        ("media.pbrt", renderers::pbrt(&media)),
     ];
     for (name, text) in files {
         write_whole(&folder.join(name), text.as_bytes()).context(name)?;

@@ -3,8 +3,8 @@ use farm_proto::wire::ScaleRequest;
 use optics_model::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
+use super::chosen_dictionary;
 use super::measure::OLDER;
-use super::which;
 use crate::answers::{UsedOptions, common_text, scale_text};
 use crate::cli::{Global, ScaleArgs};
 use crate::connection::{Purpose, with_farm};
@@ -16,12 +16,12 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let options = FitOptions::new(args.options.settings()?)?;
     let range = args.mu.range()?;
     let given = args.options.dictionary.as_ref();
-    which::check(given)?;
+    chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = which::dictionary(connection, given).await?;
+        let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = ScaleRequest {
             dictionary: dictionary.clone(),
             materials: materials.iter().map(Into::into).collect(),

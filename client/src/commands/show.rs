@@ -7,6 +7,7 @@ use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryStatus, FailedJob};
 use farm_proto::wire::GetRequest;
 use optics_model::SceneFile;
+use optics_model::grid::Axes;
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
@@ -14,26 +15,6 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, grouped};
 use crate::plot::Picture;
 use crate::records::Records;
-
-#[derive(Debug, Serialize)]
-pub(super) struct ShowJson {
-    #[serde(flatten)]
-    dictionary: DictionaryJson,
-    grid: GridJson,
-}
-
-#[derive(Debug, Serialize)]
-struct GridJson {
-    sigma_t_per_mm: Vec<f64>,
-    albedo: Vec<f64>,
-    g: Vec<f64>,
-    thickness_mm: Vec<f64>,
-    sample_ior: Vec<f64>,
-    walks: u64,
-    seed: u64,
-    derivatives: bool,
-    scene: SceneFile,
-}
 
 pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name)?;
@@ -50,22 +31,26 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
     output.print("show", &data(&status), || text(&status))
 }
 
-pub(super) fn data(status: &DictionaryStatus) -> ShowJson {
-    let grid = &status.grid;
-    ShowJson {
-        dictionary: DictionaryJson::from(status),
-        grid: GridJson {
-            sigma_t_per_mm: grid.sigma_t_per_mm().to_vec(),
-            albedo: grid.albedo().to_vec(),
-            g: grid.g().to_vec(),
-            thickness_mm: grid.thickness_mm().to_vec(),
-            sample_ior: grid.sample_ior().to_vec(),
-            walks: grid.walks().get(),
-            seed: grid.seed(),
-            derivatives: grid.derivatives(),
-            scene: SceneFile::from(grid.scene()),
-        },
+pub(super) fn data(status: &DictionaryStatus) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        dictionary: DictionaryJson,
+        grid: GridData<'a>,
     }
+    #[derive(Serialize)]
+    struct GridData<'a> {
+        #[serde(flatten)]
+        axes: &'a Axes,
+        walks: u64,
+        seed: u64,
+        derivatives: bool,
+        scene: SceneFile,
+    }
+    let grid = &status.grid;
+    let (walks, seed, derivatives) = (grid.walks().get(), grid.seed(), grid.derivatives());
+    let scene = SceneFile::from(grid.scene());
+    Data { dictionary: status.into(), grid: GridData { axes: grid.axes(), walks, seed, derivatives, scene } }
 }
 
 async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {

@@ -6,8 +6,8 @@ use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerSta
 use farm_proto::wire::StatusResponse;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, FitCurves, FitOptions, FitSettings,
-    GError, MapLayer, MaterialFit, Outside, Refined, ScaleCurve, ScalePoint, Suspicion,
-    ThicknessError, Wavelet,
+    GError, MapLayer, MaterialFit, Outside, Refined, ScaleCurve, ScalePoint, Suspicion, ThicknessError,
+    Wavelet,
 };
 use optics_model::grid::{Axes, Quality};
 use optics_model::job::JobSpec;

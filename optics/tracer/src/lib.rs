@@ -31,8 +31,8 @@ mod wavefront;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use optics_model::digest::stream_key;
 use optics_model::grid::{BATCH_WALKS, BLOCK_BATCHES};
+use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
 use optics_model::profile::Record;
 use optics_model::sums::Sums;

@@ -1,4 +1,5 @@
-//! How the farm's programs reach each other. [`logs`] and [`walltime`] are what several of them share besides.
+//! How the farm's programs reach each other. [`logs`], [`signals`] and [`walltime`] are what several of them share
+//! besides.
 //!
 //! Access files say who may do what, and how both sides know each other.
 //!
@@ -17,6 +18,7 @@ mod file;
 mod link;
 pub mod logs;
 mod pem;
+pub mod signals;
 mod target;
 pub mod walltime;
 

@@ -253,6 +253,7 @@ pub struct DistanceMap {
 }
 
 /// A layer tells its anisotropy once.
+#[expect(clippy::ref_option, reason = "serde passes the field as it is")]
 fn without_g<S: Serializer>(medium: &Option<Medium>, serializer: S) -> Result<S::Ok, S::Error> {
     #[derive(Serialize)]
     struct WithoutG {
