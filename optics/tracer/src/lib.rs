@@ -11,8 +11,6 @@
 mod exits;
 mod fresnel;
 mod kernel;
-#[cfg(test)]
-mod kernel_tests;
 mod math;
 mod microfacet;
 mod phase;
@@ -25,8 +23,6 @@ mod tally;
 #[cfg(test)]
 mod testing;
 mod walk;
-#[cfg(test)]
-mod walk_tests;
 mod wavefront;
 
 use std::sync::atomic::{AtomicBool, Ordering};
