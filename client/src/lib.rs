@@ -6,16 +6,17 @@ pub mod cli;
 mod commands;
 mod connection;
 mod exit;
-mod figures;
 mod grid_file;
 mod interrupt;
 mod measurement_file;
-mod media;
 mod output;
 mod plot;
 mod progress;
 mod records;
+mod renderers;
 mod slurm;
+#[cfg(test)]
+mod testing;
 mod whole_file;
 
 use std::process::ExitCode;

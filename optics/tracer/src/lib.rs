@@ -11,8 +11,6 @@
 mod exits;
 mod fresnel;
 mod kernel;
-#[cfg(test)]
-mod kernel_tests;
 mod math;
 mod microfacet;
 mod phase;
@@ -25,14 +23,12 @@ mod tally;
 #[cfg(test)]
 mod testing;
 mod walk;
-#[cfg(test)]
-mod walk_tests;
 mod wavefront;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use optics_model::digest::stream_key;
 use optics_model::grid::{BATCH_WALKS, BLOCK_BATCHES};
+use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
 use optics_model::profile::Record;
 use optics_model::sums::Sums;

@@ -1,4 +1,4 @@
-//! Which dictionary a question goes to.
+//! The dictionary that a question goes to.
 
 use anyhow::{Result, bail};
 use farm_proto::DictionaryName;
@@ -17,7 +17,7 @@ pub(crate) fn check(given: Option<&String>) -> optics_model::Result<()> {
 }
 
 /// The dictionary that was named; without a name the usual one, or the only one.
-pub(crate) async fn dictionary(connection: &Connection, given: Option<&String>) -> Result<String> {
+pub(crate) async fn name(connection: &Connection, given: Option<&String>) -> Result<String> {
     if let Some(name) = given {
         return Ok(name.clone());
     }

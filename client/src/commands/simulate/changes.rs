@@ -4,16 +4,16 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
 use optics_fit::derivative;
-use optics_model::fit::FitSettings;
+use optics_model::fit::{Curve, FitSettings};
 use optics_model::job::JobSpec;
 use optics_model::{Medium, Record, TransportPoint};
 
 use crate::answers::{albedo, significant};
-use crate::plot::{ChangesFigure, ChangesPanel, Curve, LabelledCurve, Picture, changes_figure};
+use crate::plot::{ChangesFigure, ChangesPanel, LabelledCurve, Picture, changes_figure};
 
 /// Traces the medium and its neighbours, of which each has σ_t, 1 − α or 1 − g smaller or larger by the relative
 /// `change`, and draws the first channel. Runs on the current rayon pool.
-pub(crate) fn changes(job: &JobSpec, medium: &Medium, change: f64) -> Result<Picture> {
+pub(super) fn picture(job: &JobSpec, medium: &Medium, change: f64) -> Result<Picture> {
     let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
     let both = [1.0 - change, 1.0 + change];
     let changed = |share: f64, v: f64| (1.0 - share * (1.0 - v)).max(0.0);
@@ -48,7 +48,9 @@ pub(crate) fn changes(job: &JobSpec, medium: &Medium, change: f64) -> Result<Pic
         significant(g, 3),
         job.scene().channels()[0].name()
     );
-    changes_figure(&ChangesFigure { title, panels })
+    let sensor = job.scene().sensor();
+    let x_mm = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
+    changes_figure(&ChangesFigure { title, x_mm, panels })
 }
 
 fn profile(job: &JobSpec, medium: &Medium) -> Result<Curve> {
@@ -62,15 +64,10 @@ fn profile(job: &JobSpec, medium: &Medium) -> Result<Curve> {
     let job = JobSpec::new(scene, point, vec![medium.albedo()], job.walks(), job.seed(), false)?;
     let records = optics_tracer::trace(&job, &AtomicBool::new(false))?;
     let record: &Record = records.first().context("the tracer gave no record")?;
-    let sensor = job.scene().sensor();
     let values: Vec<f64> =
         record.profiles[0].radiance_factor.values().iter().copied().map(f64::from).collect();
     let settings = FitSettings::default();
-    let scale = 10.0 / 360.0 / sensor.pitch_mm();
+    let scale = 10.0 / 360.0 / job.scene().sensor().pitch_mm();
     let slope = derivative(&values, settings.wavelet, settings.level);
-    Ok(Curve {
-        x_mm: (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect(),
-        gradient: slope.iter().map(|d| d.abs() * scale).collect(),
-        values,
-    })
+    Ok(Curve { gradient: slope.iter().map(|d| d.abs() * scale).collect(), values })
 }

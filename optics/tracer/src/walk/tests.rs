@@ -4,10 +4,10 @@ use glam::Vec3;
 use optics_model::TransportPoint;
 use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
 
-use super::math::unit_vector;
-use super::rng::{Stream, uniform};
-use super::stack::Stack;
-use super::walk::{Event, Walk};
+use super::{Event, Walk};
+use crate::math::unit_vector;
+use crate::rng::{Stream, uniform};
+use crate::stack::Stack;
 
 /// Mean and standard error.
 fn statistics(samples: impl Iterator<Item = f64>) -> (f64, f64) {

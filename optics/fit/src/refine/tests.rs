@@ -2,9 +2,9 @@
 
 use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Refined};
 
-use super::testing::{dense_axes, noisy_dictionary, noisy_measurement, normal, profile_value};
-use super::{FitDictionary, fit};
 use crate::testing::coarse_axes;
+use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement, normal, profile_value};
+use crate::{FitDictionary, fit};
 
 fn options(g: Option<f64>) -> FitOptions {
     let g = g.map_or(Bounds::FREE, Bounds::fixed);

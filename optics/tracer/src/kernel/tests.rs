@@ -5,9 +5,9 @@ use std::sync::atomic::AtomicBool;
 use optics_model::TransportPoint;
 use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
 
-use super::exits::{Chunk, Exit, Exits};
-use super::kernel::Kernel;
-use super::stack::Stack;
+use super::Kernel;
+use crate::exits::{Chunk, Exit, Exits};
+use crate::stack::Stack;
 
 /// Everything about the exits of a chunk, in order.
 fn exits(kernel: Kernel, stack: &Stack, walks: u32) -> Vec<(u32, u32, u32, u32, Vec<u32>)> {
