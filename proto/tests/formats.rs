@@ -12,7 +12,7 @@ use farm_proto::wire::complete_request::Content;
 use farm_proto::{PROTOCOL_VERSION, wire};
 use optics_model::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use optics_model::job::JobSpec;
-use optics_model::{Digest, Grid, Measurement, Record};
+use optics_model::{Digest, Grid, MeasuredProfile, Measurement, Record};
 use prost::Message;
 
 const VERSIONS: std::ops::RangeInclusive<u32> = 1..=NEWEST;
@@ -119,10 +119,10 @@ fn a_question_for_a_fit_is_understood() {
             |(measurement, options)| wire::FitRequest {
                 dictionary: "tiny".to_owned(),
                 measurement: Some(measurement.into()),
-                options: Some(options.clone()),
+                options: Some(*options),
             },
         );
-        let channels: Vec<&str> = measurement.profiles().iter().map(|p| p.channel()).collect();
+        let channels: Vec<&str> = measurement.profiles().iter().map(MeasuredProfile::channel).collect();
         assert_eq!(channels, ["R", "G"], "version {version}");
         let options = FitOptions::try_from(options).unwrap();
         assert!(options.settings().refine && options.settings().curves, "version {version}");

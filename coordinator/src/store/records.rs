@@ -11,9 +11,9 @@ use std::ops::Range;
 
 use farm_proto::ids::DictionaryId;
 use optics_model::job::JobSpec;
-use optics_model::profile::RecordShape;
 use optics_model::{Grid, PackedRecords};
 use sqlx::{Connection, FromRow, SqliteConnection};
+use tokio_stream::StreamExt;
 
 use super::{Result, Store, StoreError, doing, jobs};
 
@@ -87,7 +87,7 @@ async fn read(
     range: Range<usize>,
 ) -> Result<Vec<Found>> {
     let what = "reading records";
-    let rows = sqlx::query(
+    let mut rows = sqlx::query(
         "SELECT job, records_digest, records.id, albedo, profiles \
          FROM jobs LEFT JOIN records ON records.point_id = jobs.point_id \
          WHERE dictionary_id = ? AND job >= ? AND job < ? AND records_digest IS NOT NULL ORDER BY job, albedo",
@@ -95,52 +95,70 @@ async fn read(
     .bind(dictionary.0)
     .bind(range.start as i64)
     .bind(range.end.min(grid.job_count()) as i64)
-    .fetch_all(connection)
-    .await
-    .map_err(doing(what))?;
-    let rows: sqlx::Result<Vec<RecordRow<'_>>> = rows.iter().map(RecordRow::from_row).collect();
-    let rows = rows.map_err(doing(what))?;
-    Ok(rows.chunk_by(|a, b| a.job == b.job).map(|of_job| check(grid, of_job)).collect())
-}
-
-/// Puts a job's records together and compares them with what was stored.
-fn check(grid: &Grid, rows: &[RecordRow<'_>]) -> Found {
-    let job = rows[0].job as u32;
-    let damaged = |what: String| Damaged { job, what };
-    let digest = jobs::decode_digest(rows[0].job, rows[0].records_digest);
-    let digest = digest.map_err(|error| damaged(error.to_string()))?;
-    let bytes = put_together(grid, rows).map_err(damaged)?;
-    let records = PackedRecords::new(&JobSpec::of(grid, job as usize), bytes.into());
-    let records = records.map_err(|error| damaged(format!("its records cannot be: {error}")))?;
-    if records.digest() != digest {
-        return Err(damaged("its records differ from what was stored".to_owned()));
+    .fetch(connection);
+    let (mut found, mut gathered) = (Vec::new(), None::<Gathered>);
+    while let Some(row) = rows.try_next().await.map_err(doing(what))? {
+        let row = RecordRow::from_row(&row).map_err(doing(what))?;
+        found.extend(gathered.take_if(|of_job| of_job.job != row.job).map(|of_job| of_job.check(grid)));
+        gathered.get_or_insert_with(|| Gathered::new(&row, grid)).add(&row, grid);
     }
-    Ok(JobRecords { job, records })
+    found.extend(gathered.map(|of_job| of_job.check(grid)));
+    Ok(found)
 }
 
-/// The bytes of all records that the grid asks for, or why there are none.
-fn put_together(grid: &Grid, rows: &[RecordRow<'_>]) -> Result<Vec<u8>, String> {
-    let (albedo, record_bytes) = (grid.albedo(), RecordShape::of(grid).bytes());
-    let mut bytes = Vec::with_capacity(albedo.len() * record_bytes);
-    // Rows come with rising albedos, as the grid has them.
-    for RecordRow { id, albedo: of_row, profiles, .. } in rows {
+/// The records of a job, as its rows come in with rising albedos: as the grid has them.
+struct Gathered {
+    job: i64,
+    digest: Vec<u8>,
+    bytes: Vec<u8>,
+    /// The first record that cannot be one.
+    corrupt: Option<StoreError>,
+}
+
+impl Gathered {
+    fn new(first: &RecordRow<'_>, grid: &Grid) -> Self {
+        let bytes = Vec::with_capacity(grid.albedo().len() * grid.record_bytes());
+        Self { job: first.job, digest: first.records_digest.to_owned(), bytes, corrupt: None }
+    }
+
+    fn add(&mut self, row: &RecordRow<'_>, grid: &Grid) {
+        let (Some(albedo), Some(profiles)) = (row.albedo, row.profiles) else { return };
         // The point may hold more albedos than this dictionary asks for.
-        let (Some(of_row), Some(profiles)) = (of_row, profiles) else { continue };
-        if !albedo.contains(of_row) {
-            continue;
+        if !grid.albedo().contains(&albedo) {
+            return;
         }
-        if profiles.len() != record_bytes {
-            let row = id.unwrap_or_default();
-            let why = format!("it has {} bytes: {record_bytes} are needed", profiles.len());
-            return Err(StoreError::Corrupt { table: "records", row, column: "profiles", why }.to_string());
+        let wanted = grid.record_bytes();
+        if profiles.len() == wanted {
+            self.bytes.extend_from_slice(profiles);
+        } else {
+            let why = format!("it has {} bytes: {wanted} are needed", profiles.len());
+            let row = row.id.unwrap_or_default();
+            let corrupt = || StoreError::Corrupt { table: "records", row, column: "profiles", why };
+            self.corrupt.get_or_insert_with(corrupt);
         }
-        bytes.extend_from_slice(profiles);
     }
-    let found = bytes.len() / record_bytes;
-    if found == albedo.len() {
-        Ok(bytes)
-    } else {
-        Err(format!("{found} records of {} are there", albedo.len()))
+
+    /// Compares the records with what was stored.
+    fn check(self, grid: &Grid) -> Found {
+        let job = self.job as u32;
+        self.verified(grid).map(|records| JobRecords { job, records }).map_err(|what| Damaged { job, what })
+    }
+
+    fn verified(self, grid: &Grid) -> Result<PackedRecords, String> {
+        let digest = jobs::decode_digest(self.job, &self.digest).map_err(|error| error.to_string())?;
+        if let Some(corrupt) = self.corrupt {
+            return Err(corrupt.to_string());
+        }
+        let (found, wanted) = (self.bytes.len() / grid.record_bytes(), grid.albedo().len());
+        if found != wanted {
+            return Err(format!("{found} records of {wanted} are there"));
+        }
+        let records = PackedRecords::new(&JobSpec::of(grid, self.job as usize), self.bytes.into())
+            .map_err(|error| format!("its records cannot be: {error}"))?;
+        if records.digest() != digest {
+            return Err("its records differ from what was stored".to_owned());
+        }
+        Ok(records)
     }
 }
 
