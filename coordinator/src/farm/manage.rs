@@ -177,7 +177,7 @@ impl Farm {
 
     /// Where blocks of a dictionary's unfinished jobs are gathered, and of no other one's.
     fn blocks_of_none_but(&self, id: DictionaryId) -> Vec<Digest> {
-        let gathered = |d: &Dictionary| d.divided_jobs().into_iter().map(|(_, job)| Digest::of_sums(&job));
+        let gathered = |d: &Dictionary| d.divided_jobs().into_iter().map(|(_, job)| job.sums_identity());
         self.door.query(|dispatcher, _| {
             let others = dispatcher.dictionaries().filter(|d| d.id() != id);
             let others: HashSet<Digest> = others.flat_map(gathered).collect();

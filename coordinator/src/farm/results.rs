@@ -4,7 +4,6 @@ use std::sync::PoisonError;
 
 use farm_proto::ids::WorkerId;
 use farm_proto::lease::LeaseKey;
-use optics_model::Digest;
 use optics_model::job::JobSpec;
 
 use super::records::UNSTEADY;
@@ -88,7 +87,7 @@ impl Farm {
     async fn distrust(&self, arrived: &Arrived<'_>, job: &JobSpec) -> Result<(), StoreError> {
         let _no_result_on_its_way = self.records.write().await;
         let forgotten = self.store.forget_point(job.identity()).await?;
-        self.store.forget_point(Digest::of_sums(job)).await?;
+        self.store.forget_point(job.sums_identity()).await?;
         self.door.transition(|dispatcher, _| dispatcher.distrust(arrived, &forgotten));
         self.begin_again(forgotten);
         self.find_blocks_of(arrived.key).await
@@ -102,7 +101,7 @@ impl Farm {
             tracing::warn!(job = key.job, "stored blocks {UNSTEADY}: nothing was deleted");
             return Ok(());
         };
-        self.store.forget_point(Digest::of_sums(job)).await?;
+        self.store.forget_point(job.sums_identity()).await?;
         self.find_blocks_of(key).await?;
         self.door.transition(|dispatcher, _| dispatcher.damaged(key.dictionary, key.job, &what));
         Ok(())

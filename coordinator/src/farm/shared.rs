@@ -48,7 +48,7 @@ impl Farm {
         let is_taken = |job: u32| taken.iter().any(|(taken, _)| *taken == job);
         for (_, spec) in specs.iter().filter(|(job, spec)| spec.block().is_some() && is_taken(*job)) {
             // Blocks that came before nobody needs any more.
-            self.store.forget_point(Digest::of_sums(spec)).await?;
+            self.store.forget_point(spec.sums_identity()).await?;
         }
         Ok(())
     }

@@ -121,7 +121,7 @@ impl Known {
         let (records, gathered) = match content {
             JobResult::Records(records) => (records, None),
             JobResult::Sums(bytes) => {
-                let point = points::point(tx, Digest::of_sums(job)).await?;
+                let point = points::point(tx, job.sums_identity()).await?;
                 points::contribute(tx, point, *worker).await?;
                 let block = job.block().unwrap_or(0);
                 let Some(total) = sums::add(tx, point, job, block, bytes).await? else {

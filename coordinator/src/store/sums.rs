@@ -120,7 +120,7 @@ impl Store {
             "SELECT point_id, block, sums, sums.digest FROM sums JOIN points ON points.id = point_id \
              WHERE identity = ? ORDER BY block",
         )
-        .bind(&Digest::of_sums(job).as_bytes()[..])
+        .bind(&job.sums_identity().as_bytes()[..])
         .fetch_all(&mut connection)
         .await
         .map_err(doing("reading blocks once more"));
@@ -141,7 +141,7 @@ impl Store {
         let rows: Vec<(i64,)> = sqlx::query_as(
             "SELECT block FROM sums JOIN points ON points.id = point_id WHERE identity = ? ORDER BY block",
         )
-        .bind(&Digest::of_sums(job).as_bytes()[..])
+        .bind(&job.sums_identity().as_bytes()[..])
         .fetch_all(&self.read)
         .await
         .map_err(doing("looking for blocks"))?;

@@ -3,6 +3,8 @@
 mod parts;
 mod walks;
 
+use std::sync::Arc;
+
 use serde::Serialize;
 
 use crate::invalid::{Invalid, Result};
@@ -26,7 +28,7 @@ pub const MAX_JOB_BYTES: u64 = 64 << 20;
 /// A *job* is one transport point with all its albedos, so its records are consecutive.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
-    scene: Scene,
+    scene: Arc<Scene>,
     axes: Axes,
     walks: Walks,
     seed: u64,
@@ -45,7 +47,14 @@ pub struct Axes {
 }
 
 impl Grid {
-    pub fn new(scene: Scene, axes: Axes, walks: Walks, seed: u64, derivatives: bool) -> Result<Self> {
+    pub fn new(
+        scene: impl Into<Arc<Scene>>,
+        axes: Axes,
+        walks: Walks,
+        seed: u64,
+        derivatives: bool,
+    ) -> Result<Self> {
+        let scene = scene.into();
         let axes = Axes {
             sigma_t_per_mm: axis("sigma_t_per_mm", axes.sigma_t_per_mm, check_sigma_t)?,
             albedo: axis("albedo", axes.albedo, check_albedo)?,
@@ -110,6 +119,11 @@ impl Grid {
 
     pub fn quality(&self) -> Option<Quality> {
         self.quality
+    }
+
+    /// The scene, to be shared with jobs.
+    pub fn shared_scene(&self) -> &Arc<Scene> {
+        &self.scene
     }
 
     pub fn scene(&self) -> &Scene {

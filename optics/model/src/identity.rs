@@ -1,9 +1,9 @@
 //! What makes two grids, points or sums of walks the same: digests of all that they depend on.
 
 use crate::digest::Digest;
-use crate::grid::Grid;
-use crate::job::JobSpec;
+use crate::grid::{Grid, Walks};
 use crate::medium::TransportPoint;
+use crate::scene::Scene;
 use crate::{PHYSICS_VERSION, canonical};
 
 impl Digest {
@@ -16,34 +16,33 @@ impl Digest {
     }
 
     /// Identity of a set of walks: scene, transport point, number of walks, seed, derivatives, physics version.
-    pub fn of_walks(job: &JobSpec) -> Self {
+    pub(crate) fn of_walks(
+        scene: &Scene,
+        point: &TransportPoint,
+        walks: Walks,
+        seed: u64,
+        derivatives: bool,
+    ) -> Self {
         let mut hasher = blake3::Hasher::new_derive_key("farm.v1 walks");
         hasher.update(&PHYSICS_VERSION.to_le_bytes());
-        for number in [job.walks().get(), job.seed(), u64::from(job.derivatives())] {
+        for number in [walks.get(), seed, u64::from(derivatives)] {
             hasher.update(&number.to_le_bytes());
         }
-        for number in numbers_of(&job.point()) {
+        for number in numbers_of(point) {
             hasher.update(&number.to_le_bytes());
         }
-        hasher.update(&canonical::scene(job.scene()));
+        hasher.update(&canonical::scene(scene));
         hasher.into()
     }
 
-    /// Identity of the sums of a divided job's blocks: that of its walks, and the albedos that they are weighted with.
-    pub fn of_sums(job: &JobSpec) -> Self {
+    /// Identity of the sums of blocks of walks: that of the walks, and the albedos that they are weighted with.
+    pub(crate) fn of_weighted(walks: Self, albedo: &[f64]) -> Self {
         let mut hasher = blake3::Hasher::new_derive_key("farm.v1 sums");
-        hasher.update(Self::of_walks(job).as_bytes());
-        for albedo in job.albedo() {
+        hasher.update(walks.as_bytes());
+        for albedo in albedo {
             hasher.update(&albedo.to_le_bytes());
         }
         hasher.into()
-    }
-}
-
-impl JobSpec {
-    /// What the job's records depend on, albedos and numbers apart: those with the same identity and albedo are equal.
-    pub fn identity(&self) -> Digest {
-        Digest::of_walks(self)
     }
 }
 

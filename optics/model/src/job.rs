@@ -1,5 +1,8 @@
 //! What is to be traced.
 
+use std::sync::Arc;
+
+use crate::digest::Digest;
 use crate::grid::{Grid, Walks};
 use crate::invalid::{Invalid, Result, each};
 use crate::medium::{TransportPoint, check_albedo};
@@ -9,19 +12,20 @@ use crate::scene::Scene;
 /// All that a tracer needs to compute the records of a transport point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobSpec {
-    scene: Scene,
+    scene: Arc<Scene>,
     point: TransportPoint,
     albedo: Vec<f64>,
     walks: Walks,
     seed: u64,
     derivatives: bool,
+    identity: Digest,
     first_record: usize,
     block: Option<u32>,
 }
 
 impl JobSpec {
     pub fn new(
-        scene: Scene,
+        scene: impl Into<Arc<Scene>>,
         point: TransportPoint,
         albedo: Vec<f64>,
         walks: Walks,
@@ -32,7 +36,19 @@ impl JobSpec {
             return Err(Invalid::new("albedo", "0 values", "at least one is needed"));
         }
         let albedo = each("albedo", albedo, check_albedo)?;
-        Ok(Self { scene, point, albedo, walks, seed, derivatives, first_record: 0, block: None })
+        Ok(Self::checked(scene.into(), point, albedo, walks, seed, derivatives))
+    }
+
+    fn checked(
+        scene: Arc<Scene>,
+        point: TransportPoint,
+        albedo: Vec<f64>,
+        walks: Walks,
+        seed: u64,
+        derivatives: bool,
+    ) -> Self {
+        let identity = Digest::of_walks(&scene, &point, walks, seed, derivatives);
+        Self { scene, point, albedo, walks, seed, derivatives, identity, first_record: 0, block: None }
     }
 
     /// The job of a grid.
@@ -40,22 +56,19 @@ impl JobSpec {
     /// # Panics
     /// If the grid has no such job.
     pub fn of(grid: &Grid, job: usize) -> Self {
-        Self {
-            scene: grid.scene().clone(),
-            point: grid.point(job),
-            albedo: grid.albedo().to_vec(),
-            walks: grid.walks(),
-            seed: grid.seed(),
-            derivatives: grid.derivatives(),
-            first_record: grid.first_record(job),
-            block: None,
-        }
+        let (scene, albedo) = (grid.shared_scene().clone(), grid.albedo().to_vec());
+        Self::checked(scene, grid.point(job), albedo, grid.walks(), grid.seed(), grid.derivatives())
+            .numbered_from(grid.first_record(job))
     }
 
     /// The same job with another number of walks.
     #[must_use]
     pub fn with_walks(self, walks: Walks) -> Self {
-        Self { walks, ..self }
+        if walks == self.walks {
+            return self;
+        }
+        let identity = Digest::of_walks(&self.scene, &self.point, walks, self.seed, self.derivatives);
+        Self { walks, identity, ..self }
     }
 
     /// One block of a divided job.
@@ -71,6 +84,16 @@ impl JobSpec {
     #[must_use]
     pub fn numbered_from(self, first_record: usize) -> Self {
         Self { first_record, ..self }
+    }
+
+    /// What the job's records depend on, albedos and numbers apart: those with the same identity and albedo are equal.
+    pub fn identity(&self) -> Digest {
+        self.identity
+    }
+
+    /// What the sums of the job's blocks depend on.
+    pub fn sums_identity(&self) -> Digest {
+        Digest::of_weighted(self.identity, &self.albedo)
     }
 
     pub fn scene(&self) -> &Scene {

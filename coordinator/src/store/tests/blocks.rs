@@ -158,7 +158,7 @@ async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
     let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
     complete_block(&store, &a, 0, Origin(1)).await;
     complete_block(&store, &b, 1, Origin(1)).await;
-    store.delete_dictionary(a.0.id, &[Digest::of_sums(&a.1)]).await.unwrap();
+    store.delete_dictionary(a.0.id, &[a.1.sums_identity()]).await.unwrap();
     let rows: Vec<(i64,)> = sqlx::query_as("SELECT block FROM sums").fetch_all(&store.read).await.unwrap();
     assert_eq!(rows, [(1,)]);
     assert_eq!(store.stored_blocks(&b.1).await.unwrap(), [1].into());
@@ -183,7 +183,7 @@ async fn a_damaged_block_is_noticed_before_it_is_merged() {
         let error = store.complete(last).await.unwrap_err();
         assert!(matches!(error, StoreError::Corrupt { table: "sums", .. }), "{error}");
         assert_eq!(store.damaged_blocks(&d.1).await.unwrap(), Some(error.to_string()));
-        assert_eq!(store.forget_point(Digest::of_sums(&d.1)).await.unwrap(), []);
+        assert_eq!(store.forget_point(d.1.sums_identity()).await.unwrap(), []);
         assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "all can be computed again");
     }
 }
