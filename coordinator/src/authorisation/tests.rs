@@ -12,7 +12,7 @@ fn guarded<S>(service: S) -> (Authorised<S>, Told) {
     let told = Told::default();
     let into = told.clone();
     let layer = AuthorisationLayer::new(None, move |method, code, _| {
-        into.lock().unwrap().push((method.to_owned(), code))
+        into.lock().unwrap().push((method.to_owned(), code));
     });
     (layer.layer(service), told)
 }

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Farm, FarmError, Result};
 use crate::clock::{Random, random_token};
-use crate::dispatch::{Admission, Grant, Registration, Settings};
+use crate::dispatch::{Admission, Dispatcher, Grant, Registration, Settings};
 
 /// What a worker and the coordinator must agree on.
 #[derive(Debug, Clone, Copy)]
@@ -110,6 +110,6 @@ impl Farm {
 
     /// Looks at all that time alone changes; returns how many leases were freed since their workers are silent.
     pub(crate) fn look_over(&self) -> usize {
-        self.door.transition(|dispatcher, now| dispatcher.look_over(now))
+        self.door.transition(Dispatcher::look_over)
     }
 }

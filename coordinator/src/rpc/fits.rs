@@ -116,7 +116,7 @@ fn options(options: Option<wire::FitOptions>) -> Result<FitOptions, Invalid> {
 
 fn measurement(measurement: Option<wire::Measurement>) -> Result<Measurement, Status> {
     let measurement = required("measurement", measurement)?;
-    Ok(Measurement::try_from(measurement).map_err(|e| e.within("measurement")).or_status()?)
+    Measurement::try_from(measurement).map_err(|e| e.within("measurement")).or_status()
 }
 
 fn materials(materials: Vec<wire::Measurement>) -> Result<Vec<Measurement>, Invalid> {

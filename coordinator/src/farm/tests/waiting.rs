@@ -7,7 +7,7 @@ use tokio_util::sync::CancellationToken;
 use super::*;
 
 const SOON: Duration = Duration::from_millis(20);
-const LONG: Duration = Duration::from_secs(60);
+const LONG: Duration = Duration::from_mins(1);
 
 async fn empty() -> (Arc<Farm>, tempfile::TempDir) {
     let dir = tempfile::tempdir().unwrap();
