@@ -1,10 +1,10 @@
 # Shortcuts; everything works with cargo alone. `just --list` shows them.
 
-# What CI runs: format, lints, all tests.
+# What CI runs: format, lints, documents, dependencies, all tests.
 ci:
     bash .ci/run
 
-# The quick tests of one crate, as in `just test farm-worker`.
+# The quick tests of one crate, as in `just test optics-fit`.
 test crate:
     cargo test -p {{crate}}
 
@@ -16,27 +16,27 @@ physics-long effort="50":
 recovery-long effort="10":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test recovery -- --nocapture
 
-# Everything that befalls a farm of real processes, at length: 200 rounds of kill -9, an absence of a minute, real keepalives.
+# Everything that can happen to a farm of real processes, at length: 200 rounds of kill -9, an absence of a minute, real keepalives.
 faults-long effort="20":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test faults -- --nocapture
 
-# The scheduler against its model, with as many random histories as one likes.
+# The scheduler against its model, with as many random histories as you like.
 model-long cases="20000":
     PROPTEST_CASES={{cases}} cargo test -p farm-coordinator --lib model_tests
 
-# A farm in use that is maltreated for an hour: records stay right, memory, files and database do not grow.
+# A farm in use, maltreated for an hour: records stay right; memory, files and database do not grow.
 soak minutes="60" seed="1":
     FARM_SOAK_MINUTES={{minutes}} FARM_SOAK_SEED={{seed}} cargo test -p farm-tests --test soak -- --nocapture
 
 # The paper's dictionary, timed, in a folder of its own.
 dictionary folder="/tmp/farm-dictionary":
-    cargo build --release
+    cargo build --release -p farmctl
     mkdir -p {{folder}}
     time ./target/release/farmctl submit --data {{folder}}
 
 # Speed of the tracer's parts, of transport points and of the grid's average, for every kernel.
 bench filter="":
-    cargo bench -p farm-worker -- "{{filter}}"
+    cargo bench -p optics-tracer -- "{{filter}}"
 
 # A whole dictionary, ten times over; with 250000 walks it is the paper's.
 bench-dictionary walks="25000":
@@ -57,18 +57,28 @@ round-trip-long effort="8":
 
 # Mitsuba 3 on the same scene, side by side; `python` must have the packages mitsuba and numpy.
 compare-mitsuba python="python3":
-    cargo build --release
+    cargo build --release -p farmctl
     {{python}} tests/mitsuba/compare.py
 
 # The media that `measure` writes for the example, loaded by Mitsuba 3, with the dictionary of a data folder; `python`
 # must have the package mitsuba.
 media-mitsuba data="farm-data" python="python3":
-    cargo build --release
+    cargo build --release -p farmctl
     rm -rf target/media && mkdir -p target/media
     ./target/release/farmctl --data {{data}} measure examples/white.csv --mu 1 --g 0.4 -o target/media --json > target/media/measured.json
     {{python}} tests/mitsuba/media.py --expected target/media/measured.json --dict target/media/media.py --xml target/media/media.xml --pbrt target/media/media.pbrt
 
-# README.md's Python recipe, exactly as it is written there; needs a Python package index.
+# The documents as a book in target/book/html, with dead links reported; needs mdBook.
+book:
+    cargo test -p farm-tests --test documents
+    docs/build
+
+# Spelling, and licences, origins and duplicates of dependencies; needs typos and cargo-deny (see .ci/tools.txt).
+audit:
+    typos
+    cargo deny check
+
+# The Python recipe of docs/python.md, exactly as it is written there; needs a Python package index.
 recipe:
     cargo build --workspace --bins
     BIN=target/debug examples/check

@@ -306,5 +306,4 @@ fn sync_folder(path: &Path) -> io::Result<()> {
 }
 
 #[cfg(test)]
-#[path = "access_files_tests.rs"]
 mod tests;

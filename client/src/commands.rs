@@ -2,6 +2,7 @@
 
 pub(crate) mod access;
 pub(crate) mod backup;
+mod chosen_dictionary;
 pub(crate) mod completions;
 pub(crate) mod doctor;
 pub(crate) mod events;
@@ -20,6 +21,7 @@ pub(crate) mod simulate;
 pub(crate) mod slurm;
 pub(crate) mod status;
 pub(crate) mod submit;
+#[cfg(test)]
+mod tests;
 pub(crate) mod watch;
-mod which;
 pub(crate) mod workers;

@@ -38,14 +38,14 @@ pub(crate) fn patient<T>(message: T) -> tonic::Request<T> {
 pub(crate) struct Connection {
     link: Link,
     address: String,
-    place: Place,
+    host: Host,
     /// There is an access file, and it has no certificate to show.
     without_certificate: bool,
 }
 
-/// Where the farm lives.
+/// Whose process the farm lives in.
 #[derive(Debug)]
-enum Place {
+enum Host {
     Server,
     /// In another process that holds the data directory, and may end at any moment.
     Neighbour,
@@ -66,7 +66,7 @@ pub(crate) async fn with_farm<T>(
 ) -> Result<T> {
     loop {
         let connection = Connection::open(global, purpose).await?;
-        let neighbour = matches!(connection.place, Place::Neighbour);
+        let neighbour = matches!(connection.host, Host::Neighbour);
         let without_certificate = connection.without_certificate;
         let result = work(&connection).await.map_err(|error| connection.in_plain_words(error));
         connection.close().await?;
@@ -147,7 +147,7 @@ impl Connection {
                 anyhow::anyhow!("{}", cause.map_or_else(String::new, ToString::to_string))
             })
             .with_context(|| format!("no coordinator answers at {url}"))?;
-        Ok(Self { link, address: url, place: Place::Server, without_certificate: false })
+        Ok(Self { link, address: url, host: Host::Server, without_certificate: false })
     }
 
     async fn local(data: &Path, purpose: Purpose) -> Result<Self> {
@@ -169,7 +169,7 @@ impl Connection {
             if let Some(address) = DataDir::address(data)
                 && let Ok(connection) = Self::remote(&loopback(&address)?).await
             {
-                return Ok(Self { place: Place::Neighbour, ..connection });
+                return Ok(Self { host: Host::Neighbour, ..connection });
             }
             tokio::time::sleep(LOOK_AGAIN).await;
         }
@@ -194,7 +194,7 @@ impl Connection {
         });
         let embedded = Embedded { coordinator, worker, stop_coordinator, stop_worker };
         match Self::remote(&target).await {
-            Ok(connection) => Ok(Self { place: Place::Embedded(embedded), ..connection }),
+            Ok(connection) => Ok(Self { host: Host::Embedded(embedded), ..connection }),
             Err(error) => {
                 // Why it does not answer is the better explanation.
                 embedded.close().await?;
@@ -209,12 +209,12 @@ impl Connection {
 
     /// Whether the farm lives in this process and ends with it.
     pub(crate) fn is_embedded(&self) -> bool {
-        matches!(self.place, Place::Embedded(_))
+        matches!(self.host, Host::Embedded(_))
     }
 
     /// Whether the farm goes on when this process ends.
     pub(crate) fn is_server(&self) -> bool {
-        matches!(self.place, Place::Server)
+        matches!(self.host, Host::Server)
     }
 
     /// The error of a call; if it is the connection to a server that failed, why, in plain words.
@@ -241,9 +241,9 @@ impl Connection {
     /// Stops what lives in this process: the worker hands its leases back, the coordinator closes its database.
     pub(crate) async fn close(self) -> Result<()> {
         drop(self.link);
-        match self.place {
-            Place::Embedded(embedded) => embedded.close().await,
-            Place::Server | Place::Neighbour => Ok(()),
+        match self.host {
+            Host::Embedded(embedded) => embedded.close().await,
+            Host::Server | Host::Neighbour => Ok(()),
         }
     }
 }

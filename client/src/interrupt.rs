@@ -1,5 +1,7 @@
 //! Ctrl-C and SIGTERM, for the commands that have something to clean up.
 
+use farm_link::signals::termination;
+
 /// The command was stopped by a signal before it had done its work.
 #[derive(Debug, thiserror::Error)]
 #[error("interrupted")]
@@ -7,22 +9,9 @@ pub(crate) struct Interrupted;
 
 /// Ends when the process is asked to stop. Who asks a second time does not want to wait for what is then cleaned up.
 pub(crate) async fn interrupted() {
-    signal().await;
+    termination().await;
     tokio::spawn(async {
-        signal().await;
+        termination().await;
         std::process::exit(crate::exit::INTERRUPTED.into());
     });
-}
-
-async fn signal() {
-    use tokio::signal::unix::{SignalKind, signal};
-    match signal(SignalKind::terminate()) {
-        Ok(mut terminate) => tokio::select! {
-            _ = tokio::signal::ctrl_c() => {}
-            _ = terminate.recv() => {}
-        },
-        Err(_) => {
-            let _ = tokio::signal::ctrl_c().await;
-        }
-    }
 }

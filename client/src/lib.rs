@@ -6,16 +6,17 @@ pub mod cli;
 mod commands;
 mod connection;
 mod exit;
-mod figures;
 mod grid_file;
 mod interrupt;
 mod measurement_file;
-mod media;
 mod output;
 mod plot;
 mod progress;
 mod records;
+mod renderers;
 mod slurm;
+#[cfg(test)]
+mod testing;
 mod whole_file;
 
 use std::process::ExitCode;
@@ -27,7 +28,7 @@ pub use grid_file::{read_grid, read_scene};
 pub use measurement_file::{MeasurementFile, Note, read_measurements};
 
 /// Runs a command. Errors are told on standard error (or, with `--json`, as an object on standard output) and by the
-/// exit code, see [`exit`].
+/// exit code, see `exit`.
 pub async fn run(cli: Cli) -> ExitCode {
     let output = Output::new(cli.global.json);
     match dispatch(cli, &output).await {

@@ -96,6 +96,23 @@ pub(crate) fn warning(text: &str) -> String {
     format!("\u{1b}[33m{text}\u{1b}[0m")
 }
 
+/// A line of text in lines of at most 80 columns.
+pub(crate) fn wrapped(text: &str) -> String {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        let last = lines.last_mut().expect("there is a line");
+        let wide = last.chars().count() + 1 + word.chars().count() > 80;
+        if last.is_empty() || !wide {
+            let space = if last.is_empty() { "" } else { " " };
+            *last += space;
+            *last += word;
+        } else {
+            lines.push(format!("  {word}"));
+        }
+    }
+    lines.join("\n")
+}
+
 /// A horizontal rule above and below the head and at the end.
 const RULED: TableStyle = {
     let rule = LineStyle::new('─', '─', '─', '─');

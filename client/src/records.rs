@@ -6,10 +6,9 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use farm_proto::RECORDS_PROMISED;
 use farm_proto::status::DictionaryStatus;
-use farm_proto::wire;
 use farm_proto::wire::{ExportRequest, GetRequest};
+use farm_proto::{RECORDS_PROMISED, wire};
 use optics_model::Record;
 use tonic::{Code, Status, Streaming};
 

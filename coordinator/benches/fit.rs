@@ -17,7 +17,8 @@ use farm_proto::wire::fits_client::FitsClient;
 use optics_fit as fit;
 use optics_fit::{DictionaryBuilder, FitDictionary};
 use optics_model::fit::{Bounds, FitOptions, FitSettings, MuRange};
-use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, Profile, Record};
+use optics_model::job::JobSpec;
+use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, PackedRecords, Profile, Record};
 use tokio_util::sync::CancellationToken;
 use tonic::transport::{Channel, Endpoint};
 
@@ -45,7 +46,7 @@ fn load(runtime: &tokio::runtime::Runtime) -> FitDictionary {
 fn made_up() -> FitDictionary {
     let grid = Grid::paper();
     let mut builder = DictionaryBuilder::new(grid.clone());
-    for index in 0..grid.record_count() {
+    let record = |index: usize| {
         let (point, medium) = grid.parameters(index);
         let width = 0.3 + point.thickness_mm() / (medium.sigma_t_per_mm() * (1.0 - medium.g()));
         let value = |i: usize| {
@@ -55,7 +56,12 @@ fn made_up() -> FitDictionary {
         let values: Vec<f32> = (0..grid.scene().sensor().pixels()).map(value).collect();
         let estimate = Estimate::new(values.clone(), vec![0.0; values.len()]).unwrap();
         let profile = Profile { radiance_factor: estimate, derivatives: None };
-        builder.add(&Record { index, profiles: vec![profile; 3] });
+        Record { index, profiles: vec![profile; 3] }
+    };
+    for job in 0..grid.job_count() {
+        let first = grid.first_record(job);
+        let records: Vec<Record> = (first..first + grid.albedo().len()).map(record).collect();
+        builder.add(&PackedRecords::pack(&JobSpec::of(&grid, job), &records));
     }
     builder.build()
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use farm_proto::ids::Token;
 
-use crate::dispatch::Chance;
+use crate::dispatch::TokenSource;
 
 /// Reads the machine's clocks.
 #[derive(Debug, Clone)]
@@ -49,7 +49,7 @@ fn random() -> u128 {
 #[derive(Debug, Clone, Copy)]
 pub struct Random;
 
-impl Chance for Random {
+impl TokenSource for Random {
     fn token(&mut self) -> Token {
         // 0 is no token.
         Token(random().max(1))

@@ -1,9 +1,14 @@
 //! What the coordinator can do, each operation once: dispatch, store and fit tied together.
 
 mod backup;
+mod door;
+mod effects;
 mod events;
+mod export;
 mod fit_cache;
 mod inspection;
+mod intake;
+mod leasing;
 mod manage;
 mod records;
 mod results;
@@ -11,31 +16,29 @@ mod shared;
 mod snapshot;
 #[cfg(test)]
 mod tests;
-mod work;
+mod watch;
 
-use std::ops::Range;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use optics_model::{Grid, Invalid};
-use tokio::sync::watch;
 
-use crate::clock::{Clock, Random};
 use crate::config::Config;
-use crate::dispatch;
-use crate::dispatch::{Dictionary, DispatchError, Event, EventKind, Settings};
+use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Settings};
 use crate::metrics::Metrics;
 use crate::store::{Store, StoreError};
-use crate::stored::Origin;
-pub(crate) use backup::Backup;
+pub(crate) use backup::{Backup, BackupPart};
+use door::Door;
 use events::Recorder;
+pub(crate) use export::Export;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
-pub(crate) use records::read_chunk;
-pub(crate) use results::Fate;
-pub(crate) use work::Versions;
+use intake::Room;
+pub(crate) use intake::{Delivered, Header, Piece};
+pub(crate) use leasing::Versions;
+pub(crate) use watch::Watch;
 
 #[derive(Debug, thiserror::Error)]
 pub enum FarmError {
@@ -57,6 +60,14 @@ pub enum FarmError {
     OtherVersion { does: &'static str, found: u32, own: u32 },
     #[error("dictionary {name} is {state}: {allowed}")]
     WrongState { name: DictionaryName, state: &'static str, allowed: &'static str },
+    #[error("storing a result failed")]
+    Broken,
+    #[error("reading the backup: {0}")]
+    Backup(std::io::Error),
+    #[error("the coordinator is stopping")]
+    Stopping,
+    #[error("the next piece of the result did not come within {0} s")]
+    Overdue(u64),
     #[error("worker {which:?}: {why}")]
     Worker { which: String, why: String },
     #[error(
@@ -98,60 +109,38 @@ pub(crate) struct Overview {
 #[derive(Debug)]
 pub(crate) struct Farm {
     store: Store,
-    dispatch: Mutex<dispatch::Dispatcher>,
+    door: Door,
     /// Held by all while results reach the store and then the dispatcher; alone by whoever forgets records there. So
     /// nothing is noted as stored that was forgotten in between.
     records: tokio::sync::RwLock<()>,
     /// Keeps changes of one dictionary from racing.
     managing: tokio::sync::Mutex<()>,
-    clock: Clock,
     fits: FitCache,
-    recorder: Recorder,
-    metrics: Metrics,
-    /// Told whenever there is progress.
-    changed: watch::Sender<()>,
-    /// Told whenever there is work for workers that wait.
-    work: watch::Sender<()>,
+    /// Room in memory for results that come in.
+    room: Room,
     /// Why the last result could not be stored.
     store_fault: Mutex<Option<String>>,
 }
 
 impl Farm {
-    pub(crate) async fn load(store: Store, config: &Config, metrics: Metrics) -> Result<Self, StoreError> {
-        let settings = Settings {
-            lease: config.lease,
-            max_attempts: config.max_attempts,
-            check_share: config.check_share,
-        };
-        let mut dispatch = dispatch::Dispatcher::new(settings);
-        for (worker, reason) in store.fenced().await? {
-            dispatch.remember_fence(Origin(worker), reason);
-        }
-        let mut ids = Vec::new();
-        for stored in store.dictionaries().await? {
-            let ended = store.ended_jobs(stored.id, stored.grid.walks()).await?;
-            let dictionary = Dictionary::new(stored, &ended);
-            if !dictionary.is_active() && dictionary.open_jobs() > 0 {
-                let (name, state) = (dictionary.name(), dictionary.state().as_str());
-                tracing::info!(%name, state, reason = dictionary.reason(), "not continued");
-            }
-            ids.push(dictionary.id());
-            dispatch.take_up_dictionary(dictionary);
-        }
-        let recorder = Recorder::start(store.clone());
-        let farm = Self {
+    pub(crate) async fn load(
+        store: Store,
+        config: &Config,
+        metrics: Metrics,
+    ) -> Result<Arc<Self>, StoreError> {
+        let dispatcher = dispatcher_of(&store, config).await?;
+        let ids: Vec<_> = dispatcher.dictionaries().map(Dictionary::id).collect();
+        let (door, orders) = Door::new(dispatcher, Recorder::start(store.clone()), metrics);
+        let farm = Arc::new(Self {
             store,
-            dispatch: Mutex::new(dispatch),
+            door,
             records: tokio::sync::RwLock::new(()),
             managing: tokio::sync::Mutex::new(()),
-            clock: Clock::start(),
             fits: FitCache::default(),
-            recorder,
-            metrics,
-            changed: watch::channel(()).0,
-            work: watch::channel(()).0,
+            room: Room::default(),
             store_fault: Mutex::default(),
-        };
+        });
+        tokio::spawn(effects::perform(Arc::downgrade(&farm), orders));
         for id in ids {
             farm.find_blocks(id).await?;
             farm.take_over_done(id).await?;
@@ -161,38 +150,19 @@ impl Farm {
 
     /// Notes that the farm can be reached from now on.
     pub(crate) fn started(&self) {
-        let version = format!("version {}", env!("CARGO_PKG_VERSION"));
-        self.recorder.record("", &Event::of_farm(EventKind::CoordinatorStarted, version));
+        self.door.note(EventKind::CoordinatorStarted, format!("version {}", env!("CARGO_PKG_VERSION")));
     }
 
     pub(crate) fn metrics(&self) -> &Metrics {
-        &self.metrics
+        self.door.metrics()
     }
 
     pub(crate) fn store(&self) -> &Store {
         &self.store
     }
 
-    /// Wakes up after every change that happens from now on.
-    pub(crate) fn changes(&self) -> watch::Receiver<()> {
-        self.changed.subscribe()
-    }
-
-    /// Wakes up whenever there may be work for a worker that waits.
-    pub(crate) fn work(&self) -> watch::Receiver<()> {
-        self.work.subscribe()
-    }
-
     pub(crate) fn status(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
-        let dispatch = self.dispatch();
-        dispatch.status(self.clock.now(), name).ok_or_else(|| not_found(&dispatch, name))
-    }
-
-    /// How many of the records of these ranges are done.
-    pub(crate) fn finished_records(&self, name: &DictionaryName, ranges: &[Range<usize>]) -> Result<usize> {
-        let dispatch = self.dispatch();
-        let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;
-        Ok(ranges.iter().map(|range| dictionary.finished_records(range.clone())).sum())
+        self.door.query(|d, now| d.status(now, name).ok_or_else(|| not_found(d, name)))
     }
 
     /// Dictionaries in the order of their numbers, from the one after `after` on, and the number of the last.
@@ -201,65 +171,85 @@ impl Farm {
         after: DictionaryId,
         most: usize,
     ) -> (Vec<DictionaryStatus>, Option<DictionaryId>) {
-        let (dispatch, now) = (self.dispatch(), self.clock.now());
-        let mut rest = dispatch.dictionaries().filter(|d| d.id() > after);
-        let page: Vec<&Dictionary> = rest.by_ref().take(most).collect();
-        let last = rest.next().and(page.last()).map(|d| d.id());
-        (page.into_iter().map(|d| dispatch.status_of(now, d)).collect(), last)
+        self.door.query(|dispatcher, now| {
+            let mut rest = dispatcher.dictionaries().filter(|d| d.id() > after);
+            let page: Vec<&Dictionary> = rest.by_ref().take(most).collect();
+            let last = rest.next().and(page.last()).map(|d| d.id());
+            (page.into_iter().map(|d| dispatcher.status_of(now, d)).collect(), last)
+        })
     }
 
     /// Workers in the order of their ids, from the one after `after` on.
     pub(crate) fn workers(&self, after: &WorkerId, most: usize) -> Vec<WorkerStatus> {
-        self.dispatch().workers(self.clock.now(), after, most)
+        self.door.query(|dispatcher, now| dispatcher.workers(now, after, most))
     }
 
     pub(crate) fn overview(&self) -> Overview {
         let database_bytes = self.store.bytes();
-        let store_fault = self.store_fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let dispatch = self.dispatch();
-        let (jobs_pending, jobs_leased) = dispatch.load();
-        let (workers, threads) = dispatch.strength();
-        Overview {
-            jobs_pending,
-            jobs_leased,
-            jobs_done: dispatch.jobs_done(),
-            dictionaries: dispatch.dictionaries().count(),
-            workers,
-            threads,
-            uptime_ms: self.clock.now().as_millis() as u64,
-            database_bytes,
-            checks: dispatch.checks(),
-            store_fault,
-        }
+        let store_fault = self.store_fault();
+        self.door.query(|dispatcher, now| {
+            let (jobs_pending, jobs_leased) = dispatcher.load();
+            let (workers, threads) = dispatcher.strength();
+            Overview {
+                jobs_pending,
+                jobs_leased,
+                jobs_done: dispatcher.jobs_done(),
+                dictionaries: dispatcher.dictionaries().count(),
+                workers,
+                threads,
+                uptime_ms: now.as_millis() as u64,
+                database_bytes,
+                checks: dispatcher.checks(),
+                store_fault,
+            }
+        })
+    }
+
+    /// Why the last result could not be stored, if it could not.
+    pub(crate) fn store_fault(&self) -> Option<String> {
+        self.store_fault.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Writes what is still to be written and closes the database.
     pub(crate) async fn close(&self) {
-        self.recorder.finish().await;
+        self.door.close().await;
         self.store.close().await;
-    }
-
-    fn dispatch(&self) -> MutexGuard<'_, dispatch::Dispatcher> {
-        // Transitions do not panic half-way; a poisoned lock still guards consistent data.
-        self.dispatch.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Number and grid of a dictionary.
     fn found(&self, name: &DictionaryName) -> Result<(DictionaryId, Arc<Grid>)> {
-        let dispatch = self.dispatch();
-        let dictionary = dispatch.by_name(name).ok_or_else(|| not_found(&dispatch, name))?;
-        Ok((dictionary.id(), dictionary.grid().clone()))
+        self.door.query(|dispatcher, _| {
+            let dictionary = dispatcher.by_name(name).ok_or_else(|| not_found(dispatcher, name))?;
+            Ok((dictionary.id(), dictionary.grid().clone()))
+        })
     }
 }
 
-fn not_found(dispatch: &dispatch::Dispatcher, name: &DictionaryName) -> FarmError {
-    let known = dispatch.dictionaries().take(10).map(|d| d.name().to_string()).collect();
-    FarmError::NotFound { name: name.to_string(), known }
+/// The dispatcher as the store remembers it.
+async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, StoreError> {
+    let mut dispatcher = Dispatcher::new(Settings {
+        lease: config.lease,
+        max_attempts: config.max_attempts,
+        check_share: config.check_share,
+    });
+    for (worker, reason) in store.fenced_workers().await? {
+        dispatcher.remember_fence(worker, reason);
+    }
+    for stored in store.dictionaries().await? {
+        let ended = store.ended_jobs(stored.id, stored.grid.walks()).await?;
+        let dictionary = Dictionary::new(stored, &ended);
+        if !dictionary.is_active() && dictionary.open_jobs() > 0 {
+            let (name, state) = (dictionary.name(), dictionary.state().as_str());
+            tracing::info!(%name, state, reason = dictionary.reason(), "not continued");
+        }
+        dispatcher.take_up_dictionary(dictionary);
+    }
+    Ok(dispatcher)
 }
 
-/// A source of randomness for one call.
-fn chance() -> Random {
-    Random
+fn not_found(dispatcher: &Dispatcher, name: &DictionaryName) -> FarmError {
+    let known = dispatcher.dictionaries().take(10).map(|d| d.name().to_string()).collect();
+    FarmError::NotFound { name: name.to_string(), known }
 }
 
 /// Runs numerics off the async threads; a panic there is passed on.

@@ -1,7 +1,7 @@
 //! The coordinator: splits a grid into jobs, leases them to workers, stores the records, answers fits.
 //!
-//! `rpc → (dispatch, fit) → store`, never back; [`farm::Farm`] ties them together. The caller owns the port
-//! and the stop signal.
+//! `rpc → farm → (dispatch, store, optics-fit)`, never back; dispatch and store do not know each other. The caller
+//! owns the port and the stop signal.
 
 pub mod authorisation;
 pub mod clock;
@@ -12,7 +12,7 @@ mod farm;
 mod metrics;
 mod rpc;
 pub mod store;
-mod stored;
+pub mod stored;
 mod throttle;
 
 use std::sync::Arc;
@@ -29,8 +29,8 @@ use optics_model::PHYSICS_VERSION;
 pub use store::StoreError;
 use store::{Commit, DataDir, Store};
 
-/// How often expired leases are looked for.
-const REAP: Duration = Duration::from_secs(1);
+/// How often all that time alone changes is looked over.
+const LOOK_OVER: Duration = Duration::from_secs(1);
 
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
@@ -63,7 +63,7 @@ impl Coordinator {
         };
         let store = Store::open(DataDir::lock(&config.data_dir)?, committed).await?;
         let farm = Farm::load(store, config, metrics).await?;
-        Ok(Self { farm: Arc::new(farm), config: config.clone() })
+        Ok(Self { farm, config: config.clone() })
     }
 
     /// Serves until `shutdown`, then closes the database. Metrics are served over HTTP on a listener of their own, if
@@ -82,10 +82,10 @@ impl Coordinator {
         tracing::info!(%address, "coordinator is serving");
         let metrics = metrics
             .map(|listener| tokio::spawn(metrics::serve(listener, self.metrics_server(), shutdown.clone())));
-        let reaper = tokio::spawn(reap(self.farm.clone(), shutdown.clone()));
+        let overseer = tokio::spawn(look_over(self.farm.clone(), shutdown.clone()));
         let served = rpc::serve(self.farm.clone(), &self.config, listener, shutdown.clone()).await;
         shutdown.cancel();
-        let _ = reaper.await;
+        let _ = overseer.await;
         if let Some(metrics) = metrics {
             let _ = metrics.await;
         }
@@ -100,15 +100,15 @@ impl Coordinator {
     }
 }
 
-async fn reap(farm: Arc<Farm>, shutdown: CancellationToken) {
-    let mut tick = tokio::time::interval(REAP);
+async fn look_over(farm: Arc<Farm>, shutdown: CancellationToken) {
+    let mut tick = tokio::time::interval(LOOK_OVER);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {
         tokio::select! {
             () = shutdown.cancelled() => return,
             _ = tick.tick() => {}
         }
-        let freed = farm.expire().await;
+        let freed = farm.look_over();
         if freed > 0 {
             tracing::warn!(freed, "leases have expired: their workers were silent too long");
         }

@@ -8,9 +8,8 @@ use std::time::Duration;
 
 use clap::Parser;
 use farm_coordinator::{Config, Coordinator};
-use farm_link::CoordinatorAccess;
-use farm_link::logs;
 use farm_link::logs::LogFormat;
+use farm_link::{CoordinatorAccess, logs, signals};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
@@ -104,12 +103,7 @@ fn share(text: &str) -> Result<f64, String> {
 }
 
 async fn stop_on_signal(shutdown: CancellationToken) {
-    use tokio::signal::unix::{SignalKind, signal};
-    let Ok(mut terminate) = signal(SignalKind::terminate()) else { return };
-    tokio::select! {
-        _ = terminate.recv() => {}
-        _ = tokio::signal::ctrl_c() => {}
-    }
+    signals::termination().await;
     tracing::info!("stopping");
     shutdown.cancel();
 }

@@ -47,8 +47,8 @@ pub enum EndedJob {
         job: u32,
         walks: Walks,
         records: Digest,
-        /// Row of the worker that computed it, if one did it alone.
-        by: Option<i64>,
+        /// The worker that computed it, if one did it alone.
+        by: Option<Origin>,
         /// Its records were there before.
         reused: bool,
     },
@@ -77,8 +77,7 @@ pub struct Completion {
     pub dictionary: DictionaryId,
     pub job_number: u32,
     pub job: JobSpec,
-    /// Row of the worker.
-    pub worker: i64,
+    pub worker: Origin,
     pub content: JobResult,
     /// If the records must reach a target error.
     pub quality: Option<Quality>,
@@ -107,6 +106,15 @@ pub enum Outcome {
     Before { records: Digest, new: Digest },
     /// Nothing is kept: another job has stored other records for the same walks.
     Differs,
+    /// A block that is stored already, or was merged: nothing is left to compare with.
+    Repeated,
+}
+
+impl Outcome {
+    /// Whether other records are stored than these.
+    pub fn is_conflict(self) -> bool {
+        matches!(self, Self::Differs) || matches!(self, Self::Before { records, new } if records != new)
+    }
 }
 
 impl JobResult {

@@ -106,11 +106,11 @@ http() {
   exec 9>&-
 }
 
-# The figures that the README's alerts ask for exist.
-check_figures() {
+# The metrics that the alerts in README.md ask for exist.
+check_metrics() {
   local name
   while read -r name; do
-    grep -q "^${name}[{ ]" "$1" || fail "README.md has an alert on $name, which is not among the figures"
+    grep -q "^${name}[{ ]" "$1" || fail "README.md has an alert on $name, which is not among the metrics"
   done < <(sed -n 's/^ *expr: //p' "$deploy/README.md" | grep -o 'farm_[a-z_]*' | sort -u)
 }
 
@@ -149,7 +149,7 @@ run_farm() {
     http "$path" >"$work/answer"
     [[ $(head -n 1 "$work/answer") == *" 200 "* ]] || fail "$path on the metrics port does not answer 200"
   done
-  check_figures "$work/answer"
+  check_metrics "$work/answer"
   say "coordinator and worker run on a read-only root as user 65532, and are healthy"
   as_client submit /data/small.toml --wait >/dev/null || fail "small.toml is not computed: $(tail -n 5 "$work/worker.log")"
   found=$(as_client --json show small | digest_of)

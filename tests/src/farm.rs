@@ -1,173 +1,378 @@
-//! A real farm in this process: coordinator on a loopback port, workers over gRPC, data in a temporary folder.
+//! A farm of real processes: a coordinator that keeps its port over restarts, workers, and all who talk to them.
 
-use std::net::SocketAddr;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use farm_coordinator::{Config, Coordinator};
-use farm_link::Target;
+use farm_link::{ClientAccess, Link, Target};
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::fits_client::FitsClient;
 use farm_proto::wire::{SubmitRequest, WatchRequest};
-use optics_model::grid::Axes;
-use optics_model::scene::{Channel, Scene, Sensor};
-use optics_model::{Grid, Walks};
-use tokio::net::TcpListener;
-use tokio::task::JoinHandle;
-use tokio_util::sync::CancellationToken;
-use tonic::transport::Channel as Link;
+use optics_model::Grid;
+use serde_json::Value;
 
 use crate::hand::HandWorker;
+use crate::process::{LONG, Process, Ran, SOON, farmctl, free_port, run, wait_for};
 
-/// A grid of 12 jobs and 36 records that takes a second of one core.
-pub fn small_grid() -> Grid {
-    let axes = Axes {
-        sigma_t_per_mm: vec![1.0, 4.0, 8.0],
-        albedo: vec![0.5, 0.9, 0.99],
-        g: vec![0.0, 0.4],
-        thickness_mm: vec![0.5, 1.0],
-        sample_ior: vec![1.53],
-    };
-    let channels = vec![Channel::new("R", 0.985, 0.024).unwrap(), Channel::new("G", 0.972, 0.023).unwrap()];
-    let scene = Scene::paper().with_channels(channels).unwrap();
-    let scene = scene.with_sensor(Sensor::new(10.0, 90, 0.0).unwrap());
-    Grid::new(scene, axes, Walks::new(25_000).unwrap(), 1, false).unwrap()
-}
-
-/// A coordinator task; the data directory is the caller's.
+/// A coordinator with a folder of its own, for its data, its access files and the logs of all.
 #[derive(Debug)]
-pub struct TestCoordinator {
-    address: SocketAddr,
-    stop: CancellationToken,
-    task: JoinHandle<Result<(), farm_coordinator::Error>>,
+pub struct Farm {
+    coordinator: Option<Process>,
+    folder: tempfile::TempDir,
+    data: PathBuf,
+    port: u16,
+    metrics: u16,
+    /// Whether it lets only those in who have a file of `keys`.
+    closed: bool,
+    options: Vec<String>,
+    logs: AtomicU32,
 }
 
-impl TestCoordinator {
-    pub async fn start(data: &Path, lease: Duration, port: u16) -> Result<Self> {
-        let config = Config { lease, ..Config::new(data) };
-        let coordinator = Coordinator::open(&config).await?;
-        let listener = TcpListener::bind(("127.0.0.1", port)).await?;
-        let address = listener.local_addr()?;
-        let stop = CancellationToken::new();
-        let task = tokio::spawn(coordinator.serve(listener, None, stop.clone()));
-        Ok(Self { address, stop, task })
+impl Farm {
+    /// Starts a coordinator that is open to this machine, and waits until it answers.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn start(options: &[&str]) -> Self {
+        let folder = tempfile::tempdir().expect("a folder can be made");
+        let data = folder.path().join("data");
+        Self::with_data(folder, data, options)
     }
 
-    pub fn address(&self) -> SocketAddr {
-        self.address
+    /// The same with its data in a folder that is there.
+    ///
+    /// # Panics
+    /// If it does not answer.
+    pub fn with_data(folder: tempfile::TempDir, data: PathBuf, options: &[&str]) -> Self {
+        Self::new(folder, data, options).started()
+    }
+
+    /// Makes access files in `keys`, as the options of `farmctl access create` say, and starts a coordinator that lets
+    /// nobody else in.
+    ///
+    /// # Panics
+    /// If it does not answer.
+    pub fn closed(access: &[&str], options: &[&str]) -> Self {
+        let folder = tempfile::tempdir().expect("a folder can be made");
+        let data = folder.path().join("data");
+        let mut farm = Self::new(folder, data, options);
+        farm.create_access("keys", access);
+        farm.closed = true;
+        farm.started()
+    }
+
+    fn new(folder: tempfile::TempDir, data: PathBuf, options: &[&str]) -> Self {
+        Self {
+            coordinator: None,
+            folder,
+            data,
+            port: free_port(),
+            metrics: free_port(),
+            closed: false,
+            options: options.iter().map(ToString::to_string).collect(),
+            logs: AtomicU32::new(0),
+        }
+    }
+
+    fn started(mut self) -> Self {
+        self.start_coordinator();
+        self
+    }
+
+    /// Makes a set of access files for this farm's address.
+    ///
+    /// # Panics
+    /// If they cannot be made.
+    pub fn create_access(&self, set: &str, options: &[&str]) {
+        let port = self.port.to_string();
+        let args = ["access", "create", set, "--host", "localhost", "--port", &port];
+        let created = run(self.folder(), &[&args[..], options].concat());
+        assert_eq!(created.code, 0, "{}", created.stderr);
+    }
+
+    /// Starts the coordinator on the port and the data that it had, and waits until it answers.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn start_coordinator(&mut self) {
+        let (listen, metrics) = (format!("127.0.0.1:{}", self.port), format!("127.0.0.1:{}", self.metrics));
+        let (data, access) = (text(&self.data), self.path("keys/coordinator.toml"));
+        let mut args = vec!["--listen", &listen, "--metrics", &metrics, "--data", data];
+        if self.closed {
+            args.extend(["--access", text(&access)]);
+        }
+        args.extend(self.options.iter().map(String::as_str));
+        let mut process = Process::start("farm-coordinator", &args, &self.path("coordinator.log"));
+        wait_for("the coordinator answers", SOON, || {
+            assert!(process.is_running(), "the coordinator ended: {}", process.log());
+            self.page("/livez").filter(|(code, _)| *code == 200)
+        });
+        self.coordinator = Some(process);
+    }
+
+    /// # Panics
+    /// If it does not run.
+    pub fn coordinator(&self) -> &Process {
+        self.coordinator.as_ref().expect("the coordinator runs")
+    }
+
+    /// Whether it has not ended by itself.
+    pub fn coordinator_runs(&mut self) -> bool {
+        self.coordinator.as_mut().is_some_and(Process::is_running)
+    }
+
+    /// `kill -9`.
+    pub fn kill_coordinator(&mut self) {
+        self.coordinator.take().expect("the coordinator runs").kill();
+    }
+
+    /// SIGTERM; the exit code.
+    ///
+    /// # Panics
+    /// If it does not end in time.
+    pub fn stop_coordinator(&mut self) -> i32 {
+        self.coordinator.take().expect("the coordinator runs").terminate(Duration::from_secs(10))
+    }
+
+    /// Stops the coordinator and starts it on other data.
+    ///
+    /// # Panics
+    /// If it does not end well, or not answer.
+    pub fn move_to(&mut self, data: &str) {
+        assert_eq!(self.stop_coordinator(), 0);
+        self.data = self.path(data);
+        self.start_coordinator();
     }
 
     pub fn url(&self) -> String {
-        format!("http://{}", self.address)
+        let scheme = if self.closed { "https" } else { "http" };
+        format!("{scheme}://127.0.0.1:{}", self.port)
     }
 
-    pub async fn link(&self) -> Result<Link> {
-        Ok(Link::from_shared(self.url())?.connect().await?)
+    pub fn port(&self) -> u16 {
+        self.port
     }
 
-    pub async fn stop(self) -> Result<()> {
-        self.stop.cancel();
-        Ok(self.task.await??)
-    }
-}
-
-/// A worker task with one tracing thread.
-#[derive(Debug)]
-pub struct TestWorker {
-    stop: CancellationToken,
-    task: JoinHandle<Result<farm_worker::Ended, farm_worker::Error>>,
-}
-
-impl TestWorker {
-    pub fn start(url: &str) -> Self {
-        let target = Target::new(None, Some(url)).unwrap();
-        let config = farm_worker::Config { threads: 1, ..farm_worker::Config::new(target) };
-        let stop = CancellationToken::new();
-        let task = tokio::spawn(farm_worker::run(config, stop.clone()));
-        Self { stop, task }
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
     }
 
-    pub async fn stop(self) -> Result<()> {
-        self.stop.cancel();
-        self.task.await??;
-        Ok(())
-    }
-}
-
-/// Coordinator, data folder and clients.
-#[derive(Debug)]
-pub struct TestFarm {
-    dir: tempfile::TempDir,
-    pub coordinator: TestCoordinator,
-    link: Link,
-}
-
-impl TestFarm {
-    pub async fn start() -> Result<Self> {
-        Self::with_lease(Duration::from_secs(30)).await
+    /// A file or folder of the farm's folder.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder().join(name)
     }
 
-    pub async fn with_lease(lease: Duration) -> Result<Self> {
-        let dir = tempfile::tempdir()?;
-        let coordinator = TestCoordinator::start(&dir.path().join("data"), lease, 0).await?;
-        let link = coordinator.link().await?;
-        Ok(Self { dir, coordinator, link })
+    pub fn database(&self) -> PathBuf {
+        self.data.join("farm.db")
     }
 
+    /// A worker with one thread, called `label`, at this farm.
+    pub fn worker(&self, label: &str, options: &[&str]) -> Process {
+        if self.closed {
+            return self.worker_with("keys/worker.toml", label, options);
+        }
+        self.worker_at(&self.url(), label, options)
+    }
+
+    /// A worker that reaches the farm at another address.
+    pub fn worker_at(&self, url: &str, label: &str, options: &[&str]) -> Process {
+        self.start_worker(["--server", url], label, options)
+    }
+
+    /// A worker with an access file of the farm's folder.
+    pub fn worker_with(&self, access: &str, label: &str, options: &[&str]) -> Process {
+        self.start_worker(["--access", text(&self.path(access))], label, options)
+    }
+
+    fn start_worker(&self, way: [&str; 2], label: &str, options: &[&str]) -> Process {
+        let number = self.logs.fetch_add(1, Ordering::Relaxed);
+        let log = self.path(&format!("{label}-{number}.log"));
+        let args = ["--threads", "1", "--label", label, "--log-format", "json"];
+        Process::start("farm-worker", &[&way[..], &args, options].concat(), &log)
+    }
+
+    /// Logs of all workers so far, as JSON objects.
+    pub fn worker_logs(&self) -> Vec<Value> {
+        let files = std::fs::read_dir(self.folder.path()).unwrap().map(|entry| entry.unwrap().path());
+        let logs =
+            files.filter(|f| f.extension().is_some_and(|e| e == "log") && !f.ends_with("coordinator.log"));
+        let texts: Vec<String> = logs.map(|f| std::fs::read_to_string(f).unwrap()).collect();
+        // A worker that was killed may have left half a line.
+        texts.iter().flat_map(|t| t.lines()).filter_map(|line| serde_json::from_str(line).ok()).collect()
+    }
+
+    /// `farmctl` with this farm, as anybody, or as an admin.
+    pub fn farmctl(&self, args: &[&str]) -> Ran {
+        if self.closed {
+            self.farmctl_with("keys/admin.toml", args)
+        } else {
+            self.command(args).output().unwrap().into()
+        }
+    }
+
+    /// `farmctl` with an access file.
+    pub fn farmctl_with(&self, access: &str, args: &[&str]) -> Ran {
+        run(self.folder(), &[args, &["--access", access]].concat())
+    }
+
+    /// `farmctl` with this farm, which is open; not yet started.
+    pub fn command(&self, args: &[&str]) -> Command {
+        let mut command = farmctl(self.folder());
+        command.args(args).args(["--server", &self.url()]);
+        command
+    }
+
+    /// `farmctl --json`, which must succeed: the data of its answer.
+    ///
+    /// # Panics
+    /// If it fails.
+    pub fn ask(&self, args: &[&str]) -> Value {
+        let ran = self.farmctl(&[args, &["--json"]].concat());
+        assert_eq!(ran.code, 0, "{args:?}: {} {}", ran.stdout, ran.stderr);
+        let mut answer: Value = serde_json::from_str(&ran.stdout).expect("--json prints JSON");
+        answer["data"].take()
+    }
+
+    /// Submits a grid under a name.
+    pub fn submit(&self, name: &str, grid: &str) {
+        let file = self.folder.path().join(format!("{name}.toml"));
+        std::fs::write(&file, grid).unwrap();
+        self.ask(&["submit", file.to_str().unwrap()]);
+    }
+
+    /// What `farmctl show` tells of a dictionary.
+    pub fn show(&self, name: &str) -> Value {
+        self.ask(&["show", name])
+    }
+
+    /// What `farmctl list` tells; None if the coordinator does not answer.
+    pub fn listed(&self, name: &str) -> Option<Value> {
+        let ran = self.farmctl(&["list", "--json"]);
+        let answer: Value = serde_json::from_str(&ran.stdout).ok()?;
+        answer["data"]["dictionaries"].as_array()?.iter().find(|d| d["name"] == name).cloned()
+    }
+
+    /// Waits until the dictionary is done: its records' digest.
+    ///
+    /// # Panics
+    /// If it is not in time.
+    pub fn done(&self, name: &str) -> String {
+        wait_for(&format!("{name} is done"), LONG, || {
+            let listed = self.listed(name)?;
+            let digest = listed["records_digest"].as_str()?.to_owned();
+            (listed["state"] == "done").then_some(digest)
+        })
+    }
+
+    /// Waits until workers hold at least so many leases of the dictionary.
+    ///
+    /// # Panics
+    /// If they do not in time.
+    pub fn leased(&self, name: &str, least: u64) {
+        wait_for("jobs are leased", SOON, || {
+            (self.listed(name)?["jobs_leased"].as_u64()? >= least).then_some(())
+        });
+    }
+
+    /// Events of a kind that have happened.
+    pub fn events(&self, kind: &str) -> Vec<Value> {
+        let events = self.ask(&["events", "-n", "1000"])["events"].take();
+        events.as_array().unwrap().iter().filter(|e| e["kind"] == kind).cloned().collect()
+    }
+
+    /// A page of the port for figures: status code and text. None if nobody answers.
+    pub fn page(&self, path: &str) -> Option<(u16, String)> {
+        let mut stream = TcpStream::connect(("127.0.0.1", self.metrics)).ok()?;
+        stream.set_read_timeout(Some(SOON)).ok()?;
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: farm\r\nConnection: close\r\n\r\n").ok()?;
+        let mut text = String::new();
+        stream.read_to_string(&mut text).ok()?;
+        let code = text.split(' ').nth(1)?.parse().ok()?;
+        Some((code, text.split_once("\r\n\r\n")?.1.to_owned()))
+    }
+
+    /// A figure since the coordinator's start, as in `farm_jobs_completed_total{outcome="stored"}`.
+    ///
+    /// # Panics
+    /// If the coordinator does not tell it.
+    pub fn figure(&self, name: &str) -> u64 {
+        let (_, text) = self.page("/metrics").expect("the coordinator tells figures");
+        let line = text.lines().find_map(|l| l.strip_prefix(name)?.strip_prefix(' '));
+        line.map_or(0.0, |value| value.parse::<f64>().expect("a number")) as u64
+    }
+
+    /// A connection to the farm as anybody, or as an admin: made when it is used.
+    ///
+    /// # Panics
+    /// If the access file cannot be read.
     pub fn link(&self) -> Link {
-        self.link.clone()
+        if self.closed {
+            return self.link_with("keys/admin.toml");
+        }
+        Target::new(None, Some(&self.url())).unwrap().connect_lazy()
     }
 
-    pub fn data(&self) -> PathBuf {
-        self.dir.path().join("data")
-    }
-
-    pub fn worker(&self) -> TestWorker {
-        TestWorker::start(&self.coordinator.url())
+    /// The same with an access file of the farm's folder.
+    ///
+    /// # Panics
+    /// If it cannot be read.
+    pub fn link_with(&self, access: &str) -> Link {
+        let access = ClientAccess::read(&self.path(access)).unwrap();
+        Target::new(Some(&access), None).unwrap().connect_lazy()
     }
 
     pub fn dictionaries(&self) -> DictionariesClient<Link> {
-        DictionariesClient::new(self.link.clone())
+        DictionariesClient::new(self.link()).max_decoding_message_size(16 << 20)
+    }
+
+    pub fn fits(&self) -> FitsClient<Link> {
+        FitsClient::new(self.link())
     }
 
     /// A worker by hand.
     pub async fn hand(&self, label: &str) -> Result<HandWorker, tonic::Status> {
-        HandWorker::register(self.link.clone(), label).await
+        HandWorker::register(self.link(), label).await
     }
 
-    pub fn fits(&self) -> FitsClient<Link> {
-        FitsClient::new(self.link.clone())
-    }
-
-    pub async fn submit(&self, name: &str, grid: &Grid) -> Result<DictionaryStatus> {
+    /// Submits a grid under a name, by hand.
+    pub async fn submit_grid(&self, name: &str, grid: &Grid) -> Result<DictionaryStatus> {
         let request = SubmitRequest { name: name.to_owned(), grid: Some(grid.into()), priority: 0 };
         Ok(self.dictionaries().submit(request).await?.into_inner().try_into()?)
     }
 
-    /// Waits until the dictionary is done.
-    pub async fn done(&self, name: &str) -> Result<DictionaryStatus> {
-        done(self.link.clone(), name).await
+    /// Watches a dictionary until it is done.
+    pub async fn watched(&self, name: &str) -> Result<DictionaryStatus> {
+        let request = WatchRequest { name: name.to_owned() };
+        let mut updates = self.dictionaries().watch(request).await?.into_inner();
+        let mut last = None;
+        while let Some(update) = updates.message().await? {
+            last = Some(DictionaryStatus::try_from(update)?);
+        }
+        let status = last.context("the watch told nothing")?;
+        ensure!(status.state() == DictionaryState::Done, "{:?}", status.failed);
+        Ok(status)
     }
 
-    /// Stops the coordinator and returns the data folder, still there.
-    pub async fn into_dir(self) -> Result<tempfile::TempDir> {
-        drop(self.link);
-        self.coordinator.stop().await?;
-        Ok(self.dir)
+    /// Rows of records in the database, and how many of them are not the only one of their point and albedo.
+    ///
+    /// # Panics
+    /// If it cannot be read.
+    pub async fn record_rows(&self) -> (u64, u64) {
+        use sqlx::{Connection, Row};
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.database()).read_only(true);
+        let mut database = sqlx::SqliteConnection::connect_with(&options).await.expect("it can be opened");
+        let query = "SELECT count(*), count(*) - (SELECT count(*) FROM (SELECT DISTINCT point_id, albedo FROM records)) \
+                     FROM records";
+        let row = sqlx::query(query).fetch_one(&mut database).await.expect("it can be read");
+        (row.get::<i64, _>(0) as u64, row.get::<i64, _>(1) as u64)
     }
 }
 
-/// Watches a dictionary until it is done.
-pub async fn done(link: Link, name: &str) -> Result<DictionaryStatus> {
-    let request = WatchRequest { name: name.to_owned() };
-    let mut updates = DictionariesClient::new(link).watch(request).await?.into_inner();
-    let mut last = None;
-    while let Some(update) = updates.message().await? {
-        last = Some(DictionaryStatus::try_from(update)?);
-    }
-    let status = last.context("the watch told nothing")?;
-    ensure!(status.state() == DictionaryState::Done, "{:?}", status.failed);
-    Ok(status)
+fn text(path: &Path) -> &str {
+    path.to_str().expect("the path is text")
 }

@@ -1,27 +1,18 @@
 //! A worker by hand, which does what a test wants.
 
-use std::sync::atomic::AtomicBool;
-
 use anyhow::Result;
 use bytes::Bytes;
+use farm_link::Link;
 use farm_proto::PROTOCOL_VERSION;
 use farm_proto::lease::Lease;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
-    AcquireRequest, CompleteRequest, CompletionKind, CompletionOutcome, HeldLease, RegisterRequest,
-    RenewRequest, ResultHeader,
+    AcquireRequest, CompleteRequest, CompletionKind, CompletionOutcome, FailRequest, HandBackRequest,
+    HeldLease, RegisterRequest, RenewRequest, ResultHeader,
 };
-use optics_model::job::JobSpec;
-use optics_model::{Grid, PHYSICS_VERSION, Record};
-use optics_tracer::trace;
+use optics_model::{PHYSICS_VERSION, Record};
 use tonic::Status;
-use tonic::transport::Channel;
-
-/// The records of a job of a grid, as the tracer makes them.
-pub fn traced(grid: &Grid, job: usize) -> Vec<Record> {
-    trace(&JobSpec::of(grid, job), &AtomicBool::new(false)).unwrap()
-}
 
 /// The records as they are delivered.
 pub fn on_wire(records: &[Record]) -> Bytes {
@@ -47,13 +38,13 @@ pub fn falsified(records: &[Record]) -> Bytes {
 
 #[derive(Debug, Clone)]
 pub struct HandWorker {
-    client: LeasesClient<Channel>,
+    client: LeasesClient<Link>,
     pub id: String,
 }
 
 impl HandWorker {
     /// Registers; the label is also the instance.
-    pub async fn register(link: Channel, label: &str) -> Result<Self, Status> {
+    pub async fn register(link: Link, label: &str) -> Result<Self, Status> {
         let mut client = LeasesClient::new(link).max_decoding_message_size(16 << 20);
         let request = RegisterRequest {
             label: label.to_owned(),
@@ -103,5 +94,17 @@ impl HandWorker {
 
     pub async fn deliver(&mut self, parts: Vec<CompleteRequest>) -> Result<Vec<CompletionOutcome>, Status> {
         Ok(self.client.complete(tokio_stream::iter(parts)).await?.into_inner().outcomes)
+    }
+
+    /// Reports that it could not compute the job.
+    pub async fn fail(&mut self, lease: &Lease, reason: &str) -> Result<(), Status> {
+        let (worker_id, reason) = (self.id.clone(), reason.to_owned());
+        self.client.fail(FailRequest { worker_id, lease: Some(lease.key.into()), reason }).await.map(drop)
+    }
+
+    /// Leaves the farm.
+    pub async fn leave(mut self) -> Result<(), Status> {
+        let request = HandBackRequest { worker_id: self.id, leases: vec![], leaving: true };
+        self.client.hand_back(request).await.map(drop)
     }
 }

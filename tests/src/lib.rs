@@ -5,11 +5,10 @@
 
 pub mod cli;
 pub mod farm;
-pub mod farm_processes;
+pub mod grids;
 pub mod hand;
 pub mod process;
 pub mod proxy;
 pub mod reference;
-pub mod soak_processes;
 pub mod statistics;
 pub mod usage;

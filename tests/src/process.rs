@@ -1,8 +1,56 @@
-//! The built programs, run as users run them.
+//! The built programs, run as users run them, and what befalls processes.
 
+use std::fs::File;
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU16, Ordering};
+use std::time::Duration;
+
+pub use rustix::process::Signal;
+use tokio::time::Instant;
+
+use crate::usage::Usage;
+
+/// How long anything may take that needs no tracing.
+pub const SOON: Duration = Duration::from_secs(30);
+/// How long a dictionary may take.
+pub const LONG: Duration = Duration::from_mins(3);
+/// Pause before another look.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Looks until there is something to see, and fails after `limit`.
+///
+/// # Panics
+/// If there is nothing in time.
+pub fn wait_for<T>(what: &str, limit: Duration, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + limit;
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(Instant::now() < deadline, "waited {limit:?} in vain: {what}");
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// A port that nobody listens on, below those that the system gives to outgoing connections: one of these could take it
+/// while its owner restarts.
+///
+/// # Panics
+/// If there is none.
+pub fn free_port() -> u16 {
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    for _ in 0..1000 {
+        let offset = (std::process::id() as u16).wrapping_mul(101) % 10_000;
+        let port = 20_000 + (offset + NEXT.fetch_add(1, Ordering::Relaxed)) % 12_000;
+        if TcpListener::bind(("127.0.0.1", port)).is_ok() {
+            return port;
+        }
+    }
+    panic!("there is no free port");
+}
 
 /// The program of this name, built by cargo in the profile of the tests.
 ///
@@ -70,14 +118,102 @@ pub fn run(folder: &Path, args: &[&str]) -> Ran {
     farmctl(folder).args(args).output().expect("farmctl starts").into()
 }
 
-/// A process that is killed when the test ends, however it ends.
+/// A program that runs. Killed when dropped; if the test has failed, what it logged is shown.
 #[derive(Debug)]
-pub struct Killed(pub Child);
+pub struct Process {
+    name: String,
+    child: Child,
+    log: PathBuf,
+}
 
-impl Drop for Killed {
-    fn drop(&mut self) {
+impl Process {
+    /// Starts a program whose standard error goes to a file.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn start(name: &str, args: &[&str], log: &Path) -> Self {
+        let mut command = Command::new(program(name));
+        // Acknowledged results are told at this level.
+        command.env("FARM_LOG", "info,farm_worker=debug").args(args);
+        Self::spawn(name, &mut command, log)
+    }
+
+    /// The same of a command with arguments, without settings from the surroundings.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn spawn(name: &str, command: &mut Command, log: &Path) -> Self {
+        for variable in ["FARM_SERVER", "FARM_ACCESS", "FARM_DATA", "FARM_LISTEN", "FARM_METRICS"] {
+            command.env_remove(variable);
+        }
+        let file = File::options().create(true).append(true).open(log).expect("the log can be written to");
+        let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(file).spawn();
+        Self { name: name.to_owned(), child: child.expect("the program starts"), log: log.to_owned() }
+    }
+
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Sends a signal.
+    ///
+    /// # Panics
+    /// If the process is gone.
+    pub fn signal(&self, signal: Signal) {
+        let id = rustix::process::Pid::from_child(&self.child);
+        rustix::process::kill_process(id, signal).expect("the process is there");
+    }
+
+    /// `kill -9`, and waits until it is gone.
+    pub fn kill(&mut self) {
         // It may have ended by itself.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Waits for the end and tells the exit code; -1 after a signal.
+    ///
+    /// # Panics
+    /// If it does not end in time.
+    pub fn exit_within(&mut self, limit: Duration) -> i32 {
+        let status = wait_for(&format!("{} ends", self.name), limit, || {
+            self.child.try_wait().expect("it can be waited for")
+        });
+        status.code().unwrap_or(-1)
+    }
+
+    /// SIGTERM; the exit code.
+    ///
+    /// # Panics
+    /// If it does not end in time.
+    pub fn terminate(&mut self, limit: Duration) -> i32 {
+        self.signal(Signal::TERM);
+        self.exit_within(limit)
+    }
+
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().expect("it can be waited for").is_none()
+    }
+
+    /// Standard error so far.
+    pub fn log(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// What it takes of the machine; None if it has ended.
+    pub fn usage(&self) -> Option<Usage> {
+        Usage::of(self.id())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.kill();
+        if std::thread::panicking() {
+            let log = self.log();
+            let lines: Vec<_> = log.lines().collect();
+            eprintln!("--- the last lines of {} ({}):", self.name, self.log.display());
+            lines[lines.len().saturating_sub(25)..].iter().for_each(|line| eprintln!("{line}"));
+        }
     }
 }

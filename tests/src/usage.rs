@@ -10,6 +10,8 @@ pub struct Usage {
     /// Processor time so far, of all threads, in and outside the kernel.
     pub cpu_s: f64,
     pub resident_kib: u64,
+    /// The most so far.
+    pub peak_kib: u64,
     pub files: usize,
 }
 
@@ -21,10 +23,14 @@ impl Usage {
         let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
         let ticks = |field: usize| fields.get(field)?.parse::<f64>().ok();
         let status = read_to_string(format!("/proc/{pid}/status")).ok()?;
-        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+        let kib = |field| {
+            let line = status.lines().find_map(|line| line.strip_prefix(field))?;
+            line.trim().strip_suffix(" kB")?.parse().ok()
+        };
         Some(Self {
             cpu_s: (ticks(11)? + ticks(12)?) / TICKS,
-            resident_kib: resident.trim().strip_suffix(" kB")?.parse().ok()?,
+            resident_kib: kib("VmRSS:")?,
+            peak_kib: kib("VmHWM:")?,
             files: std::fs::read_dir(format!("/proc/{pid}/fd")).ok()?.count(),
         })
     }
@@ -55,6 +61,7 @@ mod tests {
             after.cpu_s > before.cpu_s && after.resident_kib > 100 && after.files > 2,
             "{after:?} {busy}"
         );
+        assert!(after.peak_kib >= before.resident_kib, "{before:?} {after:?}");
         assert_eq!(Usage::of(u32::MAX), None);
     }
 

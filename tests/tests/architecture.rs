@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use farm_tests::reference::root;
@@ -133,4 +134,116 @@ fn the_store_knows_nothing_above_it() {
         "coordinator/src/store",
         &["crate::rpc", "crate::dispatch", "crate::farm", "crate::fit", "tonic::"],
     );
+}
+
+#[test]
+fn the_scheduler_has_one_door() {
+    for (path, text) in sources(&root().join("coordinator/src/farm")) {
+        let is_door = path.ends_with("door.rs");
+        for word in ["Mutex<Dispatcher>", "send_replace", "take_outbox", "recorder.record("] {
+            assert!(is_door || !text.contains(word), "{word} is for door.rs alone, not {}", path.display());
+        }
+    }
+}
+
+/// Streams to clients are handed on in one place; everything else is one call.
+#[test]
+fn services_do_not_loop() {
+    for (path, text) in sources(&root().join("coordinator/src/rpc")) {
+        let hands_on = path.ends_with("outgoing.rs");
+        assert!(hands_on || !text.contains("    loop {"), "{} must not loop", path.display());
+    }
+}
+
+/// A file without its folder's `mod.rs` or extension: `fit/view` for both `fit/view.rs` and `fit/view/mod.rs`.
+fn module_of(file: &Path, source: &Path) -> Vec<String> {
+    let path = file.strip_prefix(source).unwrap().with_extension("");
+    let mut parts: Vec<String> = path.iter().map(|part| part.to_str().unwrap().to_owned()).collect();
+    if matches!(parts.last().map(String::as_str), Some("mod" | "lib" | "main")) {
+        parts.pop();
+    }
+    parts
+}
+
+/// The modules that a file names: paths from `crate::` or `super::`, as far as there are files for them.
+fn named_by(module: &[String], text: &str, all: &BTreeSet<Vec<String>>) -> BTreeSet<Vec<String>> {
+    let code = text.split("#[cfg(test)]").next().unwrap();
+    let code: String = code.lines().filter(|l| !l.trim_start().starts_with("//")).collect();
+    let mut named = BTreeSet::new();
+    for (at, _) in code.match_indices("crate::").chain(code.match_indices("super::")) {
+        let within = code[..at].chars().next_back().is_some_and(|c| c.is_alphanumeric() || c == ':');
+        if within {
+            continue;
+        }
+        let mut parts: Vec<&str> = code[at..].split("::").collect();
+        let end = |p: &str| p.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(p.len());
+        let mut base = module.to_vec();
+        if parts[0] == "crate" {
+            base.clear();
+            parts.remove(0);
+        }
+        while parts.first() == Some(&"super") {
+            base.pop();
+            parts.remove(0);
+        }
+        // The deepest module on the way; of a list in braces, each name.
+        let mut deepest = base.clone();
+        for part in parts {
+            if let Some(list) = part.strip_prefix('{') {
+                let list = list.split('}').next().unwrap();
+                for name in list.split(',').map(|name| name.trim()) {
+                    let module = [&deepest[..], &[name[..end(name)].to_owned()]].concat();
+                    if all.contains(&module) {
+                        named.insert(module);
+                    }
+                }
+                break;
+            }
+            let next = [&deepest[..], &[part[..end(part)].to_owned()]].concat();
+            if !all.contains(&next) {
+                break;
+            }
+            deepest = next;
+        }
+        named.insert(deepest);
+    }
+    named
+}
+
+/// Files that need each other cannot be understood one after the other. A module and the folder that it lies in may name
+/// each other.
+#[test]
+fn no_files_name_each_other_in_a_circle() {
+    let crates = ARROWS.iter().map(|(krate, _)| root().join(krate).join("src"));
+    let mut circles = Vec::new();
+    for source in crates {
+        let files: BTreeMap<Vec<String>, String> = sources(&source)
+            .into_iter()
+            .filter(|(path, _)| !path.to_string_lossy().contains("tests"))
+            .map(|(path, text)| (module_of(&path, &source), text))
+            .collect();
+        let all: BTreeSet<Vec<String>> = files.keys().cloned().collect();
+        let related = |a: &[String], b: &[String]| a.starts_with(b) || b.starts_with(a);
+        let arrows: BTreeMap<_, Vec<_>> = files
+            .iter()
+            .map(|(module, text)| {
+                let named = named_by(module, text, &all).into_iter();
+                (module, named.filter(|other| all.contains(other) && !related(module, other)).collect())
+            })
+            .collect();
+        for start in all.iter() {
+            // Whatever can be reached from a file must not reach back to it.
+            let mut reached = BTreeSet::new();
+            let mut next: Vec<&Vec<String>> = arrows[start].iter().collect();
+            while let Some(module) = next.pop() {
+                if reached.insert(module) {
+                    next.extend(&arrows[module]);
+                }
+            }
+            if reached.contains(start) {
+                circles.push(format!("{}: {}", source.display(), start.join("::")));
+            }
+        }
+    }
+    assert!(circles.is_empty(), "files that name each other in a circle: {circles:#?}");
 }

@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, keys, rows, write};
-use farm_tests::process::{Ran, farmctl, program, run};
+use farm_tests::process::{Process, Ran, farmctl, program, run};
 use serde_json::{Value, json as value};
 
 #[test]
@@ -122,8 +122,9 @@ fn a_second_command_joins_the_farm_that_is_running() {
     let dir = folder();
     // Some seconds of work, so that the farm is there to be joined.
     write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 2500000"));
-    let submit = farmctl(dir.path()).args(["submit", "long.toml", "-q"]).spawn().unwrap();
-    let mut submit = farm_tests::process::Killed(submit);
+    let mut submit = farmctl(dir.path());
+    submit.args(["submit", "long.toml", "-q"]);
+    let mut submit = Process::spawn("farmctl", &mut submit, &dir.path().join("farmctl.log"));
     let joined = (0..100).find_map(|_| {
         std::thread::sleep(std::time::Duration::from_millis(50));
         let ran = run(dir.path(), &["status", "--json"]);
@@ -132,7 +133,7 @@ fn a_second_command_joins_the_farm_that_is_running() {
     let status = joined.expect("the running farm answers");
     assert!(status["address"].as_str().unwrap().starts_with("http://127.0.0.1:"));
     assert_eq!(status["workers"].as_array().unwrap().len(), 1);
-    submit.0.kill().unwrap();
+    submit.kill();
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! How much is traced: divided jobs, target errors, and records that are there already.
 
 use anyhow::Result;
-use farm_tests::farm::{TestFarm, small_grid};
-use farm_tests::hand::traced;
+use farm_tests::farm::Farm;
+use farm_tests::grids::{small_grid, traced};
+use farm_tests::process::SOON;
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Quality, Record, Walks};
@@ -40,16 +41,17 @@ fn blocks_traced_apart_make_the_records_of_the_whole() -> Result<()> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_divided_job_of_several_workers_has_the_undivided_jobs_bytes() -> Result<()> {
-    let (farm, grid) = (TestFarm::start().await?, one_point(4_250_000)?);
-    let workers = [farm.worker(), farm.worker()];
-    farm.submit("divided", &grid).await?;
-    let status = farm.done("divided").await?;
+    let (mut farm, grid) = (Farm::start(&[]), one_point(4_250_000)?);
+    let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
+    farm.submit_grid("divided", &grid).await?;
+    let status = farm.watched("divided").await?;
     let whole = Digest::of_jobs([Digest::of_records(&traced(&grid, 0))]);
     assert_eq!(status.records_digest, Some(whole));
-    for worker in workers {
-        worker.stop().await?;
+    for worker in &mut workers {
+        assert_eq!(worker.terminate(SOON), 0);
     }
-    farm.coordinator.stop().await
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 fn noise(records: &[Record]) -> f64 {
@@ -58,14 +60,14 @@ fn noise(records: &[Record]) -> f64 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn points_are_traced_until_the_target_error_and_have_the_bytes_of_as_many_walks() -> Result<()> {
-    let farm = TestFarm::start().await?;
+    let mut farm = Farm::start(&[]);
     let plain = small_grid();
     let first: Vec<f64> = (0..plain.job_count()).map(|job| noise(&traced(&plain, job))).collect();
     let target = 0.6 * first.iter().copied().fold(0.0, f64::max);
     let grid = plain.clone().with_quality(Quality::new(target, Walks::new(1_000_000)?)?)?;
-    let worker = farm.worker();
-    farm.submit("quality", &grid).await?;
-    let status = farm.done("quality").await?;
+    let mut worker = farm.worker("worker", &[]);
+    farm.submit_grid("quality", &grid).await?;
+    let status = farm.watched("quality").await?;
     let (fewest, most) = status.walks;
     assert_eq!(fewest, plain.walks().get(), "some points are quiet enough at once");
     assert!(most > 2 * plain.walks().get(), "the noisiest need (1/0.6)² times as many: {most}");
@@ -85,17 +87,18 @@ async fn points_are_traced_until_the_target_error_and_have_the_bytes_of_as_many_
         digests.push(Digest::of_records(&records));
     }
     assert_eq!(status.records_digest, Some(Digest::of_jobs(digests)));
-    worker.stop().await?;
-    farm.coordinator.stop().await
+    assert_eq!(worker.terminate(SOON), 0);
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_finer_grid_computes_only_what_is_missing_and_has_the_same_bytes() -> Result<()> {
-    let farm = TestFarm::start().await?;
-    let worker = farm.worker();
+    let mut farm = Farm::start(&[]);
+    let mut worker = farm.worker("worker", &[]);
     let coarse = small_grid();
-    farm.submit("coarse", &coarse).await?;
-    farm.done("coarse").await?;
+    farm.submit_grid("coarse", &coarse).await?;
+    farm.watched("coarse").await?;
     let finer = |sigma_t: Vec<f64>, albedo: Vec<f64>| {
         let axes = Axes {
             sigma_t_per_mm: sigma_t,
@@ -108,14 +111,15 @@ async fn a_finer_grid_computes_only_what_is_missing_and_has_the_same_bytes() -> 
     };
     // One extinction is new, and one albedo is left out, which changes nothing for the others.
     let fine = finer(vec![1.0, 4.0, 6.0, 8.0], vec![0.5, 0.99])?;
-    let submitted = farm.submit("fine", &fine).await?;
+    let submitted = farm.submit_grid("fine", &fine).await?;
     assert_eq!((submitted.jobs_done, submitted.jobs_total()), (12, 16));
     assert_eq!(submitted.records_reused, 24);
-    let status = farm.done("fine").await?;
+    let status = farm.watched("fine").await?;
     let digests = (0..fine.job_count()).map(|job| Digest::of_records(&traced(&fine, job)));
     assert_eq!(status.records_digest, Some(Digest::of_jobs(digests)));
     // The same grid under another name needs nothing at all.
-    assert_eq!(farm.submit("again", &coarse).await?.jobs_done, 12);
-    worker.stop().await?;
-    farm.coordinator.stop().await
+    assert_eq!(farm.submit_grid("again", &coarse).await?.jobs_done, 12);
+    assert_eq!(worker.terminate(SOON), 0);
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }

@@ -10,8 +10,10 @@ use farm_proto::wire::{
     CompletionKind, ExportRequest, FitRequest, GetRequest, RegisterRequest, SubmitRequest,
 };
 use farm_proto::{PROTOCOL_VERSION, wire};
-use farm_tests::farm::{TestCoordinator, TestFarm, TestWorker, done, small_grid};
-use farm_tests::hand::{falsified, on_wire, traced, with_number};
+use farm_tests::farm::Farm;
+use farm_tests::grids::{small_grid, traced};
+use farm_tests::hand::{falsified, on_wire, with_number};
+use farm_tests::process::SOON;
 use optics_model::fit::ChannelFit;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Record, Walks};
@@ -26,7 +28,7 @@ fn digest(jobs: &[Vec<Record>]) -> Digest {
     Digest::of_jobs(jobs.iter().map(|records| Digest::of_records(records)))
 }
 
-async fn exported(farm: &TestFarm, name: &str) -> Result<Vec<Record>> {
+async fn exported(farm: &Farm, name: &str) -> Result<Vec<Record>> {
     let request = ExportRequest { name: name.to_owned(), ..Default::default() };
     let mut stream = farm.dictionaries().export(request).await?.into_inner();
     let mut records = Vec::new();
@@ -38,26 +40,27 @@ async fn exported(farm: &TestFarm, name: &str) -> Result<Vec<Record>> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_farms_records_are_those_of_the_tracer_bit_for_bit() -> Result<()> {
-    let (farm, grid) = (TestFarm::start().await?, small_grid());
-    let workers = [farm.worker(), farm.worker()];
-    farm.submit("small", &grid).await?;
-    let status = farm.done("small").await?;
+    let (mut farm, grid) = (Farm::start(&[]), small_grid());
+    let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
+    farm.submit_grid("small", &grid).await?;
+    let status = farm.watched("small").await?;
     let expected = all_records(&grid);
     assert_eq!(status.records_digest, Some(digest(&expected)));
     assert_eq!(exported(&farm, "small").await?, expected.concat());
     assert_eq!((status.records_done(), status.work_done), (36, 1.0));
-    for worker in workers {
-        worker.stop().await?;
+    for worker in &mut workers {
+        assert_eq!(worker.terminate(SOON), 0);
     }
-    farm.coordinator.stop().await
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_simulated_measurement_is_fitted_to_its_own_record_over_grpc() -> Result<()> {
-    let (farm, grid) = (TestFarm::start().await?, small_grid());
-    let worker = farm.worker();
-    farm.submit("small", &grid).await?;
-    farm.done("small").await?;
+    let (mut farm, grid) = (Farm::start(&[]), small_grid());
+    let mut worker = farm.worker("worker", &[]);
+    farm.submit_grid("small", &grid).await?;
+    farm.watched("small").await?;
     let (records, sensor) = (all_records(&grid).concat(), grid.scene().sensor());
     let profile = |thickness: usize| {
         let record = &records[grid.record_at(0, 1, 1, thickness, 2)];
@@ -79,11 +82,12 @@ async fn a_simulated_measurement_is_fitted_to_its_own_record_over_grpc() -> Resu
     assert_eq!((answer.material.as_str(), fit.channel.as_str(), fit.candidates.len()), ("m", "G", 3));
     assert_eq!((best.medium.sigma_t_per_mm(), best.medium.albedo(), best.medium.g()), (4.0, 0.99, 0.4));
     assert!(best.error < 1e-5 && fit.candidates[1].error > 10.0 * best.error, "{fit:?}");
-    worker.stop().await?;
-    farm.coordinator.stop().await
+    assert_eq!(worker.terminate(SOON), 0);
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
-async fn leased(farm: &TestFarm, name: &str) -> Result<u64> {
+async fn leased(farm: &Farm, name: &str) -> Result<u64> {
     let dictionary = farm.dictionaries().get(GetRequest { name: name.to_owned() }).await?.into_inner();
     Ok(dictionary.jobs_leased)
 }
@@ -91,41 +95,43 @@ async fn leased(farm: &TestFarm, name: &str) -> Result<u64> {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
     // With leases of an hour only a hand-back lets the second worker go on.
-    let (farm, grid) = (TestFarm::with_lease(Duration::from_hours(1)).await?, small_grid());
-    farm.submit("small", &grid).await?;
-    let first = farm.worker();
+    let (mut farm, grid) = (Farm::start(&["--lease", "3600"]), small_grid());
+    farm.submit_grid("small", &grid).await?;
+    let mut first = farm.worker("worker", &[]);
     while leased(&farm, "small").await? == 0 {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
-    first.stop().await?;
+    assert_eq!(first.terminate(SOON), 0);
     assert_eq!(leased(&farm, "small").await?, 0);
-    let second = farm.worker();
-    let status = tokio::time::timeout(Duration::from_mins(1), farm.done("small")).await??;
+    let mut second = farm.worker("worker", &[]);
+    let status = tokio::time::timeout(Duration::from_mins(1), farm.watched("small")).await??;
     assert!(status.failed.is_empty());
-    second.stop().await?;
-    farm.coordinator.stop().await
+    assert_eq!(second.terminate(SOON), 0);
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_job_of_a_silent_worker_goes_to_another_and_its_late_result_is_a_duplicate() -> Result<()> {
-    let (farm, grid) = (TestFarm::with_lease(Duration::from_millis(400)).await?, small_grid());
-    farm.submit("small", &grid).await?;
+    let (mut farm, grid) = (Farm::start(&["--lease", "1"]), small_grid());
+    farm.submit_grid("small", &grid).await?;
     let mut silent = farm.hand("silent").await?;
     let lease = silent.acquire(1).await?.remove(0);
     let records = traced(&grid, lease.key.job as usize);
-    let worker = farm.worker();
-    farm.done("small").await?;
+    let mut worker = farm.worker("worker", &[]);
+    farm.watched("small").await?;
     assert_eq!(silent.complete(&lease, on_wire(&records)).await?, CompletionKind::Duplicate);
     assert_eq!(silent.complete(&lease, falsified(&records)).await?, CompletionKind::Conflict);
     assert_eq!(exported(&farm, "small").await?, all_records(&grid).concat());
-    worker.stop().await?;
-    farm.coordinator.stop().await
+    assert_eq!(worker.terminate(SOON), 0);
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Result<()> {
-    let (farm, grid) = (TestFarm::start().await?, small_grid());
-    farm.submit("small", &grid).await?;
+    let (mut farm, grid) = (Farm::start(&[]), small_grid());
+    farm.submit_grid("small", &grid).await?;
     let mut worker = farm.hand("by hand").await?;
     let lease = worker.acquire(1).await?.remove(0);
     let good = on_wire(&traced(&grid, lease.key.job as usize));
@@ -149,12 +155,13 @@ async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Re
     assert!(exported(&farm, "small").await?.is_empty());
     assert_eq!(worker.complete(&lease, good).await?, CompletionKind::Stored);
     assert_eq!(exported(&farm, "small").await?.len(), 3);
-    farm.coordinator.stop().await
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_of_another_version_is_refused() -> Result<()> {
-    let farm = TestFarm::start().await?;
+    let mut farm = Farm::start(&[]);
     // Those that know no version of the protocol send none.
     for (physics_version, protocol_version, what) in
         [(PHYSICS_VERSION + 1, PROTOCOL_VERSION, "physics"), (PHYSICS_VERSION, 0, "protocol")]
@@ -166,14 +173,15 @@ async fn a_worker_of_another_version_is_refused() -> Result<()> {
         let message = refused.message();
         assert!(message.contains(what) && message.contains("install the same"), "{message}");
     }
-    farm.coordinator.stop().await
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn submitting_is_idempotent_and_names_belong_to_one_grid() -> Result<()> {
-    let (farm, grid) = (TestFarm::start().await?, small_grid());
-    let first = farm.submit("small", &grid).await?;
-    assert_eq!(farm.submit("small", &grid).await?, first);
+    let (mut farm, grid) = (Farm::start(&[]), small_grid());
+    let first = farm.submit_grid("small", &grid).await?;
+    assert_eq!(farm.submit_grid("small", &grid).await?, first);
     let mut other = wire::Grid::from(&grid);
     other.seed += 1;
     let request = SubmitRequest { name: "small".to_owned(), grid: Some(other.clone()), priority: 0 };
@@ -188,13 +196,14 @@ async fn submitting_is_idempotent_and_names_belong_to_one_grid() -> Result<()> {
         (unknown.code(), unknown.message()),
         (Code::NotFound, "dictionary none does not exist; there are: small")
     );
-    farm.coordinator.stop().await
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_dictionary_that_is_not_complete_is_not_fitted_with() -> Result<()> {
-    let (farm, grid) = (TestFarm::start().await?, small_grid());
-    farm.submit("small", &grid).await?;
+    let (mut farm, grid) = (Farm::start(&[]), small_grid());
+    farm.submit_grid("small", &grid).await?;
     let x: Vec<f64> = (0..20).map(|i| f64::from(i) * 0.5 - 4.75).collect();
     let measurement = Measurement::new("m", vec![MeasuredProfile::new("R", 0.5, x.clone(), x, None)?])?;
     let measurement = Some((&measurement).into());
@@ -202,43 +211,46 @@ async fn a_dictionary_that_is_not_complete_is_not_fitted_with() -> Result<()> {
     let refused = farm.fits().fit(request).await.unwrap_err();
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("0 of 36 records are done"), "{}", refused.message());
-    farm.coordinator.stop().await
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn workers_outlive_a_coordinator_that_is_away_for_a_while() -> Result<()> {
     let grid = small_grid();
-    let farm = TestFarm::start().await?;
-    farm.submit("small", &grid).await?;
-    let worker = TestWorker::start(&farm.coordinator.url());
+    let mut farm = Farm::start(&[]);
+    farm.submit_grid("small", &grid).await?;
+    let mut worker = farm.worker("worker", &[]);
     tokio::time::sleep(Duration::from_millis(100)).await;
-    let port = farm.coordinator.address().port();
-    let dir = farm.into_dir().await?;
+    assert_eq!(farm.stop_coordinator(), 0);
     tokio::time::sleep(Duration::from_millis(300)).await;
-    let again = TestCoordinator::start(&dir.path().join("data"), Duration::from_secs(30), port).await?;
-    let status = tokio::time::timeout(Duration::from_mins(2), done(again.link().await?, "small")).await??;
+    farm.start_coordinator();
+    let status = tokio::time::timeout(Duration::from_mins(2), farm.watched("small")).await??;
     assert_eq!(status.records_digest, Some(digest(&all_records(&grid))));
-    worker.stop().await?;
-    again.stop().await
+    assert_eq!(worker.terminate(SOON), 0);
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
 }
 
 /// A client that asks for everything and reads nothing must not keep the coordinator from stopping.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_does_not_read_does_not_hold_up_a_stop() -> Result<()> {
-    let farm = TestFarm::start().await?;
+    let mut farm = Farm::start(&[]);
     let mut grid = wire::Grid::from(&small_grid());
     // Records of 0.4 MB, far more than the link's windows hold.
     grid.scene.as_mut().unwrap().sensor.as_mut().unwrap().pixels = 8192;
     grid.walks = 5000;
     grid.derivatives = true;
-    let worker = farm.worker();
-    farm.submit("large", &Grid::try_from(grid)?).await?;
-    farm.done("large").await?;
-    worker.stop().await?;
+    let mut worker = farm.worker("worker", &[]);
+    farm.submit_grid("large", &Grid::try_from(grid)?).await?;
+    farm.watched("large").await?;
+    assert_eq!(worker.terminate(SOON), 0);
     let request = ExportRequest { name: "large".to_owned(), ..Default::default() };
     let mut unread = farm.dictionaries().export(request).await?.into_inner();
     assert!(unread.message().await?.is_some());
-    tokio::time::timeout(Duration::from_secs(8), farm.coordinator.stop()).await??;
+    let start = tokio::time::Instant::now();
+    assert_eq!(farm.stop_coordinator(), 0);
+    assert!(start.elapsed() < Duration::from_secs(8), "it took {:?}", start.elapsed());
     while let Ok(Some(_)) = unread.message().await {}
     Ok(())
 }

@@ -11,10 +11,9 @@
 )]
 
 use std::path::Path;
-use std::process::Stdio;
 use std::time::Instant;
 
-use farm_tests::process::{Killed, farmctl, program, run};
+use farm_tests::process::{Process, farmctl, program, run};
 use farm_tests::statistics::effort;
 
 const GRID: &str = "\
@@ -60,16 +59,12 @@ fn an_embedded_farm_killed_again_and_again_ends_with_the_same_bytes() {
     let killed = folder_with_grid();
     let (mut interrupted, mut in_the_middle, mut stored) = (0, 0, 0);
     for round in 0..rounds() {
-        let child = farmctl(killed.path())
-            .args(["submit", "grid.toml", "-q"])
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        let mut child = Killed(child);
+        let mut submit = farmctl(killed.path());
+        submit.args(["submit", "grid.toml", "-q"]);
+        let mut submit = Process::spawn("farmctl", &mut submit, &killed.path().join("farmctl.log"));
         std::thread::sleep(whole.mul_f64(0.5 * moment(round)));
-        interrupted += u32::from(child.0.try_wait().unwrap().is_none());
-        drop(child);
+        interrupted += u32::from(submit.is_running());
+        submit.kill();
         let now = records_done(killed.path()).unwrap_or(0);
         assert!(now >= stored, "{stored} records were stored, {now} are left after a kill");
         in_the_middle += u32::from(now > 0 && now < 72);

@@ -15,16 +15,18 @@
 
 #[path = "soak/client.rs"]
 mod client;
+#[path = "soak/maltreated.rs"]
+mod maltreated;
 
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use farm_tests::soak_processes::{Fault, Processes};
 use farm_tests::statistics::Normal;
 use farm_tests::usage::{Usage, zombies_of};
 
 use client::{Client, RECORD_BYTES, RECORDS, Tally};
+use maltreated::{Fault, Maltreated};
 
 const LEASE_S: u64 = 2;
 const WORKERS: usize = 3;
@@ -54,37 +56,35 @@ fn seed() -> u64 {
 
 #[test]
 fn a_farm_that_is_maltreated_keeps_its_records_and_does_not_grow() {
-    let folder = tempfile::tempdir().unwrap();
     let whole = seconds();
-    let mut processes = Processes::start(folder.path(), WORKERS, LEASE_S);
+    let mut farm = Maltreated::start(WORKERS, LEASE_S);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
     let (start, tally) = (Instant::now(), Arc::new(Tally::default()));
     let clients: Vec<_> = (0..CLIENTS)
         .map(|number| {
-            let client = Client::new(&processes.url(), number, seed(), tally.clone(), runtime.handle());
+            let client = Client::new(&farm.url(), number, seed(), tally.clone(), runtime.handle());
             runtime.spawn(client.run(start + whole))
         })
         .collect();
     let mut samples = Vec::new();
-    maltreat(&mut processes, start, whole, &tally, &mut samples);
+    maltreat(&mut farm, start, whole, &tally, &mut samples);
     let live: Vec<_> = clients.into_iter().flat_map(|client| runtime.block_on(client).unwrap()).collect();
     // What was told to be done is on the disk.
-    processes.inflict(Fault::KillCoordinator, &mut Normal::new(0));
-    let check = Client::new(&processes.url(), CLIENTS, seed(), tally.clone(), runtime.handle());
+    farm.inflict(Fault::KillCoordinator, &mut Normal::new(0));
+    let check = Client::new(&farm.url(), CLIENTS, seed(), tally.clone(), runtime.handle());
     runtime.block_on(check.assert_exactly(&live));
     let events = runtime.block_on(check.last_event());
-    processes.assert_all_run();
-    let data = processes.data();
-    processes.stop();
+    farm.assert_all_run();
+    farm.stop();
     assert_eq!(zombies_of(std::process::id()), [0; 0], "ended processes are waited for");
     println!("{tally:?}, {events} events");
     tell(&samples);
     assert_flat(&samples);
-    assert_explained(&data, live.len(), events, tally.done());
+    assert_explained(&farm.database(), live.len(), events, tally.done());
 }
 
 fn maltreat(
-    processes: &mut Processes,
+    farm: &mut Maltreated,
     start: Instant,
     whole: Duration,
     tally: &Tally,
@@ -96,19 +96,20 @@ fn maltreat(
     let (quarter, mut lives) = (whole / 4, false);
     while start.elapsed() < whole {
         std::thread::sleep(pause.mul_f64(0.5 + chance.uniform()));
-        processes.assert_all_run();
+        farm.assert_all_run();
         let fault = Fault::LIST[(chance.uniform() * Fault::LIST.len() as f64) as usize];
         let dies = if start.elapsed() < quarter {
             chance.uniform() < 0.3
         } else {
             !std::mem::replace(&mut lives, true)
         };
-        processes.inflict(if dies { Fault::KillCoordinator } else { fault }, &mut chance);
-        let size = |name: &str| std::fs::metadata(processes.data().join(name)).map_or(0, |m| m.len());
+        farm.inflict(if dies { Fault::KillCoordinator } else { fault }, &mut chance);
+        let size =
+            |name: &str| std::fs::metadata(farm.database().with_file_name(name)).map_or(0, |m| m.len());
         // A coordinator that has just been started is not warm yet.
         if lives
             && !dies
-            && let Some(usage) = processes.usage()
+            && let Some(usage) = farm.usage()
         {
             let (database, log) = (size("farm.db"), size("farm.db-wal"));
             samples.push(Sample { at: start.elapsed(), usage, database, log, dictionaries: tally.done() });
@@ -152,8 +153,8 @@ fn assert_flat(samples: &[Sample]) {
 
 /// The pages of deleted dictionaries were used again: the file is as large as the dictionaries that there were at a time,
 /// with as much again for pages that are not full, the events, and a few pages for each table and index.
-fn assert_explained(data: &Path, live: usize, events: u64, done: u64) {
-    let header = std::fs::read(data.join("farm.db")).unwrap();
+fn assert_explained(database: &Path, live: usize, events: u64, done: u64) {
+    let header = std::fs::read(database).unwrap();
     let number = |at: usize| u64::from(u32::from_be_bytes(header[at..at + 4].try_into().unwrap()));
     let (pages, free, page_bytes) = (number(28), number(36), header.len() as u64 / number(28));
     let dictionary = RECORDS * RECORD_BYTES;

@@ -2,54 +2,31 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
-use std::path::Path;
-use std::time::Duration;
-
-use farm_link::{ClientAccess, Target};
-use farm_proto::wire::RegisterRequest;
-use farm_proto::wire::leases_client::LeasesClient;
-use farm_tests::farm_processes::{LONG, Process, SOON, Signal, free_port, undisturbed, wait_for};
-use farm_tests::process::{Ran, farmctl};
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::hand::HandWorker;
+use farm_tests::process::{LONG, Ran, SOON, run, wait_for};
 use serde_json::Value;
 
 const GRID: &str = "sigma_t_per_mm = [4, 8]\nalbedo = [0.9, 0.999]\ng = [0.0, 0.4]\nwalks = 50000\n";
 
 struct Site {
-    folder: tempfile::TempDir,
-    port: u16,
-    data: &'static str,
-    coordinator: Process,
+    farm: Farm,
 }
 
 impl Site {
     fn start() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let port = free_port();
-        let made: Ran = farmctl(folder.path())
-            .args(["access", "create", "keys", "--host", "localhost", "--port", &port.to_string()])
-            .output()
-            .unwrap()
-            .into();
-        assert_eq!(made.code, 0, "{}", made.stderr);
-        std::fs::write(folder.path().join("grid.toml"), GRID).unwrap();
-        std::fs::write(folder.path().join("other.toml"), format!("{GRID}seed = 2\n")).unwrap();
-        let coordinator =
-            serve(&folder.path().join("keys/coordinator.toml"), port, &folder.path().join("data"));
-        let site = Self { folder, port, data: "data", coordinator };
-        site.answers();
+        let farm = Farm::closed(&[], &["--max-attempts", "1", "--lease", "5"]);
+        std::fs::write(farm.path("grid.toml"), GRID).unwrap();
+        std::fs::write(farm.path("other.toml"), format!("{GRID}seed = 2\n")).unwrap();
+        let site = Self { farm };
+        assert_eq!(site.run("admin", &["health"]).code, 0);
         site
-    }
-
-    fn answers(&self) {
-        wait_for("the coordinator answers", SOON, || {
-            (self.run("admin", &["health"]).code == 0).then_some(())
-        });
     }
 
     /// Runs `farmctl` with the file of a role.
     fn run(&self, role: &str, args: &[&str]) -> Ran {
-        let access = format!("keys/{role}.toml");
-        farmctl(self.folder.path()).args(args).args(["--access", &access]).output().unwrap().into()
+        self.farm.farmctl_with(&format!("keys/{role}.toml"), args)
     }
 
     /// The same, which must end with this exit code; as JSON.
@@ -63,60 +40,19 @@ impl Site {
         self.ends(0, "client", args)["data"].take()
     }
 
-    fn worker(&self) -> Process {
-        let (access, log) =
-            (self.folder.path().join("keys/worker.toml"), self.folder.path().join("worker.log"));
-        let args = ["--access", access.to_str().unwrap(), "--threads", "1", "--label", "worker"];
-        Process::start("farm-worker", &args, &log)
-    }
-
     fn digest(&self, name: &str) -> String {
         self.client(&["show", name])["records_digest"].as_str().unwrap().to_owned()
     }
 
-    /// Stops the coordinator and starts it on another folder.
-    fn move_to(&mut self, data: &'static str) {
-        self.coordinator.signal(Signal::TERM);
-        assert_eq!(self.coordinator.exit_within(Duration::from_secs(10)), 0);
-        self.data = data;
-        let keys = self.folder.path().join("keys/coordinator.toml");
-        self.coordinator = serve(&keys, self.port, &self.folder.path().join(data));
-        self.answers();
-    }
-
     /// A worker that reports of `most` jobs that it cannot compute them.
     async fn give_up(&self, most: u32) {
-        let access = ClientAccess::read(&self.folder.path().join("keys/worker.toml")).unwrap();
-        let link = Target::new(Some(&access), None).unwrap().connect_lazy();
-        let mut leases = LeasesClient::new(link);
-        let request = RegisterRequest {
-            label: "weak".to_owned(),
-            threads: 1,
-            physics_version: optics_model::PHYSICS_VERSION,
-            protocol_version: farm_proto::PROTOCOL_VERSION,
-            instance: "weak".to_owned(),
-            version: String::new(),
-        };
-        let worker_id = leases.register(request).await.unwrap().into_inner().worker_id;
-        let request =
-            farm_proto::wire::AcquireRequest { worker_id: worker_id.clone(), max_leases: most, wait_ms: 0 };
-        for lease in leases.acquire(request).await.unwrap().into_inner().leases {
-            let reason = "out of memory".to_owned();
-            let request =
-                farm_proto::wire::FailRequest { worker_id: worker_id.clone(), lease: lease.key, reason };
-            leases.fail(request).await.unwrap();
+        let link = self.farm.link_with("keys/worker.toml");
+        let mut weak = HandWorker::register(link, "weak").await.unwrap();
+        for lease in weak.acquire(most).await.unwrap() {
+            weak.fail(&lease, "out of memory").await.unwrap();
         }
-        let request = farm_proto::wire::HandBackRequest { worker_id, leases: vec![], leaving: true };
-        leases.hand_back(request).await.unwrap();
+        weak.leave().await.unwrap();
     }
-}
-
-fn serve(access: &Path, port: u16, data: &Path) -> Process {
-    let (listen, log) = (format!("127.0.0.1:{port}"), data.with_extension("log"));
-    let (access, data) = (access.to_str().unwrap(), data.to_str().unwrap());
-    let args =
-        ["--listen", &listen, "--access", access, "--data", data, "--max-attempts", "1", "--lease", "5"];
-    Process::start("farm-coordinator", &args, &log)
 }
 
 fn explains(site: &Site, name: &str, code: &str) {
@@ -134,7 +70,7 @@ async fn every_verb_works_over_tls_with_its_exit_code_and_a_restored_backup_has_
     // Pause, resume, cancel, priority.
     assert_eq!(site.client(&["pause", "grid"])["state"], "paused");
     explains(&site, "grid", "PAUSED");
-    let worker = site.worker();
+    let worker = site.farm.worker("worker", &[]);
     wait_for("the worker is in", SOON, || {
         (site.client(&["workers"])["workers"].as_array()?.len() == 1).then_some(())
     });
@@ -149,7 +85,7 @@ async fn every_verb_works_over_tls_with_its_exit_code_and_a_restored_backup_has_
     // Jobs that cannot be computed.
     site.client(&["resume", "grid"]);
     site.give_up(2).await;
-    let worker = site.worker();
+    let worker = site.farm.worker("worker", &[]);
     site.ends(3, "client", &["wait", "grid", "--timeout", "120"]);
     explains(&site, "grid", "JOBS_GIVEN_UP");
     assert!(site.client(&["show", "grid"]).to_string().contains("out of memory"));
@@ -167,17 +103,13 @@ async fn every_verb_works_over_tls_with_its_exit_code_and_a_restored_backup_has_
     {
         assert!(kinds.iter().any(|e| e["kind"] == kind), "{kind} is told");
     }
-    let restored: Ran = farmctl(site.folder.path())
-        .args(["restore", "copy.db", "--data", "restored"])
-        .output()
-        .unwrap()
-        .into();
+    let restored = run(site.farm.folder(), &["restore", "copy.db", "--data", "restored"]);
     assert_eq!(restored.code, 0, "{}", restored.stderr);
     // Deleting.
     assert_eq!(site.run("client", &["delete", "other"]).code, 1, "nothing is deleted without --yes");
     assert_eq!(site.client(&["delete", "other", "--yes"])["records_deleted"], 16);
     assert_eq!(site.run("client", &["show", "other"]).code, 1);
-    site.move_to("restored");
+    site.farm.move_to("restored");
     assert_eq!((site.digest("grid"), site.digest("other").len()), (digest, 64));
     wait_for("the worker comes back", LONG, || {
         (site.client(&["workers"])["workers"].as_array()?.len() == 1).then_some(())

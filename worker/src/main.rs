@@ -5,10 +5,9 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use farm_link::logs;
 use farm_link::logs::LogFormat;
 use farm_link::walltime::{parse_span, parse_time_limit};
-use farm_link::{AccessError, ClientAccess, Target};
+use farm_link::{AccessError, ClientAccess, Target, logs, signals};
 use farm_worker::{Config, Error};
 use tokio_util::sync::CancellationToken;
 
@@ -97,12 +96,7 @@ fn config(args: Args) -> Result<Config, AccessError> {
 }
 
 async fn stop_on_signal(shutdown: CancellationToken) {
-    use tokio::signal::unix::{SignalKind, signal};
-    let Ok(mut terminate) = signal(SignalKind::terminate()) else { return };
-    tokio::select! {
-        _ = terminate.recv() => {}
-        _ = tokio::signal::ctrl_c() => {}
-    }
+    signals::termination().await;
     tracing::info!("stopping");
     shutdown.cancel();
 }

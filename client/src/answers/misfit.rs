@@ -2,7 +2,7 @@
 
 use optics_model::fit::{Cause, MISFIT, Refined, Suspicion};
 
-use super::text::significant;
+use super::numbers::significant;
 
 /// `misfit 3.4: …` with the likeliest reason; none if noise explains the fit.
 pub(crate) fn misfit(refined: &Refined) -> Option<String> {

@@ -2,7 +2,7 @@
 
 use optics_model::fit::{Interval, MaterialFit};
 
-use super::text::remarks;
+use super::remarks::remarks;
 
 /// The table as CSV: one row a channel.
 pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
@@ -47,11 +47,13 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
             row.extend([r.best.error.to_string(), r.resolved.to_string()]);
             row.extend([n.sigma_t_per_mm(), n.albedo(), n.g(), grid.error].map(|v| v.to_string()));
             row.push(remarks(channel).join("; "));
-            let scattering = m.albedo() * m.sigma_t_per_mm() * (1.0 - m.g());
             let i = &r.reduced_scattering_per_mm;
-            row.extend([scattering.to_string(), low(i), high(i)]);
-            let absorption = m.sigma_t_per_mm() * (1.0 - m.albedo());
-            row.extend([absorption.to_string(), low(&r.absorption_per_mm), high(&r.absorption_per_mm)]);
+            row.extend([m.reduced_scattering_per_mm().to_string(), low(i), high(i)]);
+            row.extend([
+                m.absorption_per_mm().to_string(),
+                low(&r.absorption_per_mm),
+                high(&r.absorption_per_mm),
+            ]);
             row.push(r.misfit.to_string());
             writer.write_record(&row)?;
         }

@@ -49,7 +49,7 @@ pub struct WaitArgs {
 pub struct CancelArgs {
     /// Name of the dictionary.
     pub name: String,
-    /// Reason, which is kept and shown to anyone who asks.
+    /// Reason; it is kept with the dictionary and shown with it.
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub reason: String,
 }
@@ -98,7 +98,7 @@ pub struct EventsArgs {
     /// Show only the events of this dictionary.
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
-    /// Number of events to show, the newest ones.
+    /// Number of events to show, counted from the newest.
     #[arg(long, short = 'n', value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub number: u32,
     /// Keep running, and show events as they happen.
@@ -121,6 +121,6 @@ pub struct BackupArgs {
 
 #[derive(Debug, Args)]
 pub struct RestoreArgs {
-    /// The backup, which becomes the database of the folder given by --data.
+    /// Backup to restore; it becomes the database of the folder given by --data.
     pub file: PathBuf,
 }

@@ -31,7 +31,7 @@ pub struct OptionArgs {
     /// Level of the wavelet: gradients are smoothed over about 2^LEVEL pixels.
     #[arg(long, default_value_t = 4)]
     pub level: u32,
-    /// Relative standard error of the scale of each profile on its own (exposure, illumination), to be contained in the
+    /// Relative standard error of the scale of each profile on its own (exposure, illumination), which goes into the
     /// error bars.
     #[arg(long, value_name = "ERROR", default_value_t = 0.003, allow_negative_numbers = true)]
     pub gain_std_error: f64,
@@ -44,6 +44,7 @@ pub struct OptionArgs {
 pub enum WaveletArg {
     /// The quadratic spline.
     Spline,
+    /// The Haar wavelet.
     Haar,
 }
 
@@ -81,7 +82,7 @@ pub struct FitArgs {
     /// Number of best records to show per channel.
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub top: u32,
-    /// Report records of the dictionary only: no optimum between them, no error bars.
+    /// Report only records of the dictionary: no optimum between them, no error bars.
     #[arg(long)]
     pub no_refine: bool,
     /// Draw profiles and gradients with their fits, one picture per material: FILE.svg or FILE.png.
@@ -105,13 +106,13 @@ impl FitArgs {
 /// Scale factors to search.
 #[derive(Debug, Args)]
 pub struct MuArgs {
-    /// Least scale factor to try.
+    /// Smallest scale factor to try.
     #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
     pub mu_min: f64,
-    /// Greatest scale factor to try.
+    /// Largest scale factor to try.
     #[arg(long, value_name = "MU", default_value_t = 1.1, allow_negative_numbers = true)]
     pub mu_max: f64,
-    /// Distance between scale factors.
+    /// Step from one scale factor to the next.
     #[arg(long, value_name = "STEP", default_value_t = 0.001, allow_negative_numbers = true)]
     pub mu_step: f64,
 }

@@ -41,8 +41,8 @@ Examples:
   farmctl fit examples/white.csv --g 0.4       see the best fits one by one
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
 
-Exit codes: 0 success, 1 error, 2 wrong usage; of a dictionary: 3 some jobs have failed, 4 some jobs are in
-quarantine, 5 cancelled, 6 still running when --timeout ran out; 130 interrupted.";
+Exit codes: 0 success, 1 error, 2 wrong usage, 130 interrupted; for a dictionary: 3 some jobs
+failed, 4 some jobs are in quarantine, 5 cancelled, 6 still running when --timeout ran out.";
 
 #[derive(Debug, Args)]
 pub struct Global {
@@ -117,7 +117,7 @@ pub enum Command {
     /// Resume a dictionary that was paused or cancelled.
     #[command(after_help = examples::RESUME)]
     Resume(NameArgs),
-    /// Stop work on a dictionary for good; finished records are kept.
+    /// Cancel a dictionary; finished records are kept.
     #[command(after_help = examples::CANCEL)]
     Cancel(CancelArgs),
     /// Retry the jobs of a dictionary that were given up.
@@ -147,7 +147,7 @@ pub enum Command {
     /// Check whether the coordinator is serving; meant for health checks.
     #[command(after_help = examples::HEALTH)]
     Health,
-    /// Create the access files of coordinator, workers and people.
+    /// Create the access files for the coordinator, the workers and people.
     #[command(subcommand)]
     Access(AccessCommand),
     /// Run workers on a Slurm cluster.
@@ -171,7 +171,7 @@ pub struct SubmitArgs {
     /// Name of the dictionary [default: the file's name, or "paper"].
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
-    /// Wait until the dictionary is finished; without a server this is always so.
+    /// Wait until the dictionary is finished; without a server, submit always waits.
     #[arg(long)]
     pub wait: bool,
     /// Priority from -1000 to 1000; higher goes first.
@@ -193,7 +193,7 @@ pub struct SimulateArgs {
     /// Thicknesses of the sample in mm.
     #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
     pub thickness: Vec<f64>,
-    /// File to write, whole or not at all [default: standard output].
+    /// File to write [default: standard output]. It appears under this name once it is complete.
     #[arg(long, short, value_name = "FILE")]
     pub output: Option<PathBuf>,
     /// Write a measurement of the material NAME, which `farmctl measure` reads.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
-use farm_coordinator::store::{DataDir, copy, newest_schema};
+use farm_coordinator::store::{DataDir, backup, newest_schema};
 use farm_proto::wire::backup_piece::Content;
 use farm_proto::wire::{BackupHeader, BackupRequest};
 use serde::Serialize;
@@ -13,7 +13,7 @@ use crate::connection::{Connection, Purpose, patient, with_farm};
 use crate::output::{Output, grouped};
 
 #[derive(Debug, Serialize)]
-struct CopyJson {
+struct BackupJson {
     file: String,
     bytes: u64,
     blake3: String,
@@ -26,7 +26,7 @@ pub(crate) async fn backup(global: &Global, args: BackupArgs, output: &Output) -
     let file = args.file;
     ensure!(!file.exists(), "{} exists: name another file, or move it away", file.display());
     let header = with_farm(global, Purpose::Ask, async |connection| receive(connection, &file).await).await?;
-    let data = CopyJson {
+    let data = BackupJson {
         file: file.display().to_string(),
         bytes: header.bytes,
         blake3: header.digest,
@@ -48,7 +48,7 @@ pub(crate) async fn backup(global: &Global, args: BackupArgs, output: &Output) -
 
 /// Receives a backup, which gets its name and its checksum when it is whole.
 async fn receive(connection: &Connection, file: &Path) -> Result<BackupHeader> {
-    let mut incoming = copy::Incoming::create(file)?;
+    let mut incoming = backup::Incoming::create(file)?;
     let mut pieces = connection.admin().backup(patient(BackupRequest {})).await?.into_inner();
     let Some(Content::Header(header)) = pieces.message().await?.and_then(|piece| piece.content) else {
         bail!("the coordinator sent no header");
@@ -68,16 +68,16 @@ pub(crate) async fn restore(global: &Global, args: RestoreArgs, output: &Output)
          --local"
     );
     let dir = DataDir::lock(&global.data)?;
-    let report = copy::restore(&args.file, &dir, newest_schema()).await?;
-    let data = CopyJson {
+    let report = backup::restore(&args.file, &dir, newest_schema()).await?;
+    let data = BackupJson {
         file: report.database.display().to_string(),
         bytes: report.bytes,
         blake3: report.blake3_hex,
-        dictionaries: report.content.dictionaries,
-        jobs: report.content.jobs,
-        records: report.content.records,
+        dictionaries: report.counts.dictionaries,
+        jobs: report.counts.jobs,
+        records: report.counts.records,
     };
-    let unchecked = report.checksum == copy::Checksum::Absent;
+    let unchecked = report.checksum == backup::Checksum::Absent;
     output.print("restore", &data, || {
         let mut text = format!(
             "{}: {} records of {} dictionaries restored",

@@ -6,35 +6,50 @@ use optics_model::Measurement;
 use optics_model::fit::{FitOptions, MaterialFit};
 use serde::Serialize;
 
-use super::which;
-use crate::answers::{MaterialJson, OptionsJson, fits_text, neighbours};
+use super::chosen_dictionary;
+use crate::answers::{UsedOptions, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::figures;
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
-use crate::plot::Picture;
+use crate::plot::{self, Picture};
 
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
     let options = args.options()?;
     let given = args.options.dictionary.as_ref();
-    which::check(given)?;
+    chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurement)?.told(&args.measurement, output);
     let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = which::dictionary(connection, given).await?;
+        let dictionary = chosen_dictionary::name(connection, given).await?;
         let fits = fit_all(connection, &dictionary, &materials, &options).await?;
         Ok((dictionary, fits))
     })
     .await?;
     let pictures = match &args.plot {
-        Some(path) => figures::write_fits(&fits, path)?,
+        Some(path) => plot::write_fits(&fits, path)?,
         None => Vec::new(),
     };
-    let options = OptionsJson::new(&dictionary, &options);
-    let data = FitJson { options, materials: fits.iter().map(Into::into).collect(), notes };
+    let data = data(&dictionary, &options, &fits, &notes);
     output.print("fit", &data, || text(&fits, args.top, &pictures))
+}
+
+pub(super) fn data<'a>(
+    dictionary: &'a str,
+    options: &FitOptions,
+    materials: &'a [MaterialFit],
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        materials: &'a [MaterialFit],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
+    }
+    Data { options: UsedOptions::new(dictionary, options), materials, notes }
 }
 
 async fn fit_all(
@@ -68,17 +83,5 @@ fn text(fits: &[MaterialFit], top: u32, pictures: &[PathBuf]) -> String {
             }
         }
     }
-    for picture in pictures {
-        text += &format!("\ndrawn: {}", picture.display());
-    }
-    text
-}
-
-#[derive(Debug, Serialize)]
-struct FitJson {
-    #[serde(flatten)]
-    options: OptionsJson,
-    materials: Vec<MaterialJson>,
-    /// What was assumed when the file was read, and what looks suspicious in it.
-    notes: Vec<Note>,
+    text + &plot::drawn(pictures)
 }

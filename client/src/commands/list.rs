@@ -8,14 +8,17 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, duration, grouped, share_of_work, table};
 
 #[derive(Debug, Serialize)]
-struct ListJson {
+pub(super) struct ListJson {
     dictionaries: Vec<DictionaryJson>,
 }
 
 pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
     let dictionaries = with_farm(global, Purpose::Ask, fetch).await?;
-    let data = ListJson { dictionaries: dictionaries.iter().map(Into::into).collect() };
-    output.print("list", &data, || text(&dictionaries))
+    output.print("list", &data(&dictionaries), || text(&dictionaries))
+}
+
+pub(super) fn data(dictionaries: &[DictionaryStatus]) -> ListJson {
+    ListJson { dictionaries: dictionaries.iter().map(Into::into).collect() }
 }
 
 pub(crate) async fn fetch(connection: &Connection) -> Result<Vec<DictionaryStatus>> {

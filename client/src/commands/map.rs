@@ -4,39 +4,34 @@ use optics_model::Measurement;
 use optics_model::fit::{DistanceMap, FitOptions, FitSettings, MapLayer};
 use serde::Serialize;
 
-use super::which;
-use crate::answers::{CandidateJson, OptionsJson, albedo, significant};
+use super::chosen_dictionary;
+use crate::answers::{UsedOptions, albedo, significant};
 use crate::cli::{Global, MapArgs};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::figures;
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::{Output, table};
-use crate::plot::Picture;
+use crate::plot::{self, Picture};
 
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
     let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings()? })?;
     let given = args.options.dictionary.as_ref();
-    which::check(given)?;
+    chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurement)?.told(&args.measurement, output);
     let materials = chosen(materials, &args)?;
     let (dictionary, maps) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = which::dictionary(connection, given).await?;
+        let dictionary = chosen_dictionary::name(connection, given).await?;
         let maps = map_all(connection, &dictionary, &materials, &options).await?;
         Ok((dictionary, maps))
     })
     .await?;
     if let Some(path) = &args.plot {
-        figures::write_maps(&maps, path)?;
+        let maps: Vec<_> = maps.iter().map(|m| (m.material.as_str(), &m.map)).collect();
+        plot::write_maps(&maps, path)?;
     }
-    let json = |(material, map): &(String, DistanceMap)| MapJson::new(material, map);
-    let options = OptionsJson::new(&dictionary, &options);
-    let data = JsonData { options, maps: maps.iter().map(json).collect(), notes };
-    output.print("map", &data, || {
-        let tell = |(material, map): &(String, DistanceMap)| text(material, map);
-        maps.iter().map(tell).collect::<Vec<_>>().join("\n\n")
-    })
+    let data = data(&dictionary, &options, &maps, &notes);
+    output.print("map", &data, || maps.iter().map(text).collect::<Vec<_>>().join("\n\n"))
 }
 
 /// The materials and channels that were asked for.
@@ -70,7 +65,7 @@ async fn map_all(
     dictionary: &str,
     materials: &[Measurement],
     options: &FitOptions,
-) -> Result<Vec<(String, DistanceMap)>> {
+) -> Result<Vec<MaterialMap>> {
     let mut maps = Vec::new();
     for measurement in materials {
         let request = MapRequest {
@@ -81,14 +76,15 @@ async fn map_all(
         let answer = connection.fits().map(request).await;
         let answer = answer.with_context(|| format!("material {}", measurement.material()))?.into_inner();
         for map in answer.maps {
-            maps.push((measurement.material().to_owned(), DistanceMap::try_from(map)?));
+            let material = measurement.material().to_owned();
+            maps.push(MaterialMap { material, map: DistanceMap::try_from(map)? });
         }
     }
     Ok(maps)
 }
 
 /// One row an anisotropy: its best medium, and what similarity theory predicts from the best of all.
-fn text(material: &str, map: &DistanceMap) -> String {
+fn text(MaterialMap { material, map }: &MaterialMap) -> String {
     let row = |(i, layer): (usize, &MapLayer)| {
         let best = &layer.best.medium;
         let mut row = vec![
@@ -108,59 +104,27 @@ fn text(material: &str, map: &DistanceMap) -> String {
     format!("{material}, channel {}\n{}", map.channel, table(&head, &[0, 1, 2, 3, 4, 5], rows))
 }
 
+/// A map, and the material it is of.
 #[derive(Debug, Serialize)]
-struct JsonData {
+pub(super) struct MaterialMap {
+    pub(super) material: String,
     #[serde(flatten)]
-    options: OptionsJson,
-    maps: Vec<MapJson>,
-    /// What was assumed when the file was read, and what looks suspicious in it.
-    notes: Vec<Note>,
+    pub(super) map: DistanceMap,
 }
 
-#[derive(Debug, Serialize)]
-struct MapJson {
-    material: String,
-    channel: String,
-    sigma_t_per_mm: Vec<f64>,
-    albedo: Vec<f64>,
-    sample_ior: f64,
-    best_layer: usize,
-    layers: Vec<LayerJson>,
-}
-
-#[derive(Debug, Serialize)]
-struct LayerJson {
-    g: f64,
-    /// `[sigma_t][albedo]`.
-    errors: Vec<Vec<f64>>,
-    best: CandidateJson,
-    similar: Option<SimilarJson>,
-}
-
-#[derive(Debug, Serialize)]
-struct SimilarJson {
-    sigma_t_per_mm: f64,
-    albedo: f64,
-}
-
-impl MapJson {
-    fn new(material: &str, map: &DistanceMap) -> Self {
-        let layer = |l: &MapLayer| LayerJson {
-            g: l.g,
-            errors: l.errors.chunks(map.albedo.len().max(1)).map(<[f64]>::to_vec).collect(),
-            best: (&l.best).into(),
-            similar: l
-                .similar
-                .map(|m| SimilarJson { sigma_t_per_mm: m.sigma_t_per_mm(), albedo: m.albedo() }),
-        };
-        Self {
-            material: material.to_owned(),
-            channel: map.channel.clone(),
-            sigma_t_per_mm: map.sigma_t_per_mm.clone(),
-            albedo: map.albedo.clone(),
-            sample_ior: map.sample_ior,
-            best_layer: map.best_layer,
-            layers: map.layers.iter().map(layer).collect(),
-        }
+pub(super) fn data<'a>(
+    dictionary: &'a str,
+    options: &FitOptions,
+    maps: &'a [MaterialMap],
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        maps: &'a [MaterialMap],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
     }
+    Data { options: UsedOptions::new(dictionary, options), maps, notes }
 }

@@ -5,15 +5,14 @@ use farm_proto::wire::{MeasureRequest, MeasureResponse};
 use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
-use super::which;
-use crate::answers::{CommonJson, MaterialJson, OptionsJson, ScaleJson, common_text, fits_text, table_csv};
+use super::chosen_dictionary;
+use crate::answers::{UsedOptions, common_text, fits_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
-use crate::figures;
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
-use crate::media;
 use crate::output::{Output, write_whole};
-use crate::plot::Picture;
+use crate::plot::{self, Picture};
+use crate::renderers;
 
 pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> Result<()> {
     let settings = FitSettings {
@@ -25,12 +24,12 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     let options = FitOptions::new(settings)?;
     let range = args.search.range()?;
     let given = args.options.dictionary.as_ref();
-    which::check(given)?;
+    chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = which::dictionary(connection, given).await?;
+        let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = MeasureRequest {
             dictionary: dictionary.clone(),
             materials: materials.iter().map(Into::into).collect(),
@@ -43,21 +42,14 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     .await?;
     let found = Found::try_from(answer)?;
     let pictures = match &args.plot {
-        Some(path) => figures::write_fits(&found.materials, path)?,
+        Some(path) => plot::write_fits(&found.materials, path)?,
         None => Vec::new(),
     };
     if let Some(folder) = &args.output {
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
     let options = options.with_mu(found.common.mu, found.common.mu_std_error)?;
-    let data = JsonData {
-        options: OptionsJson::new(&dictionary, &options),
-        common_g: found.common.g,
-        common: (&found.common).into(),
-        scale: found.scale.as_ref().map(Into::into),
-        materials: found.materials.iter().map(Into::into).collect(),
-        notes,
-    };
+    let data = data(&dictionary, &options, &found, &notes);
     output.print("measure", &data, || text(&found, args.output.as_deref(), &pictures))
 }
 
@@ -66,11 +58,11 @@ pub(super) const OLDER: &str = "the farm's answer does not tell what was chosen 
                                 older than this farmctl; upgrade it";
 
 /// A checked answer.
-struct Found {
+pub(super) struct Found {
     /// The paper's curve; none if the scale factor was given.
-    scale: Option<ScaleCurve>,
-    common: Common,
-    materials: Vec<MaterialFit>,
+    pub(super) scale: Option<ScaleCurve>,
+    pub(super) common: Common,
+    pub(super) materials: Vec<MaterialFit>,
 }
 
 impl TryFrom<MeasureResponse> for Found {
@@ -87,9 +79,7 @@ impl TryFrom<MeasureResponse> for Found {
 
 fn text(found: &Found, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
     let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(&found.materials));
-    for picture in pictures {
-        text += &format!("\ndrawn: {}", picture.display());
-    }
+    text += &plot::drawn(pictures);
     if let Some(folder) = folder {
         text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
     }
@@ -98,12 +88,12 @@ fn text(found: &Found, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
 
 fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     std::fs::create_dir_all(folder)?;
-    let media = media::measured(&found.materials);
+    let media = renderers::measured(&found.materials);
     let files = [
         ("table.csv", table_csv(&found.materials)?),
-        ("media.py", media::mitsuba_dict(&media)),
-        ("media.xml", media::mitsuba_xml(&media)),
-        ("media.pbrt", media::pbrt(&media)),
+        ("media.py", renderers::mitsuba_dict(&media)),
+        ("media.xml", renderers::mitsuba_xml(&media)),
+        ("media.pbrt", renderers::pbrt(&media)),
     ];
     for (name, text) in files {
         write_whole(&folder.join(name), text.as_bytes()).context(name)?;
@@ -111,16 +101,31 @@ fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     Ok(())
 }
 
-#[derive(Debug, Serialize)]
-struct JsonData {
-    #[serde(flatten)]
-    options: OptionsJson,
-    /// Null if every channel has its own.
-    common_g: Option<f64>,
-    common: CommonJson,
-    /// Null if the scale factor was given.
-    scale: Option<ScaleJson>,
-    materials: Vec<MaterialJson>,
-    /// What was assumed when the file was read, and what looks suspicious in it.
-    notes: Vec<Note>,
+pub(super) fn data<'a>(
+    dictionary: &'a str,
+    options: &FitOptions,
+    found: &'a Found,
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        /// Null if every channel has its own.
+        common_g: Option<f64>,
+        common: &'a Common,
+        /// Null if the scale factor was given.
+        scale: Option<&'a ScaleCurve>,
+        materials: &'a [MaterialFit],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
+    }
+    Data {
+        options: UsedOptions::new(dictionary, options),
+        common_g: found.common.g,
+        common: &found.common,
+        scale: found.scale.as_ref(),
+        materials: &found.materials,
+        notes,
+    }
 }

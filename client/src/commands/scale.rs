@@ -3,26 +3,25 @@ use farm_proto::wire::ScaleRequest;
 use optics_model::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
+use super::chosen_dictionary;
 use super::measure::OLDER;
-use super::which;
-use crate::answers::{CommonJson, MaterialJson, OptionsJson, ScaleJson, common_text, scale_text};
+use crate::answers::{UsedOptions, common_text, scale_text};
 use crate::cli::{Global, ScaleArgs};
 use crate::connection::{Purpose, with_farm};
-use crate::figures::{self, drawn};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
-use crate::plot::Picture;
+use crate::plot::{Picture, drawn, scale_figure};
 
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
     let options = FitOptions::new(args.options.settings()?)?;
     let range = args.mu.range()?;
     let given = args.options.dictionary.as_ref();
-    which::check(given)?;
+    chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = which::dictionary(connection, given).await?;
+        let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = ScaleRequest {
             dictionary: dictionary.clone(),
             materials: materials.iter().map(Into::into).collect(),
@@ -37,29 +36,33 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let fits: Vec<MaterialFit> =
         answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?;
     if let Some(path) = &args.plot {
-        figures::scale(&scale, &common)?.write(path)?;
+        scale_figure(&scale, &common)?.write(path)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
-    let data = JsonData {
-        options: OptionsJson::new(&dictionary, &options),
-        scale: (&scale).into(),
-        common: (&common).into(),
-        materials: fits.iter().map(Into::into).collect(),
-        notes,
-    };
+    let data = data(&dictionary, &options, &scale, &common, &fits, &notes);
     output.print("scale", &data, || {
-        format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(args.plot.as_deref()))
+        format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(&args.plot))
     })
 }
 
-#[derive(Debug, Serialize)]
-struct JsonData {
-    #[serde(flatten)]
-    options: OptionsJson,
-    scale: ScaleJson,
-    /// By the errors of refined fits.
-    common: CommonJson,
-    materials: Vec<MaterialJson>,
-    /// What was assumed when the file was read, and what looks suspicious in it.
-    notes: Vec<Note>,
+pub(super) fn data<'a>(
+    dictionary: &'a str,
+    options: &FitOptions,
+    scale: &'a ScaleCurve,
+    common: &'a Common,
+    materials: &'a [MaterialFit],
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        scale: &'a ScaleCurve,
+        /// By the errors of refined fits.
+        common: &'a Common,
+        materials: &'a [MaterialFit],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
+    }
+    Data { options: UsedOptions::new(dictionary, options), scale, common, materials, notes }
 }

@@ -1,3 +1,5 @@
+mod overview;
+
 use std::path::Path;
 
 use anyhow::{Result, bail};
@@ -5,34 +7,14 @@ use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryStatus, FailedJob};
 use farm_proto::wire::GetRequest;
 use optics_model::SceneFile;
+use optics_model::grid::Axes;
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::figures;
 use crate::output::{DictionaryJson, Output, grouped};
 use crate::plot::Picture;
 use crate::records::Records;
-
-#[derive(Debug, Serialize)]
-struct ShowJson {
-    #[serde(flatten)]
-    dictionary: DictionaryJson,
-    grid: GridJson,
-}
-
-#[derive(Debug, Serialize)]
-struct GridJson {
-    sigma_t_per_mm: Vec<f64>,
-    albedo: Vec<f64>,
-    g: Vec<f64>,
-    thickness_mm: Vec<f64>,
-    sample_ior: Vec<f64>,
-    walks: u64,
-    seed: u64,
-    derivatives: bool,
-    scene: SceneFile,
-}
 
 pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name)?;
@@ -46,26 +28,33 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         Ok(status)
     })
     .await?;
+    output.print("show", &data(&status), || text(&status))
+}
+
+pub(super) fn data(status: &DictionaryStatus) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        dictionary: DictionaryJson,
+        grid: GridData<'a>,
+    }
+    #[derive(Serialize)]
+    struct GridData<'a> {
+        #[serde(flatten)]
+        axes: &'a Axes,
+        walks: u64,
+        seed: u64,
+        derivatives: bool,
+        scene: SceneFile,
+    }
     let grid = &status.grid;
-    let data = ShowJson {
-        dictionary: DictionaryJson::from(&status),
-        grid: GridJson {
-            sigma_t_per_mm: grid.sigma_t_per_mm().to_vec(),
-            albedo: grid.albedo().to_vec(),
-            g: grid.g().to_vec(),
-            thickness_mm: grid.thickness_mm().to_vec(),
-            sample_ior: grid.sample_ior().to_vec(),
-            walks: grid.walks().get(),
-            seed: grid.seed(),
-            derivatives: grid.derivatives(),
-            scene: SceneFile::from(grid.scene()),
-        },
-    };
-    output.print("show", &data, || text(&status))
+    let (walks, seed, derivatives) = (grid.walks().get(), grid.seed(), grid.derivatives());
+    let scene = SceneFile::from(grid.scene());
+    Data { dictionary: status.into(), grid: GridData { axes: grid.axes(), walks, seed, derivatives, scene } }
 }
 
 async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {
-    let axes = figures::chosen_axes(&status.grid);
+    let axes = overview::chosen_axes(&status.grid);
     let mut wanted = axes.records(&status.grid);
     wanted.sort_unstable();
     let mut answers = Records::ask(connection, status, wanted).await?;
@@ -76,7 +65,7 @@ async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -
     if records.is_empty() {
         bail!("none of the records to be drawn is done yet");
     }
-    figures::overview(status.name.as_str(), &status.grid, &axes, &records)?.write(path)
+    overview::picture(status.name.as_str(), &status.grid, &axes, &records)?.write(path)
 }
 
 fn text(status: &DictionaryStatus) -> String {

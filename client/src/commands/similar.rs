@@ -8,26 +8,13 @@ use crate::output::{Output, table};
 
 /// Needs no farm: the formulas are those of the service's `Similar`.
 pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
-    let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
-    let media = args
-        .to
-        .iter()
-        .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
-        .collect::<Result<Vec<Medium>, _>>()?;
-    let json = |m: &Medium| MediumJson {
-        sigma_t_per_mm: m.sigma_t_per_mm(),
-        albedo: m.albedo(),
-        g: m.g(),
-        reduced_scattering_per_mm: m.sigma_t_per_mm() * m.albedo() * (1.0 - m.g()),
-        absorption_per_mm: m.sigma_t_per_mm() * (1.0 - m.albedo()),
-    };
-    let data = JsonData { medium: json(&medium), similar: media.iter().map(json).collect() };
+    let data = data(args)?;
     output.print("similar", &data, || {
-        let row = |m: &MediumJson| {
+        let row = |m: &Shared| {
             vec![
-                m.g.to_string(),
-                significant(m.sigma_t_per_mm, 4),
-                albedo(m.albedo),
+                m.medium.g().to_string(),
+                significant(m.medium.sigma_t_per_mm(), 4),
+                albedo(m.medium.albedo()),
                 significant(m.reduced_scattering_per_mm, 4),
                 significant(m.absorption_per_mm, 4),
             ]
@@ -37,17 +24,37 @@ pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
     })
 }
 
-#[derive(Debug, Serialize)]
-struct JsonData {
-    medium: MediumJson,
-    similar: Vec<MediumJson>,
+pub(super) fn data(args: &SimilarArgs) -> Result<JsonData> {
+    let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
+    let media = args
+        .to
+        .iter()
+        .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
+        .collect::<Result<Vec<Medium>, _>>()?;
+    Ok(JsonData { medium: medium.into(), similar: media.iter().map(|m| (*m).into()).collect() })
 }
 
 #[derive(Debug, Serialize)]
-struct MediumJson {
-    sigma_t_per_mm: f64,
-    albedo: f64,
-    g: f64,
+pub(super) struct JsonData {
+    medium: Shared,
+    similar: Vec<Shared>,
+}
+
+/// A medium, and what media share that are similar to it.
+#[derive(Debug, Serialize)]
+struct Shared {
+    #[serde(flatten)]
+    medium: Medium,
     reduced_scattering_per_mm: f64,
     absorption_per_mm: f64,
+}
+
+impl From<Medium> for Shared {
+    fn from(medium: Medium) -> Self {
+        Self {
+            medium,
+            reduced_scattering_per_mm: medium.reduced_scattering_per_mm(),
+            absorption_per_mm: medium.absorption_per_mm(),
+        }
+    }
 }

@@ -1,3 +1,5 @@
+mod changes;
+
 use std::io::Write;
 use std::sync::atomic::AtomicBool;
 
@@ -9,7 +11,6 @@ use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
 use serde::Serialize;
 
 use crate::cli::SimulateArgs;
-use crate::figures;
 use crate::grid_file::read_scene;
 use crate::measurement_file::{MeasurementWriter, check_name};
 use crate::output::{Output, envelope, write_whole};
@@ -34,7 +35,7 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
 fn simulate(args: &SimulateArgs, style: &Style, jobs: &[JobSpec]) -> Result<()> {
     if let Some(path) = &args.plot {
         let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], args.g[0])?);
-        figures::changes(job, &medium, args.change)?.write(path)?;
+        changes::picture(job, &medium, args.change)?.write(path)?;
     }
     let Some(path) = &args.output else {
         return write(style, jobs, std::io::BufWriter::new(std::io::stdout().lock()));
@@ -115,10 +116,10 @@ enum Style {
     Measurement(String),
 }
 
-struct JsonStyle {
-    several: bool,
-    walks: u64,
-    seed: u64,
+pub(super) struct JsonStyle {
+    pub(super) several: bool,
+    pub(super) walks: u64,
+    pub(super) seed: u64,
 }
 
 fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Style> {
@@ -195,7 +196,7 @@ fn write_rows(out: &mut impl Write, medium: &str, scene: &Scene, profiles: &[Pro
 }
 
 #[derive(Debug, Serialize)]
-struct SimulateJson {
+pub(super) struct SimulateJson {
     /// Told if there are several.
     #[serde(flatten)]
     medium: Option<MediumJson>,
@@ -214,7 +215,7 @@ struct MediumJson {
 }
 
 impl SimulateJson {
-    fn new(style: &JsonStyle, job: &JobSpec, albedo: f64, record: &Record) -> Self {
+    pub(super) fn new(style: &JsonStyle, job: &JobSpec, albedo: f64, record: &Record) -> Self {
         let (scene, point) = (job.scene(), job.point());
         let medium = MediumJson {
             sigma_t_per_mm: point.sigma_t_per_mm(),

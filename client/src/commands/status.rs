@@ -9,7 +9,7 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, WorkerJson, grouped};
 
 #[derive(Debug, Serialize)]
-struct StatusJson {
+pub(super) struct StatusJson {
     address: Option<String>,
     version: String,
     physics_version: u32,
@@ -27,8 +27,18 @@ struct StatusJson {
 
 pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
     let (address, status, workers, dictionaries) = with_farm(global, Purpose::Ask, fetch).await?;
-    let data = StatusJson {
-        address: address.clone(),
+    let data = data(address.as_deref(), &status, &workers, &dictionaries);
+    output.print("status", &data, || text(address.as_deref(), &status, &workers, &dictionaries))
+}
+
+pub(super) fn data(
+    address: Option<&str>,
+    status: &StatusResponse,
+    workers: &[WorkerStatus],
+    dictionaries: &[DictionaryStatus],
+) -> StatusJson {
+    StatusJson {
+        address: address.map(str::to_owned),
         version: status.version.clone(),
         physics_version: status.physics_version,
         jobs_pending: status.jobs_pending,
@@ -41,8 +51,7 @@ pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
         store_fault: (!status.store_fault.is_empty()).then(|| status.store_fault.clone()),
         workers: workers.iter().map(Into::into).collect(),
         dictionaries: dictionaries.iter().map(Into::into).collect(),
-    };
-    output.print("status", &data, || text(address.as_deref(), &status, &workers, &dictionaries))
+    }
 }
 
 type Answer = (Option<String>, StatusResponse, Vec<WorkerStatus>, Vec<DictionaryStatus>);

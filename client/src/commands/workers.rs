@@ -8,7 +8,7 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{Output, WorkerJson, table};
 
 #[derive(Debug, Serialize)]
-struct WorkersJson {
+pub(super) struct WorkersJson {
     workers: Vec<WorkerJson>,
 }
 
@@ -26,8 +26,11 @@ pub(crate) async fn run(global: &Global, args: WorkersArgs, output: &Output) -> 
 
 async fn list(global: &Global, output: &Output) -> Result<()> {
     let workers = with_farm(global, Purpose::Ask, fetch).await?;
-    let data = WorkersJson { workers: workers.iter().map(Into::into).collect() };
-    output.print("workers", &data, || text(&workers))
+    output.print("workers", &data(&workers), || text(&workers))
+}
+
+pub(super) fn data(workers: &[WorkerStatus]) -> WorkersJson {
+    WorkersJson { workers: workers.iter().map(Into::into).collect() }
 }
 
 async fn drain(global: &Global, worker: &str, output: &Output) -> Result<()> {

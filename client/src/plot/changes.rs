@@ -1,8 +1,9 @@
 //! Fig. 3: what small changes of one parameter do to a profile.
 
+use optics_model::fit::Curve;
+
 use super::canvas::Stroke;
 use super::color::Color;
-use super::curve::Curve;
 use super::legend::Key;
 use super::picture::Picture;
 use super::sheet::{Cell, Sheet};
@@ -19,6 +20,7 @@ const CHANGED: [Stroke; 4] = [
 #[derive(Clone, Debug)]
 pub(crate) struct ChangesFigure {
     pub title: String,
+    pub x_mm: Vec<f64>,
     pub panels: Vec<ChangesPanel>,
 }
 
@@ -44,21 +46,21 @@ pub(crate) fn changes_figure(figure: &ChangesFigure) -> anyhow::Result<Picture> 
         Key::note("dashed: one parameter changed"),
         Key::note("|∇| per pixel of 10 mm / 360"),
     ];
-    Sheet { title: &figure.title, legend, cells: figure.panels.iter().map(cell).collect(), alike: true }
-        .draw()
+    let cells = figure.panels.iter().map(|panel| cell(panel, &figure.x_mm)).collect();
+    Sheet { title: &figure.title, legend, cells, alike: true }.draw()
 }
 
-fn cell(panel: &ChangesPanel) -> Cell<'_> {
+fn cell<'a>(panel: &'a ChangesPanel, x_mm: &'a [f64]) -> Cell<'a> {
     let changed = CHANGED.into_iter().cycle().zip(&panel.changed);
     let lines: Vec<_> = std::iter::once((REFERENCE, &panel.reference)).chain(changed).collect();
     let keys = lines.iter().map(|(stroke, line)| Key::line(*stroke, line.label.as_str())).collect();
     let curves = lines.iter().map(|(stroke, line)| (*stroke, &line.curve)).collect();
-    Cell { column: &panel.parameter, thickness_mm: panel.thickness_mm, keys, curves }
+    Cell { column: &panel.parameter, thickness_mm: panel.thickness_mm, keys, x_mm, curves }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::checks::{assert_well_laid_out, edge, texts};
+    use super::super::checks::{assert_well_laid_out, edge, texts, x_mm};
     use super::*;
 
     fn labelled(label: &str, width_mm: f64) -> LabelledCurve {
@@ -76,7 +78,8 @@ mod tests {
             })
         });
         let picture =
-            changes_figure(&ChangesFigure { title: "White".into(), panels: panels.collect() }).unwrap();
+            changes_figure(&ChangesFigure { title: "White".into(), x_mm: x_mm(), panels: panels.collect() })
+                .unwrap();
         assert_well_laid_out(&picture);
         let texts = texts(&picture);
         for label in ["σt", "α", "g", "t = 1 mm", "reference", "x [mm]"] {

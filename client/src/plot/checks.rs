@@ -1,17 +1,21 @@
 //! What tests ask of every figure.
 
+use optics_model::fit::Curve;
 use resvg::usvg::{Group, Node, Rect};
 
-use super::curve::Curve;
 use super::picture::Picture;
 
-/// A blurred edge over ± 5 mm, 360 pixels.
+/// The middles of 360 pixels over ± 5 mm.
+pub(super) fn x_mm() -> Vec<f64> {
+    (0..360).map(|i| (f64::from(i) + 0.5) / 36.0 - 5.0).collect()
+}
+
+/// A blurred edge there.
 pub(super) fn edge(dark: f64, light: f64, width_mm: f64) -> Curve {
-    let x_mm: Vec<f64> = (0..360).map(|i| (f64::from(i) + 0.5) / 36.0 - 5.0).collect();
-    let values = x_mm.iter().map(|x| dark + (light - dark) * 0.5 * (1.0 + (x / width_mm).tanh())).collect();
-    let gradient =
-        x_mm.iter().map(|x| (light - dark) / (72.0 * width_mm) / (x / width_mm).cosh().powi(2)).collect();
-    Curve { x_mm, values, gradient }
+    let x_mm = x_mm();
+    let values = x_mm.iter().map(|x| dark + (light - dark) * 0.5 * (1.0 + (x / width_mm).tanh()));
+    let gradient = x_mm.iter().map(|x| (light - dark) / (72.0 * width_mm) / (x / width_mm).cosh().powi(2));
+    Curve { values: values.collect(), gradient: gradient.collect() }
 }
 
 /// The words of all text elements, in their order.

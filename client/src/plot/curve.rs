@@ -1,27 +1,9 @@
-//! Profiles, and the polylines that show them.
-
-use anyhow::ensure;
+//! The polylines that show profiles.
 
 use super::canvas::{Point, at};
 
 /// Points nearer than this to the line between their neighbours are not drawn, in pixels.
 const TOLERANCE: f64 = 0.05;
-
-/// A profile and its gradient magnitude per pixel of 10 mm / 360.
-#[derive(Clone, Debug)]
-pub(crate) struct Curve {
-    pub x_mm: Vec<f64>,
-    pub values: Vec<f64>,
-    pub gradient: Vec<f64>,
-}
-
-impl Curve {
-    pub(super) fn check(&self, what: &str) -> anyhow::Result<()> {
-        let [x, v, g] = [&self.x_mm, &self.values, &self.gradient].map(Vec::len);
-        ensure!(x == v && x == g, "{what}: {x} positions, {v} values and {g} gradients");
-        Ok(())
-    }
-}
 
 /// The pieces of a curve between values that are not finite, without the points that nobody would see.
 pub(super) fn pieces(points: impl IntoIterator<Item = Point>) -> Vec<Vec<Point>> {

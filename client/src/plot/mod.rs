@@ -1,4 +1,4 @@
-//! Figures for people: the paper's Figs. 3, 5, 6, 7 and 9 from plain data, as SVG or PNG.
+//! Figures for people: the paper's Figs. 6, 7 and 9 of answers as they are, Figs. 3 and 5 of plain data, as SVG or PNG.
 //!
 //! A figure function checks its data, lays panels out on a canvas in CSS pixels and gives a [`Picture`]. The same data
 //! gives the same bytes. Values that are not finite are left out.
@@ -10,6 +10,7 @@ mod changes;
 mod checks;
 mod color;
 mod curve;
+mod files;
 mod fit;
 mod frame;
 mod head;
@@ -23,9 +24,10 @@ mod sheet;
 mod text;
 
 pub(crate) use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
-pub(crate) use curve::Curve;
-pub(crate) use fit::{FitFigure, FitPanel, fit_figure};
-pub(crate) use map::{MapFigure, MapPanel, MapPoint, map_figure};
+pub(crate) use files::{drawn, write_fits, write_maps};
 pub(crate) use overview::{OverviewFigure, overview_figure};
 pub(crate) use picture::Picture;
-pub(crate) use scale::{ErrorAtG, ScaleFigure, scale_figure};
+pub(crate) use scale::scale_figure;
+
+use fit::fit_figure;
+use map::map_figure;

@@ -35,7 +35,7 @@ pub(crate) struct OverviewFigure {
     pub albedo: Vec<f64>,
     pub g: Vec<f64>,
     pub x_mm: Vec<f64>,
-    /// Over [thickness][σ_t][albedo][g], each as long as `x_mm` or empty if there is no record.
+    /// Over `[thickness][σ_t][albedo][g]`, each as long as `x_mm` or empty if there is no record.
     pub profiles: Vec<Vec<f64>>,
 }
 
@@ -192,7 +192,7 @@ fn albedo_label(albedo: f64) -> Text {
 
 #[cfg(test)]
 mod tests {
-    use super::super::checks::{assert_well_laid_out, edge, texts};
+    use super::super::checks::{assert_well_laid_out, edge, texts, x_mm};
     use super::*;
 
     fn figure(thicknesses: usize, sigma_ts: usize, albedos: usize, gs: usize) -> OverviewFigure {
@@ -205,7 +205,7 @@ mod tests {
             sigma_t_per_mm: (1..=sigma_ts).map(|i| 0.25 * i as f64).collect(),
             albedo: (1..=albedos).map(|i| 1.0 - 0.9 * 0.5_f64.powi(i as i32)).collect(),
             g: (0..gs).map(|i| 0.1 * i as f64).collect(),
-            x_mm: edge(0.0, 1.0, 1.0).x_mm,
+            x_mm: x_mm(),
             profiles: (0..records).map(profile).collect(),
         }
     }

@@ -1,6 +1,7 @@
 //! Fig. 6: the aggregate error over the scaling factor μ, and over g.
 
 use anyhow::ensure;
+use optics_model::fit::{Common, ScaleCurve};
 
 use super::axis::{Axis, extent};
 use super::canvas::{Area, Canvas, Stroke, at};
@@ -21,33 +22,12 @@ const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
 const LINE: Stroke = Stroke::solid(Color::BLUE, 1.5);
 const BAND: Color = Color(0xf8, 0xe2, 0xd2);
 
-/// How well all materials together fit when measurements are scaled by μ.
-#[derive(Clone, Debug)]
-pub(crate) struct ScaleFigure {
-    pub title: String,
-    pub mu: Vec<f64>,
-    /// One for each μ.
-    pub error: Vec<f64>,
-    pub best_mu: f64,
-    pub std_error: Option<f64>,
-    /// Empty if not wanted.
-    pub by_g: Vec<ErrorAtG>,
-    pub best_g: Option<f64>,
-}
-
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ErrorAtG {
-    pub g: f64,
-    pub error: f64,
-}
-
-pub(crate) fn scale_figure(figure: &ScaleFigure) -> anyhow::Result<Picture> {
-    let (n, errors) = (figure.mu.len(), figure.error.len());
-    ensure!(n > 0, "no errors to draw");
-    ensure!(n == errors, "{n} scaling factors and {errors} errors");
-    let mut panels = vec![over_mu(figure)];
-    if !figure.by_g.is_empty() {
-        panels.push(over_g(figure));
+/// How well all materials together fit when measurements are scaled by μ, by records; and with each g, refined.
+pub(crate) fn scale_figure(curve: &ScaleCurve, common: &Common) -> anyhow::Result<Picture> {
+    ensure!(!curve.points.is_empty(), "no errors to draw");
+    let mut panels = vec![over_mu(curve)];
+    if !common.by_g.is_empty() {
+        panels.push(over_g(common));
     }
     let mut left = MARGIN;
     for panel in &mut panels {
@@ -56,7 +36,7 @@ pub(crate) fn scale_figure(figure: &ScaleFigure) -> anyhow::Result<Picture> {
         left += panel.frame.area.width + BETWEEN;
     }
     let width = left - BETWEEN + MARGIN;
-    let head = Head::new(&figure.title, &[], width - 2.0 * MARGIN);
+    let head = Head::new("Scale factor common to all materials", &[], width - 2.0 * MARGIN);
     let keys =
         panels.iter().map(|p| Column::new(&p.keys, p.frame.area.width).height()).fold(0.0, f64::max) + 4.0;
     let top = head.height() + keys;
@@ -131,23 +111,24 @@ impl Panel {
     }
 }
 
-fn over_mu(figure: &ScaleFigure) -> Panel {
-    let mut panel = Panel::new("scaling factor μ", MU_WIDTH, figure.mu.clone(), figure.error.clone());
-    let std_error = figure.std_error.filter(|e| e.is_finite() && *e > 0.0);
-    let value = value_with_error(figure.best_mu, std_error);
-    panel.keys.push(Key::mark(Mark::Dot, format!("minimum: μ = {value}")));
+fn over_mu(curve: &ScaleCurve) -> Panel {
+    let (mu, error) = curve.points.iter().map(|point| (point.mu, point.error)).unzip();
+    let mut panel = Panel::new("scaling factor μ", MU_WIDTH, mu, error);
+    let (best, std_error) = (curve.best.mu, curve.std_error.filter(|e| e.is_finite() && *e > 0.0));
+    panel.keys.push(Key::mark(Mark::Dot, format!("minimum: μ = {}", value_with_error(best, std_error))));
     if std_error.is_some() {
         panel.keys.push(Key { sample: Sample::Patch(BAND), label: "± standard error".into() });
     }
-    panel.best = figure.best_mu.is_finite().then_some((figure.best_mu, std_error));
+    panel.best = best.is_finite().then_some((best, std_error));
     panel
 }
 
-fn over_g(figure: &ScaleFigure) -> Panel {
-    let (g, error) = figure.by_g.iter().map(|at| (at.g, at.error)).unzip();
+fn over_g(common: &Common) -> Panel {
+    let (g, error) = common.by_g.iter().map(|at| (at.g, at.error)).unzip();
     let mut panel = Panel::new("anisotropy g", G_WIDTH, g, error);
     panel.dots = true;
-    if let Some(g) = figure.best_g {
+    // One that was given is no minimum.
+    if let Some(g) = common.g_interval.and(common.g) {
         panel.keys.push(Key::mark(Mark::Dot, format!("minimum: g = {}", number(g, 4))));
         panel.best = Some((g, None));
     }
@@ -167,28 +148,45 @@ fn value_with_error(value: f64, std_error: Option<f64>) -> String {
 
 #[cfg(test)]
 mod tests {
+    use optics_model::fit::{GError, ScalePoint};
+
     use super::super::checks::{assert_well_laid_out, texts};
     use super::*;
+    use crate::testing::interval;
 
-    fn figure() -> ScaleFigure {
-        let mu: Vec<f64> = (0..=200).map(|i| 0.8 + 0.001 * f64::from(i)).collect();
-        let error = mu.iter().map(|mu| 0.28 + (mu - 0.913).abs()).collect();
-        let by_g = (0_i32..9)
-            .map(|i| ErrorAtG { g: 0.1 * f64::from(i), error: 0.3 + 0.02 * f64::from((i - 4).abs()) });
-        ScaleFigure {
-            title: "Five materials".into(),
-            mu,
-            error,
-            best_mu: 0.913,
+    fn answer() -> (ScaleCurve, Common) {
+        let points = (0..=200).map(|i| 0.8 + 0.001 * f64::from(i));
+        let points = points.map(|mu| ScalePoint { mu, error: 0.28 + (mu - 0.913).abs() });
+        let at = |g, error| GError { g, error, best_mu: 0.9, best_mu_error: 0.28 };
+        let by_g = (0_i32..9).map(|i| at(0.1 * f64::from(i), 0.3 + 0.02 * f64::from((i - 4).abs())));
+        let curve = ScaleCurve {
+            best: ScalePoint { mu: 0.913, error: 0.28 },
             std_error: Some(0.0042),
+            curvature: None,
+            at_end: false,
+            best_g: 0.3,
+            by_g: Vec::new(),
+            points: points.collect(),
+        };
+        let common = Common {
+            mu: 0.9,
+            mu_std_error: 0.01,
+            mu_interval: interval(0.88, 0.92),
+            mu_chosen: true,
+            g: Some(0.4),
+            g_interval: Some(interval(0.3, 0.5)),
             by_g: by_g.collect(),
-            best_g: Some(0.4),
-        }
+        };
+        (curve, common)
+    }
+
+    fn figure((curve, common): &(ScaleCurve, Common)) -> Picture {
+        scale_figure(curve, common).unwrap()
     }
 
     #[test]
     fn the_minimum_is_told_with_its_error() {
-        let picture = scale_figure(&figure()).unwrap();
+        let picture = figure(&answer());
         assert_well_laid_out(&picture);
         let texts = texts(&picture);
         for label in ["minimum: μ = 0.9130 ± 0.0042", "minimum: g = 0.4", "scaling factor μ", "anisotropy g"]
@@ -198,26 +196,36 @@ mod tests {
     }
 
     #[test]
+    fn a_given_anisotropy_is_not_told_as_a_minimum() {
+        let mut answer = answer();
+        answer.1.g_interval = None;
+        assert!(!texts(&figure(&answer)).iter().any(|text| text.starts_with("minimum: g")));
+    }
+
+    #[test]
     fn one_panel_or_one_value_are_enough() {
-        let mut figure = figure();
-        (figure.by_g, figure.std_error) = (Vec::new(), None);
-        figure.error[7] = f64::NAN;
-        let picture = scale_figure(&figure).unwrap();
+        let mut answer = answer();
+        (answer.1.by_g, answer.0.std_error) = (Vec::new(), None);
+        answer.0.points[7].error = f64::NAN;
+        let picture = figure(&answer);
         assert_well_laid_out(&picture);
         assert!(texts(&picture).iter().any(|text| text == "minimum: μ = 0.913"));
-        (figure.mu, figure.error) = (vec![0.913], vec![0.28]);
-        assert_well_laid_out(&scale_figure(&figure).unwrap());
-        (figure.error[0], figure.best_mu, figure.std_error) = (f64::NAN, f64::NAN, Some(f64::NAN));
-        let picture = scale_figure(&figure).unwrap();
+        answer.0.points = vec![answer.0.best];
+        assert_well_laid_out(&figure(&answer));
+        let none = ScalePoint { mu: f64::NAN, error: f64::NAN };
+        answer.0.points[0].error = f64::NAN;
+        (answer.0.best, answer.0.std_error) = (none, Some(f64::NAN));
+        let picture = figure(&answer);
         assert_well_laid_out(&picture);
         assert!(!texts(&picture).iter().any(|text| text == "± standard error"));
-        figure.error.push(0.3);
-        assert_eq!(scale_figure(&figure).unwrap_err().to_string(), "1 scaling factors and 2 errors");
+        answer.0.points.clear();
+        let refused = scale_figure(&answer.0, &answer.1).unwrap_err();
+        assert_eq!(refused.to_string(), "no errors to draw");
     }
 
     #[test]
     fn the_mark_lies_on_the_curve() {
-        let panel = over_mu(&figure());
+        let panel = over_mu(&answer().0);
         assert!((panel.error_at(0.9131).unwrap() - 0.2801).abs() < 1e-9);
         assert_eq!(panel.error_at(0.7), None);
     }

@@ -1,10 +1,10 @@
 //! Columns of profiles with their gradient magnitudes below, as in Figs. 3 and 7.
 
 use anyhow::ensure;
+use optics_model::fit::Curve;
 
 use super::axis::{Axis, extent};
 use super::canvas::{Area, Canvas, Stroke, at};
-use super::curve::Curve;
 use super::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
 use super::head::{Head, MARGIN};
 use super::legend::{Column, Key};
@@ -40,6 +40,7 @@ pub(super) struct Cell<'a> {
     pub(super) column: &'a str,
     pub(super) thickness_mm: f64,
     pub(super) keys: Vec<Key>,
+    pub(super) x_mm: &'a [f64],
     /// The first lies lowest.
     pub(super) curves: Vec<(Stroke, &'a Curve)>,
 }
@@ -89,7 +90,13 @@ impl<'a> Plan<'a> {
         let mut placed: Vec<Placed> = Vec::new();
         for cell in &sheet.cells {
             for (_, curve) in &cell.curves {
-                curve.check(&format!("{}, {} mm", cell.column, cell.thickness_mm))?;
+                let [x, v, g] = [cell.x_mm, &curve.values, &curve.gradient].map(<[f64]>::len);
+                ensure!(
+                    x == v && x == g,
+                    "{}, {} mm: {x} positions, {v} values and {g} gradients",
+                    cell.column,
+                    cell.thickness_mm
+                );
             }
             let place = (place_of(&mut columns, cell.column), place_of(&mut rows, cell.thickness_mm));
             ensure!(
@@ -110,7 +117,7 @@ impl<'a> Plan<'a> {
                 }
             }
         }
-        let x = sheet.cells.iter().flat_map(|c| &c.curves).flat_map(|(_, curve)| curve.x_mm.iter().copied());
+        let x = sheet.cells.iter().flat_map(|cell| cell.x_mm.iter().copied());
         let x = Axis::exact(extent(x));
         let across = columns.len().div_ceil(columns.len().div_ceil(MOST_COLUMNS));
         let panel_width = [420.0, 330.0, 270.0, 230.0].get(across - 1).copied().unwrap_or(190.0);
@@ -219,8 +226,8 @@ impl<'a> Plan<'a> {
             frame.rules(canvas);
         }
         for (stroke, curve) in &p.cell.curves {
-            profile.curve(canvas, &curve.x_mm, &curve.values, *stroke);
-            gradient.curve(canvas, &curve.x_mm, &curve.gradient, *stroke);
+            profile.curve(canvas, p.cell.x_mm, &curve.values, *stroke);
+            gradient.curve(canvas, p.cell.x_mm, &curve.gradient, *stroke);
         }
         let y = !self.alike || column.is_multiple_of(self.across);
         profile.axes(canvas, Labels { x: false, y });

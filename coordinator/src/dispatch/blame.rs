@@ -1,17 +1,13 @@
-//! Leases that come to nothing: handed back, failed, past their deadline; and who is blamed for it.
+//! Leases that come to nothing: handed back or failed; and who is blamed for it.
 
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::LeaseKey;
 
-use super::job;
 use super::job::Strike;
 use super::leases::Held;
-use super::{DispatchError, Dispatcher, Effect, Event, EventKind, PartId, Purpose};
-
-/// A reaper that comes this much later than the time before was itself stopped: no worker is to blame for that.
-pub(super) const STALL: Duration = Duration::from_secs(5);
+use super::{Count, DispatchError, Dispatcher, Effect, Event, EventKind, PartId, Purpose};
 
 impl Dispatcher {
     /// Takes leases back without blame; those that are not held are passed over.
@@ -49,6 +45,8 @@ impl Dispatcher {
     pub(super) fn free(&mut self, token: Token) -> Option<Held> {
         let held = self.leases.remove(token)?;
         if held.purpose == Purpose::Check {
+            // Another worker may take it.
+            self.work_came();
             return Some(held);
         }
         let part = PartId::from(&held.key);
@@ -58,6 +56,7 @@ impl Dispatcher {
         {
             dictionary.leased = dictionary.leased.saturating_sub(1);
             dictionary.put_back(part.job, part.part);
+            self.work_came();
         }
         Some(held)
     }
@@ -66,18 +65,16 @@ impl Dispatcher {
         let (id, job) = (key.dictionary, key.job);
         let label = strike.worker.map(|origin| self.workers.label_of(origin)).unwrap_or_default();
         let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
-        let event = |kind, message: String| Event {
-            kind,
-            dictionary: Some(id),
-            job: Some(job),
-            worker: label.clone(),
-            message,
-        };
-        self.events.push(event(EventKind::AttemptFailed, strike.reason.clone()));
-        if let Some((reason, quarantined)) = dictionary.strike(job, strike, self.settings.max_attempts) {
+        let name = dictionary.name().clone();
+        let given_up = dictionary.strike(job, strike.clone(), self.settings.max_attempts);
+        let event = |kind, message: String| Event::of_job(kind, &name, job, message).by(label.as_str());
+        self.outbox.events.push(event(EventKind::AttemptFailed, strike.reason));
+        self.outbox.changed = true;
+        if let Some((reason, quarantined)) = given_up {
             let kind = if quarantined { EventKind::JobQuarantined } else { EventKind::JobFailed };
-            self.events.push(event(kind, reason.clone()));
-            self.effects.push(Effect::GiveUp { dictionary: id, job, reason, quarantined });
+            self.outbox.counts.push(Count::GivenUp { quarantined });
+            self.outbox.events.push(event(kind, reason.clone()));
+            self.outbox.effects.push(Effect::GiveUp { dictionary: id, job, reason, quarantined });
             self.end_leases_of_job(id, job);
         }
     }
@@ -102,72 +99,5 @@ impl Dispatcher {
             dictionary.leased = dictionary.leased.saturating_sub(1);
         }
         ended
-    }
-
-    /// Frees leases past their deadline, looks for parts that take too long and forgets workers long gone; returns the
-    /// number of leases freed. A job that was being computed is blamed for its worker's silence.
-    pub fn expire(&mut self, now: Duration) -> usize {
-        if let Some(last) = self.last_look.replace(now)
-            && now.saturating_sub(last) > STALL
-        {
-            self.leases.postpone(now.saturating_sub(last));
-        }
-        let put_off = std::mem::take(&mut self.put_off);
-        let holds = |effect: &Effect| match effect {
-            Effect::GiveUp { dictionary, job, .. } => {
-                self.by_id(*dictionary).is_some_and(|d| !d.is_open(*job))
-            }
-            Effect::Recompute { dictionary, .. } => self.dictionaries.contains_key(dictionary),
-            Effect::Agreed { dictionary, job, .. } => {
-                self.by_id(*dictionary).is_some_and(|d| !d.is_open(*job))
-            }
-            Effect::Fence { .. } => true,
-        };
-        let again: Vec<_> = put_off.into_iter().filter(holds).collect();
-        self.effects.extend(again);
-        let expired = self.leases.expired(now);
-        for token in &expired {
-            let Some(held) = self.free(*token) else { continue };
-            if held.running && held.purpose != Purpose::Check {
-                let worker = self.workers.get(&held.worker).ok().map(|w| w.origin);
-                let label = worker.map(|o| self.workers.label_of(o)).unwrap_or_default();
-                let reason = format!(
-                    "attempt {}: worker {label} fell silent while it computed this job",
-                    held.key.attempt
-                );
-                if let Some(origin) = worker {
-                    self.workers.silent(origin, (held.key.dictionary, held.key.job));
-                }
-                self.strike(&held.key, Strike { worker, silent: true, reason });
-            }
-        }
-        self.find_late(now);
-        self.pace.working(now, self.leases.len() > 0);
-        let leases = &self.leases;
-        for gone in self.workers.forget_silent(now, |id| leases.count_of(id) == 0) {
-            self.events.push(Event::of_worker(EventKind::WorkerGone, gone, "not heard of any more"));
-        }
-        expired.len()
-    }
-
-    /// Looks for parts that take too long; worth doing only once nothing else waits.
-    fn find_late(&mut self, now: Duration) {
-        self.late.clear();
-        if self.gives_out() {
-            return;
-        }
-        let late = self.leases.iter().filter(|held| {
-            let part = PartId::from(&held.key);
-            let cost =
-                self.dictionaries.get(&part.dictionary).and_then(|d| d.job(part)).map(job::Job::part_cost);
-            held.purpose != Purpose::Check
-                && cost.is_some_and(|cost| self.pace.is_late(cost, now.saturating_sub(held.since)))
-        });
-        self.late = late.map(|held| PartId::from(&held.key)).collect();
-    }
-
-    /// Whether some parts take so long that second copies are wanted.
-    pub fn wants_copies(&self) -> bool {
-        !self.late.is_empty()
     }
 }

@@ -2,12 +2,12 @@
 //!
 //! Results are deterministic, so of two that differ one is wrong. A third worker decides: what two agree on is right.
 
-use crate::stored::Origin;
 use std::collections::BTreeMap;
 
 use optics_model::Digest;
 
 use super::PartId;
+use crate::stored::Origin;
 
 /// Checks that may wait; when there are more, the oldest are dropped.
 const MOST: usize = 1000;
@@ -33,6 +33,8 @@ pub(super) enum Verdict {
     Agreed,
     /// The same worker said the same again.
     Repeated,
+    /// The same worker says something else than before.
+    Contradicted,
     /// Two results differ: another worker is needed.
     Disputed,
     /// Two agree against these.
@@ -92,7 +94,7 @@ impl Checks {
                 self.open.remove(&part);
             }
             self.disputed += 1;
-            return Verdict::Wrong(vec![new.by]);
+            return Verdict::Contradicted;
         }
         votes.push(new);
         let count = |digest: Digest| votes.iter().filter(|v| v.digest == digest).count();

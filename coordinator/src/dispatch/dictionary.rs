@@ -11,11 +11,9 @@ use optics_model::{Digest, Grid, Invalid, Walks};
 
 use super::checks::Vote;
 use super::job::{Job, Part, Stage, Strike};
-use super::plan;
 use super::plan::Plan;
-use super::{PartId, shared};
-use crate::stored::Origin;
-use crate::stored::{DesiredState, EndedJob, StoredDictionary};
+use super::{PartId, plan, shared};
+use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary};
 
 /// Numbers that change with every job, kept so that nobody has to count.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]

@@ -7,7 +7,7 @@ use farm_proto::lease::{Lease, LeaseKey};
 use optics_model::Digest;
 
 use super::leases::{Held, Leases};
-use super::{Chance, Dictionary, DispatchError, Dispatcher, Grant, PartId, Purpose};
+use super::{Count, Dictionary, DispatchError, Dispatcher, Grant, PartId, Purpose, TokenSource};
 
 impl Dispatcher {
     /// Gives out up to `max` parts: checks first, then the costliest of the dictionary that is served first, and when
@@ -17,7 +17,7 @@ impl Dispatcher {
         now: Duration,
         worker: &WorkerId,
         max: usize,
-        chance: &mut impl Chance,
+        tokens: &mut impl TokenSource,
     ) -> Result<Grant, DispatchError> {
         self.seen(now, worker)?;
         let known = self.workers.get(worker)?;
@@ -29,7 +29,7 @@ impl Dispatcher {
         let checks: Vec<PartId> =
             self.checks.open_to(origin).filter(|part| self.may_check(*part)).take(max).collect();
         for part in checks {
-            self.grant(now, worker, part, Purpose::Check, chance, &mut grant);
+            self.grant(now, worker, part, Purpose::Check, tokens, &mut grant);
         }
         let order: Vec<DictionaryId> = self.order.iter().map(|(_, id)| *id).collect();
         for id in order {
@@ -42,19 +42,19 @@ impl Dispatcher {
                 let attempt = dictionary.begin(part.job, part.part);
                 let purpose = if dictionary.is_retry(part.job) { Purpose::Retry } else { Purpose::First };
                 dictionary.leased += 1;
-                self.lease(now, worker, part, attempt, purpose, chance, &mut grant);
+                self.lease(now, worker, part, attempt, purpose, tokens, &mut grant);
             }
         }
         while grant.leases.len() < max
             && let Some(part) = self.next_late(worker)
         {
-            self.grant(now, worker, part, Purpose::Copy, chance, &mut grant);
+            self.grant(now, worker, part, Purpose::Copy, tokens, &mut grant);
         }
         self.pace.working(now, self.leases.len() > 0);
         Ok(grant)
     }
 
-    fn may_check(&self, part: PartId) -> bool {
+    pub(super) fn may_check(&self, part: PartId) -> bool {
         let serves = |d: &Dictionary| d.job(part).is_some() && (d.is_active() || d.is_complete());
         self.dictionaries.get(&part.dictionary).is_some_and(serves)
             && self.leases.of_part(part).all(|held| held.purpose != Purpose::Check)
@@ -80,12 +80,12 @@ impl Dispatcher {
         worker: &WorkerId,
         part: PartId,
         purpose: Purpose,
-        chance: &mut impl Chance,
+        tokens: &mut impl TokenSource,
         grant: &mut Grant,
     ) {
         if let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary) {
             let attempt = dictionary.attempt(part.job);
-            self.lease(now, worker, part, attempt, purpose, chance, grant);
+            self.lease(now, worker, part, attempt, purpose, tokens, grant);
         }
     }
 
@@ -97,16 +97,16 @@ impl Dispatcher {
         id: PartId,
         attempt: u32,
         purpose: Purpose,
-        chance: &mut impl Chance,
+        tokens: &mut impl TokenSource,
         grant: &mut Grant,
     ) {
         let PartId { dictionary, job, part } = id;
-        let key = LeaseKey { dictionary, job, attempt, token: chance.token(), part };
+        let key = LeaseKey { dictionary, job, attempt, token: tokens.token(), part };
         let deadline = now + self.settings.lease;
         let worker = worker.clone();
         self.leases.insert(Held { key, worker, purpose, since: now, deadline, running: false });
         grant.leases.push(Lease { key, job: self.dictionaries[&dictionary].spec(job, part) });
-        grant.purposes.push(purpose);
+        self.outbox.counts.push(Count::Granted(purpose));
     }
 
     /// Extends leases; tells which are lost, and whether the worker is to leave. A lease that is not known (the

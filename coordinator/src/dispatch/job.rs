@@ -2,8 +2,7 @@
 
 use optics_model::{Digest, Walks};
 
-use crate::stored::EndedJob;
-use crate::stored::Origin;
+use crate::stored::{EndedJob, Origin};
 
 /// A block of a divided job, or the whole of one that is not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,7 +34,7 @@ pub(super) struct Job {
     /// Leases given out so far.
     pub attempts: u32,
     pub strikes: Vec<Strike>,
-    /// Place in the order of work.
+    /// JobRef in the order of work.
     pub rank: u32,
     /// Expected time of the whole job, in scatterings.
     pub cost: f64,
@@ -81,7 +80,7 @@ impl Job {
         self.stage = match end {
             EndedJob::Done { walks, records, by, reused, .. } => {
                 self.set_walks(*walks);
-                Stage::Done { records: *records, by: by.map(Origin), reused: *reused }
+                Stage::Done { records: *records, by: *by, reused: *reused }
             }
             EndedJob::GivenUp { reason, quarantined, .. } => {
                 Stage::GivenUp { reason: reason.clone(), quarantined: *quarantined }

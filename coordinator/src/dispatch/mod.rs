@@ -1,29 +1,29 @@
 //! Which job goes to which worker: a state machine over plain data.
 //!
 //! Synchronous, and blind to clocks, randomness, network and store: time comes in as a monotonic [`Duration`],
-//! randomness as a [`Chance`], results as calls. What must be made durable comes out as [`Effect`]s, what people may
-//! want to know as [`Event`]s.
+//! tokens from a [`TokenSource`], results as calls. What comes of it – what must be made durable, what people may want
+//! to know, whom to wake – is in the [`Outbox`].
 
+mod arrivals;
 mod blame;
 mod checks;
 mod dictionary;
-mod event;
 mod explain;
 mod grant;
 mod job;
 mod leases;
+mod look_over;
 #[cfg(test)]
 mod model_tests;
+mod outbox;
 mod pace;
 mod plan;
 mod progress;
-mod results;
 mod shared;
 #[cfg(test)]
 mod tests;
 mod workers;
 
-use crate::stored::Origin;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -33,16 +33,17 @@ use farm_proto::lease::Lease;
 use farm_proto::status::DictionaryStatus;
 use optics_model::Walks;
 
-use crate::stored::DesiredState;
+use crate::stored::{DesiredState, Origin};
+pub use arrivals::{Admission, Arrived, Next};
 use checks::Checks;
 pub use dictionary::Dictionary;
-pub use event::{Effect, Event, EventKind};
 pub use explain::Reason;
 use leases::Leases;
 pub use leases::{PartId, Purpose};
+pub use outbox::{Count, Effect, Event, EventKind, Outbox};
 use pace::Pace;
 pub use plan::Plan;
-pub use results::{Admission, Arrived};
+pub use shared::JobRef;
 pub use workers::Registration;
 use workers::Workers;
 
@@ -56,8 +57,8 @@ pub struct Settings {
     pub check_share: f64,
 }
 
-/// Where randomness comes from.
-pub trait Chance {
+/// Where tokens of leases come from.
+pub trait TokenSource {
     /// A token that nobody can guess.
     fn token(&mut self) -> Token;
 }
@@ -78,7 +79,6 @@ pub enum DispatchError {
 #[derive(Debug, Default)]
 pub struct Grant {
     pub leases: Vec<Lease>,
-    pub purposes: Vec<Purpose>,
     pub drain: bool,
 }
 
@@ -100,9 +100,9 @@ pub struct Dispatcher {
     /// Dictionaries that were begun before the coordinator's start.
     taken_up: BTreeSet<DictionaryId>,
     last_look: Option<Duration>,
-    effects: Vec<Effect>,
+    outbox: Outbox,
+    /// Effects that could not be performed.
     put_off: Vec<Effect>,
-    events: Vec<Event>,
     jobs_done: u64,
 }
 
@@ -120,9 +120,8 @@ impl Dispatcher {
             late: Vec::new(),
             taken_up: BTreeSet::new(),
             last_look: None,
-            effects: Vec::new(),
+            outbox: Outbox::default(),
             put_off: Vec::new(),
-            events: Vec::new(),
             jobs_done: 0,
         }
     }
@@ -139,6 +138,7 @@ impl Dispatcher {
         }
         self.order.insert((std::cmp::Reverse(dictionary.priority()), dictionary.id()));
         self.dictionaries.entry(dictionary.id()).or_insert(dictionary);
+        self.work_came();
     }
 
     /// Takes up a dictionary that workers may have been working on before the coordinator's start, which is time 0.
@@ -155,6 +155,7 @@ impl Dispatcher {
             self.suspects.retain(|(dictionary, _)| *dictionary != id);
             self.late.retain(|part| part.dictionary != id);
             self.taken_up.remove(&id);
+            self.outbox.changed = true;
         }
     }
 
@@ -213,23 +214,38 @@ impl Dispatcher {
         (self.checks.agreed, self.checks.disputed, self.checks.waiting())
     }
 
-    /// What must be made durable since the last call.
-    pub fn take_effects(&mut self) -> Vec<Effect> {
-        std::mem::take(&mut self.effects)
+    /// All that came of the changes since the last call.
+    pub fn take_outbox(&mut self) -> Outbox {
+        std::mem::take(&mut self.outbox)
     }
 
-    /// Effects that could not be performed come again with the next call of [`Self::expire`].
-    pub fn put_off(&mut self, effects: Vec<Effect>) {
-        self.put_off.extend(effects);
+    /// There may be work for a worker that waits, and people may see something new.
+    fn work_came(&mut self) {
+        self.outbox.work = true;
+        self.outbox.changed = true;
     }
 
-    /// What has happened since the last call.
-    pub fn take_events(&mut self) -> Vec<Event> {
-        std::mem::take(&mut self.events)
+    /// An effect that could not be performed comes again with the next call of [`Self::look_over`].
+    pub fn put_off(&mut self, effect: Effect) {
+        self.put_off.push(effect);
+    }
+
+    /// Notes an event of a dictionary, if it is there.
+    pub fn tell(&mut self, id: DictionaryId, kind: EventKind, message: impl Into<String>) {
+        if let Some(dictionary) = self.dictionaries.get(&id) {
+            self.outbox.events.push(Event::of_dictionary(kind, dictionary.name(), message));
+        }
     }
 
     /// What people want of a dictionary; the store has it already.
     pub fn set_desire(&mut self, id: DictionaryId, desire: DesiredState, reason: String) {
+        let kind = match desire {
+            DesiredState::Run => EventKind::Resumed,
+            DesiredState::Pause => EventKind::Paused,
+            DesiredState::Cancel => EventKind::Cancelled,
+        };
+        self.tell(id, kind, reason.as_str());
+        self.work_came();
         if let Some(dictionary) = self.dictionaries.get_mut(&id) {
             dictionary.set_desire(desire, reason);
             if desire == DesiredState::Cancel {
@@ -248,11 +264,16 @@ impl Dispatcher {
             dictionary.set_priority(priority);
             self.order.insert((std::cmp::Reverse(priority), id));
         }
+        self.tell(id, EventKind::PriorityChanged, format!("priority {priority}"));
+        self.outbox.changed = true;
     }
 
     /// Gives the jobs that were given up another chance; the store has forgotten their end.
     pub fn retry(&mut self, id: DictionaryId) -> usize {
-        self.dictionaries.get_mut(&id).map_or(0, |d| d.retry().len())
+        let again = self.dictionaries.get_mut(&id).map_or(0, |d| d.retry().len());
+        self.tell(id, EventKind::Retried, format!("{again} jobs are tried again"));
+        self.work_came();
+        again
     }
 
     /// Begins jobs again whose records are gone from the store.
@@ -266,6 +287,15 @@ impl Dispatcher {
             dictionary.reopen(jobs);
         }
         self.checks.retain(|part| part.dictionary != id || !jobs.contains(&part.job));
+        self.work_came();
+    }
+
+    /// A job's records are not those that were stored: it is begun again.
+    pub fn damaged(&mut self, id: DictionaryId, job: u32, what: &str) {
+        if let Some(dictionary) = self.dictionaries.get(&id) {
+            self.outbox.events.push(Event::of_job(EventKind::JobDamaged, dictionary.name(), job, what));
+        }
+        self.work_came();
     }
 
     /// Notes which blocks of a divided job of so many walks the store holds, and that it holds no others.
@@ -289,6 +319,7 @@ impl Dispatcher {
                 }
             }
         }
+        self.work_came();
     }
 
     fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<(), DispatchError> {

@@ -13,7 +13,7 @@ use super::{Dictionary, Dispatcher, PartId};
 use crate::stored::Origin;
 
 /// A job of a dictionary.
-pub type Place = (DictionaryId, u32);
+pub type JobRef = (DictionaryId, u32);
 
 /// What the walks of a grid depend on besides the transport point. None if it asks for a target error: then it is not
 /// known before with how many walks a job ends.
@@ -35,7 +35,7 @@ fn holds(all: &[f64], some: &[f64]) -> bool {
 
 impl Dispatcher {
     /// Jobs of other dictionaries that ask for the same walks as a job, for whatever albedos.
-    fn kin(&self, (id, job): Place) -> impl Iterator<Item = (&Dictionary, u32)> {
+    fn kin(&self, (id, job): JobRef) -> impl Iterator<Item = (&Dictionary, u32)> {
         let own = self.dictionaries.get(&id).and_then(|own| {
             let walks = own.jobs.get(job as usize)?.walks;
             Some((own.family?, walks, own.grid().point(job as usize)))
@@ -54,7 +54,7 @@ impl Dispatcher {
     ///
     /// It is the one for the most albedos; of equals one that is held goes first, then the oldest dictionary's. So all
     /// jobs for the same walks find the same, and it finds none.
-    fn computed_by(&self, (id, job): Place) -> Option<Place> {
+    fn computed_by(&self, (id, job): JobRef) -> Option<JobRef> {
         let own = &self.dictionaries[&id];
         let rank = |dictionary: &Dictionary, job| {
             let (id, albedos) = (dictionary.id(), dictionary.grid().albedo().len());
@@ -95,7 +95,7 @@ impl Dispatcher {
     }
 
     /// Open jobs of other dictionaries that the records of a job serve too.
-    pub fn served_by(&self, place: Place) -> Vec<Place> {
+    pub fn served_by(&self, place: JobRef) -> Vec<JobRef> {
         let Some(own) = self.dictionaries.get(&place.0) else { return Vec::new() };
         let served = |other: &Dictionary| holds(own.grid().albedo(), other.grid().albedo());
         let open = self
@@ -112,7 +112,7 @@ impl Dispatcher {
     }
 
     /// Notes that the store has ended a job with records that came for another dictionary.
-    pub fn taken_over(&mut self, (id, job): Place, walks: Walks, records: Digest, by: Option<Origin>) {
+    pub fn taken_over(&mut self, (id, job): JobRef, walks: Walks, records: Digest, by: Option<Origin>) {
         if !self.dictionaries.get(&id).is_some_and(|dictionary| dictionary.is_open(job)) {
             return;
         }
@@ -121,6 +121,7 @@ impl Dispatcher {
         if let Some(dictionary) = self.dictionaries.get_mut(&id) {
             dictionary.finish(job, walks, records, by, true);
         }
+        self.work_came();
         self.tell_end(id);
     }
 }

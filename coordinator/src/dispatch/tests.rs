@@ -13,9 +13,8 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
 
-use super::{Admission, Arrived, Chance, Dictionary, DispatchError, Dispatcher, Registration, Settings};
-use crate::stored::Origin;
-use crate::stored::{DesiredState, EndedJob, StoredDictionary};
+use super::{Admission, Arrived, Dictionary, DispatchError, Dispatcher, Registration, Settings, TokenSource};
+use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary};
 
 pub(super) const DIGEST: Digest = Digest::from_bytes([7; 32]);
 
@@ -53,7 +52,7 @@ pub(super) struct Counted {
     pub tokens: u128,
 }
 
-impl Chance for Counted {
+impl TokenSource for Counted {
     fn token(&mut self) -> Token {
         self.tokens += 1;
         Token(self.tokens)
@@ -174,8 +173,8 @@ fn after_a_restart_only_what_has_not_ended_is_left() {
 fn a_silent_workers_job_goes_to_another_and_its_late_result_still_counts() {
     let mut bench = Bench::new(&[]);
     let old = bench.acquire(0, "a", 1);
-    assert_eq!(bench.farm.expire(seconds(29)), 0);
-    assert_eq!(bench.farm.expire(seconds(30)), 1);
+    assert_eq!(bench.farm.look_over(seconds(29)), 0);
+    assert_eq!(bench.farm.look_over(seconds(30)), 1);
     let new = bench.acquire(31, "b", 1);
     assert_eq!((new[0].key.job, new[0].key.attempt), (old[0].key.job, 2));
     assert!(!bench.renew(32, "a", &old[0], true), "the lease is lost");
@@ -190,12 +189,12 @@ fn renewed_leases_live_on() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     assert!(bench.renew(20, "a", &lease[0], true));
-    assert_eq!(bench.farm.expire(seconds(24)), 0);
-    assert_eq!(bench.farm.expire(seconds(29)), 0);
+    assert_eq!(bench.farm.look_over(seconds(24)), 0);
+    assert_eq!(bench.farm.look_over(seconds(29)), 0);
     for second in (30..50).step_by(4) {
-        assert_eq!(bench.farm.expire(seconds(second)), 0);
+        assert_eq!(bench.farm.look_over(seconds(second)), 0);
     }
-    assert_eq!(bench.farm.expire(seconds(50)), 1);
+    assert_eq!(bench.farm.look_over(seconds(50)), 1);
 }
 
 #[test]
@@ -274,15 +273,15 @@ fn a_straggler_gets_a_second_copy_and_the_first_result_counts() {
     let leases = bench.acquire(0, "a", 3);
     bench.finish(1, "a", &leases[1]);
     bench.finish(1, "a", &leases[2]);
-    bench.farm.expire(seconds(4));
+    bench.farm.look_over(seconds(4));
     assert!(bench.acquire(4, "b", 1).is_empty(), "not yet");
-    bench.farm.expire(seconds(9));
-    bench.farm.expire(seconds(14));
-    bench.farm.expire(seconds(18));
+    bench.farm.look_over(seconds(9));
+    bench.farm.look_over(seconds(14));
+    bench.farm.look_over(seconds(18));
     assert!(bench.acquire(18, "a", 1).is_empty(), "not a second copy for the same worker");
     let copy = bench.acquire(18, "b", 1);
     assert_eq!(copy[0].key.job, leases[0].key.job);
-    bench.farm.expire(seconds(19));
+    bench.farm.look_over(seconds(19));
     assert!(bench.acquire(19, "c", 1).is_empty(), "two are enough");
     bench.finish(20, "b", &copy[0]);
     assert_eq!(bench.state(), DictionaryState::Done);
@@ -345,7 +344,7 @@ fn what_was_leased_before_a_pause_is_finished_and_nothing_else_is_given_out() {
     bench.finish(1, "a", &leases[1]);
     bench.finish(1, "a", &leases[2]);
     for second in (4..=20).step_by(4) {
-        bench.farm.expire(seconds(second));
+        bench.farm.look_over(seconds(second));
     }
     bench.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
     assert!(bench.acquire(20, "b", 9).is_empty(), "no second copy either");

@@ -140,7 +140,7 @@ impl Dispatcher {
             }
         } else {
             let message = format!("{} threads, version {}", about.threads, about.version);
-            self.events.push(Event::of_worker(EventKind::WorkerJoined, about.label.clone(), message));
+            self.outbox.events.push(Event::of_worker(EventKind::WorkerJoined, about.label.clone(), message));
         }
         self.workers.by_origin.insert(origin, id.clone());
         self.workers.known.insert(id, Worker { about, origin, last_seen: now, jobs_done, draining });
@@ -165,7 +165,8 @@ impl Dispatcher {
         if let Some(worker) = self.workers.remove(id) {
             self.forgive(worker.origin);
             let message = format!("{} jobs done", worker.jobs_done);
-            self.events.push(Event::of_worker(EventKind::WorkerLeft, worker.about.label, message));
+            self.outbox.changed = true;
+            self.outbox.events.push(Event::of_worker(EventKind::WorkerLeft, worker.about.label, message));
         }
     }
 
@@ -183,7 +184,9 @@ impl Dispatcher {
                 let worker = self.workers.known.get_mut(id).expect("it was just found");
                 worker.draining = true;
                 let label = worker.about.label.clone();
-                self.events.push(Event::of_worker(EventKind::WorkerDraining, label, "asked to leave"));
+                // If it waits for work it is to hear of it at once.
+                self.outbox.work = true;
+                self.outbox.events.push(Event::of_worker(EventKind::WorkerDraining, label, "asked to leave"));
                 Ok(id.clone())
             }
             [] => Err("no worker has this id or label".to_owned()),

@@ -3,16 +3,29 @@
 use std::io::{Read, Seek, SeekFrom};
 use std::path::PathBuf;
 
-use super::{Farm, Result, blocking};
+use super::{Farm, FarmError, Result, blocking};
 use crate::clock::random_token;
-use crate::dispatch::{Event, EventKind};
+use crate::dispatch::EventKind;
 use crate::store::DataDir;
-use crate::store::copy::BackupReport;
+use crate::store::backup::BackupReport;
 
-/// A verified copy of the database, which goes with this.
+/// Bytes of a piece.
+const PIECE: usize = 1 << 20;
+
+/// A verified copy of the database on its way out. The copy here goes with this.
 #[derive(Debug)]
 pub(crate) struct Backup {
     file: PathBuf,
+    /// What comes first, if it has not been given yet.
+    report: Option<BackupReport>,
+    offset: u64,
+}
+
+/// What a backup is made of: a report, and then the bytes in pieces.
+#[derive(Debug)]
+pub(crate) enum BackupPart {
+    Report(BackupReport),
+    Data(Vec<u8>),
 }
 
 impl Drop for Backup {
@@ -24,28 +37,33 @@ impl Drop for Backup {
 }
 
 impl Backup {
-    /// Up to `most` bytes from an offset on; none at the end.
-    pub(crate) async fn piece(&self, offset: u64, most: usize) -> std::io::Result<Vec<u8>> {
-        let file = self.file.clone();
-        blocking(move || {
+    pub(crate) async fn next(&mut self) -> Result<Option<BackupPart>> {
+        if let Some(report) = self.report.take() {
+            return Ok(Some(BackupPart::Report(report)));
+        }
+        let (file, offset) = (self.file.clone(), self.offset);
+        let piece = blocking(move || {
             let mut file = std::fs::File::open(file)?;
             file.seek(SeekFrom::Start(offset))?;
-            let mut piece = Vec::with_capacity(most);
-            file.take(most as u64).read_to_end(&mut piece)?;
+            let mut piece = Vec::with_capacity(PIECE);
+            file.take(PIECE as u64).read_to_end(&mut piece)?;
             Ok(piece)
-        })
-        .await
+        });
+        let piece = piece.await.map_err(FarmError::Backup)?;
+        self.offset += piece.len() as u64;
+        Ok((!piece.is_empty()).then_some(BackupPart::Data(piece)))
     }
 }
 
 impl Farm {
     /// A copy of the database as it is now, verified.
-    pub(crate) async fn backup(&self) -> Result<(Backup, BackupReport)> {
+    pub(crate) async fn backup(&self) -> Result<Backup> {
         let name = format!("{}{}.db", DataDir::BACKUP_PREFIX, &random_token()[..8]);
-        let backup = Backup { file: self.store.dir().path().join(name) };
+        let mut backup = Backup { file: self.store.dir().path().join(name), report: None, offset: 0 };
         let report = self.store.backup(&backup.file).await?;
-        let message = format!("{} records, {} bytes", report.content.records, report.bytes);
-        self.recorder.record("", &Event::of_farm(EventKind::BackupMade, message));
-        Ok((backup, report))
+        let message = format!("{} records, {} bytes", report.counts.records, report.bytes);
+        self.door.note(EventKind::BackupMade, message);
+        backup.report = Some(report);
+        Ok(backup)
     }
 }

@@ -30,15 +30,15 @@ impl Recorder {
         Self { queue: Mutex::new(Some(queue)), writer: tokio::sync::Mutex::new(Some(writer)) }
     }
 
-    /// Notes an event; `dictionary` is the name of the one it concerns.
-    pub(super) fn record(&self, dictionary: &str, event: &Event) {
-        let Event { kind, job, worker, message, .. } = event;
+    /// Notes an event.
+    pub(super) fn record(&self, event: &Event) {
+        let Event { kind, dictionary, job, worker, message } = event;
         tracing::info!(kind = kind.as_str(), dictionary, job, worker, "{message}");
         let stored = StoredEvent {
             id: 0,
             unix_ms: Clock::unix_ms() as i64,
             kind: kind.as_str().to_owned(),
-            dictionary: dictionary.to_owned(),
+            dictionary: dictionary.clone(),
             job: job.map(i64::from),
             worker: worker.clone(),
             message: message.clone(),

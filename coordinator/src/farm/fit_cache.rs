@@ -7,8 +7,8 @@ use farm_proto::ids::DictionaryId;
 use optics_model::Grid;
 use tokio::sync::OnceCell;
 
-use super::{FarmError, Result, blocking, read_chunk};
-use crate::store::Store;
+use super::{FarmError, Result, blocking};
+use crate::store::{Damaged, Store};
 use optics_fit::{DictionaryBuilder, FitDictionary};
 
 /// Dictionaries kept at a time.
@@ -67,28 +67,13 @@ pub async fn load_dictionary(
     id: DictionaryId,
     grid: &Arc<Grid>,
 ) -> Result<FitDictionary> {
-    let (jobs, albedos) = (grid.job_count(), grid.albedo().len());
-    let chunk = (read_chunk(grid) / albedos).max(1);
+    let jobs = grid.job_count();
+    let chunk = ((8 << 20) / (grid.albedo().len() * grid.record_bytes())).clamp(1, 1024);
     let mut builder = DictionaryBuilder::new((**grid).clone());
     for first in (0..jobs).step_by(chunk) {
-        let range = first..(first + chunk).min(jobs);
-        let mut expected = range.clone();
-        let damaged =
-            |job: usize, what: String| FarmError::Damaged { name: name.clone(), job: job as u32, what };
-        for job in store.jobs_with_records(id, grid, range).await? {
-            let wanted = expected.next();
-            if wanted != Some(job.job as usize) {
-                return Err(damaged(wanted.unwrap_or(first), "its end is missing".to_owned()));
-            }
-            if let Some(what) = job.damage(albedos) {
-                return Err(damaged(job.job as usize, what));
-            }
-            for record in &job.records {
-                builder.add(record);
-            }
-        }
-        if let Some(missing) = expected.next() {
-            return Err(damaged(missing, "its end is missing".to_owned()));
+        for found in store.all_jobs(id, grid, first..(first + chunk).min(jobs)).await? {
+            let damaged = |Damaged { job, what }| FarmError::Damaged { name: name.clone(), job, what };
+            builder.add(&found.map_err(damaged)?.records);
         }
     }
     Ok(blocking(move || builder.build()).await)

@@ -6,7 +6,7 @@ use optics_model::Grid;
 
 use super::Farm;
 use super::records::UNSTEADY;
-use crate::store::StoreError;
+use crate::store::{JobRecords, StoreError};
 
 /// What a look at the whole database found.
 #[derive(Debug, Default)]
@@ -45,10 +45,9 @@ enum Look {
 impl Farm {
     /// Compares all records with their digests. Jobs that are damaged are computed again if `repair` says so.
     pub(crate) async fn inspect(&self, repair: bool) -> Inspection {
-        let all: Vec<_> = {
-            let dispatch = self.dispatch();
-            dispatch.dictionaries().map(|d| (d.name().clone(), d.id(), d.grid().clone())).collect()
-        };
+        let all: Vec<_> = self.door.query(|dispatcher, _| {
+            dispatcher.dictionaries().map(|d| (d.name().clone(), d.id(), d.grid().clone())).collect()
+        });
         let mut inspection = Inspection::default();
         match self.store.faults().await {
             Ok(faults) => inspection.faults = faults,
@@ -56,7 +55,7 @@ impl Farm {
         }
         for (name, id, grid) in all {
             for job in 0..grid.job_count() as u32 {
-                let look = self.look_at(&name, id, &grid, job, repair).await;
+                let look = self.look_at(id, &grid, job, repair).await;
                 inspection.note(&name, job, look.unwrap_or_else(|error| Look::Unreadable(error.to_string())));
             }
         }
@@ -68,21 +67,19 @@ impl Farm {
 
     async fn look_at(
         &self,
-        name: &DictionaryName,
         id: DictionaryId,
         grid: &Grid,
         job: u32,
         repair: bool,
     ) -> Result<Look, StoreError> {
         let range = job as usize..job as usize + 1;
-        let Some(read) = self.store.jobs_with_records(id, grid, range).await?.pop() else {
-            return Ok(Look::Nothing);
-        };
-        if read.damage(grid.albedo().len()).is_none() {
-            return Ok(Look::Good(read.records.len()));
+        match self.store.finished_jobs(id, grid, range).await?.pop() {
+            None => return Ok(Look::Nothing),
+            Some(Ok(JobRecords { records, .. })) => return Ok(Look::Good(records.numbers().len())),
+            Some(Err(_)) => {}
         }
         let confirmed = if repair {
-            self.forget_if_damaged(name, id, grid, job).await?
+            self.forget_if_damaged(id, grid, job).await?
         } else {
             self.damage_of(id, grid, job).await?
         };

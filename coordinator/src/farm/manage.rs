@@ -9,7 +9,7 @@ use optics_model::{Digest, Grid};
 
 use super::{Farm, FarmError, Result, blocking, not_found};
 use crate::clock::Clock;
-use crate::dispatch::{Dictionary, Event, EventKind, Plan, Reason};
+use crate::dispatch::{Dictionary, EventKind, Plan, Reason};
 use crate::store::{StoreError, StoredEvent};
 use crate::stored::{DesiredState, StoredDictionary};
 
@@ -22,7 +22,7 @@ impl Farm {
         priority: i32,
     ) -> Result<DictionaryStatus> {
         let _one_at_a_time = self.managing.lock().await;
-        let existing = self.dispatch().by_name(&name).map(Dictionary::grid_digest);
+        let existing = self.door.query(|d, _| d.by_name(&name).map(Dictionary::grid_digest));
         if let Some(existing) = existing {
             if existing == Digest::of_grid(&grid) {
                 return self.status(&name);
@@ -37,20 +37,18 @@ impl Farm {
         let id = stored.id;
         if let Err(error) = self.take_up(plan, stored).await {
             // A dictionary that the store has and nobody serves would keep its name for ever.
-            self.dispatch().remove_dictionary(id);
+            self.door.transition(|dispatcher, _| dispatcher.remove_dictionary(id));
             if let Err(error) = self.store.delete_dictionary(id, &[]).await {
                 tracing::error!(%error, %name, "a dictionary that was not taken up could not be deleted");
             }
             return Err(error);
         }
-        self.changed.send_replace(());
-        self.work.send_replace(());
         self.status(&name)
     }
 
     /// Begins with a new dictionary: uses the records that exist already, and serves the rest.
     async fn take_up(&self, plan: Plan, stored: StoredDictionary) -> Result<()> {
-        let (id, name, grid) = (stored.id, stored.name.clone(), stored.grid.clone());
+        let (id, grid) = (stored.id, stored.grid.clone());
         let _nothing_is_forgotten = self.records.read().await;
         let reused = if grid.quality().is_some() {
             // How many walks a point ends with is not known before.
@@ -58,27 +56,28 @@ impl Farm {
         } else {
             let of_jobs = grid.clone();
             let jobs = blocking(move || identities(&of_jobs)).await;
-            let grids = self.dispatch().dictionaries().map(|d| (d.id(), d.grid().clone())).collect();
+            let grids =
+                self.door.query(|d, _| d.dictionaries().map(|d| (d.id(), d.grid().clone())).collect());
             self.store.reuse(id, &grid, &jobs, &grids).await?.len()
         };
         let ended = self.store.ended_jobs(id, grid.walks()).await?;
         let dictionary = Dictionary::planned(plan, stored, &ended);
-        self.dispatch().add_dictionary(dictionary);
+        self.door.transition(|dispatcher, _| dispatcher.add_dictionary(dictionary));
         self.find_blocks(id).await?;
         // What came in the meantime.
         self.take_over_done(id).await?;
         let (jobs, records) = (grid.job_count(), grid.record_count());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
-        self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Submitted, id, message));
+        self.door.transition(|dispatcher, _| dispatcher.tell(id, EventKind::Submitted, message));
         Ok(())
     }
 
     /// Takes up blocks of divided jobs that the store holds.
     pub(super) async fn find_blocks(&self, id: DictionaryId) -> Result<(), StoreError> {
-        let wanted = self.dispatch().by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs);
+        let wanted = self.door.query(|d, _| d.by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs));
         for (job, spec) in wanted {
             let blocks = self.store.stored_blocks(&spec).await?;
-            self.dispatch().parts_stored(id, job, spec.walks(), &blocks);
+            self.door.transition(|d, _| d.parts_stored(id, job, spec.walks(), &blocks));
         }
         Ok(())
     }
@@ -125,19 +124,11 @@ impl Farm {
             grid.check_parts()?;
         }
         self.store.set_desire(id, desire, reason).await?;
-        self.dispatch().set_desire(id, desire, reason.to_owned());
+        self.door.transition(|dispatcher, _| dispatcher.set_desire(id, desire, reason.to_owned()));
         if desire == DesiredState::Run {
             let _nothing_is_forgotten = self.records.read().await;
             self.take_over_done(id).await?;
         }
-        let kind = match desire {
-            DesiredState::Run => EventKind::Resumed,
-            DesiredState::Pause => EventKind::Paused,
-            DesiredState::Cancel => EventKind::Cancelled,
-        };
-        self.recorder.record(name.as_str(), &Event::of_dictionary(kind, id, reason));
-        self.work.send_replace(());
-        self.changed.send_replace(());
         self.status(name)
     }
 
@@ -145,14 +136,10 @@ impl Farm {
         let _one_at_a_time = self.managing.lock().await;
         let (id, _) = self.found(name)?;
         self.store.retry_jobs(id).await?;
-        let again = self.dispatch().retry(id);
+        self.door.transition(|dispatcher, _| dispatcher.retry(id));
         let _nothing_is_forgotten = self.records.read().await;
         self.find_blocks(id).await?;
         self.take_over_done(id).await?;
-        let message = format!("{again} jobs are tried again");
-        self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::Retried, id, message));
-        self.work.send_replace(());
-        self.changed.send_replace(());
         self.status(name)
     }
 
@@ -164,10 +151,7 @@ impl Farm {
         let _one_at_a_time = self.managing.lock().await;
         let (id, _) = self.found(name)?;
         self.store.set_priority(id, priority).await?;
-        self.dispatch().set_priority(id, priority);
-        let message = format!("priority {priority}");
-        self.recorder.record(name.as_str(), &Event::of_dictionary(EventKind::PriorityChanged, id, message));
-        self.changed.send_replace(());
+        self.door.transition(|dispatcher, _| dispatcher.set_priority(id, priority));
         self.status(name)
     }
 
@@ -183,40 +167,36 @@ impl Farm {
         let _no_result_on_its_way = self.records.write().await;
         let blocks = self.blocks_of_none_but(id);
         let records = self.store.delete_dictionary(id, &blocks).await?;
-        self.dispatch().remove_dictionary(id);
+        self.door.transition(|dispatcher, _| {
+            dispatcher.tell(id, EventKind::Deleted, format!("{records} records deleted"));
+            dispatcher.remove_dictionary(id);
+        });
         self.fits.forget(id);
-        let message = format!("{records} records deleted");
-        self.recorder.record(name.as_str(), &Event::of_farm(EventKind::Deleted, message));
-        self.changed.send_replace(());
         Ok(records)
     }
 
     /// Where blocks of a dictionary's unfinished jobs are gathered, and of no other one's.
     fn blocks_of_none_but(&self, id: DictionaryId) -> Vec<Digest> {
-        let dispatch = self.dispatch();
         let gathered = |d: &Dictionary| d.divided_jobs().into_iter().map(|(_, job)| Digest::of_sums(&job));
-        let others: HashSet<Digest> =
-            dispatch.dictionaries().filter(|d| d.id() != id).flat_map(gathered).collect();
-        dispatch.by_id(id).into_iter().flat_map(gathered).filter(|digest| !others.contains(digest)).collect()
+        self.door.query(|dispatcher, _| {
+            let others = dispatcher.dictionaries().filter(|d| d.id() != id);
+            let others: HashSet<Digest> = others.flat_map(gathered).collect();
+            let own = dispatcher.by_id(id).into_iter().flat_map(gathered);
+            own.filter(|digest| !others.contains(digest)).collect()
+        })
     }
 
     pub(crate) fn explain(&self, name: &DictionaryName) -> Result<Vec<Reason>> {
-        let fault = self.overview().store_fault;
-        let dispatch = self.dispatch();
-        let mut reasons =
-            dispatch.explain(self.clock.now(), name).ok_or_else(|| not_found(&dispatch, name))?;
-        if let Some(fault) = fault {
+        let mut reasons = self.door.query(|d, now| d.explain(now, name).ok_or_else(|| not_found(d, name)))?;
+        if let Some(fault) = self.store_fault() {
             let text = format!("results cannot be stored: {fault}; workers keep them and try again");
             reasons.insert(0, Reason { code: "STORE_FAULT", text });
         }
         Ok(reasons)
     }
 
-    pub(crate) async fn drain(&self, which: &str) -> Result<WorkerId> {
-        let drained = self.dispatch().drain(which);
-        self.settle().await;
-        // One that waits for work is to hear of it at once.
-        self.work.send_replace(());
+    pub(crate) fn drain(&self, which: &str) -> Result<WorkerId> {
+        let drained = self.door.transition(|dispatcher, _| dispatcher.drain(which));
         drained.map_err(|why| FarmError::Worker { which: which.to_owned(), why })
     }
 

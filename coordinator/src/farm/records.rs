@@ -10,8 +10,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::{Grid, Invalid, Record};
 
 use super::{Farm, FarmError, Result, blocking};
-use crate::dispatch::{Event, EventKind};
-use crate::store::StoreError;
+use crate::store::{Damaged, JobRecords, StoreError};
 use optics_fit::FitDictionary;
 
 /// What is said of records that were damaged at the first reading, and not at the second.
@@ -23,18 +22,23 @@ impl Farm {
         let (id, grid) = self.found(name)?;
         let albedos = grid.albedo().len();
         let jobs = range.start / albedos..range.end.div_ceil(albedos);
-        let stored = self.store.jobs_with_records(id, &grid, jobs).await?;
-        if let Some(job) = stored.iter().find(|job| job.damage(albedos).is_some()) {
-            return Err(self.doubted(name, id, &grid, job.job).await);
+        let mut wanted = Vec::with_capacity(range.len());
+        for found in self.store.finished_jobs(id, &grid, jobs).await? {
+            match found {
+                Ok(JobRecords { records, .. }) => {
+                    let numbers = records.numbers().filter(|number| range.contains(number));
+                    wanted.extend(numbers.map(|number| records.record(number)));
+                }
+                Err(Damaged { job, .. }) => return Err(self.doubted(name, id, &grid, job).await),
+            }
         }
-        let wanted = stored.into_iter().flat_map(|job| job.records).filter(|r| range.contains(&r.index));
-        Ok(wanted.collect())
+        Ok(wanted)
     }
 
     /// What to say of a job that was damaged when it was read: it is read again, and computed again if need be.
     async fn doubted(&self, name: &DictionaryName, id: DictionaryId, grid: &Grid, job: u32) -> FarmError {
         let name = name.clone();
-        match self.forget_if_damaged(&name, id, grid, job).await {
+        match self.forget_if_damaged(id, grid, job).await {
             Ok(Some(what)) => FarmError::Damaged { name, job, what },
             Ok(None) => FarmError::Unreadable { name, job, what: UNSTEADY.to_owned() },
             Err(error) => FarmError::Unreadable { name, job, what: error.to_string() },
@@ -48,14 +52,12 @@ impl Farm {
         grid: &Grid,
         job: u32,
     ) -> Result<Option<String>, StoreError> {
-        let read = self.store.job_read_afresh(id, grid, job as usize).await?;
-        Ok(read.map_or(Some("its end is missing".to_owned()), |read| read.damage(grid.albedo().len())))
+        Ok(self.store.job_read_again(id, grid, job).await?.err().map(|damaged| damaged.what))
     }
 
     /// Reads a job once more; only if that finds damage too it is computed again, if its dictionary goes on.
     pub(super) async fn forget_if_damaged(
         &self,
-        name: &DictionaryName,
         id: DictionaryId,
         grid: &Grid,
         job: u32,
@@ -65,12 +67,9 @@ impl Farm {
         let mut again = self.store.forget_job(id, job).await?;
         // One that has lost its end has no records to be forgotten.
         again.push((id, job));
-        self.reopen(again);
+        self.begin_again(again);
         drop(no_result_on_its_way);
-        let event = Event::of_dictionary(EventKind::JobDamaged, id, what.clone());
-        self.recorder.record(name.as_str(), &Event { job: Some(job), ..event });
-        self.work.send_replace(());
-        self.changed.send_replace(());
+        self.door.transition(|dispatcher, _| dispatcher.damaged(id, job, &what));
         Ok(Some(what))
     }
 
@@ -92,9 +91,4 @@ impl Farm {
         };
         Ok(blocking(move || question(&dictionary)).await?)
     }
-}
-
-/// Records of a grid that are read at a time: some 8 MiB.
-pub(crate) fn read_chunk(grid: &Grid) -> usize {
-    ((8 << 20) / grid.record_bytes()).clamp(1, 1024)
 }

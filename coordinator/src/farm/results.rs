@@ -1,4 +1,4 @@
-//! The way of a result from the wire to the disk.
+//! The way of a result to the disk.
 
 use std::sync::PoisonError;
 
@@ -9,21 +9,10 @@ use optics_model::job::JobSpec;
 
 use super::records::UNSTEADY;
 use super::{Farm, Result};
-use crate::dispatch::{Admission, Arrived, Event, EventKind};
-use crate::metrics::{JobOutcome, VerificationOutcome};
+use crate::dispatch::{Admission, Arrived, Next};
+use crate::metrics::JobOutcome;
 use crate::store::StoreError;
-use crate::stored::Origin;
 use crate::stored::{Completion, JobResult, Outcome};
-
-/// What became of a result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Fate {
-    Stored,
-    Duplicate,
-    Conflict,
-    /// Its dictionary was deleted or its worker fenced off while it was on its way, or it is there already.
-    Unwanted,
-}
 
 impl Farm {
     /// Stores a result, or compares it with what is stored.
@@ -32,82 +21,66 @@ impl Farm {
         worker: WorkerId,
         key: LeaseKey,
         admission: Admission,
-        content: JobResult,
-    ) -> Result<Fate> {
+        result: JobResult,
+    ) -> Result<Outcome> {
         let outcome = match admission {
             Admission::Store { job, by } => {
                 let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
-                self.store_result(&arrived, job.clone(), content).await
+                self.store_result(&arrived, job, result).await
             }
-            Admission::Compare { by, stored, .. } => Ok(self.compare(by, &key, stored, content.digest())),
-            Admission::Repeated { .. } => Ok(Fate::Duplicate),
+            Admission::Compare { job, by, stored } => {
+                let outcome = Outcome::Before { records: stored, new: result.digest() };
+                let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
+                self.door.transition(|dispatcher, now| dispatcher.arrived(now, &arrived, outcome));
+                Ok(outcome)
+            }
+            Admission::Repeated { .. } => Ok(Outcome::Repeated),
         };
-        self.settle().await;
-        self.changed.send_replace(());
+        self.door.settled().await;
         let outcome = outcome?;
         match outcome {
-            Fate::Stored => self.metrics.job_completed(JobOutcome::Stored),
-            Fate::Duplicate => self.metrics.job_completed(JobOutcome::Duplicate),
-            Fate::Conflict => self.metrics.job_completed(JobOutcome::Conflict),
-            Fate::Unwanted => {}
+            Outcome::Finished { .. } | Outcome::Part | Outcome::MoreWalks(_) => {
+                self.door.metrics().job_completed(JobOutcome::Stored);
+            }
+            _ if outcome.is_conflict() => self.door.metrics().job_completed(JobOutcome::Conflict),
+            Outcome::Unwanted => {}
+            _ => self.door.metrics().job_completed(JobOutcome::Duplicate),
         }
         Ok(outcome)
     }
 
-    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, content: JobResult) -> Result<Fate> {
+    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, result: JobResult) -> Result<Outcome> {
         let key = arrived.key;
-        let quality = self.dispatch().by_id(key.dictionary).and_then(|d| d.grid().quality());
+        let quality = self.door.query(|d, _| d.by_id(key.dictionary).and_then(|d| d.grid().quality()));
         let completion = Completion {
             dictionary: key.dictionary,
             job_number: key.job,
-            job,
-            worker: arrived.by.0,
-            content,
+            job: job.clone(),
+            worker: arrived.by,
+            content: result,
             quality,
         };
         let nothing_is_forgotten = self.records.read().await;
-        let job = completion.job.clone();
         let stored = self.store.complete(completion).await;
         self.note_store_fault(stored.as_ref().err());
-        let now = self.clock.now();
-        match stored {
-            Ok(Outcome::Finished { records }) => {
-                self.dispatch().finished(now, arrived, records);
-                self.serve_others(key, arrived.by).await;
-                if self.dispatch().checks().2 > 0 {
-                    self.work.send_replace(());
-                }
+        if let Ok(outcome) = stored
+            && outcome != Outcome::Differs
+        {
+            let next = self.door.transition(|dispatcher, now| dispatcher.arrived(now, arrived, outcome));
+            match next {
+                Next::Nothing => {}
+                Next::FindBlocks => self.find_blocks_of(key).await?,
+                Next::Serve(others) => self.serve_others(others, arrived.by).await,
             }
-            Ok(Outcome::Part) => {
-                self.dispatch().part_finished(now, arrived);
-                // Blocks are shared by dictionaries that ask for the same: another one may have merged those that this one
-                // has counted.
-                if self.dispatch().waits_for_nothing(key) {
-                    self.find_blocks_of(key).await?;
-                    self.work.send_replace(());
-                }
-            }
-            Ok(Outcome::MoreWalks(walks)) => {
-                self.dispatch().prolong(now, arrived, walks);
-                self.find_blocks_of(key).await?;
-                self.work.send_replace(());
-            }
-            Ok(Outcome::Unwanted) => return Ok(Fate::Unwanted),
-            Ok(Outcome::Before { records, new }) => return Ok(self.compare(arrived.by, key, records, new)),
-            Ok(Outcome::Differs) => {
-                drop(nothing_is_forgotten);
-                self.distrust(arrived, &job).await?;
-                return Ok(Fate::Conflict);
-            }
-            Err(error) => {
-                drop(nothing_is_forgotten);
-                if matches!(error, StoreError::Corrupt { table: "sums", .. }) {
-                    self.forget_blocks(key, &job).await?;
-                }
-                return Err(error.into());
-            }
+            return Ok(outcome);
         }
-        Ok(Fate::Stored)
+        drop(nothing_is_forgotten);
+        match &stored {
+            Ok(_) => self.distrust(arrived, &job).await?,
+            Err(StoreError::Corrupt { table: "sums", .. }) => self.forget_blocks(key, &job).await?,
+            Err(_) => {}
+        }
+        Ok(stored?)
     }
 
     /// Other records are stored for the same walks, by a job of another dictionary: one of two workers has computed
@@ -116,11 +89,9 @@ impl Farm {
         let _no_result_on_its_way = self.records.write().await;
         let forgotten = self.store.forget_point(job.identity()).await?;
         self.store.forget_point(Digest::of_sums(job)).await?;
-        self.dispatch().distrust(arrived, &forgotten);
-        self.reopen(forgotten);
-        self.find_blocks_of(arrived.key).await?;
-        self.work.send_replace(());
-        Ok(())
+        self.door.transition(|dispatcher, _| dispatcher.distrust(arrived, &forgotten));
+        self.begin_again(forgotten);
+        self.find_blocks_of(arrived.key).await
     }
 
     /// The blocks that came before a block were damaged when they were read. If they are at a second reading too, all
@@ -133,36 +104,18 @@ impl Farm {
         };
         self.store.forget_point(Digest::of_sums(job)).await?;
         self.find_blocks_of(key).await?;
-        let name = self.dispatch().by_id(key.dictionary).map(|d| d.name().to_string()).unwrap_or_default();
-        let event = Event::of_dictionary(EventKind::JobDamaged, key.dictionary, what);
-        self.recorder.record(&name, &Event { job: Some(key.job), ..event });
-        self.work.send_replace(());
+        self.door.transition(|dispatcher, _| dispatcher.damaged(key.dictionary, key.job, &what));
         Ok(())
     }
 
+    /// Takes up which blocks of a job the store holds.
     async fn find_blocks_of(&self, key: &LeaseKey) -> Result<(), StoreError> {
-        let job = self.dispatch().by_id(key.dictionary).map(|d| d.spec(key.job, 0));
+        let job = self.door.query(|d, _| d.by_id(key.dictionary).map(|d| d.spec(key.job, 0)));
         if let Some(job) = job.filter(|job| job.block().is_some()) {
             let blocks = self.store.stored_blocks(&job).await?;
-            self.dispatch().parts_stored(key.dictionary, key.job, job.walks(), &blocks);
+            self.door.transition(|d, _| d.parts_stored(key.dictionary, key.job, job.walks(), &blocks));
         }
         Ok(())
-    }
-
-    fn compare(&self, by: Origin, key: &LeaseKey, stored: Digest, new: Digest) -> Fate {
-        let mut dispatch = self.dispatch();
-        let before = dispatch.checks();
-        let equal = dispatch.compared(by, key, stored, new);
-        let after = dispatch.checks();
-        if after.0 > before.0 {
-            self.metrics.verified(VerificationOutcome::Agreed);
-        }
-        if after.1 > before.1 {
-            self.metrics.verified(VerificationOutcome::Disputed);
-            // A third worker decides, which may be waiting for work.
-            self.work.send_replace(());
-        }
-        if equal { Fate::Duplicate } else { Fate::Conflict }
     }
 
     fn note_store_fault(&self, error: Option<&StoreError>) {

@@ -1,20 +1,18 @@
 //! Jobs that are ended by records that came for another dictionary.
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::lease::LeaseKey;
 use optics_model::Digest;
 use optics_model::job::JobSpec;
 
 use super::Farm;
-use crate::dispatch::Dictionary;
+use crate::dispatch::JobRef;
 use crate::store::StoreError;
 use crate::stored::Origin;
 
 impl Farm {
-    /// Ends the jobs of other dictionaries that the records of a job serve too. The caller sees to it that nothing is
+    /// Ends jobs of other dictionaries that the records of a job serve too. The caller sees to it that nothing is
     /// forgotten meanwhile.
-    pub(super) async fn serve_others(&self, key: &LeaseKey, by: Origin) {
-        let served = self.dispatch().served_by((key.dictionary, key.job));
+    pub(super) async fn serve_others(&self, served: Vec<JobRef>, by: Origin) {
         for (id, job) in served {
             // Then it is computed by itself.
             if let Err(error) = self.take_over(id, &[job], Some(by)).await {
@@ -26,32 +24,32 @@ impl Farm {
     /// Ends the open jobs of a dictionary whose records came for others. The caller sees to it that nothing is
     /// forgotten meanwhile.
     pub(super) async fn take_over_done(&self, id: DictionaryId) -> Result<(), StoreError> {
-        let done = self.dispatch().done_elsewhere(id);
+        let done = self.door.query(|dispatcher, _| dispatcher.done_elsewhere(id));
         if done.is_empty() { Ok(()) } else { self.take_over(id, &done, None).await }
     }
 
     async fn take_over(&self, id: DictionaryId, jobs: &[u32], by: Option<Origin>) -> Result<(), StoreError> {
-        let (grid, specs, grids) = {
-            let dispatch = self.dispatch();
-            let Some(dictionary) = dispatch.by_id(id) else { return Ok(()) };
+        let found = self.door.query(|dispatcher, _| {
+            let dictionary = dispatcher.by_id(id)?;
             let specs: Vec<(u32, JobSpec)> =
                 jobs.iter().map(|job| (*job, dictionary.spec(*job, 0))).collect();
-            let grids = dispatch.dictionaries().map(|d: &Dictionary| (d.id(), d.grid().clone())).collect();
-            (dictionary.grid().clone(), specs, grids)
-        };
+            let grids = dispatcher.dictionaries().map(|d| (d.id(), d.grid().clone())).collect();
+            Some((dictionary.grid().clone(), specs, grids))
+        });
+        let Some((grid, specs, grids)) = found else { return Ok(()) };
         let identities: Vec<(u32, Digest)> =
             specs.iter().map(|(job, spec)| (*job, spec.identity())).collect();
         let taken = self.store.reuse(id, &grid, &identities, &grids).await?;
-        for (job, records) in &taken {
-            self.dispatch().taken_over((id, *job), grid.walks(), *records, by);
-        }
+        self.door.transition(|dispatcher, _| {
+            for (job, records) in &taken {
+                dispatcher.taken_over((id, *job), grid.walks(), *records, by);
+            }
+        });
         let is_taken = |job: u32| taken.iter().any(|(taken, _)| *taken == job);
         for (_, spec) in specs.iter().filter(|(job, spec)| spec.block().is_some() && is_taken(*job)) {
             // Blocks that came before nobody needs any more.
             self.store.forget_point(Digest::of_sums(spec)).await?;
         }
-        self.work.send_replace(());
-        self.changed.send_replace(());
         Ok(())
     }
 }

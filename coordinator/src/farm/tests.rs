@@ -1,7 +1,12 @@
-//! What a farm does when the disk does not give back what it was given.
+//! A farm on a store of its own, without network: what it does when the disk does not give back what it was given, and
+//! how dictionaries share records.
+
+mod intake;
+mod waiting;
 
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::DictionaryState;
@@ -12,13 +17,13 @@ use optics_model::scene::{Scene, Sensor};
 use optics_model::{Estimate, Grid, PHYSICS_VERSION, PackedRecords, Profile, Record, Walks};
 use sqlx::Connection;
 
-use super::{Farm, FarmError, Fate, Versions};
+use super::{Farm, FarmError, Versions};
 use crate::config::Config;
 use crate::dispatch::Registration;
 use crate::metrics::{BuildInfo, Metrics};
 use crate::rpc;
 use crate::store::{DataDir, Store};
-use crate::stored::{Completion, DesiredState, JobResult};
+use crate::stored::{Completion, DesiredState, JobResult, Origin, Outcome};
 
 const JOBS: u32 = 40;
 
@@ -48,7 +53,7 @@ fn content(job: &JobSpec, value: f32) -> JobResult {
     JobResult::Records(PackedRecords::pack(job, &(first..first + 2).map(record).collect::<Vec<_>>()))
 }
 
-fn completion(dictionary: DictionaryId, worker: i64, job_number: u32) -> Completion {
+fn completion(dictionary: DictionaryId, worker: Origin, job_number: u32) -> Completion {
     let job = JobSpec::of(&grid(), job_number as usize);
     let content = content(&job, value(job_number));
     Completion { dictionary, job_number, job, worker, content, quality: None }
@@ -59,28 +64,28 @@ fn name() -> DictionaryName {
 }
 
 /// A farm that checks no results.
-async fn load(store: Store) -> Farm {
+async fn load(store: Store) -> Arc<Farm> {
     load_with(store, 0.0).await
 }
 
-async fn load_with(store: Store, check_share: f64) -> Farm {
+async fn load_with(store: Store, check_share: f64) -> Arc<Farm> {
     let build = BuildInfo { version: String::new(), physics_version: String::new() };
     let config = Config { check_share, ..Config::new("") };
     Farm::load(store, &config, Metrics::new(build, rpc::METHODS)).await.unwrap()
 }
 
 /// A farm with a dictionary that is done. Its records lie in the database's log.
-async fn done() -> (Farm, tempfile::TempDir) {
+async fn done() -> (Arc<Farm>, tempfile::TempDir) {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let worker = store.worker("instance", "label").await.unwrap();
+    let worker = store.register_worker("instance", "label").await.unwrap();
     let dictionary = store.create_dictionary(name(), grid(), 0, 7).await.unwrap();
     for job in 0..JOBS {
         store.complete(completion(dictionary.id, worker, job)).await.unwrap();
     }
     let farm = load(store).await;
     // Nothing is written behind this test's back.
-    farm.recorder.finish().await;
+    farm.door.close().await;
     (farm, dir)
 }
 
@@ -209,7 +214,7 @@ async fn a_dictionary_that_is_too_large_stops_no_start_and_can_be_deleted() {
     assert_eq!(farm.explain(&large).unwrap()[0].code, "TOO_LARGE");
     assert!(matches!(farm.resume(&large).await, Err(FarmError::Invalid(_))));
     assert_eq!(farm.status(&name()).unwrap().state, DictionaryState::Running);
-    assert_eq!(farm.dispatch().load().0, JOBS as usize, "the other one's jobs wait");
+    assert_eq!(farm.door.query(|d, _| d.load().0), JOBS as usize, "the other one's jobs wait");
     farm.delete(&large).await.unwrap();
     assert!(matches!(farm.status(&large), Err(FarmError::NotFound { .. })));
 }
@@ -221,8 +226,8 @@ async fn worker(farm: &Farm, label: &str) -> WorkerId {
 }
 
 /// Gives a worker one job, and takes records whose numbers are all the same.
-async fn deliver(farm: &Farm, worker: &WorkerId, value: f32) -> Fate {
-    let lease = farm.acquire(worker, 1).unwrap().leases.remove(0);
+async fn deliver(farm: &Farm, worker: &WorkerId, value: f32) -> Outcome {
+    let lease = farm.acquire_now(worker, 1).unwrap().leases.remove(0);
     let admission = farm.admit(worker, &lease.key, lease.job.identity()).unwrap();
     let content = content(&lease.job, value);
     farm.complete(worker.clone(), lease.key, admission, content).await.unwrap()
@@ -235,24 +240,24 @@ async fn a_dispute_wakes_workers_that_wait() {
     store.create_dictionary(name(), grid(), 0, 8).await.unwrap();
     let farm = load_with(store, 1.0).await;
     let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
-    assert_eq!(deliver(&farm, &first, 0.25).await, Fate::Stored);
-    let lease = farm.acquire(&second, 1).unwrap().leases.remove(0);
-    let third = farm.work();
+    assert!(matches!(deliver(&farm, &first, 0.25).await, Outcome::Finished { .. }));
+    let lease = farm.acquire_now(&second, 1).unwrap().leases.remove(0);
+    let third = farm.door.work();
     let admission = farm.admit(&second, &lease.key, lease.job.identity()).unwrap();
     let other = content(&lease.job, 0.5);
     let outcome = farm.complete(second, lease.key, admission, other).await.unwrap();
-    assert_eq!(outcome, Fate::Conflict);
+    assert!(outcome.is_conflict());
     assert!(third.has_changed().unwrap(), "there is something to decide");
 }
 
 /// Lets a worker do all that is given out; the number of jobs.
 async fn work(farm: &Farm, worker: &WorkerId) -> usize {
     let mut done = 0;
-    while let Some(lease) = farm.acquire(worker, 1).unwrap().leases.pop() {
+    while let Some(lease) = farm.acquire_now(worker, 1).unwrap().leases.pop() {
         let admission = farm.admit(worker, &lease.key, lease.job.identity()).unwrap();
         let content = content(&lease.job, value(lease.key.job));
         let outcome = farm.complete(worker.clone(), lease.key, admission, content).await.unwrap();
-        assert_eq!(outcome, Fate::Stored);
+        assert!(matches!(outcome, Outcome::Finished { .. }));
         done += 1;
     }
     done

@@ -1,25 +1,16 @@
 //! Service `farm.v1.Admin`.
 
-use std::time::Duration;
-
 use farm_proto::wire::admin_server::Admin;
 use farm_proto::wire::backup_piece::Content;
 use farm_proto::wire::{
     BackupHeader, BackupPiece, BackupRequest, DamagedJob, DrainWorkerRequest, DrainWorkerResponse,
     InspectRequest, InspectResponse, UnreadableJobs,
 };
-use tokio::sync::mpsc;
-use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::Context;
-use crate::farm::{Backup, detached};
-use crate::store::copy::BackupReport;
-
-/// Bytes of one piece of a backup.
-const PIECE: usize = 1 << 20;
-/// How long a client may take to read a piece.
-const PATIENCE: Duration = Duration::from_mins(2);
+use super::outgoing::Outgoing;
+use crate::farm::{BackupPart, detached};
 
 #[tonic::async_trait]
 impl Admin for Context {
@@ -27,22 +18,15 @@ impl Admin for Context {
         &self,
         request: Request<DrainWorkerRequest>,
     ) -> Result<Response<DrainWorkerResponse>, Status> {
-        let (farm, worker) = (self.farm.clone(), request.into_inner().worker);
-        let worker_id = detached(async move { farm.drain(&worker).await }).await?.0;
+        let worker_id = self.farm.drain(&request.into_inner().worker)?.0;
         Ok(Response::new(DrainWorkerResponse { worker_id }))
     }
 
-    type BackupStream = ReceiverStream<Result<BackupPiece, Status>>;
+    type BackupStream = Outgoing<BackupPiece>;
 
     async fn backup(&self, _: Request<BackupRequest>) -> Result<Response<Self::BackupStream>, Status> {
-        let place = self.limits.stream()?;
-        let (backup, report) = self.farm.backup().await?;
-        let (sender, receiver) = mpsc::channel(2);
-        tokio::spawn(async move {
-            send(&backup, &report, &sender).await;
-            drop((backup, place));
-        });
-        Ok(Response::new(ReceiverStream::new(receiver)))
+        let backup = self.farm.backup().await?;
+        Ok(Response::new(self.stream(2, backup, piece)?))
     }
 
     async fn inspect(&self, request: Request<InspectRequest>) -> Result<Response<InspectResponse>, Status> {
@@ -68,31 +52,16 @@ impl Admin for Context {
     }
 }
 
-/// Sends a backup, header first, as fast as the client takes it.
-async fn send(backup: &Backup, report: &BackupReport, sender: &mpsc::Sender<Result<BackupPiece, Status>>) {
-    let header = BackupHeader {
-        bytes: report.bytes,
-        digest: report.blake3_hex.clone(),
-        dictionaries: report.content.dictionaries,
-        jobs: report.content.jobs,
-        records: report.content.records,
+fn piece(part: BackupPart) -> BackupPiece {
+    let content = match part {
+        BackupPart::Report(report) => Content::Header(BackupHeader {
+            bytes: report.bytes,
+            digest: report.blake3_hex,
+            dictionaries: report.counts.dictionaries,
+            jobs: report.counts.jobs,
+            records: report.counts.records,
+        }),
+        BackupPart::Data(data) => Content::Data(data),
     };
-    let mut next = Some(Ok(Content::Header(header)));
-    let mut offset = 0;
-    while let Some(piece) = next.take() {
-        let piece = piece.map(|content| BackupPiece { content: Some(content) });
-        let failed = piece.is_err();
-        let sent = tokio::time::timeout(PATIENCE, sender.send(piece)).await;
-        if failed || !matches!(sent, Ok(Ok(()))) {
-            return;
-        }
-        next = match backup.piece(offset, PIECE).await {
-            Ok(data) if data.is_empty() => None,
-            Ok(data) => {
-                offset += data.len() as u64;
-                Some(Ok(Content::Data(data)))
-            }
-            Err(error) => Some(Err(Status::internal(format!("reading the backup: {error}")))),
-        };
-    }
+    BackupPiece { content: Some(content) }
 }

@@ -1,10 +1,6 @@
 //! Service `farm.v1.Dictionaries`.
 
-use std::ops::Range;
-use std::time::Duration;
-
 use farm_proto::ids::DictionaryId;
-use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::dictionaries_server::Dictionaries;
 use farm_proto::wire::{
     CancelRequest, DeleteRequest, DeleteResponse, Dictionary, ExplainRequest, ExplainResponse, ExportRequest,
@@ -13,17 +9,14 @@ use farm_proto::wire::{
 };
 use farm_proto::{DictionaryName, RECORDS_PROMISED, RequestLimits, to_status};
 use optics_model::{Grid, Invalid};
-use tokio::sync::watch;
 use tonic::{Request, Response, Status};
 
 use super::Context;
-use super::outgoing::{Outgoing, Outlet, PATIENCE, outgoing};
+use super::outgoing::Outgoing;
 use super::page::{page_size, page_token};
 use super::status::{OrStatus, required};
-use crate::farm::{Farm, detached, read_chunk};
+use crate::farm::detached;
 
-/// Changes closer together than this are told as one.
-const WATCH_PAUSE: Duration = Duration::from_millis(100);
 /// Most dictionaries of one page.
 const DICTIONARIES: u32 = 100;
 /// Records on their way to a client that exports.
@@ -122,17 +115,8 @@ impl Dictionaries for Context {
 
     async fn watch(&self, request: Request<WatchRequest>) -> Result<Response<Self::WatchStream>, Status> {
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
-        // Before the first look, so that no change falls between the two.
-        let changes = self.farm.changes();
-        let first = self.farm.status(&name)?;
-        let place = self.limits.stream()?;
-        let (outlet, updates) = outgoing(1, PATIENCE, self.shutdown.clone());
-        let farm = self.farm.clone();
-        tokio::spawn(async move {
-            watch(&farm, name, first, changes, outlet).await;
-            drop(place);
-        });
-        Ok(Response::new(updates))
+        let watch = self.farm.watch(name)?;
+        Ok(Response::new(self.stream(1, watch, |status| (&status).into())?))
     }
 
     type ExportStream = Outgoing<Record>;
@@ -140,17 +124,9 @@ impl Dictionaries for Context {
     async fn export(&self, request: Request<ExportRequest>) -> Result<Response<Self::ExportStream>, Status> {
         let request = request.into_inner();
         let name = DictionaryName::new(request.name).or_status()?;
-        let grid = self.farm.status(&name)?.grid;
-        let ranges = ranges(&grid, request.first, &request.indices).or_status()?;
-        let promised = self.farm.finished_records(&name, &ranges)?;
-        let place = self.limits.stream()?;
-        let (outlet, records) = outgoing(EXPORT_QUEUE, PATIENCE, self.shutdown.clone());
-        let farm = self.farm.clone();
-        tokio::spawn(async move {
-            export(&farm, name, ranges, outlet).await;
-            drop(place);
-        });
-        let mut response = Response::new(records);
+        let export = self.farm.export(name, request.first as usize, &request.indices)?;
+        let promised = export.promised;
+        let mut response = Response::new(self.stream(EXPORT_QUEUE, export, Into::into)?);
         response.metadata_mut().insert(RECORDS_PROMISED, promised.into());
         Ok(response)
     }
@@ -163,84 +139,4 @@ fn priority(priority: i32) -> Result<i32, Invalid> {
     }
     let allowed = format!("allowed are {} to {}", range.start(), range.end());
     Err(Invalid::new("priority", priority, allowed))
-}
-
-/// Sends every change until the dictionary has ended, the client has gone or the coordinator stops.
-async fn watch(
-    farm: &Farm,
-    name: DictionaryName,
-    mut status: DictionaryStatus,
-    mut changes: watch::Receiver<()>,
-    outlet: Outlet<Dictionary>,
-) {
-    loop {
-        let running = status.state().is_open();
-        if outlet.send((&status).into()).await.is_err() {
-            return;
-        }
-        if !running {
-            return outlet.finish();
-        }
-        loop {
-            tokio::select! {
-                _ = outlet.closed() => return,
-                changed = changes.changed() => if changed.is_err() { return },
-            }
-            tokio::time::sleep(WATCH_PAUSE).await;
-            changes.mark_unchanged();
-            match farm.status(&name) {
-                Ok(now) if same(&now, &status) => {}
-                Ok(now) => {
-                    status = now;
-                    break;
-                }
-                Err(error) => return outlet.fail(error.into()),
-            }
-        }
-    }
-}
-
-/// Whether nothing has changed that people would see: the time that is left changes all the time, by a little.
-fn same(a: &DictionaryStatus, b: &DictionaryStatus) -> bool {
-    let near = match (a.eta_s, b.eta_s) {
-        (Some(a), Some(b)) => (a - b).abs() <= 0.1 * a.max(b),
-        (a, b) => a == b,
-    };
-    near && DictionaryStatus { eta_s: None, ..a.clone() } == DictionaryStatus { eta_s: None, ..b.clone() }
-}
-
-/// The numbers of the records that are wanted, in pieces that are read at once.
-fn ranges(grid: &Grid, first: u32, indices: &[u32]) -> Result<Vec<Range<usize>>, Invalid> {
-    let (total, chunk) = (grid.record_count(), read_chunk(grid));
-    let allowed = || format!("the dictionary has records 0 to {}", total - 1);
-    if let Some((i, bad)) = indices.iter().enumerate().find(|(_, n)| **n as usize >= total) {
-        return Err(Invalid::new(format!("indices[{i}]"), bad, allowed()));
-    }
-    let first = first as usize;
-    // One beyond the last is what a client asks for that has everything.
-    if first > total {
-        return Err(Invalid::new("first", first, allowed()));
-    }
-    if indices.is_empty() {
-        return Ok((first..total).step_by(chunk).map(|from| from..(from + chunk).min(total)).collect());
-    }
-    let numbers = indices.iter().map(|n| *n as usize).filter(|n| *n >= first);
-    Ok(numbers.map(|n| n..n + 1).collect())
-}
-
-/// Sends the records of ranges of numbers, as fast as the client takes them.
-async fn export(farm: &Farm, name: DictionaryName, ranges: Vec<Range<usize>>, outlet: Outlet<Record>) {
-    for range in ranges {
-        match farm.records(&name, range).await {
-            Ok(records) => {
-                for record in records {
-                    if outlet.send(record.into()).await.is_err() {
-                        return;
-                    }
-                }
-            }
-            Err(error) => return outlet.fail(error.into()),
-        }
-    }
-    outlet.finish();
 }

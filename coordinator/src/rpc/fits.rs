@@ -1,12 +1,13 @@
 //! Service `farm.v1.Fits`.
 
-use farm_proto::DictionaryName;
-use farm_proto::wire;
 use farm_proto::wire::fits_server::Fits;
 use farm_proto::wire::{
     FitRequest, FitResponse, MapRequest, MapResponse, MeasureRequest, MeasureResponse, ScaleRequest,
     ScaleResponse, SimilarRequest, SimilarResponse,
 };
+use farm_proto::{DictionaryName, wire};
+use optics_fit as fit;
+use optics_fit::{FitDictionary, MeasurePlan};
 use optics_model::fit::{FitOptions, MaterialFit, MuRange};
 use optics_model::limits::FitLimits;
 use optics_model::{Invalid, Measurement, Medium};
@@ -14,9 +15,6 @@ use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::status::{OrStatus, required};
-use optics_fit as fit;
-use optics_fit::FitDictionary;
-use optics_fit::MeasurePlan;
 
 #[tonic::async_trait]
 impl Fits for Context {

@@ -4,20 +4,23 @@ use std::time::Duration;
 
 use farm_proto::ids::WorkerId;
 use farm_proto::lease::LeaseKey;
+use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_server::Leases;
 use farm_proto::wire::{
-    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, FailRequest, FailResponse,
-    HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse, RenewRequest, RenewResponse,
+    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, CompletionKind, CompletionOutcome,
+    FailRequest, FailResponse, HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse,
+    RenewRequest, RenewResponse,
 };
 use farm_proto::{RequestLimits, to_status};
 use optics_model::{Digest, Invalid};
+use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::Context;
-use super::results;
 use super::status::{OrStatus, required};
-use crate::dispatch::Registration;
-use crate::farm::{Versions, detached};
+use crate::dispatch::{Grant, Registration};
+use crate::farm::{Delivered, Header, Piece, Versions};
+use crate::stored::Outcome;
 
 /// Longest instance that a worker may choose.
 const INSTANCE_BYTES: usize = 64;
@@ -39,10 +42,8 @@ impl Leases for Context {
             threads: request.threads,
             version: shortened(request.version),
         };
-        let farm = self.farm.clone();
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
-        let registered = detached(async move { farm.register(&request.instance, about, versions).await });
-        let (id, settings) = registered.await?;
+        let (id, settings) = self.farm.register(&request.instance, about, versions).await?;
         Ok(Response::new(RegisterResponse { worker_id: id.0, lease_ms: settings.lease.as_millis() as u64 }))
     }
 
@@ -54,23 +55,10 @@ impl Leases for Context {
             let allowed = format!("allowed are 1 to {}", RequestLimits::LEASES);
             return Err(to_status(&Invalid::new("max_leases", max, allowed)));
         }
-        let wait = tokio::time::sleep(Duration::from_millis(request.wait_ms.min(RequestLimits::WAIT_MS)));
-        tokio::pin!(wait);
-        let mut work = self.farm.work();
-        loop {
-            let grant = self.farm.acquire(&worker, max as usize)?;
-            if !grant.leases.is_empty() || grant.drain {
-                let leases = grant.leases.into_iter().map(Into::into).collect();
-                return Ok(Response::new(AcquireResponse { leases, drain: grant.drain }));
-            }
-            tokio::select! {
-                () = &mut wait => return Ok(Response::new(AcquireResponse::default())),
-                () = self.shutdown.cancelled() => return Err(Status::unavailable("the coordinator is stopping")),
-                changed = work.changed() => if changed.is_err() {
-                    return Ok(Response::new(AcquireResponse::default()));
-                },
-            }
-        }
+        let patience = Duration::from_millis(request.wait_ms.min(RequestLimits::WAIT_MS));
+        let grant = self.farm.acquire(&worker, max as usize, patience, &self.shutdown).await?;
+        let Grant { leases, drain } = grant.unwrap_or_default();
+        Ok(Response::new(AcquireResponse { leases: leases.into_iter().map(Into::into).collect(), drain }))
     }
 
     async fn renew(&self, request: Request<RenewRequest>) -> Result<Response<RenewResponse>, Status> {
@@ -93,8 +81,9 @@ impl Leases for Context {
         &self,
         request: Request<Streaming<CompleteRequest>>,
     ) -> Result<Response<CompleteResponse>, Status> {
-        let outcomes = results::receive(self, request.into_inner()).await?;
-        Ok(Response::new(CompleteResponse { outcomes }))
+        let pieces = request.into_inner().map(|message| piece(message?));
+        let delivered = self.farm.receive(pieces).await?;
+        Ok(Response::new(CompleteResponse { outcomes: delivered.into_iter().map(outcome).collect() }))
     }
 
     async fn hand_back(
@@ -103,24 +92,20 @@ impl Leases for Context {
     ) -> Result<Response<HandBackResponse>, Status> {
         let request = request.into_inner();
         let keys: Vec<LeaseKey> = request.leases.into_iter().map(Into::into).collect();
-        let (farm, worker) = (self.farm.clone(), WorkerId(request.worker_id));
-        // What it settles may be the business of others: it must not stop half-way if this worker goes away.
-        detached(async move { farm.hand_back(&worker, &keys, request.leaving).await }).await;
+        self.farm.hand_back(&WorkerId(request.worker_id), &keys, request.leaving);
         Ok(Response::new(HandBackResponse {}))
     }
 
     async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailResponse>, Status> {
         let request = request.into_inner();
         let key = LeaseKey::from(required("lease", request.lease)?);
-        let (farm, worker, reason) =
-            (self.farm.clone(), WorkerId(request.worker_id), shortened(request.reason));
-        detached(async move { farm.failed(&worker, &key, &reason).await }).await?;
+        self.farm.failed(&WorkerId(request.worker_id), &key, &shortened(request.reason)).await?;
         Ok(Response::new(FailResponse {}))
     }
 }
 
 /// What a job's records depend on, as it was sent with the job.
-pub(super) fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
+fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
     let digest = bytes.try_into().map(Digest::from_bytes);
     digest.map_err(|_| Invalid::new("identity", format_args!("{} bytes", bytes.len()), "32 are needed"))
 }
@@ -128,4 +113,36 @@ pub(super) fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
 fn shortened(mut text: String) -> String {
     text.truncate(text.floor_char_boundary(RequestLimits::TEXT_BYTES));
     text
+}
+
+/// A piece of the stream in which results come.
+fn piece(message: CompleteRequest) -> Result<Piece, Status> {
+    Ok(match required("content", message.content)? {
+        Content::Header(header) => Piece::Header(Header {
+            key: LeaseKey::from(required("key", header.key)?),
+            identity: identity(&header.identity).or_status()?,
+            worker: WorkerId(header.worker_id),
+        }),
+        Content::Records(bytes) => Piece::Records(bytes),
+        Content::Sums(bytes) => Piece::Sums(bytes),
+    })
+}
+
+/// What a worker is told of a result.
+fn outcome(delivered: Delivered) -> CompletionOutcome {
+    let (kind, message) = match delivered {
+        Delivered::Refused(why) => (CompletionKind::Refused, why),
+        Delivered::NotStored(error) => (CompletionKind::NotStored, error.to_string()),
+        Delivered::Done(Outcome::Finished { .. } | Outcome::Part | Outcome::MoreWalks(_)) => {
+            (CompletionKind::Stored, String::new())
+        }
+        Delivered::Done(Outcome::Unwanted) => (CompletionKind::Refused, "not wanted any more".to_owned()),
+        Delivered::Done(outcome) if outcome.is_conflict() => {
+            let message =
+                "other records than these are stored: this worker or an earlier one computes wrongly";
+            (CompletionKind::Conflict, message.to_owned())
+        }
+        Delivered::Done(_) => (CompletionKind::Duplicate, String::new()),
+    };
+    CompletionOutcome { kind: kind.into(), message }
 }

@@ -1,12 +1,10 @@
-//! What all calls together may take: memory for results, cores for fits, streams.
+//! What all calls together may take: cores for fits, and streams.
 
 use std::sync::Arc;
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tonic::Status;
 
-/// Memory of all results that are being received or stored, in KiB.
-const ROOM_KIB: usize = 512 << 10;
 /// Fits that wait for a core, besides those that have one.
 const FITS_WAITING: usize = 256;
 /// Streams that are watched or exported.
@@ -15,7 +13,6 @@ const STREAMS: usize = 1024;
 /// Shared by all calls.
 #[derive(Debug, Clone)]
 pub(super) struct Limits {
-    room: Arc<Semaphore>,
     fits: Arc<Semaphore>,
     fits_waiting: Arc<Semaphore>,
     streams: Arc<Semaphore>,
@@ -26,7 +23,6 @@ impl Default for Limits {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let semaphore = |permits| Arc::new(Semaphore::new(permits));
         Self {
-            room: semaphore(ROOM_KIB),
             fits: semaphore(cores),
             fits_waiting: semaphore(cores + FITS_WAITING),
             streams: semaphore(STREAMS),
@@ -35,12 +31,6 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// Waits until there is room for a result of this many bytes.
-    pub(super) async fn room(&self, bytes: usize) -> Result<OwnedSemaphorePermit, Status> {
-        let kib = bytes.div_ceil(1024).min(ROOM_KIB) as u32;
-        self.room.clone().acquire_many_owned(kib).await.map_err(stopping)
-    }
-
     /// A core for a fit, as soon as one is free; refused if too many wait.
     pub(super) async fn fit(&self) -> Result<(OwnedSemaphorePermit, OwnedSemaphorePermit), Status> {
         let waiting = self.fits_waiting.clone().try_acquire_owned();

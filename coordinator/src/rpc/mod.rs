@@ -8,7 +8,6 @@ mod leases;
 mod limits;
 mod outgoing;
 mod page;
-mod results;
 mod status;
 
 use std::sync::Arc;
@@ -22,8 +21,10 @@ use farm_proto::wire::leases_server::LeasesServer;
 use farm_proto::{RequestLimits, wire};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
+use tonic::Status;
 use tonic::transport::Server;
 
+use self::outgoing::{Outgoing, PATIENCE, Source, hand_on, outgoing};
 use crate::authorisation::AuthorisationLayer;
 use crate::config::Config;
 use crate::connections;
@@ -53,6 +54,24 @@ struct Context {
     farm: Arc<Farm>,
     shutdown: CancellationToken,
     limits: Limits,
+}
+
+impl Context {
+    /// A stream of what a source gives, of which so many items are on their way at a time.
+    fn stream<S: Source, T: Send + 'static>(
+        &self,
+        queue: usize,
+        source: S,
+        encode: impl Fn(S::Item) -> T + Send + 'static,
+    ) -> Result<Outgoing<T>, Status> {
+        let place = self.limits.stream()?;
+        let (outlet, stream) = outgoing(queue, PATIENCE, self.shutdown.clone());
+        tokio::spawn(async move {
+            hand_on(source, encode, outlet).await;
+            drop(place);
+        });
+        Ok(stream)
+    }
 }
 
 pub(crate) async fn serve(

@@ -3,18 +3,74 @@
 //! A client that takes nothing for [`PATIENCE`] loses its stream, so that nobody holds records and a place here for
 //! ever. When it reads on it finds what was on its way and then `DEADLINE_EXCEEDED`: it can ask for the rest.
 
+use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
+use farm_proto::status::DictionaryStatus;
+use optics_model::Record;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 
+use crate::farm::{Backup, BackupPart, Export, FarmError, Watch};
+
 /// How long a client may take to read one item.
 pub(super) const PATIENCE: Duration = Duration::from_mins(2);
+
+/// Where the items of a stream come from.
+pub(super) trait Source: Send + 'static {
+    type Item: Send;
+
+    /// The next item; None at the end.
+    fn next(&mut self) -> impl Future<Output = Result<Option<Self::Item>, FarmError>> + Send;
+}
+
+impl Source for Watch {
+    type Item = DictionaryStatus;
+
+    fn next(&mut self) -> impl Future<Output = Result<Option<Self::Item>, FarmError>> + Send {
+        Self::next(self)
+    }
+}
+
+impl Source for Export {
+    type Item = Record;
+
+    fn next(&mut self) -> impl Future<Output = Result<Option<Self::Item>, FarmError>> + Send {
+        Self::next(self)
+    }
+}
+
+impl Source for Backup {
+    type Item = BackupPart;
+
+    fn next(&mut self) -> impl Future<Output = Result<Option<Self::Item>, FarmError>> + Send {
+        Self::next(self)
+    }
+}
+
+/// Hands on all items of a source, as fast as the client takes them, until one of the two has enough.
+pub(super) async fn hand_on<S: Source, T>(mut source: S, encode: impl Fn(S::Item) -> T, outlet: Outlet<T>) {
+    loop {
+        let next = tokio::select! {
+            _ = outlet.closed() => return,
+            next = source.next() => next,
+        };
+        match next {
+            Ok(Some(item)) => {
+                if outlet.send(encode(item)).await.is_err() {
+                    return;
+                }
+            }
+            Ok(None) => return outlet.finish(),
+            Err(error) => return outlet.fail(error.into()),
+        }
+    }
+}
 
 /// Why a stream has ended early; nothing if it was brought to its end.
 type Last = Arc<Mutex<Option<Status>>>;

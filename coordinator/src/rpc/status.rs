@@ -22,12 +22,15 @@ impl From<FarmError> for Status {
             | FarmError::NotComplete { .. }
             | FarmError::WrongState { .. }
             | FarmError::OtherVersion { .. } => Code::FailedPrecondition,
+            FarmError::Stopping => Code::Unavailable,
+            FarmError::Overdue(_) => Code::DeadlineExceeded,
             FarmError::TooLarge { .. } => Code::ResourceExhausted,
             FarmError::Damaged { .. } => Code::DataLoss,
             FarmError::Unreadable { .. } => {
                 tracing::error!(%error, "the database gave back something else, or nothing");
                 Code::Internal
             }
+            FarmError::Broken | FarmError::Backup(_) => Code::Internal,
             FarmError::Store(store) => {
                 tracing::error!(error = %store, "the store failed");
                 Code::Internal

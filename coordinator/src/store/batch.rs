@@ -15,7 +15,7 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use self::facts::{Ended, Facts};
 use self::script::Script;
-use super::{Result, doing, points, sums};
+use super::{Result, deletion, doing, points, sums};
 use crate::stored::{Completion, JobResult, Outcome};
 
 /// Most values of one query that are looked up or written.
@@ -135,7 +135,7 @@ impl Known {
             quality.and_then(|q| q.more_walks(job.walks(), Quality::noise_of(&records.unpack())))
         {
             if let Some(gathered) = gathered {
-                points::forget_gathered(tx, gathered).await?;
+                deletion::delete_points(tx, &[gathered]).await?;
             }
             return Ok(Outcome::MoreWalks(more));
         }
@@ -264,7 +264,7 @@ impl Points {
 async fn write_ends(script: &mut Script<'_>, ends: &[End<'_>], points: &Points) -> Result<()> {
     script
         .insert("INSERT OR IGNORE INTO contributions (point_id, worker_id)", ends, |mut row, end| {
-            row.push_bind(points.id(end.point)).push_bind(end.completion.worker);
+            row.push_bind(points.id(end.point)).push_bind(end.completion.worker.0);
         })
         .await?;
     // What was given up may have been done after all.

@@ -7,7 +7,7 @@ use farm_proto::{DictionaryName, wire};
 use optics_model::{Digest, Grid};
 use prost::Message;
 
-use super::{Result, Store, StoreError, doing, points};
+use super::{Result, Store, StoreError, doing};
 use crate::stored::{DesiredState, StoredDictionary};
 
 #[derive(sqlx::FromRow)]
@@ -115,44 +115,5 @@ impl Store {
             .await
             .map_err(doing("storing a priority"))?;
         Ok(())
-    }
-
-    /// Removes a dictionary, the records that no other one uses, and the blocks that some points gather; returns the
-    /// number of records.
-    pub async fn delete_dictionary(&self, id: DictionaryId, gathered: &[Digest]) -> Result<u64> {
-        let mut tx = self.begin().await?;
-        let gathered = points::find(&mut tx, gathered).await?;
-        let what = doing("deleting a dictionary");
-        let deleted = async {
-            let points = "SELECT point_id FROM jobs WHERE dictionary_id = ?1 AND point_id IS NOT NULL \
-                          EXCEPT SELECT point_id FROM jobs WHERE dictionary_id <> ?1 AND point_id IS NOT NULL";
-            sqlx::query("CREATE TEMP TABLE IF NOT EXISTS unused (point_id INTEGER PRIMARY KEY)")
-                .execute(&mut *tx)
-                .await?;
-            sqlx::query("DELETE FROM unused").execute(&mut *tx).await?;
-            sqlx::query(sqlx::AssertSqlSafe(format!("INSERT INTO unused {points}")))
-                .bind(id.0)
-                .execute(&mut *tx)
-                .await?;
-            for (_, point) in gathered {
-                sqlx::query("INSERT OR IGNORE INTO unused VALUES (?)").bind(point).execute(&mut *tx).await?;
-            }
-            sqlx::query("DELETE FROM jobs WHERE dictionary_id = ?").bind(id.0).execute(&mut *tx).await?;
-            let records =
-                sqlx::query("DELETE FROM records WHERE point_id IN unused").execute(&mut *tx).await?;
-            for delete in [
-                "DELETE FROM sums WHERE point_id IN unused",
-                "DELETE FROM contributions WHERE point_id IN unused",
-                "DELETE FROM points WHERE id IN unused",
-            ] {
-                sqlx::query(delete).execute(&mut *tx).await?;
-            }
-            sqlx::query("DELETE FROM dictionaries WHERE id = ?").bind(id.0).execute(&mut *tx).await?;
-            Ok(records.rows_affected())
-        }
-        .await
-        .map_err(what)?;
-        tx.commit().await.map_err(doing("deleting a dictionary"))?;
-        Ok(deleted)
     }
 }

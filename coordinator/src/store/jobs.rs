@@ -4,7 +4,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Walks};
 
 use super::{Result, Store, StoreError, doing};
-use crate::stored::EndedJob;
+use crate::stored::{EndedJob, Origin};
 
 #[derive(sqlx::FromRow)]
 struct JobRow {
@@ -27,7 +27,7 @@ impl JobRow {
                     Walks::new(walks as u64).map_err(|e| corrupt(self.job, "walks", e.to_string()))
                 })?;
                 let records = decode_digest(self.job, &digest)?;
-                Ok(EndedJob::Done { job, walks, records, by: self.worker, reused: self.reused })
+                Ok(EndedJob::Done { job, walks, records, by: self.worker.map(Origin), reused: self.reused })
             }
             (None, Some(reason)) => Ok(EndedJob::GivenUp { job, reason, quarantined: self.quarantined }),
             _ => Err(corrupt(self.job, "records_digest", "neither done nor failed".to_owned())),

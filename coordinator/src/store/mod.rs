@@ -3,15 +3,18 @@
 //! One connection writes, a read-only pool reads. A job's records and its end are committed together, with
 //! `synchronous=FULL`, before anyone is told.
 
-mod adopt;
+pub mod backup;
 mod batch;
-pub mod copy;
 mod data_dir;
+mod deletion;
 mod dictionaries;
 mod events;
 pub mod filesystem;
 mod jobs;
+mod migration;
 mod points;
+mod records;
+mod reuse;
 mod sums;
 mod workers;
 mod writer;
@@ -26,7 +29,7 @@ use tokio::sync::mpsc;
 
 pub use data_dir::{ADDRESS_FILE, DataDir};
 pub use events::StoredEvent;
-pub use points::StoredJob;
+pub use records::{Damaged, Found, JobRecords};
 pub use writer::Commit;
 
 /// Older versions can corrupt a WAL database at a reset of the log.
@@ -63,7 +66,7 @@ pub enum StoreError {
     #[error("the database is closed")]
     Closed,
     #[error(transparent)]
-    Copy(#[from] copy::CopyError),
+    Backup(#[from] backup::BackupError),
     #[error(transparent)]
     Filesystem(#[from] filesystem::FilesystemError),
 }
@@ -124,7 +127,7 @@ impl Store {
         let (completions, queue) = writer::queue();
         tokio::spawn(writer::run(write.clone(), queue, committed));
         let store = Self { write, read, dir: Arc::new(dir), completions };
-        store.adopt_first_schema().await?;
+        store.move_records_of_first_schema().await?;
         store.forget_useless_workers().await?;
         Ok(store)
     }
@@ -147,8 +150,8 @@ impl Store {
     }
 
     /// A verified copy of the database as it is now, in a new file.
-    pub async fn backup(&self, destination: &Path) -> Result<copy::BackupReport> {
-        Ok(copy::backup(&self.read, destination, newest_schema()).await?)
+    pub async fn backup(&self, destination: &Path) -> Result<backup::BackupReport> {
+        Ok(backup::backup(&self.read, destination, newest_schema()).await?)
     }
 
     /// The folder whose lock this store holds.

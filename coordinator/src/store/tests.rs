@@ -9,7 +9,7 @@ use optics_model::{Digest, Estimate, Grid, PackedRecords, Profile, Quality, Reco
 use prost::Message;
 
 use super::{Commit, DataDir, Store, StoreError, StoredEvent};
-use crate::stored::{Completion, DesiredState, EndedJob, JobResult, Outcome, StoredDictionary};
+use crate::stored::{Completion, DesiredState, EndedJob, JobResult, Origin, Outcome, StoredDictionary};
 
 fn grid() -> Grid {
     let axes = Axes {
@@ -23,7 +23,7 @@ fn grid() -> Grid {
     Grid::new(scene, axes, Walks::new(5000).unwrap(), 1, false).unwrap()
 }
 
-fn records(first: usize, value: f32) -> Vec<Record> {
+pub(super) fn records(first: usize, value: f32) -> Vec<Record> {
     let profile = || Profile {
         radiance_factor: Estimate::new(vec![value; 4], vec![0.1; 4]).unwrap(),
         derivatives: None,
@@ -31,11 +31,11 @@ fn records(first: usize, value: f32) -> Vec<Record> {
     (first..first + 2).map(|index| Record { index, profiles: (0..3).map(|_| profile()).collect() }).collect()
 }
 
-async fn open(dir: &std::path::Path) -> Store {
+pub(super) async fn open(dir: &std::path::Path) -> Store {
     Store::open(DataDir::lock(dir).unwrap(), |_| {}).await.unwrap()
 }
 
-async fn dictionary(store: &Store) -> StoredDictionary {
+pub(super) async fn dictionary(store: &Store) -> StoredDictionary {
     store.create_dictionary(DictionaryName::new("d").unwrap(), grid(), 0, 7).await.unwrap()
 }
 
@@ -43,7 +43,14 @@ async fn dictionary(store: &Store) -> StoredDictionary {
 fn completion(dictionary: &StoredDictionary, job: u32, value: f32) -> Completion {
     let spec = JobSpec::of(&dictionary.grid, job as usize);
     let content = JobResult::Records(PackedRecords::pack(&spec, &records(spec.first_record(), value)));
-    Completion { dictionary: dictionary.id, job_number: job, job: spec, worker: 1, content, quality: None }
+    Completion {
+        dictionary: dictionary.id,
+        job_number: job,
+        job: spec,
+        worker: Origin(1),
+        content,
+        quality: None,
+    }
 }
 
 /// With a result of this quality the writer panics before it commits.
@@ -51,18 +58,17 @@ pub(super) fn defect() -> Quality {
     Quality::new(1.0, Walks::new(2_500_000).unwrap()).unwrap()
 }
 
-async fn complete(store: &Store, dictionary: &StoredDictionary, job: u32, value: f32) -> Outcome {
+pub(super) async fn complete(store: &Store, dictionary: &StoredDictionary, job: u32, value: f32) -> Outcome {
     store.complete(completion(dictionary, job, value)).await.unwrap()
 }
 
 async fn all_records(store: &Store, dictionary: &StoredDictionary) -> Vec<Record> {
-    let jobs = store.jobs_with_records(dictionary.id, &dictionary.grid, 0..2).await.unwrap();
-    assert!(jobs.iter().all(|job| job.damage(2).is_none()));
-    jobs.into_iter().flat_map(|job| job.records).collect()
+    let jobs = store.finished_jobs(dictionary.id, &dictionary.grid, 0..2).await.unwrap();
+    jobs.into_iter().flat_map(|found| found.unwrap().records.unpack()).collect()
 }
 
 fn done(job: u32, records: Digest) -> EndedJob {
-    EndedJob::Done { job, walks: Walks::new(5000).unwrap(), records, by: Some(1), reused: false }
+    EndedJob::Done { job, walks: Walks::new(5000).unwrap(), records, by: Some(Origin(1)), reused: false }
 }
 
 #[tokio::test]
@@ -70,7 +76,7 @@ async fn what_was_committed_is_there_after_reopening() {
     let dir = tempfile::tempdir().unwrap();
     let name = DictionaryName::new("d").unwrap();
     let store = open(dir.path()).await;
-    assert_eq!(store.worker("instance", "label").await.unwrap(), 1);
+    assert_eq!(store.register_worker("instance", "label").await.unwrap(), Origin(1));
     let created = dictionary(&store).await;
     let records_of = records(2, 0.25);
     let digest = Digest::of_records(&records_of);
@@ -102,7 +108,7 @@ async fn what_was_committed_is_there_after_reopening() {
 async fn a_second_completion_tells_the_first_and_changes_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     let digest = Digest::of_records(&records(0, 0.25));
     assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { records: digest });
@@ -121,9 +127,9 @@ async fn results_that_come_together_are_committed_together_and_a_bad_one_stops_n
     let store =
         Store::open(DataDir::lock(dir.path()).unwrap(), move |c: Commit| sender.send(c.results).unwrap());
     let store = store.await.unwrap();
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
-    let nobodys = Completion { worker: 99, ..completion(&d, 1, 0.5) };
+    let nobodys = Completion { worker: Origin(99), ..completion(&d, 1, 0.5) };
     // Polled in turn before the writer runs: all wait when it wakes up.
     let (a, b, c) = tokio::join!(
         store.complete(completion(&d, 0, 0.25)),
@@ -140,7 +146,7 @@ async fn results_that_come_together_are_committed_together_and_a_bad_one_stops_n
 async fn a_result_of_a_deleted_dictionary_is_no_fault_and_leaves_nothing_behind() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     store.delete_dictionary(d.id, &[]).await.unwrap();
     assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Unwanted);
@@ -149,7 +155,7 @@ async fn a_result_of_a_deleted_dictionary_is_no_fault_and_leaves_nothing_behind(
 }
 
 /// A dictionary that shares the second point with [`grid`], and has one of its own.
-async fn overlapping(store: &Store, name: &str, albedo: Vec<f64>) -> StoredDictionary {
+pub(super) async fn overlapping(store: &Store, name: &str, albedo: Vec<f64>) -> StoredDictionary {
     let axes = Axes {
         sigma_t_per_mm: vec![2.0, 3.0],
         albedo,
@@ -173,41 +179,36 @@ async fn reuse(store: &Store, dictionary: &StoredDictionary) -> usize {
 async fn a_dictionary_that_overlaps_uses_the_records_that_are_there() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     complete(&store, &d, 0, 0.25).await;
     complete(&store, &d, 1, 0.5).await;
     // sigma_t 2 is shared, 3 is new; of the albedos one is asked for, or one that is not there.
     let finer = overlapping(&store, "e", vec![0.9]).await;
     assert_eq!(reuse(&store, &finer).await, 1);
-    let reused = all_records_of(&store, &finer).await;
+    let reused = all_records(&store, &finer).await;
     assert_eq!(reused.len(), 1);
     assert_eq!((reused[0].index, &reused[0].profiles), (0, &records(0, 0.5)[0].profiles));
     assert_eq!(reuse(&store, &overlapping(&store, "f", vec![0.7]).await).await, 0);
 
     assert_eq!(store.delete_dictionary(d.id, &[]).await.unwrap(), 2, "those that the other one uses stay");
-    assert_eq!(all_records_of(&store, &finer).await, reused);
+    assert_eq!(all_records(&store, &finer).await, reused);
     assert_eq!(store.delete_dictionary(finer.id, &[]).await.unwrap(), 2);
     assert!(store.faults().await.unwrap().is_empty());
-}
-
-async fn all_records_of(store: &Store, dictionary: &StoredDictionary) -> Vec<Record> {
-    let jobs = store.jobs_with_records(dictionary.id, &dictionary.grid, 0..2).await.unwrap();
-    jobs.into_iter().flat_map(|job| job.records).collect()
 }
 
 #[tokio::test]
 async fn a_fenced_workers_records_are_forgotten_and_no_others() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("good", "label").await.unwrap();
-    let bad = store.worker("bad", "label").await.unwrap();
-    assert_eq!(store.worker("bad", "renamed").await.unwrap(), bad, "one row a process");
+    store.register_worker("good", "label").await.unwrap();
+    let bad = store.register_worker("bad", "label").await.unwrap();
+    assert_eq!(store.register_worker("bad", "renamed").await.unwrap(), bad, "one row a process");
     let d = dictionary(&store).await;
     complete(&store, &d, 0, 0.25).await;
     store.complete(Completion { worker: bad, ..completion(&d, 1, 0.5) }).await.unwrap();
     assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.id, 1)]);
-    assert_eq!(store.fenced().await.unwrap(), [(bad, "wrong".to_owned())]);
+    assert_eq!(store.fenced_workers().await.unwrap(), [(bad, "wrong".to_owned())]);
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
     assert!(matches!(complete(&store, &d, 1, 0.25).await, Outcome::Finished { .. }), "it can be done again");
 }
@@ -217,18 +218,18 @@ async fn what_two_have_computed_is_nobodys_alone_and_workers_of_no_use_are_forgo
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     for instance in ["first", "useless", "second", "bad"] {
-        store.worker(instance, "label").await.unwrap();
+        store.register_worker(instance, "label").await.unwrap();
     }
-    store.fence(4, "wrong").await.unwrap();
+    store.fence(Origin(4), "wrong").await.unwrap();
     let d = dictionary(&store).await;
     complete(&store, &d, 0, 0.25).await;
     let by = async |store: &Store| match &store.ended_jobs(d.id, d.grid.walks()).await.unwrap()[..] {
         [EndedJob::Done { by, .. }] => *by,
         other => panic!("{other:?}"),
     };
-    assert_eq!(by(&store).await, Some(1));
-    store.note_agreement(d.id, 0, 3).await.unwrap();
-    store.note_agreement(d.id, 1, 2).await.unwrap();
+    assert_eq!(by(&store).await, Some(Origin(1)));
+    store.note_agreement(d.id, 0, Origin(3)).await.unwrap();
+    store.note_agreement(d.id, 1, Origin(2)).await.unwrap();
     store.close().await;
     drop(store);
     let store = open(dir.path()).await;
@@ -242,7 +243,7 @@ async fn what_two_have_computed_is_nobodys_alone_and_workers_of_no_use_are_forgo
 async fn more_walks_are_asked_for_until_the_noise_is_low_enough() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     // Values 0.25 with errors 0.1: 40 % of noise.
     let quality = |target| Some(Quality::new(target, Walks::new(50_000).unwrap()).unwrap());

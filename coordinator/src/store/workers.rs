@@ -2,11 +2,12 @@
 
 use farm_proto::ids::DictionaryId;
 
-use super::{Result, Store, doing, points};
+use super::{Result, Store, doing};
+use crate::stored::Origin;
 
 impl Store {
     /// Row of a worker's process, made if it is the first time.
-    pub async fn worker(&self, instance: &str, label: &str) -> Result<i64> {
+    pub async fn register_worker(&self, instance: &str, label: &str) -> Result<Origin> {
         let (id,): (i64,) = sqlx::query_as(
             "INSERT INTO workers (instance, label) VALUES (?, ?) \
              ON CONFLICT (instance) DO UPDATE SET label = excluded.label RETURNING id",
@@ -16,24 +17,26 @@ impl Store {
         .fetch_one(&self.write)
         .await
         .map_err(doing("storing a worker"))?;
-        Ok(id)
+        Ok(Origin(id))
     }
 
     /// Workers that are fenced off, with the reasons.
-    pub async fn fenced(&self) -> Result<Vec<(i64, String)>> {
-        sqlx::query_as("SELECT id, fenced FROM workers WHERE fenced IS NOT NULL")
-            .fetch_all(&self.read)
-            .await
-            .map_err(doing("reading the workers"))
+    pub async fn fenced_workers(&self) -> Result<Vec<(Origin, String)>> {
+        let rows: Vec<(i64, String)> =
+            sqlx::query_as("SELECT id, fenced FROM workers WHERE fenced IS NOT NULL")
+                .fetch_all(&self.read)
+                .await
+                .map_err(doing("reading the workers"))?;
+        Ok(rows.into_iter().map(|(id, reason)| (Origin(id), reason)).collect())
     }
 
     /// Notes that a worker, too, has computed the records that a job has.
-    pub async fn note_agreement(&self, dictionary: DictionaryId, job: u32, worker: i64) -> Result<()> {
+    pub async fn note_agreement(&self, dictionary: DictionaryId, job: u32, worker: Origin) -> Result<()> {
         sqlx::query(
             "INSERT OR IGNORE INTO contributions (point_id, worker_id) \
              SELECT point_id, ? FROM jobs WHERE dictionary_id = ? AND job = ? AND point_id IS NOT NULL",
         )
-        .bind(worker)
+        .bind(worker.0)
         .bind(dictionary.0)
         .bind(job)
         .execute(&self.write)
@@ -51,20 +54,5 @@ impl Store {
         .await
         .map_err(doing("forgetting workers of which nothing is left"))?;
         Ok(())
-    }
-
-    /// Fences a worker off and forgets all that it has computed: the jobs to be computed again.
-    pub async fn fence(&self, worker: i64, reason: &str) -> Result<Vec<(DictionaryId, u32)>> {
-        let mut tx = self.begin().await?;
-        sqlx::query("UPDATE workers SET fenced = ? WHERE id = ?")
-            .bind(reason)
-            .bind(worker)
-            .execute(&mut *tx)
-            .await
-            .map_err(doing("fencing a worker off"))?;
-        let its = "SELECT point_id FROM contributions WHERE worker_id = ?1";
-        let forgotten = points::forget_points(&mut tx, its, [worker]).await?;
-        tx.commit().await.map_err(doing("fencing a worker off"))?;
-        Ok(forgotten)
     }
 }

@@ -8,7 +8,7 @@
 use std::ops::Range;
 
 use glam::{DMat4, DVec4};
-use optics_model::fit::{FitOptions, GError, MuRange, ScalePoint};
+use optics_model::fit::{FitOptions, GError, MuRange};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
@@ -246,9 +246,12 @@ impl<'a> Joint<'a> {
                 here = self.at(shared, &here.optima, ROUGHLY);
                 shared[SCALE] = own.shared[SCALE];
                 own = self.descend(&State { shared, ..own }, [false, false, false, self.shared[SCALE]]);
-                let best = ScalePoint { mu: base * own.shared[SCALE].exp(), error: own.error / base };
-                let error = here.error.max(own.error) / base;
-                errors[n] = Some(GError { g: self.anisotropies()[n], error, best });
+                errors[n] = Some(GError {
+                    g: self.anisotropies()[n],
+                    error: here.error.max(own.error) / base,
+                    best_mu: base * own.shared[SCALE].exp(),
+                    best_mu_error: own.error / base,
+                });
             }
         }
         errors.into_iter().flatten().collect()

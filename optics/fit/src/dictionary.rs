@@ -4,7 +4,8 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use optics_model::fit::Wavelet;
-use optics_model::{Grid, Record};
+use optics_model::profile::RecordShape;
+use optics_model::{Grid, PackedRecords};
 
 use super::view::View;
 
@@ -19,30 +20,39 @@ pub(super) struct ViewKey {
     pub level: u32,
 }
 
-/// Collects records, which may come in any order.
+/// Collects the records of jobs, which may come in any order.
 #[derive(Debug)]
 pub struct DictionaryBuilder {
     grid: Grid,
+    /// `[channel][record][pixel]`.
     values: Vec<f32>,
-    present: usize,
+    /// Which records have come.
+    present: Vec<bool>,
 }
 
 impl DictionaryBuilder {
     pub fn new(grid: Grid) -> Self {
-        let numbers = grid.record_count() * grid.scene().channels().len() * grid.scene().sensor().pixels();
-        Self { grid, values: vec![0.0; numbers], present: 0 }
+        let records = grid.record_count();
+        let numbers = records * grid.scene().channels().len() * grid.scene().sensor().pixels();
+        Self { grid, values: vec![0.0; numbers], present: vec![false; records] }
     }
 
     /// # Panics
-    /// If the record is not of the grid's shape or number.
-    pub fn add(&mut self, record: &Record) {
-        let (pixels, records) = (self.grid.scene().sensor().pixels(), self.grid.record_count());
-        assert_eq!(record.profiles.len(), self.grid.scene().channels().len(), "one profile per channel");
-        for (channel, profile) in record.profiles.iter().enumerate() {
-            let start = (channel * records + record.index) * pixels;
-            self.values[start..start + pixels].copy_from_slice(profile.radiance_factor.values());
+    /// If a record is not of the grid's shape or number, or has come before.
+    pub fn add(&mut self, records: &PackedRecords) {
+        let (shape, all) = (RecordShape::of(&self.grid), self.grid.record_count());
+        assert_eq!(records.shape(), shape, "the records have the grid's shape");
+        for number in records.numbers() {
+            let before = std::mem::replace(&mut self.present[number], true);
+            assert!(!before, "record {number} comes once");
+            for channel in 0..shape.channels {
+                let start = (channel * all + number) * shape.pixels;
+                let values = &mut self.values[start..start + shape.pixels];
+                for (value, read) in values.iter_mut().zip(records.radiance_factors(number, channel)) {
+                    *value = read;
+                }
+            }
         }
-        self.present += 1;
     }
 
     /// Computes gradients and descriptions, so that the first question is as fast as the others.
@@ -50,7 +60,7 @@ impl DictionaryBuilder {
     /// # Panics
     /// If records are missing.
     pub fn build(self) -> FitDictionary {
-        assert_eq!(self.present, self.grid.record_count(), "every record once");
+        assert!(self.present.iter().all(|present| *present), "every record has come");
         let dictionary = FitDictionary { grid: self.grid, values: self.values, views: Mutex::default() };
         let key = dictionary.default_view();
         dictionary.view(&key);

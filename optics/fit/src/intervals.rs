@@ -6,8 +6,9 @@ use optics_model::fit::Interval;
 use super::noise::Spread;
 use super::refine::{Block, Objective, Optimum, PARAMETERS};
 use super::surrogate::{ALBEDO, G, SIGMA_T};
-use super::uncertainty::Z;
 
+/// Two-sided 95 % of the normal distribution.
+pub(super) const Z: f64 = 1.959_964;
 /// What the ends of intervals are found with.
 #[derive(Clone, Copy)]
 pub(super) struct Intervals<'a> {

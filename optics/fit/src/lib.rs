@@ -14,8 +14,6 @@ mod measure;
 mod noise;
 mod question;
 mod refine;
-#[cfg(test)]
-mod refine_tests;
 mod resample;
 mod scale;
 mod search;

@@ -61,7 +61,7 @@ fn layer(question: &Question, ior: usize, g: usize) -> MapLayer {
     MapLayer {
         g: question.dictionary.grid().g()[g],
         best: question.candidate(place(best)),
-        errors,
+        errors: errors.chunks(albedos).map(<[f64]>::to_vec).collect(),
         similar: None,
     }
 }

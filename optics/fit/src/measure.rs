@@ -9,13 +9,14 @@ use rayon::prelude::*;
 use super::common::{Found, Wanted, all_questions, find};
 use super::curves;
 use super::dictionary::FitDictionary;
+use super::intervals::Z;
 use super::question::Question;
 use super::refine::SCALE;
 use super::scale::scale;
 use super::search;
 use super::shared::{Part, Shared};
 use super::surrogate::{G, Surrogate};
-use super::uncertainty::{Analysis, Company, Z};
+use super::uncertainty::{Analysis, Company};
 
 /// What was found for a set of materials.
 #[derive(Debug, Clone, PartialEq)]

@@ -304,3 +304,6 @@ pub(super) fn total(blocks: &[Block]) -> f64 {
 pub(super) const PARAMETERS: [usize; 3] = [SIGMA_T, ALBEDO, G];
 /// All unknowns.
 pub(super) const UNKNOWNS: [usize; 4] = [SIGMA_T, ALBEDO, G, SCALE];
+
+#[cfg(test)]
+mod tests;

@@ -148,8 +148,8 @@ fn summary(
         .map(|(i, g)| {
             let total = sum_over_mu(mu, (0..questions.len()).map(|n| least.row(n, i)));
             let own = argmin(&total);
-            let best_here = ScalePoint { mu: mu[own], error: total[own] };
-            GError { g: dictionary.grid().g()[g], error: total[best], best: best_here }
+            let g = dictionary.grid().g()[g];
+            GError { g, error: total[best], best_mu: mu[own], best_mu_error: total[own] }
         })
         .collect();
     let best_g = by_g.iter().min_by(|a, b| a.error.total_cmp(&b.error)).map_or(0.0, |e| e.g);
@@ -278,7 +278,7 @@ mod tests {
                 .map(|m| crate::fit(&dictionary, m, &at).unwrap().channels[0].candidates[0].error)
                 .sum();
             assert!((sum / curve.best.mu - e.error).abs() < 1e-9, "{e:?}");
-            assert!(e.best.error <= e.error);
+            assert!(e.best_mu_error <= e.error);
         }
     }
 

@@ -5,9 +5,9 @@ use optics_model::{Invalid, Medium};
 /// The medium with anisotropy g' that is similar to another: σ_a' = σ_a (Eq. 4) and
 /// σ_s' = σ_s (1 − g)/(1 − g') (Eq. 6).
 pub fn similar(medium: &Medium, g: f64) -> Result<Medium, Invalid> {
-    let absorption = medium.sigma_t_per_mm() * (1.0 - medium.albedo());
+    let absorption = medium.absorption_per_mm();
     // A g' of 1 makes an infinity, which the medium's own check refuses.
-    let scattering = medium.sigma_t_per_mm() * medium.albedo() * (1.0 - medium.g()) / (1.0 - g);
+    let scattering = medium.reduced_scattering_per_mm() / (1.0 - g);
     let extinction = absorption + scattering;
     Medium::new(extinction, scattering / extinction, g)
 }

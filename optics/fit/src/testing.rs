@@ -1,8 +1,9 @@
 //! A dictionary and measurements for tests, from a formula.
 
 use optics_model::grid::Axes;
+use optics_model::job::JobSpec;
 use optics_model::scene::{Scene, Sensor};
-use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, Profile, Record, Walks};
+use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, PackedRecords, Profile, Record, Walks};
 
 use super::{DictionaryBuilder, FitDictionary};
 
@@ -42,8 +43,7 @@ pub(super) fn noisy_dictionary(axes: Axes, pixels: u32, noise: f64) -> FitDictio
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
     let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
     let sensor = grid.scene().sensor();
-    let mut builder = DictionaryBuilder::new(grid.clone());
-    for index in (0..grid.record_count()).rev() {
+    let record = |index: usize| {
         let (point, medium) = grid.parameters(index);
         let gain = 1.0 + noise * normal(index as u64 / grid.albedo().len() as u64);
         let profile = |channel: usize| {
@@ -56,7 +56,18 @@ pub(super) fn noisy_dictionary(axes: Axes, pixels: u32, noise: f64) -> FitDictio
             let std_errors = vec![0.0; values.len()];
             Profile { radiance_factor: Estimate::new(values, std_errors).unwrap(), derivatives: None }
         };
-        builder.add(&Record { index, profiles: (0..3).map(profile).collect() });
+        Record { index, profiles: (0..3).map(profile).collect() }
+    };
+    dictionary_of(&grid, record)
+}
+
+/// The dictionary of these records. Jobs come in from the last to the first.
+pub(super) fn dictionary_of(grid: &Grid, record: impl Fn(usize) -> Record) -> FitDictionary {
+    let mut builder = DictionaryBuilder::new(grid.clone());
+    for job in (0..grid.job_count()).rev() {
+        let first = grid.first_record(job);
+        let records: Vec<Record> = (first..first + grid.albedo().len()).map(&record).collect();
+        builder.add(&PackedRecords::pack(&JobSpec::of(grid, job), &records));
     }
     builder.build()
 }

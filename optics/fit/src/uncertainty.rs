@@ -8,7 +8,7 @@
 use glam::{DMat4, DVec4};
 use optics_model::fit::{Candidate, Interval, Refined, ThicknessError};
 
-use super::intervals::Intervals;
+use super::intervals::{Intervals, Z};
 use super::noise::{Noise, Spread};
 use super::question::{Question, Term};
 use super::refine::{Block, Descent, Objective, Optimum, Unknowns};
@@ -16,8 +16,6 @@ use super::shared::{Part, Shared};
 use super::surrogate::{ALBEDO, G, SIGMA_T, albedo, sigma_t};
 use super::suspicion::suspicion;
 
-/// Two-sided 95 % of the normal distribution.
-pub(super) const Z: f64 = 1.959_964;
 /// A channel is resolved if its intervals of σ_t and of the albedo span at most this factor …
 const RESOLVED_FACTOR: f64 = 2.0;
 /// … and that of the albedo at most this.

@@ -1,9 +1,9 @@
 //! What is to be traced.
 
-use crate::digest::Digest;
 use crate::grid::{Grid, Walks};
 use crate::invalid::{Invalid, Result, each};
 use crate::medium::{TransportPoint, check_albedo};
+use crate::profile::RecordShape;
 use crate::scene::Scene;
 
 /// All that a tracer needs to compute the records of a transport point.
@@ -67,11 +67,6 @@ impl JobSpec {
         Ok(Self { block: Some(block), ..self })
     }
 
-    /// What the job's records depend on, albedos and numbers apart: those with the same identity and albedo are equal.
-    pub fn identity(&self) -> Digest {
-        Digest::of_walks(self)
-    }
-
     /// Numbers the job's records from `first_record` on.
     #[must_use]
     pub fn numbered_from(self, first_record: usize) -> Self {
@@ -109,6 +104,16 @@ impl JobSpec {
     /// The block to trace, if the job is divided.
     pub fn block(&self) -> Option<u32> {
         self.block
+    }
+}
+
+impl RecordShape {
+    pub fn of_job(job: &JobSpec) -> Self {
+        Self {
+            channels: job.scene.channels().len(),
+            pixels: job.scene.sensor().pixels(),
+            derivatives: job.derivatives,
+        }
     }
 }
 

@@ -8,6 +8,7 @@ pub mod digest;
 mod files;
 pub mod fit;
 pub mod grid;
+pub mod identity;
 pub mod invalid;
 pub mod job;
 pub mod limits;
@@ -15,6 +16,7 @@ pub mod measurement;
 pub mod medium;
 pub mod packed;
 pub mod profile;
+mod records_digest;
 pub mod scene;
 pub mod sums;
 

@@ -1,5 +1,7 @@
 //! Optical parameters of the sample.
 
+use serde::Serialize;
+
 use crate::invalid::{Result, check};
 
 /// Refuses what is not a usable extinction coefficient, in 1/mm.
@@ -42,7 +44,7 @@ pub fn check_ior(field: &str, value: f64) -> Result<f64> {
 }
 
 /// A homogeneous scattering medium: extinction σ_t in 1/mm, single-scattering albedo α, anisotropy g.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Medium {
     sigma_t_per_mm: f64,
     albedo: f64,
@@ -68,6 +70,16 @@ impl Medium {
 
     pub fn g(&self) -> f64 {
         self.g
+    }
+
+    /// Reduced scattering coefficient σ_s (1 − g): with [`Self::absorption_per_mm`], what similar media share.
+    pub fn reduced_scattering_per_mm(&self) -> f64 {
+        self.sigma_t_per_mm * self.albedo * (1.0 - self.g)
+    }
+
+    /// Absorption coefficient σ_a = σ_t (1 − α).
+    pub fn absorption_per_mm(&self) -> f64 {
+        self.sigma_t_per_mm * (1.0 - self.albedo)
     }
 }
 

@@ -3,6 +3,8 @@
 //! 32-bit floats, little endian. In a record, for each channel: radiance factor, then ∂/∂α and ∂/∂σ_t if the job asks for
 //! derivatives; of each of these the values of all pixels, then their standard errors.
 
+use std::ops::Range;
+
 use bytes::Bytes;
 
 use crate::Digest;
@@ -58,11 +60,36 @@ impl PackedRecords {
     }
 
     pub fn unpack(&self) -> Vec<Record> {
-        let records = (self.first..).zip(self.each());
-        let unpacked = |(index, bytes): (usize, Bytes)| {
-            Record::from_le_bytes(index, &bytes, self.shape).expect("the records were checked")
-        };
-        records.map(unpacked).collect()
+        self.numbers().map(|number| self.record(number)).collect()
+    }
+
+    /// The numbers that the records have in the grid.
+    pub fn numbers(&self) -> Range<usize> {
+        self.first..self.first + self.bytes.len() / self.shape.bytes()
+    }
+
+    pub fn shape(&self) -> RecordShape {
+        self.shape
+    }
+
+    /// The record of a number, unpacked.
+    ///
+    /// # Panics
+    /// If it is none of these.
+    pub fn record(&self, number: usize) -> Record {
+        Record::from_le_bytes(number, self.bytes_of_record(number), self.shape)
+            .expect("the records were checked")
+    }
+
+    /// Radiance factors of all pixels in one channel of a record.
+    ///
+    /// # Panics
+    /// If there is no such record or channel.
+    pub fn radiance_factors(&self, number: usize, channel: usize) -> impl ExactSizeIterator<Item = f32> {
+        let RecordShape { channels, pixels, .. } = self.shape;
+        assert!(channel < channels, "channel {channel} is one of {channels}");
+        let start = channel * self.shape.bytes() / channels;
+        numbers(&self.bytes_of_record(number)[start..start + pixels * NUMBER])
     }
 
     /// The bytes of each record, in their order.
@@ -79,6 +106,12 @@ impl PackedRecords {
     /// The same as [`Digest::of_records`] has for the records.
     pub fn digest(&self) -> Digest {
         Digest::of_packed(self.first, &self.bytes, self.shape.bytes())
+    }
+
+    fn bytes_of_record(&self, number: usize) -> &[u8] {
+        assert!(self.numbers().contains(&number), "record {number} is one of {:?}", self.numbers());
+        let size = self.shape.bytes();
+        &self.bytes[(number - self.first) * size..][..size]
     }
 }
 
@@ -119,7 +152,7 @@ impl Record {
     }
 }
 
-fn numbers(bytes: &[u8]) -> impl Iterator<Item = f32> {
+fn numbers(bytes: &[u8]) -> impl ExactSizeIterator<Item = f32> {
     bytes.chunks_exact(NUMBER).map(|b| f32::from_le_bytes(b.try_into().expect("4 bytes")))
 }
 
@@ -178,6 +211,31 @@ mod tests {
             let each: Vec<u8> = packed.each().flatten().collect();
             assert_eq!(each, packed.bytes()[..]);
         }
+    }
+
+    #[test]
+    fn one_record_and_one_channel_are_found_among_the_bytes() {
+        for derivatives in [false, true] {
+            let job = job(derivatives);
+            let records = records(&job);
+            let packed = PackedRecords::pack(&job, &records);
+            assert_eq!(packed.numbers(), 7..9);
+            assert_eq!(packed.shape(), RecordShape::of_job(&job));
+            for (number, record) in (7..).zip(&records) {
+                assert_eq!(packed.record(number), *record);
+                for (channel, profile) in record.profiles.iter().enumerate() {
+                    let values: Vec<f32> = packed.radiance_factors(number, channel).collect();
+                    assert_eq!(values, profile.radiance_factor.values());
+                }
+            }
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "record 9 is one of 7..9")]
+    fn a_record_of_another_job_is_not_read() {
+        let job = job(false);
+        let _ = PackedRecords::pack(&job, &records(&job)).record(9);
     }
 
     #[test]

@@ -79,22 +79,6 @@ pub struct RecordShape {
 }
 
 impl RecordShape {
-    pub fn of(grid: &crate::Grid) -> Self {
-        Self {
-            channels: grid.scene().channels().len(),
-            pixels: grid.scene().sensor().pixels(),
-            derivatives: grid.derivatives(),
-        }
-    }
-
-    pub fn of_job(job: &crate::job::JobSpec) -> Self {
-        Self {
-            channels: job.scene().channels().len(),
-            pixels: job.scene().sensor().pixels(),
-            derivatives: job.derivatives(),
-        }
-    }
-
     /// Bytes of one record's numbers.
     pub fn bytes(&self) -> usize {
         let estimates = if self.derivatives { 3 } else { 1 };

@@ -108,3 +108,6 @@ impl fmt::Display for Kernel {
         f.write_str(self.name())
     }
 }
+
+#[cfg(test)]
+mod tests;

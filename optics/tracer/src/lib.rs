@@ -2,7 +2,7 @@
 //!
 //! Three exact facts make one set of walks serve every pixel, albedo and channel of a transport point: only the
 //! base's reflectance depends on x (so a walk is shifted, not repeated), the albedo factors out as α^n, and the
-//! channels differ in the base alone. See ARCHITECTURE.md.
+//! channels differ in the base alone. See docs/design/estimator.md.
 //!
 //! The result is a function of the job alone. Walks draw from counter-based streams; batches are grouped into
 //! chunks of a fixed size, chunks into blocks, and sums merged in their order, whichever thread or machine was done
@@ -11,8 +11,6 @@
 mod exits;
 mod fresnel;
 mod kernel;
-#[cfg(test)]
-mod kernel_tests;
 mod math;
 mod microfacet;
 mod phase;
@@ -25,14 +23,12 @@ mod tally;
 #[cfg(test)]
 mod testing;
 mod walk;
-#[cfg(test)]
-mod walk_tests;
 mod wavefront;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use optics_model::digest::stream_key;
 use optics_model::grid::{BATCH_WALKS, BLOCK_BATCHES};
+use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
 use optics_model::profile::Record;
 use optics_model::sums::Sums;

@@ -2,8 +2,8 @@
 
 use std::sync::atomic::AtomicBool;
 
-use optics_model::digest::stream_key;
 use optics_model::grid::BATCH_WALKS;
+use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
 use optics_model::sums::Sums;
 

@@ -46,7 +46,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    /// `key` stands for seed and transport point, see `optics_model::digest::stream_key`; `walk` counts the walks
+    /// `key` stands for seed and transport point, see `optics_model::identity::stream_key`; `walk` counts the walks
     /// of a chunk.
     pub fn new(key: [u32; 2], chunk: u64, walk: u32) -> Self {
         Self { key, counter: [FIRST_BLOCK, walk, chunk as u32, (chunk >> 32) as u32] }

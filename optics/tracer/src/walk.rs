@@ -277,3 +277,6 @@ pub fn count_events(stack: &Stack, chunk: Chunk) -> Events {
     }
     events
 }
+
+#[cfg(test)]
+mod tests;

@@ -17,7 +17,8 @@
 //!
 //! # Besides
 //!
-//! [`logs`] sets up what the programs log. [`walltime`] reads times as Slurm and people write them.
+//! [`logs`] sets up what the programs log, [`signals`] ends them in good order, [`walltime`] reads times as Slurm and
+//! people write them.
 
 mod alert;
 mod client;
@@ -29,6 +30,7 @@ mod handshake;
 mod link;
 pub mod logs;
 mod pem;
+pub mod signals;
 mod target;
 pub mod walltime;
 

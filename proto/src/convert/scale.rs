@@ -36,7 +36,8 @@ impl From<wire::ScalePoint> for ScalePoint {
 
 impl From<GError> for wire::GError {
     fn from(e: GError) -> Self {
-        Self { g: e.g, error: e.error, best: Some(e.best.into()) }
+        let best = wire::ScalePoint { mu: e.best_mu, error: e.best_mu_error };
+        Self { g: e.g, error: e.error, best: Some(best) }
     }
 }
 
@@ -44,7 +45,8 @@ impl TryFrom<wire::GError> for GError {
     type Error = Invalid;
 
     fn try_from(e: wire::GError) -> Result<Self> {
-        Ok(Self { g: e.g, error: e.error, best: required("best", e.best)?.into() })
+        let best = required("best", e.best)?;
+        Ok(Self { g: e.g, error: e.error, best_mu: best.mu, best_mu_error: best.error })
     }
 }
 
@@ -112,7 +114,7 @@ impl From<DistanceMap> for wire::DistanceMap {
     fn from(map: DistanceMap) -> Self {
         let layer = |layer: MapLayer| wire::MapLayer {
             g: layer.g,
-            errors: layer.errors,
+            errors: layer.errors.concat(),
             best: Some(layer.best.into()),
             similar: layer.similar.map(Into::into),
         };
@@ -131,10 +133,11 @@ impl TryFrom<wire::DistanceMap> for DistanceMap {
     type Error = Invalid;
 
     fn try_from(map: wire::DistanceMap) -> Result<Self> {
+        let albedos = map.albedo.len().max(1);
         let layers = each("layers", map.layers, |layer| {
             Ok(MapLayer {
                 g: layer.g,
-                errors: layer.errors,
+                errors: layer.errors.chunks(albedos).map(<[f64]>::to_vec).collect(),
                 best: required("best", layer.best)?.try_into()?,
                 similar: layer.similar.map(Medium::try_from).transpose()?,
             })

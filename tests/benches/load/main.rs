@@ -18,15 +18,15 @@
 mod crew;
 
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpStream};
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use farm_proto::wire::SubmitRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
-use farm_tests::process::{Killed, coordinator};
+use farm_tests::process::{Process, coordinator, free_port};
 use farm_tests::usage::Usage;
 use optics_model::grid::Axes;
 use optics_model::scene::{Channel, Scene, Sensor};
@@ -105,14 +105,14 @@ async fn run(load: Load) {
     let folder = std::env::var_os("FARM_LOAD_FOLDER")
         .map_or_else(|| PathBuf::from(env!("CARGO_TARGET_TMPDIR")), PathBuf::from);
     let data = tempfile::tempdir_in(&folder).unwrap();
-    let (port, metrics) = (free_port(), free_port());
+    let (port, metrics) = (free_address(), free_address());
     let mut command = Command::new(coordinator());
-    command.env_clear().env("FARM_LOG", "warn").stdin(Stdio::null());
+    command.env_clear().env("FARM_LOG", "warn");
     command
         .args(["--listen", &port.to_string(), "--metrics", &metrics.to_string(), "--data"])
         .arg(data.path());
-    let process = Killed(command.spawn().unwrap());
-    let pid = process.0.id();
+    let process = Process::spawn("farm-coordinator", &mut command, &data.path().join("coordinator.log"));
+    let pid = process.id();
     let links = links(port, load.connections).await;
     let start = Instant::now();
     submit(&links[0], &load.grids).await;
@@ -137,8 +137,8 @@ async fn run(load: Load) {
 }
 
 /// A loopback port that is free now.
-fn free_port() -> SocketAddr {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+fn free_address() -> SocketAddr {
+    ([127, 0, 0, 1], free_port()).into()
 }
 
 async fn links(address: SocketAddr, count: usize) -> Vec<Link> {

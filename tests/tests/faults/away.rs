@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use farm_tests::farm_processes::{FarmProcesses, Process, SOON, Signal, undisturbed, wait_for};
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::process::{Process, SOON, Signal, wait_for};
 
 use super::short_or_long;
 
@@ -17,13 +19,13 @@ const JOBS: u64 = 24;
 
 #[test]
 fn workers_outlive_an_absence_and_nothing_in_hand_is_computed_twice() {
-    let mut farm = FarmProcesses::start(&["--verify-share", "0", "--lease", "8"]);
+    let mut farm = Farm::start(&["--verify-share", "0", "--lease", "8"]);
     farm.submit("grid", GRID);
     let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
     farm.leased("grid", 2);
     assert_eq!(farm.stop_coordinator(), 0);
     std::thread::sleep(short_or_long(Duration::from_secs(3), Duration::from_mins(1)));
-    assert!(workers.iter_mut().all(farm_tests::farm_processes::Process::is_running));
+    assert!(workers.iter_mut().all(Process::is_running));
     farm.start_coordinator();
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     // Workers write down what became of each result: traced twice would be a duplicate, or a lease that was lost.
@@ -41,7 +43,7 @@ fn lines(worker: &Process, what: &str) -> Vec<String> {
 
 #[test]
 fn a_worker_tells_once_each_that_it_joins_loses_finds_and_leaves_the_coordinator() {
-    let mut farm = FarmProcesses::start(&["--lease", "2"]);
+    let mut farm = Farm::start(&["--lease", "2"]);
     let mut worker = farm.worker("worker", &[]);
     let url = farm.url();
     let tells = |worker: &Process, what: &str| {
@@ -66,7 +68,7 @@ fn a_worker_tells_once_each_that_it_joins_loses_finds_and_leaves_the_coordinator
 
 #[test]
 fn a_worker_that_is_gone_is_not_called_idle() {
-    let farm = FarmProcesses::start(&["--lease", "1"]);
+    let farm = Farm::start(&["--lease", "1"]);
     let mut worker = farm.worker("worker", &[]);
     let state = || farm.ask(&["workers"])["workers"][0]["state"].as_str().map(ToOwned::to_owned);
     wait_for("it is there", SOON, || (state()? == "idle").then_some(()));

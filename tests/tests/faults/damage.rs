@@ -2,15 +2,16 @@
 
 use std::os::unix::fs::FileExt;
 
-use farm_tests::farm_processes::{FarmProcesses, SOON, Signal, grid_of, undisturbed, wait_for};
-use farm_tests::hand::traced;
+use farm_tests::farm::Farm;
+use farm_tests::grids::{grid_of, traced, undisturbed};
+use farm_tests::process::{SOON, Signal, wait_for};
 
 use super::GRID;
 
 const DAMAGED: u32 = 5;
 
 /// Flips one bit of a profile of a job's first record, in the file.
-fn flip(farm: &FarmProcesses) {
+fn flip(farm: &Farm) {
     let records = traced(&grid_of(GRID), DAMAGED as usize);
     let estimate = &records[0].profiles[0].radiance_factor;
     // The rest may be on another page of the file.
@@ -25,8 +26,8 @@ fn flip(farm: &FarmProcesses) {
 }
 
 /// A farm with a dictionary that is done, stopped, damaged, and started again.
-fn damaged() -> FarmProcesses {
-    let mut farm = FarmProcesses::start(&["--verify-share", "0"]);
+fn damaged() -> Farm {
+    let mut farm = Farm::start(&["--verify-share", "0"]);
     farm.submit("grid", GRID);
     let worker = farm.worker("worker", &[]);
     farm.done("grid");
@@ -37,7 +38,7 @@ fn damaged() -> FarmProcesses {
     farm
 }
 
-fn mended(farm: &FarmProcesses) {
+fn mended(farm: &Farm) {
     let worker = farm.worker("mender", &[]);
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     let exported = farm.farmctl(&["export", "grid", "-o", "all.csv"]);
@@ -102,7 +103,7 @@ fn the_doctor_finds_a_flipped_bit_and_mends_it_if_told_to() {
 /// The records lie in the database's log, which is cut off and later there again.
 #[test]
 fn what_cannot_be_read_is_told_and_kept() {
-    let farm = FarmProcesses::start(&["--verify-share", "0"]);
+    let farm = Farm::start(&["--verify-share", "0"]);
     farm.submit("grid", GRID);
     let worker = farm.worker("worker", &[]);
     let digest = farm.done("grid");

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use farm_tests::farm_processes::{FarmProcesses, LONG, SOON, undisturbed, wait_for};
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::process::{LONG, SOON, wait_for};
 use serde_json::Value;
 
 /// 240 records of 26 kB, which do not fit.
@@ -46,11 +48,11 @@ fn run(command: &mut Command) -> bool {
     command.output().is_ok_and(|output| output.status.success())
 }
 
-fn acknowledged(farm: &FarmProcesses) -> u64 {
+fn acknowledged(farm: &Farm) -> u64 {
     farm.worker_logs().iter().filter(|line| line.to_string().contains("job done")).count() as u64
 }
 
-fn done(farm: &FarmProcesses) -> u64 {
+fn done(farm: &Farm) -> u64 {
     farm.show("grid")["jobs_done"].as_u64().unwrap()
 }
 
@@ -62,7 +64,7 @@ async fn on_a_full_disk_nothing_is_acknowledged_all_say_why_and_with_room_work_g
         eprintln!("SKIPPED: only root may mount the small disk that this test needs");
         return;
     };
-    let mut farm = FarmProcesses::with_data(folder, data, &["--verify-share", "0", "--lease", "2"]);
+    let mut farm = Farm::with_data(folder, data, &["--verify-share", "0", "--lease", "2"]);
     farm.submit("grid", GRID);
     let mut worker = farm.worker("worker", &[]);
     let (_, reason) =

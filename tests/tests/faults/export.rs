@@ -3,8 +3,8 @@
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
-use farm_tests::farm_processes::{FarmProcesses, SOON};
-use farm_tests::process::{Ran, farmctl};
+use farm_tests::farm::Farm;
+use farm_tests::process::{Ran, SOON, farmctl};
 use farm_tests::proxy::{Direction, Proxy};
 
 use super::{GRID, RECORDS};
@@ -13,8 +13,8 @@ use super::{GRID, RECORDS};
 const PASSES: u64 = 100_000;
 
 /// A farm whose dictionary is done, and a link to it that holds the rest of an export back.
-async fn cut_in_the_middle() -> (FarmProcesses, Proxy, Child) {
-    let farm = FarmProcesses::start(&[]);
+async fn cut_in_the_middle() -> (Farm, Proxy, Child) {
+    let farm = Farm::start(&[]);
     farm.submit("grid", GRID);
     let worker = farm.worker("worker", &[]);
     farm.done("grid");
@@ -42,7 +42,7 @@ fn ended(export: Child) -> Ran {
 }
 
 /// Drafts and finished files of the export.
-fn files(farm: &FarmProcesses) -> Vec<String> {
+fn files(farm: &Farm) -> Vec<String> {
     let names = std::fs::read_dir(farm.folder()).unwrap().map(|e| e.unwrap().file_name());
     names.map(|name| name.into_string().unwrap()).filter(|name| name.contains("all.csv")).collect()
 }

@@ -2,21 +2,15 @@
 
 use std::process::Stdio;
 
-use farm_tests::farm_processes::{FarmProcesses, SOON, wait_for};
-use farm_tests::process::{Ran, farmctl};
-use rustix::process::{Pid, Signal, kill_process};
+use farm_tests::farm::Farm;
+use farm_tests::process::{Ran, SOON, Signal, wait_for};
+use rustix::process::{Pid, kill_process};
 
 use super::LONG_JOBS;
 
 /// Starts a command, interrupts it as soon as it has taken charge of Ctrl-C, and waits for its end.
-fn interrupted(farm: &FarmProcesses, args: &[&str]) -> Ran {
-    let command = farmctl(farm.folder())
-        .args(args)
-        .args(["--server", &farm.url()])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+fn interrupted(farm: &Farm, args: &[&str]) -> Ran {
+    let command = farm.command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     wait_for("the command handles Ctrl-C", SOON, || handles_interrupt(command.id()).then_some(()));
     kill_process(Pid::from_child(&command), Signal::INT).unwrap();
     command.wait_with_output().unwrap().into()
@@ -32,7 +26,7 @@ fn handles_interrupt(id: u32) -> bool {
 
 #[test]
 fn ctrl_c_says_that_the_farm_goes_on_and_ends_with_130() {
-    let farm = FarmProcesses::start(&[]);
+    let farm = Farm::start(&[]);
     farm.submit("grid", LONG_JOBS);
     let file = farm.folder().join("grid.toml");
     let ran = interrupted(&farm, &["submit", file.to_str().unwrap(), "--wait"]);

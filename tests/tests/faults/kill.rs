@@ -6,7 +6,9 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use farm_tests::farm_processes::{FarmProcesses, Process, SOON, undisturbed, wait_for};
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::process::{Process, SOON, wait_for};
 use farm_tests::statistics::{Normal, effort};
 
 use super::{JOBS, RECORDS};
@@ -29,14 +31,14 @@ fn name(number: u64) -> String {
     format!("grid-{number}")
 }
 
-fn records_done(farm: &FarmProcesses, number: u64) -> u64 {
+fn records_done(farm: &Farm, number: u64) -> u64 {
     let listed = wait_for("the coordinator answers after a kill", SOON, || farm.listed(&name(number)));
     listed["records_done"].as_u64().unwrap()
 }
 
 /// Results that workers saw acknowledged as stored, by dictionary and job. A worker writes this down when it has the
 /// answer in hand.
-fn acknowledged(farm: &FarmProcesses) -> BTreeMap<(u64, u64), u64> {
+fn acknowledged(farm: &Farm) -> BTreeMap<(u64, u64), u64> {
     let mut counts = BTreeMap::new();
     for line in farm.worker_logs() {
         let text = line.to_string();
@@ -56,10 +58,10 @@ fn find_number(line: &serde_json::Value, name: &str) -> Option<u64> {
 #[test]
 fn after_kills_at_random_moments_every_acknowledged_record_exists_exactly_once() {
     // Workers that are killed are silent ones: no job is to be given up for it here.
-    let mut farm = FarmProcesses::start(&["--lease", "1", "--max-attempts", "1000", "--verify-share", "0"]);
+    let mut farm = Farm::start(&["--lease", "1", "--max-attempts", "1000", "--verify-share", "0"]);
     let mut random = Normal::new(SEED);
     let mut started = 0;
-    let mut worker = |farm: &FarmProcesses| {
+    let mut worker = |farm: &Farm| {
         started += 1;
         farm.worker(&format!("w{started}"), &[])
     };
@@ -103,7 +105,7 @@ fn after_kills_at_random_moments_every_acknowledged_record_exists_exactly_once()
     println!("{} kills of the coordinator, {} of workers, {number} dictionaries", kills[0], kills[1]);
 }
 
-fn check_rows(farm: &FarmProcesses, dictionaries: u64) {
+fn check_rows(farm: &Farm, dictionaries: u64) {
     let (rows, doubled) = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use farm_tests::farm_processes::{FarmProcesses, SOON, Signal, undisturbed, wait_for};
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::process::{SOON, Signal, wait_for};
 use tokio::time::Instant;
 
 use super::{GRID, LONG_JOBS};
@@ -10,15 +12,15 @@ use super::{GRID, LONG_JOBS};
 /// Leases that are not handed back are lost for longer than any of these tests.
 const LEASE: [&str; 2] = ["--lease", "3600"];
 
-fn leases(farm: &FarmProcesses) -> u64 {
+fn leases(farm: &Farm) -> u64 {
     farm.show("grid")["jobs_leased"].as_u64().unwrap()
 }
 
-fn jobs_done(farm: &FarmProcesses) -> u64 {
+fn jobs_done(farm: &Farm) -> u64 {
     farm.show("grid")["jobs_done"].as_u64().unwrap()
 }
 
-fn nobody_is_blamed(farm: &FarmProcesses) {
+fn nobody_is_blamed(farm: &Farm) {
     assert_eq!(leases(farm), 0, "all leases are handed back");
     for kind in ["ATTEMPT_FAILED", "JOB_FAILED", "JOB_QUARANTINED"] {
         assert!(farm.events(kind).is_empty(), "{kind}");
@@ -28,7 +30,7 @@ fn nobody_is_blamed(farm: &FarmProcesses) {
 
 #[test]
 fn a_worker_told_to_stop_finishes_what_it_traces_and_hands_the_rest_back_at_once() {
-    let farm = FarmProcesses::start(&LEASE);
+    let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "60s"]);
     // One is traced, the next waits.
@@ -48,7 +50,7 @@ fn a_worker_told_to_stop_finishes_what_it_traces_and_hands_the_rest_back_at_once
 
 #[test]
 fn a_worker_without_grace_stops_at_once_and_its_job_is_not_blamed() {
-    let farm = FarmProcesses::start(&LEASE);
+    let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "0s"]);
     farm.leased("grid", 2);
@@ -60,7 +62,7 @@ fn a_worker_without_grace_stops_at_once_and_its_job_is_not_blamed() {
 
 #[test]
 fn a_worker_ends_before_its_time_limit_and_nobody_is_blamed() {
-    let farm = FarmProcesses::start(&LEASE);
+    let farm = Farm::start(&LEASE);
     // More than can be done in the time.
     farm.submit("grid", &format!("{LONG_JOBS}sample_ior = [1.3, 1.4, 1.5, 1.6]\n"));
     let start = Instant::now();
@@ -74,7 +76,7 @@ fn a_worker_ends_before_its_time_limit_and_nobody_is_blamed() {
 
 #[test]
 fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
-    let farm = FarmProcesses::start(&["--lease", "4"]);
+    let farm = Farm::start(&["--lease", "4"]);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("old", &["--grace", "60s"]);
     farm.leased("grid", 2);
@@ -90,7 +92,7 @@ fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
 
 #[test]
 fn a_worker_for_which_there_is_no_work_ends_if_it_may() {
-    let farm = FarmProcesses::start(&LEASE);
+    let farm = Farm::start(&LEASE);
     farm.submit("grid", GRID);
     let mut worker = farm.worker("worker", &["--idle-exit", "1s"]);
     assert_eq!(farm.done("grid"), undisturbed(GRID));

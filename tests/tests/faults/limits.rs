@@ -6,7 +6,9 @@ use std::time::Duration;
 use bytes::Bytes;
 use farm_proto::wire::GetRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
-use farm_tests::farm_processes::{FarmProcesses, SOON, undisturbed, wait_for};
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::process::{SOON, wait_for};
 use http_body_util::StreamBody;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio::net::TcpStream;
@@ -21,7 +23,7 @@ const MIB: u64 = 1024;
 const PLACES: usize = 256;
 const REFUSED: &str = "farm_connections_refused_total";
 
-async fn link(farm: &FarmProcesses) -> Channel {
+async fn link(farm: &Farm) -> Channel {
     Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap()
 }
 
@@ -48,15 +50,15 @@ async fn send_huge(mut link: Channel, path: &str) -> Status {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_message_of_1_gb_is_refused_without_taking_its_memory() {
-    let farm = FarmProcesses::start(&[]);
+    let farm = Farm::start(&[]);
     farm.submit("grid", GRID);
-    let before = farm.coordinator().resident_kib();
+    let before = farm.coordinator().usage().unwrap().resident_kib;
     let root = format!("{}/farm.v1.", farm.url());
     for method in ["Dictionaries/Submit", "Fits/Fit", "Leases/Complete", "Leases/Renew"] {
         let status = send_huge(link(&farm).await, &format!("{root}{method}")).await;
         assert!(matches!(status.code(), Code::OutOfRange | Code::ResourceExhausted), "{method}: {status:?}");
     }
-    let grown = farm.coordinator().peak_kib().saturating_sub(before);
+    let grown = farm.coordinator().usage().unwrap().peak_kib.saturating_sub(before);
     println!("the coordinator grew by {} MiB at most", grown / MIB);
     assert!(grown < 64 * MIB, "it grew by {grown} KiB");
     let worker = farm.worker("worker", &[]);
@@ -92,7 +94,7 @@ async fn connect(port: u16, count: usize) -> Vec<TcpStream> {
 }
 
 /// Whether a new client is served. A call on a connection that is closed at once may have no end.
-async fn gets_in(farm: &FarmProcesses) -> bool {
+async fn gets_in(farm: &Farm) -> bool {
     let served = async {
         let Ok(link) = Endpoint::from_shared(farm.url()).unwrap().connect().await else { return false };
         let request = GetRequest { name: "grid".to_owned() };
@@ -116,14 +118,14 @@ async fn ten_thousand_idle_connections_keep_nobody_from_work_who_was_there_befor
     if count < 10_000 {
         eprintln!("only {count} connections: this process may not open more files");
     }
-    let farm = FarmProcesses::start(&["--max-connections", &PLACES.to_string()]);
+    let farm = Farm::start(&["--max-connections", &PLACES.to_string()]);
     farm.submit("grid", GRID);
     let mut dictionaries = DictionariesClient::new(link(&farm).await);
     let mut get = async || dictionaries.get(GetRequest { name: "grid".to_owned() }).await;
     let worker = farm.worker("worker", &[]);
     farm.leased("grid", 1);
     get().await.unwrap();
-    let before = farm.coordinator().resident_kib();
+    let before = farm.coordinator().usage().unwrap().resident_kib;
     let start = Instant::now();
     let idle = connect(farm.port(), count).await;
     // Those that say nothing lose their place after 10 s to others.
@@ -135,7 +137,7 @@ async fn ten_thousand_idle_connections_keep_nobody_from_work_who_was_there_befor
     get().await.unwrap();
     let stored = r#"farm_jobs_completed_total{outcome="stored"}"#;
     wait_for("the worker's results come in", SOON * 2, || (farm.figure(stored) == JOBS).then_some(()));
-    let grown = farm.coordinator().peak_kib().saturating_sub(before);
+    let grown = farm.coordinator().usage().unwrap().peak_kib.saturating_sub(before);
     println!("{count} connections: the coordinator grew by {} MiB at most", grown / MIB);
     assert!(grown < 64 * MIB, "it grew by {grown} KiB");
     // Idle ones without a greeting must go by themselves; when they have, others get in.

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use farm_tests::farm_processes::{FarmProcesses, LONG, SOON, Signal, undisturbed, wait_for};
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::process::{LONG, SOON, Signal, wait_for};
 use farm_tests::proxy::{Direction, Proxy};
 use farm_tests::statistics::effort;
 
@@ -12,19 +14,19 @@ const RENEWED: &str = r#"farm_rpc_seconds_count{method="/farm.v1.Leases/Renew",c
 const DUPLICATES: &str = r#"farm_jobs_completed_total{outcome="duplicate"}"#;
 const CONFLICTS: &str = r#"farm_jobs_completed_total{outcome="conflict"}"#;
 
-async fn proxy(farm: &FarmProcesses) -> Proxy {
+async fn proxy(farm: &Farm) -> Proxy {
     Proxy::start(([127, 0, 0, 1], farm.port()).into()).await
 }
 
 /// Waits until the worker has told that it traces.
-fn renewed(farm: &FarmProcesses) {
+fn renewed(farm: &Farm) {
     let before = farm.figure(RENEWED);
     wait_for("leases are renewed", SOON, || (farm.figure(RENEWED) > before + 2).then_some(()));
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_stopped_past_its_lease_delivers_a_duplicate_and_no_job_is_blamed_twice() {
-    let farm = FarmProcesses::start(&["--lease", "1"]);
+    let farm = Farm::start(&["--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", LONG_JOBS);
     let stopped = farm.worker_at(&link.url(), "stopped", &[]);
@@ -58,7 +60,7 @@ async fn a_worker_stopped_past_its_lease_delivers_a_duplicate_and_no_job_is_blam
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_result_whose_acknowledgment_is_lost_is_sent_again_and_counts_as_a_duplicate() {
-    let mut farm = FarmProcesses::start(&["--lease", "2"]);
+    let mut farm = Farm::start(&["--lease", "2"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &[]);
@@ -80,7 +82,7 @@ async fn a_result_whose_acknowledgment_is_lost_is_sent_again_and_counts_as_a_dup
 
 #[tokio::test(flavor = "multi_thread")]
 async fn work_goes_on_after_a_link_swallowed_packets() {
-    let farm = FarmProcesses::start(&["--lease", "1"]);
+    let farm = Farm::start(&["--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &[]);
@@ -101,7 +103,7 @@ async fn a_worker_leaves_a_connection_that_is_dead_without_a_word() {
         eprintln!("skipped in the short form: pings take 40 s to find a dead connection");
         return;
     }
-    let farm = FarmProcesses::start(&["--lease", "1"]);
+    let farm = Farm::start(&["--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &[]);
@@ -116,7 +118,7 @@ async fn a_worker_leaves_a_connection_that_is_dead_without_a_word() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn results_get_through_a_link_that_breaks_off_again_and_again() {
-    let farm = FarmProcesses::start(&["--lease", "2", "--max-attempts", "1000"]);
+    let farm = Farm::start(&["--lease", "2", "--max-attempts", "1000"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &[]);

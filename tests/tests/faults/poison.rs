@@ -2,13 +2,15 @@
 
 use std::time::Duration;
 
-use farm_tests::farm_processes::{FarmProcesses, SOON, undisturbed, wait_for};
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::process::{SOON, wait_for};
 
 use super::{GRID, JOBS};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_whose_workers_die_is_quarantined_with_reasons_and_the_others_are_done() {
-    let farm = FarmProcesses::start(&["--lease", "1", "--max-attempts", "3"]);
+    let farm = Farm::start(&["--lease", "1", "--max-attempts", "3"]);
     farm.submit("grid", GRID);
     let mut poison = None;
     for death in 1..=3_usize {
@@ -43,7 +45,7 @@ async fn a_job_whose_workers_die_is_quarantined_with_reasons_and_the_others_are_
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_dies_with_jobs_it_has_not_begun_brings_no_blame_on_them() {
-    let farm = FarmProcesses::start(&["--lease", "1", "--max-attempts", "1"]);
+    let farm = Farm::start(&["--lease", "1", "--max-attempts", "1"]);
     farm.submit("grid", GRID);
     let mut victim = farm.hand("victim").await.unwrap();
     let leases = victim.acquire(3).await.unwrap();

@@ -1,6 +1,6 @@
 //! Those that the coordinator does not let in, as the real programs see it.
 
-use std::path::{Path, PathBuf};
+use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use farm_proto::wire::leases_server::{Leases, LeasesServer};
@@ -8,8 +8,8 @@ use farm_proto::wire::{
     AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, FailRequest, FailResponse,
     HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse, RenewRequest, RenewResponse,
 };
-use farm_tests::farm_processes::{Process, SOON, Signal, free_port, wait_for};
-use farm_tests::process::{Ran, farmctl};
+use farm_tests::farm::Farm;
+use farm_tests::process::{Process, Ran, SOON, run, wait_for};
 use tonic::{Request, Response, Status, Streaming};
 
 /// A coordinator of another version.
@@ -55,64 +55,23 @@ async fn a_worker_of_another_physics_version_ends_with_exit_code_4_and_says_why(
     server.abort();
 }
 
-/// A coordinator with access files, and another set of files that it does not know.
-struct Closed {
-    folder: tempfile::TempDir,
-    _coordinator: Process,
-    port: u16,
+/// A farm with access files, and another set of files, `strange`, that it does not know.
+fn closed(access: &[&str]) -> Farm {
+    let farm = Farm::closed(access, &[]);
+    farm.create_access("strange", access);
+    farm
 }
 
-impl Closed {
-    fn start(options: &[&str]) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let port = free_port();
-        for set in ["own", "strange"] {
-            let port = port.to_string();
-            let args = [&["access", "create", set, "--host", "127.0.0.1", "--port", &port], options].concat();
-            let created: Ran = farmctl(folder.path()).args(args).output().unwrap().into();
-            assert_eq!(created.code, 0, "{}", created.stderr);
-        }
-        let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-        let (listen, access, data) =
-            (format!("127.0.0.1:{port}"), path("own/coordinator.toml"), path("data"));
-        let args = ["--listen", &listen, "--access", &access, "--data", &data];
-        let coordinator = Process::start("farm-coordinator", &args, &folder.path().join("coordinator.log"));
-        let closed = Self { folder, _coordinator: coordinator, port };
-        wait_for("the coordinator answers", SOON, || {
-            (closed.farmctl("own/admin.toml", &["status"]).code == 0).then_some(())
-        });
-        closed
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
-    fn farmctl(&self, access: &str, args: &[&str]) -> Ran {
-        farmctl(self.folder.path()).args(args).args(["--access", access]).output().unwrap().into()
-    }
-
-    fn worker(&self, access: &str) -> Process {
-        let access = self.path(access);
-        Process::start("farm-worker", &["--access", access.to_str().unwrap()], &self.path("worker.log"))
-    }
-
-    /// Own files with something of theirs changed, as `name`.
-    fn forge(&self, original: &str, name: &str, change: impl Fn(&str) -> String) {
-        let text = change(&std::fs::read_to_string(self.path(original)).unwrap());
-        std::fs::write(self.path(name), text).unwrap();
-        private(&self.path(name));
-    }
-
-    fn token_of(&self, file: &str) -> String {
-        let file: toml::Table = std::fs::read_to_string(self.path(file)).unwrap().parse().unwrap();
-        file["token"].as_str().unwrap().to_owned()
-    }
+/// The farm's own file with something of it changed, as `name`.
+fn forge(farm: &Farm, original: &str, name: &str, change: impl Fn(&str) -> String) {
+    let text = change(&std::fs::read_to_string(farm.path(original)).unwrap());
+    std::fs::write(farm.path(name), text).unwrap();
+    std::fs::set_permissions(farm.path(name), std::fs::Permissions::from_mode(0o600)).unwrap();
 }
 
-fn private(file: &Path) {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::set_permissions(file, std::fs::Permissions::from_mode(0o600)).unwrap();
+fn token_of(farm: &Farm, file: &str) -> String {
+    let file: toml::Table = std::fs::read_to_string(farm.path(file)).unwrap().parse().unwrap();
+    file["token"].as_str().unwrap().to_owned()
 }
 
 fn fails(ran: &Ran, parts: &[&str]) {
@@ -124,68 +83,63 @@ fn fails(ran: &Ran, parts: &[&str]) {
 
 #[test]
 fn who_shows_a_wrong_token_or_has_another_role_is_told_so_and_does_not_try_again() {
-    let farm = Closed::start(&[]);
-    let (own, strange) = (farm.token_of("own/worker.toml"), farm.token_of("strange/worker.toml"));
-    farm.forge("own/worker.toml", "worker.toml", |text| text.replace(&own, &strange));
-    let mut worker = farm.worker("worker.toml");
+    let farm = closed(&[]);
+    let (own, strange) = (token_of(&farm, "keys/worker.toml"), token_of(&farm, "strange/worker.toml"));
+    forge(&farm, "keys/worker.toml", "worker.toml", |text| text.replace(&own, &strange));
+    let mut worker = farm.worker_with("worker.toml", "worker", &[]);
     assert_eq!(worker.exit_within(SOON), 4, "{}", worker.log());
     assert!(worker.log().contains("token"), "{}", worker.log());
     assert!(!worker.log().contains(&strange), "the token is a secret");
-    let mut client = farm.worker("own/client.toml");
+    let mut client = farm.worker_with("keys/client.toml", "worker", &[]);
     assert_eq!(client.exit_within(SOON), 4, "{}", client.log());
-    let (own, strange) = (farm.token_of("own/client.toml"), farm.token_of("strange/client.toml"));
-    farm.forge("own/client.toml", "client.toml", |text| text.replace(&own, &strange));
-    fails(&farm.farmctl("client.toml", &["list"]), &["token"]);
-    fails(&farm.farmctl("own/worker.toml", &["list"]), &["worker"]);
-    fails(&farm.farmctl("own/client.toml", &["workers", "drain", "w"]), &["admin"]);
-    assert_eq!(farm.farmctl("own/client.toml", &["list"]).code, 0);
+    let (own, strange) = (token_of(&farm, "keys/client.toml"), token_of(&farm, "strange/client.toml"));
+    forge(&farm, "keys/client.toml", "client.toml", |text| text.replace(&own, &strange));
+    fails(&farm.farmctl_with("client.toml", &["list"]), &["token"]);
+    fails(&farm.farmctl_with("keys/worker.toml", &["list"]), &["worker"]);
+    fails(&farm.farmctl_with("keys/client.toml", &["workers", "drain", "w"]), &["admin"]);
+    assert_eq!(farm.farmctl_with("keys/client.toml", &["list"]).code, 0);
 }
 
 #[test]
 fn who_does_not_know_the_coordinators_certificate_does_not_talk_to_it() {
-    let farm = Closed::start(&[]);
-    fails(&farm.farmctl("strange/client.toml", &["list"]), &["certificate"]);
-    let plain: Ran = farmctl(farm.folder.path())
-        .args(["list", "--server", &format!("http://127.0.0.1:{}", farm.port)])
-        .output()
-        .unwrap()
-        .into();
+    let farm = closed(&[]);
+    fails(&farm.farmctl_with("strange/client.toml", &["list"]), &["certificate"]);
+    let plain = run(farm.folder(), &["list", "--server", &format!("http://127.0.0.1:{}", farm.port())]);
     fails(&plain, &[]);
 }
 
 #[test]
 fn without_a_certificate_nobody_gets_in_where_all_must_show_one() {
-    let farm = Closed::start(&["--mutual"]);
-    for (role, name) in [("own/client.toml", "client.toml"), ("own/worker.toml", "worker.toml")] {
-        farm.forge(role, name, |text| {
+    let farm = closed(&["--mutual"]);
+    for (role, name) in [("keys/client.toml", "client.toml"), ("keys/worker.toml", "worker.toml")] {
+        forge(&farm, role, name, |text| {
             let mut file: toml::Table = text.parse().unwrap();
             assert!(file.remove("certificate").is_some() && file.remove("key").is_some());
             toml::to_string(&file).unwrap()
         });
     }
     for _ in 0..5 {
-        fails(&farm.farmctl("client.toml", &["list"]), &["the access file has none"]);
+        fails(&farm.farmctl_with("client.toml", &["list"]), &["the access file has none"]);
     }
-    let mut bare = farm.worker("worker.toml");
+    let mut bare = farm.worker_with("worker.toml", "worker", &[]);
     assert_eq!(bare.exit_within(SOON), 4, "{}", bare.log());
     assert!(bare.log().contains("--mutual"), "{}", bare.log());
-    let mut proper = farm.worker("own/worker.toml");
+    let mut proper = farm.worker_with("keys/worker.toml", "worker", &[]);
     wait_for("the proper worker is in", SOON, || {
-        let listed = farm.farmctl("own/admin.toml", &["workers", "--json"]).stdout;
+        let listed = farm.farmctl_with("keys/admin.toml", &["workers", "--json"]).stdout;
         let listed: serde_json::Value = serde_json::from_str(&listed).ok()?;
         (listed["data"]["workers"].as_array()?.len() == 1).then_some(())
     });
-    proper.signal(Signal::TERM);
-    assert_eq!(proper.exit_within(Duration::from_secs(20)), 0);
+    assert_eq!(proper.terminate(Duration::from_secs(20)), 0);
 }
 
 #[test]
 fn certificates_of_other_files_let_nobody_in_where_all_must_show_one() {
-    let farm = Closed::start(&["--mutual"]);
+    let farm = closed(&["--mutual"]);
     for role in ["client", "worker"] {
-        let strange: toml::Table =
-            std::fs::read_to_string(farm.path(&format!("strange/{role}.toml"))).unwrap().parse().unwrap();
-        farm.forge(&format!("own/{role}.toml"), &format!("{role}.toml"), |text| {
+        let strange = std::fs::read_to_string(farm.path(&format!("strange/{role}.toml"))).unwrap();
+        let strange: toml::Table = strange.parse().unwrap();
+        forge(&farm, &format!("keys/{role}.toml"), &format!("{role}.toml"), |text| {
             let mut file: toml::Table = text.parse().unwrap();
             for field in ["certificate", "key"] {
                 file.insert(field.to_owned(), strange[field].clone());
@@ -193,8 +147,9 @@ fn certificates_of_other_files_let_nobody_in_where_all_must_show_one() {
             toml::to_string(&file).unwrap()
         });
     }
-    fails(&farm.farmctl("client.toml", &["list"]), &["does not accept the access file's certificate"]);
-    let mut worker = farm.worker("worker.toml");
+    let listed = farm.farmctl_with("client.toml", &["list"]);
+    fails(&listed, &["does not accept the access file's certificate"]);
+    let mut worker = farm.worker_with("worker.toml", "worker", &[]);
     assert_eq!(worker.exit_within(SOON), 4, "{}", worker.log());
 }
 

@@ -6,8 +6,9 @@ use std::time::Duration;
 use bytes::Bytes;
 use farm_proto::wire::ExportRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
-use farm_tests::farm_processes::{FarmProcesses, undisturbed};
-use farm_tests::hand::{on_wire, traced};
+use farm_tests::farm::Farm;
+use farm_tests::grids::{traced, undisturbed};
+use farm_tests::hand::on_wire;
 use http_body_util::StreamBody;
 use prost::Message;
 use tokio_stream::StreamExt;
@@ -26,13 +27,13 @@ walks = 5000
 derivatives = true
 ";
 
-async fn link(farm: &FarmProcesses) -> Channel {
+async fn link(farm: &Farm) -> Channel {
     Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap()
 }
 
 /// A call that delivers a good result byte by byte, and would take hours.
-async fn trickle(farm: &FarmProcesses) -> tokio::task::JoinHandle<()> {
-    let grid = farm_tests::farm_processes::grid_of(GRID);
+async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
+    let grid = farm_tests::grids::grid_of(GRID);
     let mut worker = farm.hand("slow").await.unwrap();
     let lease = worker.acquire(1).await.unwrap().remove(0);
     let parts = worker.parts(&lease, on_wire(&traced(&grid, lease.key.job as usize)));
@@ -59,13 +60,13 @@ async fn trickle(farm: &FarmProcesses) -> tokio::task::JoinHandle<()> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn slow_clients_hinder_nobody_take_little_memory_and_do_not_hold_up_a_stop() {
-    let mut farm = FarmProcesses::start(&["--lease", "2"]);
+    let mut farm = Farm::start(&["--lease", "2"]);
     farm.submit("large", LARGE);
     let worker = farm.worker("worker", &[]);
     farm.done("large");
     drop(worker);
     farm.submit("grid", GRID);
-    let before = farm.coordinator().resident_kib();
+    let before = farm.coordinator().usage().unwrap().resident_kib;
     let mut slow = Vec::new();
     for _ in 0..4 {
         slow.push(trickle(&farm).await);
@@ -82,7 +83,7 @@ async fn slow_clients_hinder_nobody_take_little_memory_and_do_not_hold_up_a_stop
     let worker = farm.worker("worker", &[]);
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     assert_eq!(farm.farmctl(&["export", "large", "-o", "all.csv"]).code, 0);
-    let grown = farm.coordinator().peak_kib().saturating_sub(before);
+    let grown = farm.coordinator().usage().unwrap().peak_kib.saturating_sub(before);
     println!("36 slow clients: the coordinator grew by {} MiB at most", grown / 1024);
     assert!(grown < 512 << 10, "it grew by {grown} KiB");
     assert_eq!(farm.stop_coordinator(), 0, "it ends within 10 s");

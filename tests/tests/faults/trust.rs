@@ -1,12 +1,14 @@
 //! A worker whose records are wrong.
 
-use farm_tests::farm_processes::{FarmProcesses, LONG, SOON, grid_of, undisturbed, wait_for};
-use farm_tests::hand::{HandWorker, falsified, traced};
+use farm_tests::farm::Farm;
+use farm_tests::grids::{grid_of, traced, undisturbed};
+use farm_tests::hand::{HandWorker, falsified};
+use farm_tests::process::{LONG, SOON, wait_for};
 use tonic::Code;
 
 use super::{GRID, JOBS};
 
-async fn refused(farm: &FarmProcesses, liar: &mut HandWorker) {
+async fn refused(farm: &Farm, liar: &mut HandWorker) {
     let acquired = liar.acquire(1).await.unwrap_err();
     assert!(matches!(acquired.code(), Code::PermissionDenied | Code::Aborted), "{acquired}");
     let registered = farm.hand("liar").await.map(drop).unwrap_err();
@@ -16,7 +18,7 @@ async fn refused(farm: &FarmProcesses, liar: &mut HandWorker) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_with_wrong_records_is_found_and_fenced_off_and_its_jobs_are_computed_again() {
-    let mut farm = FarmProcesses::start(&["--lease", "2", "--verify-share", "1"]);
+    let mut farm = Farm::start(&["--lease", "2", "--verify-share", "1"]);
     farm.submit("grid", GRID);
     let grid = grid_of(GRID);
     let mut liar = farm.hand("liar").await.unwrap();

@@ -17,7 +17,7 @@ use farm_tests::statistics::{Normal, effort};
 use optics_fit::{DictionaryBuilder, FitDictionary};
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
-use optics_model::{Grid, MeasuredProfile, Medium, TransportPoint, Walks};
+use optics_model::{Grid, MeasuredProfile, Medium, PackedRecords, TransportPoint, Walks};
 use optics_tracer::trace;
 
 /// The dictionary of the tests, traced once.
@@ -36,9 +36,9 @@ pub(crate) fn dictionary() -> &'static FitDictionary {
         let grid = Grid::new(paper.scene().clone(), axes, Walks::PAPER, 1, false).unwrap();
         let mut builder = DictionaryBuilder::new(grid.clone());
         for job in 0..grid.job_count() {
-            for record in trace(&JobSpec::of(&grid, job), &AtomicBool::new(false)).unwrap() {
-                builder.add(&record);
-            }
+            let job = JobSpec::of(&grid, job);
+            let records = trace(&job, &AtomicBool::new(false)).unwrap();
+            builder.add(&PackedRecords::pack(&job, &records));
         }
         builder.build()
     })

@@ -13,7 +13,7 @@ use farm_proto::wire::{
     CancelRequest, DeleteRequest, DictionaryState, FitRequest, ListEventsRequest, ListRequest, ResumeRequest,
     SubmitRequest, WatchRequest,
 };
-use farm_tests::hand::traced;
+use farm_tests::grids::traced;
 use farm_tests::statistics::Normal;
 use optics_model::grid::Axes;
 use optics_model::scene::Scene;

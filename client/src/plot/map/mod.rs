@@ -5,6 +5,7 @@ mod overlay;
 mod plan;
 
 use anyhow::ensure;
+use optics_model::fit::DistanceMap;
 
 use super::canvas::Canvas;
 use super::head::{Head, MARGIN};
@@ -12,47 +13,21 @@ use super::picture::Picture;
 use overlay::keys;
 use plan::Plan;
 
-/// Distances of one measurement from all records.
-#[derive(Clone, Debug)]
-pub(crate) struct MapFigure {
-    pub title: String,
-    pub sigma_t_per_mm: Vec<f64>,
-    pub albedo: Vec<f64>,
-    pub panels: Vec<MapPanel>,
-}
-
-#[derive(Clone, Debug)]
-pub(crate) struct MapPanel {
-    pub g: f64,
-    /// Over [σ_t][albedo]; NaN where there is none.
-    pub distance: Vec<f64>,
-    /// The best record of all, if it has this g.
-    pub best: Option<MapPoint>,
-    pub best_of_g: MapPoint,
-    /// Where similarity theory expects the best record of this g; may lie outside the axes.
-    pub predicted: Option<MapPoint>,
-}
-
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct MapPoint {
-    pub sigma_t_per_mm: f64,
-    pub albedo: f64,
-}
-
-pub(crate) fn map_figure(figure: &MapFigure) -> anyhow::Result<Picture> {
-    let cells = figure.sigma_t_per_mm.len() * figure.albedo.len();
-    for panel in &figure.panels {
-        let n = panel.distance.len();
-        ensure!(n == cells, "map for g = {}: {n} distances for {cells} cells", panel.g);
+pub(crate) fn map_figure(material: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
+    let cells = map.sigma_t_per_mm.len() * map.albedo.len();
+    for layer in &map.layers {
+        let n: usize = layer.errors.iter().map(Vec::len).sum();
+        ensure!(n == cells, "map for g = {}: {n} distances for {cells} cells", layer.g);
     }
-    let plan = Plan::new(figure)?;
-    let keys = keys(figure, &plan.frame(0, 0.0));
-    let head = Head::new(&figure.title, &keys, plan.width - 2.0 * MARGIN);
+    let plan = Plan::new(map)?;
+    let keys = keys(map, &plan.frame(0, 0.0));
+    let title = format!("{material}, channel {}: distance to every medium", map.channel);
+    let head = Head::new(&title, &keys, plan.width - 2.0 * MARGIN);
     let top = head.height().ceil();
     let mut canvas = Canvas::new(plan.width, top + plan.height() + MARGIN);
     head.draw(&mut canvas);
-    for (i, panel) in figure.panels.iter().enumerate() {
-        plan.draw_panel(&mut canvas, i, panel, top)?;
+    for i in 0..map.layers.len() {
+        plan.draw_panel(&mut canvas, map, i, top)?;
     }
     plan.draw_bar(&mut canvas, top)?;
     Ok(canvas.finish())
@@ -62,36 +37,43 @@ pub(crate) fn map_figure(figure: &MapFigure) -> anyhow::Result<Picture> {
 mod tests {
     use base64::Engine as _;
     use image::{Rgb, RgbImage};
+    use optics_model::Medium;
+    use optics_model::fit::{Candidate, MapLayer};
 
     use super::super::checks::{assert_well_laid_out, texts};
     use super::super::color::Color;
     use super::plan::FINENESS;
     use super::*;
+    use crate::testing;
 
-    fn figure(gs: usize) -> MapFigure {
+    fn figure(gs: usize) -> DistanceMap {
         let sigma_t_per_mm = vec![1.0, 2.0, 4.0, 10.0, 30.0];
         let albedo = vec![0.05, 0.5, 0.9, 0.99, 0.999, 0.99999];
-        let best = MapPoint { sigma_t_per_mm: 4.0, albedo: 0.99 };
-        let distance = |s: &f64| {
-            albedo
-                .clone()
-                .into_iter()
-                .map(move |a| 0.01 + (s / 4.0).ln().abs() + 5.0 * (a - 0.99_f64).abs())
-                .collect::<Vec<_>>()
-        };
-        let panel = |i: usize| MapPanel {
+        let distance = |s: f64, a: f64| 0.01 + (s / 4.0).ln().abs() + 5.0 * (a - 0.99_f64).abs();
+        let row = |s: &f64| albedo.iter().map(|a| distance(*s, *a)).collect();
+        let layer = |i: usize| MapLayer {
             g: 0.1 * i as f64,
-            distance: sigma_t_per_mm.iter().flat_map(distance).collect(),
-            best: (i == 0).then_some(best),
-            best_of_g: best,
-            predicted: Some(MapPoint { sigma_t_per_mm: if i == 1 { 80.0 } else { 5.0 }, albedo: 0.995 }),
+            errors: sigma_t_per_mm.iter().map(row).collect(),
+            best: best(4.0, 0.99),
+            similar: Some(best(if i == 1 { 80.0 } else { 5.0 }, 0.995).medium),
         };
-        MapFigure {
-            title: "Vero White, R".into(),
-            panels: (0..gs).map(panel).collect(),
+        DistanceMap {
+            channel: "R".into(),
+            sample_ior: 1.53,
+            best_layer: 0,
+            layers: (0..gs).map(layer).collect(),
             sigma_t_per_mm: sigma_t_per_mm.clone(),
             albedo: albedo.clone(),
         }
+    }
+
+    fn best(sigma_t_per_mm: f64, albedo: f64) -> Candidate {
+        let medium = Medium::new(sigma_t_per_mm, albedo, 0.0).unwrap();
+        Candidate { medium, ..testing::candidate(sigma_t_per_mm) }
+    }
+
+    fn draw(map: &DistanceMap) -> anyhow::Result<Picture> {
+        map_figure("Vero White", map)
     }
 
     fn images(picture: &Picture) -> Vec<RgbImage> {
@@ -108,12 +90,18 @@ mod tests {
     #[test]
     fn one_map_or_many_are_well_laid_out() {
         for gs in [1, 2, 3, 4, 5, 11] {
-            let picture = map_figure(&figure(gs)).unwrap();
+            let picture = draw(&figure(gs)).unwrap();
             assert_well_laid_out(&picture);
             let texts = texts(&picture);
             assert_eq!(texts.iter().filter(|text| text.starts_with("g = ")).count(), gs);
-            for label in ["Vero White, R", "1 − α", "σt [1/mm]", "distance", "best fit", "similarity theory"]
-            {
+            for label in [
+                "Vero White, channel R: distance to every medium",
+                "1 − α",
+                "σt [1/mm]",
+                "distance",
+                "best fit",
+                "similarity theory",
+            ] {
                 assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
             }
             let outside = texts.iter().any(|text| text == "similarity theory, outside the grid");
@@ -126,7 +114,7 @@ mod tests {
         let figure = figure(1);
         let plan = Plan::new(&figure).unwrap();
         let frame = plan.frame(0, 0.0);
-        let pixels = images(&map_figure(&figure).unwrap()).remove(0);
+        let pixels = images(&draw(&figure).unwrap()).remove(0);
         let color = |sigma_t: f64, co_albedo: f64| {
             let place = [frame.across(co_albedo) - frame.area.left, frame.up(sigma_t) - frame.area.top];
             let [x, y] = place.map(|length| (FINENESS * length) as u32);
@@ -150,13 +138,13 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let png = |name: &str| {
             let path = dir.path().join(name);
-            map_figure(&figure).unwrap().write(&path).unwrap();
+            draw(&figure).unwrap().write(&path).unwrap();
             std::fs::read(path).unwrap()
         };
         let bytes = png("a.png");
         assert!(bytes == png("b.png"));
         let drawn = image::load_from_memory(&bytes).unwrap().into_rgb8();
-        let map = &images(&map_figure(&figure).unwrap())[1];
+        let map = &images(&draw(&figure).unwrap())[1];
         let Rgb([r, g, b]) = *map.get_pixel(0, map.height() - 1);
         let same = drawn.pixels().filter(|pixel| pixel.0 == [r, g, b]).count();
         assert!(same > 100, "{same} pixels have the colour of the first cell");
@@ -165,23 +153,24 @@ mod tests {
     #[test]
     fn missing_distances_are_grey_and_told() {
         let mut figure = figure(2);
-        figure.panels[1].distance.fill(f64::NAN);
-        let picture = map_figure(&figure).unwrap();
+        figure.layers[1].errors.iter_mut().for_each(|row| row.fill(f64::NAN));
+        let picture = draw(&figure).unwrap();
         assert!(images(&picture)[1].pixels().all(|p| p.0 == [0xdd; 3]));
         assert!(texts(&picture).iter().any(|text| text == "no record"));
     }
 
     #[test]
     fn odd_grids_are_drawn_and_wrong_data_refused() {
-        let point = MapPoint { sigma_t_per_mm: 3.0, albedo: 0.9 };
-        let panel = |distance| MapPanel { g: -0.25, distance, best: None, best_of_g: point, predicted: None };
-        let mut figure = MapFigure {
-            title: String::new(),
+        let layer = MapLayer { g: -0.25, errors: vec![vec![0.0, 0.0]], best: best(3.0, 0.9), similar: None };
+        let mut figure = DistanceMap {
+            channel: String::new(),
             sigma_t_per_mm: vec![3.0],
             albedo: vec![1.0, 0.9],
-            panels: vec![panel(vec![0.0, 0.0])],
+            sample_ior: 1.53,
+            best_layer: 0,
+            layers: vec![layer],
         };
-        let picture = map_figure(&figure).unwrap();
+        let picture = draw(&figure).unwrap();
         assert_well_laid_out(&picture);
         let texts = texts(&picture);
         assert!(
@@ -189,17 +178,14 @@ mod tests {
                 && texts.iter().any(|t| t == "g = −0.25")
         );
 
-        figure.panels[0].distance.pop();
-        assert_eq!(
-            map_figure(&figure).unwrap_err().to_string(),
-            "map for g = -0.25: 1 distances for 2 cells"
-        );
-        figure.panels[0].distance = vec![f64::NAN; 2];
-        assert_eq!(map_figure(&figure).unwrap_err().to_string(), "no distances to draw");
+        figure.layers[0].errors[0].pop();
+        assert_eq!(draw(&figure).unwrap_err().to_string(), "map for g = -0.25: 1 distances for 2 cells");
+        figure.layers[0].errors = vec![vec![f64::NAN; 2]];
+        assert_eq!(draw(&figure).unwrap_err().to_string(), "no distances to draw");
         figure.albedo.pop();
-        figure.panels[0].distance.pop();
-        assert_eq!(map_figure(&figure).unwrap_err().to_string(), "albedos");
-        figure.panels.clear();
-        assert_eq!(map_figure(&figure).unwrap_err().to_string(), "no maps to draw");
+        figure.layers[0].errors[0].pop();
+        assert_eq!(draw(&figure).unwrap_err().to_string(), "albedos");
+        figure.layers.clear();
+        assert_eq!(draw(&figure).unwrap_err().to_string(), "no maps to draw");
     }
 }

@@ -11,8 +11,6 @@ pub(super) struct Nodes {
     order: Vec<usize>,
     /// Upper edges of all cells but the last, as fractions of the axis.
     edges: Vec<f64>,
-    /// How many values there were, with those that have no place on a logarithmic axis.
-    pub(super) given: usize,
 }
 
 impl Nodes {
@@ -30,7 +28,7 @@ impl Nodes {
         let high = middles.last().map_or(last * 1.25, |middle| last * last / middle);
         let axis = Axis::logarithmic(low, high);
         let edges = middles.iter().map(|&middle| axis.fraction(middle)).collect();
-        Ok(Self { axis, order, edges, given: values.len() })
+        Ok(Self { axis, order, edges })
     }
 
     /// Which value's cell covers a place on the axis.

@@ -2,10 +2,10 @@
 
 use anyhow::{Context as _, ensure};
 use image::{Rgb, RgbImage};
+use optics_model::fit::{DistanceMap, MapLayer};
 
 use super::nodes::Nodes;
 use super::overlay::marks;
-use super::{MapFigure, MapPanel};
 use crate::plot::axis::{Axis, extent};
 use crate::plot::canvas::{Area, Canvas, at};
 use crate::plot::color::Color;
@@ -42,14 +42,14 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    pub(super) fn new(figure: &MapFigure) -> anyhow::Result<Self> {
-        let panels = figure.panels.len();
+    pub(super) fn new(map: &DistanceMap) -> anyhow::Result<Self> {
+        let panels = map.layers.len();
         ensure!(panels > 0, "no maps to draw");
         let across = panels.min(MOST_COLUMNS);
         let size = [(400.0, 340.0), (300.0, 260.0), (250.0, 220.0), (210.0, 190.0)][across - 1];
-        let co_albedo = Nodes::new(figure.albedo.iter().map(|albedo| 1.0 - albedo)).context("albedos")?;
-        let sigma_t = Nodes::new(figure.sigma_t_per_mm.iter().copied()).context("extinctions")?;
-        let color = color_axis(figure)?;
+        let co_albedo = Nodes::new(map.albedo.iter().map(|albedo| 1.0 - albedo)).context("albedos")?;
+        let sigma_t = Nodes::new(map.sigma_t_per_mm.iter().copied()).context("extinctions")?;
+        let color = color_axis(map)?;
         let mut plan = Self { panels, across, size, co_albedo, sigma_t, color, beside: 0.0, width: 0.0 };
         plan.beside = ticks_beside(&plan.frame(0, 0.0).y_ticks()).ceil();
         let bar = plan.bar(0.0);
@@ -80,15 +80,16 @@ impl Plan {
     pub(super) fn draw_panel(
         &self,
         canvas: &mut Canvas,
+        map: &DistanceMap,
         i: usize,
-        panel: &MapPanel,
         top: f64,
     ) -> anyhow::Result<()> {
+        let (layer, best_of_all) = (&map.layers[i], i == map.best_layer);
         let frame = self.frame(i, top);
-        let heading = Text::new(format!("g = {}", number(panel.g, 4)), HEADING);
-        let heading = if panel.best.is_some() { heading.bold() } else { heading };
+        let heading = Text::new(format!("g = {}", number(layer.g, 4)), HEADING);
+        let heading = if best_of_all { heading.bold() } else { heading };
         canvas.text(at(frame.area.left, frame.area.top - 6.0), &heading);
-        canvas.image(frame.area, &self.pixels(panel))?;
+        canvas.image(frame.area, &self.pixels(layer))?;
         let first = i.is_multiple_of(self.across);
         let lowest = i + self.across >= self.panels;
         frame.axes(canvas, Labels { x: lowest, y: first });
@@ -102,18 +103,17 @@ impl Plan {
             let name = Text::new("1 − α", LABEL).anchor(Anchor::Middle);
             canvas.text(at(middle.x, frame.area.bottom() + TICKS_BELOW + 1.3 * LABEL), &name);
         }
-        marks(canvas, &frame, panel);
+        marks(canvas, &frame, layer, best_of_all);
         Ok(())
     }
 
-    fn pixels(&self, panel: &MapPanel) -> RgbImage {
+    fn pixels(&self, layer: &MapLayer) -> RgbImage {
         let [width, height] = [self.size.0, self.size.1].map(|length| (FINENESS * length) as u32);
         let part = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
         let columns: Vec<_> = (0..width).map(|x| self.co_albedo.index(part(x, width))).collect();
         let rows: Vec<_> = (0..height).map(|y| self.sigma_t.index(1.0 - part(y, height))).collect();
         RgbImage::from_fn(width, height, |x, y| {
-            let cell = rows[y as usize] * self.co_albedo.given + columns[x as usize];
-            self.color_of(panel.distance[cell])
+            self.color_of(layer.errors[rows[y as usize]][columns[x as usize]])
         })
     }
 
@@ -145,8 +145,8 @@ impl Plan {
     }
 }
 
-fn color_axis(figure: &MapFigure) -> anyhow::Result<Axis> {
-    let distances = || figure.panels.iter().flat_map(|panel| panel.distance.iter().copied());
+fn color_axis(map: &DistanceMap) -> anyhow::Result<Axis> {
+    let distances = || map.layers.iter().flat_map(|layer| layer.errors.iter().flatten().copied());
     let (_, high) = extent(distances()).context("no distances to draw")?;
     let Some((low, _)) = extent(distances().filter(|&d| d > 0.0)) else {
         // Every record is an exact match: one colour.

@@ -3,13 +3,13 @@
 use farm_proto::ids::DictionaryId;
 use farm_proto::lease::LeaseKey;
 
-use super::super::shared::Place;
+use super::super::shared::JobRef;
 use super::super::{Dictionary, Origin};
 use super::store::DoneJob;
 use super::world::World;
 
 impl World {
-    pub fn take_over(&mut self, place: Place, from: Place, by: Option<Origin>) {
+    pub fn take_over(&mut self, place: JobRef, from: JobRef, by: Option<Origin>) {
         let is_open = self.farm.by_id(place.0).is_some_and(|d| d.is_open(place.1));
         self.insist(is_open && self.store.kind(place.0) == self.store.kind(from.0), || {
             format!("{place:?} is served by {from:?}")
@@ -25,7 +25,7 @@ impl World {
         for job in self.farm.done_elsewhere(id) {
             let kind = self.store.kind(id);
             let walks = self.walks_of((id, job));
-            let same = |(of, done): &(&Place, &DoneJob)| {
+            let same = |(of, done): &(&JobRef, &DoneJob)| {
                 of.0 != id && of.1 == job && self.store.kind(of.0) == kind && done.walks.get() == walks
             };
             let from = self.store.done.iter().find(same).map(|(place, _)| *place);

@@ -86,7 +86,7 @@ impl ModelStore {
             job: *job,
             walks: done.walks,
             records: done.records,
-            by: if done.by.len() == 1 { done.by.first().map(|o| o.0) } else { None },
+            by: if done.by.len() == 1 { done.by.first().copied() } else { None },
             reused: false,
         });
         let given_up =

@@ -64,8 +64,9 @@ impl World {
         self.insist(grant.drain == drains && (grant.leases.is_empty() || !drains), || {
             format!("{id} drains: {drains}, but got {grant:?}")
         });
-        for (lease, purpose) in grant.leases.into_iter().zip(grant.purposes) {
+        for lease in grant.leases {
             let key = lease.key;
+            let purpose = self.farm.leases.get(&key).expect("it was just given out").purpose;
             let new = self.tokens.insert(key.token);
             self.insist(new, || format!("{key:?} has a token that was used before"));
             let dictionary = self.farm.by_id(key.dictionary);

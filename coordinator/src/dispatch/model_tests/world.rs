@@ -5,14 +5,15 @@ use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::status::DictionaryState;
 use optics_model::Walks;
 use optics_model::job::JobSpec;
 
-use super::super::blame::STALL;
+use super::super::look_over::STALL;
 use super::super::tests::Counted;
 use super::super::{Arrived, Dictionary, Dispatcher, Effect, Origin, Purpose, Settings};
 use super::ops::Op;
-use super::store::ModelStore;
+use super::store::{DoneJob, ModelStore};
 use crate::stored::{DesiredState, Outcome};
 
 pub const LEASE: Duration = Duration::from_secs(8);
@@ -57,6 +58,8 @@ pub struct World {
     pub draining: BTreeSet<WorkerId>,
     last_look: Option<Duration>,
     pub numbers: i64,
+    /// Whether workers that wait were woken in this step, and people who watch.
+    woken: (bool, bool),
     /// What went wrong within a step.
     pub complaint: Option<String>,
 }
@@ -79,6 +82,7 @@ impl World {
             draining: BTreeSet::new(),
             last_look: None,
             numbers: 0,
+            woken: (false, false),
             complaint: None,
         };
         for i in 0..WORKERS {
@@ -106,7 +110,32 @@ impl World {
         }
     }
 
+    /// What a worker that waits could get: parts, and checks.
+    fn offers(&self) -> (usize, usize) {
+        let checks = self.farm.checks.open_to(Origin(-1)).filter(|part| self.farm.may_check(*part));
+        (self.farm.load().0, checks.count())
+    }
+
+    /// What people see of the dictionaries.
+    fn seen(&self) -> Vec<(DictionaryId, DictionaryState, (usize, usize))> {
+        self.farm.dictionaries().map(|d| (d.id(), d.state(), d.ended())).collect()
+    }
+
+    /// Whoever waits for work or news must be woken when there is some, since nobody asks again before.
     pub fn step(&mut self, op: &Op) {
+        let (offers, seen) = (self.offers(), self.seen());
+        self.woken = (false, false);
+        self.perform(op);
+        self.settle();
+        let (now, woken) = (self.offers(), self.woken);
+        self.insist(woken.0 || now.0 <= offers.0 && now.1 <= offers.1, || {
+            format!("nobody is told of new work: {offers:?} before, now {now:?}")
+        });
+        let same = seen == self.seen();
+        self.insist(woken.1 || same, || "nobody is told of what has changed".to_owned());
+    }
+
+    fn perform(&mut self, op: &Op) {
         match *op {
             Op::Register(worker) => self.register(worker),
             Op::Acquire { worker, max } => self.acquire(worker, max),
@@ -160,7 +189,6 @@ impl World {
                 }
             }
         }
-        self.settle();
     }
 
     fn dictionary(&self, at: usize) -> Option<DictionaryId> {
@@ -209,7 +237,9 @@ impl World {
                 self.find_blocks();
             }
             Some(Outcome::Before { records, .. }) => self.compare(by, &key, &job, records),
-            Some(Outcome::Differs) => unreachable!("the model's store compares no points"),
+            Some(Outcome::Differs | Outcome::Repeated) => {
+                unreachable!("the model's store compares neither points nor blocks")
+            }
         }
     }
 
@@ -245,7 +275,7 @@ impl World {
         let mut due: Vec<_> =
             self.farm.leases.iter().filter(|h| h.deadline + stalled <= self.now).cloned().collect();
         due.sort_by_key(|held| (held.deadline, held.key.token));
-        let freed = self.farm.expire(self.now);
+        let freed = self.farm.look_over(self.now);
         self.insist(freed == due.len(), || format!("{freed} leases are freed, not {}", due.len()));
         for held in due.iter().filter(|h| h.running && h.purpose != Purpose::Check) {
             let (id, job) = (held.key.dictionary, held.key.job);
@@ -257,8 +287,9 @@ impl World {
     }
 
     pub fn settle(&mut self) {
-        self.farm.take_events();
-        for effect in self.farm.take_effects() {
+        let outbox = self.farm.take_outbox();
+        self.woken = (self.woken.0 || outbox.work, self.woken.1 || outbox.changed);
+        for effect in outbox.effects {
             match effect {
                 Effect::GiveUp { dictionary, job, reason, quarantined } => {
                     let strikes = self.strikes.remove(&(dictionary, job)).unwrap_or_default();
@@ -282,14 +313,24 @@ impl World {
                     self.find_blocks();
                 }
             }
+            // What the effect has brought about.
+            self.settle();
         }
     }
 
+    /// Forgets a job's records. They lie at the walks that they are of, so that other jobs for these lose them too.
     pub fn recompute(&mut self, id: DictionaryId, job: u32) {
-        if self.store.done.remove(&(id, job)).is_some() {
+        let Some(walks) = self.store.done.get(&(id, job)).map(|done| done.walks) else { return };
+        let kind = self.store.kind(id);
+        let same = |(of, done): &(&(DictionaryId, u32), &DoneJob)| {
+            of.1 == job && done.walks == walks && self.store.kind(of.0) == kind
+        };
+        let forgotten: Vec<_> = self.store.done.iter().filter(same).map(|(of, _)| *of).collect();
+        for (id, job) in forgotten {
+            self.store.done.remove(&(id, job));
             self.reopen(id, job);
-            self.find_blocks();
         }
+        self.find_blocks();
     }
 
     pub fn reopen(&mut self, id: DictionaryId, job: u32) {

@@ -12,14 +12,17 @@ fn a_job_is_given_up_after_the_allowed_failures_with_all_reasons() {
     let mut bench = Bench::new(&[]);
     let first = bench.acquire(0, "a", 1);
     bench.farm.failed(seconds(1), &worker("a"), &first[0].key, "boom").unwrap();
-    assert!(bench.farm.take_effects().is_empty());
+    assert!(bench.farm.take_outbox().effects.is_empty());
     let second = bench.acquire(1, "b", 1);
     assert_eq!(second[0].key.job, first[0].key.job);
     assert!(bench.reasons(1).contains(&"RETRYING"));
     bench.farm.failed(seconds(2), &worker("b"), &second[0].key, "bang").unwrap();
     let reason = "attempt 1: boom; attempt 2: bang".to_owned();
     let (dictionary, job) = (DictionaryId(1), first[0].key.job);
-    assert_eq!(bench.farm.take_effects(), [Effect::GiveUp { dictionary, job, reason, quarantined: false }]);
+    assert_eq!(
+        bench.farm.take_outbox().effects,
+        [Effect::GiveUp { dictionary, job, reason, quarantined: false }]
+    );
     for lease in bench.acquire(2, "a", 10) {
         bench.finish(3, "a", &lease);
     }
@@ -34,14 +37,14 @@ fn only_a_job_that_was_running_is_blamed_for_its_workers_death() {
     let mut bench = Bench::new(&[]);
     for round in 0..2 {
         let at = 100 * round;
-        bench.farm.expire(seconds(at));
+        bench.farm.look_over(seconds(at));
         let leases = bench.acquire(at, "a", 2);
         assert_eq!(job_of(&leases), [2, 1], "the longest first");
         assert!(bench.renew(at, "a", &leases[0], true));
         assert!(bench.renew(at, "a", &leases[1], false));
         // The process dies; another one comes in its place.
         for second in (at + 4..at + 40).step_by(4) {
-            bench.farm.expire(seconds(second));
+            bench.farm.look_over(seconds(second));
         }
         bench.farm.register(seconds(at + 40), worker("a"), Origin(10 + round as i64), about("a")).unwrap();
     }
@@ -59,14 +62,14 @@ fn a_worker_that_comes_back_takes_the_blame_from_its_jobs() {
         let at = 100 * round;
         let lease = bench.acquire(at, "a", 1);
         assert_eq!(job_of(&lease), [2], "it was not given up");
-        bench.farm.expire(seconds(at));
+        bench.farm.look_over(seconds(at));
         assert!(bench.renew(at, "a", &lease[0], true));
         for second in (at + 4..at + 40).step_by(4) {
-            bench.farm.expire(seconds(second));
+            bench.farm.look_over(seconds(second));
         }
         assert!(bench.renew(at + 50, "a", &lease[0], true), "nobody else has it: it goes on");
         bench.farm.hand_back(&[lease[0].key]);
-        bench.farm.expire(seconds(at + 54));
+        bench.farm.look_over(seconds(at + 54));
     }
 }
 
@@ -74,8 +77,8 @@ fn a_worker_that_comes_back_takes_the_blame_from_its_jobs() {
 fn a_coordinator_that_was_stopped_itself_blames_nobody() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
-    bench.farm.expire(seconds(1));
-    assert_eq!(bench.farm.expire(seconds(1000)), 0, "it was away for 999 s, not the worker");
+    bench.farm.look_over(seconds(1));
+    assert_eq!(bench.farm.look_over(seconds(1000)), 0, "it was away for 999 s, not the worker");
     assert!(bench.renew(1001, "a", &lease[0], true));
 }
 
@@ -108,12 +111,12 @@ fn a_worker_that_was_forgotten_and_comes_back_takes_the_blame_from_its_jobs() {
         let at = 1000 * round;
         let id = format!("a{round}");
         bench.farm.register(seconds(at), worker(&id), Origin(7), about("a")).unwrap();
-        bench.farm.expire(seconds(at));
+        bench.farm.look_over(seconds(at));
         let lease = bench.acquire(at, &id, 1);
         assert_eq!(job_of(&lease), [2], "it was not given up");
         assert!(bench.renew(at, &id, &lease[0], true));
         for second in (at + 4..at + 800).step_by(4) {
-            bench.farm.expire(seconds(second));
+            bench.farm.look_over(seconds(second));
         }
     }
 }

@@ -39,7 +39,7 @@ fn a_divided_job_is_given_out_block_by_block() {
     assert_eq!(last.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(2)]);
     arrive("b", &last[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
     assert!(matches!(bench.admit("b", &last[0]), Ok(Admission::Repeated { .. })));
-    bench.farm.expire(seconds(4));
+    bench.farm.look_over(seconds(4));
     bench.farm.hand_back(&[leases[0].key]);
     assert_eq!(bench.acquire(5, "c", 5)[0].job.block(), Some(0));
     bench.finish(6, "c", &leases[0]);

@@ -110,9 +110,9 @@ fn a_straggler_that_others_wait_for_gets_a_second_copy() {
             bench.farm.taken_over(place, Walks::PAPER, DIGEST, None);
         }
     }
-    bench.farm.expire(super::seconds(4));
-    bench.farm.expire(super::seconds(9));
-    bench.farm.expire(super::seconds(14));
-    bench.farm.expire(super::seconds(18));
+    bench.farm.look_over(super::seconds(4));
+    bench.farm.look_over(super::seconds(9));
+    bench.farm.look_over(super::seconds(14));
+    bench.farm.look_over(super::seconds(18));
     assert_eq!(places(&bench.acquire(18, "b", 9)), [(FIRST, 2)]);
 }

@@ -6,8 +6,7 @@ use optics_model::{Digest, Walks};
 use super::{Bench, DIGEST, about, arrive, job_of, origin, seconds, worker};
 use crate::dispatch::checks::is_drawn;
 use crate::dispatch::{DispatchError, Effect};
-use crate::stored::EndedJob;
-use crate::stored::Origin;
+use crate::stored::{EndedJob, Origin};
 
 #[test]
 fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
@@ -20,11 +19,11 @@ fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
     assert_eq!(check[0].key.job, lease[0].key.job);
     assert!(!bench.farm.compared(origin("b"), &check[0].key, wrong, DIGEST));
     assert!(bench.reasons(2).contains(&"DISPUTED"));
-    assert!(bench.farm.take_effects().is_empty(), "one against one decides nothing");
+    assert!(bench.farm.take_outbox().effects.is_empty(), "one against one decides nothing");
     let third = bench.acquire(3, "c", 1);
     assert_eq!(third[0].key.job, lease[0].key.job);
     bench.farm.compared(origin("c"), &third[0].key, wrong, DIGEST);
-    let effects = bench.farm.take_effects();
+    let effects = bench.farm.take_outbox().effects;
     assert!(matches!(&effects[..], [Effect::Fence { worker: Origin(1), .. }]), "{effects:?}");
     let fenced = bench.farm.acquire(seconds(4), &worker("a"), 1, &mut bench.chance).unwrap_err();
     assert!(matches!(fenced, DispatchError::Fenced(_)));
@@ -44,10 +43,10 @@ fn equal_results_agree_and_a_worker_that_contradicts_itself_is_fenced_off() {
     assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still wanted");
     assert!(bench.farm.compared(origin("b"), &check[0].key, DIGEST, DIGEST));
     assert_eq!(bench.farm.checks(), (1, 0, 0));
-    let agreed = bench.farm.take_effects();
+    let agreed = bench.farm.take_outbox().effects;
     assert!(matches!(&agreed[..], [Effect::Agreed { job: 2, worker: Origin(2), .. }]), "{agreed:?}");
     bench.farm.compared(origin("a"), &lease[0].key, DIGEST, Digest::from_bytes([1; 32]));
-    assert!(matches!(&bench.farm.take_effects()[..], [Effect::Fence { worker: Origin(1), .. }]));
+    assert!(matches!(&bench.farm.take_outbox().effects[..], [Effect::Fence { worker: Origin(1), .. }]));
 }
 
 #[test]
@@ -57,7 +56,7 @@ fn a_part_whose_result_is_being_checked_is_not_late() {
     bench.finish(1, "a", &leases[1]);
     bench.finish(1, "a", &leases[2]);
     for second in (4..=20).step_by(4) {
-        bench.farm.expire(seconds(second));
+        bench.farm.look_over(seconds(second));
     }
     bench.finish(20, "a", &leases[0]);
     assert_eq!(bench.acquire(20, "b", 3).len(), 3, "the checks");
@@ -68,7 +67,7 @@ fn a_part_whose_result_is_being_checked_is_not_late() {
 fn checks_that_nobody_has_made_are_wanted_after_a_restart_too() {
     let done = |job, by, reused| EndedJob::Done { job, walks: Walks::PAPER, records: DIGEST, by, reused };
     // One computed it alone; two agreed; it was there before.
-    let ended = [done(0, Some(1), false), done(1, None, false), done(2, Some(1), true)];
+    let ended = [done(0, Some(Origin(1)), false), done(1, None, false), done(2, Some(Origin(1)), true)];
     let mut bench = Bench::with_checks(&ended, 1.0);
     assert!(bench.acquire(0, "a", 9).is_empty(), "not its own result");
     assert_eq!(job_of(&bench.acquire(0, "b", 9)), [0]);
@@ -109,7 +108,7 @@ fn a_result_is_not_compared_with_records_that_are_not_there_any_more() {
         assert!(!bench.farm.compared(origin("b"), &lease[0].key, wrong, right));
     }
     assert_eq!(bench.farm.checks(), (0, 0, 0), "nobody is accused");
-    assert!(bench.farm.take_effects().is_empty());
+    assert!(bench.farm.take_outbox().effects.is_empty());
 }
 
 #[test]

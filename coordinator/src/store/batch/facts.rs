@@ -8,13 +8,13 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::super::{Result, doing, jobs, points};
 use super::ROWS;
-use crate::stored::Completion;
+use crate::stored::{Completion, Origin};
 
 #[derive(Debug, Default)]
 pub(super) struct Facts {
     pub dictionaries: HashSet<DictionaryId>,
     /// Workers that are fenced off.
-    pub fenced: HashSet<i64>,
+    pub fenced: HashSet<Origin>,
     pub ended: HashMap<(DictionaryId, u32), Ended>,
     /// Rows of the points that the store has.
     pub points: HashMap<Digest, i64>,
@@ -73,7 +73,7 @@ impl Facts {
         let Row { kind, id, job, digest, walks } = row;
         match kind {
             DICTIONARY => drop(self.dictionaries.insert(DictionaryId(id))),
-            FENCED => drop(self.fenced.insert(id)),
+            FENCED => drop(self.fenced.insert(Origin(id))),
             ENDED => {
                 let records = digest.map(|digest| jobs::decode_digest(job, &digest)).transpose()?;
                 let walks = walks.and_then(|walks| Walks::new(walks as u64).ok());

@@ -8,7 +8,7 @@ use optics_model::{Digest, Grid, Walks};
 
 use super::{completion, dictionary, grid, open};
 use crate::store::{Store, StoreError};
-use crate::stored::{Completion, JobResult, Outcome, StoredDictionary};
+use crate::stored::{Completion, JobResult, Origin, Outcome, StoredDictionary};
 
 /// Sums that stand for a block: numbers with rounding errors, so that the order of additions shows.
 fn block_sums(job: &JobSpec, block: u32) -> Sums {
@@ -39,7 +39,7 @@ async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
     for (i, order) in [[0, 1, 2, 3, 4], [4, 3, 2, 1, 0], [2, 0, 4, 1, 3]].into_iter().enumerate() {
         let dir = tempfile::tempdir().unwrap();
         let mut store = open(dir.path()).await;
-        store.worker("instance", "label").await.unwrap();
+        store.register_worker("instance", "label").await.unwrap();
         let name = DictionaryName::new("d").unwrap();
         let d = store.create_dictionary(name, large.clone(), 0, 7).await.unwrap();
         for (n, block) in order.into_iter().enumerate() {
@@ -52,8 +52,14 @@ async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
             }
             let job = whole.clone().with_block(block).unwrap();
             let content = JobResult::Sums(block_sums(&job, block).to_le_bytes().into());
-            let completion =
-                Completion { dictionary: d.id, job_number: 0, job, worker: 1, content, quality: None };
+            let completion = Completion {
+                dictionary: d.id,
+                job_number: 0,
+                job,
+                worker: Origin(1),
+                content,
+                quality: None,
+            };
             let stored = store.complete(completion).await.unwrap();
             let last = if n == 4 { Outcome::Finished { records: expected } } else { Outcome::Part };
             assert_eq!(stored, last, "order {i}, block {block}");
@@ -80,7 +86,7 @@ async fn complete_block(
     store: &Store,
     (dictionary, job): &(StoredDictionary, JobSpec),
     block: u32,
-    worker: i64,
+    worker: Origin,
 ) -> Outcome {
     let job = job.clone().with_block(block).unwrap();
     let content = JobResult::Sums(block_sums(&job, block).to_le_bytes().into());
@@ -93,40 +99,40 @@ async fn complete_block(
 async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
-    assert_eq!(complete_block(&store, &a, 0, 1).await, Outcome::Part);
+    assert_eq!(complete_block(&store, &a, 0, Origin(1)).await, Outcome::Part);
     assert!(store.stored_blocks(&b.1).await.unwrap().is_empty());
-    assert_eq!(complete_block(&store, &b, 1, 1).await, Outcome::Part);
-    assert!(matches!(complete_block(&store, &a, 1, 1).await, Outcome::Finished { .. }));
+    assert_eq!(complete_block(&store, &b, 1, Origin(1)).await, Outcome::Part);
+    assert!(matches!(complete_block(&store, &a, 1, Origin(1)).await, Outcome::Finished { .. }));
     assert_eq!(store.stored_blocks(&b.1).await.unwrap(), [1].into());
-    assert!(matches!(complete_block(&store, &b, 0, 1).await, Outcome::Finished { .. }));
+    assert!(matches!(complete_block(&store, &b, 0, Origin(1)).await, Outcome::Finished { .. }));
 }
 
 #[tokio::test]
 async fn a_late_block_of_a_job_that_is_done_is_not_compared_with_its_records() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = divided(&store, "d", vec![0.5]).await;
-    complete_block(&store, &d, 0, 1).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Outcome::Finished { .. }));
-    assert_eq!(complete_block(&store, &d, 1, 1).await, Outcome::Unwanted);
+    complete_block(&store, &d, 0, Origin(1)).await;
+    assert!(matches!(complete_block(&store, &d, 1, Origin(1)).await, Outcome::Finished { .. }));
+    assert_eq!(complete_block(&store, &d, 1, Origin(1)).await, Outcome::Unwanted);
 }
 
 #[tokio::test]
 async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("good", "label").await.unwrap();
-    let bad = store.worker("bad", "label").await.unwrap();
+    store.register_worker("good", "label").await.unwrap();
+    let bad = store.register_worker("bad", "label").await.unwrap();
     let d = divided(&store, "divided", vec![0.5]).await;
     assert_eq!(complete_block(&store, &d, 0, bad).await, Outcome::Part);
     assert_eq!(store.fence(bad, "wrong").await.unwrap(), []);
     assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "its blocks are gone");
     assert_eq!(complete_block(&store, &d, 0, bad).await, Outcome::Unwanted);
-    complete_block(&store, &d, 0, 1).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Outcome::Finished { .. }));
+    complete_block(&store, &d, 0, Origin(1)).await;
+    assert!(matches!(complete_block(&store, &d, 1, Origin(1)).await, Outcome::Finished { .. }));
     let other = dictionary(&store).await;
     let late = Completion { worker: bad, ..completion(&other, 1, 0.5) };
     assert_eq!(store.complete(late).await.unwrap(), Outcome::Unwanted);
@@ -136,11 +142,11 @@ async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
 async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("good", "label").await.unwrap();
-    let bad = store.worker("bad", "label").await.unwrap();
+    store.register_worker("good", "label").await.unwrap();
+    let bad = store.register_worker("bad", "label").await.unwrap();
     let d = divided(&store, "divided", vec![0.5]).await;
     complete_block(&store, &d, 0, bad).await;
-    assert!(matches!(complete_block(&store, &d, 1, 1).await, Outcome::Finished { .. }));
+    assert!(matches!(complete_block(&store, &d, 1, Origin(1)).await, Outcome::Finished { .. }));
     assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.0.id, 0)]);
 }
 
@@ -148,10 +154,10 @@ async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
 async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
-    complete_block(&store, &a, 0, 1).await;
-    complete_block(&store, &b, 1, 1).await;
+    complete_block(&store, &a, 0, Origin(1)).await;
+    complete_block(&store, &b, 1, Origin(1)).await;
     store.delete_dictionary(a.0.id, &[Digest::of_sums(&a.1)]).await.unwrap();
     let rows: Vec<(i64,)> = sqlx::query_as("SELECT block FROM sums").fetch_all(&store.read).await.unwrap();
     assert_eq!(rows, [(1,)]);
@@ -163,16 +169,17 @@ async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
 async fn a_damaged_block_is_noticed_before_it_is_merged() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = divided(&store, "d", vec![0.5]).await;
     for (first, second) in [(0, 1), (1, 0)] {
-        assert_eq!(complete_block(&store, &d, first, 1).await, Outcome::Part);
+        assert_eq!(complete_block(&store, &d, first, Origin(1)).await, Outcome::Part);
         assert_eq!(store.damaged_blocks(&d.1).await.unwrap(), None);
         let flip = "UPDATE sums SET sums = cast(x'01' || substr(sums, 2) AS BLOB)";
         sqlx::query(flip).execute(&store.write).await.unwrap();
         let job = d.1.clone().with_block(second).unwrap();
         let content = JobResult::Sums(block_sums(&job, second).to_le_bytes().into());
-        let last = Completion { dictionary: d.0.id, job_number: 0, job, worker: 1, content, quality: None };
+        let last =
+            Completion { dictionary: d.0.id, job_number: 0, job, worker: Origin(1), content, quality: None };
         let error = store.complete(last).await.unwrap_err();
         assert!(matches!(error, StoreError::Corrupt { table: "sums", .. }), "{error}");
         assert_eq!(store.damaged_blocks(&d.1).await.unwrap(), Some(error.to_string()));

@@ -4,33 +4,9 @@ use optics_model::PackedRecords;
 use optics_model::job::JobSpec;
 use optics_model::scene::{Scene, Sensor};
 
-use super::{
-    all_records, all_records_of, complete, completion, defect, dictionary, open, overlapping, records, reuse,
-};
+use super::{all_records, complete, completion, defect, dictionary, open, overlapping, records, reuse};
 use crate::store::{Commit, DataDir, Store, StoreError};
-use crate::stored::{Completion, JobResult, Outcome};
-
-#[tokio::test]
-async fn a_record_that_is_not_what_was_stored_is_noticed() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
-    let d = dictionary(&store).await;
-    complete(&store, &d, 0, 0.25).await;
-    let read = async || store.jobs_with_records(d.id, &d.grid, 0..2).await;
-    let flip = "UPDATE records SET profiles = cast(x'0000803f' || substr(profiles, 5) AS BLOB) WHERE id = 1";
-    sqlx::query(flip).execute(&store.write).await.unwrap();
-    let damage = read().await.unwrap()[0].damage(2).expect("one number is another");
-    assert!(damage.contains("differ"), "{damage}");
-    sqlx::query("UPDATE records SET profiles = x'00' WHERE id = 1").execute(&store.write).await.unwrap();
-    let damage = read().await.unwrap()[0].damage(2).expect("it cannot be decoded");
-    assert_eq!(
-        damage,
-        "table records, row 1, column profiles is corrupt: record = 1 bytes is not valid: 96 are needed"
-    );
-    assert_eq!(store.forget_job(d.id, 0).await.unwrap(), [(d.id, 0)]);
-    assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }), "it can be done again");
-}
+use crate::stored::{Completion, JobResult, Origin, Outcome};
 
 /// A full disk, played by SQLite's own limit: the error tells it, nothing of the job is stored, and once there is room
 /// the same store works on.
@@ -38,7 +14,7 @@ async fn a_record_that_is_not_what_was_stored_is_noticed() {
 async fn after_a_full_disk_the_store_works_on() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     sqlx::query("PRAGMA max_page_count = 1").execute(&store.write).await.unwrap();
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, 4096, 0.0).unwrap());
@@ -59,7 +35,7 @@ async fn after_a_full_disk_the_store_works_on() {
 async fn damaged_records_are_not_used_for_another_dictionary() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     complete(&store, &d, 1, 0.5).await;
     let flip =
@@ -78,12 +54,12 @@ async fn damaged_records_are_not_used_for_another_dictionary() {
 async fn other_records_for_the_same_walks_are_refused_and_both_can_be_done_again() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let (d, e) = (dictionary(&store).await, overlapping(&store, "e", vec![0.9, 0.95]).await);
     let result = |value| {
         let job = JobSpec::of(&e.grid, 0);
         let content = JobResult::Records(PackedRecords::pack(&job, &records(0, value)));
-        Completion { dictionary: e.id, job_number: 0, job, worker: 1, content, quality: None }
+        Completion { dictionary: e.id, job_number: 0, job, worker: Origin(1), content, quality: None }
     };
     // In one transaction, and in two.
     for together in [true, false] {
@@ -101,7 +77,7 @@ async fn other_records_for_the_same_walks_are_refused_and_both_can_be_done_again
     }
     let (first, second) = tokio::join!(store.complete(completion(&d, 1, 0.25)), store.complete(result(0.25)));
     assert!(matches!((first, second), (Ok(Outcome::Finished { .. }), Ok(Outcome::Finished { .. }))));
-    assert_eq!(all_records_of(&store, &e).await, records(0, 0.25));
+    assert_eq!(all_records(&store, &e).await, records(0, 0.25));
     let rows: (i64,) = sqlx::query_as("SELECT count(*) FROM records").fetch_one(&store.read).await.unwrap();
     assert_eq!(rows, (3,), "each record once");
 }
@@ -114,7 +90,7 @@ async fn a_database_that_is_held_fails_all_results_at_once() {
     let store =
         Store::open(DataDir::lock(dir.path()).unwrap(), move |c: Commit| sender.send(c.took).unwrap());
     let store = store.await.unwrap();
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     sqlx::query("PRAGMA busy_timeout = 200").execute(&store.write).await.unwrap();
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(dir.path().join("farm.db"));
@@ -140,7 +116,7 @@ async fn a_database_that_is_held_fails_all_results_at_once() {
 async fn a_panic_while_writing_is_an_error_and_leaves_nothing_behind() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.worker("instance", "label").await.unwrap();
+    store.register_worker("instance", "label").await.unwrap();
     let d = dictionary(&store).await;
     let bad = Completion { quality: Some(defect()), ..completion(&d, 0, 0.25) };
     let (bad, good) = tokio::join!(store.complete(bad), store.complete(completion(&d, 1, 0.5)));

@@ -1,8 +1,8 @@
 use optics_model::fit::{Bounds, Candidate, FitOptions, FitSettings, MuRange, Outside, Wavelet};
 use optics_model::{Estimate, MeasuredProfile, Measurement, Medium, Profile, Record};
 
-use crate::testing::{dictionary, measured, profile_value};
-use crate::{DictionaryBuilder, FitDictionary, derivative, fit, scale};
+use crate::testing::{dictionary, dictionary_of, measured, profile_value};
+use crate::{FitDictionary, derivative, fit, scale};
 
 fn options(change: impl FnOnce(&mut FitSettings)) -> FitOptions {
     let mut settings = FitSettings::default();
@@ -85,18 +85,17 @@ fn the_answer_is_that_of_brute_force() {
 #[test]
 fn equal_errors_come_in_the_order_of_the_records() {
     let grid = dictionary(360).grid().clone();
-    let mut builder = DictionaryBuilder::new(grid.clone());
-    for index in 0..grid.record_count() {
+    let record = |index: usize| {
         let (point, _) = grid.parameters(index);
         let value = |i: usize| {
             profile_value(grid.scene().sensor().centre_mm(i), point.sigma_t_per_mm(), 0.5, 0.0, 1.0, 1.0)
         };
         let values: Vec<f32> = (0..360).map(|i| value(i) as f32).collect();
         let radiance_factor = Estimate::new(values, vec![0.0; 360]).unwrap();
-        builder.add(&Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; 3] });
-    }
+        Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; 3] }
+    };
     let options = FitOptions::default();
-    let found = best(&builder.build(), &measured(4.0, 0.5, 0.0, 360, 10.0), &options);
+    let found = best(&dictionary_of(&grid, record), &measured(4.0, 0.5, 0.0, 360, 10.0), &options);
     let records: Vec<usize> = found.iter().map(|c| c.thicknesses[0].record.unwrap()).collect();
     let first = grid.record_at(0, 2, 0, 0, 0);
     let next_g = grid.record_at(0, 2, 1, 0, 0);

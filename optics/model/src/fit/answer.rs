@@ -1,9 +1,14 @@
-//! Answers of the fit.
+//! Answers of the fit. They have no rules to keep, so that all that shows them takes them as they are: `farmctl --json`
+//! serialises them, and pictures are drawn of them.
+//!
+//! Names and order of the fields are those of `farmctl/1`. A number that is not finite becomes null.
+
+use serde::{Serialize, Serializer};
 
 use crate::medium::Medium;
 
 /// One term of Eq. 1.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ThicknessError {
     pub thickness_mm: f64,
     /// Root mean square of μ F_A − F_S.
@@ -11,12 +16,14 @@ pub struct ThicknessError {
     /// Root mean square of |∇ μ F_A| − |∇ F_S|, before λ.
     pub gradient_rms: f64,
     /// Number of the record compared with; none if it lies between records.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub record: Option<usize>,
 }
 
 /// A medium of the dictionary and how well it explains a channel.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Candidate {
+    #[serde(flatten)]
     pub medium: Medium,
     pub sample_ior: f64,
     /// Σ over thicknesses of value_rms + λ · gradient_rms.
@@ -25,7 +32,7 @@ pub struct Candidate {
 }
 
 /// Where a quantity lies with a confidence of 95 %.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Interval {
     pub low: f64,
     pub high: f64,
@@ -42,24 +49,30 @@ impl Interval {
 }
 
 /// The continuous optimum of Eq. 1 near the best record, and how sure it is.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Refined {
+    #[serde(flatten)]
     pub best: Candidate,
+    /// Whether the data determine σ_t and the albedo at this anisotropy.
+    pub resolved: bool,
+    /// σ_t and g trade off along media that similarity theory calls equal: neither is known on its own.
+    pub valley: bool,
+    #[serde(rename = "sigma_t_interval")]
     pub sigma_t_per_mm: Interval,
+    #[serde(rename = "albedo_interval")]
     pub albedo: Interval,
+    #[serde(rename = "g_interval")]
     pub g: Interval,
     /// Reduced scattering coefficient σ_s (1 − g), which similarity theory leaves alone.
+    #[serde(rename = "reduced_scattering_interval")]
     pub reduced_scattering_per_mm: Interval,
     /// Absorption coefficient σ_t (1 − α), which similarity theory leaves alone.
+    #[serde(rename = "absorption_interval")]
     pub absorption_per_mm: Interval,
     /// Covariance of (ln σ_t, √(1 − α), ln(1 − g)), row by row; zeros where a parameter was held.
     pub covariance: [[f64; 3]; 3],
     /// Correlation of ln σ_t with ln(1 − g); zero if one of them was held.
     pub correlation: f64,
-    /// σ_t and g trade off along media that similarity theory calls equal: neither is known on its own.
-    pub valley: bool,
-    /// Whether the data determine σ_t and the albedo at this anisotropy.
-    pub resolved: bool,
     /// Standard error of one measured value (times μ): root mean square over pixels.
     pub measurement_noise: f64,
     /// Share of the variance of ln σ_t that comes from the dictionary's noise, 0 to 1.
@@ -75,7 +88,7 @@ pub struct Refined {
 pub const MISFIT: f64 = 2.0;
 
 /// The likeliest single reason why a fit leaves more than noise explains.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Suspicion {
     pub cause: Cause,
     /// The profile concerned; none if all are.
@@ -87,11 +100,13 @@ pub struct Suspicion {
 }
 
 /// What may be wrong with a measurement, or with the scene that it is compared with.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Cause {
     /// No single cause tried explains it.
     Unknown,
     /// The edge lies beside x = 0: by so many mm.
+    #[serde(rename = "edge_offset_mm")]
     EdgeOffset,
     /// The values are too large by this share.
     Gain,
@@ -100,6 +115,7 @@ pub enum Cause {
     /// The light rises from x = −5 mm to 5 mm by this share.
     Slope,
     /// The edge is blurred by a camera: standard deviation in mm.
+    #[serde(rename = "blur_mm")]
     Blur,
     /// So many pixels lie apart from the others: dust, scratches, bubbles.
     Outliers,
@@ -110,30 +126,22 @@ pub enum Cause {
 }
 
 /// Whether a profile lies beyond all records of the dictionary.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Outside {
     Brighter,
     Darker,
 }
 
-impl Outside {
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Brighter => "brighter",
-            Self::Darker => "darker",
-        }
-    }
-}
-
 /// A profile and the magnitude of its gradient per pixel of 10 mm / 360.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Curve {
     pub values: Vec<f64>,
     pub gradient: Vec<f64>,
 }
 
 /// What was compared at one thickness.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FitCurves {
     pub thickness_mm: f64,
     pub x_mm: Vec<f64>,
@@ -145,7 +153,7 @@ pub struct FitCurves {
 }
 
 /// The answer for one channel.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChannelFit {
     pub channel: String,
     /// Records, best first.
@@ -153,18 +161,19 @@ pub struct ChannelFit {
     pub refined: Option<Refined>,
     pub outside: Option<Outside>,
     /// One per thickness, if asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub curves: Vec<FitCurves>,
 }
 
 /// The answers for one material.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MaterialFit {
     pub material: String,
     pub channels: Vec<ChannelFit>,
 }
 
 /// One value of Eq. 3's curve.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ScalePoint {
     pub mu: f64,
     /// (1/μ) Σ over materials and channels of the least error.
@@ -172,20 +181,22 @@ pub struct ScalePoint {
 }
 
 /// How well all materials are explained with one anisotropy.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GError {
     pub g: f64,
     /// Eq. 3's error at μ*.
     pub error: f64,
-    /// The scale factor that would be the best with this anisotropy, and the error there.
-    pub best: ScalePoint,
+    /// The scale factor that would be the best with this anisotropy.
+    pub best_mu: f64,
+    /// The error there.
+    pub best_mu_error: f64,
 }
 
 /// The search of Eq. 3.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScaleCurve {
-    pub points: Vec<ScalePoint>,
     /// μ*: the least error.
+    #[serde(flatten)]
     pub best: ScalePoint,
     /// Jackknife over materials and channels; none with fewer than two.
     pub std_error: Option<f64>,
@@ -193,13 +204,15 @@ pub struct ScaleCurve {
     pub curvature: Option<f64>,
     /// μ* lies at an end of the values that were tried.
     pub at_end: bool,
-    pub by_g: Vec<GError>,
     /// The anisotropy with the least error common to all materials, at μ*.
     pub best_g: f64,
+    pub by_g: Vec<GError>,
+    #[serde(rename = "curve")]
+    pub points: Vec<ScalePoint>,
 }
 
 /// What all channels of a set of materials share, chosen by the errors of refined fits.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Common {
     pub mu: f64,
     pub mu_std_error: f64,
@@ -216,18 +229,19 @@ pub struct Common {
 }
 
 /// Distances of one channel's measurement to all media of one anisotropy.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MapLayer {
     pub g: f64,
     /// `[sigma_t][albedo]`.
-    pub errors: Vec<f64>,
+    pub errors: Vec<Vec<f64>>,
     pub best: Candidate,
     /// The medium similar to the best of all layers, after Eqs. 4 and 6.
+    #[serde(serialize_with = "without_g")]
     pub similar: Option<Medium>,
 }
 
 /// The distance over all media, Fig. 9.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DistanceMap {
     pub channel: String,
     pub sigma_t_per_mm: Vec<f64>,
@@ -236,4 +250,16 @@ pub struct DistanceMap {
     /// The layer of the best medium.
     pub best_layer: usize,
     pub layers: Vec<MapLayer>,
+}
+
+/// A layer tells its anisotropy once.
+#[expect(clippy::ref_option, reason = "serde passes the field as it is")]
+fn without_g<S: Serializer>(medium: &Option<Medium>, serializer: S) -> Result<S::Ok, S::Error> {
+    #[derive(Serialize)]
+    struct WithoutG {
+        sigma_t_per_mm: f64,
+        albedo: f64,
+    }
+    let without_g = |m: &Medium| WithoutG { sigma_t_per_mm: m.sigma_t_per_mm(), albedo: m.albedo() };
+    medium.as_ref().map(without_g).serialize(serializer)
 }

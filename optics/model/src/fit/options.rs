@@ -1,21 +1,25 @@
 //! Settings of Eqs. 1 to 3.
 
+use serde::Serialize;
+
 use crate::invalid::{Invalid, Result, check};
 use crate::limits::FitLimits;
 use crate::medium::{check_albedo, check_g, check_sigma_t};
 
 /// Wavelet whose smoothing function is differentiated for the gradients.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Wavelet {
     /// Low-pass √2 [1, 3, 3, 1]/8, high-pass √2 [−2, 2].
     #[default]
+    #[serde(rename = "spline")]
     QuadraticSpline,
     /// Low-pass [1, 1]/√2, high-pass [−1, 1]/√2.
     Haar,
 }
 
-/// An interval that a parameter must lie in; one value if both ends are equal.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// An interval that a parameter must lie in; one value if both ends are equal. An end that is open is null in JSON.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bounds {
     min: f64,
     max: f64,

@@ -20,7 +20,7 @@ impl Grid {
             return Err(Invalid::new("transport points", jobs, allowed));
         };
         let fits = |walks: Walks| u64::from(walks.blocks()) <= blocks.get();
-        let most = self.quality.map(|q| ("quality.max_walks", q.max_walks));
+        let most = self.quality.map(|q| ("quality.max_walks", q.max_walks()));
         match [Some(("walks", self.walks)), most].into_iter().flatten().find(|(_, walks)| !fits(*walks)) {
             None => Ok(()),
             Some((field, walks)) => {
@@ -47,7 +47,8 @@ mod tests {
         let with = |walks: u64, most: Option<u64>| {
             let of = |walks| Walks::new(walks).unwrap();
             let points = (1..=40).map(f64::from).collect();
-            let axes = Axes { sigma_t_per_mm: points, g: vec![0.0], thickness_mm: vec![1.0], ..paper_axes() };
+            let axes =
+                Axes { sigma_t_per_mm: points, g: vec![0.0], thickness_mm: vec![1.0], ..Grid::paper().axes };
             let grid = Grid::new(Scene::paper(), axes, of(walks), 1, false).unwrap();
             let quality = most.map(|most| Quality::new(0.01, of(most)).unwrap());
             quality.map_or(Ok(grid.clone()), |quality| grid.with_quality(quality)).unwrap().check_parts()
@@ -60,11 +61,6 @@ mod tests {
         assert_eq!(with(5000, Some(25_000_000_000)), Ok(()));
         assert_eq!(with(5000, Some(25_000_002_500)).unwrap_err().field(), "quality.max_walks");
         assert_eq!(Grid::paper().check_parts(), Ok(()));
-    }
-
-    fn paper_axes() -> Axes {
-        let Grid { sigma_t_per_mm, albedo, g, thickness_mm, sample_ior, .. } = Grid::paper();
-        Axes { sigma_t_per_mm, albedo, g, thickness_mm, sample_ior }
     }
 
     #[test]

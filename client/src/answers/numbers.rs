@@ -1,0 +1,70 @@
+//! Numbers as people read them: with the digits that mean something.
+
+use optics_model::fit::Interval;
+
+/// A number with so many significant digits, without trailing zeros.
+pub(crate) fn significant(value: f64, digits: i32) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let decimals = (digits - 1 - value.abs().log10().floor() as i32).clamp(0, 12) as usize;
+    let text = format!("{value:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+/// An albedo with so many digits that 1 − α has three.
+pub(crate) fn albedo(value: f64) -> String {
+    let co_albedo = 1.0 - value;
+    if co_albedo <= 0.0 {
+        return "1".to_owned();
+    }
+    let decimals = (2 - co_albedo.log10().floor() as i32).clamp(2, 9) as usize;
+    let text = format!("{value:.decimals$}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// An albedo with so many digits that 1 − α has two, for the ends of intervals.
+pub(super) fn albedo_end(value: f64) -> String {
+    let co_albedo = 1.0 - value;
+    let decimals = if co_albedo <= 0.0 { 2 } else { (1 - co_albedo.log10().floor() as i32).clamp(2, 6) };
+    let text = format!("{value:.*}", decimals as usize);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// `5.9…6.2`, with ≤ and ≥ where the data set no bound.
+pub(super) fn interval(i: &Interval, tell: impl Fn(f64) -> String) -> String {
+    match (i.open_low, i.open_high) {
+        (false, false) if i.low == i.high => "held".to_owned(),
+        (false, false) => format!("{}…{}", tell(i.low), tell(i.high)),
+        (true, false) => format!("≤ {}", tell(i.high)),
+        (false, true) => format!("≥ {}", tell(i.low)),
+        (true, true) => "any".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_as_many_digits_as_they_need() {
+        let told = [6.0, 5.994, 0.12345, 24.04, 123.4, 0.0].map(|v| significant(v, 3));
+        assert_eq!(told, ["6", "5.99", "0.123", "24", "123", "0"]);
+        assert_eq!(
+            [0.05, 0.9991, 0.999_903, 0.35, 1.0].map(albedo),
+            ["0.05", "0.9991", "0.999903", "0.35", "1"]
+        );
+    }
+
+    #[test]
+    fn intervals_tell_where_the_data_set_no_bound() {
+        let tell = |low, high, open_low, open_high| {
+            interval(&Interval { low, high, open_low, open_high }, |v| significant(v, 2))
+        };
+        assert_eq!(tell(1.0, 2.0, false, false), "1…2");
+        assert_eq!(tell(1.0, 2.0, true, false), "≤ 2");
+        assert_eq!(tell(1.0, 2.0, false, true), "≥ 1");
+        assert_eq!(tell(1.0, 2.0, true, true), "any");
+        assert_eq!(tell(0.4, 0.4, false, false), "held");
+    }
+}

@@ -1,0 +1,48 @@
+//! What a reader of a fit's numbers must know.
+
+use optics_model::fit::{ChannelFit, Interval, Outside};
+
+use super::misfit::misfit;
+use super::numbers::significant;
+
+/// What a reader of the numbers must know.
+pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {
+    let valley = channel.refined.as_ref().is_some_and(|r| r.valley);
+    let advice = valley.then(|| "σ_t and g trade off: trust σ_s(1−g) and σ_a".to_owned());
+    warnings(channel).into_iter().chain(advice).collect()
+}
+
+/// Why the numbers may not be trusted.
+pub(super) fn warnings(channel: &ChannelFit) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if let Some(r) = &channel.refined {
+        warnings.extend(misfit(r));
+        if !r.resolved && channel.outside.is_none() {
+            warnings.push(unresolved(&r.sigma_t_per_mm));
+        }
+    }
+    if let Some(outside) = channel.outside {
+        let (how, what) = match outside {
+            Outside::Brighter => ("brighter", "white reference, scale factor"),
+            Outside::Darker => ("darker", "black level, scale factor"),
+        };
+        warnings.push(format!(
+            "outside the dictionary: {how} than every record; check {what}, or compute a wider dictionary"
+        ));
+    }
+    warnings
+}
+
+/// Why a channel is unresolved: the data, or a dictionary that ends where they would go on.
+fn unresolved(sigma_t: &Interval) -> String {
+    let narrow = sigma_t.high <= 2.0 * sigma_t.low && (sigma_t.open_low != sigma_t.open_high);
+    if !narrow {
+        return "unresolved: the data do not determine the medium".to_owned();
+    }
+    let (side, end) = if sigma_t.open_high { ("above", sigma_t.high) } else { ("below", sigma_t.low) };
+    format!(
+        "unresolved: σ_t may lie {side} {} /mm, where the dictionary or --sigma-t ends; compute a wider dictionary, or \
+         tell g",
+        significant(end, 3)
+    )
+}

@@ -1,0 +1,118 @@
+//! What all channels share, as people read it: scale factor and anisotropy.
+
+use optics_model::fit::{Common, GError, ScaleCurve};
+
+use super::numbers::{interval, significant};
+use crate::output::{table, wrapped};
+
+/// What was chosen for all channels, or given.
+pub(crate) fn common_text(common: &Common) -> String {
+    let i = &common.mu_interval;
+    let mut lines = Vec::new();
+    if !common.mu_chosen {
+        lines.push(format!("scale factor μ = {}, as given", common.mu));
+    } else if i.open_low && i.open_high {
+        lines.push(format!(
+            "scale factor μ: not determined by these data; taken as {} ± {} (tried: {} to {}). If the photographs are \
+             calibrated, tell it: --mu 1",
+            significant(common.mu, 4),
+            significant(common.mu_std_error, 1),
+            i.low,
+            i.high
+        ));
+    } else {
+        let (mu, error) = (significant(common.mu, 4), significant(common.mu_std_error, 1));
+        let mut line = format!("scale factor μ = {mu} ± {error}, chosen by the errors of refined fits");
+        if i.open_low || i.open_high {
+            line += "; it may lie beyond the values tried: widen them with --mu-min and --mu-max";
+        }
+        lines.push(line);
+    }
+    match (common.g, &common.g_interval) {
+        (Some(g), Some(i)) => {
+            let told = interval(i, |v| significant(v, 2));
+            lines.push(format!(
+                "anisotropy g = {}, chosen as common to all channels (95 %: {told})",
+                significant(g, 3)
+            ));
+        }
+        (Some(g), None) => lines.push(format!("anisotropy g = {g}: given, or the dictionary's only one")),
+        (None, _) => lines.push("every channel has its own anisotropy".to_owned()),
+    }
+    lines.iter().map(|l| wrapped(l)).collect::<Vec<_>>().join("\n")
+}
+
+/// The paper's search of Eq. 3, by the errors of the best records.
+pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
+    let error = scale.std_error.map_or(String::new(), |e| format!(" ± {}", significant(e, 1)));
+    let mut text = format!(
+        "by the best records alone, as in the paper's Eq. 3: μ* = {}{error}\n(error {:.4}",
+        scale.best.mu, scale.best.error
+    );
+    // A parabola with this curvature: e(μ) = e(μ*) (1 + ½ c (μ − μ*)²).
+    match scale.curvature {
+        Some(c) if c > 0.0 => {
+            text += &format!("; 0.01 away from it the error is {:.2} % larger)", 0.5 * c * 1e-4 * 100.0);
+        }
+        Some(_) => text += "; near it the error does not rise: the minimum is not sharp)",
+        None => text += ")",
+    }
+    if scale.at_end {
+        text += "\nμ* lies at an end of the values tried: widen them with --mu-min and --mu-max";
+    }
+    if scale.by_g.len() > 1 {
+        let row = |e: &GError| {
+            let mark = if e.g == scale.best_g { " (best)" } else { "" };
+            let there = format!("{:.4}", e.best_mu_error);
+            vec![format!("{}{mark}", e.g), format!("{:.4}", e.error), e.best_mu.to_string(), there]
+        };
+        let head = ["g common\nto all", "error\nat μ*", "its own\nbest μ", "error\nthere"];
+        text += &format!("\n\n{}", table(&head, &[0, 1, 2, 3], scale.by_g.iter().map(row)));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use optics_model::fit::Interval;
+
+    /// What the errors do beside their least is told as it is.
+    #[test]
+    fn a_scale_factor_that_the_data_leave_open_is_told_so() {
+        let open = Interval { low: 0.8, high: 1.1, open_low: true, open_high: true };
+        let closed = Interval { low: 0.35, high: 0.47, open_low: false, open_high: false };
+        let mut common = Common {
+            mu: 1.0,
+            mu_std_error: 0.0919,
+            mu_interval: open,
+            mu_chosen: true,
+            g: Some(0.4123),
+            g_interval: Some(closed),
+            by_g: Vec::new(),
+        };
+        let told = common_text(&common).replace("\n  ", " ");
+        assert!(
+            told.starts_with("scale factor μ: not determined by these data; taken as 1 ± 0.09"),
+            "{told}"
+        );
+        assert!(
+            told.ends_with("anisotropy g = 0.412, chosen as common to all channels (95 %: 0.35…0.47)"),
+            "{told}"
+        );
+        assert!(!told.contains("held"));
+        common.mu_chosen = false;
+        assert!(common_text(&common).starts_with("scale factor μ = 1, as given"));
+        let scale = |curvature| ScaleCurve {
+            points: Vec::new(),
+            best: optics_model::fit::ScalePoint { mu: 0.913, error: 0.2 },
+            std_error: None,
+            curvature: Some(curvature),
+            at_end: false,
+            by_g: Vec::new(),
+            best_g: 0.4,
+        };
+        assert!(scale_text(&scale(50.0)).contains("0.01 away from it the error is 0.25 % larger"));
+        assert!(!scale_text(&scale(-50.0)).contains("larger"));
+    }
+}

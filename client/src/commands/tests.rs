@@ -1,0 +1,310 @@
+//! What programs read: the JSON of `farmctl/1`, byte by byte.
+
+use farm_proto::DictionaryName;
+use farm_proto::ids::WorkerId;
+use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerState, WorkerStatus};
+use farm_proto::wire::StatusResponse;
+use optics_model::fit::{
+    Bounds, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, FitCurves, FitOptions, FitSettings,
+    GError, MapLayer, MaterialFit, Outside, Refined, ScaleCurve, ScalePoint, Suspicion, ThicknessError,
+    Wavelet,
+};
+use optics_model::grid::{Axes, Quality};
+use optics_model::job::JobSpec;
+use optics_model::{
+    Derivatives, Digest, Estimate, Grid, Medium, Profile, Record, Scene, TransportPoint, Walks,
+};
+use serde::Serialize;
+
+use super::{fit, list, map, measure, scale, show, similar, simulate, status, workers};
+use crate::cli::SimilarArgs;
+use crate::measurement_file::Note;
+use crate::output::envelope;
+use crate::testing::interval;
+
+/// One answer a line, as `--json` prints it. Fields may be added to a version, never changed or removed: a line may only
+/// grow.
+const EXPECTED: &str = include_str!("tests/farmctl-1.jsonl");
+
+#[test]
+fn what_programs_read_stays_as_it_is() {
+    let answers = answers();
+    for (i, (answer, expected)) in answers.iter().zip(EXPECTED.lines()).enumerate() {
+        assert_eq!(answer, expected, "line {}", i + 1);
+    }
+    assert_eq!(answers.len(), EXPECTED.lines().count());
+}
+
+fn answers() -> Vec<String> {
+    let (fits, common, scale_curve) = (materials(), [common(Some(0.4)), common(None)], scale_curve());
+    let [free, bound] = options();
+    let found =
+        |g: usize, scale| measure::Found { scale, common: common[g].clone(), materials: fits.clone() };
+    let job = job();
+    let simulated = |several| {
+        let style = simulate::JsonStyle { several, walks: 5000, seed: 7 };
+        line("simulate", &simulate::SimulateJson::new(&style, &job, 0.9, &record()))
+    };
+    let dictionaries = [dictionary(true), dictionary(false)];
+    vec![
+        line("fit", &fit::data("paper", &free, &fits, &notes())),
+        line("fit", &fit::data("paper", &bound, &fits[..1], &[])),
+        line("scale", &scale::data("paper", &bound, &scale_curve, &common[0], &fits[1..], &notes())),
+        line("measure", &measure::data("paper", &free, &found(0, Some(scale_curve.clone())), &notes())),
+        line("measure", &measure::data("paper", &bound, &found(1, None), &[])),
+        line("map", &map::data("paper", &free, &[material_map()], &notes())),
+        line("similar", &similar::data(&similar_args()).unwrap()),
+        simulated(false),
+        simulated(true),
+        line("status", &status::data(Some("http://farm:7700"), &farm(""), &[worker()], &dictionaries)),
+        line("status", &status::data(None, &farm("the disk is full"), &[], &[])),
+        line("show", &show::data(&dictionaries[0])),
+        line("show", &show::data(&dictionaries[1])),
+        line("list", &list::data(&dictionaries)),
+        line("workers", &workers::data(&[worker()])),
+    ]
+}
+
+fn line(kind: &str, data: &impl Serialize) -> String {
+    envelope(kind, data).unwrap()
+}
+
+fn notes() -> Vec<Note> {
+    vec![Note { code: "x_in_cm", text: "x is in cm".to_owned() }]
+}
+
+fn options() -> [FitOptions; 2] {
+    let bound = FitSettings {
+        lambda: 12.5,
+        mu: 0.913,
+        mu_std_error: 0.004,
+        wavelet: Wavelet::Haar,
+        level: 3,
+        sigma_t_per_mm: Bounds::new("sigma_t", Some(0.5), None).unwrap(),
+        albedo: Bounds::new("albedo", None, Some(0.99)).unwrap(),
+        g: Bounds::fixed(0.4),
+        ..FitSettings::default()
+    };
+    [FitOptions::default(), FitOptions::new(bound).unwrap()]
+}
+
+fn candidate(sigma_t: f64, record: Option<usize>) -> Candidate {
+    let thickness = |thickness_mm, record| ThicknessError {
+        thickness_mm,
+        value_rms: 0.1 + 0.2,
+        gradient_rms: 1.25e-7,
+        record,
+    };
+    Candidate {
+        medium: Medium::new(sigma_t, 0.999_827, 0.4).unwrap(),
+        sample_ior: 1.53,
+        error: 0.0626,
+        thicknesses: vec![thickness(0.5, record), thickness(1.0, record.map(|r| r + 41))],
+    }
+}
+
+fn curve(values: [f64; 3]) -> Curve {
+    Curve { values: values.into(), gradient: values.map(|v| 0.5 * v).into() }
+}
+
+fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
+    let suspicion = suspicion.map(|(cause, thickness_mm)| Suspicion {
+        cause,
+        thickness_mm,
+        amount: -0.0712,
+        misfit_left: 1.04,
+    });
+    let refined = Refined {
+        best: candidate(6.21, None),
+        sigma_t_per_mm: interval(5.9, 6.5),
+        albedo: interval(0.9, 0.95),
+        g: interval(0.0, 0.6),
+        reduced_scattering_per_mm: interval(0.25, 0.75),
+        absorption_per_mm: interval(1e-9, 0.005),
+        covariance: [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.5]],
+        correlation: 0.98,
+        valley: true,
+        resolved: false,
+        measurement_noise: 0.01,
+        dictionary_share: 0.1,
+        misfit: 3.42,
+        suspicion,
+    };
+    ChannelFit {
+        channel: name.to_owned(),
+        candidates: vec![candidate(6.0, Some(16_234)), candidate(6.5, Some(17_000))],
+        refined: Some(refined),
+        outside: None,
+        curves: Vec::new(),
+    }
+}
+
+fn materials() -> Vec<MaterialFit> {
+    let curves = |refined| FitCurves {
+        thickness_mm: 0.5,
+        x_mm: vec![-1.0, 0.0, 1.0],
+        measured: curve([0.1, 0.5, f64::NAN]),
+        candidates: vec![curve([0.1, 0.4, 0.8]), curve([0.2, 0.5, 1e-12])],
+        refined,
+    };
+    let with_curves = ChannelFit {
+        curves: vec![curves(Some(curve([0.125, 0.25, 0.5]))), curves(None)],
+        ..channel("R", Some((Cause::EdgeOffset, Some(0.5))))
+    };
+    let outside = |outside| ChannelFit { refined: None, outside: Some(outside), ..channel("outside", None) };
+    let causes = [
+        Cause::Unknown,
+        Cause::Gain,
+        Cause::Zero,
+        Cause::Slope,
+        Cause::Blur,
+        Cause::Outliers,
+        Cause::GammaCoded,
+        Cause::ThicknessesSwapped,
+    ];
+    let suspected = causes.map(|cause| channel(&format!("{cause:?}"), Some((cause, None))));
+    let empty = ChannelFit { candidates: Vec::new(), ..outside(Outside::Darker) };
+    vec![
+        MaterialFit {
+            material: "Vero \"White\" µ".to_owned(),
+            channels: vec![with_curves, channel("G", None), outside(Outside::Brighter), empty],
+        },
+        MaterialFit { material: "resin".to_owned(), channels: suspected.into() },
+    ]
+}
+
+fn by_g() -> Vec<GError> {
+    let best = |g, error| GError { g, error, best_mu: 0.912, best_mu_error: 0.28 };
+    vec![best(0.0, 0.3), best(0.4, 0.281)]
+}
+
+fn common(g: Option<f64>) -> Common {
+    Common {
+        mu: 0.913,
+        mu_std_error: 0.0042,
+        mu_interval: interval(0.9, 0.93),
+        mu_chosen: g.is_some(),
+        g,
+        g_interval: g.map(|_| interval(0.35, 0.47)),
+        by_g: g.map(|_| by_g()).unwrap_or_default(),
+    }
+}
+
+fn scale_curve() -> ScaleCurve {
+    let point = |mu, error| ScalePoint { mu, error };
+    ScaleCurve {
+        points: vec![point(0.8, 0.4), point(0.913, 0.28), point(1.0, 0.5)],
+        best: point(0.913, 0.28),
+        std_error: Some(0.0042),
+        curvature: None,
+        at_end: false,
+        by_g: by_g(),
+        best_g: 0.4,
+    }
+}
+
+fn material_map() -> map::MaterialMap {
+    map::MaterialMap { material: "resin".to_owned(), map: distance_map() }
+}
+
+fn distance_map() -> DistanceMap {
+    let layer = |g, similar| MapLayer {
+        g,
+        errors: vec![vec![0.1, 0.2, 0.3], vec![0.4, f64::NAN, 0.6]],
+        best: candidate(4.0, Some(12)),
+        similar,
+    };
+    DistanceMap {
+        channel: "R".to_owned(),
+        sigma_t_per_mm: vec![1.0, 4.0],
+        albedo: vec![0.5, 0.9, 0.999_9],
+        sample_ior: 1.53,
+        best_layer: 1,
+        layers: vec![layer(0.0, Some(Medium::new(2.5, 0.875, 0.0).unwrap())), layer(0.4, None)],
+    }
+}
+
+fn similar_args() -> SimilarArgs {
+    SimilarArgs { sigma_t: 4.0, albedo: 0.75, g: 0.5, to: vec![0.0, 0.5] }
+}
+
+fn job() -> JobSpec {
+    let point = TransportPoint::new(4.0, 0.4, 0.5, 1.53).unwrap();
+    let scene = Scene::paper().with_sensor(optics_model::scene::Sensor::new(10.0, 2, 0.0).unwrap());
+    JobSpec::new(scene, point, vec![0.9], Walks::new(5000).unwrap(), 7, false).unwrap()
+}
+
+fn record() -> Record {
+    let profile = || {
+        let of = |values: [f32; 2]| Estimate::new(values.into(), vec![0.001, 0.0]).unwrap();
+        let derivatives = Derivatives { albedo: of([1.0, 2.0]), sigma_t: of([3.0, 4.0]) };
+        Profile { radiance_factor: of([0.1, 0.8]), derivatives: Some(derivatives) }
+    };
+    Record { index: 3, profiles: vec![profile(), profile(), profile()] }
+}
+
+fn dictionary(done: bool) -> DictionaryStatus {
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0, 4.5],
+        albedo: vec![0.5, 0.9, 0.99],
+        g: vec![-0.1, 0.4],
+        thickness_mm: vec![0.5],
+        sample_ior: vec![1.53],
+    };
+    let walks = Walks::new(25_000).unwrap();
+    let scene = if done { Scene::paper() } else { Scene::smooth() };
+    let grid = Grid::new(scene, axes, walks, 1, done).unwrap();
+    let target = Quality::new(0.01, Walks::new(1_000_000).unwrap()).unwrap();
+    let grid = if done { grid } else { grid.with_quality(target).unwrap() };
+    let failed = |quarantined| FailedJob { job: 2, reason: "no reason".to_owned(), quarantined };
+    DictionaryStatus {
+        name: DictionaryName::new(if done { "paper" } else { "fine" }).unwrap(),
+        grid,
+        grid_digest: Digest::from_bytes([0x5a; 32]),
+        records_digest: done.then_some(Digest::from_bytes([0xc3; 32])),
+        created_unix_ms: 1_790_000_000_123,
+        state: if done { DictionaryState::Done } else { DictionaryState::Cancelled },
+        jobs_done: if done { 4 } else { 1 },
+        jobs_leased: 2,
+        failed: if done { Vec::new() } else { vec![failed(true), failed(false)] },
+        work_done: if done { 1.0 } else { 0.362 },
+        priority: -3,
+        reason: if done { String::new() } else { "not needed".to_owned() },
+        eta_s: (!done).then_some(75.5),
+        goes_first: (!done).then(|| DictionaryName::new("paper").unwrap()),
+        records_reused: 3,
+        walks: (25_000, 1_000_000),
+    }
+}
+
+fn worker() -> WorkerStatus {
+    WorkerStatus {
+        id: WorkerId("0123456789".to_owned()),
+        label: "node 1".to_owned(),
+        threads: 16,
+        leases: 32,
+        jobs_done: 836,
+        silent_ms: 1234,
+        state: WorkerState::Working,
+        version: "0.1.0".to_owned(),
+    }
+}
+
+fn farm(store_fault: &str) -> StatusResponse {
+    StatusResponse {
+        version: "0.1.0".to_owned(),
+        physics_version: 3,
+        jobs_pending: 12,
+        jobs_leased: 3,
+        dictionaries: 2,
+        workers: 1,
+        threads: 16,
+        jobs_done: 836,
+        uptime_ms: 123_456,
+        database_bytes: 1 << 33,
+        checks_agreed: 8,
+        checks_disputed: 0,
+        checks_waiting: 1,
+        store_fault: store_fault.to_owned(),
+    }
+}

@@ -1,0 +1,144 @@
+//! The one door to the scheduler's state.
+//!
+//! Nobody else holds the dispatcher. Whoever changes it does so in a [`Door::transition`], which locks once and then
+//! carries out what the dispatcher has put into its outbox: effects go to the one task that performs them, events to
+//! the recorder, counts to the metrics, and whoever waits for work or for news is woken.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::{mpsc, oneshot, watch};
+
+use super::events::Recorder;
+use crate::clock::Clock;
+use crate::dispatch::{Count, Dispatcher, Effect, Event, EventKind, Outbox, Purpose};
+use crate::metrics::{JobFailure, LeaseKind, Metrics, VerificationOutcome};
+
+/// What the task that performs effects is to do.
+#[derive(Debug)]
+pub(super) enum Order {
+    Perform(Effect),
+    /// Tell that all that was ordered before is done.
+    Report(oneshot::Sender<()>),
+}
+
+#[derive(Debug)]
+pub(super) struct Door {
+    dispatcher: Mutex<Dispatcher>,
+    clock: Clock,
+    orders: mpsc::UnboundedSender<Order>,
+    recorder: Recorder,
+    metrics: Metrics,
+    changed: watch::Sender<()>,
+    work: watch::Sender<()>,
+}
+
+impl Door {
+    /// The door to a dispatcher, and the orders that will come of its decisions.
+    pub fn new(
+        dispatcher: Dispatcher,
+        recorder: Recorder,
+        metrics: Metrics,
+    ) -> (Self, mpsc::UnboundedReceiver<Order>) {
+        let (orders, receiver) = mpsc::unbounded_channel();
+        let door = Self {
+            dispatcher: Mutex::new(dispatcher),
+            clock: Clock::start(),
+            orders,
+            recorder,
+            metrics,
+            changed: watch::channel(()).0,
+            work: watch::channel(()).0,
+        };
+        (door, receiver)
+    }
+
+    /// Changes the state, and carries out what comes of it.
+    pub fn transition<T>(&self, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
+        let (value, outbox) = {
+            let mut dispatcher = self.lock();
+            let value = change(&mut dispatcher, self.clock.now());
+            let mut outbox = dispatcher.take_outbox();
+            // Under the lock, so that effects are performed in the order in which they were decided.
+            for effect in outbox.effects.drain(..) {
+                let _ = self.orders.send(Order::Perform(effect));
+            }
+            (value, outbox)
+        };
+        self.tell(&outbox);
+        value
+    }
+
+    /// Looks at the state.
+    pub fn query<T>(&self, look: impl FnOnce(&Dispatcher, Duration) -> T) -> T {
+        look(&self.lock(), self.clock.now())
+    }
+
+    /// Waits until everything is durable that was decided before.
+    pub async fn settled(&self) {
+        let (report, done) = oneshot::channel();
+        if self.orders.send(Order::Report(report)).is_ok() {
+            let _ = done.await;
+        }
+    }
+
+    /// Notes an event that no change of the state has brought about.
+    pub fn note(&self, kind: EventKind, message: impl Into<String>) {
+        self.recorder.record(&Event::of_farm(kind, message));
+    }
+
+    pub fn metrics(&self) -> &Metrics {
+        &self.metrics
+    }
+
+    /// Wakes up after every change that happens from now on.
+    pub fn changes(&self) -> watch::Receiver<()> {
+        self.changed.subscribe()
+    }
+
+    /// Wakes up whenever there may be work for a worker that waits.
+    pub fn work(&self) -> watch::Receiver<()> {
+        self.work.subscribe()
+    }
+
+    /// Writes what is still to be written.
+    pub async fn close(&self) {
+        self.settled().await;
+        self.recorder.finish().await;
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Dispatcher> {
+        // Transitions do not panic half-way; a poisoned lock still guards consistent data.
+        self.dispatcher.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn tell(&self, outbox: &Outbox) {
+        for event in &outbox.events {
+            self.recorder.record(event);
+        }
+        for count in &outbox.counts {
+            self.count(*count);
+        }
+        if outbox.work {
+            self.work.send_replace(());
+        }
+        if outbox.changed {
+            self.changed.send_replace(());
+        }
+    }
+
+    fn count(&self, count: Count) {
+        let metrics = &self.metrics;
+        match count {
+            Count::Granted(Purpose::First) => metrics.leases_granted(LeaseKind::First, 1),
+            Count::Granted(Purpose::Retry) => metrics.leases_granted(LeaseKind::Retry, 1),
+            Count::Granted(Purpose::Copy) => metrics.leases_granted(LeaseKind::Speculative, 1),
+            Count::Granted(Purpose::Check) => metrics.leases_granted(LeaseKind::Verification, 1),
+            Count::Expired(leases) => metrics.leases_expired(leases as u64),
+            Count::GivenUp { quarantined: false } => metrics.job_failed(JobFailure::Failed),
+            Count::GivenUp { quarantined: true } => metrics.job_failed(JobFailure::Quarantined),
+            Count::Agreed => metrics.verified(VerificationOutcome::Agreed),
+            Count::Disputed => metrics.verified(VerificationOutcome::Disputed),
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! Makes durable what the dispatcher has decided, one effect after the other.
+
+use std::sync::Weak;
+
+use farm_proto::ids::DictionaryId;
+use tokio::sync::mpsc;
+
+use super::Farm;
+use super::door::Order;
+use crate::dispatch::{Dictionary, Effect};
+use crate::store::StoreError;
+
+/// Performs orders as long as there is a farm. What cannot be stored now is tried again at the next look.
+pub(super) async fn perform(farm: Weak<Farm>, mut orders: mpsc::UnboundedReceiver<Order>) {
+    while let Some(order) = orders.recv().await {
+        let Some(farm) = farm.upgrade() else { return };
+        match order {
+            Order::Perform(effect) => {
+                if let Err(error) = farm.perform(&effect).await {
+                    tracing::error!(%error, "a decision could not be stored: it is tried again");
+                    farm.door.transition(|dispatcher, _| dispatcher.put_off(effect));
+                }
+            }
+            Order::Report(done) => drop(done.send(())),
+        }
+    }
+}
+
+impl Farm {
+    async fn perform(&self, effect: &Effect) -> Result<(), StoreError> {
+        match effect {
+            Effect::GiveUp { dictionary, job, reason, quarantined } => {
+                self.store.give_up_job(*dictionary, *job, reason, *quarantined).await
+            }
+            Effect::Agreed { dictionary, job, worker } => {
+                self.store.note_agreement(*dictionary, *job, *worker).await
+            }
+            Effect::Recompute { dictionary, job } => {
+                let _no_result_on_its_way = self.records.write().await;
+                self.begin_again(self.store.forget_job(*dictionary, *job).await?);
+                Ok(())
+            }
+            Effect::Fence { worker, reason } => {
+                let _no_result_on_its_way = self.records.write().await;
+                self.begin_again(self.store.fence(*worker, reason).await?);
+                // Blocks of jobs that had not ended are gone too.
+                let all = self.door.query(|d, _| d.dictionaries().map(Dictionary::id).collect::<Vec<_>>());
+                for id in all {
+                    self.find_blocks(id).await?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Begins jobs again whose records the store has forgotten.
+    pub(super) fn begin_again(&self, mut jobs: Vec<(DictionaryId, u32)>) {
+        jobs.sort_unstable();
+        for of_one in jobs.chunk_by(|a, b| a.0 == b.0) {
+            let id = of_one[0].0;
+            let numbers: Vec<u32> = of_one.iter().map(|(_, job)| *job).collect();
+            self.door.transition(|dispatcher, _| dispatcher.reopen(id, &numbers));
+            self.fits.forget(id);
+        }
+    }
+}

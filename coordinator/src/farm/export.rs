@@ -1,0 +1,78 @@
+//! Finished records of a dictionary, as they are read.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use farm_proto::DictionaryName;
+use optics_model::{Grid, Invalid, Record};
+
+use super::{Farm, Result};
+
+/// Records on their way out.
+#[derive(Debug)]
+pub(crate) struct Export {
+    farm: Arc<Farm>,
+    name: DictionaryName,
+    /// What is still to be read, the next last.
+    ranges: Vec<Range<usize>>,
+    /// What has been read, the next last.
+    read: Vec<Record>,
+    /// How many of the records are done.
+    pub promised: usize,
+}
+
+impl Farm {
+    /// The finished records from the number `first` on, or those of the `indices` that are not below it.
+    pub(crate) fn export(
+        self: &Arc<Self>,
+        name: DictionaryName,
+        first: usize,
+        indices: &[u32],
+    ) -> Result<Export> {
+        let (_, grid) = self.found(&name)?;
+        let mut ranges = ranges(&grid, first, indices)?;
+        let promised = self.door.query(|dispatcher, _| {
+            let finished =
+                dispatcher.by_name(&name).map(|d| ranges.iter().map(|r| d.finished_records(r.clone())).sum());
+            finished.unwrap_or_default()
+        });
+        ranges.reverse();
+        Ok(Export { farm: self.clone(), name, ranges, read: Vec::new(), promised })
+    }
+}
+
+impl Export {
+    pub(crate) async fn next(&mut self) -> Result<Option<Record>> {
+        loop {
+            if let Some(record) = self.read.pop() {
+                return Ok(Some(record));
+            }
+            let Some(range) = self.ranges.pop() else { return Ok(None) };
+            self.read = self.farm.records(&self.name, range).await?;
+            self.read.reverse();
+        }
+    }
+}
+
+/// Records of a grid that are read at a time: some 8 MiB.
+fn at_a_time(grid: &Grid) -> usize {
+    ((8 << 20) / grid.record_bytes()).clamp(1, 1024)
+}
+
+/// The numbers of the records that are wanted, in pieces that are read at once.
+fn ranges(grid: &Grid, first: usize, indices: &[u32]) -> Result<Vec<Range<usize>>, Invalid> {
+    let (total, chunk) = (grid.record_count(), at_a_time(grid));
+    let allowed = || format!("the dictionary has records 0 to {}", total - 1);
+    if let Some((i, bad)) = indices.iter().enumerate().find(|(_, n)| **n as usize >= total) {
+        return Err(Invalid::new(format!("indices[{i}]"), bad, allowed()));
+    }
+    // One beyond the last is what a client asks for that has everything.
+    if first > total {
+        return Err(Invalid::new("first", first, allowed()));
+    }
+    if indices.is_empty() {
+        return Ok((first..total).step_by(chunk).map(|from| from..(from + chunk).min(total)).collect());
+    }
+    let numbers = indices.iter().map(|n| *n as usize).filter(|n| *n >= first);
+    Ok(numbers.map(|n| n..n + 1).collect())
+}

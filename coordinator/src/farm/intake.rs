@@ -1,0 +1,215 @@
+//! Results as they come in: a stream of headers, records and sums, checked piece by piece.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::{Bytes, BytesMut};
+use farm_proto::RequestLimits;
+use farm_proto::ids::WorkerId;
+use farm_proto::lease::LeaseKey;
+use optics_model::job::JobSpec;
+use optics_model::sums::Sums;
+use optics_model::{Digest, Invalid, PackedRecords};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::JoinHandle;
+use tokio_stream::{Stream, StreamExt};
+
+use super::{Farm, FarmError, Result};
+use crate::dispatch::DispatchError;
+use crate::store::StoreError;
+use crate::stored::{JobResult, Outcome};
+
+/// How long a worker may take for the next piece of a result.
+const PATIENCE: Duration = Duration::from_mins(1);
+/// Memory of all results that are being received or stored, in KiB.
+const ROOM_KIB: usize = 512 << 10;
+
+/// A piece of a stream of results: each result is a header, and then its content.
+#[derive(Debug)]
+pub(crate) enum Piece {
+    Header(Header),
+    Records(Bytes),
+    Sums(Bytes),
+}
+
+/// Whose result follows, and for what.
+#[derive(Debug)]
+pub(crate) struct Header {
+    pub worker: WorkerId,
+    pub key: LeaseKey,
+    /// What the worker was told to compute.
+    pub identity: Digest,
+}
+
+/// What became of a result that was delivered.
+#[derive(Debug)]
+pub(crate) enum Delivered {
+    Done(Outcome),
+    /// The worker is to deliver it again later.
+    NotStored(StoreError),
+    /// The worker is to drop it.
+    Refused(String),
+}
+
+/// Room in memory for results.
+#[derive(Debug)]
+pub(super) struct Room(Arc<Semaphore>);
+
+impl Default for Room {
+    fn default() -> Self {
+        Self(Arc::new(Semaphore::new(ROOM_KIB)))
+    }
+}
+
+impl Room {
+    /// Waits until there is room for so many bytes.
+    async fn take(&self, bytes: usize) -> OwnedSemaphorePermit {
+        let kib = bytes.div_ceil(1024).min(ROOM_KIB) as u32;
+        self.0.clone().acquire_many_owned(kib).await.expect("the semaphore is never closed")
+    }
+}
+
+/// A result on its way to the disk, or one that is not wanted.
+enum Task {
+    Storing(JoinHandle<Result<Outcome>>),
+    Refused(String),
+}
+
+impl Farm {
+    /// Receives all results of a stream, storing each while the next comes in; what became of them, in their order.
+    pub(crate) async fn receive<S, E>(self: &Arc<Self>, stream: S) -> Result<Vec<Delivered>, E>
+    where
+        S: Stream<Item = Result<Piece, E>> + Unpin,
+        E: From<FarmError>,
+    {
+        let mut pieces = Pieces(stream);
+        let mut tasks = Vec::new();
+        let mut next = pieces.next().await?;
+        if next.is_none() {
+            return Err(refused("content", "nothing", "a header comes first"));
+        }
+        while let Some(piece) = next.take() {
+            let Piece::Header(Header { worker, key, identity }) = piece else {
+                return Err(refused("content", "no header", "a header comes before each result"));
+            };
+            if tasks.len() == RequestLimits::LEASES as usize {
+                let allowed = format!("at most {} in one call are allowed", RequestLimits::LEASES);
+                return Err(refused("results", tasks.len() + 1, allowed));
+            }
+            match self.admit(&worker, &key, identity) {
+                Ok(admission) => {
+                    let room = self.room.take(bytes_of(admission.job())).await;
+                    let result;
+                    (result, next) = pieces.result(admission.job()).await?;
+                    let farm = self.clone();
+                    tasks.push(Task::Storing(tokio::spawn(async move {
+                        let _room = room;
+                        farm.complete(worker, key, admission, result).await
+                    })));
+                }
+                // Only this one is not wanted; the others of the stream are.
+                Err(FarmError::Dispatch(
+                    error @ (DispatchError::LeaseLost { .. } | DispatchError::UnknownJob(_)),
+                )) => {
+                    tasks.push(Task::Refused(error.to_string()));
+                    next = pieces.skip().await?;
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+        let mut delivered = Vec::with_capacity(tasks.len());
+        for task in tasks {
+            delivered.push(task.ended().await?);
+        }
+        Ok(delivered)
+    }
+}
+
+impl Task {
+    async fn ended(self) -> Result<Delivered> {
+        let stored = match self {
+            Self::Refused(why) => return Ok(Delivered::Refused(why)),
+            Self::Storing(task) => task.await.map_err(|_| FarmError::Broken)?,
+        };
+        match stored {
+            Ok(outcome) => Ok(Delivered::Done(outcome)),
+            // The other results of the stream may be stored.
+            Err(FarmError::Store(error)) => Ok(Delivered::NotStored(error)),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+/// Bytes that a job's result takes.
+fn bytes_of(job: &JobSpec) -> usize {
+    match job.block() {
+        Some(_) => Sums::bytes(job),
+        None => PackedRecords::bytes_of(job),
+    }
+}
+
+fn refused<E: From<FarmError>>(field: &str, given: impl std::fmt::Display, allowed: impl Into<String>) -> E {
+    FarmError::from(Invalid::new(field, given, allowed)).into()
+}
+
+struct Pieces<S>(S);
+
+impl<S, E> Pieces<S>
+where
+    S: Stream<Item = Result<Piece, E>> + Unpin,
+    E: From<FarmError>,
+{
+    async fn next(&mut self) -> Result<Option<Piece>, E> {
+        let next = tokio::time::timeout(PATIENCE, self.0.next()).await;
+        next.map_err(|_| FarmError::Overdue(PATIENCE.as_secs()))?.transpose()
+    }
+
+    /// One result, checked, and what comes after it.
+    async fn result(&mut self, job: &JobSpec) -> Result<(JobResult, Option<Piece>), E> {
+        let (bytes, after) = self.gather(job).await?;
+        let checked = if job.block().is_some() {
+            // Refused here rather than when they are merged.
+            Sums::from_le_bytes(job, 1, &bytes).map(|_| JobResult::Sums(bytes))
+        } else {
+            PackedRecords::new(job, bytes).map(JobResult::Records)
+        };
+        Ok((checked.map_err(FarmError::from)?, after))
+    }
+
+    /// The pieces of one result as a whole, not longer than it may be, and what comes after it. They are copied to a place
+    /// of just their size: as they are, they hold on to the messages that they came in, however large these are.
+    async fn gather(&mut self, job: &JobSpec) -> Result<(Bytes, Option<Piece>), E> {
+        let (wanted, what) = (bytes_of(job), if job.block().is_some() { "sums" } else { "records" });
+        let mut whole = BytesMut::with_capacity(wanted);
+        loop {
+            let piece = match (self.next().await?, job.block()) {
+                (Some(Piece::Records(piece)), None) | (Some(Piece::Sums(piece)), Some(_)) => piece,
+                (after @ (None | Some(Piece::Header(_))), _) => return Ok((whole.freeze(), after)),
+                (Some(Piece::Records(_)), Some(_)) => {
+                    return Err(refused("content", "records", "the job is divided: sums are wanted"));
+                }
+                (Some(Piece::Sums(_)), None) => {
+                    return Err(refused("content", "sums", "the job is not divided: records are wanted"));
+                }
+            };
+            if piece.is_empty() {
+                return Err(refused(what, "an empty piece", "each piece brings something"));
+            }
+            if whole.len() + piece.len() > wanted {
+                let given = format!("more than {wanted} bytes");
+                return Err(refused(what, given, format!("{wanted} are needed")));
+            }
+            whole.extend_from_slice(&piece);
+        }
+    }
+
+    /// Passes over the content of a result that is not wanted.
+    async fn skip(&mut self) -> Result<Option<Piece>, E> {
+        loop {
+            match self.next().await? {
+                Some(Piece::Records(_) | Piece::Sums(_)) => {}
+                after => return Ok(after),
+            }
+        }
+    }
+}

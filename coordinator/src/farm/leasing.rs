@@ -1,0 +1,115 @@
+//! What workers ask for: to be let in, leases, renewals.
+
+use std::time::Duration;
+
+use farm_proto::PROTOCOL_VERSION;
+use farm_proto::ids::WorkerId;
+use farm_proto::lease::LeaseKey;
+use optics_model::{Digest, PHYSICS_VERSION};
+use tokio_util::sync::CancellationToken;
+
+use super::{Farm, FarmError, Result};
+use crate::clock::{Random, random_token};
+use crate::dispatch::{Admission, Grant, Registration, Settings};
+
+/// What a worker and the coordinator must agree on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Versions {
+    pub physics: u32,
+    pub protocol: u32,
+}
+
+impl Versions {
+    fn check(self) -> Result<()> {
+        let versions = [
+            ("computes physics", self.physics, PHYSICS_VERSION),
+            ("speaks protocol", self.protocol, PROTOCOL_VERSION),
+        ];
+        match versions.into_iter().find(|(_, found, own)| found != own) {
+            Some((does, found, own)) => Err(FarmError::OtherVersion { does, found, own }),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Farm {
+    pub(crate) async fn register(
+        &self,
+        instance: &str,
+        about: Registration,
+        versions: Versions,
+    ) -> Result<(WorkerId, Settings)> {
+        versions.check()?;
+        let origin = self.store.register_worker(instance, &about.label).await?;
+        let id = WorkerId(random_token());
+        let settings = self.door.transition(|dispatcher, now| {
+            dispatcher.register(now, id.clone(), origin, about).map(|()| dispatcher.settings())
+        })?;
+        Ok((id, settings))
+    }
+
+    /// Gives out leases; waits for work up to `patience`. None if none has come.
+    pub(crate) async fn acquire(
+        &self,
+        worker: &WorkerId,
+        max: usize,
+        patience: Duration,
+        stop: &CancellationToken,
+    ) -> Result<Option<Grant>> {
+        let patience = tokio::time::sleep(patience);
+        tokio::pin!(patience);
+        // Before the first look, so that no work comes between the two.
+        let mut work = self.door.work();
+        loop {
+            let grant = self.acquire_now(worker, max)?;
+            if !grant.leases.is_empty() || grant.drain {
+                return Ok(Some(grant));
+            }
+            tokio::select! {
+                () = &mut patience => return Ok(None),
+                () = stop.cancelled() => return Err(FarmError::Stopping),
+                _ = work.changed() => {}
+            }
+        }
+    }
+
+    pub(super) fn acquire_now(&self, worker: &WorkerId, max: usize) -> Result<Grant> {
+        let acquire = self.door.transition(|d, now| d.acquire(now, worker, max, &mut Random));
+        Ok(acquire?)
+    }
+
+    /// Extends leases: those that are lost, and whether the worker is to leave.
+    pub(crate) fn renew(
+        &self,
+        worker: &WorkerId,
+        leases: Vec<(LeaseKey, bool, Digest)>,
+    ) -> Result<(Vec<LeaseKey>, bool)> {
+        Ok(self.door.transition(|dispatcher, now| dispatcher.renew(now, worker, leases))?)
+    }
+
+    /// Whether a result is wanted, and what it must look like.
+    pub(super) fn admit(&self, worker: &WorkerId, key: &LeaseKey, identity: Digest) -> Result<Admission> {
+        Ok(self.door.transition(|dispatcher, now| dispatcher.admit(now, worker, key, identity))?)
+    }
+
+    /// Takes leases back; a worker that leaves gives all of its leases back, also those it has not heard of.
+    pub(crate) fn hand_back(&self, worker: &WorkerId, leases: &[LeaseKey], leaving: bool) {
+        self.door.transition(|dispatcher, _| {
+            dispatcher.hand_back(leases);
+            if leaving {
+                dispatcher.leave(worker);
+            }
+        });
+    }
+
+    pub(crate) async fn failed(&self, worker: &WorkerId, key: &LeaseKey, reason: &str) -> Result<()> {
+        let counted = self.door.transition(|dispatcher, now| dispatcher.failed(now, worker, key, reason));
+        self.door.settled().await;
+        Ok(counted?)
+    }
+
+    /// Looks at all that time alone changes; returns how many leases were freed since their workers are silent.
+    pub(crate) fn look_over(&self) -> usize {
+        self.door.transition(|dispatcher, now| dispatcher.look_over(now))
+    }
+}

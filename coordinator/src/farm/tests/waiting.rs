@@ -1,0 +1,133 @@
+//! Whoever waits for work, for news or for the disk.
+
+use std::time::Duration;
+
+use tokio_util::sync::CancellationToken;
+
+use super::*;
+
+const SOON: Duration = Duration::from_millis(20);
+const LONG: Duration = Duration::from_secs(60);
+
+async fn empty() -> (Arc<Farm>, tempfile::TempDir) {
+    let dir = tempfile::tempdir().unwrap();
+    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
+    (load(store).await, dir)
+}
+
+#[tokio::test]
+async fn a_worker_waits_until_there_is_work_or_its_patience_ends() {
+    let (farm, _dir) = empty().await;
+    let (worker, stop) = (worker(&farm, "worker").await, CancellationToken::new());
+    assert!(farm.acquire(&worker, 1, SOON, &stop).await.unwrap().is_none());
+    let waiting = {
+        let (farm, worker, stop) = (farm.clone(), worker.clone(), stop.clone());
+        tokio::spawn(async move { farm.acquire(&worker, 1, LONG, &stop).await })
+    };
+    tokio::time::sleep(SOON).await;
+    farm.submit(name(), grid(), 0).await.unwrap();
+    assert_eq!(waiting.await.unwrap().unwrap().unwrap().leases.len(), 1);
+}
+
+#[tokio::test]
+async fn a_worker_that_waits_hears_at_once_that_it_is_to_leave_or_that_the_coordinator_stops() {
+    let (farm, _dir) = empty().await;
+    let (worker, stop) = (worker(&farm, "worker").await, CancellationToken::new());
+    let waiting = |worker: &WorkerId| {
+        let (farm, worker, stop) = (farm.clone(), worker.clone(), stop.clone());
+        tokio::spawn(async move { farm.acquire(&worker, 1, LONG, &stop).await })
+    };
+    let other = super::worker(&farm, "other").await;
+    let (drained, stopped) = (waiting(&worker), waiting(&other));
+    tokio::time::sleep(SOON).await;
+    farm.drain(&worker.0).unwrap();
+    assert!(drained.await.unwrap().unwrap().unwrap().drain);
+    stop.cancel();
+    assert!(matches!(stopped.await.unwrap(), Err(FarmError::Stopping)));
+}
+
+#[tokio::test]
+async fn a_job_that_its_worker_gives_back_goes_to_one_that_waits() {
+    let (farm, _dir) = empty().await;
+    farm.submit(name(), grid(), 0).await.unwrap();
+    let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
+    let all = farm.acquire_now(&first, JOBS as usize).unwrap().leases;
+    let waiting = {
+        let farm = farm.clone();
+        tokio::spawn(async move { farm.acquire(&second, 1, LONG, &CancellationToken::new()).await })
+    };
+    tokio::time::sleep(SOON).await;
+    farm.hand_back(&first, &[all[3].key], false);
+    let grant = waiting.await.unwrap().unwrap().unwrap();
+    assert_eq!(grant.leases[0].key.job, all[3].key.job);
+}
+
+#[tokio::test]
+async fn a_watch_tells_every_change_and_ends_with_the_dictionary() {
+    let (farm, _dir) = empty().await;
+    farm.submit(name(), grid(), 0).await.unwrap();
+    let mut watch = farm.watch(name()).unwrap();
+    assert_eq!(watch.next().await.unwrap().unwrap().jobs_done, 0);
+    let worker = worker(&farm, "worker").await;
+    deliver(&farm, &worker, 0.25).await;
+    assert_eq!(watch.next().await.unwrap().unwrap().jobs_done, 1);
+    farm.cancel(&name(), "enough").await.unwrap();
+    assert_eq!(watch.next().await.unwrap().unwrap().state, DictionaryState::Cancelled);
+    assert!(watch.next().await.unwrap().is_none());
+    let mut late = farm.watch(name()).unwrap();
+    assert_eq!(late.next().await.unwrap().unwrap().reason, "enough");
+    assert!(late.next().await.unwrap().is_none());
+}
+
+#[tokio::test]
+async fn an_export_gives_what_is_finished_in_order_and_says_before_how_much_that_is() {
+    let (farm, _dir) = done().await;
+    let mut numbers = Vec::new();
+    let mut export = farm.export(name(), 71, &[]).unwrap();
+    assert_eq!(export.promised, 9);
+    while let Some(record) = export.next().await.unwrap() {
+        numbers.push(record.index);
+    }
+    assert_eq!(numbers, (71..80).collect::<Vec<_>>());
+    let mut some = farm.export(name(), 3, &[2, 77, 3]).unwrap();
+    assert_eq!(some.promised, 2);
+    assert_eq!(some.next().await.unwrap().unwrap().index, 77);
+    assert_eq!(some.next().await.unwrap().unwrap().index, 3);
+    assert!(some.next().await.unwrap().is_none());
+    assert!(farm.export(name(), 80, &[]).unwrap().next().await.unwrap().is_none());
+    let refused = |first, indices: &[u32]| match farm.export(name(), first, indices) {
+        Err(FarmError::Invalid(why)) => why.field().to_owned(),
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(refused(81, &[]), "first");
+    assert_eq!(refused(0, &[5, 80]), "indices[1]");
+}
+
+/// A decision that cannot be stored is not forgotten.
+#[tokio::test]
+async fn what_could_not_be_made_durable_is_tried_again_at_the_next_look() {
+    let (farm, dir) = empty().await;
+    let id = farm.store.create_dictionary(name(), grid(), 0, 7).await.unwrap().id;
+    farm.close().await;
+    drop(farm);
+    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
+    let farm = load(store).await;
+    let worker = worker(&farm, "worker").await;
+    change(&dir, "ALTER TABLE jobs RENAME TO elsewhere").await;
+    let job = farm.acquire_now(&worker, 1).unwrap().leases[0].key.job;
+    farm.hand_back(&worker, &[], true);
+    for round in 0..3 {
+        let worker = super::worker(&farm, &format!("worker {round}")).await;
+        let leases = farm.acquire_now(&worker, JOBS as usize).unwrap().leases;
+        let of_job = leases.iter().find(|lease| lease.key.job == job).unwrap();
+        farm.failed(&worker, &of_job.key, "no luck").await.unwrap();
+        farm.hand_back(&worker, &[], true);
+    }
+    assert_eq!(farm.status(&name()).unwrap().failed.len(), 1, "it is given up");
+    change(&dir, "ALTER TABLE elsewhere RENAME TO jobs").await;
+    assert!(farm.store.ended_jobs(id, grid().walks()).await.unwrap().is_empty(), "and it is not stored");
+    farm.look_over();
+    farm.door.settled().await;
+    let ended = farm.store.ended_jobs(id, grid().walks()).await.unwrap();
+    assert_eq!(ended.iter().map(crate::stored::EndedJob::job).collect::<Vec<_>>(), [job]);
+}

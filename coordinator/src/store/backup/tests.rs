@@ -1,0 +1,385 @@
+mod full_disk;
+mod incoming;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{AssertSqlSafe, SqlitePool};
+
+use super::*;
+
+const PAGE_BYTES: usize = super::super::PAGE_BYTES as usize;
+/// Stands in a profile, to be found again in the file.
+const MARK: &[u8] = b"a mark that no page holds by chance";
+
+fn newest() -> i64 {
+    sqlx::migrate!().iter().map(|migration| migration.version).max().unwrap()
+}
+
+/// A database as the store opens it.
+async fn open(file: &Path) -> SqlitePool {
+    let options = SqliteConnectOptions::new()
+        .filename(file)
+        .create_if_missing(true)
+        .page_size(PAGE_BYTES as u32)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Full)
+        .foreign_keys(true);
+    let pool = SqlitePoolOptions::new().max_connections(1).connect_with(options).await.unwrap();
+    sqlx::migrate!().run(&pool).await.unwrap();
+    pool
+}
+
+async fn reader(file: &Path) -> SqlitePool {
+    let options = SqliteConnectOptions::new().filename(file).read_only(true);
+    SqlitePoolOptions::new().max_connections(2).connect_with(options).await.unwrap()
+}
+
+async fn run(pool: &SqlitePool, sql: &str) {
+    sqlx::query(AssertSqlSafe(sql)).execute(pool).await.unwrap();
+}
+
+async fn add_dictionary(pool: &SqlitePool) {
+    run(
+        pool,
+        "INSERT INTO dictionaries (id, name, grid, grid_digest, created_unix_ms) VALUES (1, 'd', x'', zeroblob(32), 0)",
+    )
+    .await;
+}
+
+/// A job with its two records, in one commit.
+async fn add_job(pool: &SqlitePool, job: i64, profiles: &[u8]) {
+    let mut transaction = pool.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    sqlx::query("INSERT INTO points (id, identity) VALUES (?1 + 1, CAST(printf('%032d', ?1) AS BLOB))")
+        .bind(job)
+        .execute(&mut *transaction)
+        .await
+        .unwrap();
+    sqlx::query(
+        "INSERT INTO jobs (dictionary_id, job, point_id, walks, records_digest) \
+         VALUES (1, ?1, ?1 + 1, 5000, zeroblob(32))",
+    )
+    .bind(job)
+    .execute(&mut *transaction)
+    .await
+    .unwrap();
+    for albedo in [0.5, 0.9] {
+        sqlx::query("INSERT INTO records (point_id, albedo, profiles) VALUES (? + 1, ?, ?)")
+            .bind(job)
+            .bind(albedo)
+            .bind(profiles)
+            .execute(&mut *transaction)
+            .await
+            .unwrap();
+    }
+    transaction.commit().await.unwrap();
+}
+
+/// A database with 60 jobs, some megabyte large.
+async fn filled(dir: &Path) -> SqlitePool {
+    let pool = open(&dir.join("farm.db")).await;
+    add_dictionary(&pool).await;
+    let mut profiles = vec![7; 8640];
+    profiles[4000..4000 + MARK.len()].copy_from_slice(MARK);
+    for job in 0..60 {
+        add_job(&pool, job, &profiles).await;
+    }
+    pool
+}
+
+/// A folder with a backup, `copy`, of a filled database.
+async fn with_backup() -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let pool = filled(dir.path()).await;
+    let copy = dir.path().join("copy");
+    backup(&pool, &copy, newest()).await.unwrap();
+    pool.close().await;
+    (dir, copy)
+}
+
+fn change(file: &Path, at: usize, change: impl Fn(u8) -> u8) {
+    let mut bytes = std::fs::read(file).unwrap();
+    bytes[at] = change(bytes[at]);
+    std::fs::write(file, bytes).unwrap();
+}
+
+fn position(file: &Path, part: &[u8]) -> usize {
+    std::fs::read(file).unwrap().windows(part.len()).position(|window| window == part).unwrap()
+}
+
+fn without_checksum(file: &Path) {
+    std::fs::remove_file(checksum::sidecar(file)).unwrap();
+}
+
+/// Both must refuse it in the same words, and the data directory must stay empty.
+async fn refusal(file: &Path) -> BackupError {
+    let home = tempfile::tempdir().unwrap();
+    let dir = DataDir::lock(home.path()).unwrap();
+    let restored = restore(file, &dir, newest()).await.unwrap_err();
+    let names: Vec<_> =
+        std::fs::read_dir(home.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(names, ["lock"]);
+    let verified = verify(file, newest()).await.unwrap_err();
+    assert_eq!(verified.to_string(), restored.to_string());
+    verified
+}
+
+#[tokio::test]
+async fn what_was_backed_up_is_restored_to_the_byte() {
+    let (dir, copy) = with_backup().await;
+    let report = verify(&copy, newest()).await.unwrap();
+    assert_eq!(report.checksum, Checksum::Agrees);
+    let counts = BackupCounts { schema_version: newest(), dictionaries: 1, jobs: 60, records: 120 };
+    assert_eq!(report.counts, counts);
+    let home = dir.path().join("home");
+    let restored = restore(&copy, &DataDir::lock(&home).unwrap(), newest()).await.unwrap();
+    assert_eq!((restored.counts, restored.checksum), (counts, Checksum::Agrees));
+    assert_eq!(std::fs::read(&copy).unwrap(), std::fs::read(home.join("farm.db")).unwrap());
+    let pool = open(&home.join("farm.db")).await;
+    add_job(&pool, 60, b"it can be written to").await;
+    pool.close().await;
+}
+
+#[tokio::test]
+async fn all_that_was_committed_before_the_call_is_in_the_backup_of_a_busy_database() {
+    let dir = tempfile::tempdir().unwrap();
+    let pool = filled(dir.path()).await;
+    let committed = Arc::new(AtomicI64::new(60));
+    let (writing, count) = (pool.clone(), Arc::clone(&committed));
+    let writer = tokio::spawn(async move {
+        loop {
+            let job = count.load(Ordering::SeqCst);
+            add_job(&writing, job, &[1; 8640]).await;
+            count.store(job + 1, Ordering::SeqCst);
+        }
+    });
+    let read = reader(&dir.path().join("farm.db")).await;
+    for round in 0..5 {
+        tokio::time::sleep(Duration::from_millis(30)).await;
+        let before = committed.load(Ordering::SeqCst);
+        let copy = dir.path().join(format!("copy {round}%?#"));
+        let report = backup(&read, &copy, newest()).await.unwrap();
+        let jobs = report.counts.jobs as i64;
+        assert!(jobs >= before, "{jobs} of {before} jobs");
+        assert_eq!(report.counts.records, 2 * report.counts.jobs, "a job came without its records");
+        let copied = reader(&copy).await;
+        let last: i64 = sqlx::query_scalar("SELECT max(job) FROM jobs").fetch_one(&copied).await.unwrap();
+        assert_eq!(last, jobs - 1, "a job before the last is missing");
+        copied.close().await;
+    }
+    writer.abort();
+    let _ = writer.await;
+    assert!(committed.load(Ordering::SeqCst) > 60, "nothing was written meanwhile");
+}
+
+#[tokio::test]
+async fn a_changed_page_header_is_refused() {
+    // The page's kind, and its count of stray bytes: no query stumbles over the latter.
+    for (offset, message) in [(0, ""), (7, "ragmentation")] {
+        let (_dir, copy) = with_backup().await;
+        change(&copy, 3 * PAGE_BYTES + offset, |byte| byte ^ 0x1F);
+        assert!(matches!(refusal(&copy).await, BackupError::Checksum { .. }));
+        without_checksum(&copy);
+        let error = refusal(&copy).await;
+        assert!(matches!(&error, BackupError::Damaged { first, .. } if !first.is_empty()), "{error}");
+        assert!(error.to_string().contains(message), "{error}");
+    }
+}
+
+#[tokio::test]
+async fn a_changed_bit_within_a_profile_is_seen_by_the_checksum_alone() {
+    let (_dir, copy) = with_backup().await;
+    let at = position(&copy, MARK);
+    change(&copy, at, |byte| byte ^ 1);
+    let error = refusal(&copy).await;
+    assert!(matches!(error, BackupError::Checksum { .. }), "{error}");
+    assert!(error.to_string().contains("copy.b3 says"), "{error}");
+    without_checksum(&copy);
+    assert_eq!(verify(&copy, newest()).await.unwrap().checksum, Checksum::Absent);
+}
+
+#[tokio::test]
+async fn a_checksum_that_is_none_is_refused() {
+    let (_dir, copy) = with_backup().await;
+    std::fs::write(checksum::sidecar(&copy), "not a checksum").unwrap();
+    assert!(matches!(refusal(&copy).await, BackupError::NotAChecksum { .. }));
+}
+
+#[tokio::test]
+async fn a_file_that_was_cut_short_is_refused() {
+    let (_dir, copy) = with_backup().await;
+    without_checksum(&copy);
+    let whole = std::fs::metadata(&copy).unwrap().len();
+    for bytes in [whole - 1, whole / 2, 4096, 100] {
+        std::fs::File::options().write(true).open(&copy).unwrap().set_len(bytes).unwrap();
+        let error = refusal(&copy).await.to_string();
+        assert!(
+            error.ends_with(&format!("damaged: it is cut short: {bytes} of {whole} bytes are there")),
+            "{error}"
+        );
+    }
+}
+
+#[tokio::test]
+async fn what_is_no_farms_database_is_refused_with_the_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("file");
+    let reasons = [
+        (b"".to_vec(), "it is empty"),
+        (b"some text".to_vec(), "it is not an SQLite database"),
+        (vec![b'x'; 5000], "it is not an SQLite database"),
+    ];
+    for (bytes, reason) in reasons {
+        std::fs::write(&file, bytes).unwrap();
+        let error = refusal(&file).await.to_string();
+        assert!(error.ends_with(&format!("is not a farm's database: {reason}")), "{error}");
+    }
+    assert!(refusal(dir.path()).await.to_string().ends_with("it is not a file"));
+    assert!(matches!(refusal(&dir.path().join("nowhere")).await, BackupError::File { .. }));
+}
+
+#[tokio::test]
+async fn another_programs_database_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("other.db");
+    let pool = open(&file).await;
+    run(&pool, "DROP TABLE records").await;
+    pool.close().await;
+    assert!(refusal(&file).await.to_string().ends_with("a farm's tables are not in it"));
+    let pool = open(&file).await;
+    run(&pool, "PRAGMA application_id = 7").await;
+    pool.close().await;
+    let error = refusal(&file).await.to_string();
+    assert!(error.ends_with("its application_id is 0x00000007, not 0x4641524d"), "{error}");
+}
+
+#[tokio::test]
+async fn the_farms_number_survives_a_backup() {
+    let dir = tempfile::tempdir().unwrap();
+    let pool = filled(dir.path()).await;
+    run(&pool, &format!("PRAGMA application_id = {APPLICATION_ID}")).await;
+    let copy = dir.path().join("copy");
+    backup(&pool, &copy, newest()).await.unwrap();
+    assert_eq!(std::fs::read(&copy).unwrap()[68..72], *b"FARM");
+    verify(&copy, newest()).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_newer_schema_asks_for_a_newer_version() {
+    let (_dir, copy) = with_backup().await;
+    let error = verify(&copy, newest() - 1).await.unwrap_err();
+    assert!(matches!(error, BackupError::NewerSchema { .. }), "{error}");
+    let told = format!(
+        "has schema {}, but this version knows schemas up to {}: install the version",
+        newest(),
+        newest() - 1
+    );
+    assert!(error.to_string().contains(&told), "{error}");
+}
+
+#[tokio::test]
+async fn a_reference_to_nothing_is_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("farm.db");
+    let pool = filled(dir.path()).await;
+    run(&pool, "PRAGMA foreign_keys = OFF").await;
+    run(&pool, "DELETE FROM dictionaries").await;
+    pool.close().await;
+    let error = refusal(&file).await.to_string();
+    assert!(
+        error.contains("60 rows of table jobs refer to rows of dictionaries that are missing"),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn a_database_whose_log_is_not_merged_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let pool = filled(dir.path()).await;
+    assert!(matches!(refusal(&dir.path().join("farm.db")).await, BackupError::Unmerged { .. }));
+    pool.close().await;
+    verify(&dir.path().join("farm.db"), newest()).await.unwrap();
+}
+
+#[tokio::test]
+async fn nothing_that_exists_is_overwritten() {
+    let dir = tempfile::tempdir().unwrap();
+    let pool = filled(dir.path()).await;
+    let copy = dir.path().join("copy");
+    std::fs::write(&copy, "dear").unwrap();
+    let error = backup(&pool, &copy, newest()).await.unwrap_err();
+    assert!(matches!(error, BackupError::Exists { .. }), "{error}");
+    assert_eq!(std::fs::read(&copy).unwrap(), b"dear");
+    assert!(!checksum::sidecar(&copy).exists() && !draft::with_suffix(&copy, ".draft").exists());
+    let draft = Draft::create(&dir.path().join("late")).unwrap();
+    std::fs::write(dir.path().join("late"), "dear").unwrap();
+    assert!(matches!(draft.publish(&dir.path().join("late")), Err(BackupError::Exists { .. })));
+    assert_eq!(std::fs::read(dir.path().join("late")).unwrap(), b"dear");
+}
+
+#[tokio::test]
+async fn a_data_directory_with_a_database_or_its_log_is_left_alone() {
+    let (dir, copy) = with_backup().await;
+    let home = dir.path().join("home");
+    let locked = DataDir::lock(&home).unwrap();
+    for name in ["farm.db", "farm.db-wal"] {
+        std::fs::write(home.join(name), "dear").unwrap();
+        let error = restore(&copy, &locked, newest()).await.unwrap_err().to_string();
+        assert!(error.ends_with(&format!("holds a database already: move {name} away")), "{error}");
+        std::fs::remove_file(home.join(name)).unwrap();
+    }
+    restore(&copy, &locked, newest()).await.unwrap();
+}
+
+#[tokio::test]
+async fn leftovers_of_a_killed_backup_are_removed_but_not_those_of_a_running_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let pool = filled(dir.path()).await;
+    let copy = dir.path().join("copy");
+    let leftover = draft::with_suffix(&copy, ".draft");
+    std::fs::write(&leftover, "half a file").unwrap();
+    std::fs::write(checksum::sidecar(&copy), "stale").unwrap();
+    let running = Draft::create(&copy).unwrap();
+    let error = backup(&pool, &copy, newest()).await.unwrap_err();
+    assert!(matches!(error, BackupError::Busy { .. }), "{error}");
+    assert!(leftover.exists());
+    // A killed process unlocks, but does not remove.
+    std::fs::copy(&leftover, dir.path().join("kept")).unwrap();
+    drop(running);
+    std::fs::rename(dir.path().join("kept"), &leftover).unwrap();
+    backup(&pool, &copy, newest()).await.unwrap();
+    assert!(!leftover.exists());
+    assert_eq!(verify(&copy, newest()).await.unwrap().checksum, Checksum::Agrees);
+}
+
+#[tokio::test]
+async fn a_backup_that_is_given_up_leaves_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let pool = filled(dir.path()).await;
+    let copy = dir.path().join("copy");
+    let mut given_up = 0;
+    for ms in [0, 1, 2, 5] {
+        let limit = Duration::from_millis(ms);
+        given_up += u32::from(tokio::time::timeout(limit, backup(&pool, &copy, newest())).await.is_err());
+        // The step that was running ends in its own time.
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        assert!(!draft::with_suffix(&copy, ".draft").exists(), "after {ms} ms");
+        assert!(!copy.exists() || checksum::sidecar(&copy).exists(), "after {ms} ms");
+        for file in [copy.clone(), checksum::sidecar(&copy)] {
+            let _ = std::fs::remove_file(file);
+        }
+    }
+    assert!(given_up > 0, "no backup was given up");
+}
+
+#[tokio::test]
+async fn sqlite_does_not_create_a_draft_that_was_removed() {
+    let dir = tempfile::tempdir().unwrap();
+    let pool = filled(dir.path()).await;
+    let gone = dir.path().join("copy.draft");
+    let late = sqlx::query("VACUUM INTO ?").bind(address(&gone)).execute(&pool).await;
+    assert!(late.is_err() && !gone.exists());
+}

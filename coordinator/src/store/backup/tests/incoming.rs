@@ -1,0 +1,70 @@
+//! Backups that come in from elsewhere, and who may read them.
+
+use std::os::unix::fs::PermissionsExt;
+
+use super::*;
+
+/// A folder, the bytes of a backup and their BLAKE3.
+async fn sent() -> (tempfile::TempDir, Vec<u8>, String) {
+    let (dir, copy) = with_backup().await;
+    let bytes = std::fs::read(copy).unwrap();
+    let digest = blake3::hash(&bytes).to_hex().to_string();
+    (dir, bytes, digest)
+}
+
+fn received(file: &Path, bytes: &[u8]) -> Incoming {
+    let mut incoming = Incoming::create(file).unwrap();
+    bytes.chunks(1 << 20).for_each(|piece| incoming.write(piece).unwrap());
+    incoming
+}
+
+#[tokio::test]
+async fn a_whole_backup_gets_its_name_and_its_checksum() {
+    let (dir, bytes, digest) = sent().await;
+    let file = dir.path().join("received");
+    received(&file, &bytes).publish(&digest, newest()).await.unwrap();
+    let verified = verify(&file, newest()).await.unwrap();
+    assert_eq!((verified.checksum, verified.counts.jobs), (Checksum::Agrees, 60));
+}
+
+#[tokio::test]
+async fn another_file_that_took_the_name_keeps_its_checksum() {
+    let (dir, bytes, digest) = sent().await;
+    let (file, checksum) = (dir.path().join("received"), dir.path().join("received.b3"));
+    let incoming = received(&file, &bytes);
+    let busy = Incoming::create(&file).unwrap_err();
+    assert!(matches!(busy, BackupError::Busy { .. }), "{busy}");
+    std::fs::write(&file, "another").unwrap();
+    std::fs::write(&checksum, "its checksum").unwrap();
+    let taken = incoming.publish(&digest, newest()).await.unwrap_err();
+    assert!(matches!(taken, BackupError::Exists { .. }), "{taken}");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "another");
+    assert_eq!(std::fs::read_to_string(&checksum).unwrap(), "its checksum");
+}
+
+#[tokio::test]
+async fn a_backup_that_came_in_short_or_changed_leaves_nothing() {
+    let (dir, bytes, digest) = sent().await;
+    let file = dir.path().join("received");
+    let mut changed = bytes.clone();
+    let mark = bytes.windows(MARK.len()).position(|window| window == MARK).unwrap();
+    changed[mark] ^= 1;
+    for wrong in [&bytes[..bytes.len() - PAGE_BYTES], &changed] {
+        let refused = received(&file, wrong).publish(&digest, newest()).await.unwrap_err();
+        assert!(matches!(refused, BackupError::Damaged { .. }), "{refused}");
+        let left = |name: &str| dir.path().join(name).exists();
+        assert!(!left("received") && !left("received.b3") && !left("received.draft"));
+    }
+}
+
+#[tokio::test]
+async fn nobody_else_may_read_a_backup_or_the_database_restored_from_it() {
+    let (dir, copy) = with_backup().await;
+    let mode = |file: &Path| std::fs::metadata(file).unwrap().permissions().mode() & 0o777;
+    assert_eq!(mode(&copy), 0o600);
+    // Whatever the file's mode is that comes from elsewhere.
+    std::fs::set_permissions(&copy, std::fs::Permissions::from_mode(0o644)).unwrap();
+    let data = DataDir::lock(&dir.path().join("data")).unwrap();
+    let report = restore(&copy, &data, newest()).await.unwrap();
+    assert_eq!(mode(&report.database), 0o600);
+}

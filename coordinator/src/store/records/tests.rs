@@ -1,0 +1,176 @@
+use optics_model::Digest;
+
+use super::{Damaged, Found};
+use crate::store::tests::{complete, dictionary, open, overlapping, records};
+use crate::store::{Store, StoreError};
+use crate::stored::{Outcome, StoredDictionary};
+
+/// A store with a dictionary whose two jobs are done: rows 1 and 2 of the records are the first one's.
+async fn finished(dir: &tempfile::TempDir) -> (Store, StoredDictionary) {
+    let store = open(dir.path()).await;
+    store.register_worker("instance", "label").await.unwrap();
+    let d = dictionary(&store).await;
+    complete(&store, &d, 0, 0.25).await;
+    complete(&store, &d, 1, 0.5).await;
+    (store, d)
+}
+
+async fn change(store: &Store, query: &'static str) {
+    assert_ne!(sqlx::query(query).execute(&store.write).await.unwrap().rows_affected(), 0, "{query}");
+}
+
+/// What is wrong with job 0, as every way of reading tells it; job 1 is intact.
+async fn damage(store: &Store, d: &StoredDictionary) -> String {
+    let finished = store.finished_jobs(d.id, &d.grid, 0..2).await.unwrap();
+    assert_eq!(store.all_jobs(d.id, &d.grid, 0..2).await.unwrap(), finished);
+    let again = store.job_read_again(d.id, &d.grid, 0).await.unwrap();
+    let [Err(Damaged { job: 0, what }), Ok(intact)] = &finished[..] else { panic!("{finished:?}") };
+    assert_eq!((intact.job, intact.records.unpack()), (1, records(2, 0.5)));
+    assert_eq!(again, finished[0]);
+    what.clone()
+}
+
+#[tokio::test]
+async fn intact_jobs_come_in_their_order_with_the_bytes_that_were_stored() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    let found = store.all_jobs(d.id, &d.grid, 0..2).await.unwrap();
+    let unpacked = |found: &Found| found.as_ref().map(|job| (job.job, job.records.unpack())).unwrap();
+    assert_eq!(found.iter().map(unpacked).collect::<Vec<_>>(), [(0, records(0, 0.25)), (1, records(2, 0.5))]);
+    assert_eq!(found[1].as_ref().unwrap().records.digest(), Digest::of_records(&records(2, 0.5)));
+    assert_eq!(store.finished_jobs(d.id, &d.grid, 1..2).await.unwrap(), found[1..]);
+    assert_eq!(store.job_read_again(d.id, &d.grid, 1).await.unwrap(), found[1]);
+    assert_eq!(store.finished_jobs(d.id, &d.grid, 0..9).await.unwrap().len(), 2, "the grid has two jobs");
+}
+
+/// A point may hold more albedos than one of the dictionaries asks for.
+#[tokio::test]
+async fn records_of_other_albedos_are_passed_over() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, _) = finished(&dir).await;
+    let finer = overlapping(&store, "e", vec![0.9, 0.95]).await;
+    assert!(matches!(complete(&store, &finer, 0, 0.5).await, Outcome::Finished { .. }));
+    let found = store.all_jobs(finer.id, &finer.grid, 0..1).await.unwrap().remove(0).unwrap();
+    assert_eq!(found.records.unpack(), records(0, 0.5));
+}
+
+#[tokio::test]
+async fn a_record_that_is_missing_is_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    change(&store, "DELETE FROM records WHERE id = 2").await;
+    assert_eq!(damage(&store, &d).await, "1 records of 2 are there");
+    change(&store, "DELETE FROM records WHERE id = 1").await;
+    assert_eq!(damage(&store, &d).await, "0 records of 2 are there");
+}
+
+#[tokio::test]
+async fn a_record_under_another_albedo_is_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    change(&store, "UPDATE records SET albedo = 0.75 WHERE id = 2").await;
+    assert_eq!(damage(&store, &d).await, "1 records of 2 are there");
+}
+
+#[tokio::test]
+async fn one_changed_bit_is_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    // The lowest bit of the last number, a standard error of 0.1: 0x3DCCCCCD.
+    change(
+        &store,
+        "UPDATE records SET profiles = cast(substr(profiles, 1, 92) || x'CCCCCC3D' AS BLOB) WHERE id = 2",
+    )
+    .await;
+    assert_eq!(damage(&store, &d).await, "its records differ from what was stored");
+    assert_eq!(store.forget_job(d.id, 0).await.unwrap(), [(d.id, 0)]);
+    assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }), "it can be done again");
+}
+
+#[tokio::test]
+async fn a_changed_digest_is_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    change(&store, "UPDATE jobs SET records_digest = zeroblob(32) WHERE job = 0").await;
+    assert_eq!(damage(&store, &d).await, "its records differ from what was stored");
+}
+
+#[tokio::test]
+async fn records_that_are_swapped_are_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.register_worker("instance", "label").await.unwrap();
+    let d = dictionary(&store).await;
+    complete(&store, &d, 0, 0.25).await;
+    complete(&store, &d, 1, 0.5).await;
+    change(&store, "UPDATE jobs SET point_id = 3 - point_id").await;
+    let found = store.all_jobs(d.id, &d.grid, 0..2).await.unwrap();
+    assert!(found.iter().all(Result::is_err), "{found:?}");
+}
+
+#[tokio::test]
+async fn a_record_of_another_length_is_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    for cut in [
+        "UPDATE records SET profiles = substr(profiles, 1, 95) WHERE id = 2",
+        "UPDATE records SET profiles = x'' WHERE id = 2",
+    ] {
+        change(&store, cut).await;
+        let what = damage(&store, &d).await;
+        assert!(what.starts_with("table records, row 2, column profiles is corrupt: it has "), "{what}");
+        assert!(what.ends_with(": 96 are needed"), "{what}");
+    }
+    // As many bytes in all, but at other places.
+    change(&store, "UPDATE records SET profiles = zeroblob(90) WHERE id = 1").await;
+    change(&store, "UPDATE records SET profiles = zeroblob(102) WHERE id = 2").await;
+    assert!(damage(&store, &d).await.contains("row 1"));
+}
+
+/// Even if the digest says that it was stored so.
+#[tokio::test]
+async fn a_number_that_cannot_be_is_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    change(
+        &store,
+        "UPDATE records SET profiles = cast(substr(profiles, 1, 4) || x'0000C07F' || substr(profiles, 9) AS BLOB) \
+         WHERE id = 1",
+    )
+    .await;
+    let what = damage(&store, &d).await;
+    let named = "record 0.profiles[0].radiance_factor.values[1] = NaN is not valid";
+    assert!(what.starts_with(&format!("its records cannot be: {named}")), "{what}");
+}
+
+#[tokio::test]
+async fn a_job_without_its_end_is_damaged_only_if_it_is_known_to_be_finished() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    change(&store, "DELETE FROM jobs WHERE job = 0").await;
+    let finished = store.finished_jobs(d.id, &d.grid, 0..2).await.unwrap();
+    assert_eq!(finished.iter().map(|found| found.as_ref().unwrap().job).collect::<Vec<_>>(), [1]);
+    let missing = |job| Err(Damaged { job, what: "its end is missing".to_owned() });
+    assert_eq!(store.all_jobs(d.id, &d.grid, 0..2).await.unwrap(), [missing(0), finished[0].clone()]);
+    assert_eq!(store.job_read_again(d.id, &d.grid, 0).await.unwrap(), missing(0));
+    store.give_up_job(d.id, 0, "no luck", false).await.unwrap();
+    assert_eq!(store.finished_jobs(d.id, &d.grid, 0..2).await.unwrap(), finished);
+    change(&store, "DELETE FROM jobs WHERE job = 1").await;
+    assert_eq!(store.all_jobs(d.id, &d.grid, 0..2).await.unwrap(), [missing(0), missing(1)]);
+}
+
+/// The records lie in the database's log, which is cut short.
+#[tokio::test]
+async fn an_error_of_reading_is_no_damage() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = finished(&dir).await;
+    let log = std::fs::File::options().write(true).open(dir.path().join("farm.db-wal")).unwrap();
+    log.set_len(32).unwrap();
+    let unread = |result: Result<(), StoreError>| {
+        let error = result.unwrap_err();
+        assert!(matches!(error, StoreError::Query { .. }), "{error}");
+    };
+    unread(store.finished_jobs(d.id, &d.grid, 0..2).await.map(drop));
+    unread(store.all_jobs(d.id, &d.grid, 0..2).await.map(drop));
+    unread(store.job_read_again(d.id, &d.grid, 0).await.map(drop));
+}

@@ -1,0 +1,169 @@
+//! Refinement and uncertainty on a dictionary whose truth is a formula.
+
+use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Refined};
+
+use crate::testing::coarse_axes;
+use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement, normal, profile_value};
+use crate::{FitDictionary, fit};
+
+fn options(g: Option<f64>) -> FitOptions {
+    let g = g.map_or(Bounds::FREE, Bounds::fixed);
+    FitOptions::new(FitSettings {
+        g,
+        refine: true,
+        gain_std_error: 0.0,
+        offset_std_error: 0.0,
+        ..FitSettings::default()
+    })
+    .unwrap()
+}
+
+fn answer(dictionary: &FitDictionary, medium: (f64, f64, f64), seed: u64, g: Option<f64>) -> ChannelFit {
+    fit(dictionary, &noisy_measurement(medium, seed, true), &options(g)).unwrap().channels.remove(0)
+}
+
+fn refined(dictionary: &FitDictionary, medium: (f64, f64, f64), seed: u64, g: Option<f64>) -> Refined {
+    answer(dictionary, medium, seed, g).refined.unwrap()
+}
+
+/// A medium within the dense grid that is hardly ever on a node.
+fn medium(seed: u64) -> (f64, f64, f64) {
+    let unit = |n: u64| (normal(seed * 3 + n) * 0.3).clamp(-1.0, 1.0);
+    (3.5 * (0.5 * unit(0)).exp(), 0.65 + 0.25 * unit(1), 0.3)
+}
+
+/// 60 media, noise of 1 % in the measurement's pixels and of 1 % in the records' levels. The intervals claim 95 %; with
+/// 60 media at least 51 must hold the truth (the binomial probability of fewer is 0.3 %), and the errors must be well
+/// below the grid's.
+#[test]
+fn intervals_hold_the_truth_as_often_as_they_claim() {
+    let dictionary = noisy_dictionary(dense_axes(), 360, 0.01);
+    let (mut sigma_t_held, mut albedo_held, mut better) = (0, 0, 0);
+    let mut widths = Vec::new();
+    for seed in 0..60 {
+        let (sigma_t, albedo, g) = medium(seed);
+        let answer = answer(&dictionary, (sigma_t, albedo, g), seed, Some(g));
+        let (r, grid) = (answer.refined.unwrap(), answer.candidates[0].medium);
+        sigma_t_held += u32::from(r.sigma_t_per_mm.contains(sigma_t));
+        albedo_held += u32::from(r.albedo.contains(albedo));
+        let off = |v: f64| (v / sigma_t).ln().abs();
+        better += u32::from(off(r.best.medium.sigma_t_per_mm()) < off(grid.sigma_t_per_mm()));
+        widths.push(r.sigma_t_per_mm.high / r.sigma_t_per_mm.low - 1.0);
+        assert!(r.resolved && !r.valley && r.misfit < 2.0, "{r:?}");
+        assert_eq!((r.g.low, r.g.high), (g, g));
+    }
+    widths.sort_by(f64::total_cmp);
+    assert!(sigma_t_held >= 51 && albedo_held >= 51, "{sigma_t_held} {albedo_held} of 60");
+    assert!(better >= 50, "{better} of 60");
+    // Honest, but not by being useless: the grid's steps are 12 %.
+    assert!(widths[30] < 0.06, "{}", widths[30]);
+}
+
+/// The formula depends on σ_t and g through σ_t (1 − g) alone: a valley without end.
+#[test]
+fn the_valley_between_extinction_and_anisotropy_is_told() {
+    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    for seed in 0..5 {
+        let (sigma_t, albedo, g) = medium(seed);
+        let r = refined(&dictionary, (sigma_t, albedo, g), seed, None);
+        assert!(r.valley && r.resolved, "{r:?}");
+        assert!(r.correlation < -0.9, "{}", r.correlation);
+        assert!(r.g.high - r.g.low > 0.4, "{:?}", r.g);
+        assert!(r.sigma_t_per_mm.contains(sigma_t) && r.sigma_t_per_mm.high > 1.5 * r.sigma_t_per_mm.low);
+        // What similarity theory keeps is known all the same.
+        let reduced = r.reduced_scattering_per_mm;
+        assert!(reduced.contains(albedo * sigma_t * (1.0 - g)), "{reduced:?}");
+        assert!(reduced.high < 1.2 * reduced.low, "{reduced:?}");
+    }
+}
+
+/// Where the profile does not depend on σ_t any more, the data give a bound on one side at best.
+#[test]
+fn a_flat_profile_is_unresolved() {
+    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    let mut profiles = noisy_measurement((3.0, 0.5, 0.3), 1, true).profiles().to_vec();
+    for p in &mut profiles {
+        let flat = |i: usize| profile_value(-5.0, 3.0, 0.5, 0.3, 1.0, 1.0) * (1.0 + 0.3 * normal(i as u64));
+        let values: Vec<f64> = (0..360).map(flat).collect();
+        let errors = values.iter().map(|_| 0.05).collect();
+        *p = optics_model::MeasuredProfile::new(
+            "G",
+            p.thickness_mm(),
+            p.x_mm().to_vec(),
+            values,
+            Some(errors),
+        )
+        .unwrap();
+    }
+    let flat = optics_model::Measurement::new("flat", profiles).unwrap();
+    let r = fit(&dictionary, &flat, &options(Some(0.3))).unwrap().channels.remove(0).refined.unwrap();
+    assert!(!r.resolved, "{r:?}");
+    assert!(
+        r.sigma_t_per_mm.open_low
+            || r.sigma_t_per_mm.open_high
+            || r.sigma_t_per_mm.high > 2.0 * r.sigma_t_per_mm.low
+    );
+}
+
+#[test]
+fn noise_is_estimated_where_it_is_not_told() {
+    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    let m = (3.1, 0.62, 0.3);
+    let told = refined(&dictionary, m, 7, Some(0.3));
+    let silent = fit(&dictionary, &noisy_measurement(m, 7, false), &options(Some(0.3))).unwrap();
+    let silent = silent.channels[0].refined.clone().unwrap();
+    assert_eq!(told.best, silent.best);
+    let ratio = silent.measurement_noise / told.measurement_noise;
+    // 360 pixels tell a standard deviation to 6 %; one number stands for a noise that is a share of the value.
+    assert!((0.75..1.25).contains(&ratio), "{ratio}");
+    let width = |r: &Refined| (r.sigma_t_per_mm.high / r.sigma_t_per_mm.low).ln();
+    assert!((0.7..1.4).contains(&(width(&silent) / width(&told))));
+}
+
+#[test]
+fn scale_and_gain_errors_widen_the_intervals() {
+    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    let measured = noisy_measurement((3.1, 0.62, 0.3), 7, true);
+    let width = |change: fn(&mut FitSettings)| {
+        let mut settings = *options(Some(0.3)).settings();
+        change(&mut settings);
+        let found = fit(&dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
+        let albedo = found.channels[0].refined.as_ref().unwrap().albedo;
+        albedo.high - albedo.low
+    };
+    let plain = width(|_| ());
+    // The level is proportional to the albedo: ±1.96 % of 0.62 in all, added in quadrature.
+    let scale = width(|s| s.mu_std_error = 0.01);
+    let expected = (plain * plain + (2.0 * 1.96 * 0.01 * 0.62_f64).powi(2)).sqrt();
+    assert!((scale / expected - 1.0).abs() < 0.15, "{scale} {expected}");
+    let gain = width(|s| s.gain_std_error = 0.01);
+    assert!(plain < gain && gain < scale, "{plain} {gain} {scale}");
+    let offset = width(|s| s.offset_std_error = 0.002);
+    assert!(plain < offset, "{plain} {offset}");
+}
+
+#[test]
+fn bounds_hold_between_the_nodes_too() {
+    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    let measured = noisy_measurement((3.1, 0.62, 0.3), 7, true);
+    let mut settings = *options(Some(0.27)).settings();
+    settings.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(3.3), None).unwrap();
+    let found = fit(&dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
+    let r = found.channels[0].refined.as_ref().unwrap();
+    assert!((r.best.medium.g() - 0.27).abs() < 1e-12);
+    assert!(r.best.medium.sigma_t_per_mm() >= 3.3 - 1e-12, "{r:?}");
+    assert!(r.sigma_t_per_mm.open_low, "{r:?}");
+}
+
+/// Axes too short for local fits are interpolated; a dictionary of one medium has nowhere to go.
+#[test]
+fn short_axes_are_interpolated_and_single_nodes_held() {
+    let dictionary = noisy_dictionary(coarse_axes(), 360, 0.0);
+    let found = refined(&dictionary, (3.0, 0.7, 0.4), 1, Some(0.4));
+    assert!((found.best.medium.albedo() - 0.7).abs() < 0.02, "{found:?}");
+    assert!((found.best.medium.sigma_t_per_mm() - 3.0).abs() < 0.4, "{found:?}");
+    let mut axes = coarse_axes();
+    (axes.sigma_t_per_mm, axes.albedo, axes.g) = (vec![4.0], vec![0.6], vec![0.4]);
+    let alone = refined(&noisy_dictionary(axes, 360, 0.0), (3.0, 0.7, 0.4), 1, None);
+    assert_eq!(alone.best.medium, optics_model::Medium::new(4.0, 0.6, 0.4).unwrap());
+}

@@ -1,0 +1,139 @@
+//! Every kernel against the scalar one, walk by walk and bit by bit.
+
+use std::sync::atomic::AtomicBool;
+
+use optics_model::TransportPoint;
+use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
+
+use super::Kernel;
+use crate::exits::{Chunk, Exit, Exits};
+use crate::stack::Stack;
+
+/// Everything about the exits of a chunk, in order.
+fn exits(kernel: Kernel, stack: &Stack, walks: u32) -> Vec<(u32, u32, u32, u32, Vec<u32>)> {
+    let chunk = Chunk { key: [0x1234_5678, 0x9abc_def0], index: (7 << 32) + 5, walks };
+    let mut exits = Exits::default();
+    kernel.run_chunk(stack, chunk, &AtomicBool::new(false), &mut exits).expect("nobody stops it");
+    let bits = |exit: Exit<'_>| {
+        let hits = exit.hits_mm.iter().map(|x| x.to_bits()).collect();
+        (exit.walk, exit.weight.to_bits(), exit.scatterings, exit.length_mm.to_bits(), hits)
+    };
+    exits.in_order(walks).map(bits).collect()
+}
+
+fn scene(layers: Vec<Layer>, ring: [f64; 2], polar_deg: f64) -> Scene {
+    Scene::new(
+        layers,
+        vec![Channel::new("mono", 1.0, 1.0).expect("valid")],
+        RingLight::new(ring[0], ring[1]).expect("valid"),
+        Sensor::new(10.0, 8, polar_deg).expect("valid"),
+        false,
+    )
+    .expect("valid")
+}
+
+fn sample(roughness: f64) -> Layer {
+    Layer::sample("sample", roughness).expect("valid")
+}
+
+fn clear(ior: f64, thickness_mm: f64, roughness: f64) -> Layer {
+    Layer::clear("clear", ior, thickness_mm, roughness).expect("valid")
+}
+
+/// The paper's scene at the corners of its grid; scenes of the exact cases; stacks that begin or end with the sample,
+/// repeat rough faces, match indices, and follow rays on the microsurface.
+fn cases() -> Vec<(Scene, [f64; 4])> {
+    let everything = [0.0, 90.0];
+    vec![
+        (Scene::paper(), [1.0, 0.0, 0.25, 1.53]),
+        (Scene::paper(), [20.0, 0.9, 1.0, 1.48]),
+        (Scene::paper(), [100.0, 0.4, 0.5, 1.53]),
+        (Scene::paper(), [0.01, -0.5, 0.1, 1.53]),
+        (Scene::smooth(), [6.0, 0.4, 0.5, 1.53]),
+        (Scene::paper().with_multiple_scattering(true), [6.0, 0.4, 0.5, 1.53]),
+        (scene(vec![sample(0.0)], everything, 0.0), [5.0, 0.8, 0.5, 1.5]),
+        (scene(vec![sample(0.0)], everything, 45.0), [5.0, 0.8, 0.5, 1.0]),
+        (scene(vec![sample(0.3), clear(1.0, 1.0, 0.0)], everything, 20.0), [2.0, 0.75, 1.0, 1.3]),
+        (
+            scene(vec![clear(1.3, 0.1, 0.2), clear(1.5, 0.1, 0.0), sample(0.5)], everything, 60.0),
+            [3.0, -0.9, 0.3, 1.1],
+        ),
+    ]
+}
+
+#[test]
+fn all_kernels_run_the_same_walks_to_the_last_bit() {
+    for (scene, [sigma_t, g, thickness, ior]) in cases() {
+        let point = TransportPoint::new(sigma_t, g, thickness, ior).expect("valid");
+        let stack = Stack::new(&scene, &point);
+        // Not a multiple of any vector, more than the pool.
+        let expected = exits(Kernel::SCALAR, &stack, 2_501);
+        assert!(expected.len() > 100, "{point:?} must score often enough to tell something");
+        for kernel in Kernel::all() {
+            let found = exits(kernel, &stack, 2_501);
+            for (found, expected) in found.iter().zip(&expected) {
+                assert_eq!(found, expected, "{kernel} at {point:?}");
+            }
+            assert_eq!(found.len(), expected.len(), "{kernel} at {point:?}");
+        }
+    }
+}
+
+/// Fewer walks than lanes, and than two vectors.
+#[test]
+fn chunks_smaller_than_a_vector_are_run_in_full() {
+    let point = TransportPoint::new(2.0, 0.0, 0.5, 1.53).expect("valid");
+    let stack = Stack::new(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), &point);
+    for walks in [1, 15, 16, 17] {
+        for kernel in Kernel::all() {
+            assert_eq!(exits(kernel, &stack, walks).len(), walks as usize, "{kernel}");
+        }
+    }
+}
+
+/// A slab of 300 mean free paths, so that walks come to roulette.
+#[test]
+fn kernels_agree_about_roulette() {
+    let point = TransportPoint::new(600.0, 0.0, 0.5, 1.5).expect("valid");
+    let stack = Stack::new(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), &point);
+    let expected = exits(Kernel::SCALAR, &stack, 2_000);
+    assert!(expected.iter().any(|exit| f32::from_bits(exit.1) > 1.0), "no walk has survived roulette");
+    assert!(expected.len() < 2_000, "no walk has been lost to roulette");
+    for kernel in Kernel::all() {
+        assert!(exits(kernel, &stack, 2_000) == expected, "{kernel}");
+    }
+}
+
+/// Rounding may catch a ray between two faces that both reflect totally. Here that is made certain: the walks must
+/// end all the same.
+#[test]
+fn caught_rays_end_by_roulette() {
+    let point = TransportPoint::new(2.0, 0.0, 0.5, 1.53).expect("valid");
+    let mut stack = Stack::new(&Scene::paper(), &point);
+    stack.interfaces[0].from_below.complement = -10.0;
+    stack.interfaces[1].from_above.complement = -10.0;
+    for kernel in Kernel::all() {
+        assert_eq!(exits(kernel, &stack, 32).len(), 0, "{kernel}");
+    }
+}
+
+#[test]
+fn kernels_have_names_of_their_own() {
+    let mut names: Vec<_> = Kernel::all().into_iter().map(Kernel::name).collect();
+    assert!(names.contains(&Kernel::fastest().name()) && names.len() > 1);
+    let count = names.len();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), count);
+}
+
+/// A stopped chunk ends at once, whichever kernel runs it.
+#[test]
+fn every_kernel_can_be_stopped() {
+    let point = TransportPoint::new(2.0, 0.0, 0.5, 1.53).expect("valid");
+    let stack = Stack::new(&Scene::paper(), &point);
+    let chunk = Chunk { key: [1, 2], index: 0, walks: 25_000 };
+    for kernel in Kernel::all() {
+        assert!(kernel.run_chunk(&stack, chunk, &AtomicBool::new(true), &mut Exits::default()).is_err());
+    }
+}

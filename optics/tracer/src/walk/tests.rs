@@ -1,0 +1,159 @@
+//! Exact cases for single walks, where no tally stands between the physics and the check.
+
+use glam::Vec3;
+use optics_model::TransportPoint;
+use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
+
+use super::{Event, Walk};
+use crate::math::unit_vector;
+use crate::rng::{Stream, uniform};
+use crate::stack::Stack;
+
+/// Mean and standard error.
+fn statistics(samples: impl Iterator<Item = f64>) -> (f64, f64) {
+    let (mut n, mut sum, mut squares) = (0.0, 0.0, 0.0);
+    for s in samples {
+        n += 1.0;
+        sum += s;
+        squares += s * s;
+    }
+    let mean: f64 = sum / n;
+    (mean, ((squares / n - mean * mean) / (n - 1.0)).sqrt())
+}
+
+fn assert_close((mean, error): (f64, f64), expected: f64, tolerance: f64, most_error: f64) {
+    assert!(error < most_error, "standard error {error} is above the stated {most_error}");
+    let z = (mean - expected) / error.hypot(tolerance);
+    assert!(z.abs() < 3.5, "{mean} ± {error}, expected {expected}: z = {z:.2}");
+}
+
+fn scene(layers: Vec<Layer>) -> Scene {
+    Scene::new(
+        layers,
+        vec![Channel::new("mono", 1.0, 1.0).unwrap()],
+        RingLight::new(0.0, 90.0).unwrap(),
+        Sensor::new(10.0, 8, 0.0).unwrap(),
+        false,
+    )
+    .unwrap()
+}
+
+fn sample_over_air(roughness: f64) -> Vec<Layer> {
+    vec![Layer::sample("sample", roughness).unwrap(), Layer::clear("air", 1.0, 1.0, roughness).unwrap()]
+}
+
+/// Runs walks with the given directions to their first event of a kind at which `end` holds.
+fn walks<'a>(
+    stack: &'a Stack,
+    n: u32,
+    key: u32,
+    direction: impl Fn([u32; 4]) -> Vec3 + 'a,
+    end: fn(Event) -> bool,
+) -> impl Iterator<Item = (Walk<'a>, Event)> {
+    (0..n).map(move |index| {
+        let mut stream = Stream::new([41, key], 0, index);
+        let entry = direction(stream.words());
+        let (mut walk, mut event) = Walk::enter(stack, entry, stream);
+        while !end(event) {
+            event = walk.step();
+        }
+        (walk, event)
+    })
+}
+
+fn down(_: [u32; 4]) -> Vec3 {
+    Vec3::NEG_Z
+}
+
+fn lambertian(words: [u32; 4]) -> Vec3 {
+    let (u, (c, s)) = (uniform(words[0]), unit_vector(words[1]));
+    Vec3::new(u.sqrt() * c, u.sqrt() * s, -(1.0 - u).sqrt())
+}
+
+fn left_or_through(event: Event) -> bool {
+    matches!(event, Event::Left | Event::Base | Event::Lost)
+}
+
+fn left(event: Event) -> bool {
+    matches!(event, Event::Left | Event::Lost)
+}
+
+/// van de Hulst 1980, "Multiple light scattering", table 35: R 0.09739, T 0.66096.
+#[test]
+fn matched_slab_reflects_and_transmits_as_tabulated() {
+    let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(2.0, 0.75, 1.0, 1.0).unwrap());
+    let fate =
+        |wanted: Event| {
+            statistics(walks(&stack, 1_000_000, 1, down, left_or_through).map(|(walk, event)| {
+                if event == wanted { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
+            }))
+        };
+    assert_close(fate(Event::Left), 0.09739, 1e-5, 3e-4);
+    assert_close(fate(Event::Base), 0.66096, 1e-5, 5e-4);
+}
+
+/// Giovanelli 1955: albedo 0.9, isotropic, n = 1.5, normal incidence, R 0.2600 with the specular part. A slab of 40
+/// mean free paths stands for the half space: what is lost below is less than exp(−20).
+#[test]
+fn half_space_with_an_index_of_its_own_reflects_as_tabulated() {
+    let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
+    let reflected = walks(&stack, 400_000, 2, down, left_or_through)
+        .map(|(walk, event)| if event == Event::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 });
+    assert_close(statistics(reflected), 0.2600, 5e-5, 6e-4);
+}
+
+/// Mean path length of diffuse light in a slab, whatever σ_t and g (Blanco and Fournier 2003, with the factor n² of
+/// the denser medium): 2 t n² between two open faces, 4 t n² over a white base.
+#[test]
+fn mean_length_in_the_slab_depends_on_thickness_and_index_alone() {
+    for (sigma_t, g) in [(0.5, 0.0), (5.0, 0.8), (20.0, 0.4)] {
+        let point = TransportPoint::new(sigma_t, g, 0.5, 1.5).unwrap();
+        let open = Stack::new(&scene(sample_over_air(0.0)), &point);
+        let lengths =
+            walks(&open, 300_000, 3, lambertian, left_or_through).map(|(w, _)| f64::from(w.length_mm));
+        assert_close(statistics(lengths), 2.0 * 0.5 * 2.25, 0.0, 0.02);
+        let closed = Stack::new(&scene(vec![Layer::sample("sample", 0.0).unwrap()]), &point);
+        let lengths = walks(&closed, 300_000, 4, lambertian, left).map(|(w, _)| f64::from(w.length_mm));
+        assert_close(statistics(lengths), 4.0 * 0.5 * 2.25, 0.0, 0.05);
+    }
+}
+
+/// Nothing is lost where nothing may be: every walk leaves with weight exactly 1.
+#[test]
+fn without_absorption_every_walk_comes_back() {
+    let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).unwrap();
+    for scene in [Scene::smooth(), Scene::paper().with_multiple_scattering(true)] {
+        let stack = Stack::new(&scene, &point);
+        for (walk, event) in walks(&stack, 20_000, 5, down, left) {
+            assert_eq!((event, walk.weight), (Event::Left, 1.0));
+        }
+    }
+}
+
+/// Single scattering at rough interfaces loses some energy, but little: the check that the test above can fail.
+#[test]
+fn single_scattering_on_rough_interfaces_loses_energy() {
+    let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).unwrap();
+    let stack = Stack::new(&Scene::paper(), &point);
+    let (mean, _) = statistics(
+        walks(&stack, 20_000, 6, down, left)
+            .map(|(walk, event)| if event == Event::Left { f64::from(walk.weight) } else { 0.0 }),
+    );
+    assert!((0.5..0.99).contains(&mean), "{mean}");
+}
+
+/// A slab of 300 mean free paths with walks of some 10⁵ events: roulette must not change the mean. Without
+/// absorption and over a white base all weight comes back.
+#[test]
+fn roulette_in_very_thick_slabs_is_unbiased() {
+    let point = TransportPoint::new(600.0, 0.0, 0.5, 1.5).unwrap();
+    let stack = Stack::new(&scene(vec![Layer::sample("sample", 0.0).unwrap()]), &point);
+    let mut long = 0;
+    let weights = walks(&stack, 20_000, 7, lambertian, left).map(|(walk, event)| {
+        long += u32::from(walk.weight > 1.0);
+        if event == Event::Left { f64::from(walk.weight) } else { 0.0 }
+    });
+    let (mean, error) = statistics(weights);
+    assert!(long > 50, "the test must reach roulette, {long} walks did");
+    assert!(((mean - 1.0) / error).abs() < 3.5, "{mean} ± {error}");
+}

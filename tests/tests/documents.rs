@@ -1,0 +1,160 @@
+//! The documents: links and paths lead somewhere, the book has every page, and the map of the code stays a map.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Component, Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+}
+
+fn is_document(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "md")
+}
+
+/// All Markdown files by their path from the root.
+fn documents() -> BTreeMap<PathBuf, String> {
+    let (root, mut found) = (root(), BTreeMap::new());
+    let mut folders = vec![root.clone()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            let is_folder = path.is_dir() && !path.is_symlink();
+            if is_folder && !name.starts_with('.') && name != "target" && name != "venv" {
+                folders.push(path);
+            } else if is_document(&path) {
+                let text = std::fs::read_to_string(&path).unwrap();
+                found.insert(path.strip_prefix(&root).unwrap().to_owned(), text);
+            }
+        }
+    }
+    found
+}
+
+/// The lines outside of code blocks, with their numbers.
+fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let mut code = false;
+    (1..).zip(text.lines()).filter(move |(_, line)| {
+        let fence = line.trim_start().starts_with("```");
+        code ^= fence;
+        !code && !fence
+    })
+}
+
+/// The ids that GitHub and mdBook give headings.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    let is_heading = |line: &&str| line.trim_start_matches('#').starts_with(' ') && line.starts_with('#');
+    for heading in prose(text).map(|(_, line)| line).filter(is_heading) {
+        let kept = heading.trim_start_matches('#').trim().to_lowercase();
+        let kept: String =
+            kept.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c)).collect();
+        let id = kept.replace(' ', "-");
+        let again = (1..).map(|n| format!("{id}-{n}"));
+        let free = std::iter::once(id.clone()).chain(again).find(|id| !found.contains(id));
+        found.insert(free.unwrap());
+    }
+    found
+}
+
+/// Links to files and headings of the project: line and target.
+fn links(text: &str) -> Vec<(usize, &str)> {
+    let of_line = |(number, line)| {
+        let after = str::split(line, "](").skip(1);
+        after.filter_map(move |rest: &str| Some((number, rest.split_once(')')?.0)))
+    };
+    prose(text).flat_map(of_line).filter(|(_, target)| !target.contains("://")).collect()
+}
+
+/// The path from the root that a link in `document` means.
+fn resolved(document: &Path, target: &str) -> PathBuf {
+    if target.is_empty() {
+        return document.to_owned();
+    }
+    let mut path = PathBuf::new();
+    for part in document.parent().unwrap().join(target).components() {
+        match part {
+            Component::ParentDir => assert!(path.pop(), "{target} leaves the project"),
+            Component::CurDir => {}
+            part => path.push(part),
+        }
+    }
+    path
+}
+
+fn dead_links(documents: &BTreeMap<PathBuf, String>) -> Vec<String> {
+    let mut dead = Vec::new();
+    for (document, text) in documents {
+        for (line, link) in links(text) {
+            let (target, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let path = resolved(document, target);
+            let is_there = documents.contains_key(&path) || root().join(&path).exists();
+            let has_anchor = || documents.get(&path).is_some_and(|text| anchors(text).contains(anchor));
+            if !is_there || !(anchor.is_empty() || has_anchor()) {
+                dead.push(format!("{}:{line}: {link}", document.display()));
+            }
+        }
+    }
+    dead
+}
+
+#[test]
+fn every_link_leads_to_a_file_or_a_heading() {
+    let documents = documents();
+    assert!(documents.values().map(|text| links(text).len()).sum::<usize>() > 50, "links are found");
+    let dead = dead_links(&documents);
+    assert!(dead.is_empty(), "dead links:\n{}", dead.join("\n"));
+}
+
+#[test]
+fn dead_links_are_found() {
+    let text = "# A `b` – σ_t\n## Twice\n## Twice\n[1](#a-b--σ_t) [2](#twice-1) [3](#twice-2)\n\
+                ```\n# code\n[4](none)\n```\n[5](#code) [6](../none.md) [7](other.md#none) [8](other.md#other)";
+    let texts = [("docs/planted.md", text), ("docs/other.md", "# Other")];
+    let dead = dead_links(&texts.map(|(path, text)| (path.into(), text.to_owned())).into());
+    let expected = ["4: #twice-2", "9: #code", "9: ../none.md", "9: other.md#none"];
+    assert_eq!(dead, expected.map(|link| format!("docs/planted.md:{link}")));
+}
+
+/// Paths in code style that begin with a folder of the project.
+fn paths(text: &str) -> impl Iterator<Item = &str> {
+    let folders =
+        ["client", "coordinator", "deploy", "docs", "examples", "optics", "proto", "tests", "worker"];
+    let is_path =
+        move |code: &&str| code.split_once('/').is_some_and(|(folder, _)| folders.contains(&folder));
+    prose(text).flat_map(|(_, line)| line.split('`').skip(1).step_by(2)).filter(is_path)
+}
+
+#[test]
+fn every_path_in_the_documents_exists() {
+    let documents = documents();
+    let places = documents.iter().flat_map(|(page, text)| paths(text).map(move |path| (page, path)));
+    let gone: Vec<_> = places.filter(|(_, path)| !root().join(path).exists()).collect();
+    assert!(gone.is_empty(), "{gone:?}");
+    assert!(paths(&documents[Path::new("ARCHITECTURE.md")]).count() > 20, "paths are found");
+}
+
+/// A document outside of the book would be a dead link in it.
+#[test]
+fn the_book_has_every_page_that_there_is_or_that_a_page_links_to() {
+    let documents = documents();
+    let summary = Path::new("docs/SUMMARY.md");
+    let pages: BTreeSet<PathBuf> =
+        links(&documents[summary]).into_iter().map(|(_, target)| resolved(summary, target)).collect();
+    let in_docs = documents.keys().filter(|path| path.starts_with("docs") && *path != summary).cloned();
+    let linked = pages.iter().flat_map(|page| {
+        let targets = links(&documents[page]).into_iter().map(|(_, link)| link.split('#').next().unwrap());
+        targets.map(|target| resolved(page, target)).filter(|path| is_document(path))
+    });
+    for page in in_docs.chain(linked) {
+        assert!(pages.contains(&page), "docs/SUMMARY.md does not name {}", page.display());
+    }
+}
+
+#[test]
+fn the_architecture_is_a_map_of_at_most_150_lines() {
+    let lines = documents()[Path::new("ARCHITECTURE.md")].lines().count();
+    assert!((50..=150).contains(&lines), "ARCHITECTURE.md has {lines} lines");
+}

@@ -1,0 +1,151 @@
+//! A farm whose processes are killed, stopped, continued and started again.
+
+use std::io::Write;
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use farm_tests::farm::Farm;
+use farm_tests::process::{Process, Signal};
+use farm_tests::statistics::Normal;
+use farm_tests::usage::Usage;
+
+/// How long a worker may take to end when it is asked to.
+const END: Duration = Duration::from_secs(20);
+/// Connections that stay open and say nothing, at most; the oldest are closed.
+const SILENT: usize = 8;
+
+/// What is done to the farm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Fault {
+    KillCoordinator,
+    KillWorker,
+    /// SIGSTOP, and SIGCONT after longer than a lease holds.
+    StopWorker,
+    StopCoordinator,
+    /// SIGTERM, and a new worker in its place.
+    TerminateWorker,
+    /// A connection that never says a word, or stops in the middle of its greeting.
+    HalfOpen,
+    /// Random bytes to the port.
+    Garbage,
+}
+
+impl Fault {
+    /// Those of a running farm; the coordinator is killed by whoever knows when that is due.
+    pub const LIST: [Self; 6] = [
+        Self::KillWorker,
+        Self::StopWorker,
+        Self::StopCoordinator,
+        Self::TerminateWorker,
+        Self::HalfOpen,
+        Self::Garbage,
+    ];
+}
+
+/// A coordinator and workers.
+#[derive(Debug)]
+pub struct Maltreated {
+    farm: Farm,
+    lease_s: u64,
+    workers: Vec<Process>,
+    silent: Vec<TcpStream>,
+}
+
+impl Maltreated {
+    pub fn start(workers: usize, lease_s: u64) -> Self {
+        // Kills are many here, and jobs few: none is to be given up.
+        let options = ["--lease", &lease_s.to_string(), "--verify-share", "0.1", "--max-attempts", "100"];
+        let farm = Farm::start(&options);
+        let workers = (0..workers).map(|_| worker(&farm)).collect();
+        Self { farm, lease_s, workers, silent: Vec::new() }
+    }
+
+    pub fn url(&self) -> String {
+        self.farm.url()
+    }
+
+    /// Of the coordinator.
+    pub fn usage(&self) -> Option<Usage> {
+        self.farm.coordinator().usage()
+    }
+
+    pub fn database(&self) -> PathBuf {
+        self.farm.database()
+    }
+
+    /// # Panics
+    /// If a process has ended that nobody ended.
+    pub fn assert_all_run(&mut self) {
+        assert!(self.farm.coordinator_runs(), "the coordinator ended by itself");
+        assert!(self.workers.iter_mut().all(Process::is_running), "a worker ended by itself");
+    }
+
+    /// # Panics
+    /// If a process does not bear it as it should.
+    pub fn inflict(&mut self, fault: Fault, chance: &mut Normal) {
+        let victim = (chance.uniform() * self.workers.len() as f64) as usize;
+        match fault {
+            Fault::KillCoordinator => {
+                self.farm.kill_coordinator();
+                self.farm.start_coordinator();
+            }
+            Fault::KillWorker => {
+                self.workers[victim].kill();
+                self.workers[victim] = worker(&self.farm);
+            }
+            Fault::StopWorker => {
+                let pause = Duration::from_secs(self.lease_s).mul_f64(1.0 + chance.uniform());
+                pause_for(&self.workers[victim], pause);
+            }
+            Fault::StopCoordinator => {
+                pause_for(self.farm.coordinator(), Duration::from_secs(2).mul_f64(chance.uniform()));
+            }
+            Fault::TerminateWorker => {
+                assert_eq!(self.workers[victim].terminate(END), 0, "a worker that was asked to leave");
+                self.workers[victim] = worker(&self.farm);
+            }
+            Fault::HalfOpen => self.say_half_a_word(chance),
+            Fault::Garbage => self.send_garbage(chance),
+        }
+    }
+
+    fn say_half_a_word(&mut self, chance: &mut Normal) {
+        if let Ok(mut stream) = TcpStream::connect(("127.0.0.1", self.farm.port())) {
+            let greeting = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+            let _ = stream.write_all(&greeting[..(chance.uniform() * greeting.len() as f64) as usize]);
+            self.silent.push(stream);
+        }
+        if self.silent.len() > SILENT {
+            self.silent.remove(0);
+        }
+    }
+
+    fn send_garbage(&self, chance: &mut Normal) {
+        if let Ok(mut stream) = TcpStream::connect(("127.0.0.1", self.farm.port())) {
+            let bytes: Vec<u8> = (0..4096).map(|_| (256.0 * chance.uniform()) as u8).collect();
+            let _ = stream.write_all(&bytes);
+        }
+    }
+
+    /// Asks all to end.
+    ///
+    /// # Panics
+    /// If one of them does not, or with an error.
+    pub fn stop(&mut self) {
+        for mut worker in self.workers.drain(..) {
+            assert_eq!(worker.terminate(END), 0, "a worker that was asked to end");
+        }
+        assert_eq!(self.farm.stop_coordinator(), 0, "a coordinator that was asked to end");
+    }
+}
+
+fn worker(farm: &Farm) -> Process {
+    farm.worker("worker", &["--grace", "2s"])
+}
+
+fn pause_for(process: &Process, pause: Duration) {
+    process.signal(Signal::STOP);
+    std::thread::sleep(pause);
+    process.signal(Signal::CONT);
+}
