@@ -8,16 +8,21 @@ use std::path::{Path, PathBuf};
 use farm_tests::reference::root;
 
 fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
+    let found = sources_in(folder);
+    assert!(!found.is_empty(), "{} holds no sources", folder.display());
+    found
+}
+
+fn sources_in(folder: &Path) -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
-            found.extend(sources(&path));
+            found.extend(sources_in(&path));
         } else if path.extension().is_some_and(|e| e == "rs") {
             found.push((path.clone(), std::fs::read_to_string(&path).unwrap()));
         }
     }
-    assert!(!found.is_empty(), "{} holds no sources", folder.display());
     found
 }
 
@@ -191,7 +196,7 @@ fn named_by(module: &[String], text: &str, all: &BTreeSet<Vec<String>>) -> BTree
         for part in parts {
             if let Some(list) = part.strip_prefix('{') {
                 let list = list.split('}').next().unwrap();
-                for name in list.split(',').map(|name| name.trim()) {
+                for name in list.split(',').map(str::trim) {
                     let module = [&deepest[..], &[name[..end(name)].to_owned()]].concat();
                     if all.contains(&module) {
                         named.insert(module);
@@ -231,7 +236,7 @@ fn no_files_name_each_other_in_a_circle() {
                 (module, named.filter(|other| all.contains(other) && !related(module, other)).collect())
             })
             .collect();
-        for start in all.iter() {
+        for start in &all {
             // Whatever can be reached from a file must not reach back to it.
             let mut reached = BTreeSet::new();
             let mut next: Vec<&Vec<String>> = arrows[start].iter().collect();

@@ -6,9 +6,9 @@ use secrecy::{ExposeSecret as _, SecretString};
 use serde::Deserialize;
 use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
 
+use crate::endpoint::{Bearer, checked_endpoint};
 use crate::error::{AccessError, root_cause};
 use crate::handshake::{Credentials, Handshake};
-use crate::target::{Bearer, checked_endpoint};
 use crate::{HANDSHAKE, Role, TOKEN_BYTES, file, pem};
 
 /// How to reach a coordinator, how to know it, and the token to show it.

@@ -23,6 +23,7 @@
 mod alert;
 mod client;
 mod coordinator;
+mod endpoint;
 mod error;
 mod failure;
 mod file;
@@ -40,10 +41,11 @@ use std::time::Duration;
 pub use alert::refusal;
 pub use client::ClientAccess;
 pub use coordinator::CoordinatorAccess;
+pub use endpoint::Bearer;
 pub use error::AccessError;
 pub use failure::failure;
 pub use link::Link;
-pub use target::{Bearer, Target};
+pub use target::Target;
 
 /// Longest time for a TLS handshake, on both sides.
 const HANDSHAKE: Duration = Duration::from_secs(10);

@@ -12,8 +12,8 @@ use tonic::transport::Channel;
 use tonic::{ConnectError, Status, TimeoutExpired};
 
 use crate::alert::refusal;
+use crate::endpoint::Bearer;
 use crate::handshake::Handshake;
-use crate::target::Bearer;
 
 /// How long a call may take to its first answer if it does not say so itself.
 const DEADLINE: Duration = Duration::from_mins(5);

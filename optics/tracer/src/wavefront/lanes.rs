@@ -1,13 +1,9 @@
-//! Vectors of sixteen lanes, one walk each, and queues of walks in structure-of-arrays form.
-//!
-//! The width is the same for every instruction set: AVX-512 takes one register for it, AVX2 two, SSE and NEON four.
-//! Two or four registers a vector keep independent instructions at hand while others wait.
+//! Sixteen walks in the lanes of vectors, and queues of walks in structure-of-arrays form.
 
-use fearless_simd::{Bytes, Simd, SimdBase, SimdMask, f32x16, mask32x16, u32x16};
+use fearless_simd::{Bytes, Simd, SimdBase, SimdMask};
 
 use super::order::Order;
-
-pub const WIDTH: usize = 16;
+pub use super::vector::{Floats, Mask, WIDTH, Words};
 
 /// Walks that are under way at a time: what keeps every queue's vectors full and still fits the second-level
 /// cache. The result does not depend on it.
@@ -18,10 +14,6 @@ const ROOM: usize = POOL + 2 * WIDTH;
 
 /// Words that make up the state of a walk.
 const STATE: usize = 10;
-
-pub type Floats<S> = f32x16<S>;
-pub type Words<S> = u32x16<S>;
-pub type Mask<S> = mask32x16<S>;
 
 /// The first `n` lanes.
 #[inline(always)]

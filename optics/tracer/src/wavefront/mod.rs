@@ -19,6 +19,7 @@ mod hits;
 mod lanes;
 mod numbers;
 mod order;
+mod vector;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 

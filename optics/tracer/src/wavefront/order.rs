@@ -4,7 +4,7 @@ use fearless_simd::{
     ExtractToken, Simd, SimdBase, SimdInto, SimdMask, SimdSplit, mask32x8, mask32x16, u32x8, u32x16,
 };
 
-use super::lanes::{Mask, WIDTH, Words};
+use super::vector::{Mask, WIDTH, Words};
 
 /// For every choice of eight lanes: the chosen ones, then the others, each in order.
 static CHOSEN_FIRST: [[u32; 8]; 256] = chosen_first();
