@@ -69,7 +69,8 @@ pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion])
     known.points.insert(tx).await?;
     for End { gathered, point, .. } in &ends {
         if let Some(gathered) = gathered {
-            points::hand_over(tx, *gathered, known.points.id(*point)).await?;
+            points::credit(tx, *gathered, known.points.id(*point)).await?;
+            deletion::delete_points(tx, &[*gathered]).await?;
         }
     }
     let mut script = Script::new(tx);

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use optics_model::Digest;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::{Result, Store, deletion, doing};
+use super::{Result, Store, doing};
 use crate::stored::Origin;
 
 /// Identities that one query looks up.
@@ -40,18 +40,18 @@ pub(super) async fn contribute(connection: &mut SqliteConnection, point: i64, wo
     Ok(())
 }
 
-/// Deletes a point that only gathered blocks: who computed these has computed `point`.
-pub(super) async fn hand_over(connection: &mut SqliteConnection, gathered: i64, point: i64) -> Result<()> {
+/// Notes that whoever computed blocks that one point has gathered has computed another.
+pub(super) async fn credit(connection: &mut SqliteConnection, gathered: i64, point: i64) -> Result<()> {
     sqlx::query(
         "INSERT OR IGNORE INTO contributions (point_id, worker_id) \
          SELECT ?, worker_id FROM contributions WHERE point_id = ?",
     )
     .bind(point)
     .bind(gathered)
-    .execute(&mut *connection)
+    .execute(connection)
     .await
     .map_err(doing("storing who computed a point"))?;
-    deletion::delete_points(connection, &[gathered]).await.map(drop)
+    Ok(())
 }
 
 /// Rows of the points that the store has.

@@ -1,53 +1,40 @@
 //! A dictionary in memory, laid out for comparison.
 
-use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use optics_model::fit::Wavelet;
 use optics_model::profile::RecordShape;
 use optics_model::{Grid, PackedRecords};
 
-use super::view::View;
+use super::records::Records;
+use super::view::{View, ViewKey};
 
 /// Views kept besides the one over all pixels with the default wavelet.
 const OTHER_VIEWS: usize = 1;
 
-/// Which pixels are compared, and how their gradients are taken.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct ViewKey {
-    pub pixels: Range<usize>,
-    pub wavelet: Wavelet,
-    pub level: u32,
-}
-
 /// Collects the records of jobs, which may come in any order.
 #[derive(Debug)]
 pub struct DictionaryBuilder {
-    grid: Grid,
-    /// `[channel][record][pixel]`.
-    values: Vec<f32>,
+    all: Records,
     /// Which records have come.
     present: Vec<bool>,
 }
 
 impl DictionaryBuilder {
     pub fn new(grid: Grid) -> Self {
-        let records = grid.record_count();
-        let numbers = records * grid.scene().channels().len() * grid.scene().sensor().pixels();
-        Self { grid, values: vec![0.0; numbers], present: vec![false; records] }
+        let present = vec![false; grid.record_count()];
+        Self { all: Records::new(grid), present }
     }
 
     /// # Panics
     /// If a record is not of the grid's shape or number, or has come before.
     pub fn add(&mut self, records: &PackedRecords) {
-        let (shape, all) = (RecordShape::of(&self.grid), self.grid.record_count());
+        let shape = RecordShape::of(self.all.grid());
         assert_eq!(records.shape(), shape, "the records have the grid's shape");
         for number in records.numbers() {
             let before = std::mem::replace(&mut self.present[number], true);
             assert!(!before, "record {number} comes once");
             for channel in 0..shape.channels {
-                let start = (channel * all + number) * shape.pixels;
-                let values = &mut self.values[start..start + shape.pixels];
+                let values = self.all.values_mut(number, channel);
                 for (value, read) in values.iter_mut().zip(records.radiance_factors(number, channel)) {
                     *value = read;
                 }
@@ -61,7 +48,7 @@ impl DictionaryBuilder {
     /// If records are missing.
     pub fn build(self) -> FitDictionary {
         assert!(self.present.iter().all(|present| *present), "every record has come");
-        let dictionary = FitDictionary { grid: self.grid, values: self.values, views: Mutex::default() };
+        let dictionary = FitDictionary { all: self.all, views: Mutex::default() };
         let key = dictionary.default_view();
         dictionary.view(&key);
         dictionary
@@ -73,27 +60,23 @@ type Slot = Arc<OnceLock<Arc<View>>>;
 /// Values of all records, and views on them.
 #[derive(Debug)]
 pub struct FitDictionary {
-    grid: Grid,
-    /// `[channel][record][pixel]`.
-    values: Vec<f32>,
+    all: Records,
     /// The default first, then the last other one.
     views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
 impl FitDictionary {
     pub fn grid(&self) -> &Grid {
-        &self.grid
+        self.all.grid()
     }
 
     /// Radiance factors of a record in one channel.
     pub fn values(&self, record: usize, channel: usize) -> &[f32] {
-        let pixels = self.grid.scene().sensor().pixels();
-        let start = (channel * self.grid.record_count() + record) * pixels;
-        &self.values[start..start + pixels]
+        self.all.values(record, channel)
     }
 
     fn default_view(&self) -> ViewKey {
-        let pixels = 0..self.grid.scene().sensor().pixels();
+        let pixels = 0..self.grid().scene().sensor().pixels();
         let settings = optics_model::fit::FitSettings::default();
         ViewKey { pixels, wavelet: settings.wavelet, level: settings.level }
     }
@@ -113,6 +96,6 @@ impl FitDictionary {
                 slot
             }
         };
-        slot.get_or_init(|| Arc::new(View::new(self, key.clone()))).clone()
+        slot.get_or_init(|| Arc::new(View::new(&self.all, key.clone()))).clone()
     }
 }

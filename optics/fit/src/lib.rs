@@ -13,6 +13,7 @@ mod map;
 mod measure;
 mod noise;
 mod question;
+mod records;
 mod refine;
 mod resample;
 mod scale;

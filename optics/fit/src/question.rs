@@ -8,9 +8,10 @@ use optics_model::measurement::{MIN_PIXELS, colour};
 use optics_model::scene::Channel;
 use optics_model::{Invalid, MeasuredProfile, Measurement, Medium};
 
-use super::dictionary::{FitDictionary, ViewKey};
+use super::dictionary::FitDictionary;
 use super::resample::{Resampled, resample};
 use super::sum::rms_difference;
+use super::view::ViewKey;
 use super::view::{PairDescription, View};
 
 /// Two parameters are the same if they differ by less than this share: decimals in files are rounded.

@@ -3,11 +3,13 @@
 //! The wavelet derivative takes off the chord between the ends, so the gradients of a part are not a part of the
 //! whole's: every range of pixels needs its own.
 
+use std::ops::Range;
+
 use optics_model::fit::Wavelet;
 use rayon::prelude::*;
 
-use super::dictionary::{FitDictionary, ViewKey};
 use super::gradient::derivative;
+use super::records::Records;
 use super::sketch::{Basis, Description, Sketch};
 
 /// Pixel pitch that gradients are told per, in mm: 360 pixels over 10 mm.
@@ -43,6 +45,14 @@ impl Slope {
         }
         slope
     }
+}
+
+/// Which pixels are compared, and how their gradients are taken.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct ViewKey {
+    pub pixels: Range<usize>,
+    pub wavelet: Wavelet,
+    pub level: u32,
 }
 
 #[derive(Debug)]
@@ -84,14 +94,14 @@ impl PairSketch {
 }
 
 impl View {
-    pub(super) fn new(dictionary: &FitDictionary, key: ViewKey) -> Self {
-        let scene = dictionary.grid().scene();
+    pub(super) fn new(all: &Records, key: ViewKey) -> Self {
+        let scene = all.grid().scene();
         let slope = Slope { wavelet: key.wavelet, level: key.level, pitch_mm: scene.sensor().pitch_mm() };
-        let (records, pixels) = (dictionary.grid().record_count(), key.pixels.len());
+        let (records, pixels) = (all.grid().record_count(), key.pixels.len());
         let (channels, all_pixels) = (scene.channels().len(), scene.sensor().pixels());
         let mut gradients = vec![0.0_f32; channels * records * pixels];
         gradients.par_chunks_exact_mut(pixels).enumerate().for_each(|(row, out)| {
-            let values = &dictionary.values(row % records, row / records)[key.pixels.clone()];
+            let values = &all.values(row % records, row / records)[key.pixels.clone()];
             let values: Vec<f64> = values.iter().copied().map(f64::from).collect();
             for (out, d) in out.iter_mut().zip(slope.magnitude(&values)) {
                 *out = d as f32;
@@ -99,9 +109,8 @@ impl View {
         });
         let step = (channels * records).div_ceil(SAMPLES);
         let sampled = || (0..channels * records).step_by(step);
-        let values: Vec<&[f32]> = sampled()
-            .map(|row| &dictionary.values(row % records, row / records)[key.pixels.clone()])
-            .collect();
+        let values: Vec<&[f32]> =
+            sampled().map(|row| &all.values(row % records, row / records)[key.pixels.clone()]).collect();
         let slopes: Vec<&[f32]> = sampled().map(|row| &gradients[row * pixels..][..pixels]).collect();
         let (value_basis, gradient_basis) = rayon::join(|| Basis::of(&values), || Basis::of(&slopes));
         let mut view = Self {
@@ -114,12 +123,12 @@ impl View {
             gradient_basis,
             sketches: Vec::new(),
         };
-        view.sketches = (0..channels).map(|channel| view.sketch_channel(dictionary, channel)).collect();
+        view.sketches = (0..channels).map(|channel| view.sketch_channel(all, channel)).collect();
         view
     }
 
-    fn sketch_channel(&self, dictionary: &FitDictionary, channel: usize) -> Vec<PairSketch> {
-        let grid = dictionary.grid();
+    fn sketch_channel(&self, all: &Records, channel: usize) -> Vec<PairSketch> {
+        let grid = all.grid();
         let (thicknesses, albedos) = (grid.thickness_mm().len(), grid.albedo().len());
         let media = self.records / thicknesses;
         let sketch = |thickness: usize| {
@@ -127,7 +136,7 @@ impl View {
                 .into_par_iter()
                 .map(|medium| {
                     let record = (medium / albedos * thicknesses + thickness) * albedos + medium % albedos;
-                    let values = &dictionary.values(record, channel)[self.key.pixels.clone()];
+                    let values = &all.values(record, channel)[self.key.pixels.clone()];
                     let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64;
                     let gradient = self.gradient(record, channel);
                     (
