@@ -61,11 +61,11 @@ impl HandWorker {
     pub async fn acquire(&mut self, max_leases: u32) -> Result<Vec<Lease>, Status> {
         let request = AcquireRequest { worker_id: self.id.clone(), max_leases, wait_ms: 0 };
         let leases = self.client.acquire(request).await?.into_inner().leases;
-        Ok(leases
+        leases
             .into_iter()
             .map(Lease::try_from)
             .collect::<Result<_, _>>()
-            .map_err(|e| farm_proto::to_status(&e))?)
+            .map_err(|e| farm_proto::to_status(&e))
     }
 
     /// Whether the lease is still held.
