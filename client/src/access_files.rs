@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
-use std::fs::{self, File, OpenOptions, Permissions};
+use std::fs::{self, OpenOptions, Permissions};
 use std::io::{self, Write as _};
 use std::net::IpAddr;
 use std::os::unix::fs::{OpenOptionsExt as _, PermissionsExt as _};
@@ -18,6 +18,8 @@ use rcgen::{
     KeyUsagePurpose,
 };
 use time::{Duration, OffsetDateTime};
+
+use crate::whole_file::{folder_of, sync_folder};
 
 /// How long certificates hold: ten years.
 const VALID: Duration = Duration::days(3653);
@@ -270,11 +272,7 @@ fn put_text(text: &mut String, field: &str, value: &str) {
 
 /// Writes the folder under another name, makes sure that it is on the disk, and then gives it its name.
 fn write_folder(dir: &Path, files: &[(String, String)]) -> Result<(), CreateError> {
-    let parent = match dir.parent() {
-        Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
-        Some(parent) => parent,
-        None => return Err(CreateError::Exists(dir.to_owned())),
-    };
+    let parent = folder_of(dir);
     let failed = |doing, path: &Path| {
         let path = path.to_owned();
         move |source| CreateError::File { doing, path, source }
@@ -299,10 +297,6 @@ fn write_secret(path: &Path, text: &str) -> io::Result<()> {
     let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)?;
     file.write_all(text.as_bytes())?;
     file.sync_all()
-}
-
-fn sync_folder(path: &Path) -> io::Result<()> {
-    File::open(path)?.sync_all()
 }
 
 #[cfg(test)]

@@ -9,51 +9,27 @@ mod pbrt;
 
 use std::collections::HashSet;
 
-use optics_model::fit::MaterialFit;
+use optics_model::Medium;
+use optics_model::fit::{ChannelFit, MaterialFit};
 
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
 pub(crate) use self::pbrt::pbrt;
 
-/// A material as it was fitted: at least one channel.
-#[derive(Debug, Clone)]
-pub(crate) struct MeasuredMedium {
-    pub material: String,
-    /// Common to the channels; where one of them has another, the material is split into its channels.
-    pub g: f64,
-    pub channels: Vec<ChannelMedium>,
-}
-
-/// One channel of a fit: σ_t ≥ 0, 0 ≤ albedo ≤ 1, |g| < 1, all finite.
-#[derive(Debug, Clone)]
-pub(crate) struct ChannelMedium {
+/// One channel of a measured material, refined.
+#[derive(Debug)]
+struct Channel<'a> {
     /// R, G or B, a wavelength in nm, or any name.
-    pub channel: String,
-    pub sigma_t_per_mm: f64,
-    pub albedo: f64,
-    pub g: f64,
+    name: &'a str,
+    medium: Medium,
     /// Whether the measurement determines the values; if not they are the best ones found.
-    pub resolved: bool,
+    resolved: bool,
 }
 
-/// The refined media of a measurement.
-pub(crate) fn measured(fits: &[MaterialFit]) -> Vec<MeasuredMedium> {
-    let medium = |fit: &MaterialFit| {
-        let channel = |c: &optics_model::fit::ChannelFit| {
-            let refined = c.refined.as_ref()?;
-            let medium = &refined.best.medium;
-            Some(ChannelMedium {
-                channel: c.channel.clone(),
-                sigma_t_per_mm: medium.sigma_t_per_mm(),
-                albedo: medium.albedo(),
-                g: medium.g(),
-                resolved: refined.resolved,
-            })
-        };
-        let channels: Vec<_> = fit.channels.iter().filter_map(channel).collect();
-        let g = channels.first()?.g;
-        Some(MeasuredMedium { material: fit.material.clone(), g, channels })
-    };
-    fits.iter().filter_map(medium).collect()
+impl<'a> Channel<'a> {
+    fn of(fit: &'a ChannelFit) -> Option<Self> {
+        let refined = fit.refined.as_ref()?;
+        Some(Self { name: &fit.channel, medium: refined.best.medium, resolved: refined.resolved })
+    }
 }
 
 /// Renderers sample these wavelengths, and take a spectrum for zero where it has no values: a medium would vanish
@@ -80,64 +56,54 @@ struct Block {
 #[derive(Debug, PartialEq)]
 enum Values {
     /// In the order R, G, B.
-    Rgb([Coefficients; 3]),
+    Rgb([Medium; 3]),
     /// By wavelength in nm, increasing, from end to end of what renderers sample.
-    Spectrum(Vec<(f64, Coefficients)>),
-    Scalar(Coefficients),
+    Spectrum(Vec<(f64, Medium)>),
+    Scalar(Medium),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Coefficients {
-    sigma_t_per_mm: f64,
-    albedo: f64,
-}
-
-impl From<&ChannelMedium> for Coefficients {
-    fn from(c: &ChannelMedium) -> Self {
-        Self { sigma_t_per_mm: c.sigma_t_per_mm, albedo: c.albedo }
-    }
-}
-
-fn blocks(media: &[MeasuredMedium]) -> Vec<Block> {
+fn blocks(fits: &[MaterialFit]) -> Vec<Block> {
     let mut names = Names::default();
     let mut blocks = Vec::new();
-    for medium in media {
-        let common_g = medium.channels.iter().all(|c| c.g == medium.g);
-        let joint =
-            if common_g { rgb(&medium.channels).or_else(|| spectrum(&medium.channels)) } else { None };
+    for fit in fits {
+        let channels: Vec<_> = fit.channels.iter().filter_map(Channel::of).collect();
+        let g = channels.first().map_or(0.0, |c| c.medium.g());
+        let common_g = channels.iter().all(|c| c.medium.g() == g);
+        let joint = if common_g { rgb(&channels).or_else(|| spectrum(&channels)) } else { None };
         if let Some((values, what)) = joint {
-            let mut notes = vec![format!("{:?}: {what}", medium.material)];
-            notes.extend(unresolved(&medium.channels));
-            blocks.push(Block { name: names.take(&medium.material), notes, values, g: medium.g });
+            let mut notes = vec![format!("{:?}: {what}", fit.material)];
+            notes.extend(unresolved(&channels));
+            blocks.push(Block { name: names.take(&fit.material), notes, values, g });
             continue;
         }
-        for channel in &medium.channels {
-            let mut notes = vec![format!("{:?}: channel {:?}", medium.material, channel.channel)];
+        for channel in &channels {
+            let mut notes = vec![format!("{:?}: channel {:?}", fit.material, channel.name)];
             notes.extend(unresolved(std::slice::from_ref(channel)));
             if !common_g {
                 notes.push(
                     "The channels differ in g and a medium takes one: one medium per channel.".to_owned(),
                 );
             }
-            let name = names.take(&format!("{}_{}", medium.material, channel.channel));
-            blocks.push(Block { name, notes, values: Values::Scalar(channel.into()), g: channel.g });
+            let name = names.take(&format!("{}_{}", fit.material, channel.name));
+            let (values, g) = (Values::Scalar(channel.medium), channel.medium.g());
+            blocks.push(Block { name, notes, values, g });
         }
     }
     blocks
 }
 
 /// The values of exactly R, G and B, and what to call them.
-fn rgb(channels: &[ChannelMedium]) -> Option<(Values, String)> {
-    let find = |name| channels.iter().find(|c| c.channel == name).map(Coefficients::from);
+fn rgb(channels: &[Channel]) -> Option<(Values, String)> {
+    let find = |name| channels.iter().find(|c| c.name == name).map(|c| c.medium);
     let values = [find("R")?, find("G")?, find("B")?];
     (channels.len() == values.len()).then(|| (Values::Rgb(values), "R, G, B".to_owned()))
 }
 
 /// The values of channels that are all distinct wavelengths, and what to call them.
-fn spectrum(channels: &[ChannelMedium]) -> Option<(Values, String)> {
-    let sample = |c: &ChannelMedium| {
-        let nm = c.channel.trim().parse().ok().filter(|nm| WAVELENGTHS_NM.contains(nm))?;
-        Some((nm, Coefficients::from(c)))
+fn spectrum(channels: &[Channel]) -> Option<(Values, String)> {
+    let sample = |c: &Channel| {
+        let nm = c.name.trim().parse().ok().filter(|nm| WAVELENGTHS_NM.contains(nm))?;
+        Some((nm, c.medium))
     };
     let mut samples = channels.iter().map(sample).collect::<Option<Vec<(f64, _)>>>()?;
     samples.sort_by(|(a, _), (b, _)| a.total_cmp(b));
@@ -157,8 +123,8 @@ fn spectrum(channels: &[ChannelMedium]) -> Option<(Values, String)> {
     Some((Values::Spectrum(samples), what))
 }
 
-fn unresolved(channels: &[ChannelMedium]) -> Option<String> {
-    let names: Vec<_> = channels.iter().filter(|c| !c.resolved).map(|c| format!("{:?}", c.channel)).collect();
+fn unresolved(channels: &[Channel]) -> Option<String> {
+    let names: Vec<_> = channels.iter().filter(|c| !c.resolved).map(|c| format!("{:?}", c.name)).collect();
     (!names.is_empty())
         .then(|| format!("Unresolved: the measurement does not determine {}; best values.", names.join(", ")))
 }
@@ -198,27 +164,34 @@ fn identifier(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing;
 
-    pub(super) fn channel(channel: &str, sigma_t_per_mm: f64, albedo: f64) -> ChannelMedium {
-        ChannelMedium { channel: channel.to_owned(), sigma_t_per_mm, albedo, g: 0.4, resolved: true }
+    pub(super) fn channel(name: &str, sigma_t_per_mm: f64, albedo: f64) -> ChannelFit {
+        with_g(testing::channel(name, sigma_t_per_mm, 1.0), albedo, 0.4)
     }
 
-    pub(super) fn medium(material: &str, channels: Vec<ChannelMedium>) -> MeasuredMedium {
-        MeasuredMedium { material: material.to_owned(), g: 0.4, channels }
+    fn with_g(mut channel: ChannelFit, albedo: f64, g: f64) -> ChannelFit {
+        let best = &mut channel.refined.as_mut().unwrap().best;
+        best.medium = Medium::new(best.medium.sigma_t_per_mm(), albedo, g).unwrap();
+        channel
+    }
+
+    pub(super) fn medium(material: &str, channels: Vec<ChannelFit>) -> MaterialFit {
+        MaterialFit { material: material.to_owned(), channels }
     }
 
     /// One of each kind: colours in any order of which one is unresolved, wavelengths, and a name.
-    pub(super) fn three_kinds() -> Vec<MeasuredMedium> {
+    pub(super) fn three_kinds() -> Vec<MaterialFit> {
         let mut green = channel("G", 5.0, 0.99);
-        green.resolved = false;
+        green.refined.as_mut().unwrap().resolved = false;
         vec![
             medium("Clear resin", vec![channel("B", 4.0, 0.98), channel("R", 6.0, 0.9991), green]),
             medium("Grey", vec![channel("650", 7.5, 0.5), channel("450", 9.0, 0.25)]),
-            medium("Wax", vec![channel("mean", 1e-7, 1.0)]),
+            medium("Wax", vec![channel("mean", 1e-6, 1.0)]),
         ]
     }
 
-    fn names(media: &[MeasuredMedium]) -> Vec<String> {
+    fn names(media: &[MaterialFit]) -> Vec<String> {
         blocks(media).into_iter().map(|b| b.name).collect()
     }
 
@@ -234,8 +207,8 @@ mod tests {
         assert_eq!(kind(&["R", "G", "G"]), "m_R m_G m_G_2");
         assert_eq!(kind(&["R", "G", "B", "B"]), "m_R m_G m_B m_B_2");
         let Values::Rgb(values) = &blocks(&three_kinds())[0].values else { panic!("not rgb") };
-        assert_eq!(values.map(|c| c.sigma_t_per_mm), [6.0, 5.0, 4.0]);
-        assert_eq!(values.map(|c| c.albedo), [0.9991, 0.99, 0.98]);
+        assert_eq!(values.map(|m| m.sigma_t_per_mm()), [6.0, 5.0, 4.0]);
+        assert_eq!(values.map(|m| m.albedo()), [0.9991, 0.99, 0.98]);
     }
 
     #[test]
@@ -243,9 +216,9 @@ mod tests {
         let samples = |wavelengths: &[&str]| {
             let channels: Vec<_> =
                 wavelengths.iter().zip(1..).map(|(w, i)| channel(w, f64::from(i), 0.5)).collect();
-            match spectrum(&channels)?.0 {
+            match spectrum(&channels.iter().filter_map(Channel::of).collect::<Vec<_>>())?.0 {
                 Values::Spectrum(samples) => {
-                    Some(samples.iter().map(|(nm, c)| (*nm, c.sigma_t_per_mm)).collect::<Vec<_>>())
+                    Some(samples.iter().map(|(nm, c)| (*nm, c.sigma_t_per_mm())).collect::<Vec<_>>())
                 }
                 _ => None,
             }
@@ -267,14 +240,14 @@ mod tests {
     #[test]
     fn channels_that_differ_in_g_become_media_of_their_own() {
         let mut media = three_kinds();
-        media[0].channels[1].g = -0.2;
+        media[0].channels[1] = with_g(media[0].channels[1].clone(), 0.9991, -0.2);
         let blocks = blocks(&media[..1]);
         let told: Vec<_> = blocks.iter().map(|b| (b.name.as_str(), b.g)).collect();
         assert_eq!(told, [("Clear_resin_B", 0.4), ("Clear_resin_R", -0.2), ("Clear_resin_G", 0.4)]);
         for block in &blocks {
             assert!(block.notes.iter().any(|n| n.contains("differ in g")), "{block:?}");
         }
-        let expected = Coefficients { sigma_t_per_mm: 6.0, albedo: 0.9991 };
+        let expected = Medium::new(6.0, 0.9991, -0.2).unwrap();
         assert_eq!(blocks[1].values, Values::Scalar(expected));
         let only_of_green: Vec<_> =
             blocks.iter().map(|b| b.notes.iter().any(|n| n.contains("Unresolved"))).collect();

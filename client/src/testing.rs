@@ -36,7 +36,7 @@ pub(crate) fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFi
     };
     ChannelFit {
         channel: name.to_owned(),
-        candidates: vec![candidate(sigma_t_per_mm.floor())],
+        candidates: vec![candidate(sigma_t_per_mm.ceil())],
         refined: Some(refined),
         outside: None,
         curves: Vec::new(),

@@ -45,7 +45,7 @@ impl Draft {
         file.as_file().sync_all()?;
         file.persist(&self.path).map_err(|error| error.error)?;
         // The name is on the disk when its folder is.
-        File::open(folder_of(&self.path))?.sync_all()
+        sync_folder(folder_of(&self.path))
     }
 }
 
@@ -66,11 +66,17 @@ pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     draft.finish()
 }
 
-fn folder_of(path: &Path) -> &Path {
+/// The folder that a file or folder is in.
+pub(crate) fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     }
+}
+
+/// Puts the names in a folder on the disk.
+pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()
 }
 
 #[cfg(test)]

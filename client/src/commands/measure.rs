@@ -88,12 +88,11 @@ fn text(found: &Found, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
 
 fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     std::fs::create_dir_all(folder)?;
-    let media = renderers::measured(&found.materials);
     let files = [
         ("table.csv", table_csv(&found.materials)?),
-        ("media.py", renderers::mitsuba_dict(&media)),
-        ("media.xml", renderers::mitsuba_xml(&media)),
-        ("media.pbrt", renderers::pbrt(&media)),
+        ("media.py", renderers::mitsuba_dict(&found.materials)),
+        ("media.xml", renderers::mitsuba_xml(&found.materials)),
+        ("media.pbrt", renderers::pbrt(&found.materials)),
     ];
     for (name, text) in files {
         write_whole(&folder.join(name), text.as_bytes()).context(name)?;

@@ -102,7 +102,7 @@ mod tests {
         let mut shared = figure(1, &[0.5, 1.0]);
         let count = |figure: &MaterialFit| {
             let texts = texts(&fit_figure(figure).unwrap());
-            texts.iter().filter(|text| text.starts_with("σt 6, α ")).count()
+            texts.iter().filter(|text| text.starts_with("σt 7, α ")).count()
         };
         assert_eq!(count(&shared), 1);
         shared.channels[0].curves[1].refined = None;

@@ -11,20 +11,23 @@
 //! - A spectrum may exceed 1, but only in spectral variants; the others convert it to a colour and clamp that.
 //! - A spectrum needs two entries, and a number must be a float: an integer is an error.
 
-use super::{Block, Coefficients, MeasuredMedium, Values, blocks};
+use optics_model::Medium;
+use optics_model::fit::MaterialFit;
+
+use super::{Block, Values, blocks};
 
 const UNITS: &str =
     "Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000.";
 
 /// A Python assignment, `media = {…}`, whose entries belong into the dictionary of a scene.
-pub(crate) fn mitsuba_dict(media: &[MeasuredMedium]) -> String {
+pub(crate) fn mitsuba_dict(fits: &[MaterialFit]) -> String {
     let mut text = format!(
         "# Measured media for Mitsuba 3: {{\"type\": \"scene\", **media, …}}\n# {UNITS}\nmedia = {{\n"
     );
-    for block in blocks(media) {
+    for block in blocks(fits) {
         let (name, scale, g) = (&block.name, scale(&block.values), block.g);
-        let sigma_t = python(&block.values, |c| c.sigma_t_per_mm / scale);
-        let albedo = python(&block.values, |c| c.albedo);
+        let sigma_t = python(&block.values, |c| c.sigma_t_per_mm() / scale);
+        let albedo = python(&block.values, Medium::albedo);
         text += &notes(&block).map(|note| format!("    # {note}\n")).collect::<String>();
         text += &format!(
             "    \"{name}\": {{
@@ -41,17 +44,17 @@ pub(crate) fn mitsuba_dict(media: &[MeasuredMedium]) -> String {
 
 /// A scene of nothing but media: it can be loaded as it is, and included by another scene, whose shapes then refer to the
 /// media by their ids.
-pub(crate) fn mitsuba_xml(media: &[MeasuredMedium]) -> String {
+pub(crate) fn mitsuba_xml(fits: &[MaterialFit]) -> String {
     let mut text = format!(
         "<!-- Measured media for Mitsuba 3: put <include filename=\"media.xml\"/> into a scene, and into a shape
      <ref name=\"interior\" id=\"…\"/> with the id of a medium. -->
 <!-- {UNITS} -->
 <scene version=\"3.0.0\">\n"
     );
-    for block in blocks(media) {
+    for block in blocks(fits) {
         let (name, scale, g) = (&block.name, scale(&block.values), block.g);
-        let sigma_t = xml("sigma_t", &block.values, |c| c.sigma_t_per_mm / scale);
-        let albedo = xml("albedo", &block.values, |c| c.albedo);
+        let sigma_t = xml("sigma_t", &block.values, |c| c.sigma_t_per_mm() / scale);
+        let albedo = xml("albedo", &block.values, Medium::albedo);
         text += &notes(&block).map(|note| xml_comment(&note)).collect::<String>();
         text += &format!(
             "    <medium type=\"homogeneous\" id=\"{name}\">
@@ -82,7 +85,7 @@ fn notes(block: &Block) -> impl Iterator<Item = String> {
 fn scale(values: &Values) -> f64 {
     let mut scale = 1.0;
     if let Values::Rgb(values) = values {
-        let greatest = values.iter().map(|c| c.sigma_t_per_mm).fold(0.0, f64::max);
+        let greatest = values.iter().map(Medium::sigma_t_per_mm).fold(0.0, f64::max);
         while scale < greatest {
             scale *= 10.0;
         }
@@ -90,7 +93,7 @@ fn scale(values: &Values) -> f64 {
     scale
 }
 
-fn python(values: &Values, value: impl Fn(&Coefficients) -> f64) -> String {
+fn python(values: &Values, value: impl Fn(&Medium) -> f64) -> String {
     match values {
         Values::Rgb(rgb) => format!("{{\"type\": \"rgb\", \"value\": {:?}}}", rgb.each_ref().map(value)),
         Values::Spectrum(samples) => {
@@ -101,7 +104,7 @@ fn python(values: &Values, value: impl Fn(&Coefficients) -> f64) -> String {
     }
 }
 
-fn xml(name: &str, values: &Values, value: impl Fn(&Coefficients) -> f64) -> String {
+fn xml(name: &str, values: &Values, value: impl Fn(&Medium) -> f64) -> String {
     let (tag, list) = match values {
         Values::Rgb(rgb) => ("rgb", rgb.iter().map(|c| format!("{:?}", value(c))).collect::<Vec<_>>()),
         Values::Spectrum(samples) => {
@@ -153,7 +156,7 @@ media = {
     # "Wax": channel "mean"
     "Wax_mean": {
         "type": "homogeneous",
-        "sigma_t": 1e-7,
+        "sigma_t": 1e-6,
         "albedo": 1.0,
         "scale": 1.0,
         "phase": {"type": "hg", "g": 0.4},
@@ -192,7 +195,7 @@ media = {
     </medium>
     <!-- "Wax": channel "mean" -->
     <medium type="homogeneous" id="Wax_mean">
-        <float name="sigma_t" value="1e-7"/>
+        <float name="sigma_t" value="1e-6"/>
         <float name="albedo" value="1.0"/>
         <float name="scale" value="1.0"/>
         <phase type="hg">
@@ -220,9 +223,10 @@ media = {
     #[test]
     fn the_scale_brings_rgb_to_at_most_one_and_leaves_small_values_alone() {
         let scale_for = |sigma_t: [f64; 3]| {
-            scale(&Values::Rgb(sigma_t.map(|sigma_t_per_mm| Coefficients { sigma_t_per_mm, albedo: 0.5 })))
+            scale(&Values::Rgb(sigma_t.map(|sigma_t| Medium::new(sigma_t, 0.5, 0.0).unwrap())))
         };
-        let scales = [[0.0, 0.0, 0.0], [0.2, 1.0, 0.1], [0.2, 1.1, 0.1], [10.0, 2.0, 3.0], [2.0, 3.0, 10.1]];
+        let scales =
+            [[1e-6, 1e-6, 1e-6], [0.2, 1.0, 0.1], [0.2, 1.1, 0.1], [10.0, 2.0, 3.0], [2.0, 3.0, 10.1]];
         assert_eq!(scales.map(scale_for), [1.0, 1.0, 10.0, 10.0, 100.0]);
     }
 

@@ -12,21 +12,24 @@
 //! - pbrt renders spectrally. It makes a smooth spectrum of an rgb value, in which the channels are no more apart, and
 //!   equal values are not quite constant; so a scalar is written as a spectrum, as in pbrt's own scenes.
 
-use super::{Coefficients, MeasuredMedium, RENDERED_NM, Values, blocks};
+use optics_model::Medium;
+use optics_model::fit::MaterialFit;
+
+use super::{RENDERED_NM, Values, blocks};
 
 /// Statements that may stand before or after `WorldBegin`.
-pub(crate) fn pbrt(media: &[MeasuredMedium]) -> String {
+pub(crate) fn pbrt(fits: &[MaterialFit]) -> String {
     let mut text = "# Measured media for pbrt-v4.\n\
         # Coefficients are per mm, for a scene in mm; for one in metres set each scale to 1000.\n"
         .to_owned();
-    for block in blocks(media) {
+    for block in blocks(fits) {
         text += &block.notes.iter().map(|note| format!("# {note}\n")).collect::<String>();
         if let Values::Rgb(_) = block.values {
             text += "# pbrt turns rgb into smooth spectra: channels hold nearly, not exactly.\n";
         }
         let (name, g) = (&block.name, block.g);
-        let sigma_a = parameter("sigma_a", &block.values, |c| c.sigma_t_per_mm * (1.0 - c.albedo));
-        let sigma_s = parameter("sigma_s", &block.values, |c| c.sigma_t_per_mm * c.albedo);
+        let sigma_a = parameter("sigma_a", &block.values, Medium::absorption_per_mm);
+        let sigma_s = parameter("sigma_s", &block.values, |c| c.sigma_t_per_mm() * c.albedo());
         text += &format!(
             "MakeNamedMedium \"{name}\"
     \"string type\" \"homogeneous\"
@@ -41,8 +44,8 @@ pub(crate) fn pbrt(media: &[MeasuredMedium]) -> String {
 
 /// The coefficients follow from the measured values, which leaves noise in their last digits: they are written in
 /// single precision, as pbrt reads them.
-fn parameter(name: &str, values: &Values, coefficient: impl Fn(&Coefficients) -> f64) -> String {
-    let number = |c: &Coefficients| format!("{:?}", coefficient(c) as f32);
+fn parameter(name: &str, values: &Values, coefficient: impl Fn(&Medium) -> f64) -> String {
+    let number = |c: &Medium| format!("{:?}", coefficient(c) as f32);
     let (kind, list): (_, Vec<_>) = match values {
         Values::Rgb(rgb) => ("rgb", rgb.iter().map(number).collect()),
         Values::Spectrum(samples) => {
@@ -85,7 +88,7 @@ MakeNamedMedium "Grey"
 MakeNamedMedium "Wax_mean"
     "string type" "homogeneous"
     "spectrum sigma_a" [ 360 0.0  830 0.0 ]
-    "spectrum sigma_s" [ 360 1e-7  830 1e-7 ]
+    "spectrum sigma_s" [ 360 1e-6  830 1e-6 ]
     "float g" 0.4
     "float scale" 1.0
 "#;

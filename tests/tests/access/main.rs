@@ -2,7 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
-mod farm;
+mod guarded;
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use tokio::net::TcpStream;
 use tokio::time::{Instant, timeout};
 use tonic::{Code, Request};
 
-use farm::{Access, Farm, call, health, try_call};
+use guarded::{Access, GuardedServer, call, health, try_call};
 
 /// Longest time for what should not take long.
 const SOON: Duration = Duration::from_secs(8);
@@ -24,7 +24,7 @@ const ADMIN: &str = "/farm.v1.Admin/Drain";
 
 #[tokio::test]
 async fn each_role_may_do_what_is_its_own_and_is_told_what_it_lacks() {
-    let farm = Farm::start(Access::Tokens).await;
+    let farm = GuardedServer::start(Access::Tokens).await;
     let cases = [
         (LEASES, [Ok(()), Err("worker or admin"), Ok(())]),
         (FITS, [Err("client or admin"), Ok(()), Ok(())]),
@@ -52,7 +52,7 @@ async fn each_role_may_do_what_is_its_own_and_is_told_what_it_lacks() {
 
 #[tokio::test]
 async fn without_a_token_or_with_a_wrong_one_only_health_is_told() {
-    let farm = Farm::start(Access::Tokens).await;
+    let farm = GuardedServer::start(Access::Tokens).await;
     let anonymous = farm.tls_channel_without_token().await;
     let status = call(&anonymous, FITS).await.unwrap_err();
     assert_eq!(status.code(), Code::Unauthenticated);
@@ -76,7 +76,8 @@ async fn without_a_token_or_with_a_wrong_one_only_health_is_told() {
 
 #[tokio::test]
 async fn who_trusts_another_authority_does_not_connect() {
-    let (farm, other) = (Farm::start(Access::Tokens).await, Farm::start(Access::Tokens).await);
+    let (farm, other) =
+        (GuardedServer::start(Access::Tokens).await, GuardedServer::start(Access::Tokens).await);
     let access = ClientAccess::read(&other.file(Role::Client)).unwrap();
     let error =
         timeout(SOON, Target::new(Some(&access), Some(&farm.url())).unwrap().connect()).await.unwrap();
@@ -85,7 +86,7 @@ async fn who_trusts_another_authority_does_not_connect() {
 
 #[tokio::test]
 async fn with_mutual_tls_a_certificate_is_needed_besides_the_token() {
-    let farm = Farm::start(Access::Mutual).await;
+    let farm = GuardedServer::start(Access::Mutual).await;
     call(&farm.target(Role::Worker).connect().await.unwrap(), LEASES).await.unwrap();
 
     let text = std::fs::read_to_string(farm.file(Role::Worker)).unwrap();
@@ -93,7 +94,7 @@ async fn with_mutual_tls_a_certificate_is_needed_besides_the_token() {
     told(&farm.target_of_text(without), "the access file has none").await;
 
     // A certificate of another farm's authority is none, though the token is right.
-    let other = Farm::start(Access::Mutual).await;
+    let other = GuardedServer::start(Access::Mutual).await;
     let theirs = std::fs::read_to_string(other.file(Role::Worker)).unwrap();
     let mixed = format!("{without}{}", &theirs[theirs.find("\ncertificate = ").unwrap() + 1..]);
     told(&farm.target_of_text(&mixed), "does not accept the access file's certificate").await;
@@ -107,7 +108,7 @@ async fn told(target: &Target, why: &str) {
 
 #[tokio::test]
 async fn a_certificate_holds_for_the_hosts_that_were_named() {
-    let farm = Farm::start(Access::Tokens).await;
+    let farm = GuardedServer::start(Access::Tokens).await;
     let access = ClientAccess::read(&farm.file(Role::Client)).unwrap();
     for host in ["localhost", "127.0.0.1"] {
         let url = format!("https://{host}:{}", farm.address.port());
@@ -120,7 +121,7 @@ async fn a_certificate_holds_for_the_hosts_that_were_named() {
     let error = under("other.example.org").connect().await.unwrap_err();
     let told = failure(&error, "https://localhost").unwrap();
     assert!(told.contains("its certificate is for another host"), "{told}");
-    let other = Farm::start(Access::Tokens).await;
+    let other = GuardedServer::start(Access::Tokens).await;
     let url = format!("https://localhost:{}", other.address.port());
     let error = Target::new(Some(&access), Some(&url)).unwrap().connect().await.unwrap_err();
     let told = failure(&error, &url).unwrap();
@@ -139,13 +140,13 @@ async fn why_unreachable(target: &Target) -> String {
 #[tokio::test]
 async fn who_mistakes_encryption_learns_it_quickly() {
     let start = Instant::now();
-    let encrypted = Farm::start(Access::Tokens).await;
+    let encrypted = GuardedServer::start(Access::Tokens).await;
     let plain_url = format!("http://{}", encrypted.address);
     let target = Target::new(None, Some(&plain_url)).unwrap();
     let told = timeout(SOON, why_unreachable(&target)).await.unwrap();
     assert!(told.contains("--access FILE") || told.contains("https://"), "{told}");
 
-    let plain = Farm::start(Access::Open).await;
+    let plain = GuardedServer::start(Access::Open).await;
     let access = ClientAccess::read(&encrypted.file(Role::Client)).unwrap();
     let wrong =
         Target::new(Some(&access), Some(&format!("https://localhost:{}", plain.address.port()))).unwrap();
@@ -156,7 +157,7 @@ async fn who_mistakes_encryption_learns_it_quickly() {
 
 #[tokio::test]
 async fn an_open_farm_takes_bare_urls() {
-    let farm = Farm::start(Access::Open).await;
+    let farm = GuardedServer::start(Access::Open).await;
     let target = Target::new(None, Some(&format!("http://{}", farm.address))).unwrap();
     for path in [LEASES, FITS, ADMIN] {
         let answer = call(&target.connect_lazy(), path).await.unwrap();
@@ -166,7 +167,7 @@ async fn an_open_farm_takes_bare_urls() {
 
 #[tokio::test]
 async fn calls_are_observed_and_carry_request_ids() {
-    let farm = Farm::start(Access::Tokens).await;
+    let farm = GuardedServer::start(Access::Tokens).await;
     let link = farm.target(Role::Client).connect().await.unwrap();
     let answer = call(&link, FITS).await.unwrap();
     assert_eq!(answer.metadata().get("x-request-id").unwrap().len(), 32);
@@ -180,13 +181,13 @@ async fn calls_are_observed_and_carry_request_ids() {
 
 #[tokio::test]
 async fn what_a_handler_logs_carries_method_request_id_and_caller() {
-    let farm = Farm::start(Access::Tokens).await;
-    let log = farm::Log::default();
+    let farm = GuardedServer::start(Access::Tokens).await;
+    let log = guarded::Log::default();
     let _logged = log.subscribe();
     let link = farm.target(Role::Worker).connect().await.unwrap();
     let mut request = Request::new(());
     request.metadata_mut().insert("x-request-id", "run-7".parse().unwrap());
-    farm::call_with(&link, LEASES, request).await.unwrap();
+    guarded::call_with(&link, LEASES, request).await.unwrap();
     let text = log.text();
     let line = text.lines().find(|line| line.contains("handling")).expect("the handler's line");
     for part in [LEASES, "request_id=run-7", "caller=\"worker\""] {
@@ -202,13 +203,13 @@ async fn what_a_handler_logs_carries_method_request_id_and_caller() {
 
 #[tokio::test]
 async fn a_call_that_its_caller_gives_up_is_observed_as_cancelled() {
-    let farm = Farm::start(Access::Tokens).await;
+    let farm = GuardedServer::start(Access::Tokens).await;
     let link = farm.target(Role::Client).connect().await.unwrap();
     let slow = "/farm.v1.Fits/Slow";
     assert!(timeout(Duration::from_millis(300), call(&link, slow)).await.is_err());
     let mut request = Request::new(());
     request.set_timeout(Duration::from_millis(100));
-    farm::call_with(&link, slow, request).await.unwrap_err();
+    guarded::call_with(&link, slow, request).await.unwrap_err();
     assert_eq!(farm.observed(2).await, [(slow.to_owned(), 1), (slow.to_owned(), 1)]);
 }
 
@@ -216,7 +217,7 @@ async fn a_call_that_its_caller_gives_up_is_observed_as_cancelled() {
 async fn who_says_nothing_is_sent_away_and_his_place_is_free_again() {
     let limits = Limits { hello: Duration::from_millis(500), ..Limits::new(2) };
     for access in [Access::Tokens, Access::Open] {
-        let farm = Farm::start_with(access, limits).await;
+        let farm = GuardedServer::start_with(access, limits).await;
         let start = Instant::now();
         let mut silent = [
             TcpStream::connect(farm.address).await.unwrap(),
@@ -236,7 +237,7 @@ async fn who_says_nothing_is_sent_away_and_his_place_is_free_again() {
 
 #[tokio::test]
 async fn one_connection_too_many_is_refused_while_the_others_go_on() {
-    let farm = Farm::start_with(Access::Tokens, Limits::new(2)).await;
+    let farm = GuardedServer::start_with(Access::Tokens, Limits::new(2)).await;
     let first = farm.target(Role::Client).connect().await.unwrap();
     let second = farm.target(Role::Worker).connect().await.unwrap();
     call(&first, FITS).await.unwrap();
@@ -271,8 +272,8 @@ async fn under_encryption_it_is_the_same() {
 
 async fn keeps_the_live_and_ends_the_dead(access: Access, greeting: &[u8]) {
     // The server of these tests pings five times in that span.
-    let limits = Limits { silence: farm::PING * 5, ..Limits::new(8) };
-    let farm = Farm::start_with(access, limits).await;
+    let limits = Limits { silence: guarded::PING * 5, ..Limits::new(8) };
+    let farm = GuardedServer::start_with(access, limits).await;
     let link = farm.any_link().await;
     health(link.clone()).await.unwrap();
     let mut dead = TcpStream::connect(farm.address).await.unwrap();

@@ -34,7 +34,7 @@ pub enum Access {
     Mutual,
 }
 
-pub struct Farm {
+pub struct GuardedServer {
     pub address: SocketAddr,
     pub connections: Connections,
     observed: Arc<Mutex<Vec<(String, i32)>>>,
@@ -43,7 +43,7 @@ pub struct Farm {
     _stop: DropGuard,
 }
 
-impl Farm {
+impl GuardedServer {
     pub async fn start(access: Access) -> Self {
         Self::start_with(access, Limits::new(64)).await
     }
