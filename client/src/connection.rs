@@ -39,8 +39,6 @@ pub(crate) struct Connection {
     link: Link,
     address: String,
     host: Host,
-    /// There is an access file, and it has no certificate to show.
-    without_certificate: bool,
 }
 
 /// Whose process the farm lives in.
@@ -67,18 +65,10 @@ pub(crate) async fn with_farm<T>(
     loop {
         let connection = Connection::open(global, purpose).await?;
         let neighbour = matches!(connection.host, Host::Neighbour);
-        let without_certificate = connection.without_certificate;
         let result = work(&connection).await.map_err(|error| connection.in_plain_words(error));
         connection.close().await?;
         match result {
             Err(error) if neighbour && is_gone(&error) => tokio::time::sleep(LOOK_AGAIN).await,
-            // Its reason may not have come through.
-            Err(error) if without_certificate && is_gone(&error) => {
-                return Err(error.context(
-                    "the connection broke (if the coordinator wants to see certificates, as those made with \
-                     `farmctl access create --mutual`, note that this access file has none)",
-                ));
-            }
             result => return result,
         }
     }
@@ -125,9 +115,7 @@ impl Connection {
             return Self::local(&global.data, purpose).await;
         }
         let access = global.access.as_deref().map(ClientAccess::read).transpose()?;
-        let connection = Self::remote(&Target::new(access.as_ref(), global.server.as_deref())?).await?;
-        let without_certificate = access.is_some_and(|access| !access.has_certificate());
-        Ok(Self { without_certificate, ..connection })
+        Self::remote(&Target::new(access.as_ref(), global.server.as_deref())?).await
     }
 
     async fn remote(target: &Target) -> Result<Self> {
@@ -147,7 +135,7 @@ impl Connection {
                 anyhow::anyhow!("{}", cause.map_or_else(String::new, ToString::to_string))
             })
             .with_context(|| format!("no coordinator answers at {url}"))?;
-        Ok(Self { link, address: url, host: Host::Server, without_certificate: false })
+        Ok(Self { link, address: url, host: Host::Server })
     }
 
     async fn local(data: &Path, purpose: Purpose) -> Result<Self> {

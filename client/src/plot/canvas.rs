@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use anyhow::Context as _;
 use base64::Engine as _;
-use image::{ExtendedColorType, ImageEncoder as _, RgbImage, codecs::png::PngEncoder};
+use resvg::tiny_skia::Pixmap;
 
 use super::color::Color;
 use super::picture::Picture;
@@ -125,11 +125,8 @@ impl Canvas {
     }
 
     /// Pixels stretched over an area without smoothing.
-    pub(super) fn image(&mut self, area: Area, pixels: &RgbImage) -> anyhow::Result<()> {
-        let mut png = Vec::new();
-        PngEncoder::new(&mut png)
-            .write_image(pixels.as_raw(), pixels.width(), pixels.height(), ExtendedColorType::Rgb8)
-            .context("image within the figure")?;
+    pub(super) fn image(&mut self, area: Area, pixels: &Pixmap) -> anyhow::Result<()> {
+        let png = pixels.encode_png().context("image within the figure")?;
         let data = base64::engine::general_purpose::STANDARD.encode(png);
         let (x, y, w, h) = (short(area.left), short(area.top), short(area.width), short(area.height));
         self.element(&format!(

@@ -4,6 +4,7 @@
 
 use std::collections::BTreeMap;
 
+use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 
 use super::PartId;
@@ -59,6 +60,17 @@ impl Checks {
             }
         }
         self.open.entry(part).or_insert_with(|| vec![first]);
+    }
+
+    /// The open checks of a dictionary's jobs.
+    pub fn of_dictionary(&self, id: DictionaryId) -> Vec<(PartId, Vec<Vote>)> {
+        let of_it = self.open.iter().filter(|(part, _)| part.dictionary == id);
+        of_it.map(|(part, votes)| (*part, votes.clone())).collect()
+    }
+
+    /// Goes on with a check at another job with the same records.
+    pub fn take_over(&mut self, part: PartId, votes: Vec<Vote>) {
+        self.open.entry(part).or_insert(votes);
     }
 
     /// Parts that this worker has not computed itself.

@@ -157,10 +157,11 @@ impl Dictionary {
     }
 
     /// Jobs that one worker has done alone, with its result; blocks cannot be checked once they are merged.
-    pub(super) fn unchecked(&self) -> impl Iterator<Item = (u32, Vote)> {
+    /// Also told: whether the records came for another dictionary.
+    pub(super) fn unchecked(&self) -> impl Iterator<Item = (u32, Vote, bool)> {
         let wanted = |(job, index): (&Job, u32)| match job.stage {
-            Stage::Done { records, by: Some(by), reused: false } if !job.is_divided() && !self.outdated => {
-                Some((index, Vote { by: Some(by), digest: records }))
+            Stage::Done { records, by: Some(by), reused } if !job.is_divided() && !self.outdated => {
+                Some((index, Vote { by: Some(by), digest: records }, reused))
             }
             _ => None,
         };
@@ -320,6 +321,14 @@ impl Dictionary {
     /// Whether a job has not ended.
     pub(super) fn is_open(&self, index: u32) -> bool {
         self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Open { .. }))
+    }
+
+    /// The digest of a job's records, if it is done.
+    pub(super) fn records_of(&self, index: u32) -> Option<Digest> {
+        match self.jobs.get(index as usize)?.stage {
+            Stage::Done { records, .. } => Some(records),
+            _ => None,
+        }
     }
 
     pub(super) fn is_done(&self, index: u32) -> bool {

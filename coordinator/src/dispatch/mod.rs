@@ -131,13 +131,10 @@ impl Dispatcher {
     }
 
     pub fn add_dictionary(&mut self, dictionary: Dictionary) {
-        for (job, first) in dictionary.unchecked() {
-            if checks::is_drawn(first.digest, self.settings.check_share) {
-                self.checks.want(PartId { dictionary: dictionary.id(), job, part: 0 }, first);
-            }
-        }
-        self.order.insert((std::cmp::Reverse(dictionary.priority()), dictionary.id()));
-        self.dictionaries.entry(dictionary.id()).or_insert(dictionary);
+        let id = dictionary.id();
+        self.order.insert((std::cmp::Reverse(dictionary.priority()), id));
+        self.dictionaries.entry(id).or_insert(dictionary);
+        self.want_checks(id);
         self.work_came();
     }
 
@@ -148,6 +145,7 @@ impl Dispatcher {
     }
 
     pub fn remove_dictionary(&mut self, id: DictionaryId) {
+        self.hand_over_checks(id);
         if let Some(dictionary) = self.dictionaries.remove(&id) {
             self.order.remove(&(std::cmp::Reverse(dictionary.priority()), id));
             self.leases.remove_dictionary(id);

@@ -9,6 +9,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, TransportPoint, Walks};
 
+use super::checks::{self, Vote};
 use super::{Dictionary, Dispatcher, PartId};
 use crate::stored::Origin;
 
@@ -102,6 +103,42 @@ impl Dispatcher {
             .kin(place)
             .filter(|(other, job)| other.takes_results() && other.is_open(*job) && served(other));
         open.map(|(other, job)| (other.id(), job)).collect()
+    }
+
+    /// Asks for second opinions on the results of a dictionary's jobs. Records that came for another dictionary are
+    /// checked there, as long as it has them.
+    pub(super) fn want_checks(&mut self, id: DictionaryId) {
+        let Some(own) = self.dictionaries.get(&id) else { return };
+        let elsewhere = |job: u32| self.kin((id, job)).any(|(other, job)| other.is_done(job));
+        let wanted: Vec<(u32, Vote)> = own
+            .unchecked()
+            .filter(|(job, first, reused)| {
+                checks::is_drawn(first.digest, self.settings.check_share) && !(*reused && elsewhere(*job))
+            })
+            .map(|(job, first, _)| (job, first))
+            .collect();
+        for (job, first) in wanted {
+            self.checks.want(PartId { dictionary: id, job, part: 0 }, first);
+        }
+    }
+
+    /// A dictionary goes: whoever shares the records of its jobs takes over the open checks.
+    pub(super) fn hand_over_checks(&mut self, id: DictionaryId) {
+        for (part, votes) in self.checks.of_dictionary(id) {
+            let heir = self.kin((id, part.job)).find_map(|(other, job)| {
+                let records = other.records_of(job)?;
+                Some((PartId { dictionary: other.id(), job, part: 0 }, records))
+            });
+            let Some((heir, records)) = heir else { continue };
+            let first = votes[0];
+            if first.digest == records {
+                self.checks.take_over(heir, votes);
+            } else {
+                // It holds other albedos of the same walks: what others said of those is of no use.
+                self.checks.want(heir, Vote { by: first.by, digest: records });
+            }
+            self.outbox.work = true;
+        }
     }
 
     /// Open jobs of a dictionary that ask for the same walks as some that are done.

@@ -56,11 +56,6 @@ impl ClientAccess {
         self.fields.role
     }
 
-    /// Whether there is a certificate to show, for coordinators that ask for one.
-    pub fn has_certificate(&self) -> bool {
-        self.fields.certificate.is_some()
-    }
-
     /// The coordinator's URL.
     pub fn server(&self) -> &str {
         &self.fields.server

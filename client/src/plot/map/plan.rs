@@ -1,8 +1,8 @@
 //! Where the maps and the colour bar go, and what they look like.
 
 use anyhow::{Context as _, ensure};
-use image::{Rgb, RgbImage};
 use optics_model::fit::{DistanceMap, MapLayer};
+use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 
 use super::nodes::Nodes;
 use super::overlay::marks;
@@ -89,7 +89,7 @@ impl Plan {
         let heading = Text::new(format!("g = {}", number(layer.g, 4)), HEADING);
         let heading = if best_of_all { heading.bold() } else { heading };
         canvas.text(at(frame.area.left, frame.area.top - 6.0), &heading);
-        canvas.image(frame.area, &self.pixels(layer))?;
+        canvas.image(frame.area, &self.pixels(layer)?)?;
         let first = i.is_multiple_of(self.across);
         let lowest = i + self.across >= self.panels;
         frame.axes(canvas, Labels { x: lowest, y: first });
@@ -107,20 +107,16 @@ impl Plan {
         Ok(())
     }
 
-    fn pixels(&self, layer: &MapLayer) -> RgbImage {
+    fn pixels(&self, layer: &MapLayer) -> anyhow::Result<Pixmap> {
         let [width, height] = [self.size.0, self.size.1].map(|length| (FINENESS * length) as u32);
         let part = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
         let columns: Vec<_> = (0..width).map(|x| self.co_albedo.index(part(x, width))).collect();
         let rows: Vec<_> = (0..height).map(|y| self.sigma_t.index(1.0 - part(y, height))).collect();
-        RgbImage::from_fn(width, height, |x, y| {
-            self.color_of(layer.errors[rows[y as usize]][columns[x as usize]])
-        })
+        pixmap(width, height, |x, y| self.color_of(layer.errors[rows[y as usize]][columns[x as usize]]))
     }
 
-    fn color_of(&self, distance: f64) -> Rgb<u8> {
-        let color =
-            if distance.is_finite() { Color::viridis(self.color.fraction(distance)) } else { Color::NO_DATA };
-        Rgb([color.0, color.1, color.2])
+    fn color_of(&self, distance: f64) -> Color {
+        if distance.is_finite() { Color::viridis(self.color.fraction(distance)) } else { Color::NO_DATA }
     }
 
     /// The colour bar as a frame of its own: its area, and the distance as the vertical axis.
@@ -134,9 +130,8 @@ impl Plan {
     pub(super) fn draw_bar(&self, canvas: &mut Canvas, top: f64) -> anyhow::Result<()> {
         let bar = self.bar(top);
         let height = (FINENESS * bar.area.height) as u32;
-        let pixels = RgbImage::from_fn(1, height, |_, y| {
-            self.color_of(self.color.value(1.0 - (f64::from(y) + 0.5) / f64::from(height)))
-        });
+        let value = |y: u32| self.color.value(1.0 - (f64::from(y) + 0.5) / f64::from(height));
+        let pixels = pixmap(1, height, |_, y| self.color_of(value(y)))?;
         canvas.image(bar.area, &pixels)?;
         bar.scale_on_the_right(canvas);
         let name = Text::new("distance", LABEL).anchor(Anchor::Middle);
@@ -153,4 +148,16 @@ fn color_axis(map: &DistanceMap) -> anyhow::Result<Axis> {
         return Ok(Axis::logarithmic(1e-3, 1e-3));
     };
     Ok(Axis::logarithmic(low.max(high / MOST_CONTRAST), high))
+}
+
+fn pixmap(width: u32, height: u32, color: impl Fn(u32, u32) -> Color) -> anyhow::Result<Pixmap> {
+    let mut pixels = Pixmap::new(width, height)
+        .with_context(|| format!("{width} × {height} pixels of a map are none, or too many"))?;
+    let places = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    for ((x, y), pixel) in places.zip(pixels.pixels_mut()) {
+        let Color(r, g, b) = color(x, y);
+        *pixel =
+            PremultipliedColorU8::from_rgba(r, g, b, u8::MAX).expect("an opaque colour is premultiplied");
+    }
+    Ok(pixels)
 }

@@ -8,7 +8,7 @@ use farm_proto::lease::Lease;
 use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
 
-use super::{Bench, DIGEST, stored};
+use super::{Bench, DIGEST, origin, stored};
 use crate::dispatch::Dictionary;
 use crate::stored::{DesiredState, StoredDictionary};
 
@@ -98,6 +98,25 @@ fn what_the_second_has_begun_the_first_waits_for() {
     assert_eq!(places(&bench.acquire(0, "a", 1)), [(SECOND, 2)]);
     bench.farm.set_desire(FIRST, DesiredState::Run, String::new());
     assert_eq!(places(&bench.acquire(1, "b", 9)), [(FIRST, 1), (FIRST, 0), (SECOND, 1)]);
+}
+
+/// Nobody would look at its records again.
+#[test]
+fn a_check_goes_on_where_the_records_are_when_its_dictionary_is_deleted() {
+    for (albedo, of_heir) in [(vec![0.5, 0.9], DIGEST), (vec![0.9], Digest::from_bytes([8; 32]))] {
+        let mut bench = overlapping(albedo);
+        bench.farm.settings.check_share = 1.0;
+        let lease = bench.acquire(0, "a", 1).remove(0);
+        assert_eq!(places(std::slice::from_ref(&lease)), [(FIRST, 2)]);
+        bench.finish(1, "a", &lease);
+        bench.farm.taken_over((SECOND, 2), Walks::PAPER, of_heir, Some(origin("a")));
+        bench.farm.set_desire(FIRST, DesiredState::Cancel, String::new());
+        bench.farm.remove_dictionary(FIRST);
+        let check = bench.acquire(2, "b", 1).remove(0);
+        assert_eq!((check.key.dictionary, check.key.job), (SECOND, 2));
+        assert!(bench.farm.compared(origin("b"), &check.key, of_heir, of_heir));
+        assert_eq!(bench.farm.checks(), (1, 0, 0));
+    }
 }
 
 #[test]
