@@ -224,6 +224,7 @@ impl Dispatcher {
         // A check, if the job was begun again in the meantime.
         if self.leases.get(key).is_some() {
             self.leases.remove(key.token);
+            self.outbox.work = true;
         }
         self.pace.working(now, self.leases.len() > 0);
         self.workers.job_done(arrived.worker);
@@ -235,6 +236,8 @@ impl Dispatcher {
         let part = PartId::from(key);
         if self.leases.get(key).is_some_and(|held| held.purpose == Purpose::Check) {
             self.leases.remove(key.token);
+            // If this settles nothing another worker may check.
+            self.outbox.work = true;
         }
         if self.workers.is_fenced(by) {
             return stored == new;
