@@ -3,7 +3,7 @@
 //! # Links
 //!
 //! A [`Link`] is a gRPC connection to a coordinator on which every call carries a token, ends in time and learns why it
-//! is not wanted. [`Target`] makes one from an access file, or from a bare URL. [`failure`] says in plain words why a
+//! is not wanted. [`Target`] makes one from an access file, or from a bare URL. [`failure()`] says in plain words why a
 //! coordinator does not answer.
 //!
 //! # Access files
