@@ -29,6 +29,10 @@ pub use measurement_file::{MeasurementFile, Note, read_measurements};
 
 /// Runs a command. Errors are told on standard error (or, with `--json`, as an object on standard output) and by the
 /// exit code, see `exit`.
+///
+/// It brings its own runtime: a future that is handed to another crate is compiled there once more, with all that it
+/// waits for.
+#[tokio::main]
 pub async fn run(cli: Cli) -> ExitCode {
     let output = Output::new(cli.global.json);
     match dispatch(cli, &output).await {

@@ -6,12 +6,11 @@ use clap::Parser;
 use farm_link::logs;
 use farm_link::logs::LogFormat;
 
-#[tokio::main]
-async fn main() -> ExitCode {
+fn main() -> ExitCode {
     let cli = farmctl::cli::Cli::parse();
     if let Err(error) = logs::init(LogFormat::Text, "error") {
         eprintln!("farmctl: {error}");
         return ExitCode::FAILURE;
     }
-    farmctl::run(cli).await
+    farmctl::run(cli)
 }
