@@ -4,6 +4,7 @@
 //! carries out what the dispatcher has put into its outbox: effects go to the one task that performs them, events to
 //! the recorder, counts to the metrics, and whoever waits for work or for news is woken.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -27,6 +28,8 @@ pub(super) struct Door {
     dispatcher: Mutex<Dispatcher>,
     clock: Clock,
     orders: mpsc::UnboundedSender<Order>,
+    /// Effects that were ordered and not performed yet.
+    outstanding: AtomicUsize,
     recorder: Recorder,
     metrics: Metrics,
     changed: watch::Sender<()>,
@@ -45,6 +48,7 @@ impl Door {
             dispatcher: Mutex::new(dispatcher),
             clock: Clock::start(),
             orders,
+            outstanding: AtomicUsize::new(0),
             recorder,
             metrics,
             changed: watch::channel(()).0,
@@ -61,6 +65,7 @@ impl Door {
             let mut outbox = dispatcher.take_outbox();
             // Under the lock, so that effects are performed in the order in which they were decided.
             for effect in outbox.effects.drain(..) {
+                self.outstanding.fetch_add(1, Ordering::SeqCst);
                 let _ = self.orders.send(Order::Perform(effect));
             }
             (value, outbox)
@@ -76,10 +81,19 @@ impl Door {
 
     /// Waits until everything is durable that was decided before.
     pub async fn settled(&self) {
+        // As nearly always: results seldom bring about decisions.
+        if self.outstanding.load(Ordering::SeqCst) == 0 {
+            return;
+        }
         let (report, done) = oneshot::channel();
         if self.orders.send(Order::Report(report)).is_ok() {
             let _ = done.await;
         }
+    }
+
+    /// An effect was performed, or put off.
+    pub fn performed(&self) {
+        self.outstanding.fetch_sub(1, Ordering::SeqCst);
     }
 
     /// Notes an event that no change of the state has brought about.

@@ -20,6 +20,7 @@ pub(super) async fn perform(farm: Weak<Farm>, mut orders: mpsc::UnboundedReceive
                     tracing::error!(%error, "a decision could not be stored: it is tried again");
                     farm.door.transition(|dispatcher, _| dispatcher.put_off(effect));
                 }
+                farm.door.performed();
             }
             Order::Report(done) => drop(done.send(())),
         }
