@@ -7,9 +7,7 @@ use std::time::Duration;
 use farm_proto::RequestLimits;
 use farm_proto::lease::LeaseKey;
 use farm_proto::wire::{CompletionKind, CompletionOutcome};
-use optics_model::job::JobSpec;
-use optics_model::sums::Sums;
-use optics_model::{Digest, PackedRecords};
+use optics_model::Digest;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tonic::{Code, Status};
 
@@ -52,14 +50,6 @@ impl ResultBuffer {
     pub(crate) async fn take(&self, bytes: usize) -> Option<OwnedSemaphorePermit> {
         let kib = (bytes.div_ceil(1024) as u32).min(self.kib);
         self.room.clone().acquire_many_owned(kib).await.ok()
-    }
-}
-
-/// Bytes of a job's result.
-pub(crate) fn bytes_of(job: &JobSpec) -> usize {
-    match job.block() {
-        Some(_) => Sums::bytes(job),
-        None => PackedRecords::bytes_of(job),
     }
 }
 

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use farm_proto::lease::{Lease, LeaseKey};
+use optics_model::sums::result_bytes;
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 
-use crate::delivery::{PendingResult, ResultBuffer, bytes_of};
+use crate::delivery::{PendingResult, ResultBuffer};
 use crate::leases::{HeldLeases, JobSwitches};
 use crate::pool::{Pool, TraceEnd};
 use crate::session::Session;
@@ -30,7 +31,7 @@ impl Workshop {
         switches: Arc<JobSwitches>,
         slot: OwnedSemaphorePermit,
     ) {
-        let (bytes, identity) = (bytes_of(&job), job.identity());
+        let (bytes, identity) = (result_bytes(&job), job.identity());
         // If results cannot be delivered, tracing waits here.
         let Some(room) = self.buffer.take(bytes).await else { return };
         match self.pool.trace(job, switches).await {

@@ -71,9 +71,10 @@ impl Reachability {
 }
 
 impl State {
+    /// A call that began before the coordinator was lost tells nothing new: one that stops still answers it.
     fn answered(&mut self, began: Instant) -> Option<Change> {
         self.answered = self.answered.max(Some(began));
-        let lost = self.lost.take()?;
+        let lost = self.lost.take_if(|lost| began >= *lost)?;
         self.joined.then_some(Change::Found { lost })
     }
 
@@ -112,6 +113,7 @@ mod tests {
         assert_eq!(state.answered(at(5)), None);
         assert_eq!(state.failed(at(6), at(7)), Some(Change::Lost));
         assert_eq!(state.failed(at(6), at(8)), None);
+        assert_eq!(state.answered(at(6)), None, "it began before the coordinator was lost");
         assert_eq!(state.answered(at(9)), Some(Change::Found { lost: at(7) }));
         assert_eq!(state.failed(at(8), at(20)), None, "it began before the coordinator was found again");
         assert_eq!(state.failed(at(21), at(22)), Some(Change::Lost));

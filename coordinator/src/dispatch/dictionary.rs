@@ -38,7 +38,7 @@ pub struct Dictionary {
     pub(super) family: Option<Digest>,
     pub(super) jobs: Vec<Job>,
     /// Parts that wait, as (rank, job, part).
-    pending: BTreeSet<(u32, u32, u32)>,
+    pub(super) pending: BTreeSet<(u32, u32, u32)>,
     pub(super) counts: Counts,
     /// Parts that are leased; the dispatcher keeps who holds them.
     pub(super) leased: usize,
@@ -113,11 +113,6 @@ impl Dictionary {
         self.jobs.len() - self.counts.done - self.counts.given_up
     }
 
-    /// Parts that wait for a worker.
-    pub fn pending(&self) -> usize {
-        self.pending.len()
-    }
-
     pub fn jobs(&self) -> usize {
         self.jobs.len()
     }
@@ -175,76 +170,11 @@ impl Dictionary {
         open.map(|(_, index)| (index, self.spec(index, 0))).collect()
     }
 
-    /// Whether a part waits for a worker.
-    #[cfg(test)]
-    pub(super) fn waits(&self, index: u32, part: u32) -> bool {
-        self.pending.contains(&(self.jobs[index as usize].rank, index, part))
-    }
-
     /// What a worker needs to compute a part.
     pub fn spec(&self, index: u32, part: u32) -> JobSpec {
         let job = &self.jobs[index as usize];
         let spec = JobSpec::of(self.grid(), index as usize).with_walks(job.walks);
         if job.is_divided() { spec.with_block(part).expect("the job has this block") } else { spec }
-    }
-
-    /// Jobs with parts that wait, each with the first of these, the costliest or the cheapest job first.
-    pub(super) fn waiting(&self, cheapest: bool) -> impl Iterator<Item = (u32, u32)> {
-        let mut last = None;
-        std::iter::from_fn(move || {
-            let next = match (cheapest, last) {
-                (false, None) => self.pending.first(),
-                (false, Some(rank)) => self.pending.range((rank + 1, 0, 0)..).next(),
-                (true, None) => self.pending.last(),
-                (true, Some(rank)) => self.pending.range(..(rank, 0, 0)).next_back(),
-            };
-            let &(rank, job, _) = next?;
-            last = Some(rank);
-            Some((job, self.waiting_part(job)?))
-        })
-    }
-
-    /// The first part of a job that waits.
-    pub(super) fn waiting_part(&self, index: u32) -> Option<u32> {
-        let rank = self.jobs.get(index as usize)?.rank;
-        self.pending.range((rank, index, 0)..=(rank, index, u32::MAX)).next().map(|(.., part)| *part)
-    }
-
-    /// Takes a part that waits, and counts the attempt.
-    pub(super) fn begin(&mut self, index: u32, part: u32) -> u32 {
-        self.pending.remove(&(self.jobs[index as usize].rank, index, part));
-        self.attempt(index)
-    }
-
-    /// Counts one more attempt at a job; its number.
-    pub(super) fn attempt(&mut self, index: u32) -> u32 {
-        let job = &mut self.jobs[index as usize];
-        job.attempts = job.attempts.saturating_add(1);
-        job.attempts
-    }
-
-    /// Whether a part was given out before and came to nothing.
-    pub(super) fn is_retry(&self, index: u32) -> bool {
-        let job = &self.jobs[index as usize];
-        job.attempts > job.walks.blocks()
-    }
-
-    /// Takes a certain part that waits; false if it does not.
-    pub(super) fn take(&mut self, index: u32, part: u32, attempt: u32) -> bool {
-        let job = &mut self.jobs[index as usize];
-        let waits = self.pending.remove(&(job.rank, index, part));
-        if waits {
-            job.attempts = job.attempts.max(attempt);
-        }
-        waits
-    }
-
-    /// A part that nobody holds any more waits again, if it is still to be done.
-    pub(super) fn put_back(&mut self, index: u32, part: u32) {
-        let job = &self.jobs[index as usize];
-        if matches!(&job.stage, Stage::Open { parts } if parts.get(part as usize) == Some(&Part::Open)) {
-            self.pending.insert((job.rank, index, part));
-        }
     }
 
     /// Notes that a block of a divided job is stored; false if it was before.
@@ -255,14 +185,13 @@ impl Dictionary {
         parts.get_mut(part as usize).is_some_and(|p| std::mem::replace(p, Part::Stored) == Part::Open)
     }
 
-    /// Notes that a block of a divided job is not stored, or not any more; it waits unless it is held.
-    pub(super) fn part_missing(&mut self, index: u32, part: u32, held: bool) {
+    /// Notes that a block of a divided job is not stored, or not any more; it waits unless it is held. True if it did
+    /// not wait before.
+    pub(super) fn part_missing(&mut self, index: u32, part: u32, held: bool) -> bool {
         let job = &mut self.jobs[index as usize];
-        let Stage::Open { parts } = &mut job.stage else { return };
+        let Stage::Open { parts } = &mut job.stage else { return false };
         parts[part as usize] = Part::Open;
-        if !held {
-            self.pending.insert((job.rank, index, part));
-        }
+        !held && self.pending.insert((job.rank, index, part))
     }
 
     /// Notes that a job's records are stored, from so many walks; or that they were there, or came for another dictionary.

@@ -22,6 +22,7 @@ mod progress;
 mod shared;
 #[cfg(test)]
 mod tests;
+mod waiting;
 mod workers;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -288,12 +289,11 @@ impl Dispatcher {
         self.work_came();
     }
 
-    /// A job's records are not those that were stored: it is begun again.
-    pub fn damaged(&mut self, id: DictionaryId, job: u32, what: &str) {
+    /// Tells that what was stored of a job was damaged.
+    pub fn tell_damage(&mut self, id: DictionaryId, job: u32, what: &str) {
         if let Some(dictionary) = self.dictionaries.get(&id) {
             self.outbox.events.push(Event::of_job(EventKind::JobDamaged, dictionary.name(), job, what));
         }
-        self.work_came();
     }
 
     /// Notes which blocks of a divided job of so many walks the store holds, and that it holds no others.
@@ -306,18 +306,16 @@ impl Dispatcher {
         for part in 0..walks.blocks() {
             let whole = PartId { dictionary: id, job, part };
             if stored.contains(&part) {
-                self.end_leases(whole);
+                self.outbox.changed |= !self.end_leases(whole).is_empty();
             }
             let held = self.leases.of_part(whole).any(|held| held.purpose != Purpose::Check);
-            if let Some(dictionary) = self.dictionaries.get_mut(&id) {
-                if stored.contains(&part) {
-                    dictionary.part_stored(job, part);
-                } else {
-                    dictionary.part_missing(job, part, held);
-                }
+            let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
+            if stored.contains(&part) {
+                self.outbox.changed |= dictionary.part_stored(job, part);
+            } else if dictionary.part_missing(job, part, held) {
+                self.work_came();
             }
         }
-        self.work_came();
     }
 
     fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<(), DispatchError> {

@@ -16,8 +16,17 @@ pub(super) async fn perform(farm: Weak<Farm>, mut orders: mpsc::UnboundedReceive
         let Some(farm) = farm.upgrade() else { return };
         match order {
             Order::Perform(effect) => {
-                if let Err(error) = farm.perform(&effect).await {
-                    tracing::error!(%error, "a decision could not be stored: it is tried again");
+                // In a task of its own, so that a panic loses neither this decision nor those that follow.
+                let performing = {
+                    let (farm, effect) = (farm.clone(), effect.clone());
+                    tokio::spawn(async move { farm.perform(&effect).await })
+                };
+                let failure = match performing.await {
+                    Ok(performed) => performed.err().map(|error| error.to_string()),
+                    Err(panic) => Some(panic.to_string()),
+                };
+                if let Some(error) = failure {
+                    tracing::error!(error, "a decision could not be stored: it is tried again");
                     farm.door.transition(|dispatcher, _| dispatcher.put_off(effect));
                 }
                 farm.door.performed();

@@ -4,12 +4,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
+use optics_fit::{DictionaryBuilder, FitDictionary};
 use optics_model::Grid;
 use tokio::sync::OnceCell;
 
 use super::{FarmError, Result, blocking};
 use crate::store::{Damaged, Store};
-use optics_fit::{DictionaryBuilder, FitDictionary};
 
 /// Dictionaries kept at a time.
 const KEPT: usize = 2;

@@ -8,7 +8,7 @@ use farm_proto::RequestLimits;
 use farm_proto::ids::WorkerId;
 use farm_proto::lease::LeaseKey;
 use optics_model::job::JobSpec;
-use optics_model::sums::Sums;
+use optics_model::sums::{Sums, result_bytes};
 use optics_model::{Digest, Invalid, PackedRecords};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinHandle;
@@ -98,7 +98,7 @@ impl Farm {
             }
             match self.admit(&worker, &key, identity) {
                 Ok(admission) => {
-                    let room = self.room.take(bytes_of(admission.job())).await;
+                    let room = self.room.take(result_bytes(admission.job())).await;
                     let result;
                     (result, next) = pieces.result(admission.job()).await?;
                     let farm = self.clone();
@@ -140,14 +140,6 @@ impl Task {
     }
 }
 
-/// Bytes that a job's result takes.
-fn bytes_of(job: &JobSpec) -> usize {
-    match job.block() {
-        Some(_) => Sums::bytes(job),
-        None => PackedRecords::bytes_of(job),
-    }
-}
-
 fn refused<E: From<FarmError>>(field: &str, given: impl std::fmt::Display, allowed: impl Into<String>) -> E {
     FarmError::from(Invalid::new(field, given, allowed)).into()
 }
@@ -179,7 +171,7 @@ where
     /// The pieces of one result as a whole, not longer than it may be, and what comes after it. They are copied to a place
     /// of just their size: as they are, they hold on to the messages that they came in, however large these are.
     async fn gather(&mut self, job: &JobSpec) -> Result<(Bytes, Option<Piece>), E> {
-        let (wanted, what) = (bytes_of(job), if job.block().is_some() { "sums" } else { "records" });
+        let (wanted, what) = (result_bytes(job), if job.block().is_some() { "sums" } else { "records" });
         let mut whole = BytesMut::with_capacity(wanted);
         loop {
             let piece = match (self.next().await?, job.block()) {

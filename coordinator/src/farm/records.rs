@@ -7,11 +7,11 @@ use std::ops::Range;
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
+use optics_fit::FitDictionary;
 use optics_model::{Grid, Invalid, Record};
 
 use super::{Farm, FarmError, Result, blocking};
 use crate::store::{Damaged, JobRecords, StoreError};
-use optics_fit::FitDictionary;
 
 /// What is said of records that were damaged at the first reading, and not at the second.
 pub(super) const UNSTEADY: &str = "it differed from what was stored at one reading, and not at the next";
@@ -69,7 +69,7 @@ impl Farm {
         again.push((id, job));
         self.begin_again(again);
         drop(no_result_on_its_way);
-        self.door.transition(|dispatcher, _| dispatcher.damaged(id, job, &what));
+        self.door.transition(|dispatcher, _| dispatcher.tell_damage(id, job, &what));
         Ok(Some(what))
     }
 

@@ -103,7 +103,7 @@ impl Farm {
         };
         self.store.forget_point(job.sums_identity()).await?;
         self.find_blocks_of(key).await?;
-        self.door.transition(|dispatcher, _| dispatcher.damaged(key.dictionary, key.job, &what));
+        self.door.transition(|dispatcher, _| dispatcher.tell_damage(key.dictionary, key.job, &what));
         Ok(())
     }
 

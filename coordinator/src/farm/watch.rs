@@ -18,40 +18,36 @@ pub(crate) struct Watch {
     farm: Arc<Farm>,
     name: DictionaryName,
     changes: watch::Receiver<()>,
-    /// What comes next, if it is known already.
-    next: Option<DictionaryStatus>,
-    last: DictionaryStatus,
+    /// The state that was told last.
+    last: Option<DictionaryStatus>,
 }
 
 impl Farm {
     pub(crate) fn watch(self: &Arc<Self>, name: DictionaryName) -> Result<Watch> {
         // Before the first look, so that no change falls between the two.
         let changes = self.door.changes();
-        let first = self.status(&name)?;
-        Ok(Watch { farm: self.clone(), name, changes, next: Some(first.clone()), last: first })
+        self.found(&name)?;
+        Ok(Watch { farm: self.clone(), name, changes, last: None })
     }
 }
 
 impl Watch {
     /// The next state that differs from the last; None after the one in which the dictionary has ended.
     pub(crate) async fn next(&mut self) -> Result<Option<DictionaryStatus>> {
-        if let Some(first) = self.next.take() {
-            return Ok(Some(first));
-        }
-        if !self.last.state().is_open() {
+        if self.last.as_ref().is_some_and(|last| !last.state().is_open()) {
             return Ok(None);
         }
         loop {
+            let now = self.farm.status(&self.name)?;
+            if !self.last.as_ref().is_some_and(|last| same(&now, last)) {
+                self.last = Some(now.clone());
+                return Ok(Some(now));
+            }
             if self.changes.changed().await.is_err() {
                 return Ok(None);
             }
             tokio::time::sleep(PAUSE).await;
             self.changes.mark_unchanged();
-            let now = self.farm.status(&self.name)?;
-            if !same(&now, &self.last) {
-                self.last = now.clone();
-                return Ok(Some(now));
-            }
         }
     }
 }

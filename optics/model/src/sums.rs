@@ -3,7 +3,16 @@
 use crate::grid::BATCH_WALKS;
 use crate::invalid::{Invalid, Result};
 use crate::job::JobSpec;
+use crate::packed::PackedRecords;
 use crate::profile::{Derivatives, Estimate, Profile, Record};
+
+/// Bytes of what a tracer makes of a job: the sums of its block if it is divided, else its records.
+pub fn result_bytes(job: &JobSpec) -> usize {
+    match job.block() {
+        Some(_) => Sums::bytes(job),
+        None => PackedRecords::bytes_of(job),
+    }
+}
 
 /// Sums of a profile's numbers over batches, and of their squares: `[pixel][channel][quantity][albedo]`.
 ///

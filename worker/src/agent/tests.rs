@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 
 use farm_link::Target;
+use optics_model::sums::result_bytes;
 use tonic::Status;
 
 use super::*;
-use crate::delivery::bytes_of;
 use crate::testing::{
     Answer, Call, Coordinator, DeliveredResult, Method, endless_job, job, lease, lease_of, long_job, session,
 };
@@ -86,7 +86,7 @@ async fn every_job_is_traced_and_delivered_before_an_idle_worker_leaves() {
     results.sort_unstable_by_key(|result| result.key.job);
     let expected = jobs.map(|n| job(n.into())).chain([block]);
     for (n, (result, job)) in results.iter().zip(expected).enumerate() {
-        assert_eq!((result.key.job as usize, result.bytes), (n, bytes_of(&job)));
+        assert_eq!((result.key.job as usize, result.bytes), (n, result_bytes(&job)));
         assert_eq!(result.identity, job.identity().as_bytes());
     }
     assert_eq!(results.len(), 6);

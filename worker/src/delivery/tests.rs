@@ -1,6 +1,8 @@
 //! Results through faults, until they are acknowledged. The clock is paused: time passes when all wait.
 
 use bytes::Bytes;
+use optics_model::PackedRecords;
+use optics_model::sums::{Sums, result_bytes};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep};
 
@@ -27,7 +29,7 @@ impl Worker {
     /// Traces jobs, without tracing them.
     fn finish(&self, jobs: impl IntoIterator<Item = u32>) {
         for n in jobs {
-            self.finish_large(n, bytes_of(&job(1)));
+            self.finish_large(n, result_bytes(&job(1)));
         }
     }
 
@@ -50,7 +52,7 @@ impl Worker {
 
 fn pending(n: u32, bytes: usize) -> PendingResult {
     let job = job(1);
-    let zeros = Bytes::from(vec![0; bytes_of(&job)]);
+    let zeros = Bytes::from(vec![0; result_bytes(&job)]);
     let result = JobResult::Records(PackedRecords::new(&job, zeros).unwrap());
     let room = Arc::new(Semaphore::new(1)).try_acquire_owned().unwrap();
     PendingResult { key: lease(n).key, identity: job.identity(), result, bytes, _room: room }
@@ -183,7 +185,7 @@ async fn results_of_a_worker_that_is_fenced_off_are_dropped_without_a_report() {
 async fn records_and_sums_arrive_whole_with_what_they_depend_on() {
     let worker = Worker::start().await;
     let block = job(2).with_block(0).unwrap();
-    let mut sums = pending(1, bytes_of(&block));
+    let mut sums = pending(1, result_bytes(&block));
     (sums.result, sums.identity) = (JobResult::Sums(Sums::new(&block)), block.identity());
     worker.finish([0]);
     worker.finished.send(sums).unwrap();
@@ -193,7 +195,7 @@ async fn records_and_sums_arrive_whole_with_what_they_depend_on() {
         _ => None,
     });
     let results: Vec<_> = results.concat().iter().map(|r| (r.key.job, r.bytes, r.identity.clone())).collect();
-    let expected = [job(1), block].map(|job| (bytes_of(&job), job.identity().as_bytes().to_vec()));
+    let expected = [job(1), block].map(|job| (result_bytes(&job), job.identity().as_bytes().to_vec()));
     let [(records, first), (sums, second)] = expected;
     assert_eq!(results, [(0, records, first), (1, sums, second)]);
 }

@@ -4,6 +4,7 @@
 //! dispatcher must say what the model has counted from scratch.
 
 mod check;
+mod effects;
 mod ops;
 mod shared;
 mod store;

@@ -11,9 +11,9 @@ use optics_model::job::JobSpec;
 
 use super::super::look_over::STALL;
 use super::super::tests::Counted;
-use super::super::{Arrived, Dictionary, Dispatcher, Effect, Origin, Purpose, Settings};
+use super::super::{Arrived, Dictionary, Dispatcher, Origin, Purpose, Settings};
 use super::ops::Op;
-use super::store::{DoneJob, ModelStore};
+use super::store::ModelStore;
 use crate::stored::{DesiredState, Outcome};
 
 pub const LEASE: Duration = Duration::from_secs(8);
@@ -59,7 +59,7 @@ pub struct World {
     last_look: Option<Duration>,
     pub numbers: i64,
     /// Whether workers that wait were woken in this step, and people who watch.
-    woken: (bool, bool),
+    pub woken: (bool, bool),
     /// What went wrong within a step.
     pub complaint: Option<String>,
 }
@@ -282,69 +282,6 @@ impl World {
             let given_up = self.strikes.get(&(id, job)).is_some_and(|s| s.len() >= MAX_ATTEMPTS as usize);
             if !given_up {
                 self.strike(id, job, self.origins[&held.worker], true);
-            }
-        }
-    }
-
-    pub fn settle(&mut self) {
-        let outbox = self.farm.take_outbox();
-        self.woken = (self.woken.0 || outbox.work, self.woken.1 || outbox.changed);
-        for effect in outbox.effects {
-            match effect {
-                Effect::GiveUp { dictionary, job, reason, quarantined } => {
-                    let strikes = self.strikes.remove(&(dictionary, job)).unwrap_or_default();
-                    let silent = strikes.iter().any(|s| s.1);
-                    self.insist(strikes.len() == MAX_ATTEMPTS as usize && silent == quarantined, || {
-                        format!("job {job} is given up for {strikes:?}")
-                    });
-                    self.walks.insert((dictionary, job), self.store.dictionaries[&dictionary].grid.walks());
-                    self.store.given_up.insert((dictionary, job), (reason, quarantined));
-                }
-                Effect::Recompute { dictionary, job } => self.recompute(dictionary, job),
-                Effect::Agreed { dictionary, job, worker } => {
-                    if let Some(done) = self.store.done.get_mut(&(dictionary, job)) {
-                        done.by.insert(worker);
-                    }
-                }
-                Effect::Fence { worker, reason } => {
-                    for (id, job) in self.store.fence(worker, reason) {
-                        self.reopen(id, job);
-                    }
-                    self.find_blocks();
-                }
-            }
-            // What the effect has brought about.
-            self.settle();
-        }
-    }
-
-    /// Forgets a job's records. They lie at the walks that they are of, so that other jobs for these lose them too.
-    pub fn recompute(&mut self, id: DictionaryId, job: u32) {
-        let Some(walks) = self.store.done.get(&(id, job)).map(|done| done.walks) else { return };
-        let kind = self.store.kind(id);
-        let same = |(of, done): &(&(DictionaryId, u32), &DoneJob)| {
-            of.1 == job && done.walks == walks && self.store.kind(of.0) == kind
-        };
-        let forgotten: Vec<_> = self.store.done.iter().filter(same).map(|(of, _)| *of).collect();
-        for (id, job) in forgotten {
-            self.store.done.remove(&(id, job));
-            self.reopen(id, job);
-        }
-        self.find_blocks();
-    }
-
-    pub fn reopen(&mut self, id: DictionaryId, job: u32) {
-        self.strikes.remove(&(id, job));
-        self.walks.remove(&(id, job));
-        self.farm.reopen(id, &[job]);
-    }
-
-    /// Tells the dispatcher which blocks there are.
-    pub fn find_blocks(&mut self) {
-        for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
-            for (job, spec) in self.farm.by_id(id).unwrap().divided_jobs() {
-                let blocks = self.store.stored_blocks(id, job, spec.walks());
-                self.farm.parts_stored(id, job, spec.walks(), &blocks);
             }
         }
     }

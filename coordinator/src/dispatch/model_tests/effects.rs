@@ -1,0 +1,72 @@
+//! What the dispatcher decides, done to the model's store.
+
+use farm_proto::ids::DictionaryId;
+
+use super::super::Effect;
+use super::store::DoneJob;
+use super::world::{MAX_ATTEMPTS, World};
+
+impl World {
+    pub fn settle(&mut self) {
+        let outbox = self.farm.take_outbox();
+        self.woken = (self.woken.0 || outbox.work, self.woken.1 || outbox.changed);
+        for effect in outbox.effects {
+            match effect {
+                Effect::GiveUp { dictionary, job, reason, quarantined } => {
+                    let strikes = self.strikes.remove(&(dictionary, job)).unwrap_or_default();
+                    let silent = strikes.iter().any(|s| s.1);
+                    self.insist(strikes.len() == MAX_ATTEMPTS as usize && silent == quarantined, || {
+                        format!("job {job} is given up for {strikes:?}")
+                    });
+                    self.walks.insert((dictionary, job), self.store.dictionaries[&dictionary].grid.walks());
+                    self.store.given_up.insert((dictionary, job), (reason, quarantined));
+                }
+                Effect::Recompute { dictionary, job } => self.recompute(dictionary, job),
+                Effect::Agreed { dictionary, job, worker } => {
+                    if let Some(done) = self.store.done.get_mut(&(dictionary, job)) {
+                        done.by.insert(worker);
+                    }
+                }
+                Effect::Fence { worker, reason } => {
+                    for (id, job) in self.store.fence(worker, reason) {
+                        self.reopen(id, job);
+                    }
+                    self.find_blocks();
+                }
+            }
+            // What the effect has brought about.
+            self.settle();
+        }
+    }
+
+    /// Forgets a job's records. They lie at the walks that they are of, so that other jobs for these lose them too.
+    pub fn recompute(&mut self, id: DictionaryId, job: u32) {
+        let Some(walks) = self.store.done.get(&(id, job)).map(|done| done.walks) else { return };
+        let kind = self.store.kind(id);
+        let same = |(of, done): &(&(DictionaryId, u32), &DoneJob)| {
+            of.1 == job && done.walks == walks && self.store.kind(of.0) == kind
+        };
+        let forgotten: Vec<_> = self.store.done.iter().filter(same).map(|(of, _)| *of).collect();
+        for (id, job) in forgotten {
+            self.store.done.remove(&(id, job));
+            self.reopen(id, job);
+        }
+        self.find_blocks();
+    }
+
+    pub fn reopen(&mut self, id: DictionaryId, job: u32) {
+        self.strikes.remove(&(id, job));
+        self.walks.remove(&(id, job));
+        self.farm.reopen(id, &[job]);
+    }
+
+    /// Tells the dispatcher which blocks there are.
+    pub fn find_blocks(&mut self) {
+        for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
+            for (job, spec) in self.farm.by_id(id).unwrap().divided_jobs() {
+                let blocks = self.store.stored_blocks(id, job, spec.walks());
+                self.farm.parts_stored(id, job, spec.walks(), &blocks);
+            }
+        }
+    }
+}
