@@ -33,6 +33,7 @@ pub(crate) fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFi
         dictionary_share: 0.1,
         misfit,
         suspicion: (misfit > 2.0).then_some(suspicion),
+        likelihood: None,
     };
     ChannelFit {
         channel: name.to_owned(),

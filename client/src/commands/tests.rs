@@ -129,6 +129,7 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         dictionary_share: 0.1,
         misfit: 3.42,
         suspicion,
+        likelihood: None,
     };
     ChannelFit {
         channel: name.to_owned(),

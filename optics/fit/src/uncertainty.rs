@@ -98,6 +98,7 @@ impl<'a> Analysis<'a> {
             dictionary_share: spread.dictionary_share,
             misfit: self.noise.misfit,
             suspicion: suspicion(&self.objective, x, &self.blocks, self.noise.misfit),
+            likelihood: None,
         }
     }
 

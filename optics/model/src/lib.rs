@@ -24,7 +24,7 @@ pub use digest::Digest;
 pub use files::{GridFile, SceneFile, SceneRef, whole};
 pub use grid::{Grid, Quality, Walks};
 pub use invalid::{Invalid, Result};
-pub use measurement::{MeasuredProfile, Measurement};
+pub use measurement::{MeasuredProfile, Measurement, ProfileSetup};
 pub use medium::{Medium, TransportPoint};
 pub use packed::PackedRecords;
 pub use profile::{Derivatives, Estimate, Profile, Record};

@@ -12,6 +12,37 @@ use crate::medium::check_thickness;
 /// Fewest pixels of a measured profile: less does not tell an edge from a slope.
 pub const MIN_PIXELS: usize = 8;
 
+/// How well the set-up of a profile is known. What is none is taken from the options of a fit.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ProfileSetup {
+    pub thickness_std_error_mm: Option<f64>,
+    /// Where the edge lies in the profile's x; 0 if none.
+    pub origin_mm: Option<f64>,
+    pub origin_std_error_mm: Option<f64>,
+    /// Blur of the camera: standard deviation of a Gaussian in the plane of the sample.
+    pub blur_mm: Option<f64>,
+    pub blur_std_error_mm: Option<f64>,
+}
+
+impl ProfileSetup {
+    fn check(self) -> Result<Self> {
+        let length = |field: &str, v: Option<f64>| match v {
+            Some(v) if !(0.0..=1.0).contains(&v) => Err(Invalid::new(field, v, "allowed are 0 to 1")),
+            _ => Ok(()),
+        };
+        length("thickness_std_error_mm", self.thickness_std_error_mm)?;
+        length("origin_std_error_mm", self.origin_std_error_mm)?;
+        length("blur_mm", self.blur_mm)?;
+        length("blur_std_error_mm", self.blur_std_error_mm)?;
+        match self.origin_mm {
+            Some(v) if !(-10.0..=10.0).contains(&v) => {
+                Err(Invalid::new("origin_mm", v, "allowed are -10 to 10"))
+            }
+            _ => Ok(self),
+        }
+    }
+}
+
 /// The edge profile of one channel at one thickness, at equally spaced pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeasuredProfile {
@@ -20,6 +51,7 @@ pub struct MeasuredProfile {
     x_mm: Vec<f64>,
     values: Vec<f64>,
     std_errors: Option<Vec<f64>>,
+    setup: ProfileSetup,
 }
 
 impl MeasuredProfile {
@@ -47,7 +79,17 @@ impl MeasuredProfile {
         if let Some(errors) = &std_errors {
             check_numbers("std_errors", n, errors, |v| v >= 0.0, "numbers from 0 on are allowed")?;
         }
-        Ok(Self { channel: channel.into(), thickness_mm, x_mm, values, std_errors })
+        let setup = ProfileSetup::default();
+        Ok(Self { channel: channel.into(), thickness_mm, x_mm, values, std_errors, setup })
+    }
+
+    /// The same with what is known of its set-up.
+    pub fn with_setup(self, setup: ProfileSetup) -> Result<Self> {
+        Ok(Self { setup: setup.check()?, ..self })
+    }
+
+    pub fn setup(&self) -> &ProfileSetup {
+        &self.setup
     }
 
     pub fn channel(&self) -> &str {
@@ -180,6 +222,23 @@ mod tests {
         assert!(profile(uneven, ramp(10)).unwrap_err().to_string().contains("equally spaced"));
         assert!(profile(ramp(10), vec![0.5; 10]).unwrap_err().to_string().contains("constant"));
         assert!(profile(vec![], vec![]).unwrap_err().to_string().contains("0 pixels"));
+    }
+
+    #[test]
+    fn a_set_up_out_of_range_is_refused() {
+        let with = |setup| profile(ramp(10), ramp(10)).unwrap().with_setup(setup);
+        let default = ProfileSetup::default;
+        for (setup, field) in [
+            (ProfileSetup { thickness_std_error_mm: Some(-0.1), ..default() }, "thickness_std_error_mm"),
+            (ProfileSetup { origin_mm: Some(f64::NAN), ..default() }, "origin_mm"),
+            (ProfileSetup { origin_std_error_mm: Some(3.0), ..default() }, "origin_std_error_mm"),
+            (ProfileSetup { blur_mm: Some(f64::INFINITY), ..default() }, "blur_mm"),
+            (ProfileSetup { blur_std_error_mm: Some(-1.0), ..default() }, "blur_std_error_mm"),
+        ] {
+            assert_eq!(with(setup).unwrap_err().field(), field);
+        }
+        let setup = ProfileSetup { origin_mm: Some(-0.2), ..default() };
+        assert_eq!(with(setup).unwrap().setup().origin_mm, Some(-0.2));
     }
 
     #[test]

@@ -39,6 +39,12 @@ impl TryFrom<wire::FitOptions> for FitOptions {
             mu_std_error: options.mu_std_error.unwrap_or(default.mu_std_error),
             gain_std_error: options.gain_std_error.unwrap_or(default.gain_std_error),
             offset_std_error: options.offset_std_error.unwrap_or(default.offset_std_error),
+            objective: default.objective,
+            thickness_std_error_mm: default.thickness_std_error_mm,
+            origin_std_error_mm: default.origin_std_error_mm,
+            blur_mm: default.blur_mm,
+            blur_std_error_mm: default.blur_std_error_mm,
+            slope_std_error: default.slope_std_error,
             wavelet,
             level: options.level.unwrap_or(default.level),
             sigma_t_per_mm: bounds("sigma_t_per_mm", options.sigma_t_per_mm)?,
@@ -206,6 +212,7 @@ impl TryFrom<wire::Refined> for Refined {
             return Err(Invalid::new("covariance", count, "nine numbers are needed"));
         };
         Ok(Self {
+            likelihood: None,
             best: required("best", r.best)?.try_into()?,
             sigma_t_per_mm: interval("sigma_t_per_mm", r.sigma_t_per_mm)?,
             albedo: interval("albedo", r.albedo)?,

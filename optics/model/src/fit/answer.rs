@@ -82,6 +82,102 @@ pub struct Refined {
     pub misfit: f64,
     /// The likeliest reason, if the misfit exceeds [`MISFIT`].
     pub suspicion: Option<Suspicion>,
+    /// What the likelihood tells beyond; none if the paper's distance was made least.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub likelihood: Option<Likelihood>,
+}
+
+/// What the likelihood tells of a channel's profiles beside the medium.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Likelihood {
+    /// Sum of the squares of the residuals over their noise, outliers left out, and of the deviations of what is wrong
+    /// with the set-up from what was known of it.
+    pub chi2: f64,
+    /// Pixels less parameters of the medium.
+    pub degrees_of_freedom: f64,
+    /// Probability that noise alone makes χ² as large.
+    pub probability: f64,
+    /// What is wrong with the set-up, as estimated.
+    pub nuisances: Vec<NuisanceEstimate>,
+    /// Pixels that do not belong to the profile: dust, scratches, bubbles.
+    pub outliers: Vec<OutlierPixel>,
+    /// Where along x neighbouring pixels deviate together by more than noise explains.
+    pub stretches: Vec<Stretch>,
+    /// The least errors that these pixels allow.
+    pub bound: Bound,
+}
+
+/// Something that is wrong with every set-up, told to some accuracy, and estimated beside the medium.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Nuisance {
+    /// Factor on all profiles, 1/μ.
+    Scale,
+    /// Variance of the camera's blur, in mm².
+    #[serde(rename = "blur_variance_mm2")]
+    BlurVariance,
+    /// Thickness of a slab in mm.
+    #[serde(rename = "thickness_mm")]
+    Thickness,
+    /// Where the edge lies in a profile, in mm.
+    #[serde(rename = "origin_mm")]
+    Origin,
+    /// The profile's values are too large by this share.
+    Gain,
+    /// The profile's values are too large by this radiance factor.
+    Zero,
+    /// The light rises across the profile by this share per 10 mm.
+    Slope,
+}
+
+/// What was known of a nuisance, and what the data say.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct NuisanceEstimate {
+    pub nuisance: Nuisance,
+    /// The profile concerned, by its nominal thickness; none if all are.
+    pub profile_mm: Option<f64>,
+    pub value: f64,
+    pub std_error: f64,
+    /// What was told, or taken to be so.
+    pub told: f64,
+    pub told_std_error: f64,
+}
+
+/// A pixel of a measurement that was given no weight.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct OutlierPixel {
+    pub profile_mm: f64,
+    pub x_mm: f64,
+    /// In standard deviations of its noise; positive if it is too bright.
+    pub deviation: f64,
+}
+
+/// Neighbouring pixels that deviate together.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Stretch {
+    pub profile_mm: f64,
+    pub from_mm: f64,
+    pub to_mm: f64,
+    /// Their mean deviation over its standard deviation.
+    pub deviation: f64,
+}
+
+/// The Cramér–Rao bound: intervals of 95 % about the optimum that an ideal estimate would have, with the noise of the
+/// pixels and what is known of the set-up, and a dictionary without noise. Infinite ends are null in JSON.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Bound {
+    pub sigma_t_per_mm: Ends,
+    pub albedo: Ends,
+    pub g: Ends,
+    pub reduced_scattering_per_mm: Ends,
+    pub absorption_per_mm: Ends,
+}
+
+/// The ends of an interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Ends {
+    pub low: f64,
+    pub high: f64,
 }
 
 /// Misfit above which a fit is said not to explain its measurement.

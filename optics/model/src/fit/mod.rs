@@ -4,7 +4,8 @@ mod answer;
 mod options;
 
 pub use answer::{
-    Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, FitCurves, GError, Interval, MISFIT, MapLayer,
-    MaterialFit, Outside, Refined, ScaleCurve, ScalePoint, Suspicion, ThicknessError,
+    Bound, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, Ends, FitCurves, GError, Interval,
+    Likelihood, MISFIT, MapLayer, MaterialFit, Nuisance, NuisanceEstimate, OutlierPixel, Outside, Refined,
+    ScaleCurve, ScalePoint, Stretch, Suspicion, ThicknessError,
 };
-pub use options::{Bounds, FitOptions, FitSettings, MuRange, Wavelet};
+pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, Wavelet};

@@ -18,6 +18,17 @@ pub enum Wavelet {
     Haar,
 }
 
+/// What is made least.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Objective {
+    /// Eq. 1 of the paper: a sum of norms of values and gradients, as if the set-up were perfect but for μ.
+    Paper,
+    /// Minus twice the logarithm of the likelihood: residuals over their noise, with all that is wrong with a real
+    /// set-up estimated beside the medium.
+    Likelihood,
+}
+
 /// An interval that a parameter must lie in; one value if both ends are equal. An end that is open is null in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bounds {
@@ -85,6 +96,18 @@ pub struct FitSettings {
     pub gain_std_error: f64,
     /// Standard error of the zero of each profile on its own, as a radiance factor: stray light, black level.
     pub offset_std_error: f64,
+    /// What is made least; none for the likelihood if every profile has standard errors, else the paper's distance.
+    pub objective: Option<Objective>,
+    /// Standard error of the thickness of each slab for which none is told, in mm.
+    pub thickness_std_error_mm: f64,
+    /// Standard error of the place of the edge in each profile for which none is told, in mm.
+    pub origin_std_error_mm: f64,
+    /// Blur of the camera where none is told: standard deviation of a Gaussian in the plane of the sample, in mm.
+    pub blur_mm: f64,
+    /// Standard error of that, in mm.
+    pub blur_std_error_mm: f64,
+    /// Standard error of the rise of the light across each profile, as a share per 10 mm.
+    pub slope_std_error: f64,
     pub wavelet: Wavelet,
     /// Level of the wavelet: it smooths over about 2^level pixels.
     pub level: u32,
@@ -101,7 +124,8 @@ pub struct FitSettings {
 
 impl Default for FitSettings {
     /// The paper's λ = 20, μ = 1, the quadratic spline at level 4, everything free, five neighbours; each profile's scale
-    /// known to 0.3 %, and its zero to 0.1 % of white, since no photograph's are known better.
+    /// known to 0.3 %, and its zero to 0.1 % of white, since no photograph's are known better. Thickness as a micrometer
+    /// gives it, the edge as the eye sees it, a blur of which little is known, light even to 0.2 % over 10 mm.
     fn default() -> Self {
         Self {
             lambda: 20.0,
@@ -109,6 +133,12 @@ impl Default for FitSettings {
             mu_std_error: 0.0,
             gain_std_error: 0.003,
             offset_std_error: 0.001,
+            objective: None,
+            thickness_std_error_mm: 0.005,
+            origin_std_error_mm: 0.05,
+            blur_mm: 0.0,
+            blur_std_error_mm: 0.03,
+            slope_std_error: 0.002,
             wavelet: Wavelet::QuadraticSpline,
             level: 4,
             sigma_t_per_mm: Bounds::FREE,
@@ -140,6 +170,12 @@ impl FitOptions {
         check("mu_std_error", s.mu_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
         check("gain_std_error", s.gain_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
         check("offset_std_error", s.offset_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
+        check("slope_std_error", s.slope_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
+        let length = |v: f64| (0.0..=1.0).contains(&v);
+        check("thickness_std_error_mm", s.thickness_std_error_mm, length, "allowed are 0 to 1")?;
+        check("origin_std_error_mm", s.origin_std_error_mm, length, "allowed are 0 to 1")?;
+        check("blur_mm", s.blur_mm, length, "allowed are 0 to 1")?;
+        check("blur_std_error_mm", s.blur_std_error_mm, length, "allowed are 0 to 1")?;
         s.sigma_t_per_mm.check(check_sigma_t)?;
         s.albedo.check(check_albedo)?;
         s.g.check(check_g)?;
@@ -231,6 +267,11 @@ mod tests {
             (FitSettings { albedo: Bounds::fixed(1.5), ..default() }, "albedo"),
             (FitSettings { mu_std_error: -0.1, ..default() }, "mu_std_error"),
             (FitSettings { gain_std_error: f64::NAN, ..default() }, "gain_std_error"),
+            (FitSettings { thickness_std_error_mm: -0.001, ..default() }, "thickness_std_error_mm"),
+            (FitSettings { origin_std_error_mm: f64::INFINITY, ..default() }, "origin_std_error_mm"),
+            (FitSettings { blur_mm: 2.0, ..default() }, "blur_mm"),
+            (FitSettings { blur_std_error_mm: f64::NAN, ..default() }, "blur_std_error_mm"),
+            (FitSettings { slope_std_error: 1.5, ..default() }, "slope_std_error"),
         ] {
             assert_eq!(FitOptions::new(settings).unwrap_err().field(), field);
         }
