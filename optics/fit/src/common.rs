@@ -84,7 +84,7 @@ pub(super) fn all_questions<'a>(
 }
 
 /// Logarithms of factors on μ, evenly over the range.
-fn scales(range: Option<&MuRange>, base: f64) -> Vec<f64> {
+pub(super) fn scales(range: Option<&MuRange>, base: f64) -> Vec<f64> {
     let Some(range) = range else { return vec![0.0] };
     let (min, max, _) = range.parts();
     let (low, high) = ((min / base).ln(), (max / base).ln());

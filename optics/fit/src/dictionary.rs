@@ -75,6 +75,11 @@ impl FitDictionary {
         self.all.values(record, channel)
     }
 
+    /// The view over all pixels, which is always at hand.
+    pub(super) fn whole_view(&self) -> Arc<View> {
+        self.view(&self.default_view())
+    }
+
     fn default_view(&self) -> ViewKey {
         let pixels = 0..self.grid().scene().sensor().pixels();
         let settings = optics_model::fit::FitSettings::default();

@@ -8,6 +8,7 @@ mod curves;
 mod dictionary;
 mod gradient;
 mod intervals;
+mod likelihood;
 mod local_axis;
 mod map;
 mod measure;
@@ -29,7 +30,7 @@ mod testing;
 mod uncertainty;
 mod view;
 
-use optics_model::fit::{ChannelFit, FitOptions, MaterialFit};
+use optics_model::fit::{ChannelFit, FitOptions, MaterialFit, Objective};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
@@ -49,6 +50,9 @@ pub fn fit(
     measurement: &Measurement,
     options: &FitOptions,
 ) -> Result<MaterialFit, Invalid> {
+    if likelihood::objective(options, [measurement]) == Objective::Likelihood {
+        return likelihood::fit(dictionary, measurement, options);
+    }
     let questions = questions(dictionary, measurement, options)?;
     let channels = match questions.as_slice() {
         // Not worth waking other threads for.

@@ -1,7 +1,8 @@
 //! The whole job of the paper: scale factor, common anisotropy, fits, refinement, uncertainty.
 
 use optics_model::fit::{
-    Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, MuRange, ScaleCurve,
+    Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, MuRange, Objective,
+    ScaleCurve,
 };
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
@@ -10,6 +11,7 @@ use super::common::{Found, Wanted, all_questions, find};
 use super::curves;
 use super::dictionary::FitDictionary;
 use super::intervals::Z;
+use super::likelihood;
 use super::question::Question;
 use super::refine::SCALE;
 use super::scale::scale;
@@ -55,6 +57,9 @@ pub fn measure_refined(
     options: &FitOptions,
     plan: &MeasurePlan,
 ) -> Result<Measured, Invalid> {
+    if likelihood::objective(options, materials) == Objective::Likelihood {
+        return likelihood::measure(dictionary, materials, options, plan);
+    }
     let settings = *options.settings();
     let wanted = Wanted {
         mu: plan.search_mu,
@@ -186,7 +191,7 @@ impl Set<'_> {
 }
 
 /// Where μ lies; open where the range of the search ends first.
-fn mu_interval(mu: f64, std_error: f64, range: Option<&MuRange>) -> Interval {
+pub(super) fn mu_interval(mu: f64, std_error: f64, range: Option<&MuRange>) -> Interval {
     let (low, high) = (mu - Z * std_error, mu + Z * std_error);
     let (min, max, _) = range.map_or((low, high, 0.0), MuRange::parts);
     Interval { low: low.max(min), high: high.min(max), open_low: low < min, open_high: high > max }

@@ -257,12 +257,18 @@ fn std_errors(term: &Term, model: &[f64], mu: f64) -> Vec<f64> {
     };
     let residuals: Vec<f64> =
         x.iter().zip(term.profile.values()).map(|(x, v)| v - model_at(*x) / mu).collect();
-    let edge = x.partition_point(|x| *x < 0.0);
-    if edge.min(x.len() - edge) < MIN_PIXELS {
-        return vec![scatter(&residuals); x.len()];
+    scatter_by_side(x, &residuals)
+}
+
+/// Standard errors of a profile that does not tell them: from how its values scatter from pixel to pixel, on the dark and
+/// on the light side by themselves.
+pub(super) fn scatter_by_side(x_mm: &[f64], values: &[f64]) -> Vec<f64> {
+    let edge = x_mm.partition_point(|x| *x < 0.0);
+    if edge.min(x_mm.len() - edge) < MIN_PIXELS {
+        return vec![scatter(values); x_mm.len()];
     }
-    let (dark, light) = (scatter(&residuals[..edge]), scatter(&residuals[edge..]));
-    (0..x.len()).map(|i| if i < edge { dark } else { light }).collect()
+    let (dark, light) = (scatter(&values[..edge]), scatter(&values[edge..]));
+    (0..x_mm.len()).map(|i| if i < edge { dark } else { light }).collect()
 }
 
 /// Standard deviation of independent noise: second differences take off what is smooth, the median what is rare.

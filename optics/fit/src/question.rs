@@ -6,7 +6,7 @@ use std::sync::Arc;
 use optics_model::fit::{Bounds, Candidate, FitOptions, Outside, ThicknessError};
 use optics_model::measurement::{MIN_PIXELS, colour};
 use optics_model::scene::Channel;
-use optics_model::{Invalid, MeasuredProfile, Measurement, Medium};
+use optics_model::{Grid, Invalid, MeasuredProfile, Measurement, Medium};
 
 use super::dictionary::FitDictionary;
 use super::resample::{Resampled, resample};
@@ -18,7 +18,7 @@ use super::view::{PairDescription, View};
 const SAME: f64 = 1e-6;
 
 /// Share by which a profile's mean must exceed all records' to be called outside: more than noise does.
-const OUTSIDE: f64 = 0.01;
+pub(super) const OUTSIDE: f64 = 0.01;
 
 /// Media that a search looks at, as ranges of the grid's axes.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -72,6 +72,33 @@ pub(super) fn list(axis: &[f64]) -> String {
     axis.iter().map(f64::to_string).collect::<Vec<_>>().join(", ")
 }
 
+/// The refusal of a thickness that the dictionary does not have, with what to submit.
+pub(super) fn unknown_thickness(grid: &Grid, thickness_mm: f64) -> Invalid {
+    let axis = grid.thickness_mm();
+    let mut wanted = [axis, &[thickness_mm]].concat();
+    wanted.sort_by(f64::total_cmp);
+    let allowed = format!(
+        "the dictionary has {}; `farmctl submit GRID.toml` computes one with all of them if the grid file says \
+         thickness_mm = [{}], and takes over what is there",
+        list(axis),
+        list(&wanted)
+    );
+    Invalid::new("thickness_mm", thickness_mm, allowed)
+}
+
+/// Index of a channel among the scene's.
+pub(super) fn find_channel(grid: &Grid, name: &str) -> Result<usize, Invalid> {
+    let channels = grid.scene().channels();
+    let called = |c: &Channel| c.name() == name;
+    // A colour may have another spelling here than in the measurement.
+    let alike = |c: &Channel| colour(name).is_some() && colour(c.name()) == colour(name);
+    let found = channels.iter().position(called).or_else(|| channels.iter().position(alike));
+    found.ok_or_else(|| {
+        let names: Vec<_> = channels.iter().map(Channel::name).collect();
+        Invalid::new("channel", name, format!("the dictionary has {}", names.join(", ")))
+    })
+}
+
 /// One thickness of one channel: μ F_A and |∇ μ F_A| on the pixels that the measurement covers.
 #[derive(Debug)]
 pub(super) struct Term<'a> {
@@ -93,17 +120,10 @@ impl<'a> Term<'a> {
     ) -> Result<Self, Invalid> {
         let axis = dictionary.grid().thickness_mm();
         let same = |v: &f64| (v - profile.thickness_mm()).abs() <= SAME * v.abs();
-        let thickness = axis.iter().position(same).ok_or_else(|| {
-            let mut wanted = [axis, &[profile.thickness_mm()]].concat();
-            wanted.sort_by(f64::total_cmp);
-            let allowed = format!(
-                "the dictionary has {}; `farmctl submit GRID.toml` computes one with all of them if the grid file says \
-                 thickness_mm = [{}], and takes over what is there",
-                list(axis),
-                list(&wanted)
-            );
-            Invalid::new("thickness_mm", profile.thickness_mm(), allowed)
-        })?;
+        let thickness = axis
+            .iter()
+            .position(same)
+            .ok_or_else(|| unknown_thickness(dictionary.grid(), profile.thickness_mm()))?;
         let sensor = dictionary.grid().scene().sensor();
         let resampled = resample(profile, sensor);
         if resampled.values.len() < MIN_PIXELS {
@@ -200,15 +220,7 @@ impl<'a> Question<'a> {
         options: &FitOptions,
         admissible: Admissible,
     ) -> Result<Self, Invalid> {
-        let channels = dictionary.grid().scene().channels();
-        let called = |c: &Channel| c.name() == name;
-        // A colour may have another spelling here than in the measurement.
-        let alike = |c: &Channel| colour(name).is_some() && colour(c.name()) == colour(name);
-        let found = channels.iter().position(called).or_else(|| channels.iter().position(alike));
-        let channel = found.ok_or_else(|| {
-            let names: Vec<_> = channels.iter().map(Channel::name).collect();
-            Invalid::new("channel", name, format!("the dictionary has {}", names.join(", ")))
-        })?;
+        let channel = find_channel(dictionary.grid(), name)?;
         let profiles = measurement.profiles().iter().filter(|p| p.channel() == name);
         let terms =
             profiles.map(|profile| Term::new(dictionary, profile, options)).collect::<Result<_, _>>()?;

@@ -5,8 +5,8 @@
 //! does.
 
 use glam::{DMat4, DVec4};
-use optics_model::Medium;
 use optics_model::fit::{Bounds, Candidate, FitOptions};
+use optics_model::{Grid, Medium};
 
 use super::question::{Question, Term};
 use super::sum::{dot, rms};
@@ -59,8 +59,9 @@ pub(super) struct Optimum {
     pub error: f64,
 }
 
-fn held(question: &Question) -> [Option<f64>; 3] {
-    let (grid, settings) = (question.dictionary.grid(), question.options.settings());
+/// Parameters that cannot move: by the bounds, or since the dictionary has one value only.
+pub(super) fn held(grid: &Grid, options: &FitOptions) -> [Option<f64>; 3] {
+    let settings = options.settings();
     let held = |axis: &[f64], bounds: Bounds| match axis {
         [one] => Some(*one),
         _ => bounds.is_fixed().then_some(bounds.min()),
@@ -73,7 +74,7 @@ fn held(question: &Question) -> [Option<f64>; 3] {
 }
 
 /// Least and greatest coordinates within both the dictionary and the bounds.
-fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64); 4] {
+pub(super) fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64); 4] {
     let settings = options.settings();
     let within = |(low, high): (f64, f64), bounds: Bounds, forward: fn(f64) -> f64| {
         let (a, b) = (forward(bounds.min()), forward(bounds.max()));
@@ -96,7 +97,13 @@ impl<'a> Objective<'a> {
         let surrogate = Surrogate::new(question.dictionary, question.channel, ior);
         let limits = limits(&surrogate, &question.options);
         let slopes = question.terms.iter().map(|t| t.view.slope().of(&t.values)).collect();
-        Self { question, surrogate, limits, held: held(question), slopes }
+        Self {
+            question,
+            surrogate,
+            limits,
+            held: held(question.dictionary.grid(), &question.options),
+            slopes,
+        }
     }
 
     /// The parameter that a coordinate stands for; what is held comes back as it was given.

@@ -62,6 +62,14 @@ impl Basis {
         Description { coefficients, rest: (dot(&rest, &rest).sqrt() * scale) as f32, size: size as f32 }
     }
 
+    pub(super) fn mean(&self) -> &[f64] {
+        &self.mean
+    }
+
+    pub(super) fn directions(&self) -> &[Vec<f64>] {
+        &self.directions
+    }
+
     pub(super) fn describe_record(&self, profile: &[f32]) -> Description {
         self.describe(profile.iter().map(|v| f64::from(*v)))
     }
@@ -126,6 +134,11 @@ impl Sketch {
             rows: (0..coefficients).flat_map(row).chain(rests).collect(),
             largest: descriptions.iter().map(|d| d.size).fold(0.0, f32::max),
         }
+    }
+
+    /// A coefficient of all profiles, as a root mean square over the pixels.
+    pub(super) fn row(&self, coefficient: usize) -> &[f32] {
+        &self.rows[coefficient * self.profiles..][..self.profiles]
     }
 
     /// Adds `weight` times a lower bound of the root mean square distance between the target and each of the

@@ -133,6 +133,115 @@ impl<'a> Surrogate<'a> {
         Prediction { values, slopes }
     }
 
+    /// The model at any thickness near one of the dictionary's: walks know σ_t·t alone, and lengths scale.
+    pub(super) fn predict_at(&self, thickness_mm: f64, x: Coordinates) -> PredictionAt {
+        let (index, ratio) = self.nearest_thickness(thickness_mm);
+        let sensor = self.dictionary.grid().scene().sensor();
+        let found = self.predict(index, 0..sensor.pixels(), [x[SIGMA_T] + ratio.ln(), x[ALBEDO], x[G]]);
+        let stretched = |f: &[f64]| crate::likelihood::stretched(f, ratio);
+        let values = stretched(&found.values);
+        let slopes = found.slopes.each_ref().map(|f| stretched(f));
+        let n = values.len();
+        let by = |i: usize| {
+            let (a, b) = (i.saturating_sub(1), (i + 1).min(n - 1));
+            let by_x = (values[b] - values[a]) / ((b - a) as f64 * sensor.pitch_mm());
+            slopes[SIGMA_T][i] - sensor.centre_mm(i) * by_x
+        };
+        let by_ln_thickness = (0..n).map(by).collect();
+        PredictionAt { values, slopes, by_ln_thickness }
+    }
+
+    /// The same at any thickness near one of the dictionary's.
+    pub(super) fn noise_factors_at(&self, thickness_mm: f64, x: Coordinates) -> Vec<Vec<f64>> {
+        let (index, ratio) = self.nearest_thickness(thickness_mm);
+        self.noise_factors(index, [x[SIGMA_T] + ratio.ln(), x[ALBEDO], x[G]])
+    }
+
+    /// Index of the dictionary's nearest thickness, and the factor from it.
+    fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
+        let axis = self.dictionary.grid().thickness_mm();
+        let off = |t: &f64| (thickness_mm / t).ln().abs();
+        let nearest = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
+        nearest.map_or((0, 1.0), |(index, nominal)| (index, thickness_mm / nominal))
+    }
+
+    /// Records about `x` and what the model takes of each: number of the medium over all axes, weight, and the weight's
+    /// derivatives by the coordinates.
+    pub(super) fn stencil(&self, x: Coordinates) -> Vec<(usize, f64, [f64; 3])> {
+        let (s, g) = (self.sigma_t.weights(x[SIGMA_T]), self.g.weights(x[G]));
+        let a = interpolation(&self.albedo, x[ALBEDO]);
+        let grid = self.dictionary.grid();
+        let mut stencil = Vec::with_capacity(s.values.len() * g.values.len() * a.values.len());
+        for i in 0..s.values.len() {
+            let row = self.ior * grid.sigma_t_per_mm().len() + s.first + i;
+            for k in 0..g.values.len() {
+                let first = (row * grid.g().len() + g.first + k) * grid.albedo().len() + a.first;
+                for j in 0..a.values.len() {
+                    let by = [
+                        s.slopes[i] * a.values[j] * g.values[k],
+                        s.values[i] * a.slopes[j] * g.values[k],
+                        s.values[i] * a.values[j] * g.slopes[k],
+                    ];
+                    stencil.push((first + j, s.values[i] * a.values[j] * g.values[k], by));
+                }
+            }
+        }
+        stencil
+    }
+
+    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the records' noise gives to the model at `x`, over all
+    /// pixels: what the local polynomial leaves of the records about.
+    pub(super) fn noise_factors(&self, thickness: usize, x: Coordinates) -> Vec<Vec<f64>> {
+        let a = interpolation(&self.albedo, x[ALBEDO]);
+        let (first_s, window_s, hat_s) = self.sigma_t.hat(x[SIGMA_T]);
+        let (first_g, window_g, hat_g) = self.g.hat(x[G]);
+        let (ns, ng) = (window_s.len(), window_g.len());
+        let pixels = self.dictionary.grid().scene().sensor().pixels();
+        let image = |n: usize| -> Vec<f64> {
+            let mut image = vec![0.0; pixels];
+            for (j, weight) in a.values.iter().enumerate() {
+                let row = self.row(first_s + n / ng, first_g + n % ng, thickness, a.first + j);
+                image.iter_mut().zip(row).for_each(|(v, r)| *v += weight * f64::from(*r));
+            }
+            image
+        };
+        let images: Vec<Vec<f64>> = (0..ns * ng).map(image).collect();
+        let add = |into: &mut [f64], factor: f64, of: &[f64]| {
+            into.iter_mut().zip(of).for_each(|(v, o)| *v += factor * o);
+        };
+        // The polynomials along both axes, one after the other.
+        let along_s: Vec<Vec<f64>> = (0..ns * ng)
+            .map(|n| {
+                let mut smooth = vec![0.0; pixels];
+                (0..ns).for_each(|m| add(&mut smooth, hat_s[n / ng][m], &images[m * ng + n % ng]));
+                smooth
+            })
+            .collect();
+        let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
+        let leverage = square(&self.sigma_t.weights(x[SIGMA_T])) * square(&self.g.weights(x[G]));
+        let (mut factors, mut total) = (Vec::new(), 0.0);
+        for n in 0..ns * ng {
+            let (i, k) = (n / ng, n % ng);
+            let mut rest = images[n].clone();
+            (0..ng).for_each(|m| add(&mut rest, -hat_g[k][m], &along_s[i * ng + m]));
+            let squares =
+                hat_s[i].iter().map(|h| h * h).sum::<f64>() * hat_g[k].iter().map(|h| h * h).sum::<f64>();
+            // Variance of a rest over that of a record.
+            let left = 1.0 - 2.0 * hat_s[i][i] * hat_g[k][k] + squares;
+            if left < 1e-6 {
+                continue;
+            }
+            let weight = window_s[i] * window_g[k];
+            total += weight;
+            let size = (weight * leverage / left).sqrt();
+            rest.iter_mut().for_each(|v| *v *= size);
+            factors.push(rest);
+        }
+        let size = if total > 0.0 { total.sqrt().recip() } else { 0.0 };
+        factors.iter_mut().flatten().for_each(|v| *v *= size);
+        factors
+    }
+
     /// What the records' noise does to `N` functionals of the model's profile at `x`: their covariance.
     ///
     /// The noise is read off the records about: what the local polynomial leaves of them is noise, and a little of the
@@ -208,4 +317,13 @@ fn accumulate(row: &[f32], weight: f64, by: [f64; 3], values: &mut [f64], slopes
         *a += by[1] * v;
         *g += by[2] * v;
     }
+}
+
+/// A profile at some thickness, on all pixels of the dictionary, and its derivatives by the coordinates and by the
+/// logarithm of the thickness.
+#[derive(Debug, Clone)]
+pub(super) struct PredictionAt {
+    pub values: Vec<f64>,
+    pub slopes: [Vec<f64>; 3],
+    pub by_ln_thickness: Vec<f64>,
 }

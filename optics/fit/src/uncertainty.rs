@@ -21,7 +21,7 @@ const RESOLVED_FACTOR: f64 = 2.0;
 /// … and that of the albedo at most this.
 const RESOLVED_ALBEDO: f64 = 0.2;
 /// Correlation of ln σ_t with ln(1 − g) from which on they are said to trade off.
-const VALLEY: f64 = 0.9;
+pub(super) const VALLEY: f64 = 0.9;
 
 /// A channel's continuous optimum and what noise does to it.
 #[derive(Debug)]
@@ -148,7 +148,7 @@ impl<'a> Analysis<'a> {
     }
 }
 
-fn is_resolved(sigma_t: &Interval, albedo: &Interval) -> bool {
+pub(super) fn is_resolved(sigma_t: &Interval, albedo: &Interval) -> bool {
     let bounded = |i: &Interval| !i.open_low && i.high <= RESOLVED_FACTOR * i.low;
     bounded(sigma_t) && !sigma_t.open_high && bounded(albedo) && albedo.high - albedo.low <= RESOLVED_ALBEDO
 }

@@ -86,6 +86,11 @@ pub(super) struct PairDescription {
 }
 
 impl PairSketch {
+    /// Coefficients of the values of all media in the view's basis.
+    pub(super) fn value_coefficients(&self) -> &Sketch {
+        &self.values
+    }
+
     /// Adds lower bounds of d(target, medium) for the media from `first` on.
     pub(super) fn add_bounds(&self, target: &PairDescription, lambda: f64, first: usize, bounds: &mut [f32]) {
         self.values.add_bounds(&target.values, 1.0, first, bounds);
@@ -178,6 +183,15 @@ impl View {
 
     pub(super) fn sketch(&self, channel: usize, thickness: usize) -> &PairSketch {
         &self.sketches[channel][thickness]
+    }
+
+    pub(super) fn value_basis(&self) -> &Basis {
+        &self.value_basis
+    }
+
+    /// Factor from the coefficients of sketches to those of profiles.
+    pub(super) fn sketch_scale(&self) -> f64 {
+        (self.key.pixels.len() as f64).sqrt()
     }
 
     pub(super) fn describe(&self, values: &[f64], gradient: &[f64]) -> PairDescription {

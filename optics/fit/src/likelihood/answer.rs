@@ -1,0 +1,438 @@
+//! What is told of a channel's minimum.
+
+use nalgebra::DMatrix;
+use optics_model::fit::{
+    Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, Nuisance, NuisanceEstimate, OutlierPixel,
+    Outside, Refined, Stretch, ThicknessError,
+};
+use optics_model::{Grid, Medium};
+
+use super::bound::{bound, ideal_covariance};
+use super::channel::held_at;
+use super::chi2::exceedance;
+use super::problem::ChannelData;
+use super::profile::{Profile, interval};
+use super::system::{Quantity, State, System};
+use super::term::{Linear, Own};
+use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, LN_THICKNESS, Line, ROOT_CO_ALBEDO, SHARED};
+use crate::refine::held;
+use crate::sum::{dot, rms};
+use crate::surrogate::{albedo, g, sigma_t};
+use crate::uncertainty::{VALLEY, is_resolved};
+use crate::view::Slope;
+
+/// Probability of χ² below which residuals are said to be more than noise.
+const UNLIKELY: f64 = 0.001;
+/// Least joint deviation of a stretch that is told, in standard deviations.
+const STRETCH: f64 = 5.0;
+/// Widths of stretches that are looked at, in pixels.
+const WIDTHS: [usize; 5] = [6, 12, 24, 48, 96];
+/// Most stretches that are told.
+const STRETCHES: usize = 4;
+
+/// A channel at its minimum.
+pub(super) struct Found<'a, 'b> {
+    pub data: &'b ChannelData<'a>,
+    pub system: &'b System<'a>,
+    pub state: &'b State,
+    pub sample_ior: f64,
+    /// The interval of an anisotropy that was chosen for all channels together.
+    pub common_g: Option<Interval>,
+}
+
+/// How well residuals are explained.
+struct Goodness {
+    chi2: f64,
+    degrees_of_freedom: f64,
+    probability: f64,
+    /// Factor on the rise of the cost that intervals allow.
+    inflation: f64,
+}
+
+impl Found<'_, '_> {
+    fn slots(&self) -> &[usize; SHARED] {
+        &self.system.slots[0]
+    }
+
+    fn grid(&self) -> &Grid {
+        self.data.dictionary.grid()
+    }
+
+    fn x(&self, unknown: usize) -> f64 {
+        self.state.x[self.slots()[unknown]]
+    }
+
+    /// What is held comes back as it was given, and nothing leaves the dictionary by rounding.
+    fn parameter(&self, index: usize, x: f64) -> f64 {
+        let grid = self.grid();
+        let axis = [grid.sigma_t_per_mm(), grid.albedo(), grid.g()][index];
+        let told = held(grid, &self.data.options)[index];
+        told.unwrap_or_else(|| [sigma_t, albedo, g][index](x).clamp(axis[0], axis[axis.len() - 1]))
+    }
+
+    fn medium(&self, state: &State) -> Medium {
+        let at = |i: usize| self.parameter(i, state.x[self.slots()[i]]);
+        Medium::new(at(LN_SIGMA_T), at(ROOT_CO_ALBEDO), at(LN_ONE_MINUS_G)).expect("within the dictionary")
+    }
+
+    pub(super) fn refined(&self) -> Refined {
+        let linear = self.system.linear(&self.state.x, &self.state.own);
+        let normal = self.system.normal(&self.state.x, &self.state.own, &linear);
+        let nothing = || DMatrix::from_element(self.state.x.len(), self.state.x.len(), 0.0);
+        let covariance = self.system.covariance(&normal.information);
+        let goodness = self.goodness(&linear);
+        let ideal = ideal_covariance(self.system, self.state);
+        let intervals = self.intervals(covariance.as_ref(), goodness.inflation);
+        let covariance = covariance.map_or_else(nothing, |c| c * goodness.inflation);
+        let slots = self.slots();
+        let of = |i: usize, k: usize| covariance[(slots[i], slots[k])];
+        let both = (of(LN_SIGMA_T, LN_SIGMA_T) * of(LN_ONE_MINUS_G, LN_ONE_MINUS_G)).max(0.0).sqrt();
+        let correlation = if both > 0.0 { of(LN_SIGMA_T, LN_ONE_MINUS_G) / both } else { 0.0 };
+        let free_g = !self.system.unknowns[slots[LN_ONE_MINUS_G]].held;
+        let [sigma_t, albedo, g, reduced, absorption] = intervals;
+        let resolved = is_resolved(&sigma_t, &albedo) || (free_g && self.resolved_at_g(goodness.inflation));
+        let errors = self.errors(self.state, &linear);
+        let misfit = (goodness.chi2 / goodness.degrees_of_freedom.max(1.0)).sqrt();
+        let std_errors = self.system.terms.iter().flat_map(|t| &t.std_errors);
+        let std_errors: Line = std_errors.copied().collect();
+        Refined {
+            best: Candidate {
+                medium: self.medium(self.state),
+                sample_ior: self.sample_ior,
+                error: misfit,
+                thicknesses: errors,
+            },
+            sigma_t_per_mm: sigma_t,
+            albedo,
+            g: self.common_g.unwrap_or(g),
+            reduced_scattering_per_mm: reduced,
+            absorption_per_mm: absorption,
+            covariance: [0, 1, 2].map(|i| [0, 1, 2].map(|k| of(i, k))),
+            correlation,
+            valley: free_g && correlation.abs() > VALLEY,
+            resolved,
+            measurement_noise: rms(&std_errors),
+            dictionary_share: self.dictionary_share(&covariance),
+            misfit,
+            suspicion: None,
+            likelihood: Some(Likelihood {
+                chi2: goodness.chi2,
+                degrees_of_freedom: goodness.degrees_of_freedom,
+                probability: goodness.probability,
+                nuisances: self.nuisances(&covariance, &normal.reduced),
+                outliers: self.outliers(&linear),
+                stretches: self.stretches(&linear),
+                bound: bound(&ideal.unwrap_or_else(|| covariance.clone()), self.state, slots),
+            }),
+        }
+    }
+
+    /// χ² of the pixels that belong, with the deviations from what was known of the set-up.
+    fn goodness(&self, linear: &[Linear]) -> Goodness {
+        let (mut chi2, mut pixels) = (0.0, 0.0);
+        for ((term, linear), own) in self.system.terms.iter().zip(linear).zip(&self.state.own) {
+            let kept = linear.residuals.iter().zip(&term.left_out).filter(|(_, out)| !**out);
+            for (r, _) in kept {
+                chi2 += r * r;
+                pixels += 1.0;
+            }
+            chi2 += dot(own, own);
+        }
+        let unknowns = self.system.unknowns.iter().zip(self.state.x.iter()).filter(|(u, _)| !u.held);
+        let mut parameters = 0.0;
+        for (unknown, x) in unknowns {
+            match unknown.prior {
+                Some((mean, sd)) => chi2 += ((x - mean) / sd).powi(2),
+                None => parameters += 1.0,
+            }
+        }
+        let degrees_of_freedom: f64 = pixels - parameters;
+        let probability = exceedance(chi2, degrees_of_freedom);
+        let inflation = if probability < UNLIKELY {
+            (chi2 / degrees_of_freedom.max(1.0)) * self.clustering(linear)
+        } else {
+            1.0
+        };
+        Goodness { chi2, degrees_of_freedom, probability, inflation }
+    }
+
+    /// By how much residuals that go together tell less than as many independent ones: 1 + 2 Σ of their correlations, up
+    /// to the first that is not positive.
+    fn clustering(&self, linear: &[Linear]) -> f64 {
+        let kept: Vec<Line> = linear
+            .iter()
+            .zip(&self.system.terms)
+            .map(|(l, t)| {
+                l.residuals.iter().zip(&t.left_out).filter(|(_, o)| !**o).map(|(r, _)| *r).collect()
+            })
+            .collect();
+        let product = |lag: usize| -> f64 {
+            kept.iter().map(|r| r.iter().zip(r.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>()).sum()
+        };
+        let square = product(0).max(f64::MIN_POSITIVE);
+        1.0 + 2.0 * (1..60).map(|lag| product(lag) / square).take_while(|c| *c > 0.0).sum::<f64>()
+    }
+
+    /// Of σ_t, α, g, σ_s(1 − g) and σ_a.
+    fn intervals(&self, covariance: Option<&DMatrix<f64>>, inflation: f64) -> [Interval; 5] {
+        let profile = Profile { system: self.system, optimum: self.state, inflation };
+        let slots = self.slots();
+        let limits = [0, 1, 2].map(|i| self.system.unknowns[slots[i]].limits);
+        let corner = |s: f64, a: f64, g: f64| (1.0 - a * a).max(1e-12).ln() + s + g;
+        let root = |s: f64, a: f64| a * (0.5 * s).exp();
+        let [s, a, g] = limits;
+        let reduced = (corner(s.0, a.1, g.0), corner(s.1, a.0, g.1));
+        let absorption = (root(s.0, a.0), root(s.1, a.1));
+        let all_limits = [s, a, g, reduced, absorption];
+        let mut which = 0;
+        Quantity::all(slots).map(|quantity| {
+            let index = which;
+            which += 1;
+            let gradient = quantity.gradient(&self.state.x);
+            let variance = covariance.map_or(f64::INFINITY, |c| gradient.dot(&(c * &gradient)));
+            let ends = if variance > 0.0 {
+                profile.ends(quantity, variance.sqrt(), all_limits[index])
+            } else {
+                let value = quantity.value(&self.state.x);
+                [value, value].map(|value| super::profile::End { value, open: false })
+            };
+            match index {
+                0..3 => interval(ends, |x| self.parameter(index, x), index != LN_SIGMA_T),
+                3 => interval(ends, f64::exp, false),
+                _ => {
+                    let found = interval(ends, |x| x.max(0.0).powi(2), false);
+                    // Nothing absorbs less than nothing: the lower end is one of the quantity.
+                    Interval { open_low: false, ..found }
+                }
+            }
+        })
+    }
+
+    /// Whether σ_t and the albedo are determined with the anisotropy held where it is.
+    fn resolved_at_g(&self, inflation: f64) -> bool {
+        let slots = self.slots();
+        let mut system = self.system.ideal();
+        system.terms.clone_from(&self.system.terms);
+        system.unknowns[slots[LN_ONE_MINUS_G]].held = true;
+        let linear = system.linear(&self.state.x, &self.state.own);
+        let normal = system.normal(&self.state.x, &self.state.own, &linear);
+        let Some(covariance) = system.covariance(&normal.information) else { return false };
+        let profile = Profile { system: &system, optimum: self.state, inflation };
+        let of = |i: usize| {
+            let deviation = covariance[(slots[i], slots[i])].max(0.0).sqrt();
+            let ends = profile.ends(Quantity::Unknown(slots[i]), deviation, system.unknowns[slots[i]].limits);
+            interval(ends, |x| self.parameter(i, x), i != LN_SIGMA_T)
+        };
+        is_resolved(&of(LN_SIGMA_T), &of(ROOT_CO_ALBEDO))
+    }
+
+    /// Share of the variance of ln σ_t that the records' noise makes.
+    fn dictionary_share(&self, covariance: &DMatrix<f64>) -> f64 {
+        let slot = self.slots()[LN_SIGMA_T];
+        let mut without = self.system.ideal();
+        for (term, own) in without.terms.iter_mut().zip(&self.system.terms) {
+            term.robust = own.robust;
+        }
+        let own: Vec<Line> =
+            without.terms.iter().zip(&self.state.own).map(|(t, own)| own[..t.own_count()].to_vec()).collect();
+        let linear = without.linear(&self.state.x, &own);
+        let information = without.normal(&self.state.x, &own, &linear).information;
+        let (Some(least), whole) = (without.covariance(&information), covariance[(slot, slot)]) else {
+            return 0.0;
+        };
+        if whole > 0.0 { (1.0 - least[(slot, slot)] / whole).clamp(0.0, 1.0) } else { 0.0 }
+    }
+
+    fn nuisances(
+        &self,
+        covariance: &DMatrix<f64>,
+        reduced: &[super::term::Reduced],
+    ) -> Vec<NuisanceEstimate> {
+        let settings = self.data.options.settings();
+        let mut all = Vec::new();
+        let mut add = |nuisance, profile_mm, value, variance: f64, told: f64, told_std_error: f64| {
+            let std_error = variance.max(0.0).sqrt();
+            all.push(NuisanceEstimate { nuisance, profile_mm, value, std_error, told, told_std_error });
+        };
+        let slots = self.slots();
+        let free = |slot: usize| !self.system.unknowns[slot].held;
+        if free(slots[LN_SCALE]) {
+            let (x, slot) = (self.x(LN_SCALE), slots[LN_SCALE]);
+            let mu = settings.mu * x.exp();
+            let variance = covariance[(slot, slot)] * mu * mu;
+            let told = if settings.mu_std_error > 0.0 { settings.mu_std_error } else { f64::INFINITY };
+            add(Nuisance::Scale, None, mu, variance, settings.mu, told);
+        }
+        for (i, (term, profile)) in self.system.terms.iter().zip(&self.data.profiles).enumerate() {
+            let (slots, at) = (&self.system.slots[i], Some(term.thickness_mm));
+            let (blur, thickness) = (slots[BLUR], slots[LN_THICKNESS]);
+            if free(blur) && (i == 0 || self.system.slots[0][BLUR] != blur) {
+                let profile_mm = at.filter(|_| i > 0);
+                let (told, told_error) = profile.blur;
+                add(
+                    Nuisance::BlurVariance,
+                    profile_mm,
+                    self.state.x[blur],
+                    covariance[(blur, blur)],
+                    told,
+                    told_error,
+                );
+            }
+            if free(thickness) {
+                let t = self.state.x[thickness].exp();
+                let variance = covariance[(thickness, thickness)] * t * t;
+                add(Nuisance::Thickness, at, t, variance, term.thickness_mm, profile.thickness_std_error_mm);
+            }
+            let shared = super::system::submatrix(covariance, slots);
+            let own = reduced[i].own_covariance(&shared);
+            for (k, prior) in term.priors.iter().enumerate() {
+                let (nuisance, told) = match prior.own {
+                    Own::Origin => (Nuisance::Origin, term.origin_mm),
+                    Own::Gain => (Nuisance::Gain, 0.0),
+                    Own::Zero => (Nuisance::Zero, 0.0),
+                    Own::Slope => (Nuisance::Slope, 0.0),
+                };
+                let sd = prior.std_error;
+                add(nuisance, at, told + sd * self.state.own[i][k], own[(k, k)] * sd * sd, told, sd);
+            }
+        }
+        all
+    }
+
+    fn outliers(&self, linear: &[Linear]) -> Vec<OutlierPixel> {
+        let of_term = |(term, linear): (&super::term::Term, &Linear)| -> Vec<OutlierPixel> {
+            let pixel = |i: usize| OutlierPixel {
+                profile_mm: term.thickness_mm,
+                x_mm: term.x_mm[i],
+                deviation: linear.residuals[i],
+            };
+            (0..term.x_mm.len()).filter(|i| term.left_out[*i]).map(pixel).collect()
+        };
+        self.system.terms.iter().zip(linear).flat_map(of_term).collect()
+    }
+
+    /// Where neighbouring residuals are large together, the largest first.
+    fn stretches(&self, linear: &[Linear]) -> Vec<Stretch> {
+        let mut found: Vec<Stretch> = Vec::new();
+        for (term, linear) in self.system.terms.iter().zip(linear) {
+            let n = linear.residuals.len();
+            let kept = |i: usize| if term.left_out[i] { 0.0 } else { linear.residuals[i] };
+            let mut sums = vec![0.0];
+            (0..n).for_each(|i| sums.push(sums[i] + kept(i)));
+            for width in WIDTHS.into_iter().filter(|w| *w <= n) {
+                for first in (0..=n - width).step_by((width / 3).max(1)) {
+                    let deviation = (sums[first + width] - sums[first]) / (width as f64).sqrt();
+                    let (from_mm, to_mm) = (term.x_mm[first], term.x_mm[first + width - 1]);
+                    if deviation.abs() > STRETCH {
+                        found.push(Stretch { profile_mm: term.thickness_mm, from_mm, to_mm, deviation });
+                    }
+                }
+            }
+        }
+        found.sort_by(|a, b| b.deviation.abs().total_cmp(&a.deviation.abs()));
+        let mut told: Vec<Stretch> = Vec::new();
+        for stretch in found {
+            let apart = |s: &Stretch| {
+                s.profile_mm != stretch.profile_mm || s.to_mm < stretch.from_mm || s.from_mm > stretch.to_mm
+            };
+            if told.iter().all(apart) && told.len() < STRETCHES {
+                told.push(stretch);
+            }
+        }
+        told
+    }
+
+    /// The two norms of Eq. 2 for every profile.
+    fn errors(&self, state: &State, linear: &[Linear]) -> Vec<ThicknessError> {
+        let settings = self.data.options.settings();
+        let term = |(i, (term, linear)): (usize, (&super::term::Term, &Linear))| {
+            let pitch_mm = self.data.profiles[i].profile.pitch_mm();
+            let slope = Slope { wavelet: settings.wavelet, level: settings.level, pitch_mm };
+            let rest: Line = term.values.iter().zip(&linear.model).map(|(v, m)| v - m).collect();
+            let gradients = slope.magnitude(&term.values).into_iter().zip(slope.magnitude(&linear.model));
+            let gradient: Line = gradients.map(|(a, b)| a - b).collect();
+            debug_assert_eq!(state.own.len(), self.system.terms.len());
+            ThicknessError {
+                thickness_mm: term.thickness_mm,
+                value_rms: rms(&rest),
+                gradient_rms: rms(&gradient),
+                record: None,
+            }
+        };
+        self.system.terms.iter().zip(linear).enumerate().map(term).collect()
+    }
+
+    /// Media of the dictionary, at their likeliest with this set-up, best first.
+    fn candidates(&self, media: &[[usize; 4]]) -> Vec<(Candidate, State)> {
+        let grid = self.grid();
+        let slots = self.slots();
+        let candidate = |[ior, s, g, a]: &[usize; 4]| {
+            let (sigma_t, albedo, anisotropy) = (grid.sigma_t_per_mm()[*s], grid.albedo()[*a], grid.g()[*g]);
+            let places = [
+                (slots[LN_SIGMA_T], sigma_t.ln()),
+                (slots[ROOT_CO_ALBEDO], (1.0 - albedo).sqrt()),
+                (slots[LN_ONE_MINUS_G], (1.0 - anisotropy).ln()),
+            ];
+            let state = held_at(self.system, self.state, &places);
+            let linear = self.system.linear(&state.x, &state.own);
+            let mut thicknesses = self.errors(&state, &linear);
+            for error in &mut thicknesses {
+                let same = |t: &f64| (t / error.thickness_mm - 1.0).abs() < 1e-6;
+                let thickness = grid.thickness_mm().iter().position(same);
+                error.record = thickness.map(|t| grid.record_at(*ior, *s, *g, t, *a));
+            }
+            let pixels: usize = self.system.terms.iter().map(|t| t.values.len()).sum();
+            let candidate = Candidate {
+                medium: Medium::new(sigma_t, albedo, anisotropy).expect("axes hold checked values"),
+                sample_ior: grid.sample_ior()[*ior],
+                error: (state.cost.max(0.0) / pixels as f64).sqrt(),
+                thicknesses,
+            };
+            (candidate, state)
+        };
+        let mut all: Vec<(Candidate, State)> = media.iter().map(candidate).collect();
+        all.sort_by(|a, b| a.0.error.total_cmp(&b.0.error));
+        all
+    }
+
+    pub(super) fn fit(
+        &self,
+        refined: Option<Refined>,
+        nearest: &[[usize; 4]],
+        outside: Option<Outside>,
+    ) -> ChannelFit {
+        let candidates = self.candidates(nearest);
+        let curves = if self.data.options.settings().curves {
+            self.curves(&candidates, refined.is_some())
+        } else {
+            Vec::new()
+        };
+        ChannelFit {
+            channel: self.data.name.to_owned(),
+            candidates: candidates.into_iter().map(|(c, _)| c).collect(),
+            refined,
+            outside,
+            curves,
+        }
+    }
+
+    fn curves(&self, candidates: &[(Candidate, State)], refined: bool) -> Vec<FitCurves> {
+        let settings = self.data.options.settings();
+        let models = |state: &State| self.system.linear(&state.x, &state.own);
+        let best = models(self.state);
+        let others: Vec<Vec<Linear>> = candidates.iter().map(|(_, state)| models(state)).collect();
+        let curves = |(i, term): (usize, &super::term::Term)| {
+            let pitch_mm = self.data.profiles[i].profile.pitch_mm();
+            let slope = Slope { wavelet: settings.wavelet, level: settings.level, pitch_mm };
+            let curve = |values: &Line| Curve { gradient: slope.magnitude(values), values: values.clone() };
+            FitCurves {
+                thickness_mm: term.thickness_mm,
+                x_mm: term.x_mm.clone(),
+                measured: curve(&term.values),
+                candidates: others.iter().map(|linear| curve(&linear[i].model)).collect(),
+                refined: refined.then(|| curve(&best[i].model)),
+            }
+        };
+        self.system.terms.iter().enumerate().map(curves).collect()
+    }
+}

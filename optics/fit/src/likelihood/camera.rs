@@ -1,0 +1,288 @@
+//! From a simulated profile to what a camera sees of it: shifted, blurred, averaged over the measurement's own pixels.
+//!
+//! The simulated profile is known by its averages over the dictionary's pixels, so its integral is known exactly at their
+//! edges. Measured pixels take differences of that integral, interpolated by cubics: pixels of any size and place are
+//! treated alike, and the measured ones stay as independent as they are.
+
+use std::f64::consts::PI;
+
+use super::Line;
+
+/// Pixels that a profile is carried on beyond its ends, on each side.
+const PADDING: usize = 40;
+/// Pixels at an end that tell how it goes on.
+const TAIL: usize = 16;
+/// Length of the circular kernel of the blur.
+const KERNEL: usize = 64;
+
+/// The pixels of a measurement over those of a dictionary.
+#[derive(Debug, Clone)]
+pub(super) struct Camera {
+    /// Edges of the measured pixels in units of the dictionary's, from the left end of its first.
+    edges: Vec<f64>,
+    /// Pitch of the dictionary in mm.
+    pitch_mm: f64,
+}
+
+/// A profile on the measured pixels, with derivatives.
+#[derive(Debug)]
+pub(super) struct Exposure {
+    pub values: Line,
+    /// By the quantities that the caller had derivatives of.
+    pub slopes: Vec<Line>,
+    /// By the blur's variance in mm².
+    pub by_blur: Line,
+    /// By the place of the edge in mm.
+    pub by_origin: Line,
+}
+
+impl Camera {
+    /// For pixel centres at a constant pitch, over a dictionary of this width and number of pixels.
+    pub(super) fn new(x_mm: &[f64], measured_pitch_mm: f64, width_mm: f64, pixels: usize) -> Self {
+        let pitch_mm = width_mm / pixels as f64;
+        let left = x_mm[0] - 0.5 * measured_pitch_mm;
+        let edge = |i: usize| (left + i as f64 * measured_pitch_mm + 0.5 * width_mm) / pitch_mm;
+        Self { edges: (0..=x_mm.len()).map(edge).collect(), pitch_mm }
+    }
+
+    /// What is seen of a profile on the dictionary's pixels, and of its derivatives.
+    pub(super) fn expose(&self, values: &[f64], slopes: &[Line], origin_mm: f64, blur_mm2: f64) -> Exposure {
+        let kernel = Kernel::new(blur_mm2 / self.pitch_mm.powi(2));
+        let places = self.places(origin_mm);
+        let seen = |padded: &[f64]| average(&places, &integral(padded));
+        let padded = pad(values);
+        let blurred = kernel.blur(&padded);
+        let mut by_blur = seen(&kernel.by_variance(&padded));
+        by_blur.iter_mut().for_each(|v| *v /= self.pitch_mm.powi(2));
+        let by_origin = self.by_origin(&places, &integral(&blurred));
+        let slopes = slopes.iter().map(|s| seen(&kernel.blur(&pad(s)))).collect();
+        Exposure { values: seen(&blurred), slopes, by_blur, by_origin }
+    }
+
+    /// The values alone.
+    pub(super) fn values(&self, values: &[f64], origin_mm: f64, blur_mm2: f64) -> Line {
+        let kernel = Kernel::new(blur_mm2 / self.pitch_mm.powi(2));
+        average(&self.places(origin_mm), &integral(&kernel.blur(&pad(values))))
+    }
+
+    /// The measured edges in a profile whose edge lies at `origin_mm` of the measurement.
+    fn places(&self, origin_mm: f64) -> Line {
+        let shift = PADDING as f64 - origin_mm / self.pitch_mm;
+        self.edges.iter().map(|e| e + shift).collect()
+    }
+
+    /// Averages change with the origin as the values at their ends differ.
+    fn by_origin(&self, places: &[f64], integral: &[f64]) -> Line {
+        let at_edges: Line = places.iter().map(|p| interpolate(integral, *p).1).collect();
+        let change = |(v, p): (&[f64], &[f64])| -(v[1] - v[0]) / (p[1] - p[0]) / self.pitch_mm;
+        at_edges.windows(2).zip(places.windows(2)).map(change).collect()
+    }
+}
+
+/// The profile with lengths multiplied by a factor, on the same pixels.
+pub(crate) fn stretched(values: &[f64], factor: f64) -> Line {
+    let middle = PADDING as f64 + 0.5 * values.len() as f64;
+    let edge = |i: usize| middle + (i as f64 - 0.5 * values.len() as f64) / factor;
+    let places: Line = (0..=values.len()).map(edge).collect();
+    average(&places, &integral(&pad(values)))
+}
+
+/// The profile, carried on in a straight line at both ends.
+fn pad(values: &[f64]) -> Line {
+    let (left, right) = (Tail::of(values.iter()), Tail::of(values.iter().rev()));
+    let before = (1..=PADDING).rev().map(|k| left.beyond(k));
+    let after = (1..=PADDING).map(|k| right.beyond(k));
+    before.chain(values.iter().copied()).chain(after).collect()
+}
+
+/// A straight line through the pixels of an end, by least squares.
+struct Tail {
+    mean: f64,
+    /// Per pixel inwards.
+    slope: f64,
+    /// Pixels from the end to where the mean is.
+    middle: f64,
+}
+
+impl Tail {
+    /// From the end inwards.
+    fn of<'a>(values: impl ExactSizeIterator<Item = &'a f64> + Clone) -> Self {
+        let count = TAIL.min(values.len());
+        let middle = 0.5 * (count - 1) as f64;
+        let mean = values.clone().take(count).sum::<f64>() / count as f64;
+        let (mut along, mut squares) = (0.0, 0.0);
+        for (i, v) in values.take(count).enumerate() {
+            along += (i as f64 - middle) * v;
+            squares += (i as f64 - middle).powi(2);
+        }
+        Self { mean, slope: along / squares, middle }
+    }
+
+    /// `k` pixels outside of the last.
+    fn beyond(&self, k: usize) -> f64 {
+        self.mean - self.slope * (k as f64 + self.middle)
+    }
+}
+
+/// The integral up to every pixel's edge.
+fn integral(values: &[f64]) -> Line {
+    let mut sum = 0.0;
+    let mut all = Vec::with_capacity(values.len() + 1);
+    all.push(0.0);
+    for v in values {
+        sum += v;
+        all.push(sum);
+    }
+    all
+}
+
+/// The cubic through the four nearest nodes, and its slope.
+fn interpolate(nodes: &[f64], at: f64) -> (f64, f64) {
+    let cell = (at.max(0.0) as usize).min(nodes.len() - 2);
+    let first = cell.saturating_sub(1).min(nodes.len() - 4);
+    let t = at - first as f64;
+    let [a, b, c, d] = [nodes[first], nodes[first + 1], nodes[first + 2], nodes[first + 3]];
+    // Newton's form over the nodes 0, 1, 2, 3.
+    let (d1, d2, d3) = (b - a, 0.5 * (c - 2.0 * b + a), (d - 3.0 * c + 3.0 * b - a) / 6.0);
+    let value = a + t * (d1 + (t - 1.0) * (d2 + (t - 2.0) * d3));
+    let slope = d1 + d2 * (2.0 * t - 1.0) + d3 * (3.0 * t * t - 6.0 * t + 2.0);
+    (value, slope)
+}
+
+fn average(places: &[f64], integral: &[f64]) -> Line {
+    let at: Line = places.iter().map(|p| interpolate(integral, *p).0).collect();
+    at.windows(2).zip(places.windows(2)).map(|(v, p)| (v[1] - v[0]) / (p[1] - p[0])).collect()
+}
+
+/// A Gaussian in the frequencies that pixels can carry, as a circular kernel: exact for every variance, down to none.
+struct Kernel {
+    taps: [f64; KERNEL / 2],
+    by_variance: [f64; KERNEL / 2],
+}
+
+impl Kernel {
+    /// `variance` in squared pixels.
+    fn new(variance: f64) -> Self {
+        let mut kernel = Self { taps: [0.0; KERNEL / 2], by_variance: [0.0; KERNEL / 2] };
+        let share = 1.0 / KERNEL as f64;
+        for j in 0..=KERNEL / 2 {
+            let omega = 2.0 * PI * j as f64 * share;
+            let both = if j == 0 || j == KERNEL / 2 { share } else { 2.0 * share };
+            let damping = (-0.5 * variance * omega * omega).exp() * both;
+            // cos(kω) by its recurrence.
+            let (mut before, mut now) = (omega.cos(), 1.0);
+            let twice = 2.0 * before;
+            for k in 0..KERNEL / 2 {
+                kernel.taps[k] += damping * now;
+                kernel.by_variance[k] -= 0.5 * omega * omega * damping * now;
+                (before, now) = (now, twice * now - before);
+            }
+        }
+        kernel
+    }
+
+    fn blur(&self, padded: &[f64]) -> Line {
+        convolve(&self.taps, padded)
+    }
+
+    fn by_variance(&self, padded: &[f64]) -> Line {
+        convolve(&self.by_variance, padded)
+    }
+}
+
+/// Symmetric; what lies within the reach of the ends is left as it is: it is padding.
+fn convolve(taps: &[f64; KERNEL / 2], padded: &[f64]) -> Line {
+    let reach = KERNEL / 2 - 1;
+    let mut out = padded.to_vec();
+    let inner = reach..padded.len() - reach;
+    for i in inner.clone() {
+        out[i] = taps[0] * padded[i];
+    }
+    for (k, tap) in taps.iter().enumerate().skip(1) {
+        if *tap == 0.0 {
+            continue;
+        }
+        let (left, right) = (&padded[reach - k..], &padded[reach + k..]);
+        for ((out, l), r) in out[inner.clone()].iter_mut().zip(left).zip(right) {
+            *out += tap * (l + r);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PIXELS: usize = 360;
+    const WIDTH_MM: f64 = 10.0;
+
+    fn x(pixels: usize, shift: f64) -> Line {
+        let pitch = WIDTH_MM / pixels as f64;
+        (0..pixels).map(|i| (i as f64 + 0.5) * pitch - 0.5 * WIDTH_MM + shift).collect()
+    }
+
+    /// Averages over pixels of an edge of width w, which is what a Gaussian makes of a step.
+    fn edge(pixels: usize, origin: f64, w: f64) -> Line {
+        let pitch = WIDTH_MM / pixels as f64;
+        // ∫ erf = t erf(t) + exp(−t²)/√π
+        let integral = |x: f64| {
+            let t = (x - origin) / (w * 2.0_f64.sqrt());
+            w * 2.0_f64.sqrt() * (t * libm::erf(t) + (-t * t).exp() / PI.sqrt())
+        };
+        x(pixels, 0.0)
+            .iter()
+            .map(|x| 0.5 + 0.4 * (integral(x + 0.5 * pitch) - integral(x - 0.5 * pitch)) / pitch)
+            .collect()
+    }
+
+    fn largest(a: &[f64], b: &[f64]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn the_same_pixels_see_the_profile_as_it_is() {
+        let camera = Camera::new(&x(PIXELS, 0.0), WIDTH_MM / 360.0, WIDTH_MM, PIXELS);
+        let profile = edge(PIXELS, 0.0, 0.1);
+        let seen = camera.values(&profile, 0.0, 0.0);
+        assert!(largest(&seen, &profile) < 1e-12);
+    }
+
+    #[test]
+    fn shifted_blurred_and_coarser_profiles_are_those_of_the_formula() {
+        let profile = edge(PIXELS, 0.0, 0.12);
+        for (pixels, origin, blur) in
+            [(360, 0.011, 0.0), (360, -0.07, 0.03), (180, 0.2, 0.025), (500, 0.0, 0.1)]
+        {
+            let camera = Camera::new(&x(pixels, 0.0), WIDTH_MM / pixels as f64, WIDTH_MM, PIXELS);
+            let seen = camera.values(&profile, origin, blur * blur);
+            let exact = edge(pixels, origin, 0.12_f64.hypot(blur));
+            let off = largest(&seen, &exact);
+            assert!(off < 3e-5, "{pixels} pixels, origin {origin}, blur {blur}: {off}");
+        }
+    }
+
+    #[test]
+    fn derivatives_are_those_of_the_values() {
+        let profile = edge(PIXELS, 0.0, 0.12);
+        let camera = Camera::new(&x(180, 0.003), WIDTH_MM / 180.0, WIDTH_MM, PIXELS);
+        let (origin, blur, step) = (0.013, 0.0009, 1e-5);
+        let seen = camera.expose(&profile, std::slice::from_ref(&profile), origin, blur);
+        assert_eq!(seen.slopes[0], seen.values);
+        let quotient = |above: Line, below: Line, step: f64| -> Line {
+            above.iter().zip(&below).map(|(a, b)| (a - b) / step).collect()
+        };
+        let at = |origin, blur| camera.values(&profile, origin, blur);
+        let by_origin = quotient(at(origin + step, blur), at(origin - step, blur), 2.0 * step);
+        assert!(largest(&by_origin, &seen.by_origin) < 1e-5);
+        let by_blur = quotient(at(origin, blur + step), at(origin, blur - step), 2.0 * step);
+        assert!(largest(&by_blur, &seen.by_blur) < 1e-3 * 20.0);
+    }
+
+    #[test]
+    fn a_profile_goes_on_in_a_straight_line() {
+        let line: Line = (0..PIXELS).map(|i| 0.3 + 0.001 * i as f64).collect();
+        let padded = pad(&line);
+        assert!(padded.windows(2).all(|w| (w[1] - w[0] - 0.001).abs() < 1e-12));
+    }
+}

@@ -1,0 +1,97 @@
+//! Intervals: how far a quantity can be moved, all else following, before −2 ln L has risen by 1.96².
+
+use optics_model::fit::Interval;
+
+use super::system::{Held, Quantity, State, System};
+use crate::intervals::Z;
+
+/// Cost by which descents may miss their minimum.
+const TOLERANCE: f64 = 0.01;
+/// Share of the wanted rise that an end may be off by.
+const CLOSE: f64 = 0.03;
+/// Most places that are tried on each side.
+const TRIALS: usize = 10;
+
+/// One end of an interval; open if a limit comes first.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct End {
+    pub value: f64,
+    pub open: bool,
+}
+
+/// A minimum, and how far things may rise from it.
+#[derive(Debug)]
+pub(super) struct Profile<'a> {
+    pub system: &'a System<'a>,
+    pub optimum: &'a State,
+    /// Factor on the rise that noise alone allows, where residuals are larger than their noise.
+    pub inflation: f64,
+}
+
+impl Profile<'_> {
+    /// Both ends for a quantity of this standard deviation, within limits.
+    pub(super) fn ends(&self, quantity: Quantity, deviation: f64, limits: (f64, f64)) -> [End; 2] {
+        [self.end(quantity, deviation, -1.0, limits.0), self.end(quantity, deviation, 1.0, limits.1)]
+    }
+
+    fn end(&self, quantity: Quantity, deviation: f64, side: f64, limit: f64) -> End {
+        let from = quantity.value(&self.optimum.x);
+        let furthest = (side * (limit - from)).max(0.0);
+        let open = End { value: limit, open: true };
+        if furthest <= 0.0 || !deviation.is_finite() {
+            return open;
+        }
+        let wanted = Z * self.inflation.sqrt();
+        let stiffness = 1e6 / (deviation * deviation);
+        let mut warm = self.optimum.clone();
+        let mut root_rise = |distance: f64| {
+            let at = from + side * distance;
+            let held = Held { quantity, at, stiffness };
+            let found = self.system.descend(self.along(&warm, quantity, at), Some(&held), TOLERANCE);
+            let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
+            warm = found;
+            rise
+        };
+        // The root of the rise is close to linear in the distance.
+        let (mut inside, mut outside) = ((0.0, 0.0), None);
+        let mut distance = (wanted * deviation).min(furthest);
+        for _ in 0..TRIALS {
+            let rise = root_rise(distance);
+            if (rise / wanted - 1.0).abs() < CLOSE {
+                return End { value: from + side * distance * wanted / rise, open: false };
+            }
+            if rise < wanted {
+                if distance >= furthest {
+                    return open;
+                }
+                inside = (distance, rise);
+            } else {
+                outside = Some((distance, rise));
+            }
+            distance = match outside {
+                Some((far, high)) => {
+                    let share = (wanted - inside.1) / (high - inside.1).max(1e-12);
+                    inside.0 + share.clamp(0.05, 0.95) * (far - inside.0)
+                }
+                None => (distance * (wanted / rise.max(0.2 * wanted)).min(3.0) * 1.02).min(furthest),
+            };
+        }
+        End { value: from + side * distance, open: false }
+    }
+
+    /// The state moved so that the quantity is nearly there: a step along its gradient's steepest unknown is enough for
+    /// the spring to do the rest.
+    fn along(&self, state: &State, quantity: Quantity, at: f64) -> State {
+        let mut moved = state.clone();
+        if let Quantity::Unknown(i) = quantity {
+            moved.x[i] = at;
+        }
+        moved
+    }
+}
+
+/// The interval of a parameter from the ends of its coordinate.
+pub(super) fn interval([low, high]: [End; 2], forward: impl Fn(f64) -> f64, falls: bool) -> Interval {
+    let (low, high) = if falls { (high, low) } else { (low, high) };
+    Interval { low: forward(low.value), high: forward(high.value), open_low: low.open, open_high: high.open }
+}

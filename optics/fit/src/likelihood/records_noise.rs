@@ -1,0 +1,79 @@
+//! The noise of the dictionary's records as modes: it is alike in neighbouring pixels, since a walk lights many of them.
+
+use super::Line;
+use super::camera::Camera;
+use crate::sum::dot;
+
+/// Most modes that are kept.
+const MODES: usize = 20;
+/// The modes that are kept leave less than this share of the pixels' own variance, in the mean.
+const LEFT: f64 = 0.02;
+
+/// A low-rank part of a covariance, and the variances that it leaves.
+#[derive(Debug, Default)]
+pub(super) struct Modes {
+    pub modes: Vec<Line>,
+    pub rest_variances: Line,
+}
+
+impl Modes {
+    /// Of the covariance Σ f fᵀ on the pixels of a camera, beside pixels of these standard errors: a Cholesky
+    /// decomposition that takes the pixel with most to tell first, and stops when little is left.
+    pub(super) fn new(
+        factors: &[Line],
+        camera: &Camera,
+        origin_mm: f64,
+        blur_mm2: f64,
+        std_errors: &[f64],
+    ) -> Self {
+        let seen: Vec<Line> = factors.iter().map(|f| camera.values(f, origin_mm, blur_mm2)).collect();
+        let n = std_errors.len();
+        let at_pixel: Vec<Line> = (0..n).map(|i| seen.iter().map(|f| f[i]).collect()).collect();
+        let mut rest_variances: Line = at_pixel.iter().map(|f| dot(f, f)).collect();
+        let mut modes: Vec<Line> = Vec::new();
+        while modes.len() < MODES {
+            let share = |i: &usize| rest_variances[*i] / std_errors[*i].powi(2);
+            if (0..n).map(|i| share(&i)).sum::<f64>() < LEFT * n as f64 {
+                break;
+            }
+            let Some(pivot) = (0..n).max_by(|a, b| share(a).total_cmp(&share(b))) else { break };
+            let size = rest_variances[pivot].sqrt();
+            let of = |i: usize| {
+                let known: f64 = modes.iter().map(|m: &Line| m[i] * m[pivot]).sum();
+                (dot(&at_pixel[i], &at_pixel[pivot]) - known) / size
+            };
+            let mode: Line = (0..n).map(of).collect();
+            rest_variances.iter_mut().zip(&mode).for_each(|(v, m)| *v = (*v - m * m).max(0.0));
+            modes.push(mode);
+        }
+        Self { modes, rest_variances }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Smooth noise is kept nearly whole by a few modes, and what they leave is on the diagonal.
+    #[test]
+    fn modes_and_what_they_leave_make_up_the_covariance() {
+        let n = 60;
+        let factor =
+            |k: usize| -> Line { (0..n).map(|i| ((i * k) as f64 * 0.05).cos() / (1.0 + k as f64)).collect() };
+        let factors: Vec<Line> = (0..30).map(factor).collect();
+        let pitch = 10.0 / n as f64;
+        let x: Line = (0..n).map(|i| (i as f64 + 0.5) * pitch - 5.0).collect();
+        let camera = Camera::new(&x, pitch, 10.0, n);
+        let found = Modes::new(&factors, &camera, 0.0, 0.0, &vec![0.1; n]);
+        assert!(found.modes.len() < 20, "{}", found.modes.len());
+        let whole = |i: usize, k: usize| factors.iter().map(|f| f[i] * f[k]).sum::<f64>();
+        let kept = |i: usize, k: usize| found.modes.iter().map(|m| m[i] * m[k]).sum::<f64>();
+        for i in 0..n {
+            assert!((kept(i, i) + found.rest_variances[i] - whole(i, i)).abs() < 1e-9);
+            for k in 0..n {
+                let bound = (found.rest_variances[i] * found.rest_variances[k]).sqrt() + 1e-9;
+                assert!((kept(i, k) - whole(i, k)).abs() <= bound);
+            }
+        }
+    }
+}

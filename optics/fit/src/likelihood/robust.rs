@@ -1,0 +1,77 @@
+//! Residuals that may be dust: a mixture of normal pixels and a few that can be anything.
+//!
+//! With ε the share of odd pixels and κ the width of their distribution, in standard deviations of the noise,
+//!
+//! ρ(r) = −2 ln[(1 − ε) e^{−r²/2} + (ε/κ) e^{−r²/(2κ²)}], less its value at 0.
+//!
+//! Where no pixel is odd this is r², but for a share of about ε; beyond some four standard deviations a pixel hardly
+//! counts. ρ grows with r², less and less, so weights w = dρ/d(r²) make a reweighted least squares that never rises.
+
+/// Share of pixels that are taken to be odd.
+const SHARE: f64 = 0.01;
+/// How far odd pixels lie off.
+const WIDTH: f64 = 30.0;
+/// A pixel whose weight is less does not belong to the profile.
+const ODD: f64 = 0.5;
+/// Most pixels that a speck is taken to reach beyond those that are odd by themselves.
+const RIM: usize = 4;
+/// A speck reaches as far as its sign does, while it is at least this many standard deviations.
+const RIM_LEVEL: f64 = 0.5;
+
+fn parts(r: f64) -> (f64, f64) {
+    let square = r * r;
+    ((1.0 - SHARE) * (-0.5 * square).exp(), SHARE / WIDTH * (-0.5 * square / (WIDTH * WIDTH)).exp())
+}
+
+/// ρ(r), zero at 0.
+pub(super) fn rho(r: f64) -> f64 {
+    let (normal, odd) = parts(r);
+    let at_zero = 1.0 - SHARE + SHARE / WIDTH;
+    -2.0 * ((normal + odd).max(f64::MIN_POSITIVE) / at_zero).ln()
+}
+
+/// dρ/d(r²): 1 for pixels that belong to the profile.
+pub(super) fn weight(r: f64) -> f64 {
+    let (normal, odd) = parts(r);
+    (normal + odd / (WIDTH * WIDTH)) / (normal + odd).max(f64::MIN_POSITIVE)
+}
+
+/// Pixels that do not belong to the profile, with the rims of the specks that they are part of.
+pub(super) fn specks(residuals: &[f64]) -> Vec<bool> {
+    let n = residuals.len();
+    let odd: Vec<bool> = residuals.iter().map(|r| weight(*r) < ODD).collect();
+    let mut left_out = odd.clone();
+    for i in (0..n).filter(|i| odd[*i]) {
+        let belongs = |k: usize| residuals[k] * residuals[i].signum() > RIM_LEVEL;
+        (i + 1..n.min(i + 1 + RIM)).take_while(|k| belongs(*k)).for_each(|k| left_out[k] = true);
+        (i.saturating_sub(RIM)..i).rev().take_while(|k| belongs(*k)).for_each(|k| left_out[k] = true);
+    }
+    left_out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_are_the_slope_of_rho() {
+        for r in [0.0_f64, 0.5, 2.0, 3.7, 4.2, 6.0, 40.0] {
+            let step = 1e-6;
+            let (low, high) = (r * r - step, r * r + step);
+            if low > 0.0 {
+                let slope = (rho(high.sqrt()) - rho(low.sqrt())) / (2.0 * step);
+                assert!((slope - weight(r)).abs() < 1e-6 * (1.0 + slope), "{r}: {slope} {}", weight(r));
+            }
+        }
+        assert!(rho(0.0) == 0.0 && (rho(1.0) - 1.0).abs() < 1e-3 && rho(100.0) < 30.0);
+        assert!(weight(2.0) > 0.99 && weight(6.0) < 0.01);
+    }
+
+    #[test]
+    fn a_speck_is_left_out_with_its_rim() {
+        let mut residuals = vec![0.4, -0.7, 0.2, 0.9, -0.1, 0.3, -0.4, 0.1];
+        assert!(specks(&residuals).iter().all(|s| !s));
+        residuals.splice(2..6, [-1.5, -9.0, -3.0, -0.2]);
+        assert_eq!(specks(&residuals), [false, true, true, true, true, false, false, false]);
+    }
+}

@@ -1,0 +1,453 @@
+//! Where the descent begins, so that it ends at the lowest minimum over the whole dictionary.
+//!
+//! Every medium of the dictionary is compared: with its profiles in a basis of a few directions (`sketch`), −2 ln L is a
+//! quadratic form in their coefficients, once gain, zero, slope, origin and blur are integrated out with their priors. The
+//! columns of these are taken from the measurement itself, smoothed, and so are the same for all media. A minimum of the
+//! continuous likelihood lies next to a medium that is lower than its neighbours along all axes. From every such medium
+//! that is not hopeless a descent in the basis, between the records, finds that minimum; the lowest of them are where
+//! the full likelihood begins. `finds_the_minimum_of_brute_force` holds this against comparing everything.
+
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
+use optics_model::MeasuredProfile;
+
+use super::Line;
+use crate::dictionary::FitDictionary;
+use crate::resample::resample;
+use crate::sum::dot;
+use crate::surrogate::Surrogate;
+use crate::view::View;
+
+/// Share of the value that neither the basis nor the records are better than.
+const FLOOR: f64 = 0.003;
+/// Media compared side by side.
+const BLOCK: usize = 256;
+/// Most minima that are followed.
+const MINIMA: usize = 24;
+/// A minimum of media is hopeless if it is higher than the lowest by this factor, and by this much.
+const HOPELESS: (f64, f64) = (4.0, 200.0);
+/// Steps of a descent in the basis.
+const STEPS: usize = 12;
+/// Standard deviations from its neighbours from which on a pixel is not looked at here.
+const SPECK: f64 = 6.0;
+
+/// What is not known exactly, as standard deviations.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Loose {
+    pub gain: f64,
+    pub zero: f64,
+    pub slope: f64,
+    pub origin_mm: f64,
+    pub blur_mm2: f64,
+}
+
+/// One profile as a quadratic form in the coefficients of the basis.
+#[derive(Debug)]
+pub(super) struct Compressed {
+    /// Index into the grid's thicknesses, and ln of the slab's thickness over it.
+    thickness: usize,
+    ln_ratio: f64,
+    channel: usize,
+    /// Lᵀ of the form K = L Lᵀ, row by row.
+    root: DMatrix<f64>,
+    /// L⁻¹ of the measurement's part, and of the basis' mean profile's.
+    data: DVector<f64>,
+    mean: DVector<f64>,
+    /// What no medium explains, as a quadratic in the scale: 1, s, s².
+    left: [f64; 3],
+}
+
+/// A place to begin at.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Start {
+    pub medium: [f64; 3],
+    pub ior: usize,
+    pub cost: f64,
+}
+
+impl Compressed {
+    /// Of a profile whose values and errors are multiplied by μ.
+    pub(super) fn new(
+        dictionary: &FitDictionary,
+        view: &View,
+        channel: usize,
+        profile: &MeasuredProfile,
+        origin_mm: f64,
+        mu: f64,
+        std_errors: &[f64],
+        loose: &Loose,
+    ) -> Option<Self> {
+        let axis = dictionary.grid().thickness_mm();
+        let off = |t: &f64| (profile.thickness_mm() / t).ln().abs();
+        let (thickness, nominal) = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
+        let ratio = profile.thickness_mm() / nominal;
+        let x: Line = profile.x_mm().iter().map(|x| (x - origin_mm) / ratio).collect();
+        let calm = without_specks(profile.values(), std_errors);
+        let scaled = MeasuredProfile::new("", *nominal, x, profile.values().to_vec(), None).ok()?;
+        let sensor = dictionary.grid().scene().sensor();
+        let resampled = resample(&scaled, sensor);
+        if resampled.values.is_empty() {
+            return None;
+        }
+        let variances = resampled.variances(
+            &std_errors.iter().zip(&calm).map(|(e, c)| if *c { *e } else { 1e6 }).collect::<Line>(),
+        );
+        let pixels = resampled.pixels.clone();
+        let values: Line = resampled.values.iter().map(|v| v * mu).collect();
+        let weights: Line = variances
+            .iter()
+            .zip(&values)
+            .map(|(variance, v)| 1.0 / (variance * mu * mu + (FLOOR * v).powi(2) + 1e-10))
+            .collect();
+        let basis = view.value_basis();
+        let part = |f: &[f64]| f[pixels.clone()].to_vec();
+        let directions: Vec<Line> = basis.directions().iter().map(|d| part(d)).collect();
+        let mean = part(basis.mean());
+        let smooth = smoothed(&values, &weights, &directions, &mean)?;
+        let columns = loose_columns(&smooth, sensor, pixels.start, loose, ratio);
+        let form = Form::new(&weights, &columns)?;
+        let k = DMatrix::from_fn(directions.len(), directions.len(), |i, j| {
+            form.of(&directions[i], &directions[j])
+        });
+        let trace = k.trace();
+        let root =
+            Cholesky::new(k + DMatrix::identity(directions.len(), directions.len()) * (1e-12 * trace))?;
+        let onto = |f: &[f64]| {
+            let b = DVector::from_iterator(directions.len(), directions.iter().map(|d| form.of(d, f)));
+            root.l().solve_lower_triangular(&b)
+        };
+        let (data, mean_part) = (onto(&values)?, onto(&mean)?);
+        let left = [
+            form.of(&values, &values) - data.dot(&data),
+            -2.0 * (form.of(&values, &mean) - data.dot(&mean_part)),
+            form.of(&mean, &mean) - mean_part.dot(&mean_part),
+        ];
+        let ln_ratio = ratio.ln();
+        Some(Self { thickness, ln_ratio, channel, root: root.l().transpose(), data, mean: mean_part, left })
+    }
+
+    /// Index into the grid's thicknesses.
+    pub(super) fn thickness(&self) -> usize {
+        self.thickness
+    }
+
+    fn left(&self, scale: f64) -> f64 {
+        (self.left[0] + scale * (self.left[1] + scale * self.left[2])).max(0.0)
+    }
+
+    /// Adds the cost of all media of the dictionary, with their profiles multiplied by a scale.
+    fn add_costs(&self, view: &View, scale: f64, costs: &mut [f32]) {
+        let sketch = view.sketch(self.channel, self.thickness).value_coefficients();
+        let n = self.data.len();
+        let left = self.left(scale) as f32;
+        let (mut sums, mut z) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK]);
+        for (block, costs) in costs.chunks_mut(BLOCK).enumerate() {
+            let media = block * BLOCK..block * BLOCK + costs.len();
+            let (sums, z) = (&mut sums[..costs.len()], &mut z[..costs.len()]);
+            sums.fill(left);
+            for i in 0..n {
+                z.fill((scale * self.mean[i] - self.data[i]) as f32);
+                for j in i..n {
+                    let factor = (scale * self.root[(i, j)] * view.sketch_scale()) as f32;
+                    for (z, c) in z.iter_mut().zip(&sketch.row(j)[media.clone()]) {
+                        *z += factor * c;
+                    }
+                }
+                sums.iter_mut().zip(&*z).for_each(|(s, z)| *s += z * z);
+            }
+            costs.iter_mut().zip(&*sums).for_each(|(c, s)| *c += s);
+        }
+    }
+
+    /// Residuals in the basis between the records, and their derivatives by the medium.
+    fn residuals(
+        &self,
+        view: &View,
+        surrogate: &Surrogate,
+        x: [f64; 3],
+        scale: f64,
+    ) -> (DVector<f64>, DMatrix<f64>) {
+        let sketch = view.sketch(self.channel, self.thickness).value_coefficients();
+        let n = self.data.len();
+        let mut all = DMatrix::zeros(n, 4);
+        for (medium, weight, by) in surrogate.stencil([x[0] + self.ln_ratio, x[1], x[2]]) {
+            for k in 0..n {
+                let c = f64::from(sketch.row(k)[medium]);
+                all[(k, 0)] += weight * c;
+                all[(k, 1)] += by[0] * c;
+                all[(k, 2)] += by[1] * c;
+                all[(k, 3)] += by[2] * c;
+            }
+        }
+        let through = &self.root * all * (scale * view.sketch_scale());
+        let residuals = through.column(0) + scale * &self.mean - &self.data;
+        (residuals, through.columns(1, 3).clone_owned())
+    }
+}
+
+/// What limits a search.
+#[derive(Debug, Clone)]
+pub(super) struct Region {
+    /// As in `Admissible`, by index of the axes.
+    pub admissible: crate::question::Admissible,
+    pub limits: [(f64, f64); 3],
+    pub held: [bool; 3],
+}
+
+/// One channel, ready to be searched.
+#[derive(Debug)]
+pub(super) struct Scan<'a> {
+    pub dictionary: &'a FitDictionary,
+    pub view: std::sync::Arc<View>,
+    pub terms: Vec<Compressed>,
+    pub region: Region,
+}
+
+impl Scan<'_> {
+    /// Costs of all media, in the order of their numbers.
+    pub(super) fn costs(&self, scale: f64) -> Vec<f32> {
+        let grid = self.dictionary.grid();
+        let media = grid.record_count() / grid.thickness_mm().len();
+        let mut costs = vec![0.0; media];
+        for term in &self.terms {
+            term.add_costs(&self.view, scale, &mut costs);
+        }
+        costs
+    }
+
+    /// Number of a medium over all axes.
+    fn number(&self, [ior, s, g, a]: [usize; 4]) -> usize {
+        let grid = self.dictionary.grid();
+        ((ior * grid.sigma_t_per_mm().len() + s) * grid.g().len() + g) * grid.albedo().len() + a
+    }
+
+    /// Admissible media, best first, at most `count`.
+    pub(super) fn best(&self, costs: &[f32], count: usize) -> Vec<[usize; 4]> {
+        let mut media = self.media(0..self.dictionary.grid().sample_ior().len());
+        media.sort_by(|a, b| costs[self.number(*a)].total_cmp(&costs[self.number(*b)]));
+        media.truncate(count);
+        media
+    }
+
+    fn media(&self, iors: std::ops::Range<usize>) -> Vec<[usize; 4]> {
+        let region = &self.region.admissible;
+        let mut media = Vec::new();
+        for ior in iors {
+            for s in region.sigma_t.clone() {
+                for g in region.g.clone() {
+                    media.extend(region.albedo.clone().map(|a| [ior, s, g, a]));
+                }
+            }
+        }
+        media
+    }
+
+    /// Media that are lower than all their neighbours, lowest first.
+    fn minima(&self, costs: &[f32]) -> Vec<[usize; 4]> {
+        let region = &self.region.admissible;
+        let cost = |m: [usize; 4]| costs[self.number(m)];
+        let around = |i: usize, range: &std::ops::Range<usize>| {
+            i.saturating_sub(1).max(range.start)..(i + 2).min(range.end)
+        };
+        let lowest = |m: &[usize; 4]| {
+            let [ior, s, g, a] = *m;
+            let own = cost(*m);
+            around(s, &region.sigma_t).all(|s| {
+                around(g, &region.g).all(|g| around(a, &region.albedo).all(|a| cost([ior, s, g, a]) >= own))
+            })
+        };
+        let mut minima: Vec<[usize; 4]> =
+            self.media(0..self.dictionary.grid().sample_ior().len()).into_iter().filter(lowest).collect();
+        minima.sort_by(|a, b| cost(*a).total_cmp(&cost(*b)));
+        let best = minima.first().map_or(0.0, |m| f64::from(cost(*m)));
+        let hopeless = (HOPELESS.0 * best).max(best + HOPELESS.1);
+        minima.retain(|m| f64::from(cost(*m)) <= hopeless);
+        minima.truncate(MINIMA);
+        minima
+    }
+
+    /// Coordinates of a medium of the grid, within the limits.
+    fn coordinates(&self, [_, s, g, a]: [usize; 4]) -> [f64; 3] {
+        let grid = self.dictionary.grid();
+        let x = [grid.sigma_t_per_mm()[s].ln(), (1.0 - grid.albedo()[a]).sqrt(), (1.0 - grid.g()[g]).ln()];
+        std::array::from_fn(|i| x[i].clamp(self.region.limits[i].0, self.region.limits[i].1))
+    }
+
+    /// The minima of the likelihood in the basis, lowest first, each once.
+    pub(super) fn starts(&self, surrogates: &[Surrogate], scale: f64) -> Vec<Start> {
+        let costs = self.costs(scale);
+        let mut starts: Vec<Start> = Vec::new();
+        let mut found: Vec<Start> = self
+            .minima(&costs)
+            .into_iter()
+            .map(|m| self.descend(&surrogates[m[0]], m[0], self.coordinates(m), self.region.held, scale))
+            .collect();
+        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        for start in found {
+            let near = |other: &Start| {
+                other.ior == start.ior && (0..3).all(|i| (other.medium[i] - start.medium[i]).abs() < 0.02)
+            };
+            if !starts.iter().any(near) {
+                starts.push(start);
+            }
+        }
+        starts
+    }
+
+    /// The lowest place with the anisotropy at each node of the dictionary, and one scale.
+    pub(super) fn by_anisotropy(&self, surrogates: &[Surrogate], costs: &[f32], scale: f64) -> Vec<Start> {
+        let region = &self.region.admissible;
+        let best = |g: usize| {
+            let media = self.media(0..1).into_iter().filter(|m| m[2] == g);
+            media.min_by(|a, b| costs[self.number(*a)].total_cmp(&costs[self.number(*b)]))
+        };
+        let held = [self.region.held[0], self.region.held[1], true];
+        let start = |m: [usize; 4]| self.descend(&surrogates[m[0]], m[0], self.coordinates(m), held, scale);
+        region.g.clone().filter_map(best).map(start).collect()
+    }
+
+    /// Gauss–Newton with damping in the basis.
+    fn descend(
+        &self,
+        surrogate: &Surrogate,
+        ior: usize,
+        mut x: [f64; 3],
+        held: [bool; 3],
+        scale: f64,
+    ) -> Start {
+        let left: f64 = self.terms.iter().map(|t| t.left(scale)).sum();
+        let at = |x: [f64; 3]| {
+            let (mut cost, mut downhill, mut normal) = (left, Vector3::zeros(), Matrix3::zeros());
+            for term in &self.terms {
+                let (residuals, slopes) = term.residuals(&self.view, surrogate, x, scale);
+                cost += residuals.dot(&residuals);
+                downhill -= Vector3::from_iterator((slopes.transpose() * &residuals).iter().copied());
+                let square = slopes.transpose() * &slopes;
+                normal += Matrix3::from_fn(|i, j| square[(i, j)]);
+            }
+            (cost, downhill, normal)
+        };
+        let (mut cost, mut downhill, mut normal) = at(x);
+        let mut damping = 1e-3;
+        for _ in 0..STEPS {
+            let mut matrix = normal;
+            let mut pull = downhill;
+            for i in 0..3 {
+                let (low, high) = self.region.limits[i];
+                let out = (x[i] <= low && pull[i] < 0.0) || (x[i] >= high && pull[i] > 0.0);
+                matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
+                if held[i] || out {
+                    for j in 0..3 {
+                        (matrix[(i, j)], matrix[(j, i)]) = (0.0, 0.0);
+                    }
+                    (matrix[(i, i)], pull[i]) = (1.0, 0.0);
+                }
+            }
+            let Some(inverse) = matrix.try_inverse() else { break };
+            let step = inverse * pull;
+            let there: [f64; 3] = std::array::from_fn(|i| {
+                (x[i] + step[i]).clamp(self.region.limits[i].0, self.region.limits[i].1)
+            });
+            let new = at(there);
+            let gain = cost - new.0;
+            if gain < 0.0 {
+                if damping > 1e3 || gain > -0.01 {
+                    break;
+                }
+                damping *= 10.0;
+                continue;
+            }
+            x = there;
+            (cost, downhill, normal) = new;
+            damping *= 0.1;
+            if gain < 0.01 {
+                break;
+            }
+        }
+        Start { medium: x, ior, cost }
+    }
+}
+
+/// A quadratic form over pixels, with some columns integrated out.
+struct Form<'a> {
+    weights: &'a [f64],
+    /// Weighted columns, and the root of what their integral takes away.
+    columns: Vec<Line>,
+    root: DMatrix<f64>,
+}
+
+impl<'a> Form<'a> {
+    /// The columns have coefficients of variance 1.
+    fn new(weights: &'a [f64], columns: &[Line]) -> Option<Self> {
+        let weighted: Vec<Line> =
+            columns.iter().map(|c| c.iter().zip(weights).map(|(c, w)| c * w).collect()).collect();
+        let n = columns.len();
+        let inner =
+            DMatrix::from_fn(n, n, |i, j| dot(&weighted[i], &columns[j]) + f64::from(u8::from(i == j)));
+        let root = Cholesky::new(inner)?.inverse();
+        Some(Self { weights, columns: weighted, root })
+    }
+
+    fn of(&self, a: &[f64], b: &[f64]) -> f64 {
+        let direct: f64 = a.iter().zip(b).zip(self.weights).map(|((a, b), w)| a * b * w).sum();
+        let along =
+            |f: &[f64]| DVector::from_iterator(self.columns.len(), self.columns.iter().map(|c| dot(c, f)));
+        direct - along(a).dot(&(&self.root * along(b)))
+    }
+}
+
+/// The measurement as the basis has it.
+fn smoothed(values: &[f64], weights: &[f64], directions: &[Line], mean: &[f64]) -> Option<Line> {
+    let n = directions.len();
+    let weighted: Vec<Line> =
+        directions.iter().map(|d| d.iter().zip(weights).map(|(d, w)| d * w).collect()).collect();
+    let normal = DMatrix::from_fn(n, n, |i, j| dot(&weighted[i], &directions[j]));
+    let trace = normal.trace();
+    let rest: Line = values.iter().zip(mean).map(|(v, m)| v - m).collect();
+    let right = DVector::from_iterator(n, weighted.iter().map(|w| dot(w, &rest)));
+    let c = Cholesky::new(normal + DMatrix::identity(n, n) * (1e-9 * trace))?.solve(&right);
+    let mut smooth = mean.to_vec();
+    for (direction, c) in directions.iter().zip(c.iter()) {
+        smooth.iter_mut().zip(direction).for_each(|(s, d)| *s += c * d);
+    }
+    Some(smooth)
+}
+
+/// What loose things do to the profile, per standard deviation.
+fn loose_columns(
+    smooth: &[f64],
+    sensor: optics_model::scene::Sensor,
+    first: usize,
+    loose: &Loose,
+    ratio: f64,
+) -> Vec<Line> {
+    let last = smooth.len() - 1;
+    let pitch = sensor.pitch_mm() * ratio;
+    let slope = |f: &[f64]| -> Line {
+        let at = |i: usize| (f[(i + 1).min(last)] - f[i.saturating_sub(1)]) / (2.0 * pitch);
+        (0..=last).map(at).collect()
+    };
+    let by_x = slope(smooth);
+    let bend = slope(&by_x);
+    let scaled = |f: &[f64], by: f64| f.iter().map(|v| v * by).collect::<Line>();
+    let tilted = smooth.iter().enumerate();
+    vec![
+        scaled(smooth, loose.gain),
+        vec![loose.zero; smooth.len()],
+        tilted.map(|(i, v)| v * loose.slope * sensor.centre_mm(first + i) * ratio / 10.0).collect(),
+        scaled(&by_x, loose.origin_mm),
+        scaled(&bend, 0.5 * loose.blur_mm2),
+    ]
+}
+
+/// Pixels that lie where their neighbours do.
+pub(super) fn without_specks(values: &[f64], std_errors: &[f64]) -> Vec<bool> {
+    let n = values.len();
+    let apart = |i: usize| {
+        let mut near: Line = values[i.saturating_sub(4)..(i + 5).min(n)].to_vec();
+        near.sort_by(f64::total_cmp);
+        let spread = near[near.len() - 2] - near[1];
+        (values[i] - near[near.len() / 2]).abs() > SPECK * std_errors[i] + spread
+    };
+    let odd: Vec<bool> = (0..n).map(apart).collect();
+    (0..n).map(|i| !odd[i.saturating_sub(2)..(i + 3).min(n)].contains(&true)).collect()
+}

@@ -1,0 +1,301 @@
+//! Profiles that share unknowns, and the descent to the least −2 ln L of all of them together.
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::term::{Linear, Reduced, Term};
+use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point, ROOT_CO_ALBEDO, SHARED};
+use crate::surrogate::Surrogate;
+
+/// Steps that one descent may take.
+const MOST_STEPS: usize = 40;
+/// Terms from which on other threads are worth waking.
+const MANY: usize = 4;
+
+/// A quantity that profiles share.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Unknown {
+    /// Mean and standard deviation of what is known beforehand.
+    pub prior: Option<(f64, f64)>,
+    pub limits: (f64, f64),
+    /// It cannot move: it was told, or the dictionary has one value only.
+    pub held: bool,
+}
+
+/// What other measurements say of the unknowns: a quadratic about a centre.
+#[derive(Debug, Clone)]
+pub(super) struct Coupling {
+    pub centre: DVector<f64>,
+    pub information: DMatrix<f64>,
+    /// −½ of the gradient of −2 ln L there.
+    pub downhill: DVector<f64>,
+}
+
+impl Coupling {
+    fn cost(&self, x: &DVector<f64>) -> f64 {
+        let away = x - &self.centre;
+        away.dot(&(&self.information * &away)) - 2.0 * self.downhill.dot(&away)
+    }
+}
+
+/// Profiles, each with the unknowns that its shared ones are.
+#[derive(Debug)]
+pub(super) struct System<'a> {
+    pub terms: Vec<Term>,
+    pub surrogates: Vec<&'a Surrogate<'a>>,
+    pub slots: Vec<[usize; SHARED]>,
+    pub unknowns: Vec<Unknown>,
+    pub coupling: Option<Coupling>,
+}
+
+/// Values of all unknowns, and −2 ln L there.
+#[derive(Debug, Clone)]
+pub(super) struct State {
+    pub x: DVector<f64>,
+    /// Each profile's own.
+    pub own: Vec<Line>,
+    pub cost: f64,
+}
+
+/// A function of a channel's medium whose value can be held.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Quantity {
+    /// One of the unknowns.
+    Unknown(usize),
+    /// ln σ_s(1 − g), of the medium at these unknowns.
+    ReducedScattering([usize; 3]),
+    /// √σ_a.
+    Absorption([usize; 3]),
+}
+
+impl Quantity {
+    pub(super) fn value(self, x: &DVector<f64>) -> f64 {
+        match self {
+            Self::Unknown(i) => x[i],
+            Self::ReducedScattering([s, a, g]) => (1.0 - x[a] * x[a]).max(1e-12).ln() + x[s] + x[g],
+            Self::Absorption([s, a, _]) => x[a] * (0.5 * x[s]).exp(),
+        }
+    }
+
+    pub(super) fn gradient(self, x: &DVector<f64>) -> DVector<f64> {
+        let mut gradient = DVector::zeros(x.len());
+        match self {
+            Self::Unknown(i) => gradient[i] = 1.0,
+            Self::ReducedScattering([s, a, g]) => {
+                (gradient[s], gradient[g]) = (1.0, 1.0);
+                gradient[a] = -2.0 * x[a] / (1.0 - x[a] * x[a]).max(1e-9);
+            }
+            Self::Absorption([s, a, _]) => {
+                let root = (0.5 * x[s]).exp();
+                (gradient[s], gradient[a]) = (0.5 * x[a] * root, root);
+            }
+        }
+        gradient
+    }
+
+    /// Of a channel's medium.
+    pub(super) fn all(slots: &[usize; SHARED]) -> [Self; 5] {
+        let medium = [slots[LN_SIGMA_T], slots[ROOT_CO_ALBEDO], slots[LN_ONE_MINUS_G]];
+        [
+            Self::Unknown(medium[0]),
+            Self::Unknown(medium[1]),
+            Self::Unknown(medium[2]),
+            Self::ReducedScattering(medium),
+            Self::Absorption(medium),
+        ]
+    }
+}
+
+/// A quantity held at a value, by a spring so stiff that it does not give.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Held {
+    pub quantity: Quantity,
+    pub at: f64,
+    pub stiffness: f64,
+}
+
+/// Second derivative and gradient of −2 ln L, halved; profiles' own unknowns eliminated.
+#[derive(Debug)]
+pub(super) struct Normal {
+    pub information: DMatrix<f64>,
+    pub downhill: DVector<f64>,
+    pub reduced: Vec<Reduced>,
+}
+
+impl System<'_> {
+    pub(super) fn point(&self, term: usize, x: &DVector<f64>) -> Point {
+        Point(self.slots[term].map(|slot| x[slot]))
+    }
+
+    /// The same with normal pixels and a dictionary without noise.
+    pub(super) fn ideal(&self) -> Self {
+        let terms = self.terms.iter().cloned();
+        let without_noise =
+            |term: Term| Term { modes: Vec::new(), rest_variances: Vec::new(), robust: false, ..term };
+        Self {
+            terms: terms.map(without_noise).collect(),
+            surrogates: self.surrogates.clone(),
+            slots: self.slots.clone(),
+            unknowns: self.unknowns.clone(),
+            coupling: self.coupling.clone(),
+        }
+    }
+
+    /// Indices of the unknowns that can move.
+    pub(super) fn free(&self) -> Vec<usize> {
+        (0..self.unknowns.len()).filter(|i| !self.unknowns[*i].held).collect()
+    }
+
+    /// All profiles at a state.
+    pub(super) fn linear(&self, x: &DVector<f64>, own: &[Line]) -> Vec<Linear> {
+        let one = |i: usize| self.terms[i].linear(self.surrogates[i], &self.point(i, x), &own[i]);
+        if self.terms.len() < MANY {
+            (0..self.terms.len()).map(one).collect()
+        } else {
+            (0..self.terms.len()).into_par_iter().map(one).collect()
+        }
+    }
+
+    /// −2 ln L of what is known beforehand.
+    fn prior_cost(&self, x: &DVector<f64>) -> f64 {
+        let known = self.unknowns.iter().zip(x.iter()).filter(|(u, _)| !u.held);
+        let priors = known.filter_map(|(u, x)| u.prior.map(|(mean, sd)| ((x - mean) / sd).powi(2)));
+        priors.sum::<f64>() + self.coupling.as_ref().map_or(0.0, |c| c.cost(x))
+    }
+
+    fn cost(&self, x: &DVector<f64>, linear: &[Linear]) -> f64 {
+        linear.iter().map(|l| l.cost).sum::<f64>() + self.prior_cost(x)
+    }
+
+    pub(super) fn state(&self, x: DVector<f64>, own: Vec<Line>) -> State {
+        let cost = self.cost(&x, &self.linear(&x, &own));
+        State { x, own, cost }
+    }
+
+    pub(super) fn normal(&self, x: &DVector<f64>, own: &[Line], linear: &[Linear]) -> Normal {
+        let n = self.unknowns.len();
+        let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        let one = |i: usize| self.terms[i].reduce(&linear[i], &own[i]);
+        let reduced: Vec<Reduced> = if linear.len() < MANY {
+            (0..linear.len()).map(one).collect()
+        } else {
+            (0..linear.len()).into_par_iter().map(one).collect()
+        };
+        for (slots, reduced) in self.slots.iter().zip(&reduced) {
+            for (i, slot) in slots.iter().enumerate() {
+                downhill[*slot] += reduced.downhill[i];
+                for (j, other) in slots.iter().enumerate() {
+                    information[(*slot, *other)] += reduced.information[(i, j)];
+                }
+            }
+        }
+        for (i, unknown) in self.unknowns.iter().enumerate() {
+            if let Some((mean, sd)) = unknown.prior.filter(|_| !unknown.held) {
+                information[(i, i)] += 1.0 / (sd * sd);
+                downhill[i] -= (x[i] - mean) / (sd * sd);
+            }
+        }
+        if let Some(coupling) = &self.coupling {
+            downhill += &coupling.downhill - &coupling.information * (x - &coupling.centre);
+            information += &coupling.information;
+        }
+        Normal { information, downhill, reduced }
+    }
+
+    /// Goes down to a minimum of −2 ln L, until a step lowers it by less than `tolerance`.
+    pub(super) fn descend(&self, from: State, held: Option<&Held>, tolerance: f64) -> State {
+        let spring =
+            |x: &DVector<f64>| held.map_or(0.0, |h| h.stiffness * (h.quantity.value(x) - h.at).powi(2));
+        let mut state = from;
+        let mut linear = self.linear(&state.x, &state.own);
+        state.cost = self.cost(&state.x, &linear);
+        let mut total = state.cost + spring(&state.x);
+        let mut damping = 1e-9;
+        let mut normal = self.normal(&state.x, &state.own, &linear);
+        for _ in 0..MOST_STEPS {
+            let Some(step) = self.step(&state.x, &normal, held, damping) else { break };
+            let x = self.clamp(&state.x + step);
+            let moved = &x - &state.x;
+            let own: Vec<Line> = (0..self.terms.len())
+                .map(|i| {
+                    let shared = DVector::from_iterator(SHARED, self.slots[i].iter().map(|s| moved[*s]));
+                    let step = normal.reduced[i].own_step(&shared);
+                    state.own[i].iter().zip(step.iter()).map(|(w, d)| w + d).collect()
+                })
+                .collect();
+            let new_linear = self.linear(&x, &own);
+            let cost = self.cost(&x, &new_linear);
+            let gain = total - cost - spring(&x);
+            if gain.is_nan() || gain < 0.0 {
+                if gain > -tolerance || damping > 1e6 {
+                    break;
+                }
+                damping = (damping * 30.0).max(1e-4);
+                continue;
+            }
+            total = cost + spring(&x);
+            (state, linear) = (State { x, own, cost }, new_linear);
+            damping *= 0.03;
+            if gain < tolerance {
+                break;
+            }
+            normal = self.normal(&state.x, &state.own, &linear);
+        }
+        state
+    }
+
+    fn clamp(&self, mut x: DVector<f64>) -> DVector<f64> {
+        for (x, unknown) in x.iter_mut().zip(&self.unknowns) {
+            *x = x.clamp(unknown.limits.0, unknown.limits.1);
+        }
+        x
+    }
+
+    /// A damped Gauss–Newton step of the unknowns that can move and are not pulled over their limits.
+    fn step(
+        &self,
+        x: &DVector<f64>,
+        normal: &Normal,
+        held: Option<&Held>,
+        damping: f64,
+    ) -> Option<DVector<f64>> {
+        let (mut information, mut downhill) = (normal.information.clone(), normal.downhill.clone());
+        if let Some(Held { quantity, at, stiffness }) = held {
+            let gradient = quantity.gradient(x);
+            downhill += &gradient * (*stiffness * (at - quantity.value(x)));
+            information += &gradient * gradient.transpose() * *stiffness;
+        }
+        let inwards = |i: &usize| {
+            let (low, high) = self.unknowns[*i].limits;
+            !((x[*i] <= low && downhill[*i] < 0.0) || (x[*i] >= high && downhill[*i] > 0.0))
+        };
+        let free: Vec<usize> = self.free().into_iter().filter(inwards).collect();
+        let mut matrix = submatrix(&information, &free);
+        for i in 0..free.len() {
+            matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
+        }
+        let solved = Cholesky::new(matrix)?
+            .solve(&DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i])));
+        let mut step = DVector::zeros(x.len());
+        free.iter().zip(solved.iter()).for_each(|(i, s)| step[*i] = *s);
+        Some(step)
+    }
+
+    /// The inverse of an information matrix over the unknowns that can move; zeros elsewhere. None if it is singular.
+    pub(super) fn covariance(&self, information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let free = self.free();
+        let small = Cholesky::new(submatrix(information, &free))?.inverse();
+        let mut whole = DMatrix::zeros(information.nrows(), information.nrows());
+        for (i, to_i) in free.iter().enumerate() {
+            for (j, to_j) in free.iter().enumerate() {
+                whole[(*to_i, *to_j)] = small[(i, j)];
+            }
+        }
+        Some(whole)
+    }
+}
+
+/// The rows and columns of these indices.
+pub(super) fn submatrix(matrix: &DMatrix<f64>, indices: &[usize]) -> DMatrix<f64> {
+    DMatrix::from_fn(indices.len(), indices.len(), |i, j| matrix[(indices[i], indices[j])])
+}

@@ -1,0 +1,204 @@
+//! One measured profile: residuals and derivatives, with what is wrong with this profile alone taken out.
+//!
+//! The model of a pixel's value, times the question's μ, is
+//!
+//! y = F(x − x₀) · (e^(−m) + γ + s x/10 mm) + z + Σ_k c_k φ_k,
+//!
+//! F being the simulated profile at this slab's thickness as the camera blurs it, m the logarithm of a factor on μ, x₀
+//! the place of the edge, γ, z and s gain, zero and slope of the profile, and φ_k modes of the noise of the dictionary's
+//! records. x₀, γ, z, s and c_k belong to this profile. They have normal priors, in units of whose standard deviations
+//! they are counted here, so that each adds its square to −2 ln L. Eliminating them (a Schur complement) leaves a
+//! gradient and an information matrix of what the profile shares with others.
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+use super::camera::Camera;
+use super::robust::{rho, weight};
+use super::{Line, Point, SHARED};
+use crate::sum::dot;
+use crate::surrogate::Surrogate;
+
+/// What a profile has for itself, apart from the dictionary's noise.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Own {
+    Origin,
+    Gain,
+    Zero,
+    Slope,
+}
+
+/// Something of a profile's own that is not known exactly.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct OwnPrior {
+    pub own: Own,
+    pub std_error: f64,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Term {
+    /// Nominal, as told.
+    pub thickness_mm: f64,
+    pub camera: Camera,
+    pub x_mm: Line,
+    /// Measured values times the question's μ, and their standard errors.
+    pub values: Line,
+    pub std_errors: Line,
+    /// Where the edge was told to be.
+    pub origin_mm: f64,
+    pub priors: Vec<OwnPrior>,
+    /// Modes of the records' noise on the measured pixels, each of variance 1.
+    pub modes: Vec<Line>,
+    /// Variance of the records' noise that the modes leave, by pixel.
+    pub rest_variances: Line,
+    /// Pixels that do not belong to the profile.
+    pub left_out: Vec<bool>,
+    /// Whether pixels may be odd; if not every one that is not left out counts as a normal one.
+    pub robust: bool,
+}
+
+/// A profile at some place of the unknowns.
+#[derive(Debug)]
+pub(super) struct Linear {
+    /// What the model leaves, over the noise.
+    pub residuals: Line,
+    /// The model.
+    pub model: Line,
+    /// Derivatives of the model over the noise: by the shared unknowns, then by the profile's own.
+    pub columns: Vec<Line>,
+    /// −2 ln L of this profile, with the priors of its own unknowns.
+    pub cost: f64,
+}
+
+/// What a profile says of the shared unknowns.
+#[derive(Debug)]
+pub(super) struct Reduced {
+    /// −½ of the gradient of the cost, own unknowns following.
+    pub downhill: DVector<f64>,
+    /// Half of its second derivative.
+    pub information: DMatrix<f64>,
+    own_downhill: DVector<f64>,
+    /// Own by shared.
+    mixed: DMatrix<f64>,
+    own: Cholesky<f64, Dyn>,
+}
+
+impl Reduced {
+    /// How the profile's own unknowns follow a step of the shared ones.
+    pub(super) fn own_step(&self, shared: &DVector<f64>) -> DVector<f64> {
+        self.own.solve(&(&self.own_downhill - &self.mixed * shared))
+    }
+
+    /// Covariance of the own unknowns, given that of the shared ones.
+    pub(super) fn own_covariance(&self, shared: &DMatrix<f64>) -> DMatrix<f64> {
+        let along = self.own.solve(&self.mixed);
+        self.own.inverse() + &along * shared * along.transpose()
+    }
+}
+
+impl Term {
+    pub(super) fn own_count(&self) -> usize {
+        self.priors.len() + self.modes.len()
+    }
+
+    fn own_value(&self, own: &[f64], which: Own) -> f64 {
+        let found = self.priors.iter().position(|p| p.own == which);
+        found.map_or(0.0, |i| own[i] * self.priors[i].std_error)
+    }
+
+    pub(super) fn origin_mm(&self, own: &[f64]) -> f64 {
+        self.origin_mm + self.own_value(own, Own::Origin)
+    }
+
+    /// Standard error of a pixel, of the measurement and of what the records' modes leave.
+    fn deviation(&self, pixel: usize) -> f64 {
+        let own = self.std_errors[pixel];
+        match self.rest_variances.get(pixel) {
+            Some(rest) => (own * own + rest).sqrt(),
+            None => own,
+        }
+    }
+
+    /// At the shared unknowns and the profile's own.
+    pub(super) fn linear(&self, surrogate: &Surrogate, shared: &Point, own: &[f64]) -> Linear {
+        let predicted = surrogate.predict_at(shared.thickness_mm(), shared.medium());
+        let mut slopes = predicted.slopes.to_vec();
+        slopes.push(predicted.by_ln_thickness);
+        let seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), shared.blur_mm2());
+        let scale = shared.scale();
+        let (gain, slope) = (self.own_value(own, Own::Gain), self.own_value(own, Own::Slope));
+        let zero = self.own_value(own, Own::Zero);
+        let factor = |x: f64| scale + gain + slope * x / 10.0;
+        let n = self.values.len();
+        let factors: Line = self.x_mm.iter().map(|x| factor(*x)).collect();
+        let mut model: Line = (0..n).map(|i| seen.values[i] * factors[i] + zero).collect();
+        let mode_values = &own[self.priors.len()..];
+        for (mode, c) in self.modes.iter().zip(mode_values) {
+            model.iter_mut().zip(mode).for_each(|(m, v)| *m += c * v);
+        }
+        let inverse: Line = (0..n).map(|i| 1.0 / self.deviation(i)).collect();
+        let over_noise = |f: &dyn Fn(usize) -> f64| -> Line { (0..n).map(|i| f(i) * inverse[i]).collect() };
+        let mut columns = Vec::with_capacity(SHARED + self.own_count());
+        let [by_sigma_t, by_albedo, by_g, by_thickness] = &seen.slopes[..] else {
+            unreachable!("four slopes")
+        };
+        for by in [by_sigma_t, by_albedo, by_g] {
+            columns.push(over_noise(&|i| by[i] * factors[i]));
+        }
+        columns.push(over_noise(&|i| -scale * seen.values[i]));
+        columns.push(over_noise(&|i| seen.by_blur[i] * factors[i]));
+        columns.push(over_noise(&|i| by_thickness[i] * factors[i]));
+        for OwnPrior { own, std_error: sd } in &self.priors {
+            columns.push(match own {
+                Own::Origin => over_noise(&|i| sd * seen.by_origin[i] * factors[i]),
+                Own::Gain => over_noise(&|i| sd * seen.values[i]),
+                Own::Zero => over_noise(&|_| *sd),
+                Own::Slope => over_noise(&|i| sd * seen.values[i] * self.x_mm[i] / 10.0),
+            });
+        }
+        columns.extend(self.modes.iter().map(|mode| over_noise(&|i| mode[i])));
+        let residuals: Line = (0..n).map(|i| (self.values[i] - model[i]) * inverse[i]).collect();
+        let kept = residuals.iter().zip(&self.left_out).filter(|(_, out)| !**out);
+        let squares = kept.map(|(r, _)| if self.robust { rho(*r) } else { r * r });
+        let cost = squares.sum::<f64>() + dot(own, own);
+        Linear { residuals, model, columns, cost }
+    }
+
+    /// What the profile says of the shared unknowns, its own eliminated.
+    pub(super) fn reduce(&self, linear: &Linear, own: &[f64]) -> Reduced {
+        let weights: Line = linear
+            .residuals
+            .iter()
+            .zip(&self.left_out)
+            .map(|(r, out)| match (out, self.robust) {
+                (true, _) => 0.0,
+                (false, true) => weight(*r),
+                (false, false) => 1.0,
+            })
+            .collect();
+        let n = linear.columns.len();
+        let weighted: Vec<Line> =
+            linear.columns.iter().map(|c| c.iter().zip(&weights).map(|(c, w)| c * w).collect()).collect();
+        let mut all = DMatrix::zeros(n, n);
+        for i in 0..n {
+            for j in 0..=i {
+                let product = dot(&weighted[i], &linear.columns[j]);
+                all[(i, j)] = product;
+                all[(j, i)] = product;
+            }
+        }
+        let mut downhill = DVector::from_iterator(n, weighted.iter().map(|w| dot(w, &linear.residuals)));
+        for (i, own) in own.iter().enumerate() {
+            all[(SHARED + i, SHARED + i)] += 1.0;
+            downhill[SHARED + i] -= own;
+        }
+        let owns = n - SHARED;
+        let of_shared = all.view((0, 0), (SHARED, SHARED)).clone_owned();
+        let mixed = all.view((SHARED, 0), (owns, SHARED)).clone_owned();
+        let of_own = all.view((SHARED, SHARED), (owns, owns)).clone_owned();
+        let own = Cholesky::new(of_own).expect("a prior's 1 is on the diagonal");
+        let own_downhill = downhill.rows(SHARED, owns).clone_owned();
+        let information = of_shared - mixed.transpose() * own.solve(&mixed);
+        let downhill = downhill.rows(0, SHARED) - mixed.transpose() * own.solve(&own_downhill);
+        Reduced { downhill, information, own_downhill, mixed, own }
+    }
+}
