@@ -9,6 +9,7 @@
 //! | `FARM_TEST_TRUTHS=DIR` | keeps what was traced, so that another fit is tried in minutes, a row of it in seconds |
 //! | `FARM_TEST_ROWS=none,all x3` | these imperfections alone |
 //! | `FARM_TEST_MEDIA=50` | so many media |
+//! | `FARM_TEST_WALKS=16000000` | so many walks, half as many where thicknesses are wrong |
 //! | `FARM_TEST_OBJECTIVES=likelihood` | this objective alone |
 //! | `FARM_TEST_CSV=FILE` | a line for each medium, row and fit |
 
@@ -29,16 +30,16 @@ use optics_model::{Grid, Measurement, Walks};
 use rayon::prelude::*;
 
 use media::{SLABS_MM, Subject};
-use outcome::{Outcome, QUANTITIES, Way};
+use outcome::{COVERED, Outcome, QUANTITIES, Way};
 use rows::{Kind, Row};
 use truths::Truth;
 
-/// Largest median error of σ_t and of 1 − α that the likelihood may have with everything at typical size, g held.
-const MEDIAN_ERROR: [f64; 2] = [0.02, 0.05];
-/// Least and greatest share of intervals of 95 % that hold, in the long form: 93 to 97 %, and two standard errors more.
-const HELD: (f64, f64) = (0.90, 0.995);
-/// Least share in the normal form, whose intervals are few.
-const HELD_OF_FEW: f64 = 0.8;
+/// Largest median errors of σ_t and of 1 − α that the likelihood may have, g held, by row.
+const MEDIAN_ERRORS: [(&str, [f64; 2]); 2] = [("none", [0.012, 0.03]), ("all", [0.02, 0.05])];
+/// Shares of intervals of 95 % that may hold, but for two standard errors of as many intervals.
+const HELD: (f64, f64) = (0.93, 0.97);
+/// Least share of all intervals of the normal form, which are few, and hold or miss by fours.
+const HELD_OF_FEW: f64 = 0.85;
 
 /// What is tried.
 struct Trial {
@@ -53,7 +54,7 @@ impl Trial {
     fn normal() -> Self {
         let rows = ["none", "all"].map(Row::named).to_vec();
         let ways = Way::ALL.into_iter().filter(|way| way.objective == Objective::Likelihood).collect();
-        Self { media: 10, rows, ways, walks: (1_000_000, 1_000_000) }
+        Self { media: 6, rows, ways, walks: (2_000_000, 1_000_000) }
     }
 
     fn long() -> Self {
@@ -64,11 +65,13 @@ impl Trial {
             Some(names) => names.iter().any(|name| name == way.objective_name()),
             None => true,
         };
+        let number = |name: &str, usual| std::env::var(name).map_or(usual, |v| v.parse().unwrap());
+        let walks = number("FARM_TEST_WALKS", 4_000_000);
         Self {
-            media: std::env::var("FARM_TEST_MEDIA").map_or(200, |v| v.parse().unwrap()),
+            media: number("FARM_TEST_MEDIA", 200),
             rows: names.map_or_else(Row::all, |names| names.iter().map(|name| Row::named(name)).collect()),
             ways: Way::ALL.into_iter().filter(wanted).collect(),
-            walks: (4_000_000, 2_000_000),
+            walks: (walks, walks / 2),
         }
     }
 
@@ -120,28 +123,34 @@ fn of_row(outcomes: &[Outcome], row: usize, g_held: bool) -> Vec<&Outcome> {
 }
 
 fn check_errors(rows: &[Row], outcomes: &[Outcome]) {
-    for name in ["none", "all"] {
+    for (name, most) in MEDIAN_ERRORS {
         let Some(row) = rows.iter().position(|row| row.name == name) else { continue };
         let these = of_row(outcomes, row, true);
-        for (which, most) in MEDIAN_ERROR.into_iter().enumerate().filter(|_| !these.is_empty()) {
+        for (which, most) in most.into_iter().enumerate().filter(|_| !these.is_empty()) {
             let median = quantile(these.iter().map(|o| o.errors()[which].abs()).collect(), 0.5);
             assert!(median < most, "{name}: the median error of {} is {median}", ["σ_t", "1 − α"][which]);
         }
     }
 }
 
-/// Where the fit reckons with as much as is wrong, its intervals hold.
-fn check_intervals(rows: &[Row], outcomes: &[Outcome], (least, most): (f64, f64)) {
+/// Where the fit reckons with as much as is wrong, its intervals hold as often as they say.
+fn check_intervals(rows: &[Row], outcomes: &[Outcome]) {
     for (number, row) in rows.iter().enumerate().filter(|(_, row)| row.is_told()) {
         for g_held in [true, false] {
             let these = of_row(outcomes, number, g_held);
-            for (q, name) in QUANTITIES.into_iter().enumerate().filter(|(q, _)| *q != 2) {
+            let slack = 2.0 * (0.95 * 0.05 / these.len() as f64).sqrt();
+            for (q, name) in COVERED.map(|q| (q, QUANTITIES[q])) {
                 let Some(held) = Share::of(these.iter().map(|o| o.holds(q))) else { continue };
-                let within = (least..=most).contains(&held.share);
+                let within = (HELD.0 - slack..=HELD.1 + slack).contains(&held.share);
                 assert!(within, "{}: {held} % of the intervals of {name} hold, g held: {g_held}", row.name);
             }
         }
     }
+}
+
+fn check_few_intervals(outcomes: &[Outcome]) {
+    let held = Share::of(outcomes.iter().flat_map(|o| COVERED.map(|q| o.holds(q)))).unwrap();
+    assert!(held.share >= HELD_OF_FEW, "{held} % of the intervals hold");
 }
 
 #[test]
@@ -160,6 +169,9 @@ fn imperfect_measurements_give_media_and_intervals_that_hold_them() {
         table::write_csv(file.as_ref(), &trial.rows, &outcomes);
     }
     check_errors(&trial.rows, &outcomes);
-    // Of ten intervals of 95 % fewer than eight hold once in 87 times.
-    check_intervals(&trial.rows, &outcomes, if long { HELD } else { (HELD_OF_FEW, 1.0) });
+    if long {
+        check_intervals(&trial.rows, &outcomes);
+    } else {
+        check_few_intervals(&outcomes);
+    }
 }

@@ -9,8 +9,11 @@ use super::rows::Row;
 
 /// What is asked for, in the order of all arrays below.
 pub(super) const QUANTITIES: [&str; 5] = ["σ_t", "α", "g", "σ_s(1−g)", "σ_a"];
-pub(super) const SIGMA_T: usize = 0;
-pub(super) const ALBEDO: usize = 1;
+const SIGMA_T: usize = 0;
+const ALBEDO: usize = 1;
+
+/// Those whose intervals are counted in both ways to fit: g is held in one of them.
+pub(super) const COVERED: [usize; 4] = [SIGMA_T, ALBEDO, 3, 4];
 
 /// How a measurement is fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -5,11 +5,8 @@ use std::path::Path;
 use farm_tests::statistics::{Share, quantile};
 use optics_model::fit::Objective;
 
-use super::outcome::{Outcome, QUANTITIES, Way};
+use super::outcome::{COVERED, Outcome, QUANTITIES, Way};
 use super::rows::Row;
-
-/// Quantities whose coverage is told: g is told by the intervals of σ_t, and held in half of the fits.
-const COVERED: [usize; 4] = [0, 1, 3, 4];
 
 /// Errors and coverage of every row, fitted in one way.
 pub(super) fn imperfections(rows: &[Row], outcomes: &[Outcome], way: Way) -> String {
