@@ -1,4 +1,6 @@
-//! Means with standard errors.
+//! Means and shares with standard errors.
+
+use std::fmt;
 
 /// Mean of independent samples and its standard error.
 #[derive(Debug, Clone, Copy)]
@@ -54,6 +56,40 @@ pub fn chi2_per_pixel(a: &[Mean], b: &[Mean]) -> f64 {
 pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
+}
+
+/// The value that a share of the others, from 0 to 1, lies below.
+///
+/// # Panics
+/// Without values.
+pub fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let place = (share * values.len() as f64) as usize;
+    values[place.min(values.len() - 1)]
+}
+
+/// How often something held, with the binomial standard error.
+#[derive(Debug, Clone, Copy)]
+pub struct Share {
+    pub share: f64,
+    pub std_error: f64,
+}
+
+impl Share {
+    /// None of nothing.
+    pub fn of(held: impl IntoIterator<Item = bool>) -> Option<Self> {
+        let held: Vec<bool> = held.into_iter().collect();
+        let n = held.len() as f64;
+        let share = held.iter().filter(|held| **held).count() as f64 / n;
+        (n > 0.0).then(|| Self { share, std_error: (share * (1.0 - share) / n).sqrt() })
+    }
+}
+
+/// In per cent.
+impl fmt::Display for Share {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.1} ± {:.1}", 100.0 * self.share, 100.0 * self.std_error)
+    }
 }
 
 /// Factor on the length of tests that say more when they are longer: `FARM_TEST_EFFORT=16 cargo test …`.

@@ -5,6 +5,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
+mod imperfect;
 mod misfit;
 mod plain;
 mod table_1;

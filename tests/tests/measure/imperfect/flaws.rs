@@ -1,0 +1,166 @@
+//! What is wrong with a measurement, and what comes of it.
+
+use farm_tests::statistics::Normal;
+use optics_model::MeasuredProfile;
+
+use super::media::SLABS_MM;
+use super::rows::{Kind, Row};
+use super::truths::{FINE, MARGIN, Truth, scene};
+
+/// Noise of a pixel: a share of its value, and what is left in the dark.
+const NOISE_SHARE: f64 = 0.004;
+const NOISE_FLOOR: f64 = 0.0002;
+
+/// Typical sizes: standard deviations, but for the blur and the number of specks of dust in a profile.
+const ORIGIN_MM: f64 = 0.05;
+const BLUR_MM: f64 = 0.025;
+const GAIN: f64 = 0.003;
+const ZERO: f64 = 0.001;
+const SLOPE_PER_10_MM: f64 = 0.002;
+const SPECKS: f64 = 15.0;
+const SCALE: f64 = 0.02;
+
+/// A grain of dust or a bubble: a Gaussian over pixels that changes the value by a share.
+#[derive(Debug, Clone, Copy)]
+struct Speck {
+    pixel: f64,
+    sigma_pixels: f64,
+    share: f64,
+}
+
+/// What is wrong with one profile.
+#[derive(Debug, Clone)]
+struct Flaws {
+    origin_mm: f64,
+    blur_mm: f64,
+    gain: f64,
+    zero: f64,
+    slope_per_10_mm: f64,
+    specks: Vec<Speck>,
+    mu: f64,
+}
+
+impl Flaws {
+    /// What a row of the trial asks for. The same deviates belong to a subject at every size.
+    fn draw(row: &Row, subject: u64, slab: usize) -> Self {
+        let pixels = scene().sensor().pixels() as f64;
+        let own = |kind: Kind| Normal::new(430_000 + (subject * 2 + slab as u64) * 16 + kind as u64);
+        let deviate = |kind: Kind, unit: f64| row.size(kind) * unit * own(kind).normal();
+        let mut dust = own(Kind::Dust);
+        let count = (row.size(Kind::Dust) * SPECKS) as usize;
+        // What a camera or lamps do is common to the slabs.
+        let scale = Normal::new(440_000 + subject).normal();
+        Self {
+            origin_mm: deviate(Kind::Origin, ORIGIN_MM),
+            blur_mm: row.size(Kind::Blur) * BLUR_MM,
+            gain: deviate(Kind::Gain, GAIN),
+            zero: deviate(Kind::Zero, ZERO),
+            slope_per_10_mm: deviate(Kind::Slope, SLOPE_PER_10_MM),
+            specks: (0..count).map(|_| Speck::draw(&mut dust, pixels)).collect(),
+            mu: 1.0 + row.size(Kind::Scale) * SCALE * scale,
+        }
+    }
+
+    fn of(&self, radiance_factor: f64, x_mm: f64, pixel: f64) -> f64 {
+        let light = 1.0 + self.slope_per_10_mm * x_mm / 10.0;
+        let dust: f64 = self.specks.iter().map(|s| s.factor(pixel)).product();
+        (1.0 + self.gain) * light * dust * radiance_factor / self.mu + self.zero
+    }
+}
+
+impl Speck {
+    /// Anywhere, one to three pixels wide at half its depth, as often dark (5 to 40 %) as bright (5 to 20 %).
+    fn draw(random: &mut Normal, pixels: f64) -> Self {
+        let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
+        let pixel = between(0.0, pixels);
+        let sigma_pixels = between(1.0, 3.0) / (8.0 * 2.0_f64.ln()).sqrt();
+        let dark = between(0.0, 1.0) < 0.5;
+        Self { pixel, sigma_pixels, share: if dark { -between(0.05, 0.4) } else { between(0.05, 0.2) } }
+    }
+
+    fn factor(&self, pixel: f64) -> f64 {
+        1.0 + self.share * (-0.5 * ((pixel - self.pixel) / self.sigma_pixels).powi(2)).exp()
+    }
+}
+
+/// The profile of a slab as a laboratory gets it, told at its nominal thickness.
+pub(super) fn photographed(truth: &Truth, row: &Row, subject: u64, slab: usize) -> MeasuredProfile {
+    let flaws = Flaws::draw(row, subject, slab);
+    let sensor = scene().sensor();
+    let seen = seen(truth, flaws.origin_mm, flaws.blur_mm);
+    let x: Vec<f64> = (0..seen.len()).map(|i| sensor.centre_mm(i)).collect();
+    let exact: Vec<f64> = (0..seen.len()).map(|i| flaws.of(seen[i], x[i], i as f64 + 0.5)).collect();
+    let std_errors: Vec<f64> = exact.iter().map(|v| (NOISE_SHARE * v).hypot(NOISE_FLOOR)).collect();
+    let mut noise = Normal::new(450_000 + subject * 2 + slab as u64);
+    let values = exact.iter().zip(&std_errors).map(|(v, e)| v + e * noise.normal()).collect();
+    MeasuredProfile::new("R", SLABS_MM[slab], x, values, Some(std_errors)).unwrap()
+}
+
+/// Averages over the dictionary's pixels of a truth that a camera has blurred, the edge lying at `origin_mm`.
+fn seen(truth: &Truth, origin_mm: f64, blur_mm: f64) -> Vec<f64> {
+    let fine = blurred(&truth.values, blur_mm / truth.pitch_mm);
+    let mut sums = vec![0.0];
+    sums.extend(fine.iter().scan(0.0, |sum, v| {
+        *sum += v;
+        Some(*sum)
+    }));
+    let sum_to = |edge: f64| {
+        let below = edge.floor().clamp(0.0, (fine.len() - 1) as f64);
+        sums[below as usize] + (edge - below) * fine[below as usize]
+    };
+    let pixels = fine.len() / FINE - 2 * MARGIN;
+    let edge = |i: usize| ((i + MARGIN) * FINE) as f64 - origin_mm / truth.pitch_mm;
+    (0..pixels).map(|i| (sum_to(edge(i + 1)) - sum_to(edge(i))) / FINE as f64).collect()
+}
+
+/// A convolution with a Gaussian; what lies beyond the ends is as bright as they are.
+fn blurred(values: &[f64], sigma: f64) -> Vec<f64> {
+    if sigma == 0.0 {
+        return values.to_vec();
+    }
+    let reach = (6.0 * sigma).ceil() as isize;
+    let weights: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
+    let total: f64 = weights.iter().sum();
+    let last = values.len() as isize - 1;
+    let at = |i: isize| values[i.clamp(0, last) as usize];
+    let sum = |i: isize| (-reach..=reach).zip(&weights).map(|(k, w)| w * at(i + k)).sum::<f64>();
+    (0..=last).map(|i| sum(i) / total).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A parabola on fine pixels, x in coarse pixels from the edge.
+    fn parabola() -> Truth {
+        let sensor = scene().sensor();
+        let pixels = (sensor.pixels() + 2 * MARGIN) * FINE;
+        let x = |i: usize| (i as f64 + 0.5) / FINE as f64 - 0.5 * (sensor.pixels() + 2 * MARGIN) as f64;
+        let values = (0..pixels).map(|i| 1e-4 * x(i).powi(2) + 1.0).collect();
+        Truth { pitch_mm: sensor.pitch_mm() / FINE as f64, values }
+    }
+
+    #[test]
+    fn a_shift_and_a_blur_do_to_a_parabola_what_calculus_says() {
+        let pitch = scene().sensor().pitch_mm();
+        let (origin, sigma) = (3.3, 2.7);
+        let seen = seen(&parabola(), origin * pitch, sigma * pitch);
+        for i in [60, 180, 300] {
+            let x = i as f64 + 0.5 - 180.0 - origin;
+            // Gaussian and pixel add their variances, the fine pixels being points here: (1 − 1/16)/12 is theirs.
+            let expected = 1.0 + 1e-4 * (x * x + sigma * sigma + (1.0 - 1.0 / 16.0) / 12.0);
+            assert!((seen[i] - expected).abs() < 1e-4 * 0.05, "{i}: {} {expected}", seen[i]);
+        }
+    }
+
+    #[test]
+    fn what_is_not_spoilt_is_the_truth_but_for_the_noise_that_is_told() {
+        let (row, truth) = (Row::named("none"), parabola());
+        let found = photographed(&truth, &row, 7, 0);
+        let exact = seen(&truth, 0.0, 0.0);
+        let errors = found.std_errors().unwrap();
+        let z2: f64 = (0..360).map(|i| ((found.values()[i] - exact[i]) / errors[i]).powi(2)).sum();
+        // χ² of 360 has a standard deviation of 27.
+        assert!((z2 - 360.0).abs() < 4.0 * 27.0, "{z2}");
+    }
+}

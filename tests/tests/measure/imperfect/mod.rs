@@ -1,0 +1,177 @@
+//! How well media are measured if the measurement is imperfect, as all are.
+//!
+//! Media between the grid points are traced afresh, spoilt in the ways that laboratories know, each alone and all
+//! together, and fitted. With `FARM_TEST_EFFORT=8` 200 media with 4 million walks meet the paper's whole dictionary; what
+//! they come to is printed as tables. Then these may be set:
+//!
+//! | variable | meaning |
+//! |---|---|
+//! | `FARM_TEST_TRUTHS=DIR` | keeps what was traced, so that another fit is tried in minutes, a row of it in seconds |
+//! | `FARM_TEST_ROWS=none,all x3` | these imperfections alone |
+//! | `FARM_TEST_MEDIA=50` | so many media |
+//! | `FARM_TEST_WALKS=16000000` | so many walks, half as many where thicknesses are wrong |
+//! | `FARM_TEST_OBJECTIVES=likelihood` | this objective alone |
+//! | `FARM_TEST_CSV=FILE` | a line for each medium, row and fit |
+
+mod flaws;
+mod media;
+mod outcome;
+mod rows;
+mod table;
+mod truths;
+
+use std::sync::OnceLock;
+
+use farm_tests::statistics::{Share, effort, quantile};
+use optics_fit::{DictionaryBuilder, FitDictionary};
+use optics_model::fit::Objective;
+use optics_model::job::JobSpec;
+use optics_model::{Grid, Measurement, Walks};
+use rayon::prelude::*;
+
+use media::{SLABS_MM, Subject};
+use outcome::{COVERED, Outcome, QUANTITIES, Way};
+use rows::{Kind, Row};
+use truths::Truth;
+
+/// Largest median errors of σ_t and of 1 − α that the likelihood may have, g held, by row.
+const MEDIAN_ERRORS: [(&str, [f64; 2]); 2] = [("none", [0.012, 0.03]), ("all", [0.02, 0.05])];
+/// Shares of intervals of 95 % that may hold, but for two standard errors of as many intervals.
+const HELD: (f64, f64) = (0.93, 0.97);
+/// Least share of all intervals of the normal form, which are few, and hold or miss by fours.
+const HELD_OF_FEW: f64 = 0.85;
+
+/// What is tried.
+struct Trial {
+    media: u64,
+    rows: Vec<Row>,
+    ways: Vec<Way>,
+    /// Walks of the slabs whose thickness is right, and of the others.
+    walks: (u64, u64),
+}
+
+impl Trial {
+    fn normal() -> Self {
+        let rows = ["none", "all"].map(Row::named).to_vec();
+        let ways = Way::ALL.into_iter().filter(|way| way.objective == Objective::Likelihood).collect();
+        Self { media: 6, rows, ways, walks: (2_000_000, 1_000_000) }
+    }
+
+    fn long() -> Self {
+        let list = |name: &str| std::env::var(name).ok().map(|v| v.split(',').map(str::to_owned).collect());
+        let names: Option<Vec<String>> = list("FARM_TEST_ROWS");
+        let objectives: Option<Vec<String>> = list("FARM_TEST_OBJECTIVES");
+        let wanted = |way: &Way| match &objectives {
+            Some(names) => names.iter().any(|name| name == way.objective_name()),
+            None => true,
+        };
+        let number = |name: &str, usual| std::env::var(name).map_or(usual, |v| v.parse().unwrap());
+        let walks = number("FARM_TEST_WALKS", 4_000_000);
+        Self {
+            media: number("FARM_TEST_MEDIA", 200),
+            rows: names.map_or_else(Row::all, |names| names.iter().map(|name| Row::named(name)).collect()),
+            ways: Way::ALL.into_iter().filter(wanted).collect(),
+            walks: (walks, walks / 2),
+        }
+    }
+
+    fn outcomes(&self, dictionary: &FitDictionary) -> Vec<Outcome> {
+        let g = dictionary.grid().g();
+        let range = (g[0], g[g.len() - 1]);
+        let subjects = (0..self.media).into_par_iter().map(|number| Subject::draw(number, range));
+        subjects.flat_map_iter(|subject| self.outcomes_of(&subject, dictionary)).collect()
+    }
+
+    fn outcomes_of(&self, subject: &Subject, dictionary: &FitDictionary) -> Vec<Outcome> {
+        let mut traced: Vec<(f64, [Truth; 2])> = Vec::new();
+        let mut outcomes = Vec::new();
+        for (number, row) in self.rows.iter().enumerate() {
+            let size = row.size(Kind::Thickness);
+            if !traced.iter().any(|(s, _)| *s == size) {
+                let walks = Walks::new(if size == 0.0 { self.walks.0 } else { self.walks.1 }).unwrap();
+                traced.push((size, [0, 1].map(|slab| Truth::of(subject, slab, size, walks))));
+            }
+            let truths = &traced.iter().find(|(s, _)| *s == size).unwrap().1;
+            let profile = |slab: usize| flaws::photographed(&truths[slab], row, subject.number, slab);
+            let profiles = (0..SLABS_MM.len()).map(profile).collect();
+            let measurement = Measurement::new(format!("m{}", subject.number), profiles).unwrap();
+            let fitted = |way| Outcome::of(dictionary, subject, &measurement, (number, row), way);
+            outcomes.extend(self.ways.iter().map(|way| fitted(*way)));
+        }
+        outcomes
+    }
+}
+
+/// The paper's whole dictionary in one channel.
+fn whole_dictionary() -> &'static FitDictionary {
+    static DICTIONARY: OnceLock<FitDictionary> = OnceLock::new();
+    DICTIONARY.get_or_init(|| {
+        let paper = Grid::paper();
+        let grid = Grid::new(truths::scene(), paper.axes().clone(), Walks::PAPER, 1, false).unwrap();
+        let mut builder = DictionaryBuilder::new(grid.clone());
+        for job in 0..grid.job_count() {
+            builder.add(&truths::records(&JobSpec::of(&grid, job)));
+        }
+        builder.build()
+    })
+}
+
+/// Those of the likelihood that a row asks it to get right.
+fn of_row(outcomes: &[Outcome], row: usize, g_held: bool) -> Vec<&Outcome> {
+    let way = Way { objective: Objective::Likelihood, g_held };
+    outcomes.iter().filter(|o| o.row == row && o.way == way).collect()
+}
+
+fn check_errors(rows: &[Row], outcomes: &[Outcome]) {
+    for (name, most) in MEDIAN_ERRORS {
+        let Some(row) = rows.iter().position(|row| row.name == name) else { continue };
+        let these = of_row(outcomes, row, true);
+        for (which, most) in most.into_iter().enumerate().filter(|_| !these.is_empty()) {
+            let median = quantile(these.iter().map(|o| o.errors()[which].abs()).collect(), 0.5);
+            assert!(median < most, "{name}: the median error of {} is {median}", ["σ_t", "1 − α"][which]);
+        }
+    }
+}
+
+/// Where the fit reckons with as much as is wrong, its intervals hold as often as they say.
+fn check_intervals(rows: &[Row], outcomes: &[Outcome]) {
+    for (number, row) in rows.iter().enumerate().filter(|(_, row)| row.is_told()) {
+        for g_held in [true, false] {
+            let these = of_row(outcomes, number, g_held);
+            let slack = 2.0 * (0.95 * 0.05 / these.len() as f64).sqrt();
+            for (q, name) in COVERED.map(|q| (q, QUANTITIES[q])) {
+                let Some(held) = Share::of(these.iter().map(|o| o.holds(q))) else { continue };
+                let within = (HELD.0 - slack..=HELD.1 + slack).contains(&held.share);
+                assert!(within, "{}: {held} % of the intervals of {name} hold, g held: {g_held}", row.name);
+            }
+        }
+    }
+}
+
+fn check_few_intervals(outcomes: &[Outcome]) {
+    let held = Share::of(outcomes.iter().flat_map(|o| COVERED.map(|q| o.holds(q)))).unwrap();
+    assert!(held.share >= HELD_OF_FEW, "{held} % of the intervals hold");
+}
+
+#[test]
+fn imperfect_measurements_give_media_and_intervals_that_hold_them() {
+    let long = effort() >= 8;
+    let trial = if long { Trial::long() } else { Trial::normal() };
+    let dictionary = if long { whole_dictionary() } else { crate::dictionary() };
+    let outcomes = trial.outcomes(dictionary);
+    for way in &trial.ways {
+        println!("{}", table::imperfections(&trial.rows, &outcomes, *way));
+    }
+    if let Some(text) = table::efficiency(&trial.rows, &outcomes) {
+        println!("{text}");
+    }
+    if let Some(file) = std::env::var_os("FARM_TEST_CSV") {
+        table::write_csv(file.as_ref(), &trial.rows, &outcomes);
+    }
+    check_errors(&trial.rows, &outcomes);
+    if long {
+        check_intervals(&trial.rows, &outcomes);
+    } else {
+        check_few_intervals(&outcomes);
+    }
+}
