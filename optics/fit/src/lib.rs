@@ -26,6 +26,8 @@ mod surrogate;
 mod suspicion;
 #[cfg(test)]
 mod testing;
+#[cfg_attr(not(test), expect(dead_code, reason = "the likelihood is to use it"))]
+mod thickness;
 mod uncertainty;
 mod view;
 
