@@ -23,8 +23,8 @@ use stretch::{Stretch, Tail};
 const REACH: f64 = 0.1;
 
 /// The same where records are only scaled: what that ignores is the share of the thickness times that of the clear
-/// layers in it. 10 % at 0.5 mm in the paper's set-up, whose clear layers are 0.21 mm thick.
-const SCALED_REACH: f64 = 0.1 * 0.21 / 0.5;
+/// layers in it. 4.5 % at 0.5 mm in the paper's set-up, whose clear layers are 0.21 mm thick.
+const SCALED_REACH: f64 = 0.045 * 0.21 / 0.5;
 
 /// Greatest ratio of two thicknesses between which profiles are interpolated.
 const BETWEEN: f64 = 2.5;
@@ -41,6 +41,9 @@ const LEVELS: f64 = 0.2;
 
 /// Length over which the difference of two thicknesses vanishes beyond its ends, in units of the thicker.
 const VANISHES: f64 = 4.0;
+
+/// A contrast that nobody measures.
+const INVISIBLE: f64 = 1e-6;
 
 /// A profile at some thickness, its derivatives by the coordinates at that thickness, and by ln t at given coordinates.
 #[derive(Debug, Clone)]
@@ -62,9 +65,8 @@ impl Surrogate<'_> {
     pub(super) fn supported(&self, thickness_mm: f64) -> Result<(f64, f64), Invalid> {
         let (grid, axis) = (self.grid(), self.grid().thickness_mm());
         let ranges = ranges(grid);
-        let within = |(low, high): &(f64, f64)| {
-            (low * (1.0 - SAME)..=high * (1.0 + SAME)).contains(&thickness_mm)
-        };
+        let within =
+            |(low, high): &(f64, f64)| (low * (1.0 - SAME)..=high * (1.0 + SAME)).contains(&thickness_mm);
         if !ranges.iter().any(within) {
             return Err(unsupported(axis, &ranges, thickness_mm));
         }
@@ -77,12 +79,7 @@ impl Surrogate<'_> {
 
     /// The profile at any thickness, on the dictionary's pixels. It is continued beyond [`Surrogate::supported`], but
     /// not to be trusted there.
-    pub(super) fn predict_at(
-        &self,
-        thickness_mm: f64,
-        pixels: Range<usize>,
-        x: Coordinates,
-    ) -> PredictionAt {
+    pub(super) fn predict_at(&self, thickness_mm: f64, pixels: Range<usize>, x: Coordinates) -> PredictionAt {
         let whole = match Basis::of(self.grid(), thickness_mm) {
             Basis::One(thickness) => self.scaled(thickness, thickness_mm, x),
             Basis::Two { thin, thick } => self.interpolated(thin, thick, thickness_mm, x),
@@ -104,7 +101,7 @@ impl Surrogate<'_> {
     /// Thin + w·(thick − thin), with w linear in 1/t, at the same optical thickness.
     ///
     /// Where the dictionary lacks one of the two, their difference is taken at the nearest optical thickness at which
-    /// it has both, and is added to the other or taken from it.
+    /// it has both, is made as much larger or smaller as the contrast of the other is, and added to it or taken from it.
     fn interpolated(&self, thin: usize, thick: usize, thickness_mm: f64, x: Coordinates) -> PredictionAt {
         let axis = self.grid().thickness_mm();
         let (thin_mm, thick_mm) = (axis[thin], axis[thick]);
@@ -117,17 +114,17 @@ impl Surrogate<'_> {
         let nearest = optical.clamp(low, high);
         let of_thin = self.at_optical_thickness(thin, nearest, x);
         let of_thick = self.at_optical_thickness(thick, nearest, x);
-        let mut difference = self.difference(&of_thin, of_thick, thick_mm / thin_mm);
-        if nearest != optical {
-            difference.slopes[SIGMA_T].fill(0.0);
-        }
-        let (base, record, factor) = if optical > high {
-            (thick, self.at_optical_thickness(thick, optical, x), weight - 1.0)
-        } else if optical < low {
-            (thin, self.at_optical_thickness(thin, optical, x), weight)
+        let difference = self.difference(&of_thin, &of_thick, thick_mm / thin_mm);
+        let (base, factor) = if optical > high { (thick, weight - 1.0) } else { (thin, weight) };
+        let there = if base == thin { of_thin } else { of_thick };
+        let (record, difference) = if nearest == optical {
+            (there, difference)
         } else {
-            (thin, of_thin, weight)
+            let record = self.at_optical_thickness(base, optical, x);
+            let difference = with_contrast(difference, &there, &record);
+            (record, difference)
         };
+
         let vanishes = Tail::Vanishes(VANISHES * thick_mm / self.grid().scene().sensor().pitch_mm());
         let difference = self.stretched(&difference, thick, thickness_mm, vanishes);
         let mut sum = self.stretched(&record, base, thickness_mm, self.levels());
@@ -141,16 +138,18 @@ impl Surrogate<'_> {
     }
 
     /// What the thick slab's profiles have beyond the thin one's, on the thick one's pixels.
-    fn difference(&self, thin: &Prediction, mut thick: Prediction, ratio: f64) -> Prediction {
+    fn difference(&self, thin: &Prediction, thick: &Prediction, ratio: f64) -> Prediction {
         let stretch = Stretch::new(thin.values.len(), ratio);
-        let subtract = |from: &mut [f64], v: &[f64]| {
-            add_scaled(from, -1.0, &stretch.apply(v, self.levels()));
+        let difference = |thick: &[f64], thin: &[f64]| {
+            let mut difference = thick.to_vec();
+            add_scaled(&mut difference, -1.0, &stretch.apply(thin, self.levels()));
+            difference
         };
-        subtract(&mut thick.values, &thin.values);
-        for (slope, by) in thick.slopes.iter_mut().zip(&thin.slopes) {
-            subtract(slope, by);
+        let slope = |c: usize| difference(&thick.slopes[c], &thin.slopes[c]);
+        Prediction {
+            values: difference(&thick.values, &thin.values),
+            slopes: [slope(SIGMA_T), slope(ALBEDO), slope(G)],
         }
-        thick
     }
 
     fn at_optical_thickness(&self, thickness: usize, ln_optical: f64, x: Coordinates) -> Prediction {
@@ -181,6 +180,38 @@ impl Surrogate<'_> {
     }
 }
 
+/// A difference, taken at the optical thickness of `there`, for that of `record`. It is assumed to be as large as the
+/// contrast of both, which is what the base adds to a profile.
+fn with_contrast(difference: Prediction, there: &Prediction, record: &Prediction) -> Prediction {
+    let of_there = contrast(&there.values);
+    if of_there < INVISIBLE {
+        let mut constant = difference;
+        constant.slopes[SIGMA_T].fill(0.0);
+        return constant;
+    }
+    let ratio = contrast(&record.values) / of_there;
+    let scaled = |v: &[f64], factor: f64| v.iter().map(|v| factor * v).collect::<Vec<f64>>();
+    let slope = |c: usize| {
+        // The optical thickness of the difference and of `there` stays when that of `record` changes.
+        let fixed = if c == SIGMA_T { 0.0 } else { 1.0 };
+        let by = (contrast(&record.slopes[c]) - fixed * ratio * contrast(&there.slopes[c])) / of_there;
+        let mut slope = scaled(&difference.values, by);
+        add_scaled(&mut slope, fixed * ratio, &difference.slopes[c]);
+        slope
+    };
+    Prediction {
+        values: scaled(&difference.values, ratio),
+        slopes: [slope(SIGMA_T), slope(ALBEDO), slope(G)],
+    }
+}
+
+/// What the light end of a profile has beyond the dark one, in the mean over a fifteenth of the pixels.
+fn contrast(profile: &[f64]) -> f64 {
+    let count = (profile.len() / 15).max(1);
+    let (dark, light) = (&profile[..count], &profile[profile.len() - count..]);
+    (light.iter().sum::<f64>() - dark.iter().sum::<f64>()) / count as f64
+}
+
 /// The range of ln τ in which a grid has records at both thicknesses.
 fn common(grid: &Grid, thin_mm: f64, thick_mm: f64) -> (f64, f64) {
     let sigma_t = grid.sigma_t_per_mm();
@@ -204,9 +235,8 @@ impl Basis {
         let axis = grid.thickness_mm();
         let ratio = |i: usize| (axis[i] / axis[nearest]).max(axis[nearest] / axis[i]);
         let (least, greatest, best) = BEYOND;
-        let usable = |i: &usize| {
-            (least..=greatest * (1.0 + SAME)).contains(&ratio(*i)) && overlap(grid, nearest, *i)
-        };
+        let usable =
+            |i: &usize| (least..=greatest * (1.0 + SAME)).contains(&ratio(*i)) && overlap(grid, nearest, *i);
         let off = |i: usize| (ratio(i) / best).ln().abs();
         let partner = (0..axis.len()).filter(usable).min_by(|a, b| off(*a).total_cmp(&off(*b)));
         match partner {

@@ -197,8 +197,7 @@ mod tests {
         for (ratio, tail) in [(0.88, TAIL), (0.613, Tail::Vanishes(30.0)), (1.0, TAIL), (1.31, TAIL)] {
             let slope = Stretch::new(PIXELS, ratio).slope(&profile, tail);
             let at = |by: f64| Stretch::new(PIXELS, ratio * by.exp()).apply(&profile, tail);
-            let numerical: Vec<f64> =
-                at(1e-5).iter().zip(at(-1e-5)).map(|(a, b)| (a - b) / 2e-5).collect();
+            let numerical: Vec<f64> = at(1e-5).iter().zip(at(-1e-5)).map(|(a, b)| (a - b) / 2e-5).collect();
             assert!(farthest(&slope, &numerical) < 1e-4, "{ratio}: {}", farthest(&slope, &numerical));
         }
     }

@@ -94,13 +94,17 @@ fn slopes_are_derivatives() {
                 check(&here.slopes[c], &moved(step), &moved(-step), &format!("{mm} mm, {sigma_t}, {c}"));
             }
             let thicker = |by: f64| at(mm * by.exp(), medium(sigma_t)).values;
-            check(&here.by_ln_thickness, &thicker(step), &thicker(-step), &format!("{mm} mm, {sigma_t}, ln t"));
+            check(
+                &here.by_ln_thickness,
+                &thicker(step),
+                &thicker(-step),
+                &format!("{mm} mm, {sigma_t}, ln t"),
+            );
         }
     }
 }
 
-/// Of what scaling alone is wrong by, a tenth is left, between the thicknesses and 10 % beyond, besides what the model
-/// of the records is wrong by at their own thickness.
+/// What is left of what scaling ignores is as small as what the model of the records is wrong by at their own thickness.
 #[test]
 fn slabs_of_any_thickness_are_predicted() {
     let (two, one) = (dictionary(&[0.5, 1.0]), dictionary(&[0.5]));
@@ -111,12 +115,12 @@ fn slabs_of_any_thickness_are_predicted() {
         let truth: Vec<f64> = (0..PIXELS).map(|i| slab(sensor.centre_mm(i), &exact, mm)).collect();
         rms(&surrogate.predict_at(mm, 0..PIXELS, medium(sigma_t)).values, &truth)
     };
-    for mm in [0.45, 0.48, 0.55, 0.7, 0.9, 1.1] {
-        for sigma_t in [2.5, 4.0] {
+    for sigma_t in [2.5, 4.0] {
+        let model = error(&two, 0.5, sigma_t).max(error(&two, 1.0, sigma_t));
+        for (mm, shows) in [(0.45, 4.0), (0.55, 3.0), (0.7, 8.0), (0.9, 12.0), (1.1, 15.0)] {
             let (interpolated, scaled) = (error(&two, mm, sigma_t), error(&one, mm, sigma_t));
-            let model = error(&two, 0.5, sigma_t).max(error(&two, 1.0, sigma_t));
-            assert!(interpolated < 0.1 * scaled + 1.2 * model, "{mm} mm, {sigma_t}: {interpolated} {scaled} {model}");
-            assert!(scaled > 3.0 * model, "{mm} mm, {sigma_t}: the test shows nothing: {scaled} {model}");
+            assert!(interpolated < 1.5 * model, "{mm} mm, {sigma_t}: {interpolated}, model {model}");
+            assert!(scaled > shows * model, "{mm} mm, {sigma_t}: scaled {scaled}, model {model}");
         }
     }
 }
@@ -149,7 +153,8 @@ fn what_is_too_far_off_is_refused_with_what_to_compute() {
     };
     let two = dictionary(&[0.5, 1.0]);
     let message = refused(&two, 1.2);
-    for part in ["thickness_mm", "0.45 to 1.1 mm", "farmctl submit GRID.toml", "thickness_mm = [0.5, 1, 1.2]"] {
+    for part in ["thickness_mm", "0.45 to 1.1 mm", "farmctl submit GRID.toml", "thickness_mm = [0.5, 1, 1.2]"]
+    {
         assert!(message.contains(part), "{message}");
     }
     assert!(refused(&two, 0.44).contains("[0.44, 0.5, 1]"));
@@ -158,7 +163,7 @@ fn what_is_too_far_off_is_refused_with_what_to_compute() {
     assert!(refused(&gap, 0.8).contains("0.45 to 0.55, 1.35 to 1.65 mm"), "{}", refused(&gap, 0.8));
     // The thinner a slab, the more the clear layers count.
     let thin = dictionary(&[0.1]);
-    assert!(refused(&thin, 0.105).contains("0.098 to 0.102 mm"), "{}", refused(&thin, 0.105));
+    assert!(refused(&thin, 0.105).contains("0.0991 to 0.1009 mm"), "{}", refused(&thin, 0.105));
 }
 
 #[test]
@@ -166,7 +171,9 @@ fn sigma_t_is_limited_by_the_optical_thicknesses_of_the_grid() {
     let dictionary = dictionary(&[0.5, 1.0]);
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     let (low, high) = surrogate.limits()[SIGMA_T];
-    for (mm, thinner, thicker) in [(0.5, 1.0, 1.0), (0.7, 1.0, 1.0), (0.45, 0.5 / 0.45, 1.0), (1.1, 1.0, 1.0 / 1.1)] {
+    for (mm, thinner, thicker) in
+        [(0.5, 1.0, 1.0), (0.7, 1.0, 1.0), (0.45, 0.5 / 0.45, 1.0), (1.1, 1.0, 1.0 / 1.1)]
+    {
         let limits = surrogate.supported(mm).unwrap();
         assert!((limits.0 - low - f64::ln(thinner)).abs() < 1e-12, "{mm}: {limits:?}");
         assert!((limits.1 - high - f64::ln(thicker)).abs() < 1e-12, "{mm}: {limits:?}");
@@ -254,13 +261,13 @@ impl Traced {
         })
     }
 
-    /// Errors at a thickness, by albedo, as shares of the noise of a record with the paper's number of walks.
-    fn errors(&self, dictionary: &FitDictionary, tau: f64, mm: f64) -> Vec<f64> {
-        let surrogate = Surrogate::new(dictionary, 0, 0);
+    /// Errors of predictions at a thickness, by albedo, as shares of the noise of a record with the paper's number of
+    /// walks.
+    fn errors(&self, tau: f64, mm: f64, predict: impl Fn(Coordinates) -> PredictionAt) -> Vec<f64> {
         let walks = self.walks as f64 / Walks::PAPER.get() as f64;
         let error = |(albedo, truth): (&f64, TracedProfile)| {
             let medium = Medium::new(tau / mm, *albedo, self.g).unwrap();
-            let predicted = surrogate.predict_at(mm, 0..360, coordinates(&medium)).values;
+            let predicted = predict(coordinates(&medium)).values;
             rms(&predicted, &truth.values) / (truth.std_error * walks.sqrt())
         };
         self.albedo.iter().zip(self.at(tau, mm)).map(error).collect()
@@ -275,47 +282,63 @@ fn greatest(values: &[f64]) -> f64 {
     values.iter().copied().fold(0.0, f64::max)
 }
 
-/// A fifth of the records' noise is what is allowed. Where the clear layers count most, records at one thickness, which
-/// can only be scaled, keep below it up to 10 %; records at two, also between them, below half of it even where one of
-/// the two has to be guessed (optical thicknesses below 1 and above 10). What the walks leave of their noise is 0.01.
+/// A fifth of the records' noise is what is allowed, where the clear layers count most: albedos near 1, scattering
+/// forward. What the walks leave of their noise is 0.01.
+///
+/// Below an optical thickness of 1 and above 10 one of the two records has to be guessed.
 #[test]
 fn the_error_stays_below_a_fifth_of_the_records_noise() {
     let albedo = vec![0.8, 0.95, 0.99, 0.999];
-    for (tau, g, thicknesses_mm) in
-        [(1.2, 0.8, [0.45, 0.7, 1.1]), (0.75, 0.8, [0.45, 0.55, 0.7]), (12.0, 0.8, [0.7, 0.9, 1.1])]
+    let traced = Traced { g: 0.8, albedo, walks: 200_000 };
+    for (tau, thicknesses_mm) in [(0.75, [0.45, 0.55, 0.7]), (1.2, [0.45, 0.7, 1.1]), (12.0, [0.7, 0.9, 1.1])]
     {
-        let traced = Traced { g, albedo: albedo.clone(), walks: 200_000 };
-        let (two, one) = (traced.dictionary(tau, &[0.5, 1.0]), traced.dictionary(tau, &[0.5]));
+        let dictionary = traced.dictionary(tau, &[0.5, 1.0]);
+        let surrogate = Surrogate::new(&dictionary, 0, 0);
         for mm in thicknesses_mm {
-            let error = greatest(&traced.errors(&two, tau, mm));
-            println!("{tau} {mm} {error} {}", greatest(&traced.errors(&one, tau, mm)));
+            let errors = traced.errors(tau, mm, |x| surrogate.predict_at(mm, 0..360, x));
+            assert!(greatest(&errors) < 0.2, "{tau}, {mm} mm: {errors:.3?}");
         }
     }
 }
 
-/// The table of the document: `cargo test -p optics-fit --lib over_the_grid -- --ignored --nocapture`.
+/// Records at one thickness are scaled, as far as that stays below a fifth of their noise, and no further.
+#[test]
+fn one_thickness_suffices_for_slabs_that_are_nearly_as_thick() {
+    let traced = Traced { g: 0.8, albedo: vec![0.8, 0.95, 0.99, 0.999], walks: 200_000 };
+    for only in [0.5, 1.0] {
+        let dictionary = traced.dictionary(1.0, &[only]);
+        let surrogate = Surrogate::new(&dictionary, 0, 0);
+        let (low, high) = ranges(surrogate.grid())[0];
+        let error = |mm: f64| greatest(&traced.errors(1.0, mm, |x| surrogate.predict_at(mm, 0..360, x)));
+        for (mm, beyond) in [(low, only * 0.8), (high, only * 1.2)] {
+            assert!(error(mm) < 0.2, "{mm} mm: {}", error(mm));
+            assert!(error(beyond) > 0.2, "{beyond} mm: {}", error(beyond));
+        }
+    }
+}
+
+/// The table of the document, in some minutes:
+/// `cargo test -p optics-fit --lib over_the_grid -- --ignored --nocapture`.
 #[test]
 #[ignore = "traces for some minutes"]
 fn the_error_stays_below_a_fifth_of_the_records_noise_over_the_grid() {
     let albedo = vec![0.4, 0.8, 0.9, 0.95, 0.99, 0.999];
-    let thicknesses_mm = [0.45, 0.485, 0.515, 0.55, 0.7, 0.9, 0.97, 1.03, 1.1];
     let mut worst = 0.0_f64;
     for tau in [0.5, 0.75, 1.5, 3.0, 6.0, 12.0, 20.0] {
         for g in [0.0, 0.4, 0.8] {
             let traced = Traced { g, albedo: albedo.clone(), walks: 500_000 };
-            let (two, half, whole) = (
-                traced.dictionary(tau, &[0.5, 1.0]),
-                traced.dictionary(tau, &[0.5]),
-                traced.dictionary(tau, &[1.0]),
-            );
-            for mm in thicknesses_mm {
-                let (low, high) = Surrogate::new(&two, 0, 0).supported(mm).unwrap();
-                if !(low - 1e-9..=high + 1e-9).contains(&(tau / mm).ln()) {
+            let dictionary = traced.dictionary(tau, &[0.5, 1.0]);
+            let surrogate = Surrogate::new(&dictionary, 0, 0);
+            for mm in [0.45, 0.485, 0.515, 0.55, 0.7, 0.9, 0.97, 1.03, 1.1] {
+                let within =
+                    |(low, high): (f64, f64)| (low - 1e-9..=high + 1e-9).contains(&f64::ln(tau / mm));
+                if !within(surrogate.supported(mm).unwrap()) {
                     continue;
                 }
-                let errors = traced.errors(&two, tau, mm);
-                let alone = if mm < 0.71 { &half } else { &whole };
-                println!("{tau} {g} {mm} {errors:.3?} scaled {:.3?}", traced.errors(alone, tau, mm));
+                let nearest = usize::from(mm > 0.71);
+                let errors = traced.errors(tau, mm, |x| surrogate.predict_at(mm, 0..360, x));
+                let scaled = traced.errors(tau, mm, |x| surrogate.scaled(nearest, mm, x));
+                println!("τ {tau} g {g} {mm} mm: {errors:.3?}, scaled {scaled:.3?}");
                 worst = worst.max(greatest(&errors));
             }
         }
