@@ -169,10 +169,10 @@ impl Surrogate<'_> {
         let ratio = thickness_mm / self.grid().thickness_mm()[thickness];
         let stretch = Stretch::new(record.values.len(), ratio);
         let slopes = record.slopes.each_ref().map(|slope| stretch.apply(slope, tail));
+        let (values, mut by_ln_thickness) = stretch.apply_with_slope(&record.values, tail);
         // At a given σ_t the optical thickness grows with the thickness.
-        let mut by_ln_thickness = stretch.slope(&record.values, tail);
         add_scaled(&mut by_ln_thickness, 1.0, &slopes[SIGMA_T]);
-        PredictionAt { values: stretch.apply(&record.values, tail), slopes, by_ln_thickness }
+        PredictionAt { values, slopes, by_ln_thickness }
     }
 
     fn levels(&self) -> Tail {

@@ -60,30 +60,45 @@ impl Stretch {
 
     pub(super) fn apply(&self, profile: &[f64], tail: Tail) -> Vec<f64> {
         let integral = self.integral(profile, tail);
-        let at = |edge: &Edge| dot(&edge.integral, &integral[edge.first..]);
-        self.edges.windows(2).map(|e| self.ratio * (at(&e[1]) - at(&e[0]))).collect()
+        self.means(|edge| edge.weigh(&edge.integral, &integral))
     }
 
-    /// The derivative of the result by the logarithm of the ratio.
-    pub(super) fn slope(&self, profile: &[f64], tail: Tail) -> Vec<f64> {
+    /// The result, and its derivative by the logarithm of the ratio.
+    pub(super) fn apply_with_slope(&self, profile: &[f64], tail: Tail) -> (Vec<f64>, Vec<f64>) {
         let integral = self.integral(profile, tail);
-        let moved = |edge: &Edge| {
-            let of = &integral[edge.first..];
-            dot(&edge.integral, of) - edge.position * dot(&edge.integrand, of)
-        };
-        self.edges.windows(2).map(|e| self.ratio * (moved(&e[1]) - moved(&e[0]))).collect()
+        let values = self.means(|edge| edge.weigh(&edge.integral, &integral));
+        let mut slope = self.means(|edge| -edge.position * edge.weigh(&edge.integrand, &integral));
+        slope.iter_mut().zip(&values).for_each(|(s, v)| *s += v);
+        (values, slope)
     }
 
-    /// Integral up to each edge of the pixels, those beyond the ends included.
+    /// Means over the pixels from what the integral is up to their edges.
+    fn means(&self, integral: impl Fn(&Edge) -> f64) -> Vec<f64> {
+        let mut before = integral(&self.edges[0]);
+        let mean = |edge: &Edge| {
+            let up_to = integral(edge);
+            let mean = self.ratio * (up_to - before);
+            before = up_to;
+            mean
+        };
+        self.edges[1..].iter().map(mean).collect()
+    }
+
+    /// Integral up to each edge of the pixels, those beyond the ends included, with zeros after them.
     fn integral(&self, profile: &[f64], tail: Tail) -> Vec<f64> {
-        let (left, right) = (self.beyond(profile.iter(), tail), self.beyond(profile.iter().rev(), tail));
-        let cells = left.iter().rev().chain(profile).chain(&right);
+        let (mut left, right) = (self.beyond(profile.iter(), tail), self.beyond(profile.iter().rev(), tail));
+        left.reverse();
+        let mut integral = Vec::with_capacity(profile.len() + 2 * self.margin + EDGES);
         let mut sum = 0.0;
-        let sums = cells.map(|v| {
-            sum += v;
-            sum
-        });
-        std::iter::once(0.0).chain(sums).collect()
+        integral.push(0.0);
+        for part in [&left, profile, &right] {
+            for v in part {
+                sum += v;
+                integral.push(sum);
+            }
+        }
+        integral.resize(integral.len() + EDGES, 0.0);
+        integral
     }
 
     /// Values beyond the end at which `inward` begins, the nearest first.
@@ -125,22 +140,22 @@ impl Edge {
         }
         edge
     }
+
+    /// Weights that have no partner are 0.
+    fn weigh(&self, weights: &[f64; EDGES], integral: &[f64]) -> f64 {
+        weights.iter().zip(&integral[self.first..self.first + EDGES]).map(|(w, v)| w * v).sum()
+    }
 }
 
 /// The polynomial that is 1 at `i` and 0 at the other whole numbers below `count`, and its derivative.
 fn lagrange(count: usize, i: usize, x: f64) -> (f64, f64) {
-    let (mut value, mut slope) = (1.0, 0.0);
+    let (mut value, mut slope, mut at_node) = (1.0, 0.0, 1.0);
     for j in (0..count).filter(|j| *j != i) {
-        let factor = 1.0 / (i as f64 - j as f64);
-        slope = (slope * (x - j as f64) + value) * factor;
-        value *= (x - j as f64) * factor;
+        slope = slope * (x - j as f64) + value;
+        value *= x - j as f64;
+        at_node *= i as f64 - j as f64;
     }
-    (value, slope)
-}
-
-/// The weights that have no partner are 0.
-fn dot(weights: &[f64; EDGES], integral: &[f64]) -> f64 {
-    weights.iter().zip(integral).map(|(w, v)| w * v).sum()
+    (value / at_node, slope / at_node)
 }
 
 #[cfg(test)]
@@ -195,7 +210,8 @@ mod tests {
     fn the_slope_is_the_derivative_by_the_logarithm_of_the_ratio() {
         let profile = means(|x| (x / 0.7).cosh().ln() + 0.3 * x);
         for (ratio, tail) in [(0.88, TAIL), (0.613, Tail::Vanishes(30.0)), (1.0, TAIL), (1.31, TAIL)] {
-            let slope = Stretch::new(PIXELS, ratio).slope(&profile, tail);
+            let (values, slope) = Stretch::new(PIXELS, ratio).apply_with_slope(&profile, tail);
+            assert_eq!(values, Stretch::new(PIXELS, ratio).apply(&profile, tail));
             let at = |by: f64| Stretch::new(PIXELS, ratio * by.exp()).apply(&profile, tail);
             let numerical: Vec<f64> = at(1e-5).iter().zip(at(-1e-5)).map(|(a, b)| (a - b) / 2e-5).collect();
             assert!(farthest(&slope, &numerical) < 1e-4, "{ratio}: {}", farthest(&slope, &numerical));

@@ -283,7 +283,7 @@ fn greatest(values: &[f64]) -> f64 {
 }
 
 /// A fifth of the records' noise is what is allowed, where the clear layers count most: albedos near 1, scattering
-/// forward. What the walks leave of their noise is 0.01.
+/// forward. The walks leave 0.04 of their own noise at most.
 ///
 /// Below an optical thickness of 1 and above 10 one of the two records has to be guessed.
 #[test]
