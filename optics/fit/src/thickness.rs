@@ -33,6 +33,9 @@ const BETWEEN: f64 = 2.5;
 /// difference of their records is mostly noise; if they are further apart, 1/t is not all.
 const BEYOND: (f64, f64, f64) = (1.25, 4.0, 2.0);
 
+/// Least range of ln τ over which two thicknesses must have records.
+const OVERLAP: f64 = std::f64::consts::LN_2;
+
 /// Thicknesses are the same if they differ by less than this share: decimals in files are rounded.
 const SAME: f64 = 1e-6;
 
@@ -215,7 +218,8 @@ fn contrast(profile: &[f64]) -> f64 {
 /// The range of ln τ in which a grid has records at both thicknesses.
 fn common(grid: &Grid, thin_mm: f64, thick_mm: f64) -> (f64, f64) {
     let sigma_t = grid.sigma_t_per_mm();
-    ((sigma_t[0] * thick_mm).ln(), (sigma_t[sigma_t.len() - 1] * thin_mm).ln())
+    // What rounding makes of the ends of the axis still belongs to it.
+    ((sigma_t[0] * thick_mm).ln() - SAME, (sigma_t[sigma_t.len() - 1] * thin_mm).ln() + SAME)
 }
 
 impl Basis {
@@ -252,11 +256,11 @@ fn between(grid: &Grid, thin: usize) -> bool {
     axis[thin + 1] <= BETWEEN * (1.0 + SAME) * axis[thin] && overlap(grid, thin, thin + 1)
 }
 
-/// Whether there are optical thicknesses at which the grid has records of both.
+/// Whether there are enough optical thicknesses at which the grid has records of both.
 fn overlap(grid: &Grid, a: usize, b: usize) -> bool {
     let axis = grid.thickness_mm();
     let (low, high) = common(grid, axis[a.min(b)], axis[a.max(b)]);
-    low < high
+    high - low > OVERLAP
 }
 
 /// The thicknesses that are predicted, as ranges that do not touch.

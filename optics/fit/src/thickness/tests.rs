@@ -60,7 +60,8 @@ fn at_the_dictionarys_thicknesses_it_is_the_prediction_from_records() {
     let dictionary = dictionary(&[0.5, 0.8, 1.0]);
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     for (thickness, mm) in [0.5, 0.8, 1.0].into_iter().enumerate() {
-        for sigma_t in SIGMA_T_PER_MM {
+        let ends = [1.0, 1.11_f64.powi(29)];
+        for sigma_t in SIGMA_T_PER_MM.into_iter().chain(ends) {
             let x = medium(sigma_t);
             let from_records = surrogate.predict(thickness, 7..90, x);
             let at = surrogate.predict_at(mm, 7..90, x);
