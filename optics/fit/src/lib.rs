@@ -27,6 +27,7 @@ mod surrogate;
 mod suspicion;
 #[cfg(test)]
 mod testing;
+mod thickness;
 mod uncertainty;
 mod view;
 

@@ -5,7 +5,7 @@
 //! a local polynomial is fitted by weighted least squares, which averages the noise of the records about; across
 //! albedos, which share their walks, the four nearest are interpolated.
 
-use optics_model::Medium;
+use optics_model::{Grid, Medium};
 
 use super::dictionary::FitDictionary;
 use super::local_axis::{LocalAxis, Weights};
@@ -88,6 +88,15 @@ impl<'a> Surrogate<'a> {
         }
     }
 
+    pub(super) fn grid(&self) -> &'a Grid {
+        self.dictionary.grid()
+    }
+
+    /// Pixels of the dictionary's profiles.
+    pub(super) fn pixels(&self) -> usize {
+        self.grid().scene().sensor().pixels()
+    }
+
     /// Index of the sample's refractive index.
     pub(super) fn ior(&self) -> usize {
         self.ior
@@ -116,39 +125,26 @@ impl<'a> Surrogate<'a> {
         let zero = || vec![0.0; pixels.len()];
         let mut values = zero();
         let mut slopes = [zero(), zero(), zero()];
+        // At most four; the others weigh nothing.
+        let weights_of = |weights: &[f64]| std::array::from_fn(|j| weights.get(j).copied().unwrap_or(0.0));
+        let albedos = AlbedoWeights { values: weights_of(&a.values), slopes: weights_of(&a.slopes) };
         for i in 0..s.values.len() {
+            // The value at this σ_t, and its derivatives by √(1 − α) and ln(1 − g).
+            let mut inner = [zero(), zero(), zero()];
             for k in 0..g.values.len() {
-                for j in 0..a.values.len() {
-                    let row = self.row(s.first + i, g.first + k, thickness, a.first + j);
-                    let weight = s.values[i] * a.values[j] * g.values[k];
-                    let by = [
-                        s.slopes[i] * a.values[j] * g.values[k],
-                        s.values[i] * a.slopes[j] * g.values[k],
-                        s.values[i] * a.values[j] * g.slopes[k],
-                    ];
-                    accumulate(&row[pixels.clone()], weight, by, &mut values, &mut slopes);
-                }
+                let rows = std::array::from_fn(|j| {
+                    let albedo = a.first + j.min(a.values.len() - 1);
+                    &self.row(s.first + i, g.first + k, thickness, albedo)[pixels.clone()]
+                });
+                accumulate(rows, &albedos, (g.values[k], g.slopes[k]), &mut inner);
             }
+            let [value, by_albedo, by_g] = &inner;
+            add_scaled(&mut values, s.values[i], value);
+            add_scaled(&mut slopes[SIGMA_T], s.slopes[i], value);
+            add_scaled(&mut slopes[ALBEDO], s.values[i], by_albedo);
+            add_scaled(&mut slopes[G], s.values[i], by_g);
         }
         Prediction { values, slopes }
-    }
-
-    /// The model at any thickness near one of the dictionary's: walks know σ_t·t alone, and lengths scale.
-    pub(super) fn predict_at(&self, thickness_mm: f64, x: Coordinates) -> PredictionAt {
-        let (index, ratio) = self.nearest_thickness(thickness_mm);
-        let sensor = self.dictionary.grid().scene().sensor();
-        let found = self.predict(index, 0..sensor.pixels(), [x[SIGMA_T] + ratio.ln(), x[ALBEDO], x[G]]);
-        let stretched = |f: &[f64]| crate::likelihood::stretched(f, ratio);
-        let values = stretched(&found.values);
-        let slopes = found.slopes.each_ref().map(|f| stretched(f));
-        let n = values.len();
-        let by = |i: usize| {
-            let (a, b) = (i.saturating_sub(1), (i + 1).min(n - 1));
-            let by_x = (values[b] - values[a]) / ((b - a) as f64 * sensor.pitch_mm());
-            slopes[SIGMA_T][i] - sensor.centre_mm(i) * by_x
-        };
-        let by_ln_thickness = (0..n).map(by).collect();
-        PredictionAt { values, slopes, by_ln_thickness }
     }
 
     /// The same at any thickness near one of the dictionary's.
@@ -307,23 +303,29 @@ fn add_outer<const N: usize>(matrix: &mut [[f64; N]; N], v: [f64; N], factor: f6
     }
 }
 
-fn accumulate(row: &[f32], weight: f64, by: [f64; 3], values: &mut [f64], slopes: &mut [Vec<f64>; 3]) {
-    let [s, a, g] = slopes;
-    let outs = values.iter_mut().zip(s).zip(a).zip(g);
-    for (v, (((value, s), a), g)) in row.iter().zip(outs) {
-        let v = f64::from(*v);
-        *value += weight * v;
-        *s += by[0] * v;
-        *a += by[1] * v;
-        *g += by[2] * v;
+/// Weights of four albedos, and their derivatives.
+struct AlbedoWeights {
+    values: [f64; 4],
+    slopes: [f64; 4],
+}
+
+/// Adds what the records of one σ_t and g contribute to a value and its derivatives by √(1 − α) and ln(1 − g). `g` is
+/// the weight of this g and its derivative.
+fn accumulate(rows: [&[f32]; 4], albedos: &AlbedoWeights, g: (f64, f64), out: &mut [Vec<f64>; 3]) {
+    let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
+    let [value, by_albedo, by_g] = out;
+    let outs = value.iter_mut().zip(by_albedo).zip(by_g);
+    let [a, b, c, d] = rows;
+    for ((((a, b), c), d), ((value, by_albedo), by_g)) in a.iter().zip(b).zip(c).zip(d).zip(outs) {
+        let v = [*a, *b, *c, *d].map(f64::from);
+        let mixed = mix(v, &albedos.values);
+        *value += g.0 * mixed;
+        *by_albedo += g.0 * mix(v, &albedos.slopes);
+        *by_g += g.1 * mixed;
     }
 }
 
-/// A profile at some thickness, on all pixels of the dictionary, and its derivatives by the coordinates and by the
-/// logarithm of the thickness.
-#[derive(Debug, Clone)]
-pub(super) struct PredictionAt {
-    pub values: Vec<f64>,
-    pub slopes: [Vec<f64>; 3],
-    pub by_ln_thickness: Vec<f64>,
+/// Adds factor · v.
+pub(super) fn add_scaled(sum: &mut [f64], factor: f64, v: &[f64]) {
+    sum.iter_mut().zip(v).for_each(|(s, v)| *s += factor * v);
 }

@@ -79,14 +79,6 @@ impl Camera {
     }
 }
 
-/// The profile with lengths multiplied by a factor, on the same pixels.
-pub(crate) fn stretched(values: &[f64], factor: f64) -> Line {
-    let middle = PADDING as f64 + 0.5 * values.len() as f64;
-    let edge = |i: usize| middle + (i as f64 - 0.5 * values.len() as f64) / factor;
-    let places: Line = (0..=values.len()).map(edge).collect();
-    average(&places, &integral(&pad(values)))
-}
-
 /// The profile, carried on in a straight line at both ends.
 fn pad(values: &[f64]) -> Line {
     let (left, right) = (Tail::of(values.iter()), Tail::of(values.iter().rev()));

@@ -5,7 +5,7 @@ use nalgebra::DVector;
 use super::Line;
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
 use super::records_noise::Modes;
-use super::robust::specks;
+use super::robust::{is_dust, specks};
 use super::start::{Scan, Start};
 use super::system::{State, System};
 use crate::surrogate::Surrogate;
@@ -17,8 +17,8 @@ const WELL: f64 = 0.003;
 const FOLLOWED: (f64, f64) = (60.0, 1.3);
 /// Most starts that are followed.
 const STARTS: usize = 3;
-/// Greatest share of pixels that can be dust: if more lie apart, the model is wrong.
-const DUST: f64 = 0.15;
+/// By this factor the noise is made smaller at a time, on the way to a model without dust.
+const HARDER: f64 = 0.4;
 
 /// Starts of a channel that are worth following.
 pub(super) fn starts(scan: &Scan, surrogates: &[Surrogate]) -> Vec<Start> {
@@ -60,8 +60,16 @@ pub(super) fn settle(system: &mut System, mut state: State) -> State {
     add_modes(system, &mut state);
     for term in &mut system.terms {
         term.robust = true;
+        term.left_out.fill(false);
     }
-    state = system.descend(state, None, ROUGHLY);
+    // Dust pulls at a first model, and what is dust is not plain before there is a good one: so the noise is taken to be
+    // as large as most residuals are, and made smaller step by step.
+    let mut softness = f64::INFINITY;
+    while softness > 1.0 {
+        softness = (HARDER * softness).min(typical_residual(system, &state)).max(1.0);
+        system.terms.iter_mut().for_each(|term| term.softness = softness);
+        state = system.descend(state, None, ROUGHLY);
+    }
     for _ in 0..2 {
         if leave_out_specks(system, &state) {
             state = system.descend(state, None, WELL);
@@ -88,14 +96,24 @@ fn add_modes(system: &mut System, state: &mut State) {
     }
 }
 
+/// What the standard deviation of residuals would be if those of most pixels were normal, in that of the noise.
+fn typical_residual(system: &System, state: &State) -> f64 {
+    let linear = system.linear(&state.x, &state.own);
+    let median = |residuals: &Line| {
+        let mut sizes: Line = residuals.iter().map(|r| r.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        1.4826 * sizes[sizes.len() / 2]
+    };
+    linear.iter().map(|l| median(&l.residuals)).fold(0.0, f64::max)
+}
+
 /// Leaves out the pixels that do not belong to their profiles; false if they are the same as before.
 fn leave_out_specks(system: &mut System, state: &State) -> bool {
     let linear = system.linear(&state.x, &state.own);
     let mut changed = false;
     for (term, linear) in system.terms.iter_mut().zip(linear) {
         let found = specks(&linear.residuals);
-        let count = found.iter().filter(|s| **s).count();
-        let dusty = count as f64 <= DUST * found.len() as f64;
+        let dusty = is_dust(&found);
         let left_out = if dusty { found } else { vec![false; linear.residuals.len()] };
         changed |= left_out != term.left_out || dusty != term.robust;
         (term.left_out, term.robust) = (left_out, dusty);

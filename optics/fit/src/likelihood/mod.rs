@@ -30,8 +30,6 @@ use problem::ChannelData;
 
 pub(super) use joint::measure;
 
-pub(crate) use camera::stretched;
-
 /// Numbers by pixel.
 pub(super) type Line = Vec<f64>;
 

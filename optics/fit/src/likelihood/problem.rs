@@ -12,11 +12,11 @@ use super::term::{Own, OwnPrior, Term};
 use super::{Line, SHARED};
 use crate::dictionary::FitDictionary;
 use crate::noise::scatter_by_side;
-use crate::question::{Admissible, OUTSIDE, find_channel, unknown_thickness};
+use crate::question::{Admissible, OUTSIDE, find_channel};
 use crate::refine::{held, limits};
 use crate::surrogate::Surrogate;
 
-/// How far, in the logarithm, a slab's thickness may lie from one of the dictionary's, and may be moved by a fit.
+/// How far, in the logarithm, a slab's thickness may be moved by a fit.
 const NEAR: f64 = 0.1;
 /// Least part of a dictionary's width, at its rim, that is left out: nothing is known beyond.
 const RIM_MM: f64 = 0.02;
@@ -68,10 +68,6 @@ pub(super) struct Assembly<'a> {
 impl<'a> ProfileData<'a> {
     fn new(grid: &Grid, profile: &'a MeasuredProfile, options: &FitOptions) -> Result<Self, Invalid> {
         let (setup, settings) = (profile.setup(), options.settings());
-        let thickness = profile.thickness_mm();
-        if !grid.thickness_mm().iter().any(|t| (thickness / t).ln().abs() <= NEAR) {
-            return Err(unknown_thickness(grid, thickness));
-        }
         let origin_mm = setup.origin_mm.unwrap_or(0.0);
         let half = 0.5 * grid.scene().sensor().width_mm() - RIM_MM + 0.5 * profile.pitch_mm();
         let x = profile.x_mm();
@@ -147,6 +143,7 @@ impl<'a> ProfileData<'a> {
             rest_variances: Vec::new(),
             left_out: vec![false; x_mm.len()],
             robust: false,
+            softness: 1.0,
             x_mm,
         }
     }
@@ -162,9 +159,12 @@ impl<'a> ChannelData<'a> {
     ) -> Result<Self, Invalid> {
         let channel = find_channel(dictionary.grid(), name)?;
         let of_channel = measurement.profiles().iter().filter(|p| p.channel() == name);
-        let profiles = of_channel
-            .map(|p| ProfileData::new(dictionary.grid(), p, options))
-            .collect::<Result<Vec<_>, _>>()?;
+        let surrogate = Surrogate::new(dictionary, channel, 0);
+        let profile = |p: &'a MeasuredProfile| {
+            surrogate.supported(p.thickness_mm())?;
+            ProfileData::new(dictionary.grid(), p, options)
+        };
+        let profiles = of_channel.map(profile).collect::<Result<Vec<_>, _>>()?;
         let admissible = Admissible::new(dictionary, options)?;
         Ok(Self { dictionary, material, name, channel, profiles, options: *options, admissible })
     }

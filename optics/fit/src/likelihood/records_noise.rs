@@ -58,8 +58,9 @@ mod tests {
     #[test]
     fn modes_and_what_they_leave_make_up_the_covariance() {
         let n = 60;
-        let factor =
-            |k: usize| -> Line { (0..n).map(|i| ((i * k) as f64 * 0.05).cos() / (1.0 + k as f64).powi(2)).collect() };
+        let factor = |k: usize| -> Line {
+            (0..n).map(|i| ((i * k) as f64 * 0.05).cos() / (1.0 + k as f64).powi(2)).collect()
+        };
         let factors: Vec<Line> = (0..30).map(factor).collect();
         let pitch = 10.0 / n as f64;
         let x: Line = (0..n).map(|i| (i as f64 + 0.5) * pitch - 5.0).collect();

@@ -18,6 +18,11 @@ const RIM: usize = 4;
 /// A speck reaches as far as its sign does, while it is at least this many standard deviations.
 const RIM_LEVEL: f64 = 0.5;
 
+/// Longest run of pixels that specks make, two or three together.
+const LONGEST: usize = 24;
+/// Greatest share of pixels that can be dust.
+const DUST: f64 = 0.4;
+
 fn parts(r: f64) -> (f64, f64) {
     let square = r * r;
     ((1.0 - SHARE) * (-0.5 * square).exp(), SHARE / WIDTH * (-0.5 * square / (WIDTH * WIDTH)).exp())
@@ -34,6 +39,13 @@ pub(super) fn rho(r: f64) -> f64 {
 pub(super) fn weight(r: f64) -> f64 {
     let (normal, odd) = parts(r);
     (normal + odd / (WIDTH * WIDTH)) / (normal + odd).max(f64::MIN_POSITIVE)
+}
+
+/// Whether odd pixels lie in runs as short as specks make them, and are not too many: else it is the model that is wrong.
+pub(super) fn is_dust(left_out: &[bool]) -> bool {
+    let count = left_out.iter().filter(|o| **o).count();
+    let longest = left_out.split(|o| !o).map(<[bool]>::len).max().unwrap_or(0);
+    longest <= LONGEST && count as f64 <= DUST * left_out.len() as f64
 }
 
 /// Pixels that do not belong to the profile, with the rims of the specks that they are part of.
@@ -73,5 +85,8 @@ mod tests {
         assert!(specks(&residuals).iter().all(|s| !s));
         residuals.splice(2..6, [-1.5, -9.0, -3.0, -0.2]);
         assert_eq!(specks(&residuals), [false, true, true, true, true, false, false, false]);
+        let run = |length: usize| (0..200).map(|i| i % 100 < length).collect::<Vec<bool>>();
+        assert!(is_dust(&run(0)) && is_dust(&run(20)) && !is_dust(&run(30)));
+        assert!(!is_dust(&(0..200).map(|i| i % 2 == 0).collect::<Vec<bool>>()));
     }
 }

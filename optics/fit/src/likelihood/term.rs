@@ -54,6 +54,8 @@ pub(super) struct Term {
     pub left_out: Vec<bool>,
     /// Whether pixels may be odd; if not every one that is not left out counts as a normal one.
     pub robust: bool,
+    /// The noise is taken to be larger by this factor where pixels may be odd: on the way from a poor model to a good one.
+    pub softness: f64,
 }
 
 /// A profile at some place of the unknowns.
@@ -120,7 +122,7 @@ impl Term {
 
     /// At the shared unknowns and the profile's own.
     pub(super) fn linear(&self, surrogate: &Surrogate, shared: &Point, own: &[f64]) -> Linear {
-        let predicted = surrogate.predict_at(shared.thickness_mm(), shared.medium());
+        let predicted = surrogate.predict_at(shared.thickness_mm(), 0..surrogate.pixels(), shared.medium());
         let mut slopes = predicted.slopes.to_vec();
         slopes.push(predicted.by_ln_thickness);
         let seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), shared.blur_mm2());
@@ -158,7 +160,8 @@ impl Term {
         columns.extend(self.modes.iter().map(|mode| over_noise(&|i| mode[i])));
         let residuals: Line = (0..n).map(|i| (self.values[i] - model[i]) * inverse[i]).collect();
         let kept = residuals.iter().zip(&self.left_out).filter(|(_, out)| !**out);
-        let squares = kept.map(|(r, _)| if self.robust { rho(*r) } else { r * r });
+        let squares = kept
+            .map(|(r, _)| if self.robust { self.softness.powi(2) * rho(r / self.softness) } else { r * r });
         let cost = squares.sum::<f64>() + dot(own, own);
         Linear { residuals, model, columns, cost }
     }
@@ -171,7 +174,7 @@ impl Term {
             .zip(&self.left_out)
             .map(|(r, out)| match (out, self.robust) {
                 (true, _) => 0.0,
-                (false, true) => weight(*r),
+                (false, true) => weight(r / self.softness),
                 (false, false) => 1.0,
             })
             .collect();

@@ -1,0 +1,312 @@
+//! Profiles at any thickness near the dictionary's.
+//!
+//! What happens on a walk depends on the sample's optical thickness τ = σ_t t alone. Where it meets the base is t·a + b
+//! with a from the sample and b from the clear layers, both given by τ. So the profile over ξ = x/t is a function of τ
+//! and of b/t: with the clear layers being what they are, at given τ it depends on 1/t alone, and smoothly. Between two
+//! thicknesses of the dictionary, and a little beyond, it is interpolated linearly in 1/t. Records at one thickness
+//! alone are scaled, x with t, as if the clear layers were scaled, too.
+
+mod stretch;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+use optics_model::scene::LayerMedium;
+use optics_model::{Grid, Invalid};
+
+use super::question::list;
+use super::surrogate::{ALBEDO, Coordinates, G, Prediction, SIGMA_T, Surrogate, add_scaled};
+use stretch::{Stretch, Tail};
+
+/// How far from one of the dictionary's thicknesses profiles are predicted: a share of it.
+const REACH: f64 = 0.1;
+
+/// The same where records are only scaled: what that ignores is the share of the thickness times that of the clear
+/// layers in it. 4.5 % at 0.5 mm in the paper's set-up, whose clear layers are 0.21 mm thick.
+const SCALED_REACH: f64 = 0.045 * 0.21 / 0.5;
+
+/// Greatest ratio of two thicknesses between which profiles are interpolated.
+const BETWEEN: f64 = 2.5;
+
+/// Ratios of two thicknesses from which profiles are extrapolated, and the best of them: if they are closer, the
+/// difference of their records is mostly noise; if they are further apart, 1/t is not all.
+const BEYOND: (f64, f64, f64) = (1.25, 4.0, 2.0);
+
+/// Least range of ln τ over which two thicknesses must have records.
+const OVERLAP: f64 = std::f64::consts::LN_2;
+
+/// Thicknesses are the same if they differ by less than this share: decimals in files are rounded.
+const SAME: f64 = 1e-6;
+
+/// Length over which the slope of a profile decays beyond its ends, as a share of its width.
+const LEVELS: f64 = 0.2;
+
+/// Length over which the difference of two thicknesses vanishes beyond its ends, in units of the thicker.
+const VANISHES: f64 = 4.0;
+
+/// A contrast that nobody measures.
+const INVISIBLE: f64 = 1e-6;
+
+/// A profile at some thickness, its derivatives by the coordinates at that thickness, and by ln t at given coordinates.
+#[derive(Debug, Clone)]
+pub(super) struct PredictionAt {
+    pub values: Vec<f64>,
+    pub slopes: [Vec<f64>; 3],
+    pub by_ln_thickness: Vec<f64>,
+}
+
+/// What a thickness is predicted from, as indices into the grid's thicknesses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Basis {
+    One(usize),
+    Two { thin: usize, thick: usize },
+}
+
+impl Surrogate<'_> {
+    /// Least and greatest ln σ_t that can be predicted at a thickness, or why it is too far from the dictionary's.
+    pub(super) fn supported(&self, thickness_mm: f64) -> Result<(f64, f64), Invalid> {
+        let (grid, axis) = (self.grid(), self.grid().thickness_mm());
+        let ranges = ranges(grid);
+        let within =
+            |(low, high): &(f64, f64)| (low * (1.0 - SAME)..=high * (1.0 + SAME)).contains(&thickness_mm);
+        if !ranges.iter().any(within) {
+            return Err(unsupported(axis, &ranges, thickness_mm));
+        }
+        // Beyond the first and the last thickness the axis of σ_t moves with the optical thickness.
+        let (low, high) = self.limits()[SIGMA_T];
+        let thinner = (axis[0] / thickness_mm).max(1.0);
+        let thicker = (axis[axis.len() - 1] / thickness_mm).min(1.0);
+        Ok((low + thinner.ln(), high + thicker.ln()))
+    }
+
+    /// The profile at any thickness, on the dictionary's pixels. It is continued beyond [`Surrogate::supported`], but
+    /// not to be trusted there.
+    pub(super) fn predict_at(&self, thickness_mm: f64, pixels: Range<usize>, x: Coordinates) -> PredictionAt {
+        let whole = match Basis::of(self.grid(), thickness_mm) {
+            Basis::One(thickness) => self.scaled(thickness, thickness_mm, x),
+            Basis::Two { thin, thick } => self.interpolated(thin, thick, thickness_mm, x),
+        };
+        let cut = |v: Vec<f64>| v[pixels.clone()].to_vec();
+        PredictionAt {
+            values: cut(whole.values),
+            slopes: whole.slopes.map(cut),
+            by_ln_thickness: cut(whole.by_ln_thickness),
+        }
+    }
+
+    /// The profile of a record's thickness, the clear layers being scaled with it.
+    fn scaled(&self, thickness: usize, thickness_mm: f64, x: Coordinates) -> PredictionAt {
+        let record = self.at_optical_thickness(thickness, x[SIGMA_T] + thickness_mm.ln(), x);
+        self.stretched(&record, thickness, thickness_mm, self.levels())
+    }
+
+    /// Thin + w·(thick − thin), with w linear in 1/t, at the same optical thickness.
+    ///
+    /// Where the dictionary lacks one of the two, their difference is taken at the nearest optical thickness at which
+    /// it has both, is made as much larger or smaller as the contrast of the other is, and added to it or taken from it.
+    fn interpolated(&self, thin: usize, thick: usize, thickness_mm: f64, x: Coordinates) -> PredictionAt {
+        let axis = self.grid().thickness_mm();
+        let (thin_mm, thick_mm) = (axis[thin], axis[thick]);
+        let per_inverse = 1.0 / (1.0 / thick_mm - 1.0 / thin_mm);
+        let weight = (1.0 / thickness_mm - 1.0 / thin_mm) * per_inverse;
+        let weight_by_ln_thickness = -per_inverse / thickness_mm;
+
+        let optical = x[SIGMA_T] + thickness_mm.ln();
+        let (low, high) = common(self.grid(), thin_mm, thick_mm);
+        let nearest = optical.clamp(low, high);
+        let of_thin = self.at_optical_thickness(thin, nearest, x);
+        let of_thick = self.at_optical_thickness(thick, nearest, x);
+        let difference = self.difference(&of_thin, &of_thick, thick_mm / thin_mm);
+        let (base, factor) = if optical > high { (thick, weight - 1.0) } else { (thin, weight) };
+        let there = if base == thin { of_thin } else { of_thick };
+        let (record, difference) = if nearest == optical {
+            (there, difference)
+        } else {
+            let record = self.at_optical_thickness(base, optical, x);
+            let difference = with_contrast(difference, &there, &record);
+            (record, difference)
+        };
+
+        let vanishes = Tail::Vanishes(VANISHES * thick_mm / self.grid().scene().sensor().pitch_mm());
+        let difference = self.stretched(&difference, thick, thickness_mm, vanishes);
+        let mut sum = self.stretched(&record, base, thickness_mm, self.levels());
+        add_scaled(&mut sum.by_ln_thickness, factor, &difference.by_ln_thickness);
+        add_scaled(&mut sum.by_ln_thickness, weight_by_ln_thickness, &difference.values);
+        add_scaled(&mut sum.values, factor, &difference.values);
+        for (slope, by) in sum.slopes.iter_mut().zip(&difference.slopes) {
+            add_scaled(slope, factor, by);
+        }
+        sum
+    }
+
+    /// What the thick slab's profiles have beyond the thin one's, on the thick one's pixels.
+    fn difference(&self, thin: &Prediction, thick: &Prediction, ratio: f64) -> Prediction {
+        let stretch = Stretch::new(thin.values.len(), ratio);
+        let difference = |thick: &[f64], thin: &[f64]| {
+            let mut difference = thick.to_vec();
+            add_scaled(&mut difference, -1.0, &stretch.apply(thin, self.levels()));
+            difference
+        };
+        let slope = |c: usize| difference(&thick.slopes[c], &thin.slopes[c]);
+        Prediction {
+            values: difference(&thick.values, &thin.values),
+            slopes: [slope(SIGMA_T), slope(ALBEDO), slope(G)],
+        }
+    }
+
+    fn at_optical_thickness(&self, thickness: usize, ln_optical: f64, x: Coordinates) -> Prediction {
+        let grid = self.grid();
+        let ln_sigma_t = ln_optical - grid.thickness_mm()[thickness].ln();
+        let pixels = 0..grid.scene().sensor().pixels();
+        self.predict(thickness, pixels, [ln_sigma_t, x[ALBEDO], x[G]])
+    }
+
+    fn stretched(
+        &self,
+        record: &Prediction,
+        thickness: usize,
+        thickness_mm: f64,
+        tail: Tail,
+    ) -> PredictionAt {
+        let ratio = thickness_mm / self.grid().thickness_mm()[thickness];
+        let stretch = Stretch::new(record.values.len(), ratio);
+        let slopes = record.slopes.each_ref().map(|slope| stretch.apply(slope, tail));
+        let (values, mut by_ln_thickness) = stretch.apply_with_slope(&record.values, tail);
+        // At a given σ_t the optical thickness grows with the thickness.
+        add_scaled(&mut by_ln_thickness, 1.0, &slopes[SIGMA_T]);
+        PredictionAt { values, slopes, by_ln_thickness }
+    }
+
+    fn levels(&self) -> Tail {
+        Tail::Levels(LEVELS * self.grid().scene().sensor().pixels() as f64)
+    }
+}
+
+/// A difference, taken at the optical thickness of `there`, for that of `record`. It is assumed to be as large as the
+/// contrast of both, which is what the base adds to a profile.
+fn with_contrast(difference: Prediction, there: &Prediction, record: &Prediction) -> Prediction {
+    let of_there = contrast(&there.values);
+    if of_there < INVISIBLE {
+        let mut constant = difference;
+        constant.slopes[SIGMA_T].fill(0.0);
+        return constant;
+    }
+    let ratio = contrast(&record.values) / of_there;
+    let scaled = |v: &[f64], factor: f64| v.iter().map(|v| factor * v).collect::<Vec<f64>>();
+    let slope = |c: usize| {
+        // The optical thickness of the difference and of `there` stays when that of `record` changes.
+        let fixed = if c == SIGMA_T { 0.0 } else { 1.0 };
+        let by = (contrast(&record.slopes[c]) - fixed * ratio * contrast(&there.slopes[c])) / of_there;
+        let mut slope = scaled(&difference.values, by);
+        add_scaled(&mut slope, fixed * ratio, &difference.slopes[c]);
+        slope
+    };
+    Prediction {
+        values: scaled(&difference.values, ratio),
+        slopes: [slope(SIGMA_T), slope(ALBEDO), slope(G)],
+    }
+}
+
+/// What the light end of a profile has beyond the dark one, in the mean over a fifteenth of the pixels.
+fn contrast(profile: &[f64]) -> f64 {
+    let count = (profile.len() / 15).max(1);
+    let (dark, light) = (&profile[..count], &profile[profile.len() - count..]);
+    (light.iter().sum::<f64>() - dark.iter().sum::<f64>()) / count as f64
+}
+
+/// The range of ln τ in which a grid has records at both thicknesses.
+fn common(grid: &Grid, thin_mm: f64, thick_mm: f64) -> (f64, f64) {
+    let sigma_t = grid.sigma_t_per_mm();
+    // What rounding makes of the ends of the axis still belongs to it.
+    ((sigma_t[0] * thick_mm).ln() - SAME, (sigma_t[sigma_t.len() - 1] * thin_mm).ln() + SAME)
+}
+
+impl Basis {
+    fn of(grid: &Grid, thickness_mm: f64) -> Self {
+        let axis = grid.thickness_mm();
+        let after = axis.partition_point(|t| *t < thickness_mm);
+        if 0 < after && after < axis.len() && between(grid, after - 1) {
+            return Self::Two { thin: after - 1, thick: after };
+        }
+        let distance = |t: f64| (thickness_mm / t).ln().abs();
+        let nearest = (0..axis.len()).min_by(|a, b| distance(axis[*a]).total_cmp(&distance(axis[*b])));
+        Self::beyond(grid, nearest.expect("a grid has a thickness"))
+    }
+
+    /// What lies about a thickness, but not between neighbours, is extrapolated from it and another one.
+    fn beyond(grid: &Grid, nearest: usize) -> Self {
+        let axis = grid.thickness_mm();
+        let ratio = |i: usize| (axis[i] / axis[nearest]).max(axis[nearest] / axis[i]);
+        let (least, greatest, best) = BEYOND;
+        let usable =
+            |i: &usize| (least..=greatest * (1.0 + SAME)).contains(&ratio(*i)) && overlap(grid, nearest, *i);
+        let off = |i: usize| (ratio(i) / best).ln().abs();
+        let partner = (0..axis.len()).filter(usable).min_by(|a, b| off(*a).total_cmp(&off(*b)));
+        match partner {
+            Some(partner) => Self::Two { thin: nearest.min(partner), thick: nearest.max(partner) },
+            None => Self::One(nearest),
+        }
+    }
+}
+
+/// Whether profiles between a thickness and the next are interpolated.
+fn between(grid: &Grid, thin: usize) -> bool {
+    let axis = grid.thickness_mm();
+    axis[thin + 1] <= BETWEEN * (1.0 + SAME) * axis[thin] && overlap(grid, thin, thin + 1)
+}
+
+/// Whether there are enough optical thicknesses at which the grid has records of both.
+fn overlap(grid: &Grid, a: usize, b: usize) -> bool {
+    let axis = grid.thickness_mm();
+    let (low, high) = common(grid, axis[a.min(b)], axis[a.max(b)]);
+    high - low > OVERLAP
+}
+
+/// The thicknesses that are predicted, as ranges that do not touch.
+fn ranges(grid: &Grid) -> Vec<(f64, f64)> {
+    let axis = grid.thickness_mm();
+    let mut ranges: Vec<(f64, f64)> = Vec::new();
+    for (i, t) in axis.iter().enumerate() {
+        let reach = reach(grid, i);
+        let (low, high) = (t * (1.0 - reach), t * (1.0 + reach));
+        match ranges.last_mut() {
+            Some(last) if low <= last.1 || between(grid, i - 1) => last.1 = high,
+            _ => ranges.push((low, high)),
+        }
+    }
+    ranges
+}
+
+/// How far beyond one of the grid's thicknesses profiles are predicted: a share of it.
+fn reach(grid: &Grid, thickness: usize) -> f64 {
+    let layers = grid.scene().layers().iter();
+    let clear_mm: f64 = layers
+        .map(|layer| match layer.medium() {
+            LayerMedium::Clear { thickness_mm, .. } => thickness_mm,
+            LayerMedium::Sample => 0.0,
+        })
+        .sum();
+    match Basis::beyond(grid, thickness) {
+        Basis::One(_) if clear_mm > 0.0 => {
+            REACH.min(SCALED_REACH * grid.thickness_mm()[thickness] / clear_mm)
+        }
+        _ => REACH,
+    }
+}
+
+fn unsupported(axis: &[f64], ranges: &[(f64, f64)], thickness_mm: f64) -> Invalid {
+    let rounded = |v: f64| (v * 1e4).round() / 1e4;
+    let ranges: Vec<String> =
+        ranges.iter().map(|(low, high)| format!("{} to {}", rounded(*low), rounded(*high))).collect();
+    let mut wanted = [axis, &[thickness_mm]].concat();
+    wanted.sort_by(f64::total_cmp);
+    let allowed = format!(
+        "the dictionary has {} and predicts {} mm; `farmctl submit GRID.toml` computes one with all of them if the \
+         grid file says thickness_mm = [{}], and takes over what is there",
+        list(axis),
+        ranges.join(", "),
+        list(&wanted)
+    );
+    Invalid::new("thickness_mm", thickness_mm, allowed)
+}

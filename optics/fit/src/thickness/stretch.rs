@@ -1,0 +1,251 @@
+//! A profile on the same pixels as before, after its x was scaled about the edge.
+//!
+//! Pixels are box averages, so it is the integral of the profile that is interpolated, between the pixels' edges and with
+//! fifth order. Light that reaches the base unscattered makes a step at x = 0, so no polynomial crosses the edge if it
+//! lies between two pixels.
+
+/// Edges of pixels that one polynomial passes through.
+const EDGES: usize = 6;
+
+/// A tail is continued from the mean over this share of the pixels, at the end, and from its slope there.
+const TAIL_SHARE: f64 = 1.0 / 15.0;
+
+/// How a profile goes on where its pixels end.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Tail {
+    /// Its slope decays, with this length in pixels.
+    Levels(f64),
+    /// It decays itself, with this length in pixels.
+    Vanishes(f64),
+}
+
+impl Tail {
+    /// Value beyond the end at `distance` from the middle of a stretch with this mean and outward slope.
+    fn value(self, mean: f64, slope: f64, distance: f64) -> f64 {
+        match self {
+            Self::Levels(length) => mean + slope * length * (1.0 - (-distance / length).exp()),
+            Self::Vanishes(length) => mean * (-distance / length).exp(),
+        }
+    }
+}
+
+/// The map from a profile to the profile whose x is `ratio` times as large.
+#[derive(Debug)]
+pub(super) struct Stretch {
+    pixels: usize,
+    ratio: f64,
+    /// Pixels that are needed beyond each end.
+    margin: usize,
+    edges: Vec<Edge>,
+}
+
+/// An edge of a pixel, brought to the profile before it was scaled.
+#[derive(Debug)]
+struct Edge {
+    /// Pixels from x = 0.
+    position: f64,
+    first: usize,
+    /// Weights of the integrals up to the edges from `first` on that give the integral up to here, and the integrand.
+    integral: [f64; EDGES],
+    integrand: [f64; EDGES],
+}
+
+impl Stretch {
+    pub(super) fn new(pixels: usize, ratio: f64) -> Self {
+        let half = 0.5 * pixels as f64;
+        let margin = (half * (1.0 / ratio - 1.0)).max(0.0).ceil() as usize;
+        let edge = |i: usize| Edge::new((i as f64 - half) / ratio, pixels, margin);
+        Self { pixels, ratio, margin, edges: (0..=pixels).map(edge).collect() }
+    }
+
+    pub(super) fn apply(&self, profile: &[f64], tail: Tail) -> Vec<f64> {
+        let integral = self.integral(profile, tail);
+        self.means(|edge| edge.weigh(&edge.integral, &integral))
+    }
+
+    /// The result, and its derivative by the logarithm of the ratio.
+    pub(super) fn apply_with_slope(&self, profile: &[f64], tail: Tail) -> (Vec<f64>, Vec<f64>) {
+        let integral = self.integral(profile, tail);
+        let values = self.means(|edge| edge.weigh(&edge.integral, &integral));
+        let mut slope = self.means(|edge| -edge.position * edge.weigh(&edge.integrand, &integral));
+        slope.iter_mut().zip(&values).for_each(|(s, v)| *s += v);
+        (values, slope)
+    }
+
+    /// Means over the pixels from what the integral is up to their edges.
+    fn means(&self, integral: impl Fn(&Edge) -> f64) -> Vec<f64> {
+        let mut before = integral(&self.edges[0]);
+        let mean = |edge: &Edge| {
+            let up_to = integral(edge);
+            let mean = self.ratio * (up_to - before);
+            before = up_to;
+            mean
+        };
+        self.edges[1..].iter().map(mean).collect()
+    }
+
+    /// Integral up to each edge of the pixels, those beyond the ends included, with zeros after them.
+    fn integral(&self, profile: &[f64], tail: Tail) -> Vec<f64> {
+        let (mut left, right) = (self.beyond(profile.iter(), tail), self.beyond(profile.iter().rev(), tail));
+        left.reverse();
+        let mut integral = Vec::with_capacity(profile.len() + 2 * self.margin + EDGES);
+        let mut sum = 0.0;
+        integral.push(0.0);
+        for part in [&left, profile, &right] {
+            for v in part {
+                sum += v;
+                integral.push(sum);
+            }
+        }
+        integral.resize(integral.len() + EDGES, 0.0);
+        integral
+    }
+
+    /// Values beyond the end at which `inward` begins, the nearest first.
+    fn beyond<'a>(&self, inward: impl Iterator<Item = &'a f64>, tail: Tail) -> Vec<f64> {
+        if self.margin == 0 {
+            return Vec::new();
+        }
+        let count = ((TAIL_SHARE * self.pixels as f64) as usize).max(4).min(self.pixels);
+        let middle = 0.5 * (count - 1) as f64;
+        let (mut mean, mut moment, mut square) = (0.0, 0.0, 0.0);
+        for (i, v) in inward.take(count).enumerate() {
+            let outward = middle - i as f64;
+            mean += v / count as f64;
+            moment += outward * v;
+            square += outward * outward;
+        }
+        let slope = if square > 0.0 { moment / square } else { 0.0 };
+        (1..=self.margin).map(|i| tail.value(mean, slope, i as f64 + middle)).collect()
+    }
+}
+
+impl Edge {
+    /// `position` is in pixels from x = 0, of a profile with `margin` pixels beyond each end.
+    fn new(position: f64, pixels: usize, margin: usize) -> Self {
+        let cells = pixels + 2 * margin;
+        let at = (position + 0.5 * cells as f64).clamp(0.0, cells as f64);
+        let side = match cells / 2 {
+            half if !pixels.is_multiple_of(2) || half == 0 => 0..cells,
+            half if position < 0.0 => 0..half,
+            half => half..cells,
+        };
+        let count = EDGES.min(side.len() + 1);
+        let cell = (at as usize).clamp(side.start, side.end - 1);
+        let first = (cell + 1).saturating_sub(count / 2).clamp(side.start, side.end + 1 - count);
+        let mut edge = Self { position, first, integral: [0.0; EDGES], integrand: [0.0; EDGES] };
+        for i in 0..count {
+            let (value, slope) = lagrange(count, i, at - first as f64);
+            (edge.integral[i], edge.integrand[i]) = (value, slope);
+        }
+        edge
+    }
+
+    /// Weights that have no partner are 0.
+    fn weigh(&self, weights: &[f64; EDGES], integral: &[f64]) -> f64 {
+        weights.iter().zip(&integral[self.first..self.first + EDGES]).map(|(w, v)| w * v).sum()
+    }
+}
+
+/// The polynomial that is 1 at `i` and 0 at the other whole numbers below `count`, and its derivative.
+fn lagrange(count: usize, i: usize, x: f64) -> (f64, f64) {
+    let (mut value, mut slope, mut at_node) = (1.0, 0.0, 1.0);
+    for j in (0..count).filter(|j| *j != i) {
+        slope = slope * (x - j as f64) + value;
+        value *= x - j as f64;
+        at_node *= i as f64 - j as f64;
+    }
+    (value / at_node, slope / at_node)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PIXELS: usize = 100;
+    const TAIL: Tail = Tail::Levels(20.0);
+
+    /// Means over the pixels, 0.1 mm wide, of the function with this integral.
+    fn means(integral: impl Fn(f64) -> f64) -> Vec<f64> {
+        let edge = |i: usize| (i as f64 - 50.0) / 10.0;
+        (0..PIXELS).map(|i| 10.0 * (integral(edge(i + 1)) - integral(edge(i)))).collect()
+    }
+
+    fn farthest(a: &[f64], b: &[f64]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+
+    /// A step at the edge, and a different polynomial of fourth degree on either side of it.
+    fn broken(x: f64) -> f64 {
+        if x < 0.0 { 0.1 * x + 0.01 * x.powi(5) } else { 0.7 * x - 0.02 * x.powi(3) + 0.003 * x.powi(5) }
+    }
+
+    #[test]
+    fn steps_and_polynomials_are_scaled_exactly() {
+        for ratio in [1.0, 1.03, 1.7, 2.0] {
+            let stretched = Stretch::new(PIXELS, ratio).apply(&means(broken), TAIL);
+            let exact = means(|x| ratio * broken(x / ratio));
+            assert!(farthest(&stretched, &exact) < 1e-10, "{ratio}: {}", farthest(&stretched, &exact));
+        }
+    }
+
+    #[test]
+    fn an_edge_in_the_middle_of_a_pixel_is_no_trouble() {
+        let smooth: Vec<f64> = (0..9).map(|i| f64::from(i) - 4.0).collect();
+        let stretched = Stretch::new(9, 1.25).apply(&smooth, TAIL);
+        assert!(stretched.iter().zip(&smooth).all(|(a, b)| (a - b / 1.25).abs() < 1e-12), "{stretched:?}");
+    }
+
+    #[test]
+    fn few_pixels_are_scaled_too() {
+        for n in 1..8 {
+            for ratio in [0.5, 0.9, 1.1] {
+                let stretched = Stretch::new(n, ratio).apply(&vec![0.3; n], TAIL);
+                assert!(stretched.iter().all(|v| (v - 0.3).abs() < 1e-12), "{n}, {ratio}: {stretched:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_slope_is_the_derivative_by_the_logarithm_of_the_ratio() {
+        let profile = means(|x| (x / 0.7).cosh().ln() + 0.3 * x);
+        for (ratio, tail) in [(0.88, TAIL), (0.613, Tail::Vanishes(30.0)), (1.0, TAIL), (1.31, TAIL)] {
+            let (values, slope) = Stretch::new(PIXELS, ratio).apply_with_slope(&profile, tail);
+            assert_eq!(values, Stretch::new(PIXELS, ratio).apply(&profile, tail));
+            let at = |by: f64| Stretch::new(PIXELS, ratio * by.exp()).apply(&profile, tail);
+            let numerical: Vec<f64> = at(1e-5).iter().zip(at(-1e-5)).map(|(a, b)| (a - b) / 2e-5).collect();
+            assert!(farthest(&slope, &numerical) < 1e-4, "{ratio}: {}", farthest(&slope, &numerical));
+        }
+    }
+
+    /// Tails of either kind with just that length come back; a level that is reached stays.
+    #[test]
+    fn exponential_tails_are_continued() {
+        let length = 2.0;
+        let rising = |x: f64| 0.4 * x + 0.1 * length * (-x.abs() / length).exp();
+        let stretched = Stretch::new(PIXELS, 0.8).apply(&means(rising), Tail::Levels(10.0 * length));
+        let exact = means(|x| 0.8 * rising(x / 0.8));
+        assert!(farthest(&stretched, &exact) < 1e-4, "{}", farthest(&stretched, &exact));
+        let vanishing = |x: f64| -length * (-x.abs() / length).exp();
+        let stretched = Stretch::new(PIXELS, 0.8).apply(&means(vanishing), Tail::Vanishes(10.0 * length));
+        let exact = means(|x| 0.8 * vanishing(x / 0.8));
+        assert!(farthest(&stretched, &exact) < 1e-3, "{}", farthest(&stretched, &exact));
+    }
+
+    /// Independent noise of the pixels is hardly amplified where the records are brought to thicknesses near by.
+    #[test]
+    fn noise_is_hardly_amplified() {
+        for ratio in [0.9, 1.03, 1.1] {
+            let stretch = Stretch::new(PIXELS, ratio);
+            let mut variances = vec![0.0; PIXELS];
+            for i in 0..PIXELS {
+                let mut impulse = vec![0.0; PIXELS];
+                impulse[i] = 1.0;
+                let response = stretch.apply(&impulse, TAIL);
+                variances.iter_mut().zip(response).for_each(|(v, r)| *v += r * r);
+            }
+            let mean = variances.iter().sum::<f64>() / PIXELS as f64;
+            assert!(mean < 1.0, "{ratio}: {mean}");
+        }
+    }
+}
