@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use optics_model::fit::{FitOptions, FitSettings, MuRange, Objective, Wavelet};
 
 use super::bounds::BoundsArg;
-use super::set_up::SetUpArgs;
+use super::set_up::{SET_UP, SetUpArgs};
 use crate::set_up::SetUp;
 
 /// What all questions to a dictionary have in common.
@@ -43,6 +43,7 @@ pub struct OptionArgs {
 /// Headings of the help.
 const MEDIUM: &str = "What is known of the medium";
 const OBJECTIVE: &str = "What the fit makes least";
+const SEARCH: &str = "Search of the scale factor";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ObjectiveArg {
@@ -89,11 +90,11 @@ pub struct FitArgs {
     pub measurement: PathBuf,
     #[command(flatten)]
     pub options: OptionArgs,
-    /// Factor on the measured values.
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    /// Factor on the measured values, μ.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true, help_heading = SET_UP)]
     pub mu: f64,
     /// Standard error of that factor, which goes into the error bars.
-    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true, help_heading = SET_UP)]
     pub mu_std_error: f64,
     /// Number of best records to show per channel.
     #[arg(long, value_name = "N", default_value_t = 5)]
@@ -126,13 +127,13 @@ impl FitArgs {
 #[derive(Debug, Args)]
 pub struct MuArgs {
     /// Smallest scale factor to try.
-    #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true, help_heading = SEARCH)]
     pub mu_min: f64,
     /// Largest scale factor to try.
-    #[arg(long, value_name = "MU", default_value_t = 1.1, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MU", default_value_t = 1.1, allow_negative_numbers = true, help_heading = SEARCH)]
     pub mu_max: f64,
     /// Step from one scale factor to the next.
-    #[arg(long, value_name = "STEP", default_value_t = 0.001, allow_negative_numbers = true)]
+    #[arg(long, value_name = "STEP", default_value_t = 0.001, allow_negative_numbers = true, help_heading = SEARCH)]
     pub mu_step: f64,
 }
 
@@ -162,10 +163,23 @@ pub struct MeasureArgs {
     #[command(flatten)]
     pub options: OptionArgs,
     /// Take this scale factor instead of searching for it.
-    #[arg(long, value_name = "MU", allow_negative_numbers = true, conflicts_with_all = ["mu_min", "mu_max", "mu_step"])]
+    #[arg(
+        long,
+        value_name = "MU",
+        allow_negative_numbers = true,
+        conflicts_with_all = ["mu_min", "mu_max", "mu_step"],
+        help_heading = SET_UP
+    )]
     pub mu: Option<f64>,
     /// Standard error of that factor.
-    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true, requires = "mu")]
+    #[arg(
+        long,
+        value_name = "ERROR",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        requires = "mu",
+        help_heading = SET_UP
+    )]
     pub mu_std_error: f64,
     #[command(flatten)]
     pub search: MuArgs,
@@ -189,8 +203,8 @@ pub struct MapArgs {
     pub measurement: PathBuf,
     #[command(flatten)]
     pub options: OptionArgs,
-    /// Factor on the measured values.
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    /// Factor on the measured values, μ.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true, help_heading = SET_UP)]
     pub mu: f64,
     /// Only this material [default: all].
     #[arg(long, value_name = "NAME")]

@@ -244,6 +244,29 @@ fn what_is_known_of_each_set_up_is_read_and_empty_cells_tell_nothing() {
     assert_eq!(thick.setup(), &optics_model::measurement::ProfileSetup::default());
 }
 
+/// The edge is looked for where it is said to be.
+#[test]
+fn an_edge_away_from_zero_is_accepted_where_it_is_told_and_nowhere_else() {
+    let shifted = |origin: &str| {
+        let row = |(x, v): (f64, f64)| format!("w,R,0.5,{:.5},{v:.5},{origin}\n", x + 2.0);
+        let body: String = pixels(0.5).map(row).collect();
+        read(format!("material,channel,thickness_mm,x_mm,value,origin_mm\n{body}").as_bytes())
+    };
+    let told = shifted("2").unwrap();
+    assert_eq!(told.notes, []);
+    assert_eq!(told.materials[0].profiles()[0].setup().origin_mm, Some(2.0));
+    let refused = |origin| format!("{:#}", shifted(origin).unwrap_err());
+    assert!(
+        refused("").contains("x = 0 must be at the edge, so subtract 2.00 mm from every x"),
+        "{}",
+        refused("")
+    );
+    let wrong = refused("-1");
+    let expected =
+        "does not rise at origin_mm = -1; its edge seems to be at x = 2.00 mm: tell origin_mm = 2.00";
+    assert!(wrong.contains(expected), "{wrong}");
+}
+
 #[test]
 fn a_set_up_that_contradicts_itself_is_refused_with_line_and_field() {
     let told = |cells: &str| error(&format!("{SETUP_HEAD}{}", with_cells("R", 0.5, cells)));
