@@ -24,7 +24,7 @@ pub struct OptionArgs {
     /// Only this albedo, or a range such as 0.9.. [default: any].
     #[arg(long, value_name = "RANGE", allow_hyphen_values = true, help_heading = MEDIUM)]
     pub albedo: Option<BoundsArg>,
-    /// What the fit makes least [default: likelihood if every profile has standard errors, else paper].
+    /// What the best medium is the best by [default: likelihood if every profile has standard errors, else paper].
     #[arg(long, value_enum, help_heading = OBJECTIVE)]
     pub objective: Option<ObjectiveArg>,
     /// Weight of the profiles' gradients in the paper's distance.
@@ -42,14 +42,14 @@ pub struct OptionArgs {
 
 /// Headings of the help.
 const MEDIUM: &str = "What is known of the medium";
-const OBJECTIVE: &str = "What the fit makes least";
+const OBJECTIVE: &str = "Objective of the fit";
 const SEARCH: &str = "Search of the scale factor";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ObjectiveArg {
-    /// Eq. 1 of the paper: values and gradients, as if the set-up were perfect but for the scale factor.
+    /// Least distance after Eq. 1 of the paper, as if the set-up were perfect but for the scale factor.
     Paper,
-    /// Residuals over their noise, with what is wrong with the set-up estimated beside the medium.
+    /// Greatest likelihood, with what is wrong with the set-up estimated beside the medium.
     Likelihood,
 }
 
