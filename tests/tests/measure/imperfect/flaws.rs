@@ -18,7 +18,7 @@ const GAIN: f64 = 0.003;
 const ZERO: f64 = 0.001;
 const SLOPE_PER_10_MM: f64 = 0.002;
 const SPECKS: f64 = 15.0;
-const SCALE: f64 = 0.02;
+pub(super) const SCALE: f64 = 0.02;
 
 /// A grain of dust or a bubble: a Gaussian over pixels that changes the value by a share.
 #[derive(Debug, Clone, Copy)]
@@ -48,7 +48,7 @@ impl Flaws {
         let deviate = |kind: Kind, unit: f64| row.size(kind) * unit * own(kind).normal();
         let mut dust = own(Kind::Dust);
         let count = (row.size(Kind::Dust) * SPECKS) as usize;
-        // What a camera or lamps do is common to the slabs.
+        // An exposure is common to the slabs.
         let scale = Normal::new(440_000 + subject).normal();
         Self {
             origin_mm: deviate(Kind::Origin, ORIGIN_MM),
