@@ -154,6 +154,25 @@ mod tests {
     }
 
     #[test]
+    fn flaws_have_the_standard_deviations_that_the_row_says() {
+        let row = Row::named("all x3");
+        let drawn: Vec<Flaws> =
+            (0..1000).flat_map(|s| [0, 1].map(|slab| Flaws::draw(&row, s, slab))).collect();
+        let parts: [(fn(&Flaws) -> f64, f64); 4] = [
+            (|f| f.origin_mm, 0.15),
+            (|f| f.gain, 0.009),
+            (|f| f.zero, 0.003),
+            (|f| f.slope_per_10_mm, 0.006),
+        ];
+        for (part, expected) in parts {
+            let sigma = (drawn.iter().map(|f| part(f).powi(2)).sum::<f64>() / drawn.len() as f64).sqrt();
+            // Of 2000 deviates it is known to 1.6 %.
+            assert!((sigma / expected - 1.0).abs() < 0.06, "{sigma} {expected}");
+        }
+        assert!(drawn.iter().all(|f| f.specks.len() == 45 && f.blur_mm == 3.0 * BLUR_MM && f.mu == 1.0));
+    }
+
+    #[test]
     fn what_is_not_spoilt_is_the_truth_but_for_the_noise_that_is_told() {
         let (row, truth) = (Row::named("none"), parabola());
         let found = photographed(&truth, &row, 7, 0);
