@@ -258,10 +258,17 @@ impl Found<'_, '_> {
         let free = |slot: usize| !self.system.unknowns[slot].held;
         if free(slots[LN_SCALE]) {
             let (x, slot) = (self.x(LN_SCALE), slots[LN_SCALE]);
-            let mu = settings.mu * x.exp();
-            let variance = covariance[(slot, slot)] * mu * mu;
-            let told = if settings.mu_std_error > 0.0 { settings.mu_std_error } else { f64::INFINITY };
-            add(Nuisance::Scale, None, mu, variance, settings.mu, told);
+            let (told, factor) = (1.0 / settings.mu, (-x).exp() / settings.mu);
+            let relative = settings.mu_std_error / settings.mu;
+            let told_std_error = if relative > 0.0 { told * relative } else { f64::INFINITY };
+            add(
+                Nuisance::Scale,
+                None,
+                factor,
+                covariance[(slot, slot)] * factor * factor,
+                told,
+                told_std_error,
+            );
         }
         for (i, (term, profile)) in self.system.terms.iter().zip(&self.data.profiles).enumerate() {
             let (slots, at) = (&self.system.slots[i], Some(term.thickness_mm));
