@@ -20,6 +20,8 @@ mod robust;
 mod start;
 mod system;
 mod term;
+#[cfg(test)]
+mod tests;
 
 use optics_model::fit::{ChannelFit, FitOptions, MaterialFit, Objective, Outside};
 use optics_model::{Invalid, Measurement};
