@@ -11,6 +11,7 @@ mod bound;
 mod camera;
 mod channel;
 mod chi2;
+mod design;
 mod joint;
 mod problem;
 mod profile;
@@ -28,6 +29,7 @@ use crate::dictionary::FitDictionary;
 use answer::Found;
 use problem::ChannelData;
 
+pub(super) use design::{Known, Plan};
 pub(super) use joint::measure;
 
 /// Numbers by pixel.
