@@ -4,6 +4,7 @@ pub(crate) mod access;
 pub(crate) mod backup;
 mod chosen_dictionary;
 pub(crate) mod completions;
+pub(crate) mod design;
 pub(crate) mod doctor;
 pub(crate) mod events;
 pub(crate) mod explain;

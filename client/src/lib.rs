@@ -58,6 +58,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Scale(args) => commands::scale::run(global, args, output).await?,
         Command::Measure(args) => commands::measure::run(global, args, output).await?,
         Command::Map(args) => commands::map::run(global, args, output).await?,
+        Command::Design(args) => commands::design::run(global, args, output).await?,
         Command::Similar(args) => commands::similar::run(&args, output)?,
         Command::Simulate(args) => commands::simulate::run(args, output).await?,
         Command::Status => commands::status::run(global, output).await?,

@@ -2,9 +2,51 @@
 
 use optics_model::Medium;
 use optics_model::fit::{
-    Bound, Candidate, Cause, ChannelFit, Ends, Interval, Likelihood, Nuisance, NuisanceEstimate,
-    OutlierPixel, Refined, Stretch, Suspicion,
+    Bound, Candidate, Cause, ChannelFit, Design, Ends, HalfWidths, Improvement, Interval, Likelihood,
+    Limitation, Nuisance, NuisanceEstimate, OutlierPixel, PixelRow, Refined, SlabSet, Stretch, Suspicion,
 };
+
+/// Two sets at σ_t = 6 / mm and 1 − α = 0.001: 0.5 mm, photographed once, and 0.5 and 1 mm, photographed twice.
+pub(crate) fn design() -> Design {
+    let medium = Medium::new(6.0, 0.999, 0.4).unwrap();
+    // In per cent of σ_t, 1 − α, σ_s(1 − g), σ_a.
+    let widths = |[s, a, r, b]: [f64; 4], g: f64| HalfWidths {
+        sigma_t_per_mm: 0.01 * s * medium.sigma_t_per_mm(),
+        albedo: 0.01 * a * (1.0 - medium.albedo()),
+        g,
+        reduced_scattering_per_mm: 0.01 * r * medium.reduced_scattering_per_mm(),
+        absorption_per_mm: 0.01 * b * medium.absorption_per_mm(),
+    };
+    let improvement = |limitation, std_error, halved, removed: Option<[f64; 4]>| Improvement {
+        limitation,
+        std_error: Some(std_error),
+        halved: Some(widths(halved, 0.0)),
+        removed: removed.map(|w| widths(w, 0.0)),
+    };
+    let one = SlabSet {
+        slabs_mm: vec![0.5],
+        shots: 1,
+        g_held: widths([4.0, 20.0, 4.0, f64::INFINITY], 0.0),
+        g_free: Some(widths([40.0, 50.0, 7.0, f64::INFINITY], 2.0)),
+        best_of_its_effort: true,
+        best: false,
+        improvements: vec![improvement(Limitation::Noise, 0.01, [3.0, 12.0, 3.0, 30.0], None)],
+    };
+    let two = SlabSet {
+        slabs_mm: vec![0.5, 1.0],
+        shots: 2,
+        g_held: widths([2.0, 10.0, 2.0, 12.0], 0.0),
+        g_free: Some(widths([15.0, 19.0, 2.0, 12.0], 0.3)),
+        best_of_its_effort: true,
+        best: true,
+        improvements: vec![
+            improvement(Limitation::Noise, 0.01, [1.6, 5.0, 1.6, 6.0], None),
+            improvement(Limitation::Thickness, 0.005, [1.5, 10.0, 1.5, 12.0], Some([1.0, 9.0, 1.0, 11.0])),
+        ],
+    };
+    let pixels = PixelRow::new(-5.0, 5.0, 0.05).unwrap();
+    Design { channel: "R".to_owned(), medium, sample_ior: 1.53, pixels, sets: vec![one, two] }
+}
 
 /// From 0 open below, beyond 1 open above.
 pub(crate) fn interval(low: f64, high: f64) -> Interval {

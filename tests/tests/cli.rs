@@ -352,6 +352,7 @@ fn help_and_completions_are_there() {
         "scale",
         "measure",
         "map",
+        "design",
         "similar",
         "simulate",
         "status",

@@ -1,6 +1,7 @@
 //! Answers of the fit as people and programs read them.
 
 mod bound;
+mod design;
 mod fits;
 mod likelihood;
 mod misfit;
@@ -10,6 +11,7 @@ mod remarks;
 mod scale;
 mod table;
 
+pub(crate) use design::{design_text, slabs};
 pub(crate) use fits::{Report, fits_text, neighbours};
 pub(crate) use misfit::misfit_short;
 pub(crate) use numbers::{albedo, significant};

@@ -29,6 +29,12 @@ Examples:
   farmctl map examples/white.csv --plot map.png
   farmctl map examples/white.csv --channel R --g 0.4";
 
+pub(super) const DESIGN: &str = "\
+Examples:
+  farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4
+  farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4 --slabs 0.5,1 --slabs 0.5,0.5,1,1 --plot sets.svg
+  farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4 --shots 1,4,16 --thickness-std-error-mm 0.002";
+
 pub(super) const SIMILAR: &str = "\
 Examples:
   farmctl similar --sigma-t 6 --albedo 0.9991 --g 0.4
@@ -179,6 +185,6 @@ mod tests {
     fn every_verb_has_examples_that_are_accepted() {
         let mut checked = 0;
         check(&Cli::command(), "farmctl", &mut checked);
-        assert!(checked >= 29, "{checked} verbs");
+        assert!(checked >= 30, "{checked} verbs");
     }
 }

@@ -1,6 +1,7 @@
 //! The command line.
 
 mod bounds;
+mod design;
 mod examples;
 mod farm;
 mod fit;
@@ -14,6 +15,7 @@ use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
 pub use bounds::BoundsArg;
+pub use design::{DesignArgs, PixelsArg, SlabList};
 pub use farm::{
     AccessCommand, AccessCreateArgs, BackupArgs, CancelArgs, DeleteArgs, DoctorArgs, DrainArgs, EventsArgs,
     NameArgs, PriorityArgs, RestoreArgs, WaitArgs, WorkersArgs, WorkersCommand,
@@ -94,6 +96,9 @@ pub enum Command {
     /// Map how far measured profiles are from every medium of a dictionary.
     #[command(after_help = examples::MAP)]
     Map(MapArgs),
+    /// Compare sets of slabs by how well photographs of them would determine a medium.
+    #[command(after_help = examples::DESIGN)]
+    Design(DesignArgs),
     /// List the media that similarity theory considers equivalent to a given one.
     #[command(after_help = examples::SIMILAR)]
     Similar(SimilarArgs),

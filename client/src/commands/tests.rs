@@ -5,9 +5,9 @@ use farm_proto::ids::WorkerId;
 use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerState, WorkerStatus};
 use farm_proto::wire::StatusResponse;
 use optics_model::fit::{
-    Bounds, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, FitCurves, FitOptions, FitSettings,
-    GError, MapLayer, MaterialFit, Objective, Outside, Refined, ScaleCurve, ScalePoint, Suspicion,
-    ThicknessError, Wavelet,
+    Bounds, Candidate, Cause, ChannelFit, Common, Curve, DesignQuestion, DesignSettings, DistanceMap,
+    FitCurves, FitOptions, FitSettings, GError, MapLayer, MaterialFit, Objective, Outside, Refined,
+    ScaleCurve, ScalePoint, Suspicion, ThicknessError, Wavelet,
 };
 use optics_model::grid::{Axes, Quality};
 use optics_model::job::JobSpec;
@@ -16,7 +16,7 @@ use optics_model::{
 };
 use serde::Serialize;
 
-use super::{fit, list, map, measure, scale, show, similar, simulate, status, workers};
+use super::{design, fit, list, map, measure, scale, show, similar, simulate, status, workers};
 use crate::answers::UsedOptions;
 use crate::cli::SimilarArgs;
 use crate::measurement_file::Note;
@@ -69,6 +69,7 @@ fn answers() -> Vec<String> {
         line("list", &list::data(&dictionaries)),
         line("workers", &workers::data(&[worker()])),
         line("fit", &fit::data(used(&likely, &assumed), &[with_likelihood()], &[])),
+        line("design", &design::data("paper", &design_question(likely), &assumed, &crate::testing::design())),
     ]
 }
 
@@ -106,6 +107,11 @@ fn options() -> [FitOptions; 3] {
         ..FitSettings::default()
     };
     [FitOptions::default(), FitOptions::new(bound).unwrap(), FitOptions::new(likely).unwrap()]
+}
+
+fn design_question(set_up: FitOptions) -> DesignQuestion {
+    let settings = DesignSettings::of(Medium::new(6.0, 0.999, 0.4).unwrap());
+    DesignQuestion::new(DesignSettings { set_up, mu_free: true, ..settings }).unwrap()
 }
 
 fn candidate(sigma_t: f64, record: Option<usize>) -> Candidate {

@@ -10,6 +10,7 @@ mod changes;
 mod checks;
 mod color;
 mod curve;
+mod design;
 mod files;
 mod fit;
 mod frame;
@@ -24,6 +25,7 @@ mod sheet;
 mod text;
 
 pub(crate) use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
+pub(crate) use design::design_figure;
 pub(crate) use files::{drawn, write_fits, write_maps};
 pub(crate) use overview::{OverviewFigure, overview_figure};
 pub(crate) use picture::Picture;

@@ -2,6 +2,7 @@
 //! session file. The rest is assumed, and said to be.
 
 mod assumed;
+mod of_channel;
 mod session;
 
 use anyhow::Result;

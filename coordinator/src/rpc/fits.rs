@@ -2,13 +2,13 @@
 
 use farm_proto::wire::fits_server::Fits;
 use farm_proto::wire::{
-    FitRequest, FitResponse, MapRequest, MapResponse, MeasureRequest, MeasureResponse, ScaleRequest,
-    ScaleResponse, SimilarRequest, SimilarResponse,
+    DesignRequest, DesignResponse, FitRequest, FitResponse, MapRequest, MapResponse, MeasureRequest,
+    MeasureResponse, ScaleRequest, ScaleResponse, SimilarRequest, SimilarResponse,
 };
 use farm_proto::{DictionaryName, wire};
 use optics_fit as fit;
 use optics_fit::{FitDictionary, MeasurePlan};
-use optics_model::fit::{FitOptions, MaterialFit, MuRange};
+use optics_model::fit::{DesignQuestion, FitOptions, MaterialFit, MuRange};
 use optics_model::limits::FitLimits;
 use optics_model::{Invalid, Measurement, Medium};
 use tonic::{Request, Response, Status};
@@ -88,6 +88,14 @@ impl Fits for Context {
             materials: encoded(answer.materials),
             common: Some(answer.common.into()),
         }))
+    }
+
+    async fn design(&self, request: Request<DesignRequest>) -> Result<Response<DesignResponse>, Status> {
+        let mut request = request.into_inner();
+        let name = dictionary_name(std::mem::take(&mut request.dictionary)).or_status()?;
+        let question = DesignQuestion::try_from(request).or_status()?;
+        let answer = self.ask(&name, move |d| fit::design(d, &question)).await?;
+        Ok(Response::new(answer.into()))
     }
 }
 

@@ -147,7 +147,7 @@ async fn count_refused(connections: Connections, metrics: Metrics, shutdown: Can
 }
 
 /// Methods that figures tell by their names.
-pub(crate) const METHODS: [&str; 29] = [
+pub(crate) const METHODS: [&str; 30] = [
     "/farm.v1.Admin/Backup",
     "/farm.v1.Admin/DrainWorker",
     "/farm.v1.Admin/Inspect",
@@ -166,6 +166,7 @@ pub(crate) const METHODS: [&str; 29] = [
     "/farm.v1.Farm/ListEvents",
     "/farm.v1.Farm/ListWorkers",
     "/farm.v1.Farm/Status",
+    "/farm.v1.Fits/Design",
     "/farm.v1.Fits/Fit",
     "/farm.v1.Fits/Map",
     "/farm.v1.Fits/Measure",

@@ -5,6 +5,7 @@
 
 mod common;
 mod curves;
+mod design;
 mod dictionary;
 mod gradient;
 mod intervals;
@@ -35,6 +36,7 @@ use optics_model::fit::{ChannelFit, FitOptions, MaterialFit, Objective};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
+pub use design::design;
 pub use dictionary::{DictionaryBuilder, FitDictionary};
 pub use gradient::derivative;
 pub use map::distance_map;

@@ -216,9 +216,9 @@ impl<'a> Surrogate<'a> {
         let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
         let leverage = square(&self.sigma_t.weights(x[SIGMA_T])) * square(&self.g.weights(x[G]));
         let (mut factors, mut total) = (Vec::new(), 0.0);
-        for n in 0..ns * ng {
+        for (n, image) in images.iter().enumerate() {
             let (i, k) = (n / ng, n % ng);
-            let mut rest = images[n].clone();
+            let mut rest = image.clone();
             (0..ng).for_each(|m| add(&mut rest, -hat_g[k][m], &along_s[i * ng + m]));
             let squares =
                 hat_s[i].iter().map(|h| h * h).sum::<f64>() * hat_g[k].iter().map(|h| h * h).sum::<f64>();
@@ -230,7 +230,9 @@ impl<'a> Surrogate<'a> {
             let weight = window_s[i] * window_g[k];
             total += weight;
             let size = (weight * leverage / left).sqrt();
-            rest.iter_mut().for_each(|v| *v *= size);
+            for v in &mut rest {
+                *v *= size;
+            }
             factors.push(rest);
         }
         let size = if total > 0.0 { total.sqrt().recip() } else { 0.0 };

@@ -17,4 +17,10 @@ impl FitLimits {
     pub const PROFILES: usize = 1024;
     /// Most pixels of one measured profile.
     pub const PIXELS: usize = 100_000;
+    /// Most sets of slabs that are compared.
+    pub const SLAB_SETS: usize = 256;
+    /// Most slabs of one set.
+    pub const SLABS: usize = 32;
+    /// Most numbers of shots that are tried with every set.
+    pub const SHOTS_TRIED: usize = 16;
 }

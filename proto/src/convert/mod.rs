@@ -1,6 +1,7 @@
 //! Wire ↔ model, once. Everything that comes in passes a validating constructor; everything that
 //! goes out is a plain `From`.
 
+mod design;
 mod fit;
 mod lease;
 mod likelihood;

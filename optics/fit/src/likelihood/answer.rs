@@ -209,17 +209,13 @@ impl Found<'_, '_> {
         Quantity::all(slots).map(|quantity| {
             let index = which;
             which += 1;
-            let ends = match covariance {
-                Some(covariance) => {
-                    let (system, optimum) = (self.system, self.state);
-                    Profile { system, optimum, normal, covariance, inflation }
-                        .ends(quantity, all_limits[index])
-                }
+            let ends = if let Some(covariance) = covariance {
+                let (system, optimum) = (self.system, self.state);
+                Profile { system, optimum, normal, covariance, inflation }.ends(quantity, all_limits[index])
+            } else {
                 // The information is singular: nothing is known.
-                None => {
-                    let (low, high) = all_limits[index];
-                    [low, high].map(|value| super::profile::End { value, open: true })
-                }
+                let (low, high) = all_limits[index];
+                [low, high].map(|value| super::profile::End { value, open: true })
             };
             match index {
                 0..3 => interval(ends, |x| self.parameter(index, x), index != LN_SIGMA_T),

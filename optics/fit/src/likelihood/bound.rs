@@ -26,7 +26,7 @@ pub(super) fn bound(covariance: &DMatrix<f64>, state: &State, slots: &[usize; SH
         let value = quantity.value(&state.x);
         (value - half, value + half)
     });
-    let root = |v: f64| v.max(0.0).min(1.0);
+    let root = |v: f64| v.clamp(0.0, 1.0);
     let squared = |v: f64| v.max(0.0).powi(2);
     Bound {
         sigma_t_per_mm: Ends { low: sigma_t(s.0), high: sigma_t(s.1) },

@@ -53,7 +53,9 @@ impl Camera {
         let padded = pad(values);
         let blurred = kernel.blur(&padded);
         let mut by_blur = seen(&kernel.by_variance(&padded));
-        by_blur.iter_mut().for_each(|v| *v /= self.pitch_mm.powi(2));
+        for v in &mut by_blur {
+            *v /= self.pitch_mm.powi(2);
+        }
         let by_origin = self.by_origin(&places, &integral(&blurred));
         let slopes = slopes.iter().map(|s| seen(&kernel.blur(&pad(s)))).collect();
         Exposure { values: seen(&blurred), slopes, by_blur, by_origin }

@@ -11,6 +11,7 @@ mod bound;
 mod camera;
 mod channel;
 mod chi2;
+mod design;
 mod joint;
 mod map;
 mod problem;
@@ -31,6 +32,7 @@ use crate::dictionary::FitDictionary;
 use answer::Found;
 use problem::ChannelData;
 
+pub(super) use design::{Known, Plan};
 pub(super) use joint::measure;
 pub(super) use map::distance_map;
 

@@ -6,7 +6,7 @@ use optics_model::measurement::MIN_PIXELS;
 use optics_model::{Grid, Invalid, MeasuredProfile, Measurement};
 
 use super::camera::Camera;
-use super::start::{Compressed, Loose, Region, Scan};
+use super::start::{Compressed, Loose, Region, Scan, Source};
 use super::system::{State, System, Unknown};
 use super::term::{Own, OwnPrior, Term};
 use super::{Line, SHARED};
@@ -80,19 +80,15 @@ impl<'a> ProfileData<'a> {
                 format!("{MIN_PIXELS} pixels within {half:.2} mm of the edge at {origin_mm} mm are needed");
             return Err(Invalid::new("x_mm", given, allowed));
         }
-        let std_errors = match profile.std_errors() {
-            Some(told) => {
-                if let Some(i) = told.iter().position(|e| *e <= 0.0) {
-                    let allowed = "the likelihood needs standard errors above 0 (or none at all)";
-                    return Err(Invalid::new(format!("std_errors[{i}]"), told[i], allowed));
-                }
-                told.to_vec()
+        let std_errors = if let Some(told) = profile.std_errors() {
+            if let Some(i) = told.iter().position(|e| *e <= 0.0) {
+                let allowed = "the likelihood needs standard errors above 0 (or none at all)";
+                return Err(Invalid::new(format!("std_errors[{i}]"), told[i], allowed));
             }
-            None => {
-                let found = scatter_by_side(x, profile.values());
-                let floor = 1e-6 * profile.values().iter().map(|v| v.abs()).fold(1e-6, f64::max);
-                found.into_iter().map(|e| e.max(floor)).collect()
-            }
+            told.to_vec()
+        } else {
+            let floor = 1e-6 * profile.values().iter().map(|v| v.abs()).fold(1e-6, f64::max);
+            scatter_by_side(x, profile.values()).into_iter().map(|e| e.max(floor)).collect()
         };
         let blur_mm = setup.blur_mm.unwrap_or(settings.blur_mm);
         let blur_error = setup.blur_std_error_mm.unwrap_or(settings.blur_std_error_mm);
@@ -194,16 +190,14 @@ impl<'a> ChannelData<'a> {
                 origin_mm: data.origin_std_error_mm,
                 blur_mm2: data.blur.0 + data.blur.1,
             };
-            let found = Compressed::new(
-                self.dictionary,
-                &view,
-                self.channel,
-                data.profile,
-                data.origin_mm,
-                settings.mu,
-                &data.std_errors,
-                &loose,
-            );
+            let source = Source {
+                channel: self.channel,
+                profile: data.profile,
+                origin_mm: data.origin_mm,
+                mu: settings.mu,
+                std_errors: &data.std_errors,
+            };
+            let found = Compressed::new(self.dictionary, &view, &source, &loose);
             found.ok_or_else(|| {
                 let allowed = "it must cover some of the dictionary's pixels, and not be the same everywhere";
                 Invalid::new("x_mm", format!("{} at {} mm", self.name, data.profile.thickness_mm()), allowed)

@@ -40,6 +40,16 @@ pub(super) struct Loose {
     pub blur_mm2: f64,
 }
 
+/// A profile to be compressed; its values and errors are multiplied by μ.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Source<'a> {
+    pub channel: usize,
+    pub profile: &'a MeasuredProfile,
+    pub origin_mm: f64,
+    pub mu: f64,
+    pub std_errors: &'a [f64],
+}
+
 /// One profile as a quadratic form in the coefficients of the basis.
 #[derive(Debug)]
 pub(super) struct Compressed {
@@ -65,17 +75,14 @@ pub(super) struct Start {
 }
 
 impl Compressed {
-    /// Of a profile whose values and errors are multiplied by μ.
+    /// None if the profile covers nothing, or its basis is singular.
     pub(super) fn new(
         dictionary: &FitDictionary,
         view: &View,
-        channel: usize,
-        profile: &MeasuredProfile,
-        origin_mm: f64,
-        mu: f64,
-        std_errors: &[f64],
+        source: &Source,
         loose: &Loose,
     ) -> Option<Self> {
+        let Source { channel, profile, origin_mm, mu, std_errors } = *source;
         let axis = dictionary.grid().thickness_mm();
         let off = |t: &f64| (profile.thickness_mm() / t).ln().abs();
         let (thickness, nominal) = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;

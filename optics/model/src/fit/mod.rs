@@ -1,11 +1,15 @@
 //! Questions to a dictionary and their answers.
 
 mod answer;
+mod design;
 mod options;
 
 pub use answer::{
     Bound, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, Ends, FitCurves, GError, Interval,
     Likelihood, MISFIT, MapLayer, MaterialFit, Nuisance, NuisanceEstimate, OutlierPixel, Outside, Refined,
     ScaleCurve, ScalePoint, Stretch, Suspicion, ThicknessError,
+};
+pub use design::{
+    Design, DesignQuestion, DesignSettings, HalfWidths, Improvement, Limitation, PixelRow, SlabSet,
 };
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, Wavelet};

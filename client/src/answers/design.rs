@@ -1,0 +1,238 @@
+//! Which slabs are worth photographing, for people.
+
+use optics_model::Medium;
+use optics_model::fit::{Design, DesignQuestion, HalfWidths, Improvement, Limitation, SlabSet};
+
+use super::numbers::{albedo, significant};
+use crate::output::{table, wrapped};
+
+/// Two tables, g held and g free, and what limits the best set.
+pub(crate) fn design_text(design: &Design, question: &DesignQuestion) -> String {
+    let mut parts = vec![head(design, question), held(design)];
+    if design.sets.iter().any(|set| set.g_free.is_some()) {
+        parts.push(free(design));
+    }
+    parts.push(limits(design));
+    parts.join("\n\n")
+}
+
+/// `0.5 + 1`.
+pub(crate) fn slabs(set: &SlabSet) -> String {
+    set.slabs_mm.iter().map(f64::to_string).collect::<Vec<_>>().join(" + ")
+}
+
+fn head(design: &Design, question: &DesignQuestion) -> String {
+    let (m, s) = (&design.medium, question.settings());
+    let medium = format!(
+        "Channel {}, guess σ_t = {} /mm, α = {}, g = {}; {} % and {} of noise in each of {} pixels.",
+        design.channel,
+        m.sigma_t_per_mm(),
+        albedo(m.albedo()),
+        m.g(),
+        significant(100.0 * s.noise, 3),
+        s.noise_floor,
+        design.pixels.count(),
+    );
+    let mu = if s.mu_free { " The factor μ is told by the photographs alone." } else { "" };
+    let what = "Below are the least half-widths of 95 % intervals that any fit without bias can have \
+                (Cramér–Rao bound).";
+    wrapped(&format!("{medium}{mu} {what}"))
+}
+
+fn held(design: &Design) -> String {
+    let m = &design.medium;
+    let row = |set: &SlabSet| {
+        let w = &set.g_held;
+        let limited = limit(set, m, HalfWidths::of_sigma_t).map_or("–", |i| name(i.limitation));
+        let mut row = vec![slabs(set), set.shots.to_string()];
+        row.extend(shares(w, m).map(percent));
+        row.extend([limited.to_owned(), best_for(set)]);
+        row
+    };
+    let head = [
+        "slabs\nmm",
+        "shots",
+        "σ_t\n± %",
+        "1−α\n± %",
+        "σ_s(1−g)\n± %",
+        "σ_a\n± %",
+        "σ_t is\nlimited by",
+        "best for\nphotographs",
+    ];
+    format!("g held at {}\n{}", m.g(), table(&head, &[1, 2, 3, 4, 5, 7], design.sets.iter().map(row)))
+}
+
+fn free(design: &Design) -> String {
+    let m = &design.medium;
+    let row = |set: &SlabSet| {
+        let w = set.g_free.unwrap_or(HalfWidths::UNKNOWN);
+        let mut row = vec![slabs(set), set.shots.to_string()];
+        row.extend(shares(&w, m).map(percent));
+        row.push(if w.g < 1.0 { significant(w.g, 2) } else { "> 1".to_owned() });
+        row
+    };
+    let head = ["slabs\nmm", "shots", "σ_t\n± %", "1−α\n± %", "σ_s(1−g)\n± %", "σ_a\n± %", "g\n±"];
+    format!("g free\n{}", table(&head, &[1, 2, 3, 4, 5, 6], design.sets.iter().map(row)))
+}
+
+fn shares(w: &HalfWidths, m: &Medium) -> [f64; 4] {
+    [w.of_sigma_t(m), w.of_co_albedo(m), w.of_reduced_scattering(m), w.of_absorption(m)]
+}
+
+fn percent(share: f64) -> String {
+    match share {
+        0.0 => "known".to_owned(),
+        v if v < 1.0 => significant(100.0 * v, 2),
+        _ => "> 100".to_owned(),
+    }
+}
+
+/// For how many photographs a set is the best.
+fn best_for(set: &SlabSet) -> String {
+    match (set.best, set.best_of_its_effort) {
+        (true, _) => "any".to_owned(),
+        (false, true) => set.photographs().to_string(),
+        _ => String::new(),
+    }
+}
+
+/// Of a quantity, as a share of it.
+type Share = fn(&HalfWidths, &Medium) -> f64;
+
+/// The improvement that takes most from a half-width.
+fn limit<'a>(set: &'a SlabSet, medium: &Medium, share: Share) -> Option<&'a Improvement> {
+    let left = |i: &Improvement| share(&i.best(), medium);
+    let finite = set.improvements.iter().filter(|i| left(i).is_finite());
+    finite.min_by(|a, b| left(a).total_cmp(&left(b)))
+}
+
+fn name(limitation: Limitation) -> &'static str {
+    match limitation {
+        Limitation::Noise => "noise",
+        Limitation::Thickness => "thickness",
+        Limitation::Origin => "origin",
+        Limitation::Blur => "blur",
+        Limitation::Gain => "gain",
+        Limitation::Zero => "zero",
+        Limitation::Slope => "slope",
+        Limitation::Scale => "μ",
+    }
+}
+
+/// What would help the best set most, or that there is none.
+fn limits(design: &Design) -> String {
+    let Some(best) = design.sets.iter().find(|set| set.best) else {
+        return wrapped("No set determines σ_t and the albedo, even with g held.");
+    };
+    let photographs = match best.shots {
+        1 => "one photograph".to_owned(),
+        n => format!("{n} photographs"),
+    };
+    let mut lines = vec![wrapped(&format!("Best: {} mm, {photographs} of each slab.", slabs(best)))];
+    let quantities: [(&str, Share); 2] =
+        [("σ_t", HalfWidths::of_sigma_t), ("1 − α", HalfWidths::of_co_albedo)];
+    for (quantity, share) in quantities {
+        if let Some(improvement) = limit(best, &design.medium, share) {
+            let of = |widths: &HalfWidths| percent(share(widths, &design.medium));
+            lines.push(wrapped(&what_limits(quantity, improvement, &best.g_held, of)));
+        }
+    }
+    lines.join("\n")
+}
+
+/// "σ_t is limited by the thickness: ± 1 %; with 0.0025 mm instead of 0.005 mm ± 0.7 %, if known exactly ± 0.6 %."
+fn what_limits(
+    quantity: &str,
+    improvement: &Improvement,
+    now: &HalfWidths,
+    of: impl Fn(&HalfWidths) -> String,
+) -> String {
+    let limitation = improvement.limitation;
+    let mut text = format!("{quantity} is limited by the {}: ± {} %", name(limitation), of(now));
+    if limitation == Limitation::Noise {
+        let halved = improvement.halved.as_ref().map_or("–".to_owned(), of);
+        return format!("{text}; with four times the shots ± {halved} %.");
+    }
+    if let (Some(std_error), Some(halved)) = (improvement.std_error, &improvement.halved) {
+        let (half, whole) = (with_unit(limitation, 0.5 * std_error), with_unit(limitation, std_error));
+        text += &format!("; with a standard error of {half} instead of {whole} ± {} %", of(halved));
+    }
+    if let Some(removed) = &improvement.removed {
+        text += &format!("; if it were known exactly ± {} %", of(removed));
+    }
+    text + "."
+}
+
+/// As people tell it.
+fn with_unit(limitation: Limitation, std_error: f64) -> String {
+    let number = |factor: f64| significant(factor * std_error, 3);
+    match limitation {
+        Limitation::Thickness | Limitation::Origin | Limitation::Blur => format!("{} µm", number(1e3)),
+        Limitation::Noise | Limitation::Gain => format!("{} %", number(100.0)),
+        Limitation::Slope => format!("{} % per 10 mm", number(100.0)),
+        Limitation::Zero | Limitation::Scale => number(1.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::fit::{DesignSettings, PixelRow};
+
+    use super::*;
+    use crate::testing::design;
+
+    fn text(design: &Design) -> String {
+        let question = DesignQuestion::new(DesignSettings::of(design.medium)).unwrap();
+        anstream::adapter::strip_str(&design_text(design, &question)).to_string()
+    }
+
+    /// Cells of the row of a set.
+    fn row(text: &str, slabs: &str, which: usize) -> Vec<String> {
+        let rows: Vec<&str> = text.lines().filter(|l| l.starts_with(slabs)).collect();
+        rows[which].split_whitespace().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn every_set_has_a_row_with_g_held_and_one_with_g_free() {
+        let text = text(&design());
+        assert_eq!(row(&text, "0.5 ", 0)[1..8], ["1", "4", "20", "4", ">", "100", "noise"]);
+        let both = row(&text, "0.5 + 1 ", 0);
+        assert_eq!(both[3..], ["2", "2", "10", "2", "12", "thickness", "any"]);
+        assert_eq!(row(&text, "0.5 + 1 ", 1)[3..], ["2", "15", "19", "2", "12", "0.3"]);
+        assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
+    }
+
+    #[test]
+    fn what_limits_the_best_is_told_with_what_would_help() {
+        let told = text(&design());
+        let lines = told.replace("\n  ", " ");
+        assert!(lines.contains("Best: 0.5 + 1 mm, 2 photographs of each slab."), "{told}");
+        let thickness = "σ_t is limited by the thickness: ± 2 %; with a standard error of 2.5 µm instead of 5 µm \
+                         ± 1.5 %; if it were known exactly ± 1 %.";
+        assert!(lines.contains(thickness), "{told}");
+        assert!(
+            lines.contains("1 − α is limited by the noise: ± 10 %; with four times the shots ± 5 %."),
+            "{told}"
+        );
+        let mut hopeless = design();
+        hopeless.sets.iter_mut().for_each(|set| set.best = false);
+        assert!(text(&hopeless).contains("No set determines σ_t"));
+    }
+
+    #[test]
+    fn a_dictionary_of_one_anisotropy_has_one_table() {
+        let mut design = design();
+        design.pixels = PixelRow::new(-1.0, 1.0, 0.1).unwrap();
+        design.sets.iter_mut().for_each(|set| set.g_free = None);
+        let text = text(&design);
+        assert!(!text.contains("g free") && text.contains("20 pixels"), "{text}");
+    }
+
+    #[test]
+    fn units_are_those_of_the_workshop() {
+        assert_eq!(with_unit(Limitation::Blur, 0.03), "30 µm");
+        assert_eq!(with_unit(Limitation::Gain, 0.003), "0.3 %");
+        assert_eq!(with_unit(Limitation::Slope, 0.002), "0.2 % per 10 mm");
+        assert_eq!(with_unit(Limitation::Zero, 0.001), "0.001");
+    }
+}

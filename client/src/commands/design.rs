@@ -1,0 +1,84 @@
+use anyhow::Result;
+use farm_proto::wire::DesignRequest;
+use optics_model::fit::{Design, DesignQuestion};
+use serde::Serialize;
+
+use super::chosen_dictionary;
+use crate::answers::design_text;
+use crate::cli::{DesignArgs, Global};
+use crate::connection::{Purpose, with_farm};
+use crate::output::{Output, wrapped};
+use crate::plot::{Picture, design_figure, drawn};
+use crate::set_up::{Assumed, SetUp};
+
+pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> Result<()> {
+    let set_up = SetUp::new(&args.set_up)?;
+    let question = args.question(&set_up)?;
+    let assumed = set_up.assumed_of(args.channel.as_deref());
+    let given = args.dictionary.as_ref();
+    chosen_dictionary::check(given)?;
+    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
+    let (dictionary, design) = with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = chosen_dictionary::name(connection, given).await?;
+        let request = DesignRequest { dictionary: dictionary.clone(), ..(&question).into() };
+        let answer = connection.fits().design(request).await?.into_inner();
+        Ok((dictionary, Design::try_from(answer)?))
+    })
+    .await?;
+    if let Some(path) = &args.plot {
+        design_figure(&design)?.write(path)?;
+    }
+    let data = data(&dictionary, &question, &assumed, &design);
+    output.print("design", &data, || {
+        let assumed = assumed.text(question.settings().set_up.settings());
+        let assumed = assumed.map_or_else(String::new, |text| format!("\n\n{}", wrapped(&text)));
+        format!("{}{assumed}{}", design_text(&design, &question), drawn(&args.plot))
+    })
+}
+
+/// What was asked, and what is answered.
+#[derive(Debug, Serialize)]
+pub(super) struct JsonData<'a> {
+    dictionary: &'a str,
+    noise: f64,
+    noise_floor: f64,
+    mu: f64,
+    /// Null if nothing is known of μ.
+    mu_std_error: Option<f64>,
+    gain_std_error: f64,
+    offset_std_error: f64,
+    slope_std_error: f64,
+    thickness_std_error_mm: f64,
+    origin_std_error_mm: f64,
+    blur_mm: f64,
+    blur_std_error_mm: f64,
+    /// The options among these that were not told.
+    assumed: &'a [&'static str],
+    #[serde(flatten)]
+    design: &'a Design,
+}
+
+pub(super) fn data<'a>(
+    dictionary: &'a str,
+    question: &DesignQuestion,
+    assumed: &'a Assumed,
+    design: &'a Design,
+) -> JsonData<'a> {
+    let (asked, known) = (question.settings(), question.settings().set_up.settings());
+    JsonData {
+        dictionary,
+        noise: asked.noise,
+        noise_floor: asked.noise_floor,
+        mu: known.mu,
+        mu_std_error: (!asked.mu_free).then_some(known.mu_std_error),
+        gain_std_error: known.gain_std_error,
+        offset_std_error: known.offset_std_error,
+        slope_std_error: known.slope_std_error,
+        thickness_std_error_mm: known.thickness_std_error_mm,
+        origin_std_error_mm: known.origin_std_error_mm,
+        blur_mm: known.blur_mm,
+        blur_std_error_mm: known.blur_std_error_mm,
+        assumed: assumed.names(),
+        design,
+    }
+}

@@ -1,0 +1,266 @@
+//! Which slabs to photograph, and how often: Cramér–Rao bounds of measurements that are not made yet.
+//!
+//! At a guess of the medium the profiles of a set of slabs are taken from the dictionary, with their derivatives by the
+//! medium and by all that is not known exactly of a set-up. The inverse of the Fisher information,
+//! F = Σ over pixels of (∂y/∂θ)(∂y/∂θ)ᵀ/σ² + the priors' 1/σ², is the least covariance of an estimate without bias. So
+//! a fit of these photographs does no better, and one by the likelihood hardly worse.
+
+use optics_model::fit::{
+    Design, DesignQuestion, DesignSettings, FitOptions, HalfWidths, Improvement, Limitation, PixelRow,
+    SlabSet,
+};
+use optics_model::{Grid, Invalid, Medium};
+use rayon::prelude::*;
+
+use super::dictionary::FitDictionary;
+use super::likelihood::{Known, Plan};
+use super::question::{find_channel, list};
+use super::refine::held;
+use super::surrogate::{G, Surrogate, coordinates};
+
+#[cfg(test)]
+mod tests;
+
+/// Most sets of slabs that are made up of the dictionary's thicknesses.
+const MOST_SETS: usize = 25;
+
+/// Everything that may be better.
+const LIMITATIONS: [Limitation; 8] = [
+    Limitation::Noise,
+    Limitation::Thickness,
+    Limitation::Origin,
+    Limitation::Blur,
+    Limitation::Gain,
+    Limitation::Zero,
+    Limitation::Slope,
+    Limitation::Scale,
+];
+
+/// Compares sets of slabs by how well they would determine a medium.
+pub fn design(dictionary: &FitDictionary, question: &DesignQuestion) -> Result<Design, Invalid> {
+    let (settings, grid) = (question.settings(), dictionary.grid());
+    let channels = grid.scene().channels();
+    let channel = settings.channel.as_ref().map_or(Ok(0), |name| find_channel(grid, name))?;
+    let ior = sample_ior(grid, settings.sample_ior)?;
+    check_medium(grid, &settings.medium)?;
+    let pixels = pixels(grid, settings.pixels)?;
+    let surrogate = Surrogate::new(dictionary, channel, ior);
+    let slab_sets = slab_sets(&surrogate, settings)?;
+    let planner = Planner { surrogate: &surrogate, settings, pixels };
+    let tried: Vec<(Vec<f64>, u32)> =
+        slab_sets.iter().flat_map(|slabs| settings.shots.iter().map(|n| (slabs.clone(), *n))).collect();
+    let mut sets: Vec<SlabSet> =
+        tried.into_par_iter().map(|(slabs, shots)| planner.set(slabs, shots)).collect();
+    mark_best(&mut sets, &settings.medium);
+    Ok(Design {
+        channel: channels[channel].name().to_owned(),
+        medium: settings.medium,
+        sample_ior: grid.sample_ior()[ior],
+        pixels,
+        sets,
+    })
+}
+
+fn sample_ior(grid: &Grid, wanted: Option<f64>) -> Result<usize, Invalid> {
+    let Some(wanted) = wanted else { return Ok(0) };
+    let found = grid.sample_ior().iter().position(|ior| (ior - wanted).abs() < 1e-9);
+    let allowed = || format!("the dictionary has {}", list(grid.sample_ior()));
+    found.ok_or_else(|| Invalid::new("sample_ior", wanted, allowed()))
+}
+
+/// The guess must lie between media of the dictionary, whose derivatives are taken.
+fn check_medium(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
+    let axes = [
+        ("sigma_t_per_mm", medium.sigma_t_per_mm(), grid.sigma_t_per_mm()),
+        ("albedo", medium.albedo(), grid.albedo()),
+        ("g", medium.g(), grid.g()),
+    ];
+    for (field, value, axis) in axes {
+        let (least, greatest) = (axis[0], axis[axis.len() - 1]);
+        if !(least..=greatest).contains(&value) {
+            let allowed = if least == greatest {
+                format!("the dictionary has {least} only")
+            } else {
+                format!("the dictionary reaches from {least} to {greatest}")
+            };
+            return Err(Invalid::new(field, value, allowed));
+        }
+    }
+    if axes.iter().all(|(.., axis)| axis.len() == 1) {
+        let given = format!("{} of one medium", axes[0].0);
+        return Err(Invalid::new("dictionary", given, "where there is one medium only nothing is measured"));
+    }
+    Ok(())
+}
+
+/// The dictionary's pixels if none are told.
+fn pixels(grid: &Grid, told: Option<PixelRow>) -> Result<PixelRow, Invalid> {
+    let sensor = grid.scene().sensor();
+    let half = 0.5 * sensor.width_mm();
+    let Some(told) = told else { return PixelRow::new(-half, half, sensor.pitch_mm()) };
+    if told.from_mm() < -half - 1e-9 || told.to_mm() > half + 1e-9 {
+        let given = format!("{} to {}", told.from_mm(), told.to_mm());
+        return Err(Invalid::new("pixels", given, format!("the dictionary covers {} to {half} mm", -half)));
+    }
+    Ok(told)
+}
+
+/// The sets that were asked for, or those of up to three of the dictionary's thicknesses, fewer if they would be many.
+fn slab_sets(surrogate: &Surrogate, settings: &DesignSettings) -> Result<Vec<Vec<f64>>, Invalid> {
+    let asked = !settings.slab_sets.is_empty();
+    let ln_sigma_t = settings.medium.sigma_t_per_mm().ln();
+    let check = |slab: f64| {
+        let (low, high) = surrogate.supported(slab)?;
+        if !(low - 1e-9..=high + 1e-9).contains(&ln_sigma_t) {
+            let allowed =
+                format!("at {slab} mm the dictionary predicts {:.4} to {:.4}", low.exp(), high.exp());
+            return Err(Invalid::new("sigma_t_per_mm", settings.medium.sigma_t_per_mm(), allowed));
+        }
+        Ok(())
+    };
+    if asked {
+        for (i, slabs) in settings.slab_sets.iter().enumerate() {
+            for (k, slab) in slabs.iter().enumerate() {
+                check(*slab).map_err(|e| match e.field() {
+                    "thickness_mm" => e.renamed(format!("slab_sets[{i}][{k}]")),
+                    _ => e,
+                })?;
+            }
+        }
+        return Ok(settings.slab_sets.clone());
+    }
+    let axis = surrogate.grid().thickness_mm();
+    let up_to = |most: usize| -> Vec<Vec<f64>> { (1..=most).flat_map(|n| choices(axis, n)).collect() };
+    let few = [3, 2, 1].map(up_to).into_iter().find(|sets| sets.len() <= MOST_SETS);
+    Ok(few.unwrap_or_else(|| up_to(1)))
+}
+
+/// All choices of `count` of these values.
+fn choices(values: &[f64], count: usize) -> Vec<Vec<f64>> {
+    if count == 0 {
+        return vec![Vec::new()];
+    }
+    let starting_at = |i: usize| {
+        choices(&values[i + 1..], count - 1).into_iter().map(move |rest| [vec![values[i]], rest].concat())
+    };
+    (0..values.len()).flat_map(starting_at).collect()
+}
+
+struct Planner<'a> {
+    surrogate: &'a Surrogate<'a>,
+    settings: &'a DesignSettings,
+    pixels: PixelRow,
+}
+
+impl Planner<'_> {
+    fn set(&self, slabs_mm: Vec<f64>, shots: u32) -> SlabSet {
+        let known = self.known(shots);
+        let free_g = self.surrogate.grid().g().len() > 1;
+        let improvement = |limitation| self.improvement(&slabs_mm, &known, limitation);
+        SlabSet {
+            shots,
+            g_held: self.half_widths(&slabs_mm, &known, true),
+            g_free: free_g.then(|| self.half_widths(&slabs_mm, &known, false)),
+            best_of_its_effort: false,
+            best: false,
+            improvements: LIMITATIONS.into_iter().filter_map(improvement).collect(),
+            slabs_mm,
+        }
+    }
+
+    /// Noise is that of the mean of the photographs; what is wrong with a set-up is the same in all of them.
+    fn known(&self, shots: u32) -> Known {
+        let (settings, set_up) = (self.settings, self.settings.set_up.settings());
+        let photographs = f64::from(shots).sqrt();
+        Known {
+            noise: settings.noise / photographs,
+            // The model is that of measured values times μ.
+            noise_floor: settings.noise_floor * set_up.mu / photographs,
+            thickness_mm: set_up.thickness_std_error_mm,
+            origin_mm: set_up.origin_std_error_mm,
+            blur_mm: set_up.blur_mm,
+            blur_std_error_mm: set_up.blur_std_error_mm,
+            gain: set_up.gain_std_error,
+            zero: set_up.offset_std_error * set_up.mu,
+            slope: set_up.slope_std_error,
+            scale: (!settings.mu_free).then(|| set_up.mu_std_error / set_up.mu),
+        }
+    }
+
+    fn half_widths(&self, slabs_mm: &[f64], known: &Known, hold_g: bool) -> HalfWidths {
+        let mut held = held(self.surrogate.grid(), &FitOptions::default()).map(|h| h.is_some());
+        held[G] |= hold_g;
+        let medium = coordinates(&self.settings.medium);
+        let plan = Plan { surrogate: self.surrogate, medium, held, pixels: self.pixels };
+        plan.half_widths(slabs_mm, known)
+    }
+
+    /// None if the thing is known exactly already.
+    fn improvement(&self, slabs_mm: &[f64], known: &Known, limitation: Limitation) -> Option<Improvement> {
+        let std_error = self.std_error(limitation);
+        if std_error == Some(0.0) && limitation != Limitation::Noise {
+            return None;
+        }
+        let with = |factor: f64| self.half_widths(slabs_mm, &times(known, limitation, factor), true);
+        Some(Improvement {
+            limitation,
+            std_error,
+            halved: std_error.map(|_| with(0.5)),
+            removed: (limitation != Limitation::Noise).then(|| with(0.0)),
+        })
+    }
+
+    fn std_error(&self, limitation: Limitation) -> Option<f64> {
+        let set_up = self.settings.set_up.settings();
+        Some(match limitation {
+            Limitation::Noise => self.settings.noise,
+            Limitation::Thickness => set_up.thickness_std_error_mm,
+            Limitation::Origin => set_up.origin_std_error_mm,
+            Limitation::Blur => set_up.blur_std_error_mm,
+            Limitation::Gain => set_up.gain_std_error,
+            Limitation::Zero => set_up.offset_std_error,
+            Limitation::Slope => set_up.slope_std_error,
+            Limitation::Scale if self.settings.mu_free => return None,
+            Limitation::Scale => set_up.mu_std_error,
+        })
+    }
+}
+
+/// The same with one standard error multiplied by a factor. A factor of 0 makes known what was not known at all.
+fn times(known: &Known, limitation: Limitation, factor: f64) -> Known {
+    let mut known = *known;
+    match limitation {
+        Limitation::Noise => {
+            known.noise *= factor;
+            known.noise_floor *= factor;
+        }
+        Limitation::Thickness => known.thickness_mm *= factor,
+        Limitation::Origin => known.origin_mm *= factor,
+        Limitation::Blur => known.blur_std_error_mm *= factor,
+        Limitation::Gain => known.gain *= factor,
+        Limitation::Zero => known.zero *= factor,
+        Limitation::Slope => known.slope *= factor,
+        Limitation::Scale => known.scale = Some(known.scale.unwrap_or(1.0) * factor),
+    }
+    known
+}
+
+/// What counts is the product of the relative half-widths of σ_t and 1 − α: the size of the region that is left.
+fn region(set: &SlabSet, medium: &Medium) -> f64 {
+    let widths = [set.g_held.of_sigma_t(medium), set.g_held.albedo];
+    widths.into_iter().filter(|w| *w > 0.0).product()
+}
+
+fn mark_best(sets: &mut [SlabSet], medium: &Medium) {
+    let regions: Vec<f64> = sets.iter().map(|set| region(set, medium)).collect();
+    let efforts: Vec<u64> = sets.iter().map(SlabSet::photographs).collect();
+    let least = |effort: u64| -> Option<usize> {
+        let within = (0..regions.len()).filter(|i| efforts[*i] <= effort && regions[*i].is_finite());
+        within.min_by(|a, b| regions[*a].total_cmp(&regions[*b]).then(efforts[*a].cmp(&efforts[*b])))
+    };
+    let best = least(u64::MAX);
+    for (i, set) in sets.iter_mut().enumerate() {
+        set.best = best == Some(i);
+        set.best_of_its_effort = least(efforts[i]) == Some(i);
+    }
+}

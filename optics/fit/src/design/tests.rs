@@ -1,0 +1,328 @@
+//! Bounds on a dictionary whose truth is a formula.
+
+use optics_model::fit::{
+    Bounds, DesignQuestion, DesignSettings, Ends, FitOptions, FitSettings, HalfWidths, Limitation, Objective,
+    PixelRow, SlabSet,
+};
+use optics_model::grid::Axes;
+use optics_model::{Invalid, MeasuredProfile, Measurement, Medium};
+
+use super::design;
+use crate::intervals::Z;
+use crate::testing::{dense_axes, noisy_dictionary, profile_value};
+use crate::{FitDictionary, fit};
+
+const PIXELS: u32 = 360;
+/// Share of the value; pixels of these tests have no other noise.
+const NOISE: f64 = 0.01;
+
+fn guess() -> Medium {
+    Medium::new(3.1, 0.62, 0.3).unwrap()
+}
+
+fn dictionary(axes: Axes) -> FitDictionary {
+    noisy_dictionary(axes, PIXELS, 0.0)
+}
+
+/// Nothing is wrong with it.
+fn perfect() -> FitSettings {
+    FitSettings {
+        thickness_std_error_mm: 0.0,
+        origin_std_error_mm: 0.0,
+        blur_std_error_mm: 0.0,
+        gain_std_error: 0.0,
+        offset_std_error: 0.0,
+        slope_std_error: 0.0,
+        ..FitSettings::default()
+    }
+}
+
+fn settings(medium: Medium, set_up: FitSettings, sets: &[&[f64]], shots: &[u32]) -> DesignSettings {
+    DesignSettings {
+        channel: Some("G".to_owned()),
+        slab_sets: sets.iter().map(|s| s.to_vec()).collect(),
+        shots: shots.to_vec(),
+        noise: NOISE,
+        noise_floor: 0.0,
+        set_up: FitOptions::new(set_up).unwrap(),
+        ..DesignSettings::of(medium)
+    }
+}
+
+fn sets(dictionary: &FitDictionary, settings: DesignSettings) -> Vec<SlabSet> {
+    design(dictionary, &DesignQuestion::new(settings).unwrap()).unwrap().sets
+}
+
+fn close(found: f64, expected: f64, share: f64) {
+    assert!((found / expected - 1.0).abs() < share, "{found}, expected {expected}");
+}
+
+fn centres() -> impl Iterator<Item = f64> {
+    (0..PIXELS).map(|i| (f64::from(i) + 0.5) * 10.0 / f64::from(PIXELS) - 5.0)
+}
+
+/// With σ_t alone unknown the variance is 1/Σ (∂f/∂ln σ_t)²/σ². Between the nodes the derivative comes from a local
+/// polynomial: 2 %.
+#[test]
+fn one_unknown_has_the_variance_of_the_textbook() {
+    let dictionary = dictionary(Axes { albedo: vec![0.62], g: vec![0.3], ..dense_axes() });
+    let found = sets(&dictionary, settings(guess(), perfect(), &[&[0.5], &[1.0], &[0.5, 1.0]], &[1]));
+    let information = |thickness: f64| -> f64 {
+        let value = |x: f64, sigma_t: f64| profile_value(x, sigma_t, 0.62, 0.3, thickness, 1.0);
+        let of = |x: f64| {
+            let step: f64 = 1e-4;
+            let slope = (value(x, 3.1 * step.exp()) - value(x, 3.1 * (-step).exp())) / (2.0 * step);
+            (slope / (NOISE * value(x, 3.1))).powi(2)
+        };
+        centres().map(of).sum()
+    };
+    let half_width = |information: f64| 3.1 * Z / information.sqrt();
+    let [thin, thick] = [0.5, 1.0].map(information);
+    for (set, information) in found.iter().zip([thin, thick, thin + thick]) {
+        close(set.g_held.sigma_t_per_mm, half_width(information), 0.02);
+        assert_eq!((set.g_held.albedo, set.g_held.g, set.g_free), (0.0, 0.0, None));
+    }
+}
+
+/// The formula is proportional to the albedo, and so is every profile to its own gain: the two variances add up for one
+/// slab, and the mean of two slabs has half of each.
+#[test]
+fn what_is_known_of_the_set_up_adds_to_the_noise() {
+    let dictionary = dictionary(Axes { sigma_t_per_mm: vec![3.1], g: vec![0.3], ..dense_axes() });
+    let set_up = FitSettings { gain_std_error: 0.004, ..perfect() };
+    let found = sets(&dictionary, settings(guess(), set_up, &[&[0.5], &[0.5, 0.5]], &[1]));
+    let of_one = (NOISE * NOISE / f64::from(PIXELS) + 0.004 * 0.004).sqrt();
+    close(found[0].g_held.albedo, 0.62 * Z * of_one, 1e-3);
+    close(found[1].g_held.albedo, 0.62 * Z * of_one / 2.0_f64.sqrt(), 1e-3);
+    // A factor on all of them does not average out.
+    let set_up = FitSettings { mu_std_error: 0.004, ..perfect() };
+    let found = sets(&dictionary, settings(guess(), set_up, &[&[0.5, 0.5]], &[1]));
+    let of_two = (NOISE * NOISE / f64::from(2 * PIXELS) + 0.004 * 0.004).sqrt();
+    close(found[0].g_held.albedo, 0.62 * Z * of_two, 1e-3);
+    // Nor does it matter how many there are if nothing is known of it: then the albedo is not told at all.
+    let unknown = DesignSettings { mu_free: true, ..settings(guess(), perfect(), &[&[0.5, 0.5]], &[1]) };
+    let found = sets(&dictionary, unknown);
+    assert!(found[0].g_held.albedo.is_infinite(), "{:?}", found[0].g_held);
+    let scale = found[0].improvements.iter().find(|i| i.limitation == Limitation::Scale).unwrap();
+    assert_eq!((scale.std_error, scale.halved), (None, None));
+    close(scale.removed.unwrap().albedo, 0.62 * Z * NOISE / f64::from(2 * PIXELS).sqrt(), 1e-3);
+}
+
+#[test]
+fn twice_the_shots_take_a_factor_of_root_two_from_noise_alone() {
+    let dictionary = dictionary(dense_axes());
+    let all = |set: &SlabSet| {
+        let w = set.g_held;
+        [w.sigma_t_per_mm, w.albedo, w.reduced_scattering_per_mm, w.absorption_per_mm]
+    };
+    let found = sets(&dictionary, settings(guess(), perfect(), &[&[0.5, 1.0]], &[1, 2]));
+    for (one, two) in all(&found[0]).into_iter().zip(all(&found[1])) {
+        close(one / two, 2.0_f64.sqrt(), 1e-3);
+    }
+    // More photographs of the same slab with the same lamp do not make its thickness known, nor the lamp's evenness.
+    let real = sets(&dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1, 2]));
+    for (one, two) in all(&real[0]).into_iter().zip(all(&real[1])) {
+        assert!((1.0..1.35).contains(&(one / two)), "{one} {two}");
+    }
+}
+
+/// Whatever a set tells, a set with more slabs tells as well.
+#[test]
+fn more_slabs_never_hurt() {
+    let dictionary = dictionary(dense_axes());
+    let chains: [&[&[f64]]; 3] = [
+        &[&[0.5], &[0.5, 0.5], &[0.5, 0.5, 1.0], &[0.5, 0.5, 1.0, 1.0]],
+        &[&[1.0], &[0.5, 1.0], &[0.5, 0.7, 1.0]],
+        &[&[0.7], &[0.7, 0.7], &[0.7, 0.7, 0.7]],
+    ];
+    let all =
+        |w: &HalfWidths| [w.sigma_t_per_mm, w.albedo, w.g, w.reduced_scattering_per_mm, w.absorption_per_mm];
+    for chain in chains {
+        for mu_free in [false, true] {
+            let asked = DesignSettings { mu_free, ..settings(guess(), FitSettings::default(), chain, &[1]) };
+            let found = sets(&dictionary, asked);
+            for pair in found.windows(2) {
+                let [fewer, more] = pair else { unreachable!("windows of two") };
+                for (few, many) in all(&fewer.g_held).into_iter().zip(all(&more.g_held)) {
+                    assert!(many <= few * (1.0 + 1e-9), "{fewer:?} {more:?}");
+                }
+                assert!(more.g_held.sigma_t_per_mm < fewer.g_held.sigma_t_per_mm, "{fewer:?} {more:?}");
+            }
+        }
+    }
+}
+
+/// The measurement as it is planned, without the noise that its standard errors tell, so that a fit finds the guess. The
+/// bound of a noisy one is that at its optimum, a little beside the truth.
+fn as_planned(medium: &Medium) -> Measurement {
+    let profile = |thickness: f64| {
+        let value =
+            |x: f64| profile_value(x, medium.sigma_t_per_mm(), medium.albedo(), medium.g(), thickness, 1.0);
+        let values: Vec<f64> = centres().map(value).collect();
+        let std_errors = values.iter().map(|v| NOISE * v).collect();
+        MeasuredProfile::new("G", thickness, centres().collect(), values, Some(std_errors)).unwrap()
+    };
+    Measurement::new("planned", vec![profile(0.5), profile(1.0)]).unwrap()
+}
+
+#[test]
+fn a_fit_of_the_measurement_tells_the_same_bound() {
+    let dictionary = dictionary(dense_axes());
+    let set_up = FitSettings { mu_std_error: 0.01, ..FitSettings::default() };
+    let options = FitOptions::new(FitSettings {
+        objective: Some(Objective::Likelihood),
+        refine: true,
+        g: Bounds::fixed(0.3),
+        ..set_up
+    });
+    let measured = as_planned(&guess());
+    let refined = fit(&dictionary, &measured, &options.unwrap()).unwrap().channels.remove(0).refined.unwrap();
+    let bound = refined.likelihood.unwrap().bound;
+    let planned = sets(&dictionary, settings(guess(), set_up, &[&[0.5, 1.0]], &[1]))[0].g_held;
+    let half = |ends: Ends| 0.5 * (ends.high - ends.low);
+    close(planned.sigma_t_per_mm, half(bound.sigma_t_per_mm), 0.01);
+    close(planned.albedo, half(bound.albedo), 0.01);
+    close(planned.reduced_scattering_per_mm, half(bound.reduced_scattering_per_mm), 0.01);
+    close(planned.absorption_per_mm, half(bound.absorption_per_mm), 0.01);
+    assert_eq!((planned.g, half(bound.g)), (0.0, 0.0));
+}
+
+/// The formula knows σ_t and g by σ_t (1 − g) alone.
+#[test]
+fn what_no_pixel_tells_is_not_told() {
+    let dictionary = dictionary(dense_axes());
+    let set = &sets(&dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1]))[0];
+    let free = set.g_free.unwrap();
+    assert!(free.sigma_t_per_mm.is_infinite() && free.g.is_infinite(), "{free:?}");
+    // What they make up together is told all the same.
+    assert!(free.of_reduced_scattering(&guess()) < 0.1, "{free:?}");
+    assert!(set.g_held.of_sigma_t(&guess()) < 0.05, "{:?}", set.g_held);
+}
+
+#[test]
+fn what_is_better_known_tells_more() {
+    let dictionary = dictionary(dense_axes());
+    let set_up = FitSettings { mu_std_error: 0.01, slope_std_error: 0.0, ..FitSettings::default() };
+    let set = sets(&dictionary, settings(guess(), set_up, &[&[0.5, 1.0]], &[1])).remove(0);
+    let told: Vec<Limitation> = set.improvements.iter().map(|i| i.limitation).collect();
+    // The slope is known already.
+    let expected = [
+        Limitation::Noise,
+        Limitation::Thickness,
+        Limitation::Origin,
+        Limitation::Blur,
+        Limitation::Gain,
+        Limitation::Zero,
+        Limitation::Scale,
+    ];
+    assert_eq!(told, expected);
+    for improvement in &set.improvements {
+        let halved = improvement.halved.unwrap().sigma_t_per_mm;
+        assert!(halved <= set.g_held.sigma_t_per_mm * (1.0 + 1e-9), "{improvement:?}");
+        if let Some(removed) = improvement.removed {
+            assert!(removed.sigma_t_per_mm <= halved * (1.0 + 1e-9), "{improvement:?}");
+        }
+    }
+}
+
+/// What would be told with something better known is what is told where it is so.
+#[test]
+fn improvements_are_those_of_a_better_set_up() {
+    let dictionary = dictionary(dense_axes());
+    let as_is = FitSettings { mu_std_error: 0.01, blur_mm: 0.02, ..FitSettings::default() };
+    let plan = |set_up: FitSettings, shots: u32| {
+        sets(&dictionary, settings(guess(), set_up, &[&[0.5, 1.0]], &[shots])).remove(0)
+    };
+    let set = plan(as_is, 1);
+    for improvement in &set.improvements {
+        let with = |factor: f64| {
+            let mut set_up = as_is;
+            match improvement.limitation {
+                Limitation::Noise => return plan(as_is, (1.0 / (factor * factor)) as u32).g_held,
+                Limitation::Thickness => set_up.thickness_std_error_mm *= factor,
+                Limitation::Origin => set_up.origin_std_error_mm *= factor,
+                Limitation::Blur => set_up.blur_std_error_mm *= factor,
+                Limitation::Gain => set_up.gain_std_error *= factor,
+                Limitation::Zero => set_up.offset_std_error *= factor,
+                Limitation::Slope => set_up.slope_std_error *= factor,
+                Limitation::Scale => set_up.mu_std_error *= factor,
+            }
+            plan(set_up, 1).g_held
+        };
+        let same = |a: HalfWidths, b: HalfWidths| {
+            close(a.sigma_t_per_mm, b.sigma_t_per_mm, 1e-9);
+            close(a.albedo, b.albedo, 1e-9);
+        };
+        same(improvement.halved.unwrap(), with(0.5));
+        improvement.removed.into_iter().for_each(|removed| same(removed, with(0.0)));
+    }
+    assert_eq!(set.improvements.len(), 8);
+}
+
+#[test]
+fn the_dictionarys_thicknesses_make_up_the_sets_and_the_best_is_marked() {
+    let dictionary = dictionary(dense_axes());
+    let found = sets(&dictionary, settings(guess(), FitSettings::default(), &[], &[1, 2]));
+    let tried: Vec<(Vec<f64>, u32)> = found.iter().map(|s| (s.slabs_mm.clone(), s.shots)).collect();
+    let of = |slabs: &[f64], shots: u32| (slabs.to_vec(), shots);
+    assert_eq!(
+        tried,
+        [of(&[0.5], 1), of(&[0.5], 2), of(&[1.0], 1), of(&[1.0], 2), of(&[0.5, 1.0], 1), of(&[0.5, 1.0], 2)]
+    );
+    let best: Vec<usize> = (0..found.len()).filter(|i| found[*i].best).collect();
+    assert_eq!(best, [5]);
+    let of_one = found.iter().filter(|s| s.best_of_its_effort && s.photographs() == 1).count();
+    assert_eq!(of_one, 1);
+    // Two slabs tell more than two photographs of one: each is wrong in its own way.
+    assert!(found[4].best_of_its_effort && !found[1].best_of_its_effort && !found[3].best_of_its_effort);
+    assert_eq!(super::choices(&[1.0, 2.0, 3.0], 2), [[1.0, 2.0], [1.0, 3.0], [2.0, 3.0]]);
+}
+
+#[test]
+fn what_the_dictionary_cannot_tell_is_refused() {
+    let dictionary = dictionary(dense_axes());
+    let refused = |settings: DesignSettings| -> Invalid {
+        design(&dictionary, &DesignQuestion::new(settings).unwrap()).unwrap_err()
+    };
+    let plain = || settings(guess(), FitSettings::default(), &[&[0.5]], &[1]);
+    let slab = refused(DesignSettings { slab_sets: vec![vec![0.5], vec![0.5, 0.25]], ..plain() });
+    assert_eq!((slab.field(), slab.given()), ("slab_sets[1][1]", "0.25"));
+    assert!(slab.allowed().contains("thickness_mm = [0.25, 0.5, 1]"), "{slab}");
+    assert!(slab.allowed().contains("farmctl submit GRID.toml"), "{slab}");
+    let of = |sigma_t, albedo, g| Medium::new(sigma_t, albedo, g).unwrap();
+    for (medium, field, given) in [
+        (of(40.0, 0.62, 0.3), "sigma_t_per_mm", "40"),
+        (of(3.1, 0.999, 0.3), "albedo", "0.999"),
+        (of(3.1, 0.62, 0.9), "g", "0.9"),
+    ] {
+        let error = refused(DesignSettings { medium, ..plain() });
+        assert_eq!((error.field(), error.given()), (field, given));
+    }
+    let wide = PixelRow::new(-6.0, 6.0, 0.1).unwrap();
+    assert_eq!(refused(DesignSettings { pixels: Some(wide), ..plain() }).field(), "pixels");
+    assert_eq!(refused(DesignSettings { channel: Some("X".to_owned()), ..plain() }).field(), "channel");
+    assert_eq!(refused(DesignSettings { sample_ior: Some(1.7), ..plain() }).field(), "sample_ior");
+}
+
+/// Where one medium is all there is, there is nothing to choose between.
+#[test]
+fn one_medium_is_not_measured() {
+    let axes = Axes { sigma_t_per_mm: vec![3.1], albedo: vec![0.62], g: vec![0.3], ..dense_axes() };
+    let question = DesignQuestion::new(settings(guess(), FitSettings::default(), &[&[0.5]], &[1])).unwrap();
+    assert_eq!(design(&dictionary(axes), &question).unwrap_err().field(), "dictionary");
+}
+
+/// Pixels that see but a part of the profile tell less.
+#[test]
+fn fewer_pixels_tell_less() {
+    let dictionary = dictionary(dense_axes());
+    let with = |pixels: Option<PixelRow>| {
+        let asked = settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1]);
+        sets(&dictionary, DesignSettings { pixels, ..asked })[0].g_held.sigma_t_per_mm
+    };
+    let own = with(None);
+    close(with(PixelRow::new(-5.0, 5.0, 10.0 / 360.0).ok()), own, 1e-9);
+    let coarse = with(PixelRow::new(-5.0, 5.0, 10.0 / 90.0).ok());
+    let half = with(PixelRow::new(-5.0, 0.0, 10.0 / 360.0).ok());
+    assert!(coarse > 1.1 * own && half > 1.1 * own, "{own} {coarse} {half}");
+}

@@ -1,0 +1,149 @@
+//! The Cramér–Rao bound of photographs that are not made yet: what `bound` tells of a measurement, at a guess of the
+//! medium and with the model itself for the values.
+
+use nalgebra::DVector;
+use optics_model::fit::{HalfWidths, PixelRow};
+
+use super::Line;
+use super::bound::{bound, ideal_covariance};
+use super::camera::Camera;
+use super::system::{Quantity, State, System, Unknown};
+use super::term::{Own, OwnPrior, Term};
+use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
+
+/// Standard deviation of the coordinates of a medium, and of the logarithm of μ, of which nothing is known beforehand: so
+/// large that it does not matter for what is determined, and that what is not leaves the rest alone.
+const UNKNOWN: f64 = 10.0;
+/// Standard deviation of a coordinate from which on it counts as not told: a factor of e on σ_t, all there is of √(1 − α).
+const UNTOLD: f64 = 1.0;
+
+/// How well all but the medium is known: standard errors.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Known {
+    /// Of a pixel, as a share of its value, and what is added to it in quadrature.
+    pub noise: f64,
+    pub noise_floor: f64,
+    pub thickness_mm: f64,
+    pub origin_mm: f64,
+    /// The blur is this large, and known to this accuracy.
+    pub blur_mm: f64,
+    pub blur_std_error_mm: f64,
+    pub gain: f64,
+    pub zero: f64,
+    pub slope: f64,
+    /// Of the logarithm of the common factor; none if nothing is known of it.
+    pub scale: Option<f64>,
+}
+
+/// A medium, and pixels that look at slabs of it.
+#[derive(Debug)]
+pub(crate) struct Plan<'a> {
+    pub surrogate: &'a Surrogate<'a>,
+    pub medium: Coordinates,
+    /// Coordinates that are known.
+    pub held: [bool; 3],
+    pub pixels: PixelRow,
+}
+
+impl Plan<'_> {
+    /// How well slabs of these thicknesses determine the medium.
+    pub(crate) fn half_widths(&self, slabs_mm: &[f64], known: &Known) -> HalfWidths {
+        let (system, state) = self.system(slabs_mm, known);
+        let slots = system.slots[0];
+        let covariance = ideal_covariance(&system, &state).filter(|c| c.iter().all(|v| v.is_finite()));
+        let Some(covariance) = covariance else { return HalfWidths::UNKNOWN };
+        let bound = bound(&covariance, &state, &slots);
+        let ends = [
+            bound.sigma_t_per_mm,
+            bound.albedo,
+            bound.g,
+            bound.reduced_scattering_per_mm,
+            bound.absorption_per_mm,
+        ];
+        // √σ_a is √(1 − α), which is at most 1, times √σ_t.
+        let units = [1.0, 1.0, 1.0, 1.0, (0.5 * self.medium[SIGMA_T]).exp()];
+        let mut told =
+            Quantity::all(&slots).into_iter().zip(units).zip(ends).map(|((quantity, unit), ends)| {
+                let gradient = quantity.gradient(&state.x);
+                let deviation = gradient.dot(&(&covariance * &gradient)).max(0.0).sqrt();
+                if deviation < UNTOLD * unit { 0.5 * (ends.high - ends.low) } else { f64::INFINITY }
+            });
+        let mut next = || told.next().unwrap_or(f64::INFINITY);
+        HalfWidths {
+            sigma_t_per_mm: next(),
+            albedo: next(),
+            g: next(),
+            reduced_scattering_per_mm: next(),
+            absorption_per_mm: next(),
+        }
+    }
+
+    /// Every slab is a profile of its own, also if another one is as thick.
+    fn system(&self, slabs_mm: &[f64], known: &Known) -> (System<'_>, State) {
+        let mut unknowns = Vec::new();
+        let mut x = Vec::new();
+        let mut add = |prior: Option<(f64, f64)>, held: bool, value: f64| {
+            unknowns.push(Unknown { prior, limits: (f64::NEG_INFINITY, f64::INFINITY), held });
+            x.push(value);
+            x.len() - 1
+        };
+        let known_to = |value: f64, deviation: f64| (Some((value, deviation)), deviation == 0.0, value);
+        let [s, a, g] = [0, 1, 2].map(|i| add(Some((self.medium[i], UNKNOWN)), self.held[i], self.medium[i]));
+        let (prior, held, value) = known_to(0.0, known.scale.unwrap_or(UNKNOWN));
+        let scale = add(prior, held, value);
+        let (variance, deviation) = blur_mm2(known.blur_mm, known.blur_std_error_mm);
+        let (prior, held, value) = known_to(variance, deviation);
+        let blur = add(prior, held, value);
+        let slots = slabs_mm.iter().map(|slab| {
+            let (prior, held, value) = known_to(slab.ln(), known.thickness_mm / slab);
+            [s, a, g, scale, blur, add(prior, held, value)]
+        });
+        let slots: Vec<_> = slots.collect();
+        let terms: Vec<Term> = slabs_mm.iter().map(|slab| self.term(*slab, known)).collect();
+        let own: Vec<Line> = terms.iter().map(|t| vec![0.0; t.own_count()]).collect();
+        let surrogates = vec![self.surrogate; terms.len()];
+        let mut system = System { terms, surrogates, slots, unknowns, coupling: None };
+        let state = State { x: DVector::from_vec(x), own, cost: 0.0 };
+        let models = system.linear(&state.x, &state.own).into_iter().map(|linear| linear.model);
+        for (term, model) in system.terms.iter_mut().zip(models.collect::<Vec<_>>()) {
+            let noise = |v: &f64| (known.noise * v).hypot(known.noise_floor).max(f64::MIN_POSITIVE);
+            term.std_errors = model.iter().map(noise).collect();
+            term.values = model;
+        }
+        (system, state)
+    }
+
+    /// A profile whose values and noise are still to come.
+    fn term(&self, thickness_mm: f64, known: &Known) -> Term {
+        let sensor = self.surrogate.grid().scene().sensor();
+        let x_mm = self.pixels.x_mm();
+        let camera = Camera::new(&x_mm, self.pixels.pitch_mm(), sensor.width_mm(), sensor.pixels());
+        let priors = [
+            (Own::Origin, known.origin_mm),
+            (Own::Gain, known.gain),
+            (Own::Zero, known.zero),
+            (Own::Slope, known.slope),
+        ];
+        let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
+        Term {
+            thickness_mm,
+            camera,
+            values: vec![0.0; x_mm.len()],
+            std_errors: vec![1.0; x_mm.len()],
+            origin_mm: 0.0,
+            priors: priors.into_iter().filter(|p| p.std_error > 0.0).collect(),
+            modes: Vec::new(),
+            rest_variances: Vec::new(),
+            left_out: vec![false; x_mm.len()],
+            robust: false,
+            softness: 1.0,
+            near: None,
+            x_mm,
+        }
+    }
+}
+
+/// Mean and standard deviation of the blur's variance, as a fit takes them.
+fn blur_mm2(blur_mm: f64, std_error_mm: f64) -> (f64, f64) {
+    (blur_mm * blur_mm, 2.0 * blur_mm * std_error_mm + std_error_mm * std_error_mm)
+}

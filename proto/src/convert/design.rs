@@ -1,0 +1,261 @@
+//! Which slabs are worth photographing.
+
+use super::required;
+use crate::wire;
+use optics_model::fit::{
+    Design, DesignQuestion, DesignSettings, FitOptions, HalfWidths, Improvement, Limitation, PixelRow,
+    SlabSet,
+};
+use optics_model::invalid::{Invalid, Result, each};
+use optics_model::medium::Medium;
+
+impl TryFrom<wire::DesignRequest> for DesignQuestion {
+    type Error = Invalid;
+
+    fn try_from(request: wire::DesignRequest) -> Result<Self> {
+        let medium = Medium::try_from(required("medium", request.medium)?).map_err(|e| e.within("medium"))?;
+        let default = DesignSettings::of(medium);
+        let set_up = FitOptions::try_from(request.set_up.unwrap_or_default());
+        Self::new(DesignSettings {
+            channel: request.channel,
+            sample_ior: request.sample_ior,
+            slab_sets: request.slab_sets.into_iter().map(|set| set.thickness_mm).collect(),
+            shots: if request.shots.is_empty() { default.shots } else { request.shots },
+            noise: request.noise.unwrap_or(default.noise),
+            noise_floor: request.noise_floor.unwrap_or(default.noise_floor),
+            pixels: request.pixels.map(PixelRow::try_from).transpose()?,
+            set_up: set_up.map_err(|e| e.within("set_up"))?,
+            mu_free: request.mu_free,
+            medium,
+        })
+    }
+}
+
+impl From<&DesignQuestion> for wire::DesignRequest {
+    /// The dictionary is not part of the question.
+    fn from(question: &DesignQuestion) -> Self {
+        let s = question.settings();
+        let slabs = |set: &Vec<f64>| wire::SlabThicknesses { thickness_mm: set.clone() };
+        Self {
+            dictionary: String::new(),
+            channel: s.channel.clone(),
+            medium: Some(s.medium.into()),
+            sample_ior: s.sample_ior,
+            slab_sets: s.slab_sets.iter().map(slabs).collect(),
+            shots: s.shots.clone(),
+            noise: Some(s.noise),
+            noise_floor: Some(s.noise_floor),
+            pixels: s.pixels.map(Into::into),
+            set_up: Some((&s.set_up).into()),
+            mu_free: s.mu_free,
+        }
+    }
+}
+
+impl TryFrom<wire::PixelRow> for PixelRow {
+    type Error = Invalid;
+
+    fn try_from(row: wire::PixelRow) -> Result<Self> {
+        Self::new(row.from_mm, row.to_mm, row.pitch_mm)
+    }
+}
+
+impl From<PixelRow> for wire::PixelRow {
+    fn from(row: PixelRow) -> Self {
+        Self { from_mm: row.from_mm(), to_mm: row.to_mm(), pitch_mm: row.pitch_mm() }
+    }
+}
+
+impl From<Design> for wire::DesignResponse {
+    fn from(design: Design) -> Self {
+        Self {
+            channel: design.channel,
+            medium: Some(design.medium.into()),
+            sample_ior: design.sample_ior,
+            pixels: Some(design.pixels.into()),
+            sets: design.sets.into_iter().map(Into::into).collect(),
+        }
+    }
+}
+
+impl TryFrom<wire::DesignResponse> for Design {
+    type Error = Invalid;
+
+    fn try_from(design: wire::DesignResponse) -> Result<Self> {
+        Ok(Self {
+            channel: design.channel,
+            medium: required("medium", design.medium)?.try_into()?,
+            sample_ior: design.sample_ior,
+            pixels: required("pixels", design.pixels)?.try_into()?,
+            sets: each("sets", design.sets, SlabSet::try_from)?,
+        })
+    }
+}
+
+impl From<SlabSet> for wire::SlabSet {
+    fn from(set: SlabSet) -> Self {
+        Self {
+            slabs_mm: set.slabs_mm,
+            shots: set.shots,
+            g_held: Some(set.g_held.into()),
+            g_free: set.g_free.map(Into::into),
+            best_of_its_effort: set.best_of_its_effort,
+            best: set.best,
+            improvements: set.improvements.into_iter().map(Into::into).collect(),
+        }
+    }
+}
+
+impl TryFrom<wire::SlabSet> for SlabSet {
+    type Error = Invalid;
+
+    fn try_from(set: wire::SlabSet) -> Result<Self> {
+        Ok(Self {
+            slabs_mm: set.slabs_mm,
+            shots: set.shots,
+            g_held: required("g_held", set.g_held)?.into(),
+            g_free: set.g_free.map(Into::into),
+            best_of_its_effort: set.best_of_its_effort,
+            best: set.best,
+            improvements: set.improvements.into_iter().filter_map(improvement).collect(),
+        })
+    }
+}
+
+impl From<HalfWidths> for wire::HalfWidths {
+    fn from(w: HalfWidths) -> Self {
+        Self {
+            sigma_t_per_mm: w.sigma_t_per_mm,
+            albedo: w.albedo,
+            g: w.g,
+            reduced_scattering_per_mm: w.reduced_scattering_per_mm,
+            absorption_per_mm: w.absorption_per_mm,
+        }
+    }
+}
+
+impl From<wire::HalfWidths> for HalfWidths {
+    fn from(w: wire::HalfWidths) -> Self {
+        Self {
+            sigma_t_per_mm: w.sigma_t_per_mm,
+            albedo: w.albedo,
+            g: w.g,
+            reduced_scattering_per_mm: w.reduced_scattering_per_mm,
+            absorption_per_mm: w.absorption_per_mm,
+        }
+    }
+}
+
+const LIMITATIONS: [(Limitation, wire::Limitation); 8] = [
+    (Limitation::Noise, wire::Limitation::Noise),
+    (Limitation::Thickness, wire::Limitation::Thickness),
+    (Limitation::Origin, wire::Limitation::Origin),
+    (Limitation::Blur, wire::Limitation::Blur),
+    (Limitation::Gain, wire::Limitation::Gain),
+    (Limitation::Zero, wire::Limitation::Zero),
+    (Limitation::Slope, wire::Limitation::Slope),
+    (Limitation::Scale, wire::Limitation::Scale),
+];
+
+impl From<Improvement> for wire::Improvement {
+    fn from(i: Improvement) -> Self {
+        let limitation = LIMITATIONS.into_iter().find(|(limitation, _)| *limitation == i.limitation);
+        Self {
+            limitation: limitation.map_or(wire::Limitation::Unspecified, |(_, wire)| wire).into(),
+            std_error: i.std_error,
+            halved: i.halved.map(Into::into),
+            removed: i.removed.map(Into::into),
+        }
+    }
+}
+
+/// None for what only a newer coordinator knows: without its name the numbers say nothing.
+fn improvement(i: wire::Improvement) -> Option<Improvement> {
+    let (limitation, _) = LIMITATIONS.into_iter().find(|(_, wire)| i32::from(*wire) == i.limitation)?;
+    Some(Improvement {
+        limitation,
+        std_error: i.std_error,
+        halved: i.halved.map(Into::into),
+        removed: i.removed.map(Into::into),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use optics_model::fit::FitSettings;
+
+    fn medium() -> Medium {
+        Medium::new(6.0, 0.9991, 0.4).unwrap()
+    }
+
+    /// No value is its default, so that a field that is forgotten shows.
+    #[test]
+    fn questions_come_through() {
+        let set_up = FitSettings { thickness_std_error_mm: 0.002, mu: 0.9, ..FitSettings::default() };
+        let settings = DesignSettings {
+            channel: Some("R".to_owned()),
+            medium: medium(),
+            sample_ior: Some(1.53),
+            slab_sets: vec![vec![0.5], vec![0.25, 0.5, 0.5]],
+            shots: vec![3, 4],
+            noise: 0.02,
+            noise_floor: 0.001,
+            pixels: Some(PixelRow::new(-2.0, 3.0, 0.05).unwrap()),
+            set_up: FitOptions::new(set_up).unwrap(),
+            mu_free: true,
+        };
+        let question = DesignQuestion::new(settings).unwrap();
+        assert_eq!(DesignQuestion::try_from(wire::DesignRequest::from(&question)).unwrap(), question);
+    }
+
+    #[test]
+    fn what_is_absent_is_the_default_and_nonsense_is_refused() {
+        let asked = || wire::DesignRequest { medium: Some(medium().into()), ..Default::default() };
+        let question = DesignQuestion::try_from(asked()).unwrap();
+        assert_eq!(*question.settings(), DesignSettings::of(medium()));
+        let field =
+            |request: wire::DesignRequest| DesignQuestion::try_from(request).unwrap_err().field().to_owned();
+        assert_eq!(field(wire::DesignRequest::default()), "medium");
+        assert_eq!(field(wire::DesignRequest { noise: Some(-1.0), ..asked() }), "noise");
+        let nowhere = wire::FitOptions { blur_mm: Some(-1.0), ..Default::default() };
+        assert_eq!(field(wire::DesignRequest { set_up: Some(nowhere), ..asked() }), "set_up.blur_mm");
+    }
+
+    #[test]
+    fn answers_come_through() {
+        let widths = |v: f64| HalfWidths {
+            sigma_t_per_mm: v,
+            albedo: 0.5 * v,
+            g: f64::INFINITY,
+            reduced_scattering_per_mm: 0.3 * v,
+            absorption_per_mm: 0.2 * v,
+        };
+        let improvement = |(limitation, _): (Limitation, wire::Limitation)| Improvement {
+            limitation,
+            std_error: Some(0.005),
+            halved: Some(widths(0.04)),
+            removed: Some(widths(0.03)),
+        };
+        let design = Design {
+            channel: "R".to_owned(),
+            medium: medium(),
+            sample_ior: 1.53,
+            pixels: PixelRow::new(-5.0, 5.0, 0.05).unwrap(),
+            sets: vec![SlabSet {
+                slabs_mm: vec![0.5, 1.0],
+                shots: 2,
+                g_held: widths(0.1),
+                g_free: Some(widths(0.9)),
+                best_of_its_effort: true,
+                best: true,
+                improvements: LIMITATIONS.into_iter().map(improvement).collect(),
+            }],
+        };
+        let mut wire = wire::DesignResponse::from(design.clone());
+        assert_eq!(Design::try_from(wire.clone()).unwrap(), design);
+        // A newer coordinator may know of more.
+        wire.sets[0].improvements[0].limitation = 99;
+        assert_eq!(Design::try_from(wire).unwrap().sets[0].improvements.len(), 7);
+    }
+}
