@@ -11,24 +11,13 @@ impl SetUp {
     /// The settings with what is told of a channel.
     pub(crate) fn settings_of(&self, settings: FitSettings, channel: Option<&str>) -> Result<FitSettings> {
         let settings = self.settings(settings);
-        let blur_mm = self.blur_of(self.told.blur_mm.as_ref(), channel)?;
-        let blur_std_error_mm = self.blur_of(self.told.blur_std_error_mm.as_ref(), channel)?;
+        let blur_mm = blur_of(self.told.blur_mm.as_ref(), channel)?;
+        let blur_std_error_mm = blur_of(self.told.blur_std_error_mm.as_ref(), channel)?;
         Ok(FitSettings {
             blur_mm: blur_mm.unwrap_or(settings.blur_mm),
             blur_std_error_mm: blur_std_error_mm.unwrap_or(settings.blur_std_error_mm),
             ..settings
         })
-    }
-
-    fn blur_of(&self, told: Option<&ByChannel>, channel: Option<&str>) -> Result<Option<f64>> {
-        match (told, channel) {
-            (Some(ByChannel::Named(_)), None) => {
-                bail!("the session file tells the blur of each channel: name one with --channel")
-            }
-            (Some(told), Some(channel)) => Ok(told.of(channel)),
-            (told, None) => Ok(told.and_then(ByChannel::common)),
-            (None, Some(_)) => Ok(None),
-        }
     }
 
     /// What nobody told of a channel's photographs to come.
@@ -42,6 +31,17 @@ impl SetUp {
             ..ProfileSetup::default()
         };
         Assumed::of(&self.told, &[setup])
+    }
+}
+
+fn blur_of(told: Option<&ByChannel>, channel: Option<&str>) -> Result<Option<f64>> {
+    match (told, channel) {
+        (Some(ByChannel::Named(_)), None) => {
+            bail!("the session file tells the blur of each channel: name one with --channel")
+        }
+        (Some(told), Some(channel)) => Ok(told.of(channel)),
+        (told, None) => Ok(told.and_then(ByChannel::common)),
+        (None, Some(_)) => Ok(None),
     }
 }
 
