@@ -12,6 +12,7 @@ mod camera;
 mod channel;
 mod chi2;
 mod joint;
+mod mixtures;
 mod problem;
 mod profile;
 mod records_noise;
@@ -29,6 +30,7 @@ use answer::Found;
 use problem::ChannelData;
 
 pub(super) use joint::measure;
+pub(super) use mixtures::unmix;
 
 /// Numbers by pixel.
 pub(super) type Line = Vec<f64>;

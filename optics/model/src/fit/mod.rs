@@ -1,6 +1,7 @@
 //! Questions to a dictionary and their answers.
 
 mod answer;
+mod mixtures;
 mod options;
 
 pub use answer::{
@@ -8,4 +9,5 @@ pub use answer::{
     Likelihood, MISFIT, MapLayer, MaterialFit, Nuisance, NuisanceEstimate, OutlierPixel, Outside, Refined,
     ScaleCurve, ScalePoint, Stretch, Suspicion, ThicknessError,
 };
+pub use mixtures::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, Wavelet};
