@@ -14,6 +14,7 @@ mod plot;
 mod progress;
 mod records;
 mod renderers;
+mod set_up;
 mod slurm;
 #[cfg(test)]
 mod testing;

@@ -1,7 +1,10 @@
 //! Answers as tests want them.
 
 use optics_model::Medium;
-use optics_model::fit::{Candidate, Cause, ChannelFit, Interval, Refined, Suspicion};
+use optics_model::fit::{
+    Bound, Candidate, Cause, ChannelFit, Ends, Interval, Likelihood, Nuisance, NuisanceEstimate,
+    OutlierPixel, Refined, Stretch, Suspicion,
+};
 
 /// From 0 open below, beyond 1 open above.
 pub(crate) fn interval(low: f64, high: f64) -> Interval {
@@ -41,5 +44,44 @@ pub(crate) fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFi
         refined: Some(refined),
         outside: None,
         curves: Vec::new(),
+    }
+}
+
+/// Of 716 pixels, where the data tell μ, blur and one origin, and nothing more of a gain than was known.
+pub(crate) fn likelihood(chi2: f64, probability: f64) -> Likelihood {
+    let estimate = |nuisance, profile_mm, value, std_error, (told, told_std_error)| NuisanceEstimate {
+        nuisance,
+        profile_mm,
+        value,
+        std_error,
+        told,
+        told_std_error,
+    };
+    let ends = |low, high| Ends { low, high };
+    Likelihood {
+        chi2,
+        degrees_of_freedom: 716.0,
+        probability,
+        nuisances: vec![
+            estimate(Nuisance::Scale, None, 1.032, 0.004, (1.0, 0.05)),
+            estimate(Nuisance::BlurVariance, None, 1.9e-4, 1e-4, (0.0, 9e-4)),
+            estimate(Nuisance::Origin, Some(0.5), -0.0701, 0.0038, (0.0, 0.05)),
+            estimate(Nuisance::Gain, Some(1.0), 0.0012, 0.0029, (0.0, 0.003)),
+        ],
+        outliers: vec![
+            OutlierPixel { profile_mm: 0.5, x_mm: -1.23, deviation: -8.5 },
+            OutlierPixel { profile_mm: 1.0, x_mm: 0.48, deviation: 6.25 },
+        ],
+        stretches: vec![
+            Stretch { profile_mm: 0.5, from_mm: 1.2, to_mm: 1.6, deviation: 4.1 },
+            Stretch { profile_mm: 1.0, from_mm: -2.0, to_mm: -1.5, deviation: -5.0 },
+        ],
+        bound: Bound {
+            sigma_t_per_mm: ends(5.46, 6.54),
+            albedo: ends(0.9996, 0.9999),
+            g: ends(f64::NEG_INFINITY, f64::INFINITY),
+            reduced_scattering_per_mm: ends(13.5, 14.5),
+            absorption_per_mm: ends(0.000_25, 0.0055),
+        },
     }
 }

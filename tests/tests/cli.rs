@@ -162,6 +162,30 @@ fn commands_in_one_folder_do_not_get_in_each_others_way() {
 }
 
 #[test]
+fn every_question_takes_the_set_up_from_session_and_command_line() {
+    let farm = farm();
+    let dir = farm.path();
+    let profile: String = rows("R", 0.5).lines().map(|line| format!("{line},0.001\n")).collect();
+    let head = HEAD.replace("value", "value,thickness_std_error_mm");
+    write(dir, "m.csv", &(head + &profile));
+    write(
+        dir,
+        "session.json",
+        r#"{"format": "farmctl-session/1", "gain_std_error": 0.01, "slope_std_error": 0.004, "camera": "any",
+            "blur_mm": {"R": 0.025, "G": 0.024}, "blur_std_error_mm": 0.001}"#,
+    );
+    for verb in ["fit", "scale", "measure", "map"] {
+        let told = ["--session", "session.json", "--slope-std-error", "0", "--objective", "paper"];
+        let ran = run(dir, &[&[verb, "m.csv", "--dictionary", "grid", "--json"][..], &told].concat());
+        let data = json(&ran, verb);
+        let numbers = ["gain_std_error", "slope_std_error", "blur_std_error_mm", "origin_std_error_mm"];
+        assert_eq!(numbers.map(|n| data[n].as_f64().unwrap()), [0.01, 0.0, 0.001, 0.05], "{verb}");
+        assert_eq!(data["objective"], "paper", "{verb}");
+        assert_eq!(data["assumed"], value!(["origin_std_error_mm", "offset_std_error"]), "{verb}");
+    }
+}
+
+#[test]
 fn every_answer_of_the_fit_has_its_json_shape() {
     let farm = farm();
     let dir = farm.path();
@@ -169,6 +193,9 @@ fn every_answer_of_the_fit_has_its_json_shape() {
     let fit = json(&run(dir, &["fit", "m.csv", "--dictionary", "grid", "--json", "--top", "2"]), "fit");
     let options = [
         "albedo_range",
+        "assumed",
+        "blur_mm",
+        "blur_std_error_mm",
         "dictionary",
         "g",
         "g_range",
@@ -177,8 +204,12 @@ fn every_answer_of_the_fit_has_its_json_shape() {
         "level",
         "mu",
         "mu_std_error",
+        "objective",
         "offset_std_error",
+        "origin_std_error_mm",
         "sigma_t_range",
+        "slope_std_error",
+        "thickness_std_error_mm",
         "wavelet",
     ];
     let with = |more: &[&str]| {

@@ -155,6 +155,55 @@ fn bad_measurements_are_refused() {
 }
 
 #[test]
+fn contradictions_about_the_set_up_are_refused_with_their_field() {
+    let dir = folder();
+    let dir = dir.path();
+    write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));
+    for (option, message) in [
+        ("--thickness-std-error-mm=-0.1", "thickness_std_error_mm = -0.1 is not valid: allowed are 0 to 1"),
+        ("--origin-std-error-mm=NaN", "origin_std_error_mm = NaN is not valid"),
+        ("--blur-mm=25", "blur_mm = 25 is not valid: allowed are 0 to 1"),
+        ("--blur-std-error-mm=inf", "blur_std_error_mm = inf is not valid"),
+        ("--slope-std-error=-1", "slope_std_error = -1 is not valid"),
+    ] {
+        for verb in ["fit", "scale", "measure", "map"] {
+            fails(dir, &[verb, "m.csv", option], &[message]);
+        }
+    }
+    assert_eq!(run(dir, &["fit", "m.csv", "--objective", "best"]).code, 2);
+    let session = |text: &str, message: &str| {
+        write(dir, "s.json", text);
+        fails(dir, &["measure", "m.csv", "--session", "s.json"], &["session file s.json: ", message]);
+    };
+    session("{}", "format = nothing is not valid: allowed is \"farmctl-session/1\"");
+    session("{\"format\": 1", "EOF while parsing");
+    let in_format = |rest: &str| format!("{{\"format\": \"farmctl-session/1\", {rest}}}");
+    session(&in_format("\"gain_std_error\": 2"), "gain_std_error = 2 is not valid: allowed are 0 to 1");
+    session(&in_format("\"blur_mm\": {\"R\": -1}"), "blur_mm.R = -1 is not valid: allowed are 0 to 1");
+    session(
+        &in_format("\"blur_mm\": \"sharp\""),
+        "blur_mm = \"sharp\" is not valid: allowed are numbers from 0 to 1",
+    );
+    fails(dir, &["fit", "m.csv", "--session", "none.json"], &["session file none.json: No such file"]);
+    let cells = |cells: &[&str]| -> String {
+        let lines = rows("R", 0.5);
+        let line = |(i, line): (usize, &str)| format!("{line},{}\n", cells[i % cells.len()]);
+        HEAD.replace("value", "value,origin_mm") + &lines.lines().enumerate().map(line).collect::<String>()
+    };
+    let place = "line 2, material resin, channel R, 0.5 mm: origin_mm = ";
+    for (text, message) in [
+        (cells(&["7"]), format!("{place}7 is not valid: the profile's x runs from -4.91667 to 4.91667 mm")),
+        (
+            cells(&["0.1", "0.2"]),
+            "line 3: origin_mm = 0.2, but line 2 of the same profile has 0.1".to_owned(),
+        ),
+    ] {
+        write(dir, "m.csv", &text);
+        fails(dir, &["fit", "m.csv"], &["measurement m.csv: ", &message]);
+    }
+}
+
+#[test]
 fn questions_without_a_farm_say_what_to_do_and_make_none() {
     let dir = folder();
     write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));

@@ -2,6 +2,7 @@
 
 use optics_model::fit::{Candidate, ChannelFit, MaterialFit};
 
+use super::bound::bounds;
 use super::numbers::{albedo, albedo_end, interval, significant};
 use super::remarks::{remarks, warnings};
 use crate::output::{table, warning, wrapped};
@@ -10,15 +11,25 @@ use crate::output::{table, warning, wrapped};
 const LONGEST_NAME: usize = 8;
 
 /// A name with its end cut off where it would make a table too wide.
-fn short(name: &str) -> String {
+pub(super) fn short(name: &str) -> String {
     if name.chars().count() <= LONGEST_NAME {
         return name.to_owned();
     }
     name.chars().take(LONGEST_NAME - 1).chain(['…']).collect()
 }
 
+/// Fits, and how they are to be told.
+pub(crate) struct Report<'a> {
+    pub(crate) fits: &'a [MaterialFit],
+    /// What was assumed of the set-up, as one line.
+    pub(crate) assumed: Option<String>,
+    /// Tell the Cramér–Rao bound beside the intervals.
+    pub(crate) bound: bool,
+}
+
 /// The fits of all channels: what is known best, the media, and what a reader must know of them.
-pub(crate) fn fits_text(fits: &[MaterialFit]) -> String {
+pub(crate) fn fits_text(report: &Report) -> String {
+    let fits = report.fits;
     let all = || fits.iter().flat_map(|f| f.channels.iter().map(move |c| (f, c)));
     let mut text = String::new();
     if all().any(|(_, c)| c.refined.is_some()) {
@@ -26,6 +37,12 @@ pub(crate) fn fits_text(fits: &[MaterialFit]) -> String {
         text += "\n\n";
     }
     text += &media(fits);
+    if report.bound {
+        text += &format!("\n\n{}\n", bounds(fits));
+    }
+    for line in objective(report) {
+        text += &format!("\n{}", wrapped(&line));
+    }
     // What is said of several channels is said once.
     let mut said: Vec<(String, Vec<String>)> = Vec::new();
     let mut warned: Vec<String> = Vec::new();
@@ -44,6 +61,20 @@ pub(crate) fn fits_text(fits: &[MaterialFit]) -> String {
         text += &format!("\n{}", if warned.contains(&remark) { warning(&line) } else { line });
     }
     text
+}
+
+/// What was made least, and what was assumed for that; nothing if it was the paper's distance.
+fn objective(report: &Report) -> Vec<String> {
+    let refined = || report.fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref());
+    if refined().all(|r| r.likelihood.is_none()) {
+        return Vec::new();
+    }
+    let objective = if refined().all(|r| r.likelihood.is_some()) {
+        "objective: likelihood"
+    } else {
+        "objective: likelihood where every profile has standard errors, else the paper's distance"
+    };
+    std::iter::once(objective.to_owned()).chain(report.assumed.clone()).collect()
 }
 
 /// One row a channel: σ_s(1 − g) and σ_a, which similar media share.
@@ -132,7 +163,40 @@ pub(crate) fn neighbours(candidates: &[Candidate]) -> String {
 mod tests {
     use super::super::table_csv;
     use super::*;
-    use crate::testing::channel;
+    use crate::testing::{channel, likelihood};
+
+    /// The text without its colours.
+    fn text(report: &Report) -> String {
+        let text = anstream::adapter::strip_str(&fits_text(report)).to_string();
+        for line in text.lines() {
+            assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());
+        }
+        text
+    }
+
+    #[test]
+    fn a_likelihood_tells_objective_assumptions_bound_and_findings() {
+        let mut channels = vec![channel("R", 11.53, 1.0), channel("G", 27.61, 1.0), channel("B", 19.8, 1.0)];
+        channels[0].refined.as_mut().unwrap().likelihood = Some(likelihood(712.4, 0.53));
+        channels[1].refined.as_mut().unwrap().likelihood = Some(likelihood(1130.0, 1e-9));
+        let mixed = [MaterialFit { material: "white".into(), channels: channels.clone() }];
+        let assumed = Some("assumed: origin ± 0.05 mm, gain ± 0.3 %".to_owned());
+        let told = text(&Report { fits: &mixed, assumed: assumed.clone(), bound: true }).replace("\n  ", " ");
+        let expected = [
+            "Cramér–Rao bound",
+            "objective: likelihood where every profile has standard errors, else the paper's distance\n",
+            "assumed: origin ± 0.05 mm, gain ± 0.3 %\n",
+            "white R: χ² 712 of 716, p = 0.53; μ 0.969 ± 0.004,",
+            "white R, white G: 2 pixels left out: 0.5 mm at x = −1.23 mm",
+            "white G: χ² 1130 of 716, p < 0.001: noise and what is known",
+        ];
+        let places: Vec<usize> =
+            expected.iter().map(|t| told.find(t).unwrap_or_else(|| panic!("{t}\n{told}"))).collect();
+        assert!(places.is_sorted(), "{told}");
+        let pure = [MaterialFit { material: "white".into(), channels: channels[..2].into() }];
+        let told = text(&Report { fits: &pure, assumed, bound: false });
+        assert!(told.contains("objective: likelihood\n") && !told.contains("Cramér"), "{told}");
+    }
 
     /// Nothing is wider than a terminal of 80 columns, however long the names, and warnings are told once.
     #[test]
@@ -143,10 +207,8 @@ mod tests {
             channel.refined.as_mut().unwrap().resolved = false;
         }
         let fits = [MaterialFit { material: "Vero White Plus".into(), channels }];
-        let text = anstream::adapter::strip_str(&fits_text(&fits)).to_string();
-        for line in text.lines() {
-            assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());
-        }
+        let text = text(&Report { fits: &fits, assumed: Some("assumed: much".to_owned()), bound: false });
+        assert!(!text.contains("objective") && !text.contains("assumed"), "{text}");
         let (shared, media) = (text.find("σ_s(1−g)").unwrap(), text.find("σ_t").unwrap());
         assert!(shared < media, "what is known best comes first");
         let flat = text.replace("\n  ", " ");

@@ -2,26 +2,34 @@
 
 use optics_model::fit::{Cause, MISFIT, Refined, Suspicion};
 
+use super::likelihood::{goodness, unlikely};
 use super::numbers::significant;
 
-/// `misfit 3.4: …` with the likeliest reason; none if noise explains the fit.
+/// `misfit 3.4: …` or `χ² 1130 of 716, …` with the likeliest reason; none if noise explains the fit.
 pub(crate) fn misfit(refined: &Refined) -> Option<String> {
     let told = told(refined)?;
-    let Some(s) = &refined.suspicion else {
-        return Some(format!("{told}: the fit does not explain the data, and its intervals are too narrow"));
+    let meaning = match (&refined.likelihood, &refined.suspicion) {
+        (Some(_), _) => {
+            "noise and what is known of the set-up do not explain the data; the intervals were widened, but are not to \
+             be trusted blindly"
+        }
+        (None, None) => "the fit does not explain the data, and its intervals are too narrow",
+        (None, Some(_)) => "the intervals are not to be trusted",
     };
-    let left = significant(s.misfit_left, 2);
-    let only = match s.cause {
-        Cause::Unknown => String::new(),
-        _ => format!(" (misfit {left} without that)"),
-    };
-    Some(format!("{told}: the intervals are not to be trusted; {}{only}", reason(s)))
+    let reason = refined.suspicion.as_ref().map(|s| {
+        let left = significant(s.misfit_left, 2);
+        match s.cause {
+            Cause::Unknown => format!("; {}", reason(s)),
+            _ => format!("; {} (misfit {left} without that)", reason(s)),
+        }
+    });
+    Some(format!("{told}: {meaning}{}", reason.unwrap_or_default()))
 }
 
 /// The same in few words, for pictures.
 pub(crate) fn misfit_short(refined: &Refined) -> Option<String> {
     let told = told(refined)?;
-    let s = refined.suspicion.as_ref()?;
+    let Some(s) = &refined.suspicion else { return Some(format!("{told}: not explained")) };
     let amount = |unit: &str| format!("{} {unit}", significant(s.amount, 2));
     let percent = format!("{} %", significant(100.0 * s.amount, 2));
     let short = match s.cause {
@@ -38,8 +46,12 @@ pub(crate) fn misfit_short(refined: &Refined) -> Option<String> {
     Some(format!("{told}: {short}"))
 }
 
+/// How much is left over, if it is more than noise explains.
 fn told(refined: &Refined) -> Option<String> {
-    (refined.misfit > MISFIT).then(|| format!("misfit {}", significant(refined.misfit, 2)))
+    match &refined.likelihood {
+        Some(likelihood) => (unlikely(refined) == Some(true)).then(|| goodness(likelihood)),
+        None => (refined.misfit > MISFIT).then(|| format!("misfit {}", significant(refined.misfit, 2))),
+    }
 }
 
 fn reason(s: &Suspicion) -> String {
@@ -81,5 +93,27 @@ fn reason(s: &Suspicion) -> String {
         Cause::ThicknessesSwapped => {
             "likeliest are thicknesses that were exchanged: check thickness_mm".to_owned()
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{channel, likelihood};
+
+    #[test]
+    fn an_unlikely_chi2_warns_whatever_the_misfit_is() {
+        let mut refined = channel("R", 6.0, 3.4).refined.unwrap();
+        refined.likelihood = Some(likelihood(1130.2, 2e-9));
+        let with_reason = "χ² 1130 of 716, p < 0.001: noise and what is known of the set-up do not explain the data; the \
+                           intervals were widened, but are not to be trusted blindly; likeliest is an edge at x = 0.071 \
+                           mm instead of 0 in the profile of 0.5 mm: shift its x_mm (misfit 1 without that)";
+        assert_eq!(misfit(&refined).unwrap(), with_reason);
+        assert_eq!(misfit_short(&refined).unwrap(), "χ² 1130 of 716, p < 0.001: edge 0.071 mm off?");
+        refined.suspicion = None;
+        assert!(misfit(&refined).unwrap().ends_with("not to be trusted blindly"));
+        assert_eq!(misfit_short(&refined).unwrap(), "χ² 1130 of 716, p < 0.001: not explained");
+        refined.likelihood = Some(likelihood(712.0, 0.001));
+        assert_eq!((misfit(&refined), misfit_short(&refined)), (None, None));
     }
 }

@@ -1,6 +1,8 @@
 //! Answers of the fit as people and programs read them.
 
+mod bound;
 mod fits;
+mod likelihood;
 mod misfit;
 mod numbers;
 mod options;
@@ -8,7 +10,7 @@ mod remarks;
 mod scale;
 mod table;
 
-pub(crate) use fits::{fits_text, neighbours};
+pub(crate) use fits::{Report, fits_text, neighbours};
 pub(crate) use misfit::misfit_short;
 pub(crate) use numbers::{albedo, significant};
 pub(crate) use options::UsedOptions;

@@ -12,6 +12,23 @@ pub(crate) fn significant(value: f64, digits: i32) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
+/// `−0.070 ± 0.004`: the error with one digit, and the value with as many decimals.
+pub(super) fn with_error(value: f64, std_error: f64) -> String {
+    if !(std_error > 0.0 && std_error.is_finite()) {
+        return format!("{} ± {}", minus(&significant(value, 4)), significant(std_error, 1));
+    }
+    let decimals = (-std_error.log10().floor()).clamp(0.0, 12.0) as usize;
+    let value = format!("{value:.decimals$}");
+    // Minus nothing is nothing.
+    let value = if value.contains(|c| ('1'..='9').contains(&c)) { value } else { value.replace('-', "") };
+    format!("{} ± {std_error:.decimals$}", minus(&value))
+}
+
+/// A number with the minus sign of typesetters.
+pub(super) fn minus(number: &str) -> String {
+    number.replace('-', "−")
+}
+
 /// An albedo with so many digits that 1 − α has three.
 pub(crate) fn albedo(value: f64) -> String {
     let co_albedo = 1.0 - value;
@@ -54,6 +71,16 @@ mod tests {
             [0.05, 0.9991, 0.999_903, 0.35, 1.0].map(albedo),
             ["0.05", "0.9991", "0.999903", "0.35", "1"]
         );
+    }
+
+    #[test]
+    fn a_value_has_the_decimals_of_its_error() {
+        let told = |value, error| with_error(value, error);
+        assert_eq!(told(-0.0701, 0.0038), "−0.070 ± 0.004");
+        assert_eq!(told(0.5, 0.0096), "0.500 ± 0.010");
+        assert_eq!(told(123.4, 20.0), "123 ± 20");
+        assert_eq!(told(-0.0001, 0.004), "0.000 ± 0.004");
+        assert_eq!(told(0.5, 0.0), "0.5 ± 0");
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! The settings that an answer came by, as programs read them.
 
-use optics_model::fit::{Bounds, FitOptions, Wavelet};
+use optics_model::fit::{Bounds, FitOptions, Objective, Wavelet};
 use serde::Serialize;
 
-/// Settings of Eqs. 1 and 2, as they were used.
+use crate::set_up::Assumed;
+
+/// Settings of a fit, as they were used.
 #[derive(Debug, Serialize)]
 pub(crate) struct UsedOptions<'a> {
     dictionary: &'a str,
@@ -19,10 +21,19 @@ pub(crate) struct UsedOptions<'a> {
     albedo_range: Bounds,
     wavelet: Wavelet,
     level: u32,
+    /// Null if it is chosen by whether every profile has standard errors.
+    objective: Option<Objective>,
+    thickness_std_error_mm: f64,
+    origin_std_error_mm: f64,
+    blur_mm: f64,
+    blur_std_error_mm: f64,
+    slope_std_error: f64,
+    /// The options among these that were not told, of one profile at least.
+    assumed: &'a [&'static str],
 }
 
 impl<'a> UsedOptions<'a> {
-    pub(crate) fn new(dictionary: &'a str, options: &FitOptions) -> Self {
+    pub(crate) fn new(dictionary: &'a str, options: &FitOptions, assumed: &'a Assumed) -> Self {
         let s = options.settings();
         Self {
             dictionary,
@@ -37,6 +48,13 @@ impl<'a> UsedOptions<'a> {
             albedo_range: s.albedo,
             wavelet: s.wavelet,
             level: s.level,
+            objective: s.objective,
+            thickness_std_error_mm: s.thickness_std_error_mm,
+            origin_std_error_mm: s.origin_std_error_mm,
+            blur_mm: s.blur_mm,
+            blur_std_error_mm: s.blur_std_error_mm,
+            slope_std_error: s.slope_std_error,
+            assumed: assumed.names(),
         }
     }
 }

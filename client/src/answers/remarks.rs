@@ -2,14 +2,16 @@
 
 use optics_model::fit::{ChannelFit, Interval, Outside};
 
+use super::likelihood::findings;
 use super::misfit::misfit;
 use super::numbers::significant;
 
 /// What a reader of the numbers must know.
 pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {
     let valley = channel.refined.as_ref().is_some_and(|r| r.valley);
+    let findings = channel.refined.as_ref().map(findings).unwrap_or_default();
     let advice = valley.then(|| "σ_t and g trade off: trust σ_s(1−g) and σ_a".to_owned());
-    warnings(channel).into_iter().chain(advice).collect()
+    warnings(channel).into_iter().chain(findings).chain(advice).collect()
 }
 
 /// Why the numbers may not be trusted.

@@ -33,6 +33,9 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
         "absorption_low",
         "absorption_high",
         "misfit",
+        "chi2",
+        "degrees_of_freedom",
+        "probability",
     ])?;
     for fit in fits {
         for channel in &fit.channels {
@@ -55,6 +58,8 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
                 high(&r.absorption_per_mm),
             ]);
             row.push(r.misfit.to_string());
+            let likelihood = r.likelihood.as_ref().map(|l| [l.chi2, l.degrees_of_freedom, l.probability]);
+            row.extend(likelihood.map_or_else(Default::default, |l| l.map(|v| v.to_string())));
             writer.write_record(&row)?;
         }
     }

@@ -10,7 +10,8 @@ pub(super) const FIT: &str = "\
 Examples:
   farmctl fit examples/white.csv
   farmctl fit examples/white.csv --g 0.4 --top 3 --plot fit.svg
-  farmctl fit wax.csv --dictionary fine --sigma-t 4..8";
+  farmctl fit wax.csv --dictionary fine --sigma-t 4..8
+  farmctl fit wax.csv --session session.json --thickness-std-error-mm 0.002 --bound";
 
 pub(super) const SCALE: &str = "\
 Examples:
@@ -20,7 +21,8 @@ Examples:
 pub(super) const MEASURE: &str = "\
 Examples:
   farmctl measure examples/white.csv --mu 1
-  farmctl measure materials.csv -o media --plot media.svg";
+  farmctl measure materials.csv -o media --plot media.svg
+  farmctl measure materials.csv --objective paper      as the paper did";
 
 pub(super) const MAP: &str = "\
 Examples:

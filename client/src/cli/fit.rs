@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use optics_model::fit::{FitOptions, FitSettings, MuRange, Wavelet};
+use optics_model::fit::{FitOptions, FitSettings, MuRange, Objective, Wavelet};
 
 use super::bounds::BoundsArg;
+use super::set_up::{SET_UP, SetUpArgs};
+use crate::set_up::SetUp;
 
 /// What all questions to a dictionary have in common.
 #[derive(Debug, Args)]
@@ -14,30 +16,41 @@ pub struct OptionArgs {
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
     /// Only this anisotropy, or a range such as 0.2..0.6 [default: any].
-    #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true, help_heading = MEDIUM)]
     pub g: Option<BoundsArg>,
     /// Only this extinction coefficient in 1/mm, or a range such as 4..8 [default: any].
-    #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true, help_heading = MEDIUM)]
     pub sigma_t: Option<BoundsArg>,
     /// Only this albedo, or a range such as 0.9.. [default: any].
-    #[arg(long, value_name = "RANGE", allow_hyphen_values = true)]
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true, help_heading = MEDIUM)]
     pub albedo: Option<BoundsArg>,
-    /// Weight of the profiles' gradients.
-    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true)]
+    /// What the best medium is the best by [default: likelihood if every profile has standard errors, else paper].
+    #[arg(long, value_enum, help_heading = OBJECTIVE)]
+    pub objective: Option<ObjectiveArg>,
+    /// Weight of the profiles' gradients in the paper's distance.
+    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true, help_heading = OBJECTIVE)]
     pub lambda: f64,
     /// Wavelet used to take the gradients.
-    #[arg(long, value_enum, default_value_t = WaveletArg::Spline)]
+    #[arg(long, value_enum, default_value_t = WaveletArg::Spline, help_heading = OBJECTIVE)]
     pub wavelet: WaveletArg,
     /// Level of the wavelet: gradients are smoothed over about 2^LEVEL pixels.
-    #[arg(long, default_value_t = 4)]
+    #[arg(long, default_value_t = 4, help_heading = OBJECTIVE)]
     pub level: u32,
-    /// Relative standard error of the scale of each profile on its own (exposure, illumination), which goes into the
-    /// error bars.
-    #[arg(long, value_name = "ERROR", default_value_t = 0.003, allow_negative_numbers = true)]
-    pub gain_std_error: f64,
-    /// Standard error of the zero of each profile on its own (stray light, black level), as a radiance factor.
-    #[arg(long, value_name = "ERROR", default_value_t = 0.001, allow_negative_numbers = true)]
-    pub offset_std_error: f64,
+    #[command(flatten)]
+    pub set_up: SetUpArgs,
+}
+
+/// Headings of the help.
+const MEDIUM: &str = "What is known of the medium";
+const OBJECTIVE: &str = "Objective of the fit";
+const SEARCH: &str = "Search of the scale factor";
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ObjectiveArg {
+    /// Least distance after Eq. 1 of the paper, as if the set-up were perfect but for the scale factor.
+    Paper,
+    /// Greatest likelihood, with what is wrong with the set-up estimated beside the medium.
+    Likelihood,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -49,35 +62,39 @@ pub enum WaveletArg {
 }
 
 impl OptionArgs {
-    pub fn settings(&self) -> optics_model::Result<FitSettings> {
-        Ok(FitSettings {
+    /// `set_up` is what its arguments and the session file tell.
+    pub(crate) fn settings(&self, set_up: &SetUp) -> optics_model::Result<FitSettings> {
+        let settings = FitSettings {
             lambda: self.lambda,
             wavelet: match self.wavelet {
                 WaveletArg::Spline => Wavelet::QuadraticSpline,
                 WaveletArg::Haar => Wavelet::Haar,
             },
             level: self.level,
-            gain_std_error: self.gain_std_error,
-            offset_std_error: self.offset_std_error,
+            objective: self.objective.map(|objective| match objective {
+                ObjectiveArg::Paper => Objective::Paper,
+                ObjectiveArg::Likelihood => Objective::Likelihood,
+            }),
             sigma_t_per_mm: BoundsArg::check(self.sigma_t, "sigma_t_per_mm")?,
             albedo: BoundsArg::check(self.albedo, "albedo")?,
             g: BoundsArg::check(self.g, "g")?,
             ..FitSettings::default()
-        })
+        };
+        Ok(set_up.settings(settings))
     }
 }
 
 #[derive(Debug, Args)]
 pub struct FitArgs {
-    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error.
+    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error and the set-up.
     pub measurement: PathBuf,
     #[command(flatten)]
     pub options: OptionArgs,
-    /// Factor on the measured values.
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    /// Factor on the measured values, μ.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true, help_heading = SET_UP)]
     pub mu: f64,
     /// Standard error of that factor, which goes into the error bars.
-    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true, help_heading = SET_UP)]
     pub mu_std_error: f64,
     /// Number of best records to show per channel.
     #[arg(long, value_name = "N", default_value_t = 5)]
@@ -85,20 +102,23 @@ pub struct FitArgs {
     /// Report only records of the dictionary: no optimum between them, no error bars.
     #[arg(long)]
     pub no_refine: bool,
+    /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
+    #[arg(long, conflicts_with = "no_refine")]
+    pub bound: bool,
     /// Draw profiles and gradients with their fits, one picture per material: FILE.svg or FILE.png.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
 }
 
 impl FitArgs {
-    pub fn options(&self) -> optics_model::Result<FitOptions> {
+    pub(crate) fn options(&self, set_up: &SetUp) -> optics_model::Result<FitOptions> {
         FitOptions::new(FitSettings {
             mu: self.mu,
             mu_std_error: self.mu_std_error,
             top: self.top,
             refine: !self.no_refine,
             curves: self.plot.is_some(),
-            ..self.options.settings()?
+            ..self.options.settings(set_up)?
         })
     }
 }
@@ -107,13 +127,13 @@ impl FitArgs {
 #[derive(Debug, Args)]
 pub struct MuArgs {
     /// Smallest scale factor to try.
-    #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true, help_heading = SEARCH)]
     pub mu_min: f64,
     /// Largest scale factor to try.
-    #[arg(long, value_name = "MU", default_value_t = 1.1, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MU", default_value_t = 1.1, allow_negative_numbers = true, help_heading = SEARCH)]
     pub mu_max: f64,
     /// Step from one scale factor to the next.
-    #[arg(long, value_name = "STEP", default_value_t = 0.001, allow_negative_numbers = true)]
+    #[arg(long, value_name = "STEP", default_value_t = 0.001, allow_negative_numbers = true, help_heading = SEARCH)]
     pub mu_step: f64,
 }
 
@@ -143,16 +163,32 @@ pub struct MeasureArgs {
     #[command(flatten)]
     pub options: OptionArgs,
     /// Take this scale factor instead of searching for it.
-    #[arg(long, value_name = "MU", allow_negative_numbers = true, conflicts_with_all = ["mu_min", "mu_max", "mu_step"])]
+    #[arg(
+        long,
+        value_name = "MU",
+        allow_negative_numbers = true,
+        conflicts_with_all = ["mu_min", "mu_max", "mu_step"],
+        help_heading = SET_UP
+    )]
     pub mu: Option<f64>,
     /// Standard error of that factor.
-    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true, requires = "mu")]
+    #[arg(
+        long,
+        value_name = "ERROR",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        requires = "mu",
+        help_heading = SET_UP
+    )]
     pub mu_std_error: f64,
     #[command(flatten)]
     pub search: MuArgs,
     /// Let every channel have its own anisotropy; without this, and without --g, all share the best common one.
     #[arg(long, conflicts_with = "g")]
     pub free_g: bool,
+    /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
+    #[arg(long)]
+    pub bound: bool,
     /// Write a folder with table.csv, media for Mitsuba 3 (media.py, media.xml) and pbrt-v4 (media.pbrt).
     #[arg(long, short, value_name = "DIR")]
     pub output: Option<PathBuf>,
@@ -163,12 +199,12 @@ pub struct MeasureArgs {
 
 #[derive(Debug, Args)]
 pub struct MapArgs {
-    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error.
+    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error and the set-up.
     pub measurement: PathBuf,
     #[command(flatten)]
     pub options: OptionArgs,
-    /// Factor on the measured values.
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    /// Factor on the measured values, μ.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true, help_heading = SET_UP)]
     pub mu: f64,
     /// Only this material [default: all].
     #[arg(long, value_name = "NAME")]

@@ -4,6 +4,7 @@ mod bounds;
 mod examples;
 mod farm;
 mod fit;
+mod set_up;
 mod slurm;
 mod whole;
 
@@ -17,7 +18,10 @@ pub use farm::{
     AccessCommand, AccessCreateArgs, BackupArgs, CancelArgs, DeleteArgs, DoctorArgs, DrainArgs, EventsArgs,
     NameArgs, PriorityArgs, RestoreArgs, WaitArgs, WorkersArgs, WorkersCommand,
 };
-pub use fit::{FitArgs, MapArgs, MeasureArgs, MuArgs, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg};
+pub use fit::{
+    FitArgs, MapArgs, MeasureArgs, MuArgs, ObjectiveArg, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg,
+};
+pub use set_up::SetUpArgs;
 pub use slurm::{SlurmCommand, SlurmSubmitArgs};
 use whole::whole_number;
 

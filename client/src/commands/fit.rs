@@ -7,20 +7,24 @@ use optics_model::fit::{FitOptions, MaterialFit};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{UsedOptions, fits_text, neighbours};
+use crate::answers::{Report, UsedOptions, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
 use crate::plot::{self, Picture};
+use crate::set_up::SetUp;
 
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
-    let options = args.options()?;
+    let set_up = SetUp::new(&args.options.set_up)?;
+    let options = args.options(&set_up)?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurement)?.told(&args.measurement, output);
+    let assumed = set_up.assumed(&materials);
+    let materials = set_up.told_of(materials)?;
     let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let fits = fit_all(connection, &dictionary, &materials, &options).await?;
@@ -31,13 +35,16 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
         Some(path) => plot::write_fits(&fits, path)?,
         None => Vec::new(),
     };
-    let data = data(&dictionary, &options, &fits, &notes);
-    output.print("fit", &data, || text(&fits, args.top, &pictures))
+    let used = UsedOptions::new(&dictionary, &options, &assumed);
+    let data = data(used, &fits, &notes);
+    output.print("fit", &data, || {
+        let report = Report { fits: &fits, assumed: assumed.text(options.settings()), bound: args.bound };
+        text(&report, args.top, &pictures)
+    })
 }
 
 pub(super) fn data<'a>(
-    dictionary: &'a str,
-    options: &FitOptions,
+    options: UsedOptions<'a>,
     materials: &'a [MaterialFit],
     notes: &'a [Note],
 ) -> impl Serialize {
@@ -49,7 +56,7 @@ pub(super) fn data<'a>(
         /// What was assumed when the file was read, and what looks suspicious in it.
         notes: &'a [Note],
     }
-    Data { options: UsedOptions::new(dictionary, options), materials, notes }
+    Data { options, materials, notes }
 }
 
 async fn fit_all(
@@ -73,10 +80,10 @@ async fn fit_all(
 }
 
 /// What was found, then the best records of each channel.
-fn text(fits: &[MaterialFit], top: u32, pictures: &[PathBuf]) -> String {
-    let mut text = fits_text(fits);
+fn text(report: &Report, top: u32, pictures: &[PathBuf]) -> String {
+    let mut text = fits_text(report);
     if top > 1 {
-        for fit in fits {
+        for fit in report.fits {
             for channel in &fit.channels {
                 text += &format!("\n\n{}, channel {}: best records\n", fit.material, channel.channel);
                 text += &neighbours(&channel.candidates);

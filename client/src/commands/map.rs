@@ -11,15 +11,19 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::{Output, table};
 use crate::plot::{self, Picture};
+use crate::set_up::SetUp;
 
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
-    let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings()? })?;
+    let set_up = SetUp::new(&args.options.set_up)?;
+    let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings(&set_up)? })?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurement)?.told(&args.measurement, output);
     let materials = chosen(materials, &args)?;
+    let assumed = set_up.assumed(&materials);
+    let materials = set_up.told_of(materials)?;
     let (dictionary, maps) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let maps = map_all(connection, &dictionary, &materials, &options).await?;
@@ -30,7 +34,8 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
         let maps: Vec<_> = maps.iter().map(|m| (m.material.as_str(), &m.map)).collect();
         plot::write_maps(&maps, path)?;
     }
-    let data = data(&dictionary, &options, &maps, &notes);
+    let used = UsedOptions::new(&dictionary, &options, &assumed);
+    let data = data(used, &maps, &notes);
     output.print("map", &data, || maps.iter().map(text).collect::<Vec<_>>().join("\n\n"))
 }
 
@@ -113,8 +118,7 @@ pub(super) struct MaterialMap {
 }
 
 pub(super) fn data<'a>(
-    dictionary: &'a str,
-    options: &FitOptions,
+    options: UsedOptions<'a>,
     maps: &'a [MaterialMap],
     notes: &'a [Note],
 ) -> impl Serialize {
@@ -126,5 +130,5 @@ pub(super) fn data<'a>(
         /// What was assumed when the file was read, and what looks suspicious in it.
         notes: &'a [Note],
     }
-    Data { options: UsedOptions::new(dictionary, options), maps, notes }
+    Data { options, maps, notes }
 }

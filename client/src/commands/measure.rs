@@ -6,20 +6,22 @@ use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, ScaleCurve
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{UsedOptions, common_text, fits_text, table_csv};
+use crate::answers::{Report, UsedOptions, common_text, fits_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::{Output, write_whole};
 use crate::plot::{self, Picture};
 use crate::renderers;
+use crate::set_up::SetUp;
 
 pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> Result<()> {
+    let set_up = SetUp::new(&args.options.set_up)?;
     let settings = FitSettings {
         mu: args.mu.unwrap_or(1.0),
         mu_std_error: args.mu_std_error,
         curves: args.plot.is_some(),
-        ..args.options.settings()?
+        ..args.options.settings(&set_up)?
     };
     let options = FitOptions::new(settings)?;
     let range = args.search.range()?;
@@ -28,6 +30,8 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
+    let assumed = set_up.assumed(&materials);
+    let materials = set_up.told_of(materials)?;
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = MeasureRequest {
@@ -49,8 +53,12 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
     let options = options.with_mu(found.common.mu, found.common.mu_std_error)?;
-    let data = data(&dictionary, &options, &found, &notes);
-    output.print("measure", &data, || text(&found, args.output.as_deref(), &pictures))
+    let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
+    output.print("measure", &data, || {
+        let assumed = assumed.text(options.settings());
+        let report = Report { fits: &found.materials, assumed, bound: args.bound };
+        text(&found.common, &report, args.output.as_deref(), &pictures)
+    })
 }
 
 /// Why an answer may lack what this program shows.
@@ -77,8 +85,8 @@ impl TryFrom<MeasureResponse> for Found {
     }
 }
 
-fn text(found: &Found, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
-    let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(&found.materials));
+fn text(common: &Common, report: &Report, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
+    let mut text = format!("{}\n\n{}", common_text(common), fits_text(report));
     text += &plot::drawn(pictures);
     if let Some(folder) = folder {
         text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
@@ -100,12 +108,7 @@ fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     Ok(())
 }
 
-pub(super) fn data<'a>(
-    dictionary: &'a str,
-    options: &FitOptions,
-    found: &'a Found,
-    notes: &'a [Note],
-) -> impl Serialize {
+pub(super) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [Note]) -> impl Serialize {
     #[derive(Serialize)]
     struct Data<'a> {
         #[serde(flatten)]
@@ -120,7 +123,7 @@ pub(super) fn data<'a>(
         notes: &'a [Note],
     }
     Data {
-        options: UsedOptions::new(dictionary, options),
+        options,
         common_g: found.common.g,
         common: &found.common,
         scale: found.scale.as_ref(),

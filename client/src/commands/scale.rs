@@ -11,15 +11,19 @@ use crate::connection::{Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
 use crate::plot::{Picture, drawn, scale_figure};
+use crate::set_up::SetUp;
 
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
-    let options = FitOptions::new(args.options.settings()?)?;
+    let set_up = SetUp::new(&args.options.set_up)?;
+    let options = FitOptions::new(args.options.settings(&set_up)?)?;
     let range = args.mu.range()?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
+    let assumed = set_up.assumed(&materials);
+    let materials = set_up.told_of(materials)?;
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = ScaleRequest {
@@ -39,15 +43,15 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
         scale_figure(&scale, &common)?.write(path)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
-    let data = data(&dictionary, &options, &scale, &common, &fits, &notes);
+    let used = UsedOptions::new(&dictionary, &options, &assumed);
+    let data = data(used, &scale, &common, &fits, &notes);
     output.print("scale", &data, || {
         format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(&args.plot))
     })
 }
 
 pub(super) fn data<'a>(
-    dictionary: &'a str,
-    options: &FitOptions,
+    options: UsedOptions<'a>,
     scale: &'a ScaleCurve,
     common: &'a Common,
     materials: &'a [MaterialFit],
@@ -64,5 +68,5 @@ pub(super) fn data<'a>(
         /// What was assumed when the file was read, and what looks suspicious in it.
         notes: &'a [Note],
     }
-    Data { options: UsedOptions::new(dictionary, options), scale, common, materials, notes }
+    Data { options, scale, common, materials, notes }
 }

@@ -6,8 +6,8 @@ use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerSta
 use farm_proto::wire::StatusResponse;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, FitCurves, FitOptions, FitSettings,
-    GError, MapLayer, MaterialFit, Outside, Refined, ScaleCurve, ScalePoint, Suspicion, ThicknessError,
-    Wavelet,
+    GError, MapLayer, MaterialFit, Objective, Outside, Refined, ScaleCurve, ScalePoint, Suspicion,
+    ThicknessError, Wavelet,
 };
 use optics_model::grid::{Axes, Quality};
 use optics_model::job::JobSpec;
@@ -17,10 +17,12 @@ use optics_model::{
 use serde::Serialize;
 
 use super::{fit, list, map, measure, scale, show, similar, simulate, status, workers};
+use crate::answers::UsedOptions;
 use crate::cli::SimilarArgs;
 use crate::measurement_file::Note;
 use crate::output::envelope;
-use crate::testing::interval;
+use crate::set_up::{Assumed, SetUp};
+use crate::testing::{interval, likelihood};
 
 /// One answer a line, as `--json` prints it. Fields may be added to a version, never changed or removed: a line may only
 /// grow.
@@ -37,22 +39,26 @@ fn what_programs_read_stays_as_it_is() {
 
 fn answers() -> Vec<String> {
     let (fits, common, scale_curve) = (materials(), [common(Some(0.4)), common(None)], scale_curve());
-    let [free, bound] = options();
+    let [free, bound, likely] = options();
     let found =
         |g: usize, scale| measure::Found { scale, common: common[g].clone(), materials: fits.clone() };
     let job = job();
+    let assumed = SetUp::default().assumed(&[]);
     let simulated = |several| {
         let style = simulate::JsonStyle { several, walks: 5000, seed: 7 };
         line("simulate", &simulate::SimulateJson::new(&style, &job, 0.9, &record()))
     };
     let dictionaries = [dictionary(true), dictionary(false)];
     vec![
-        line("fit", &fit::data("paper", &free, &fits, &notes())),
-        line("fit", &fit::data("paper", &bound, &fits[..1], &[])),
-        line("scale", &scale::data("paper", &bound, &scale_curve, &common[0], &fits[1..], &notes())),
-        line("measure", &measure::data("paper", &free, &found(0, Some(scale_curve.clone())), &notes())),
-        line("measure", &measure::data("paper", &bound, &found(1, None), &[])),
-        line("map", &map::data("paper", &free, &[material_map()], &notes())),
+        line("fit", &fit::data(used(&free, &assumed), &fits, &notes())),
+        line("fit", &fit::data(used(&bound, &assumed), &fits[..1], &[])),
+        line("scale", &scale::data(used(&bound, &assumed), &scale_curve, &common[0], &fits[1..], &notes())),
+        line(
+            "measure",
+            &measure::data(used(&free, &assumed), &found(0, Some(scale_curve.clone())), &notes()),
+        ),
+        line("measure", &measure::data(used(&bound, &assumed), &found(1, None), &[])),
+        line("map", &map::data(used(&free, &assumed), &[material_map()], &notes())),
         line("similar", &similar::data(&similar_args()).unwrap()),
         simulated(false),
         simulated(true),
@@ -62,6 +68,7 @@ fn answers() -> Vec<String> {
         line("show", &show::data(&dictionaries[1])),
         line("list", &list::data(&dictionaries)),
         line("workers", &workers::data(&[worker()])),
+        line("fit", &fit::data(used(&likely, &assumed), &[with_likelihood()], &[])),
     ]
 }
 
@@ -73,7 +80,11 @@ fn notes() -> Vec<Note> {
     vec![Note { code: "x_in_cm", text: "x is in cm".to_owned() }]
 }
 
-fn options() -> [FitOptions; 2] {
+fn used<'a>(options: &FitOptions, assumed: &'a Assumed) -> UsedOptions<'a> {
+    UsedOptions::new("paper", options, assumed)
+}
+
+fn options() -> [FitOptions; 3] {
     let bound = FitSettings {
         lambda: 12.5,
         mu: 0.913,
@@ -85,7 +96,16 @@ fn options() -> [FitOptions; 2] {
         g: Bounds::fixed(0.4),
         ..FitSettings::default()
     };
-    [FitOptions::default(), FitOptions::new(bound).unwrap()]
+    let likely = FitSettings {
+        objective: Some(Objective::Likelihood),
+        thickness_std_error_mm: 0.002,
+        origin_std_error_mm: 0.01,
+        blur_mm: 0.025,
+        blur_std_error_mm: 0.001,
+        slope_std_error: 0.004,
+        ..FitSettings::default()
+    };
+    [FitOptions::default(), FitOptions::new(bound).unwrap(), FitOptions::new(likely).unwrap()]
 }
 
 fn candidate(sigma_t: f64, record: Option<usize>) -> Candidate {
@@ -172,6 +192,12 @@ fn materials() -> Vec<MaterialFit> {
         },
         MaterialFit { material: "resin".to_owned(), channels: suspected.into() },
     ]
+}
+
+fn with_likelihood() -> MaterialFit {
+    let mut channel = channel("R", None);
+    channel.refined.as_mut().unwrap().likelihood = Some(likelihood(712.4, 0.5312));
+    MaterialFit { material: "resin".to_owned(), channels: vec![channel] }
 }
 
 fn by_g() -> Vec<GError> {

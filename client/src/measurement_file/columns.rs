@@ -4,8 +4,26 @@ use anyhow::{Result, bail};
 
 use super::note::Note;
 
-/// The names of the strict format; the last may be missing.
-const NAMES: [&str; 6] = ["material", "channel", "thickness_mm", "x_mm", "value", "std_error"];
+/// The names of the strict format.
+const NAMES: [&str; 11] = [
+    "material",
+    "channel",
+    "thickness_mm",
+    "x_mm",
+    "value",
+    "std_error",
+    "thickness_std_error_mm",
+    "origin_mm",
+    "origin_std_error_mm",
+    "blur_mm",
+    "blur_std_error_mm",
+];
+
+/// How many of them must be there.
+const NEEDED: usize = 5;
+
+/// The names of what is known of a profile's set-up.
+pub(super) const SETUP: [&str; 5] = [NAMES[6], NAMES[7], NAMES[8], NAMES[9], NAMES[10]];
 
 /// A column's place in the rows, and the factor that makes its numbers mm or radiance factors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,12 +43,14 @@ pub(super) struct Columns {
     pub x: Column,
     pub value: Column,
     pub std_error: Option<Column>,
+    /// In the order of [`SETUP`].
+    pub setup: [Option<Column>; 5],
 }
 
 impl Columns {
     /// Refuses names that are not known, that are missing, and two that mean the same.
     pub fn find(header: &csv::StringRecord, notes: &mut Vec<Note>) -> Result<Self> {
-        let mut found: [Option<(Meaning, usize)>; 6] = [None; 6];
+        let mut found: [Option<(Meaning, usize)>; NAMES.len()] = [None; NAMES.len()];
         let mut assumed = Vec::new();
         for (place, given) in header.iter().enumerate().filter(|(_, given)| !given.is_empty()) {
             let Some(meaning) = meaning(given) else {
@@ -38,7 +58,8 @@ impl Columns {
             };
             if meaning.unit == Unit::Pixels {
                 bail!(
-                    "column {given:?} counts pixels; mm are wanted: multiply by the pixel pitch, with 0 at the edge"
+                    "column {given:?} counts pixels; mm are wanted: multiply by the pixel pitch{}",
+                    if meaning.field == 3 { ", with 0 at the edge" } else { "" }
                 );
             }
             if let Some((_, earlier)) = found[meaning.field] {
@@ -50,12 +71,12 @@ impl Columns {
                 assumed.push(meaning.told(given));
             }
         }
-        let missing: Vec<_> = (0..5).filter(|f| found[*f].is_none()).map(|f| NAMES[f]).collect();
+        let missing: Vec<_> = (0..NEEDED).filter(|f| found[*f].is_none()).map(|f| NAMES[f]).collect();
         if !missing.is_empty() {
             let s = if missing.len() == 1 { "" } else { "s" };
-            bail!("missing column{s} {}; needed are {}", missing.join(", "), NAMES[..5].join(", "));
+            bail!("missing column{s} {}; needed are {}", missing.join(", "), NAMES[..NEEDED].join(", "));
         }
-        if let [.., Some((value, _)), Some((error, place))] = found
+        if let [_, _, _, _, Some((value, _)), Some((error, place)), ..] = found
             && value.unit == Unit::Percent
             && error.unit == Unit::None
         {
@@ -72,15 +93,17 @@ impl Columns {
         };
         match [0, 1, 2, 3, 4].map(column) {
             [Some(material), Some(channel), Some(thickness), Some(x), Some(value)] => {
-                Ok(Self { material, channel, thickness, x, value, std_error: column(5) })
+                let (std_error, setup) = (column(5), [6, 7, 8, 9, 10].map(column));
+                Ok(Self { material, channel, thickness, x, value, std_error, setup })
             }
-            _ => bail!("needed are {}", NAMES[..5].join(", ")),
+            _ => bail!("needed are {}", NAMES[..NEEDED].join(", ")),
         }
     }
 
     /// Those that hold numbers.
     pub fn numbers(&self) -> impl Iterator<Item = Column> {
-        [self.thickness, self.x, self.value].into_iter().chain(self.std_error)
+        let optional = [self.std_error].into_iter().chain(self.setup).flatten();
+        [self.thickness, self.x, self.value].into_iter().chain(optional)
     }
 }
 
@@ -161,14 +184,19 @@ fn meaning(name: &str) -> Option<Meaning> {
         | "mean" => 4,
         "stderror" | "standarderror" | "stderr" | "error" | "sigma" | "std" | "stddev" | "stdev"
         | "standarddeviation" | "sd" | "se" | "sem" | "uncertainty" => 5,
+        "thicknessstderror" | "thicknessstandarderror" | "thicknesserror" | "thicknessuncertainty" => 6,
+        "origin" | "x0" => 7,
+        "originstderror" | "originstandarderror" | "originerror" | "originuncertainty" => 8,
+        "blur" => 9,
+        "blurstderror" | "blurstandarderror" | "blurerror" | "bluruncertainty" => 10,
         _ => return None,
     };
     let fits = match unit {
         Unit::None => true,
         Unit::Nanometres => field == 1,
-        Unit::Percent => field >= 4,
-        Unit::Pixels => field == 3,
-        _ => field == 2 || field == 3,
+        Unit::Percent => field == 4 || field == 5,
+        Unit::Pixels => field == 3 || field >= 7,
+        _ => field == 2 || field == 3 || field >= 6,
     };
     fits.then_some(Meaning { field, unit })
 }
@@ -223,6 +251,22 @@ mod tests {
         assert_eq!(factors, [0.001, 10.0, 0.01, 0.01]);
         assert!(notes[0].text.contains("\"x_cm\" is multiplied by 10 and read as x_mm"), "{}", notes[0].text);
         assert!(notes[0].text.contains("\"thickness (\u{b5}m)\" is divided by 1000"), "{}", notes[0].text);
+    }
+
+    #[test]
+    fn what_is_known_of_the_set_up_may_be_told_in_any_unit_of_length() {
+        let all = "material,channel,thickness_mm,x_mm,value";
+        let (columns, notes) = find(&format!("{all},{}", SETUP.join(","))).unwrap();
+        assert!(notes.is_empty(), "{notes:?}");
+        assert_eq!(columns.setup.map(|c| c.unwrap().place), [5, 6, 7, 8, 9]);
+        let (columns, notes) = find(&format!("{all},Blur (\u{b5}m),Thickness error [um]")).unwrap();
+        let factors = columns.setup.map(|c| c.map(|c| c.factor));
+        assert_eq!(factors, [Some(1e-3), None, None, Some(1e-3), None]);
+        assert!(notes[0].text.contains("is divided by 1000 and read as blur_mm"), "{}", notes[0].text);
+        let pixels = find(&format!("{all},blur_px")).unwrap_err().to_string();
+        assert!(pixels.starts_with("column \"blur_px\" counts pixels"), "{pixels}");
+        let percent = find(&format!("{all},blur (%)")).unwrap_err().to_string();
+        assert!(percent.contains("is not known"), "{percent}");
     }
 
     #[test]

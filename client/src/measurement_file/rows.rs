@@ -1,9 +1,10 @@
 //! From rows to profiles.
 
 use anyhow::{Context, Result, bail};
-use optics_model::measurement::colour;
+use optics_model::measurement::{ProfileSetup, colour};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
 
+use super::columns::{Column, SETUP};
 use super::note::Note;
 use super::number::Decimal;
 use super::table::Table;
@@ -13,6 +14,8 @@ pub(super) struct Draft {
     material: String,
     channel: String,
     thickness_mm: f64,
+    /// What is known of its set-up, in the order of [`SETUP`].
+    setup: [Option<f64>; 5],
     rows: Vec<Row>,
 }
 
@@ -51,8 +54,7 @@ fn add(
     decimal: Decimal,
 ) -> Result<()> {
     let columns = &table.columns;
-    let number =
-        |c: super::columns::Column| Ok::<_, anyhow::Error>(decimal.read(&row[c.place], c.name)? * c.factor);
+    let number = |c: Column| Ok::<_, anyhow::Error>(decimal.read(&row[c.place], c.name)? * c.factor);
     let (material, channel) = (&row[columns.material.place], &row[columns.channel.place]);
     let thickness_mm = number(columns.thickness)?;
     let entry = Row {
@@ -61,16 +63,39 @@ fn add(
         value: number(columns.value)?,
         std_error: columns.std_error.map_or(Ok(0.0), number)?,
     };
+    let mut setup = [None; 5];
+    for (known, column) in setup.iter_mut().zip(columns.setup) {
+        // A cell may be empty: of this profile it is not known.
+        *known = column.filter(|c| !row[c.place].is_empty()).map(number).transpose()?;
+    }
     let same = |d: &Draft| d.material == material && d.channel == channel && d.thickness_mm == thickness_mm;
     // Rows of a profile are mostly neighbours: the last is tried first.
     match drafts.iter().rposition(same) {
-        Some(place) => drafts[place].rows.push(entry),
+        Some(place) => {
+            check_same(&drafts[place], setup)?;
+            drafts[place].rows.push(entry);
+        }
         None => drafts.push(Draft {
             material: material.to_owned(),
             channel: channel.to_owned(),
             thickness_mm,
+            setup,
             rows: vec![entry],
         }),
+    }
+    Ok(())
+}
+
+/// A profile has one set-up.
+fn check_same(draft: &Draft, setup: [Option<f64>; 5]) -> Result<()> {
+    for ((name, here), before) in SETUP.into_iter().zip(setup).zip(draft.setup) {
+        if here != before {
+            let told = |v: Option<f64>| v.map_or("nothing".to_owned(), |v| v.to_string());
+            let (here, before, line) = (told(here), told(before), draft.rows[0].line);
+            bail!(
+                "{name} = {here}, but line {line} of the same profile has {before}: it must be the same in all rows of a profile"
+            );
+        }
     }
     Ok(())
 }
@@ -88,7 +113,7 @@ pub(super) fn name_colours(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Resul
             same_slab && d.channel == name
         });
         if twin.is_some() {
-            let Draft { material, channel, thickness_mm, rows } = &drafts[i];
+            let Draft { material, channel, thickness_mm, rows, .. } = &drafts[i];
             bail!(
                 "line {}, material {material}, {thickness_mm} mm: channel {channel:?} means {name}, which is there under another spelling: are these two profiles or one?",
                 rows[0].line
@@ -153,6 +178,7 @@ pub(super) fn profiles(drafts: Vec<Draft>, with_errors: bool) -> Result<Profiles
         let (x, values) = (take(|r| r.x_mm), take(|r| r.value));
         let errors = with_errors.then(|| take(|r| r.std_error));
         let made = MeasuredProfile::new(draft.channel.clone(), draft.thickness_mm, x, values, errors);
+        let made = made.and_then(|p| with_setup(p, draft.setup));
         let profile = made.map_err(|e| {
             let line = lines[element(&e).unwrap_or(0).min(lines.len() - 1)];
             let place = place_of(line, &draft.material, &draft.channel, draft.thickness_mm);
@@ -173,6 +199,28 @@ pub(super) fn profiles(drafts: Vec<Draft>, with_errors: bool) -> Result<Profiles
         found.lines.push(lines);
     }
     Ok(found)
+}
+
+/// The profile with what is known of its set-up, in the order of [`SETUP`].
+fn with_setup(profile: MeasuredProfile, setup: [Option<f64>; 5]) -> optics_model::Result<MeasuredProfile> {
+    let [thickness_std_error_mm, origin_mm, origin_std_error_mm, blur_mm, blur_std_error_mm] = setup;
+    let profile = profile.with_setup(ProfileSetup {
+        thickness_std_error_mm,
+        origin_mm,
+        origin_std_error_mm,
+        blur_mm,
+        blur_std_error_mm,
+    })?;
+    let x = profile.x_mm();
+    let (first, last) = (x[0], x[x.len() - 1]);
+    match origin_mm {
+        Some(origin) if !(first..=last).contains(&origin) => {
+            let allowed =
+                format!("the profile's x runs from {first} to {last} mm, and the edge must lie within");
+            Err(Invalid::new("origin_mm", origin, allowed))
+        }
+        _ => Ok(profile),
+    }
 }
 
 /// The place that every message about a profile names.

@@ -223,6 +223,81 @@ fn mistakes_of_the_measurement_are_refused_at_their_lines() {
     );
 }
 
+const SETUP_HEAD: &str = "material,channel,thickness_mm,x_mm,value,std_error,thickness_std_error_mm,origin_mm,\
+                          origin_std_error_mm,blur_mm,blur_std_error_mm\n";
+
+/// A profile with the same cells at the end of every row.
+fn with_cells(channel: &str, thickness: f64, cells: &str) -> String {
+    rows("w", channel, thickness).lines().map(|line| format!("{line},{cells}\n")).collect()
+}
+
+#[test]
+fn what_is_known_of_each_set_up_is_read_and_empty_cells_tell_nothing() {
+    let thin = with_cells("R", 0.5, "0.004,0.02,0.005,0.025,0.001");
+    let file = parse(&format!("{SETUP_HEAD}{thin}{}", with_cells("R", 1.0, ",,,,")));
+    assert_eq!(file.notes, []);
+    let [thin, thick] = file.materials[0].profiles() else { panic!("two profiles") };
+    let setup = thin.setup();
+    assert_eq!((setup.thickness_std_error_mm, setup.origin_mm), (Some(0.004), Some(0.02)));
+    assert_eq!((setup.origin_std_error_mm, setup.blur_mm), (Some(0.005), Some(0.025)));
+    assert_eq!(setup.blur_std_error_mm, Some(0.001));
+    assert_eq!(thick.setup(), &optics_model::measurement::ProfileSetup::default());
+}
+
+/// The edge is looked for where it is said to be.
+#[test]
+fn an_edge_away_from_zero_is_accepted_where_it_is_told_and_nowhere_else() {
+    let shifted = |origin: &str| {
+        let row = |(x, v): (f64, f64)| format!("w,R,0.5,{:.5},{v:.5},{origin}\n", x + 2.0);
+        let body: String = pixels(0.5).map(row).collect();
+        read(format!("material,channel,thickness_mm,x_mm,value,origin_mm\n{body}").as_bytes())
+    };
+    let told = shifted("2").unwrap();
+    assert_eq!(told.notes, []);
+    assert_eq!(told.materials[0].profiles()[0].setup().origin_mm, Some(2.0));
+    let refused = |origin| format!("{:#}", shifted(origin).unwrap_err());
+    assert!(
+        refused("").contains("x = 0 must be at the edge, so subtract 2.00 mm from every x"),
+        "{}",
+        refused("")
+    );
+    let wrong = refused("-1");
+    let expected =
+        "does not rise at origin_mm = -1; its edge seems to be at x = 2.00 mm: tell origin_mm = 2.00";
+    assert!(wrong.contains(expected), "{wrong}");
+}
+
+#[test]
+fn a_set_up_that_contradicts_itself_is_refused_with_line_and_field() {
+    let told = |cells: &str| error(&format!("{SETUP_HEAD}{}", with_cells("R", 0.5, cells)));
+    let place = "line 2, material w, channel R, 0.5 mm: ";
+    for (cells, expected) in [
+        (
+            ",6,,,",
+            "origin_mm = 6 is not valid: the profile's x runs from -4.91667 to 4.91667 mm, and the edge must lie within",
+        ),
+        (",-11,,,", "origin_mm = -11 is not valid: allowed are -10 to 10"),
+        ("-0.01,,,,", "thickness_std_error_mm = -0.01 is not valid: allowed are 0 to 1"),
+        (",,,1.5,", "blur_mm = 1.5 is not valid: allowed are 0 to 1"),
+        (",,,,-1", "blur_std_error_mm = -1 is not valid: allowed are 0 to 1"),
+    ] {
+        assert_eq!(told(cells), format!("{place}{expected}"));
+    }
+    assert_eq!(told(",wide,,,"), "line 2: origin_mm = \"wide\" is not a number");
+    let mut lines: Vec<String> = with_cells("R", 0.5, ",,,0.02,").lines().map(ToOwned::to_owned).collect();
+    lines[7] = lines[7].replace(",0.02,", ",0.03,");
+    let varying = error(&format!("{SETUP_HEAD}{}", lines.join("\n")));
+    let wanted =
+        "line 9: blur_mm = 0.03, but line 2 of the same profile has 0.02: it must be the same in all rows";
+    assert!(varying.starts_with(wanted), "{varying}");
+    lines[7] = lines[7].replace(",0.03,", ",,");
+    let absent = error(&format!("{SETUP_HEAD}{}", lines.join("\n")));
+    assert!(
+        absent.starts_with("line 9: blur_mm = nothing, but line 2 of the same profile has 0.02"),
+        "{absent}"
+    );
+}
+
 #[test]
 fn suspicions_are_notes_one_of_a_kind() {
     let centimetres = strict().replace("thickness_mm,x_mm", "thickness_mm,position");
@@ -264,6 +339,9 @@ fn what_is_written_is_read_back_in_silence() {
         let file = read(&bytes).unwrap();
         assert_eq!((file.materials[0].material(), file.notes.len()), (name, 0));
         assert_eq!(file.materials[0].channels(), ["R", "G", "B"]);
+        let setup = file.materials[0].profiles()[1].setup();
+        assert_eq!((setup.thickness_std_error_mm, setup.origin_mm), (Some(0.0), Some(0.0)));
+        assert_eq!((setup.blur_mm, setup.blur_std_error_mm), (Some(0.0), Some(0.0)));
         let value = profiles[2].radiance_factor.values()[7];
         assert_eq!(file.materials[0].profiles()[2].values()[7] as f32, value);
     }

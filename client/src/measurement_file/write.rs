@@ -5,6 +5,11 @@ use std::io::Write;
 use anyhow::Result;
 use optics_model::{Invalid, Profile, Scene};
 
+use super::columns::SETUP;
+
+/// What is known of a simulated set-up: the thickness is exact, the edge lies at 0, no camera blurs.
+const EXACT: [&str; SETUP.len()] = ["0"; SETUP.len()];
+
 /// Writes the profiles of one material.
 pub(crate) struct MeasurementWriter<W: Write> {
     rows: csv::Writer<W>,
@@ -14,7 +19,8 @@ pub(crate) struct MeasurementWriter<W: Write> {
 impl<W: Write> MeasurementWriter<W> {
     pub(crate) fn new(out: W, material: &str) -> Result<Self> {
         let mut rows = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(out);
-        rows.write_record(["material", "channel", "thickness_mm", "x_mm", "value", "std_error"])?;
+        let columns = ["material", "channel", "thickness_mm", "x_mm", "value", "std_error"];
+        rows.write_record(columns.into_iter().chain(SETUP))?;
         Ok(Self { rows, material: check_name(material)?.to_owned() })
     }
 
@@ -27,7 +33,7 @@ impl<W: Write> MeasurementWriter<W> {
                 let estimates = [value, error].map(ToString::to_string);
                 let names = [self.material.as_str(), channel.name()];
                 let numbers = numbers.iter().chain(&estimates).map(String::as_str);
-                self.rows.write_record(names.into_iter().chain(numbers))?;
+                self.rows.write_record(names.into_iter().chain(numbers).chain(EXACT))?;
             }
         }
         Ok(())

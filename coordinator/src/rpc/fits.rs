@@ -21,7 +21,7 @@ impl Fits for Context {
     async fn fit(&self, request: Request<FitRequest>) -> Result<Response<FitResponse>, Status> {
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
-        let options = options(request.options).or_status()?;
+        let options = options(request.options.as_ref()).or_status()?;
         let measurement = measurement(request.measurement)?;
         let answer = self.ask(&name, move |d| fit::fit(d, &measurement, &options)).await?;
         Ok(Response::new(FitResponse { fit: Some(answer.into()) }))
@@ -30,7 +30,7 @@ impl Fits for Context {
     async fn scale(&self, request: Request<ScaleRequest>) -> Result<Response<ScaleResponse>, Status> {
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
-        let options = options(request.options).or_status()?;
+        let options = options(request.options.as_ref()).or_status()?;
         let range =
             MuRange::try_from(request.mu.unwrap_or_default()).map_err(|e| e.within("mu")).or_status()?;
         let materials = materials(request.materials).or_status()?;
@@ -65,7 +65,7 @@ impl Fits for Context {
     async fn map(&self, request: Request<MapRequest>) -> Result<Response<MapResponse>, Status> {
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
-        let options = options(request.options).or_status()?;
+        let options = options(request.options.as_ref()).or_status()?;
         let measurement = measurement(request.measurement)?;
         let maps = self.ask(&name, move |d| fit::distance_map(d, &measurement, &options)).await?;
         Ok(Response::new(MapResponse { maps: maps.into_iter().map(Into::into).collect() }))
@@ -74,7 +74,7 @@ impl Fits for Context {
     async fn measure(&self, request: Request<MeasureRequest>) -> Result<Response<MeasureResponse>, Status> {
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
-        let options = options(request.options).or_status()?;
+        let options = options(request.options.as_ref()).or_status()?;
         let search_mu = request.search_mu.map(MuRange::try_from).transpose();
         let search_mu = search_mu.map_err(|e| e.within("search_mu")).or_status()?;
         let plan = MeasurePlan { search_mu, common_g: request.common_g };
@@ -110,8 +110,8 @@ fn dictionary_name(name: String) -> Result<DictionaryName, Invalid> {
     DictionaryName::new(name).map_err(|e| e.within("dictionary"))
 }
 
-fn options(options: Option<wire::FitOptions>) -> Result<FitOptions, Invalid> {
-    FitOptions::try_from(options.unwrap_or_default()).map_err(|e| e.within("options"))
+fn options(options: Option<&wire::FitOptions>) -> Result<FitOptions, Invalid> {
+    FitOptions::try_from(options.copied().unwrap_or_default()).map_err(|e| e.within("options"))
 }
 
 fn measurement(measurement: Option<wire::Measurement>) -> Result<Measurement, Status> {

@@ -56,6 +56,28 @@ pub(super) struct PredictionAt {
     pub by_ln_thickness: Vec<f64>,
 }
 
+/// Near one of the dictionary's thicknesses the other's part in a prediction is small, and hardly depends on the medium:
+/// it is taken from a medium near by, and half of the work is saved.
+#[derive(Debug, Clone)]
+pub(super) struct NearThickness {
+    /// Index into the grid's thicknesses.
+    base: usize,
+    /// What the thick slab's profile has beyond the thin one's, at the thickness that was asked for; none if records are
+    /// only scaled.
+    difference: Option<NearDifference>,
+}
+
+#[derive(Debug, Clone)]
+struct NearDifference {
+    values: Vec<f64>,
+    base_mm: f64,
+    /// Of the weight of the difference, by 1/t.
+    per_inverse: f64,
+}
+
+/// Greatest weight of the difference for which it is taken from a medium near by.
+const SMALL: f64 = 0.1;
+
 /// What a thickness is predicted from, as indices into the grid's thicknesses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Basis {
@@ -93,6 +115,55 @@ impl Surrogate<'_> {
             slopes: whole.slopes.map(cut),
             by_ln_thickness: cut(whole.by_ln_thickness),
         }
+    }
+
+    /// For predictions at thicknesses about this one, and media about this; none if it is not near one of the dictionary's.
+    pub(super) fn near(&self, thickness_mm: f64, x: Coordinates) -> Option<NearThickness> {
+        let axis = self.grid().thickness_mm();
+        let Basis::Two { thin, thick } = Basis::of(self.grid(), thickness_mm) else {
+            let Basis::One(base) = Basis::of(self.grid(), thickness_mm) else { return None };
+            return Some(NearThickness { base, difference: None });
+        };
+        let (thin_mm, thick_mm) = (axis[thin], axis[thick]);
+        let per_inverse = 1.0 / (1.0 / thick_mm - 1.0 / thin_mm);
+        let weight = |base_mm: f64| (1.0 / thickness_mm - 1.0 / base_mm) * per_inverse;
+        let base = if weight(thin_mm).abs() < weight(thick_mm).abs() { thin } else { thick };
+        let optical = x[SIGMA_T] + thickness_mm.ln();
+        let (low, high) = common(self.grid(), thin_mm, thick_mm);
+        let lacks_base = if base == thin { optical > high } else { optical < low };
+        if weight(axis[base]).abs() > SMALL || lacks_base {
+            return None;
+        }
+        let nearest = optical.clamp(low, high);
+        let (of_thin, of_thick) =
+            (self.at_optical_thickness(thin, nearest, x), self.at_optical_thickness(thick, nearest, x));
+        let mut difference = self.difference(&of_thin, &of_thick, thick_mm / thin_mm);
+        if nearest != optical {
+            let there = if base == thin { of_thin } else { of_thick };
+            difference = with_contrast(difference, &there, &self.at_optical_thickness(base, optical, x));
+        }
+        let vanishes = Tail::Vanishes(VANISHES * thick_mm / self.grid().scene().sensor().pitch_mm());
+        let stretch = Stretch::new(difference.values.len(), thickness_mm / thick_mm);
+        let values = stretch.apply(&difference.values, vanishes);
+        let difference = Some(NearDifference { values, base_mm: axis[base], per_inverse });
+        Some(NearThickness { base, difference })
+    }
+
+    /// The profile at a thickness about the one of `near`.
+    pub(super) fn predict_near(
+        &self,
+        near: &NearThickness,
+        thickness_mm: f64,
+        x: Coordinates,
+    ) -> PredictionAt {
+        let record = self.at_optical_thickness(near.base, x[SIGMA_T] + thickness_mm.ln(), x);
+        let mut sum = self.stretched(&record, near.base, thickness_mm, self.levels());
+        if let Some(NearDifference { values, base_mm, per_inverse }) = &near.difference {
+            let weight = (1.0 / thickness_mm - 1.0 / base_mm) * per_inverse;
+            add_scaled(&mut sum.values, weight, values);
+            add_scaled(&mut sum.by_ln_thickness, -per_inverse / thickness_mm, values);
+        }
+        sum
     }
 
     /// The profile of a record's thickness, the clear layers being scaled with it.

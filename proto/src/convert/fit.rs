@@ -4,13 +4,25 @@ use super::required;
 use crate::wire;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Curve, FitCurves, FitOptions, FitSettings, Interval, MaterialFit,
-    Outside, Refined, Suspicion, ThicknessError, Wavelet,
+    Objective, Outside, Refined, Suspicion, ThicknessError, Wavelet,
 };
 use optics_model::invalid::{Invalid, Result, each};
 
 fn bounds(field: &str, bounds: Option<wire::Bounds>) -> Result<Bounds> {
     let bounds = bounds.unwrap_or_default();
     Bounds::new(field, bounds.min, bounds.max)
+}
+
+fn objective(objective: i32) -> Result<Option<Objective>> {
+    match wire::Objective::try_from(objective) {
+        Ok(wire::Objective::Unspecified) => Ok(None),
+        Ok(wire::Objective::Paper) => Ok(Some(Objective::Paper)),
+        Ok(wire::Objective::Likelihood) => Ok(Some(Objective::Likelihood)),
+        Err(_) => {
+            let allowed = "allowed are 1 (the paper's distance) and 2 (the likelihood)";
+            Err(Invalid::new("objective", objective, allowed))
+        }
+    }
 }
 
 impl From<Bounds> for wire::Bounds {
@@ -39,12 +51,12 @@ impl TryFrom<wire::FitOptions> for FitOptions {
             mu_std_error: options.mu_std_error.unwrap_or(default.mu_std_error),
             gain_std_error: options.gain_std_error.unwrap_or(default.gain_std_error),
             offset_std_error: options.offset_std_error.unwrap_or(default.offset_std_error),
-            objective: default.objective,
-            thickness_std_error_mm: default.thickness_std_error_mm,
-            origin_std_error_mm: default.origin_std_error_mm,
-            blur_mm: default.blur_mm,
-            blur_std_error_mm: default.blur_std_error_mm,
-            slope_std_error: default.slope_std_error,
+            objective: objective(options.objective)?,
+            thickness_std_error_mm: options.thickness_std_error_mm.unwrap_or(default.thickness_std_error_mm),
+            origin_std_error_mm: options.origin_std_error_mm.unwrap_or(default.origin_std_error_mm),
+            blur_mm: options.blur_mm.unwrap_or(default.blur_mm),
+            blur_std_error_mm: options.blur_std_error_mm.unwrap_or(default.blur_std_error_mm),
+            slope_std_error: options.slope_std_error.unwrap_or(default.slope_std_error),
             wavelet,
             level: options.level.unwrap_or(default.level),
             sigma_t_per_mm: bounds("sigma_t_per_mm", options.sigma_t_per_mm)?,
@@ -78,6 +90,17 @@ impl From<&FitOptions> for wire::FitOptions {
             top: Some(s.top),
             refine: s.refine,
             curves: s.curves,
+            objective: match s.objective {
+                None => wire::Objective::Unspecified,
+                Some(Objective::Paper) => wire::Objective::Paper,
+                Some(Objective::Likelihood) => wire::Objective::Likelihood,
+            }
+            .into(),
+            thickness_std_error_mm: Some(s.thickness_std_error_mm),
+            origin_std_error_mm: Some(s.origin_std_error_mm),
+            blur_mm: Some(s.blur_mm),
+            blur_std_error_mm: Some(s.blur_std_error_mm),
+            slope_std_error: Some(s.slope_std_error),
         }
     }
 }
@@ -198,6 +221,7 @@ impl From<Refined> for wire::Refined {
             dictionary_share: r.dictionary_share,
             misfit: r.misfit,
             suspicion: r.suspicion.map(Into::into),
+            likelihood: r.likelihood.map(Into::into),
         }
     }
 }
@@ -212,7 +236,7 @@ impl TryFrom<wire::Refined> for Refined {
             return Err(Invalid::new("covariance", count, "nine numbers are needed"));
         };
         Ok(Self {
-            likelihood: None,
+            likelihood: r.likelihood.map(TryInto::try_into).transpose()?,
             best: required("best", r.best)?.try_into()?,
             sigma_t_per_mm: interval("sigma_t_per_mm", r.sigma_t_per_mm)?,
             albedo: interval("albedo", r.albedo)?,
@@ -305,5 +329,51 @@ impl TryFrom<wire::FitCurves> for FitCurves {
             candidates: curves.candidates.into_iter().map(Into::into).collect(),
             refined: curves.refined.map(Into::into),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// No value is its default, so that a field that is forgotten shows.
+    #[test]
+    fn options_come_through() {
+        for objective in [None, Some(Objective::Paper), Some(Objective::Likelihood)] {
+            let settings = FitSettings {
+                lambda: 12.5,
+                mu: 0.913,
+                mu_std_error: 0.004,
+                gain_std_error: 0.01,
+                offset_std_error: 0.02,
+                objective,
+                thickness_std_error_mm: 0.03,
+                origin_std_error_mm: 0.04,
+                blur_mm: 0.06,
+                blur_std_error_mm: 0.07,
+                slope_std_error: 0.08,
+                wavelet: Wavelet::Haar,
+                level: 3,
+                sigma_t_per_mm: Bounds::new("sigma_t_per_mm", Some(0.5), None).unwrap(),
+                albedo: Bounds::new("albedo", None, Some(0.99)).unwrap(),
+                g: Bounds::fixed(0.4),
+                top: 2,
+                refine: true,
+                curves: true,
+            };
+            let options = FitOptions::new(settings).unwrap();
+            assert_eq!(FitOptions::try_from(wire::FitOptions::from(&options)).unwrap(), options);
+        }
+    }
+
+    #[test]
+    fn absent_options_are_the_defaults_and_unknown_ones_refused() {
+        let options = FitOptions::try_from(wire::FitOptions::default()).unwrap();
+        assert_eq!(options, FitOptions::default());
+        let refused = |options: wire::FitOptions| FitOptions::try_from(options).unwrap_err();
+        let unknown = refused(wire::FitOptions { objective: 9, ..Default::default() });
+        assert_eq!((unknown.field(), unknown.given()), ("objective", "9"));
+        let negative = refused(wire::FitOptions { blur_std_error_mm: Some(-0.1), ..Default::default() });
+        assert_eq!(negative.field(), "blur_std_error_mm");
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::wire;
 use optics_model::invalid::{Invalid, Result, each};
-use optics_model::measurement::{MeasuredProfile, Measurement};
+use optics_model::measurement::{MeasuredProfile, Measurement, ProfileSetup};
 
 impl From<&Measurement> for wire::Measurement {
     fn from(measurement: &Measurement) -> Self {
@@ -12,6 +12,11 @@ impl From<&Measurement> for wire::Measurement {
             x_mm: p.x_mm().to_vec(),
             values: p.values().to_vec(),
             std_errors: p.std_errors().unwrap_or_default().to_vec(),
+            thickness_std_error_mm: p.setup().thickness_std_error_mm,
+            origin_mm: p.setup().origin_mm,
+            origin_std_error_mm: p.setup().origin_std_error_mm,
+            blur_mm: p.setup().blur_mm,
+            blur_std_error_mm: p.setup().blur_std_error_mm,
         };
         Self {
             material: measurement.material().to_owned(),
@@ -26,8 +31,49 @@ impl TryFrom<wire::Measurement> for Measurement {
     fn try_from(measurement: wire::Measurement) -> Result<Self> {
         let profiles = each("profiles", measurement.profiles, |p| {
             let std_errors = (!p.std_errors.is_empty()).then_some(p.std_errors);
-            MeasuredProfile::new(p.channel, p.thickness_mm, p.x_mm, p.values, std_errors)
+            let setup = ProfileSetup {
+                thickness_std_error_mm: p.thickness_std_error_mm,
+                origin_mm: p.origin_mm,
+                origin_std_error_mm: p.origin_std_error_mm,
+                blur_mm: p.blur_mm,
+                blur_std_error_mm: p.blur_std_error_mm,
+            };
+            MeasuredProfile::new(p.channel, p.thickness_mm, p.x_mm, p.values, std_errors)?.with_setup(setup)
         })?;
         Self::new(measurement.material, profiles)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measurement(setup: ProfileSetup) -> Measurement {
+        let x: Vec<f64> = (0..8).map(f64::from).collect();
+        let profile = MeasuredProfile::new("R", 0.5, x.clone(), x, None).unwrap();
+        Measurement::new("white", vec![profile.with_setup(setup).unwrap()]).unwrap()
+    }
+
+    #[test]
+    fn what_is_known_of_a_set_up_comes_through() {
+        let setup = ProfileSetup {
+            thickness_std_error_mm: Some(0.005),
+            origin_mm: Some(0.07),
+            origin_std_error_mm: Some(0.004),
+            blur_mm: Some(0.025),
+            blur_std_error_mm: Some(0.001),
+        };
+        for setup in [setup, ProfileSetup::default(), ProfileSetup { origin_mm: Some(0.0), ..setup }] {
+            let there = measurement(setup);
+            assert_eq!(Measurement::try_from(wire::Measurement::from(&there)).unwrap(), there);
+        }
+    }
+
+    #[test]
+    fn a_set_up_out_of_range_is_refused_with_its_field() {
+        let mut message = wire::Measurement::from(&measurement(ProfileSetup::default()));
+        message.profiles[0].blur_mm = Some(-0.1);
+        let refused = Measurement::try_from(message).unwrap_err();
+        assert_eq!(refused.field(), "profiles[0].blur_mm");
     }
 }

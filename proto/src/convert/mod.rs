@@ -3,6 +3,7 @@
 
 mod fit;
 mod lease;
+mod likelihood;
 mod measurement;
 mod model;
 mod scale;

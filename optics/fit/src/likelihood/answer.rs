@@ -12,7 +12,7 @@ use super::channel::held_at;
 use super::chi2::exceedance;
 use super::problem::ChannelData;
 use super::profile::{Profile, interval};
-use super::system::{Quantity, State, System};
+use super::system::{Normal, Quantity, State, System};
 use super::term::{Linear, Own};
 use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, LN_THICKNESS, Line, ROOT_CO_ALBEDO, SHARED};
 use crate::refine::held;
@@ -82,7 +82,7 @@ impl Found<'_, '_> {
         let covariance = self.system.covariance(&normal.information);
         let goodness = self.goodness(&linear);
         let ideal = ideal_covariance(self.system, self.state);
-        let intervals = self.intervals(covariance.as_ref(), goodness.inflation);
+        let intervals = self.intervals(&normal, covariance.as_ref(), goodness.inflation);
         let covariance = covariance.map_or_else(nothing, |c| c * goodness.inflation);
         let slots = self.slots();
         let of = |i: usize, k: usize| covariance[(slots[i], slots[k])];
@@ -174,8 +174,7 @@ impl Found<'_, '_> {
     }
 
     /// Of σ_t, α, g, σ_s(1 − g) and σ_a.
-    fn intervals(&self, covariance: Option<&DMatrix<f64>>, inflation: f64) -> [Interval; 5] {
-        let profile = Profile { system: self.system, optimum: self.state, inflation };
+    fn intervals(&self, normal: &Normal, covariance: Option<&DMatrix<f64>>, inflation: f64) -> [Interval; 5] {
         let slots = self.slots();
         let limits = [0, 1, 2].map(|i| self.system.unknowns[slots[i]].limits);
         let corner = |s: f64, a: f64, g: f64| (1.0 - a * a).max(1e-12).ln() + s + g;
@@ -188,13 +187,17 @@ impl Found<'_, '_> {
         Quantity::all(slots).map(|quantity| {
             let index = which;
             which += 1;
-            let gradient = quantity.gradient(&self.state.x);
-            let variance = covariance.map_or(f64::INFINITY, |c| gradient.dot(&(c * &gradient)));
-            let ends = if variance > 0.0 {
-                profile.ends(quantity, variance.sqrt(), all_limits[index])
-            } else {
-                let value = quantity.value(&self.state.x);
-                [value, value].map(|value| super::profile::End { value, open: false })
+            let ends = match covariance {
+                Some(covariance) => {
+                    let (system, optimum) = (self.system, self.state);
+                    Profile { system, optimum, normal, covariance, inflation }
+                        .ends(quantity, all_limits[index])
+                }
+                // The information is singular: nothing is known.
+                None => {
+                    let (low, high) = all_limits[index];
+                    [low, high].map(|value| super::profile::End { value, open: true })
+                }
             };
             match index {
                 0..3 => interval(ends, |x| self.parameter(index, x), index != LN_SIGMA_T),
@@ -217,10 +220,15 @@ impl Found<'_, '_> {
         let linear = system.linear(&self.state.x, &self.state.own);
         let normal = system.normal(&self.state.x, &self.state.own, &linear);
         let Some(covariance) = system.covariance(&normal.information) else { return false };
-        let profile = Profile { system: &system, optimum: self.state, inflation };
+        let profile = Profile {
+            system: &system,
+            optimum: self.state,
+            normal: &normal,
+            covariance: &covariance,
+            inflation,
+        };
         let of = |i: usize| {
-            let deviation = covariance[(slots[i], slots[i])].max(0.0).sqrt();
-            let ends = profile.ends(Quantity::Unknown(slots[i]), deviation, system.unknowns[slots[i]].limits);
+            let ends = profile.ends(Quantity::Unknown(slots[i]), system.unknowns[slots[i]].limits);
             interval(ends, |x| self.parameter(i, x), i != LN_SIGMA_T)
         };
         is_resolved(&of(LN_SIGMA_T), &of(ROOT_CO_ALBEDO))
@@ -258,10 +266,17 @@ impl Found<'_, '_> {
         let free = |slot: usize| !self.system.unknowns[slot].held;
         if free(slots[LN_SCALE]) {
             let (x, slot) = (self.x(LN_SCALE), slots[LN_SCALE]);
-            let mu = settings.mu * x.exp();
-            let variance = covariance[(slot, slot)] * mu * mu;
-            let told = if settings.mu_std_error > 0.0 { settings.mu_std_error } else { f64::INFINITY };
-            add(Nuisance::Scale, None, mu, variance, settings.mu, told);
+            let (told, factor) = (1.0 / settings.mu, (-x).exp() / settings.mu);
+            let relative = settings.mu_std_error / settings.mu;
+            let told_std_error = if relative > 0.0 { told * relative } else { f64::INFINITY };
+            add(
+                Nuisance::Scale,
+                None,
+                factor,
+                covariance[(slot, slot)] * factor * factor,
+                told,
+                told_std_error,
+            );
         }
         for (i, (term, profile)) in self.system.terms.iter().zip(&self.data.profiles).enumerate() {
             let (slots, at) = (&self.system.slots[i], Some(term.thickness_mm));
@@ -375,6 +390,7 @@ impl Found<'_, '_> {
             ];
             let state = held_at(self.system, self.state, &places);
             let linear = self.system.linear(&state.x, &state.own);
+            let cost: f64 = linear.iter().map(|l| l.cost).sum();
             let mut thicknesses = self.errors(&state, &linear);
             for error in &mut thicknesses {
                 let same = |t: &f64| (t / error.thickness_mm - 1.0).abs() < 1e-6;
@@ -385,7 +401,7 @@ impl Found<'_, '_> {
             let candidate = Candidate {
                 medium: Medium::new(sigma_t, albedo, anisotropy).expect("axes hold checked values"),
                 sample_ior: grid.sample_ior()[*ior],
-                error: (state.cost.max(0.0) / pixels as f64).sqrt(),
+                error: (cost / pixels as f64).sqrt(),
                 thicknesses,
             };
             (candidate, state)

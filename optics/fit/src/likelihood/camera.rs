@@ -59,8 +59,14 @@ impl Camera {
         Exposure { values: seen(&blurred), slopes, by_blur, by_origin }
     }
 
+    /// The values alone, without a blur.
+    pub(super) fn sharp(&self, values: &[f64], origin_mm: f64) -> Line {
+        average(&self.places(origin_mm), &integral(&pad(values)))
+    }
+
     /// The values alone.
-    pub(super) fn values(&self, values: &[f64], origin_mm: f64, blur_mm2: f64) -> Line {
+    #[cfg(test)]
+    fn values(&self, values: &[f64], origin_mm: f64, blur_mm2: f64) -> Line {
         let kernel = Kernel::new(blur_mm2 / self.pitch_mm.powi(2));
         average(&self.places(origin_mm), &integral(&kernel.blur(&pad(values))))
     }

@@ -1,14 +1,15 @@
 //! The lowest minimum of one channel, and the steps to it: media first, then the records' noise and the dust.
 
-use nalgebra::DVector;
+use nalgebra::{Cholesky, DVector};
 
 use super::Line;
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
 use super::records_noise::Modes;
 use super::robust::{is_dust, specks};
 use super::start::{Scan, Start};
-use super::system::{State, System};
+use super::system::{State, System, submatrix};
 use crate::surrogate::Surrogate;
+use crate::thickness::NearThickness;
 
 /// Cost by which a rough descent, and the last one, may miss their minimum.
 const ROUGHLY: f64 = 0.5;
@@ -17,6 +18,8 @@ const WELL: f64 = 0.003;
 const FOLLOWED: (f64, f64) = (60.0, 1.3);
 /// Most starts that are followed.
 const STARTS: usize = 3;
+/// How far an unknown may move before what depends on where the state is is looked at again: a hundredth of σ_t, say.
+const FAR: f64 = 0.01;
 /// By this factor the noise is made smaller at a time, on the way to a model without dust.
 const HARDER: f64 = 0.4;
 
@@ -58,6 +61,7 @@ pub(super) fn leave_out_specks_by_neighbours(system: &mut System) {
 /// From a rough minimum to the last: with the noise of the records about, and without dust.
 pub(super) fn settle(system: &mut System, mut state: State) -> State {
     add_modes(system, &mut state);
+    let modes_at = state.clone();
     for term in &mut system.terms {
         term.robust = true;
         term.left_out.fill(false);
@@ -75,21 +79,28 @@ pub(super) fn settle(system: &mut System, mut state: State) -> State {
             state = system.descend(state, None, WELL);
         }
     }
-    add_modes(system, &mut state);
-    system.descend(state, None, WELL)
+    let far = |a: &State, b: &State| (&a.x - &b.x).amax() > FAR;
+    if far(&state, &modes_at) {
+        add_modes(system, &mut state);
+        state = system.descend(state, None, WELL);
+    }
+    state
 }
 
-/// The records' noise where the state is, for every profile.
+/// What depends on where the state is, for every profile: the records' noise, and the part of other thicknesses.
 fn add_modes(system: &mut System, state: &mut State) {
     use rayon::prelude::*;
     let modes = |i: usize| {
         let (term, point) = (&system.terms[i], system.point(i, &state.x));
         let factors = system.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
         let origin = term.origin_mm(&state.own[i]);
-        Modes::new(&factors, &term.camera, origin, point.blur_mm2(), &term.std_errors)
+        let near = system.surrogates[i].near(term.thickness_mm, point.medium());
+        (Modes::new(&factors, &term.camera, origin, &term.std_errors), near)
     };
-    let found: Vec<Modes> = (0..system.terms.len()).into_par_iter().map(modes).collect();
-    for ((term, own), found) in system.terms.iter_mut().zip(&mut state.own).zip(found) {
+    let found: Vec<(Modes, Option<NearThickness>)> =
+        (0..system.terms.len()).into_par_iter().map(modes).collect();
+    for ((term, own), (found, near)) in system.terms.iter_mut().zip(&mut state.own).zip(found) {
+        term.near = near;
         own.truncate(term.priors.len());
         own.resize(term.priors.len() + found.modes.len(), 0.0);
         (term.modes, term.rest_variances) = (found.modes, found.rest_variances);
@@ -121,21 +132,22 @@ fn leave_out_specks(system: &mut System, state: &State) -> bool {
     changed
 }
 
-/// The state with some unknowns moved and held there, all else following.
+/// The state with some unknowns moved and held there, all else following in one step.
 pub(super) fn held_at(system: &System, state: &State, places: &[(usize, f64)]) -> State {
-    let mut unknowns = system.unknowns.clone();
     let mut x: DVector<f64> = state.x.clone();
     for (i, value) in places {
-        unknowns[*i].held = true;
         x[*i] = *value;
     }
-    let own: Vec<Line> = state.own.clone();
-    let held = System {
-        terms: system.terms.clone(),
-        surrogates: system.surrogates.clone(),
-        slots: system.slots.clone(),
-        unknowns,
-        coupling: system.coupling.clone(),
-    };
-    held.descend(State { x, own, cost: f64::INFINITY }, None, ROUGHLY)
+    let others: Vec<usize> =
+        system.free().into_iter().filter(|i| places.iter().all(|(held, _)| held != i)).collect();
+    let linear = system.linear(&x, &state.own);
+    let normal = system.normal(&x, &state.own, &linear);
+    let mut there = State { x, ..state.clone() };
+    let mut step = DVector::zeros(there.x.len());
+    if let Some(root) = Cholesky::new(submatrix(&normal.information, &others)) {
+        let pull = DVector::from_iterator(others.len(), others.iter().map(|i| normal.downhill[*i]));
+        others.iter().zip(root.solve(&pull).iter()).for_each(|(i, s)| step[*i] = *s);
+    }
+    system.advance(&mut there, &normal, &step);
+    there
 }

@@ -283,11 +283,18 @@ impl<'a> Joint<'a> {
     }
 
     fn g_interval(&self, slot: usize) -> Interval {
-        let profile =
-            Profile { system: &self.assembly.system, optimum: &self.state, inflation: self.disagreement };
-        let deviation = self.covariance.as_ref().map_or(f64::INFINITY, |c| c[(slot, slot)].max(0.0).sqrt());
         let limits = self.assembly.system.unknowns[slot].limits;
-        interval(profile.ends(Quantity::Unknown(slot), deviation, limits), g, true)
+        let Some(covariance) = &self.covariance else {
+            return Interval { low: g(limits.1), high: g(limits.0), open_low: true, open_high: true };
+        };
+        let profile = Profile {
+            system: &self.assembly.system,
+            optimum: &self.state,
+            normal: &self.normal,
+            covariance,
+            inflation: self.disagreement,
+        };
+        interval(profile.ends(Quantity::Unknown(slot), limits), g, true)
     }
 
     /// What a channel's own profiles say, over all unknowns.

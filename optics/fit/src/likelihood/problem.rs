@@ -119,7 +119,7 @@ impl<'a> ProfileData<'a> {
         }
     }
 
-    fn term(&self, grid: &Grid, options: &FitOptions) -> Term {
+    fn term(&self, grid: &Grid, options: &FitOptions, surrogate: &Surrogate, medium: [f64; 3]) -> Term {
         let (settings, sensor) = (options.settings(), grid.scene().sensor());
         let pixels = self.pixels.clone();
         let scaled = |v: &[f64]| -> Line { v[pixels.clone()].iter().map(|v| v * settings.mu).collect() };
@@ -144,6 +144,7 @@ impl<'a> ProfileData<'a> {
             left_out: vec![false; x_mm.len()],
             robust: false,
             softness: 1.0,
+            near: surrogate.near(self.profile.thickness_mm(), medium),
             x_mm,
         }
     }
@@ -284,7 +285,7 @@ pub(super) fn assemble<'a>(
             let blur = unknowns.blur(data.name, profile.blur);
             let thickness = unknowns.thickness(data.material, profile);
             slots.push([s, a, g, scale_slot, blur, thickness]);
-            terms.push(profile.term(data.dictionary.grid(), &data.options));
+            terms.push(profile.term(data.dictionary.grid(), &data.options, surrogate, *medium));
             used.push(*surrogate);
         }
         ranges.push(first..terms.len());

@@ -1,14 +1,15 @@
 //! Intervals: how far a quantity can be moved, all else following, before −2 ln L has risen by 1.96².
 
+use nalgebra::DMatrix;
 use optics_model::fit::Interval;
 
-use super::system::{Held, Quantity, State, System};
+use super::system::{Held, Normal, Quantity, State, System};
 use crate::intervals::Z;
 
 /// Cost by which descents may miss their minimum.
-const TOLERANCE: f64 = 0.01;
+const TOLERANCE: f64 = 0.02;
 /// Share of the wanted rise that an end may be off by.
-const CLOSE: f64 = 0.03;
+const CLOSE: f64 = 0.08;
 /// Most places that are tried on each side.
 const TRIALS: usize = 10;
 
@@ -24,13 +25,24 @@ pub(super) struct End {
 pub(super) struct Profile<'a> {
     pub system: &'a System<'a>,
     pub optimum: &'a State,
+    /// At the optimum.
+    pub normal: &'a Normal,
+    pub covariance: &'a DMatrix<f64>,
     /// Factor on the rise that noise alone allows, where residuals are larger than their noise.
     pub inflation: f64,
 }
 
 impl Profile<'_> {
-    /// Both ends for a quantity of this standard deviation, within limits.
-    pub(super) fn ends(&self, quantity: Quantity, deviation: f64, limits: (f64, f64)) -> [End; 2] {
+    /// Both ends for a quantity, within limits.
+    pub(super) fn ends(&self, quantity: Quantity, limits: (f64, f64)) -> [End; 2] {
+        let gradient = quantity.gradient(&self.optimum.x);
+        let variance = gradient.dot(&(self.covariance * &gradient));
+        if variance <= 0.0 {
+            // It is held.
+            let value = quantity.value(&self.optimum.x);
+            return [End { value, open: false }; 2];
+        }
+        let deviation = variance.sqrt();
         [self.end(quantity, deviation, -1.0, limits.0), self.end(quantity, deviation, 1.0, limits.1)]
     }
 
@@ -43,13 +55,14 @@ impl Profile<'_> {
         }
         let wanted = Z * self.inflation.sqrt();
         let stiffness = 1e6 / (deviation * deviation);
-        let mut warm = self.optimum.clone();
+        let mut warm: Option<State> = None;
         let mut root_rise = |distance: f64| {
             let at = from + side * distance;
             let held = Held { quantity, at, stiffness };
-            let found = self.system.descend(self.along(&warm, quantity, at), Some(&held), TOLERANCE);
+            let from = self.along(warm.as_ref().unwrap_or(self.optimum), quantity, at);
+            let found = self.system.descend(from, Some(&held), TOLERANCE);
             let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
-            warm = found;
+            warm = Some(found);
             rise
         };
         // The root of the rise is close to linear in the distance.
@@ -79,14 +92,15 @@ impl Profile<'_> {
         End { value: from + side * distance, open: false }
     }
 
-    /// The state moved so that the quantity is nearly there: a step along its gradient's steepest unknown is enough for
-    /// the spring to do the rest.
-    fn along(&self, state: &State, quantity: Quantity, at: f64) -> State {
-        let mut moved = state.clone();
-        if let Quantity::Unknown(i) = quantity {
-            moved.x[i] = at;
-        }
-        moved
+    /// A state, moved as it would follow the quantity if all were linear.
+    fn along(&self, from: &State, quantity: Quantity, at: f64) -> State {
+        let mut state = from.clone();
+        let gradient = quantity.gradient(&state.x);
+        let direction = self.covariance * &gradient;
+        let step =
+            direction * ((at - quantity.value(&state.x)) / gradient.dot(&(self.covariance * &gradient)));
+        self.system.advance(&mut state, self.normal, &step);
+        state
     }
 }
 

@@ -19,14 +19,8 @@ pub(super) struct Modes {
 impl Modes {
     /// Of the covariance Σ f fᵀ on the pixels of a camera, beside pixels of these standard errors: a Cholesky
     /// decomposition that takes the pixel with most to tell first, and stops when little is left.
-    pub(super) fn new(
-        factors: &[Line],
-        camera: &Camera,
-        origin_mm: f64,
-        blur_mm2: f64,
-        std_errors: &[f64],
-    ) -> Self {
-        let seen: Vec<Line> = factors.iter().map(|f| camera.values(f, origin_mm, blur_mm2)).collect();
+    pub(super) fn new(factors: &[Line], camera: &Camera, origin_mm: f64, std_errors: &[f64]) -> Self {
+        let seen: Vec<Line> = factors.iter().map(|f| camera.sharp(f, origin_mm)).collect();
         let n = std_errors.len();
         let at_pixel: Vec<Line> = (0..n).map(|i| seen.iter().map(|f| f[i]).collect()).collect();
         let mut rest_variances: Line = at_pixel.iter().map(|f| dot(f, f)).collect();
@@ -65,7 +59,7 @@ mod tests {
         let pitch = 10.0 / n as f64;
         let x: Line = (0..n).map(|i| (i as f64 + 0.5) * pitch - 5.0).collect();
         let camera = Camera::new(&x, pitch, 10.0, n);
-        let found = Modes::new(&factors, &camera, 0.0, 0.0, &vec![0.1; n]);
+        let found = Modes::new(&factors, &camera, 0.0, &vec![0.1; n]);
         assert!(found.modes.len() < 20, "{}", found.modes.len());
         let whole = |i: usize, k: usize| factors.iter().map(|f| f[i] * f[k]).sum::<f64>();
         let kept = |i: usize, k: usize| found.modes.iter().map(|m| m[i] * m[k]).sum::<f64>();

@@ -216,13 +216,9 @@ impl System<'_> {
             let Some(step) = self.step(&state.x, &normal, held, damping) else { break };
             let x = self.clamp(&state.x + step);
             let moved = &x - &state.x;
-            let own: Vec<Line> = (0..self.terms.len())
-                .map(|i| {
-                    let shared = DVector::from_iterator(SHARED, self.slots[i].iter().map(|s| moved[*s]));
-                    let step = normal.reduced[i].own_step(&shared);
-                    state.own[i].iter().zip(step.iter()).map(|(w, d)| w + d).collect()
-                })
-                .collect();
+            let mut there = state.clone();
+            self.advance(&mut there, &normal, &moved);
+            let own = there.own;
             let new_linear = self.linear(&x, &own);
             let cost = self.cost(&x, &new_linear);
             let gain = total - cost - spring(&x);
@@ -242,6 +238,15 @@ impl System<'_> {
             normal = self.normal(&state.x, &state.own, &linear);
         }
         state
+    }
+
+    /// Moves a state, each profile's own unknowns following.
+    pub(super) fn advance(&self, state: &mut State, normal: &Normal, step: &DVector<f64>) {
+        state.x = self.clamp(&state.x + step);
+        for ((slots, reduced), own) in self.slots.iter().zip(&normal.reduced).zip(&mut state.own) {
+            let shared = DVector::from_iterator(SHARED, slots.iter().map(|s| step[*s]));
+            own.iter_mut().zip(reduced.own_step(&shared).iter()).for_each(|(w, d)| *w += d);
+        }
     }
 
     fn clamp(&self, mut x: DVector<f64>) -> DVector<f64> {

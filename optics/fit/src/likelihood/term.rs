@@ -17,6 +17,7 @@ use super::robust::{rho, weight};
 use super::{Line, Point, SHARED};
 use crate::sum::dot;
 use crate::surrogate::Surrogate;
+use crate::thickness::NearThickness;
 
 /// What a profile has for itself, apart from the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,6 +57,8 @@ pub(super) struct Term {
     pub robust: bool,
     /// The noise is taken to be larger by this factor where pixels may be odd: on the way from a poor model to a good one.
     pub softness: f64,
+    /// For predictions about the dictionary's thickness, if it is one.
+    pub near: Option<NearThickness>,
 }
 
 /// A profile at some place of the unknowns.
@@ -122,7 +125,11 @@ impl Term {
 
     /// At the shared unknowns and the profile's own.
     pub(super) fn linear(&self, surrogate: &Surrogate, shared: &Point, own: &[f64]) -> Linear {
-        let predicted = surrogate.predict_at(shared.thickness_mm(), 0..surrogate.pixels(), shared.medium());
+        let (thickness_mm, medium) = (shared.thickness_mm(), shared.medium());
+        let predicted = match &self.near {
+            Some(near) => surrogate.predict_near(near, thickness_mm, medium),
+            None => surrogate.predict_at(thickness_mm, 0..surrogate.pixels(), medium),
+        };
         let mut slopes = predicted.slopes.to_vec();
         slopes.push(predicted.by_ln_thickness);
         let seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), shared.blur_mm2());

@@ -18,7 +18,7 @@ const GAIN: f64 = 0.003;
 const ZERO: f64 = 0.001;
 const SLOPE_PER_10_MM: f64 = 0.002;
 const SPECKS: f64 = 15.0;
-const SCALE: f64 = 0.02;
+pub(super) const SCALE: f64 = 0.02;
 
 /// A grain of dust or a bubble: a Gaussian over pixels that changes the value by a share.
 #[derive(Debug, Clone, Copy)]
@@ -48,7 +48,7 @@ impl Flaws {
         let deviate = |kind: Kind, unit: f64| row.size(kind) * unit * own(kind).normal();
         let mut dust = own(Kind::Dust);
         let count = (row.size(Kind::Dust) * SPECKS) as usize;
-        // What a camera or lamps do is common to the slabs.
+        // An exposure is common to the slabs.
         let scale = Normal::new(440_000 + subject).normal();
         Self {
             origin_mm: deviate(Kind::Origin, ORIGIN_MM),
@@ -151,6 +151,21 @@ mod tests {
             let expected = 1.0 + 1e-4 * (x * x + sigma * sigma + (1.0 - 1.0 / 16.0) / 12.0);
             assert!((seen[i] - expected).abs() < 1e-4 * 0.05, "{i}: {} {expected}", seen[i]);
         }
+    }
+
+    #[test]
+    fn flaws_have_the_standard_deviations_that_the_row_says() {
+        let row = Row::named("all x3");
+        let drawn: Vec<Flaws> =
+            (0..1000).flat_map(|s| [0, 1].map(|slab| Flaws::draw(&row, s, slab))).collect();
+        let parts = |f: &Flaws| [f.origin_mm, f.gain, f.zero, f.slope_per_10_mm];
+        for (part, expected) in [0.15, 0.009, 0.003, 0.006].into_iter().enumerate() {
+            let squares = drawn.iter().map(|f| parts(f)[part].powi(2));
+            let sigma = (squares.sum::<f64>() / drawn.len() as f64).sqrt();
+            // Of 2000 deviates it is known to 1.6 %.
+            assert!((sigma / expected - 1.0).abs() < 0.06, "{sigma} {expected}");
+        }
+        assert!(drawn.iter().all(|f| f.specks.len() == 45 && f.blur_mm == 3.0 * BLUR_MM && f.mu == 1.0));
     }
 
     #[test]

@@ -2,6 +2,8 @@
 
 use optics_model::fit::{Bounds, FitSettings, Objective};
 
+use super::flaws::SCALE;
+
 /// Something that is wrong with a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
@@ -98,7 +100,7 @@ impl Row {
             gain_std_error: told(Kind::Gain, d.gain_std_error),
             offset_std_error: told(Kind::Zero, d.offset_std_error),
             slope_std_error: told(Kind::Slope, d.slope_std_error),
-            mu_std_error: if self.kinds.contains(&Kind::Scale) { 0.02 } else { 0.0 },
+            mu_std_error: if self.kinds.contains(&Kind::Scale) { SCALE } else { 0.0 },
             ..d
         }
     }

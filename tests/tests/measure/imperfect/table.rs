@@ -108,3 +108,70 @@ fn line(row: &Row, o: &Outcome) -> Vec<String> {
     }
     fields
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use optics_model::fit::{Ends, Interval};
+
+    /// σ_t = 2, found as 2.1, with an interval of a given half-width about it.
+    fn outcome(way: Way, half: f64, bound: Option<f64>) -> Outcome {
+        let (truth, found) = ([2.0, 0.9, 0.4, 1.08, 0.2], [2.1, 0.9, 0.4, 1.08, 0.2]);
+        let about = |v: f64, half: f64| (v - half, v + half);
+        let interval = |v: f64| {
+            let (low, high) = about(v, half);
+            Interval { low, high, open_low: false, open_high: false }
+        };
+        let ends = |half: f64| found.map(|v| about(v, half)).map(|(low, high)| Ends { low, high });
+        Outcome {
+            row: 0,
+            way,
+            subject: 5,
+            truth,
+            found,
+            intervals: found.map(interval),
+            bound: bound.map(ends),
+            resolved: true,
+            misfit: 1.0,
+            probability: bound.map(|_| 0.3),
+            outliers: 0,
+        }
+    }
+
+    #[test]
+    fn widths_are_told_over_the_bound_of_the_same_data() {
+        let [paper, likelihood, ..] = Way::ALL;
+        let rows = [Row::named("none")];
+        let found = [outcome(paper, 0.15, None), outcome(likelihood, 0.06, Some(0.05))];
+        let text = efficiency(&rows, &found).unwrap();
+        assert!(text.contains("| paper | held | σ_t | 3.00 / 3.00 | 1 | 100.0 ± 0.0 |"), "{text}");
+        assert!(text.contains("| likelihood | held | σ_t | 1.20 / 1.20 | 1 | 0.0 ± 0.0 |"), "{text}");
+        assert_eq!(efficiency(&rows, &found[..1]), None);
+    }
+
+    #[test]
+    fn a_row_tells_errors_coverage_and_verdicts() {
+        let likelihood = Way::ALL[1];
+        let found = [outcome(likelihood, 0.15, Some(0.1)), outcome(likelihood, 0.05, Some(0.1))];
+        let text = imperfections(&[Row::named("none")], &found, likelihood);
+        let line = "| none | 2 | 5.00 / 5.00 | 0.00 / 0.00 | 50.0 ± 35.4 | 100.0 ± 0.0 | 100.0 ± 0.0 \
+                    | 100.0 ± 0.0 | 0.0 | 0.0 | 0.0 |";
+        assert!(text.contains(line), "{text}");
+    }
+
+    #[test]
+    fn a_spreadsheet_has_a_line_for_each_answer() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("answers.csv");
+        let found = [outcome(Way::ALL[0], 0.15, None), outcome(Way::ALL[1], 0.15, Some(0.1))];
+        write_csv(&file, &[Row::named("none")], &found);
+        let text = std::fs::read_to_string(file).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 3);
+        assert!(
+            lines[0].starts_with("row,objective,g_mode,medium")
+                && lines[2].starts_with("none,likelihood,held,5,")
+        );
+        assert!(lines.iter().all(|line| line.split(',').count() == 48), "{text}");
+    }
+}

@@ -1,4 +1,4 @@
-//! Whether the edge is at x = 0, with the light side on the right.
+//! Whether the edge is where it is said to be, at x = 0 unless told, with the light side on the right.
 
 use super::trace::Trace;
 use super::{Kind, Seen};
@@ -9,7 +9,7 @@ pub(super) const SURE: f64 = 5.0 * std::f64::consts::SQRT_2;
 /// Half the width over which the rise is looked for.
 const WINDOW_MM: f64 = 0.5;
 
-/// The light side on the left, or the rise somewhere else than at 0.
+/// The light side on the left, or the rise somewhere else than at the edge.
 pub(super) fn misplaced(trace: &Trace) -> Option<Seen> {
     falling(trace).or_else(|| elsewhere(trace))
 }
@@ -24,8 +24,8 @@ fn falling(trace: &Trace) -> Option<Seen> {
     }
     let told = format!(
         "values fall from {left:.3} at x = {:.2} to {right:.3} at x = {:.2} mm",
-        trace.x[0],
-        trace.x[n - 1]
+        trace.x[0] + trace.origin,
+        trace.x[n - 1] + trace.origin
     );
     if drop < 0.2 * left {
         let text = format!("{told}: is the light uneven, or are dark and light side swapped?");
@@ -37,7 +37,7 @@ fn falling(trace: &Trace) -> Option<Seen> {
     Some(Seen::refusal(Kind::Falling, text))
 }
 
-/// Where the profile rises most, against its rise at 0: in every medium these are the same place, but for a few per
+/// Where the profile rises most, against its rise at the edge: in every medium these are the same place, but for a few per
 /// cent of the rise.
 fn elsewhere(trace: &Trace) -> Option<Seen> {
     let n = trace.len();
@@ -57,20 +57,27 @@ fn elsewhere(trace: &Trace) -> Option<Seen> {
     let steep: Vec<usize> = (0..rises.len()).filter(|i| rises[*i] > 0.95 * most).collect();
     let place = steep[steep.len() / 2] + width;
     let at = 0.5 * (trace.x[place - 1] + trace.x[place]);
-    let advice = format!(
-        "x = 0 must be at the edge, so {} {:.2} mm {} every x",
-        if at > 0.0 { "subtract" } else { "add" },
-        at.abs(),
-        if at > 0.0 { "from" } else { "to" }
-    );
+    let (said, place, advice) = if trace.origin == 0.0 {
+        ("x = 0".to_owned(), at, at_zero(at))
+    } else {
+        let place = at + trace.origin;
+        (format!("origin_mm = {}", trace.origin), place, format!("tell origin_mm = {place:.2}"))
+    };
     if here < 0.5 * most {
-        let text =
-            format!("the profile does not rise at x = 0; its edge seems to be at x = {at:.2} mm: {advice}");
+        let text = format!(
+            "the profile does not rise at {said}; its edge seems to be at x = {place:.2} mm: {advice}"
+        );
         return Some(Seen::refusal(Kind::EdgeElsewhere, text).at(0));
     }
     let text =
-        format!("the profile rises more at x = {at:.2} mm than at x = 0: if that is the edge, {advice}");
+        format!("the profile rises more at x = {place:.2} mm than at {said}: if that is the edge, {advice}");
     Some(Seen::warning(Kind::EdgeElsewhere, text))
+}
+
+/// What to do about an edge that lies at `at` instead of 0.
+fn at_zero(at: f64) -> String {
+    let (how, way) = if at > 0.0 { ("subtract", "from") } else { ("add", "to") };
+    format!("x = 0 must be at the edge, so {how} {:.2} mm {way} every x", at.abs())
 }
 
 /// How the middle of a profile lies to its ends.

@@ -131,7 +131,7 @@ fn alone(profile: &MeasuredProfile) -> Vec<Seen> {
     if seen.iter().any(|s| s.certain) {
         return seen;
     }
-    let trace = Trace::new(x, values, profile.std_errors());
+    let trace = Trace::of(profile);
     let eight_bit = values::eight_bit(values, &trace);
     match edge::misplaced(&trace) {
         Some(found) => seen.push(found),

@@ -104,8 +104,7 @@ impl Contrast {
 /// Over the media that were traced, 1 mm shows at most 0.90 of the rise that 0.5 mm shows beside the edge, and 0.95 of
 /// that far from it; swapped, twice the rise is common.
 fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
-    let trace = |p: &MeasuredProfile| Trace::new(p.x_mm(), p.values(), p.std_errors());
-    let (a, b) = (trace(thin), trace(thick));
+    let (a, b) = (Trace::of(thin), Trace::of(thick));
     let reach = a.reach().min(b.reach());
     let width = (0.5f64).max(3.0 * a.pitch.max(b.pitch));
     if reach < 2.0 * width {

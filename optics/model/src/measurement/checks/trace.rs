@@ -3,10 +3,15 @@
 /// Most pixels that are looked at; more are averaged in groups.
 const MOST_PIXELS: usize = 1000;
 
+use crate::measurement::MeasuredProfile;
+
 /// Values at equally spaced x with their noise.
 #[derive(Debug)]
 pub(super) struct Trace {
+    /// Beside `origin`.
     pub x: Vec<f64>,
+    /// Where the edge is said to be.
+    pub origin: f64,
     pub values: Vec<f64>,
     pub pitch: f64,
     /// Standard deviation of what differs between neighbours.
@@ -17,6 +22,13 @@ pub(super) struct Trace {
 }
 
 impl Trace {
+    /// Of a profile, from where its edge is said to be.
+    pub fn of(profile: &MeasuredProfile) -> Self {
+        let origin = profile.setup().origin_mm.unwrap_or(0.0);
+        let x: Vec<f64> = profile.x_mm().iter().map(|x| x - origin).collect();
+        Self { origin, ..Self::new(&x, profile.values(), profile.std_errors()) }
+    }
+
     /// Of at least eight pixels, x rising.
     pub fn new(x: &[f64], values: &[f64], std_errors: Option<&[f64]>) -> Self {
         let group = x.len().div_ceil(MOST_PIXELS);
@@ -28,7 +40,14 @@ impl Trace {
         let scatter = scatter(dark).max(scatter(light));
         let told = std_errors.map_or(0.0, |e| median(e.to_vec()));
         let pitch = (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64;
-        Self { pitch, scatter, shared: (told * told - scatter * scatter).max(0.0).sqrt(), x, values }
+        Self {
+            pitch,
+            scatter,
+            shared: (told * told - scatter * scatter).max(0.0).sqrt(),
+            x,
+            origin: 0.0,
+            values,
+        }
     }
 
     pub fn len(&self) -> usize {

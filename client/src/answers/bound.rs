@@ -1,0 +1,97 @@
+//! Intervals beside the least that the pixels allow.
+
+use optics_model::fit::{Ends, Interval, Likelihood, MaterialFit, Refined};
+
+use super::fits::short;
+use super::numbers::significant;
+use crate::output::{table, wrapped};
+
+/// One row a quantity: half-widths of the interval and of the Cramér–Rao bound, in per cent of it, and their ratio.
+pub(super) fn bounds(fits: &[MaterialFit]) -> String {
+    let mut rows = Vec::new();
+    for fit in fits {
+        for channel in &fit.channels {
+            let Some(refined) = &channel.refined else { continue };
+            let Some(likelihood) = &refined.likelihood else { continue };
+            for (i, cells) in quantities(refined, likelihood).into_iter().enumerate() {
+                let names = [short(&fit.material), channel.channel.clone()];
+                rows.push(
+                    names
+                        .map(|name| if i == 0 { name } else { String::new() })
+                        .into_iter()
+                        .chain(cells)
+                        .collect(),
+                );
+            }
+        }
+    }
+    if rows.is_empty() {
+        return wrapped(
+            "no bound is known: only --objective likelihood tells it, for profiles with standard errors",
+        );
+    }
+    let head = ["material", "ch", "quantity", "95 %\n± %", "bound\n± %", "ratio"];
+    format!(
+        "intervals beside the Cramér–Rao bound, the least that these pixels allow\n{}",
+        table(&head, &[3, 4, 5], rows)
+    )
+}
+
+fn quantities(r: &Refined, l: &Likelihood) -> [Vec<String>; 5] {
+    let (m, b) = (&r.best.medium, &l.bound);
+    [
+        row(
+            "σ_s(1−g)",
+            m.reduced_scattering_per_mm(),
+            &r.reduced_scattering_per_mm,
+            &b.reduced_scattering_per_mm,
+        ),
+        row("σ_a", m.absorption_per_mm(), &r.absorption_per_mm, &b.absorption_per_mm),
+        row("σ_t", m.sigma_t_per_mm(), &r.sigma_t_per_mm, &b.sigma_t_per_mm),
+        row("1−α", 1.0 - m.albedo(), &r.albedo, &b.albedo),
+        row("1−g", 1.0 - m.g(), &r.g, &b.g),
+    ]
+}
+
+fn row(name: &str, value: f64, interval: &Interval, bound: &Ends) -> Vec<String> {
+    let half = |low: f64, high: f64| 50.0 * (high - low) / value.abs();
+    let (width, least) = (half(interval.low, interval.high), half(bound.low, bound.high));
+    let closed = !interval.open_low && !interval.open_high && width.is_finite();
+    let told = |known: bool, v: f64| if known { significant(v, 2) } else { "–".to_owned() };
+    let interval = if closed && width == 0.0 { "held".to_owned() } else { told(closed, width) };
+    let ratio = told(closed && least.is_finite() && least > 0.0, width / least);
+    vec![name.to_owned(), interval, told(least.is_finite(), least), ratio]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{channel, likelihood};
+
+    #[test]
+    fn half_widths_and_their_ratio_are_in_per_cent_of_the_quantity() {
+        let interval = |low, high| Interval { low, high, open_low: false, open_high: false };
+        let cells = |interval, low, high| row("σ_t", 5.0, &interval, &Ends { low, high }).split_off(1);
+        assert_eq!(cells(interval(4.9, 5.1), 4.92, 5.08), ["2", "1.6", "1.2"]);
+        assert_eq!(cells(interval(5.0, 5.0), 5.0, 5.0), ["held", "0", "–"]);
+        assert_eq!(cells(Interval { open_high: true, ..interval(4.0, 9.0) }, 4.0, 6.0), ["–", "20", "–"]);
+        assert_eq!(cells(interval(4.9, 5.1), f64::NEG_INFINITY, f64::INFINITY), ["2", "–", "–"]);
+        let nothing = row("1−α", 0.0, &interval(0.999, 1.0), &Ends { low: 0.999, high: 1.001 });
+        assert_eq!(nothing[1..], ["–", "–", "–"]);
+    }
+
+    #[test]
+    fn every_channel_with_a_likelihood_has_its_rows() {
+        let mut r = channel("R", 6.0, 1.0);
+        r.refined.as_mut().unwrap().likelihood = Some(likelihood(712.0, 0.5));
+        let fit = |channels| [MaterialFit { material: "white".into(), channels }];
+        let text = anstream::adapter::strip_str(&bounds(&fit(vec![r, channel("G", 9.0, 1.0)]))).to_string();
+        assert_eq!(text.lines().filter(|l| l.contains("white")).count(), 1, "{text}");
+        // ± 0.6 of 6 against a bound of ± 0.54.
+        let sigma_t: Vec<&str> =
+            text.lines().find(|l| l.contains("σ_t")).unwrap().split_whitespace().collect();
+        assert_eq!(sigma_t, ["σ_t", "10", "9", "1.1"]);
+        let none = bounds(&fit(vec![channel("G", 9.0, 1.0)]));
+        assert!(none.starts_with("no bound is known"), "{none}");
+    }
+}

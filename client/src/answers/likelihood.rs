@@ -1,0 +1,186 @@
+//! What the likelihood tells of the set-up, as people read it.
+
+use optics_model::fit::{Likelihood, Nuisance, NuisanceEstimate, OutlierPixel, Refined, Stretch};
+
+use super::numbers::{minus, significant, with_error};
+
+/// Probability of χ² below which noise and what is known of the set-up do not explain a measurement.
+const UNLIKELY: f64 = 1e-3;
+
+/// Most pixels, and most stretches, that are told one by one.
+const MOST: usize = 6;
+
+/// Whether noise explains what is left over; none if the paper's distance was made least.
+pub(super) fn unlikely(refined: &Refined) -> Option<bool> {
+    refined.likelihood.as_ref().map(|l| l.probability < UNLIKELY)
+}
+
+/// `χ² 712 of 716, p = 0.53`.
+pub(super) fn goodness(l: &Likelihood) -> String {
+    let p = if l.probability < UNLIKELY {
+        format!("p < {UNLIKELY}")
+    } else {
+        format!("p = {}", significant(l.probability, 2))
+    };
+    format!("χ² {:.0} of {:.0}, {p}", l.chi2, l.degrees_of_freedom)
+}
+
+/// What the data say of the set-up; χ² comes first unless a warning has told it.
+pub(super) fn findings(refined: &Refined) -> Vec<String> {
+    let Some(l) = &refined.likelihood else { return Vec::new() };
+    let goodness = (unlikely(refined) == Some(false)).then(|| goodness(l));
+    let moved = l.nuisances.iter().filter(|n| moved(n)).map(nuisance).collect::<Vec<_>>();
+    let moved = (!moved.is_empty()).then(|| moved.join(", "));
+    let first: Vec<String> = goodness.into_iter().chain(moved).collect();
+    let first = (!first.is_empty()).then(|| first.join("; "));
+    first.into_iter().chain(outliers(&l.outliers)).chain(stretches(&l.stretches)).collect()
+}
+
+/// Whether the data say more of a nuisance than was known.
+fn moved(n: &NuisanceEstimate) -> bool {
+    (n.value - n.told).abs() > n.told_std_error || n.std_error < 0.5 * n.told_std_error
+}
+
+/// `origin −0.070 ± 0.004 mm (0.5 mm)`.
+fn nuisance(n: &NuisanceEstimate) -> String {
+    let of = n.profile_mm.map_or(String::new(), |t| format!(" ({t} mm)"));
+    let percent = || with_error(100.0 * n.value, 100.0 * n.std_error);
+    let plain = || with_error(n.value, n.std_error);
+    let told = match n.nuisance {
+        // The factor is 1/μ, and people know μ.
+        Nuisance::Scale => format!("μ {}", with_error(1.0 / n.value, n.std_error / (n.value * n.value))),
+        Nuisance::BlurVariance => format!("blur {}", blur(n.value, n.std_error)),
+        Nuisance::Thickness => format!("thickness {} mm", plain()),
+        Nuisance::Origin => format!("origin {} mm", plain()),
+        Nuisance::Gain => format!("gain {} %", percent()),
+        Nuisance::Zero => format!("zero {}", plain()),
+        Nuisance::Slope => format!("slope {} % per 10 mm", percent()),
+    };
+    told + &of
+}
+
+/// A variance in mm² as a standard deviation in µm, d√v = dv / (2√v). Near 0 that is no error: then only the upper end
+/// of its 95 % is told.
+fn blur(variance: f64, std_error: f64) -> String {
+    if variance > 2.0 * std_error {
+        let deviation = variance.sqrt();
+        format!("{} µm", with_error(1e3 * deviation, 1e3 * 0.5 * std_error / deviation))
+    } else {
+        format!("< {} µm", significant(1e3 * (variance.max(0.0) + 2.0 * std_error).sqrt(), 2))
+    }
+}
+
+/// `4 pixels left out: 0.5 mm at x = −1.23, 0.48, 0.51 mm; 1 mm at x = 2.1 mm`.
+fn outliers(pixels: &[OutlierPixel]) -> Option<String> {
+    let count = match pixels.len() {
+        0 => return None,
+        1 => "1 pixel".to_owned(),
+        n => format!("{n} pixels"),
+    };
+    let mut profiles: Vec<(f64, Vec<String>)> = Vec::new();
+    for pixel in &pixels[..pixels.len().min(MOST)] {
+        let x = position(pixel.x_mm);
+        match profiles.iter_mut().find(|(t, _)| *t == pixel.profile_mm) {
+            Some((_, all)) => all.push(x),
+            None => profiles.push((pixel.profile_mm, vec![x])),
+        }
+    }
+    let profiles: Vec<String> =
+        profiles.iter().map(|(t, x)| format!("{t} mm at x = {} mm", x.join(", "))).collect();
+    Some(format!("{count} left out: {}{}", profiles.join("; "), more(pixels.len())))
+}
+
+/// `0.5 mm: x = 1.2…1.6 mm is too bright by 4.1 σ together`.
+fn stretches(stretches: &[Stretch]) -> Option<String> {
+    let one = |s: &Stretch| {
+        let (from, to) = (position(s.from_mm), position(s.to_mm));
+        let how = if s.deviation > 0.0 { "bright" } else { "dark" };
+        let deviation = significant(s.deviation.abs(), 2);
+        format!("{} mm: x = {from}…{to} mm is too {how} by {deviation} σ together", s.profile_mm)
+    };
+    let told: Vec<String> = stretches.iter().take(MOST).map(one).collect();
+    (!told.is_empty()).then(|| told.join("; ") + &more(stretches.len()))
+}
+
+fn more(count: usize) -> String {
+    if count > MOST { format!("; and {} more", count - MOST) } else { String::new() }
+}
+
+/// A place along x, to a micrometre.
+fn position(x_mm: f64) -> String {
+    // Minus nothing is nothing.
+    let rounded = (1e3 * x_mm).round() / 1e3 + 0.0;
+    minus(&rounded.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::likelihood;
+
+    fn estimate(nuisance: Nuisance, value: f64, std_error: f64, told: (f64, f64)) -> NuisanceEstimate {
+        let (told, told_std_error) = told;
+        NuisanceEstimate { nuisance, profile_mm: Some(0.5), value, std_error, told, told_std_error }
+    }
+
+    #[test]
+    fn each_nuisance_is_told_in_its_unit() {
+        let all = |nuisance, value, std_error| {
+            let n = estimate(nuisance, value, std_error, (0.0, 1.0));
+            super::nuisance(&NuisanceEstimate { profile_mm: None, ..n })
+        };
+        assert_eq!(all(Nuisance::Scale, 1.25, 0.005), "μ 0.800 ± 0.003");
+        assert_eq!(all(Nuisance::BlurVariance, 6.25e-4, 1e-5), "blur 25.0 ± 0.2 µm");
+        assert_eq!(all(Nuisance::Thickness, 0.5123, 0.0021), "thickness 0.512 ± 0.002 mm");
+        assert_eq!(all(Nuisance::Origin, -0.0701, 0.0038), "origin −0.070 ± 0.004 mm");
+        assert_eq!(all(Nuisance::Gain, 0.0042, 0.001), "gain 0.4 ± 0.1 %");
+        assert_eq!(all(Nuisance::Zero, -0.001_25, 0.000_31), "zero −0.0013 ± 0.0003");
+        assert_eq!(all(Nuisance::Slope, 0.0203, 0.0006), "slope 2.03 ± 0.06 % per 10 mm");
+    }
+
+    #[test]
+    fn a_blur_near_nothing_has_an_upper_end_alone() {
+        assert_eq!(blur(0.0, 1e-4), "< 14 µm");
+        assert_eq!(blur(-3e-4, 1e-4), "< 14 µm");
+        assert_eq!(blur(1.9e-4, 1e-4), "< 20 µm");
+        assert_eq!(blur(2.5e-4, 1e-4), "16 ± 3 µm");
+    }
+
+    #[test]
+    fn only_what_the_data_say_more_of_is_listed() {
+        let origin = |value, std_error| moved(&estimate(Nuisance::Origin, value, std_error, (0.01, 0.05)));
+        assert!(!origin(0.03, 0.03));
+        assert!(origin(0.03, 0.024), "much better known than before");
+        assert!(origin(-0.041, 0.05), "beyond what was told");
+        let held = |value| moved(&estimate(Nuisance::Thickness, value, 0.0, (0.5, 0.0)));
+        assert!(!held(0.5) && held(0.51));
+    }
+
+    #[test]
+    fn outliers_are_named_by_x_and_the_rest_is_counted() {
+        let pixel = |profile_mm, x_mm| OutlierPixel { profile_mm, x_mm, deviation: 9.0 };
+        let few = [pixel(0.5, -1.23), pixel(0.5, 0.48), pixel(1.0, -0.0001), pixel(0.5, 0.51)];
+        let told = "4 pixels left out: 0.5 mm at x = −1.23, 0.48, 0.51 mm; 1 mm at x = 0 mm";
+        assert_eq!(outliers(&few).unwrap(), told);
+        let many: Vec<_> = (1..=9).map(|i| pixel(0.5, f64::from(i))).collect();
+        let told = "9 pixels left out: 0.5 mm at x = 1, 2, 3, 4, 5, 6 mm; and 3 more";
+        assert_eq!(outliers(&many).unwrap(), told);
+        assert_eq!(outliers(&many[..1]).unwrap(), "1 pixel left out: 0.5 mm at x = 1 mm");
+        assert_eq!(outliers(&[]), None);
+    }
+
+    #[test]
+    fn findings_tell_how_good_the_fit_is_and_what_the_data_say_of_the_set_up() {
+        let mut refined = crate::testing::channel("R", 6.21, 1.0).refined.unwrap();
+        assert_eq!(findings(&refined), Vec::<String>::new());
+        refined.likelihood = Some(likelihood(712.4, 0.5312));
+        let expected = [
+            "χ² 712 of 716, p = 0.53; μ 0.969 ± 0.004, blur < 20 µm, origin −0.070 ± 0.004 mm (0.5 mm)",
+            "2 pixels left out: 0.5 mm at x = −1.23 mm; 1 mm at x = 0.48 mm",
+            "0.5 mm: x = 1.2…1.6 mm is too bright by 4.1 σ together; 1 mm: x = −2…−1.5 mm is too dark by 5 σ together",
+        ];
+        assert_eq!(findings(&refined), expected);
+        refined.likelihood = Some(likelihood(1130.2, 2e-9));
+        assert!(findings(&refined)[0].starts_with("μ 0.969"), "the warning tells χ²");
+    }
+}

@@ -1,0 +1,37 @@
+//! Arguments for what is known of a set-up.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+/// Heading of the help.
+pub(super) const SET_UP: &str = "What is known of the set-up";
+
+/// What is known of a set-up beside what the measurement tells of single profiles.
+#[derive(Debug, Default, Args)]
+pub struct SetUpArgs {
+    /// Take the values below from a session file (JSON) where they are not given here.
+    #[arg(long, value_name = "FILE", help_heading = SET_UP)]
+    pub session: Option<PathBuf>,
+    /// Standard error of each profile's own gain (exposure, illumination), as a share [default: 0.003].
+    #[arg(long, value_name = "ERROR", allow_negative_numbers = true, help_heading = SET_UP)]
+    pub gain_std_error: Option<f64>,
+    /// Standard error of each profile's zero (stray light, black level), as a radiance factor [default: 0.001].
+    #[arg(long, value_name = "ERROR", allow_negative_numbers = true, help_heading = SET_UP)]
+    pub offset_std_error: Option<f64>,
+    /// Standard error of the light's rise across each profile, as a share per 10 mm [default: 0.002].
+    #[arg(long, value_name = "ERROR", allow_negative_numbers = true, help_heading = SET_UP)]
+    pub slope_std_error: Option<f64>,
+    /// Standard error of the thickness of each slab [default: 0.005].
+    #[arg(long, value_name = "MM", allow_negative_numbers = true, help_heading = SET_UP)]
+    pub thickness_std_error_mm: Option<f64>,
+    /// Standard error of the place of the edge in each profile [default: 0.05].
+    #[arg(long, value_name = "MM", allow_negative_numbers = true, help_heading = SET_UP)]
+    pub origin_std_error_mm: Option<f64>,
+    /// Blur of the camera: standard deviation of a Gaussian in the plane of the sample [default: 0].
+    #[arg(long, value_name = "MM", allow_negative_numbers = true, help_heading = SET_UP)]
+    pub blur_mm: Option<f64>,
+    /// Standard error of the blur [default: 0.03].
+    #[arg(long, value_name = "MM", allow_negative_numbers = true, help_heading = SET_UP)]
+    pub blur_std_error_mm: Option<f64>,
+}
