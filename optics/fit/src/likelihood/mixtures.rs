@@ -12,6 +12,8 @@ mod blend;
 mod profile;
 mod start;
 mod system;
+#[cfg(test)]
+mod tests;
 
 use std::ops::Range;
 
@@ -206,8 +208,9 @@ impl<'a, 'b> Unmixing<'a, 'b> {
     /// The chart of all slabs whose media the dictionary has, at its minimum.
     fn solve(mut self, from: &State) -> Result<(Solved<'a>, Vec<Slab<'a>>), Invalid> {
         loop {
-            let (chart, state, inks) = self.chart(from);
+            let (mut chart, state, inks) = self.chart(from);
             let state = chart.descend(state, None, ROUGHLY);
+            chart.move_near(&state.x);
             if !self.leave_out(&chart, &state)? {
                 let state = chart.descend(state, None, WELL);
                 return Ok((Solved { chart, state, inks, common_g: self.common_g }, self.slabs));

@@ -159,7 +159,7 @@ pub struct InkChannel {
     pub reduced_scattering_per_mm: Interval,
     #[serde(rename = "absorption_interval")]
     pub absorption_per_mm: Interval,
-    /// Whether all measurements together determine σ_t and the albedo.
+    /// Whether all measurements together determine σ_t, and the albedo or 1 − α.
     pub resolved: bool,
     /// The ink's own slabs, if there are any, do not determine them.
     pub from_mixtures: bool,

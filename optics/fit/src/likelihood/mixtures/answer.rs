@@ -87,7 +87,10 @@ impl<'a, 'b> Solution<'a, 'b> {
         let one = |(i, ink): (usize, &Ink)| {
             let found = profile.intervals(*ink, common_g);
             let x = &self.solved.state.x;
-            let resolved = is_resolved(&found.sigma_t_per_mm, &found.albedo);
+            // Of an absorber it is 1 − α that must be known, as of others α.
+            let a = found.albedo;
+            let co_albedo = Interval { low: 1.0 - a.high, high: 1.0 - a.low, ..a };
+            let resolved = is_resolved(&found.sigma_t_per_mm, &a) || is_resolved(&found.sigma_t_per_mm, &co_albedo);
             InkChannel {
                 channel: name.to_owned(),
                 medium: medium(InkQuantity::medium(*ink, x)),

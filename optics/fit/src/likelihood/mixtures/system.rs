@@ -156,8 +156,12 @@ impl Chart<'_> {
         looks.iter().map(|l| l.cost).sum::<f64>() + self.prior_cost(x)
     }
 
-    pub(super) fn cost_at(&self, x: &DVector<f64>, own: &[Line]) -> f64 {
-        self.cost(x, &self.look(x, own))
+    /// Looks up other thicknesses again where the media now are.
+    pub(super) fn move_near(&mut self, x: &DVector<f64>) {
+        self.members.par_iter_mut().for_each(|member| {
+            let [s, a, g, ..] = member.place(x).point;
+            member.term.near = member.surrogate.near(member.term.thickness_mm, [s, a, g]);
+        });
     }
 
     pub(super) fn normal(&self, x: &DVector<f64>, own: &[Line], looks: &[Look]) -> Normal {
