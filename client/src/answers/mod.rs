@@ -2,6 +2,7 @@
 
 mod bound;
 mod fits;
+mod inks;
 mod likelihood;
 mod misfit;
 mod numbers;
@@ -11,6 +12,7 @@ mod scale;
 mod table;
 
 pub(crate) use fits::{Report, fits_text, neighbours};
+pub(crate) use inks::inks_text;
 pub(crate) use misfit::misfit_short;
 pub(crate) use numbers::{albedo, significant};
 pub(crate) use options::UsedOptions;

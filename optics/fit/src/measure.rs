@@ -1,8 +1,8 @@
 //! The whole job of the paper: scale factor, common anisotropy, fits, refinement, uncertainty.
 
 use optics_model::fit::{
-    Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, Mixtures, MuRange, Objective,
-    ScaleCurve, Unmixed,
+    Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, Mixtures, MuRange,
+    Objective, ScaleCurve, Unmixed,
 };
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;

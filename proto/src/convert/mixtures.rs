@@ -196,7 +196,8 @@ mod tests {
     #[test]
     fn mixtures_go_there_and_back_and_are_checked() {
         let part = |ink: &str| (ink.to_owned(), 0.5);
-        let there = Mixtures::new(vec![Mixture::new("grey", [part("white"), part("black")]).unwrap()]).unwrap();
+        let there =
+            Mixtures::new(vec![Mixture::new("grey", [part("white"), part("black")]).unwrap()]).unwrap();
         let sent: Vec<wire::Mixture> = there.all().iter().map(Into::into).collect();
         assert_eq!(mixtures(sent.clone()).unwrap(), Some(there));
         assert_eq!(mixtures(Vec::new()).unwrap(), None);

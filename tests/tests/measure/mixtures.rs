@@ -41,7 +41,14 @@ fn equal(subset: &Subset) -> Vec<(usize, f64)> {
 }
 
 /// A slab of a medium, as traced, darker by a factor and with noise.
-fn slab(medium: &Medium, channel: usize, thickness_mm: f64, seed: u64, walks: u64, mu: f64) -> MeasuredProfile {
+fn slab(
+    medium: &Medium,
+    channel: usize,
+    thickness_mm: f64,
+    seed: u64,
+    walks: u64,
+    mu: f64,
+) -> MeasuredProfile {
     let scene = Grid::paper().scene().clone();
     let point = TransportPoint::new(medium.sigma_t_per_mm(), G, thickness_mm, 1.53).unwrap();
     let walks = Walks::new(walks).unwrap();
@@ -133,12 +140,17 @@ fn compared(found: &Unmixed) -> Vec<(String, Line)> {
             let (scattering, absorption) = (sigma_t * albedo * (1.0 - G), sigma_t * (1.0 - albedo));
             let lines: [Line; 4] = [
                 ("σ_t", sigma_t, m.sigma_t_per_mm(), channel.sigma_t_per_mm),
-                ("1-α", 1.0 - albedo, 1.0 - m.albedo(), Interval {
-                    low: 1.0 - channel.albedo.high,
-                    high: 1.0 - channel.albedo.low,
-                    open_low: channel.albedo.open_high,
-                    open_high: channel.albedo.open_low,
-                }),
+                (
+                    "1-α",
+                    1.0 - albedo,
+                    1.0 - m.albedo(),
+                    Interval {
+                        low: 1.0 - channel.albedo.high,
+                        high: 1.0 - channel.albedo.low,
+                        open_low: channel.albedo.open_high,
+                        open_high: channel.albedo.open_low,
+                    },
+                ),
                 (
                     "σ_s'",
                     scattering,
@@ -170,7 +182,10 @@ fn report_mixtures(found: &Unmixed) {
     for mixture in &found.mixtures {
         match (&mixture.agreement, &mixture.left_out) {
             (Some(a), _) if a.pull > 2.0 || a.misfit > 1.2 => {
-                println!("{} {}: misfit {:.2}, pull {:.1}", mixture.material, mixture.channel, a.misfit, a.pull);
+                println!(
+                    "{} {}: misfit {:.2}, pull {:.1}",
+                    mixture.material, mixture.channel, a.misfit, a.pull
+                );
             }
             (None, Some(why)) => println!("{} {}: {why}", mixture.material, mixture.channel),
             _ => {}

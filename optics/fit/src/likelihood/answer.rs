@@ -115,6 +115,7 @@ impl Found<'_, '_> {
             dictionary_share: self.dictionary_share(&covariance),
             misfit,
             suspicion: None,
+            from_mixtures: false,
             likelihood: Some(Likelihood {
                 chi2: goodness.chi2,
                 degrees_of_freedom: goodness.degrees_of_freedom,

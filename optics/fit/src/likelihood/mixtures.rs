@@ -73,8 +73,10 @@ pub(crate) fn unmix(
     let inks = mixtures.inks();
     let mixed = mixed_materials(materials, mixtures)?;
     let channels = all_channels(dictionary, &mixed, options)?;
-    let fits: Vec<&ChannelFit> =
-        channels.iter().map(|data| fit_of(measured, mixed[data.material].material(), data.name)).collect::<Result<_, _>>()?;
+    let fits: Vec<&ChannelFit> = channels
+        .iter()
+        .map(|data| fit_of(measured, mixed[data.material].material(), data.name))
+        .collect::<Result<_, _>>()?;
     let ior = common_ior(dictionary, &fits);
     let models: Vec<Surrogate> =
         channels.iter().map(|data| Surrogate::new(dictionary, data.channel, ior)).collect();
@@ -152,11 +154,7 @@ fn slabs<'a>(
             let variance = covariance.as_ref().map_or(f64::INFINITY, |c| gradient.dot(&(c * &gradient)));
             let value = quantity.value(&state.x);
             // The coordinates are ln σ_s (1 − g) and √σ_a; the second term is for a root of 0.
-            if which == 0 {
-                value.exp() * variance.sqrt()
-            } else {
-                2.0 * value * variance.sqrt() + variance
-            }
+            if which == 0 { value.exp() * variance.sqrt() } else { 2.0 * value * variance.sqrt() + variance }
         });
         Slab {
             fractions: inks.iter().map(of).collect(),
@@ -229,7 +227,8 @@ impl<'a, 'b> Unmixing<'a, 'b> {
         let inks = self.ink_unknowns(&mut unknowns, &mut x);
         let (mut members, mut own) = (Vec::new(), Vec::new());
         for slab in self.slabs.iter().filter(|s| s.left_out.is_none()) {
-            let of_channel = &inks.iter().find(|(c, _)| *c == slab.data.channel).expect("every channel has inks").1;
+            let of_channel =
+                &inks.iter().find(|(c, _)| *c == slab.data.channel).expect("every channel has inks").1;
             let parts = slab.fractions.iter().zip(of_channel).filter(|(f, _)| **f > 0.0);
             let blend = Blend(parts.map(|(fraction, ink)| Part { fraction: *fraction, ink: *ink }).collect());
             for i in slab.terms.clone() {
@@ -292,7 +291,8 @@ impl<'a, 'b> Unmixing<'a, 'b> {
 
     /// σ_s, √σ_a and ln(1 − g) of every ink in a channel, as the media of the slabs by themselves tell them.
     fn starts(&self, channel: usize) -> Vec<[f64; 3]> {
-        let of_channel = || self.slabs.iter().filter(move |s| s.data.channel == channel && s.left_out.is_none());
+        let of_channel =
+            || self.slabs.iter().filter(move |s| s.data.channel == channel && s.left_out.is_none());
         let count = of_channel().count() as f64;
         let ln_one_minus_g = of_channel().map(|s| s.medium[LN_ONE_MINUS_G]).sum::<f64>() / count;
         let equations = |which: usize| -> Vec<Equation> {
@@ -307,7 +307,8 @@ impl<'a, 'b> Unmixing<'a, 'b> {
         let n = self.inks.len();
         let (reduced, absorption) = (solve(&equations(0), n, 1.0), solve(&equations(1), n, 1.0));
         // Not quite nothing, from where there would be no way back.
-        let start = |(r, a): (f64, f64)| [(r / ln_one_minus_g.exp()).max(1e-2), a.max(1e-4).sqrt(), ln_one_minus_g];
+        let start =
+            |(r, a): (f64, f64)| [(r / ln_one_minus_g.exp()).max(1e-2), a.max(1e-4).sqrt(), ln_one_minus_g];
         reduced.into_iter().zip(absorption).map(start).collect()
     }
 

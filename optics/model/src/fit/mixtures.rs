@@ -5,7 +5,7 @@
 
 use serde::Serialize;
 
-use super::answer::{Common, Interval};
+use super::answer::{Common, Interval, MaterialFit, Refined};
 use crate::invalid::{Invalid, Result};
 use crate::medium::Medium;
 
@@ -136,6 +136,21 @@ pub struct Unmixed {
     pub mixtures: Vec<MixtureFit>,
 }
 
+impl Unmixed {
+    /// Puts what mixtures tell in the place of what slabs of an ink by themselves do not.
+    pub fn replace(&self, materials: &mut [MaterialFit]) {
+        for ink in &self.inks {
+            let Some(material) = materials.iter_mut().find(|m| m.material == ink.material) else { continue };
+            for found in ink.channels.iter().filter(|c| c.from_mixtures) {
+                let same = material.channels.iter_mut().find(|c| c.channel == found.channel);
+                if let Some(refined) = same.and_then(|c| c.refined.as_mut()) {
+                    found.replace(refined);
+                }
+            }
+        }
+    }
+}
+
 /// An ink in all channels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct InkFit {
@@ -163,6 +178,20 @@ pub struct InkChannel {
     pub resolved: bool,
     /// The ink's own slabs, if there are any, do not determine them.
     pub from_mixtures: bool,
+}
+
+impl InkChannel {
+    fn replace(&self, refined: &mut Refined) {
+        refined.best.medium = self.medium;
+        refined.sigma_t_per_mm = self.sigma_t_per_mm;
+        refined.albedo = self.albedo;
+        refined.g = self.g;
+        refined.reduced_scattering_per_mm = self.reduced_scattering_per_mm;
+        refined.absorption_per_mm = self.absorption_per_mm;
+        (refined.resolved, refined.from_mixtures) = (self.resolved, true);
+        // Those of the slabs by themselves say nothing of this medium.
+        (refined.covariance, refined.correlation, refined.valley) = ([[0.0; 3]; 3], 0.0, false);
+    }
 }
 
 /// How well one channel of a measured material is explained by its inks.

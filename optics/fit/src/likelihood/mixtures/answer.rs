@@ -2,8 +2,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use optics_model::fit::{
-    Agreement, ChannelFit, Common, FitOptions, InkChannel, InkFit, Interval, MixtureFit, MixturePart, Mixtures,
-    Unmixed,
+    Agreement, ChannelFit, Common, FitOptions, InkChannel, InkFit, Interval, MixtureFit, MixturePart,
+    Mixtures, Unmixed,
 };
 use optics_model::{Invalid, Medium};
 
@@ -46,7 +46,11 @@ pub(super) struct Solution<'a, 'b> {
 }
 
 impl<'a, 'b> Solution<'a, 'b> {
-    pub(super) fn new(told: Told<'b>, slabs: &'b [Slab<'a>], solved: &'b Solved<'a>) -> Result<Self, Invalid> {
+    pub(super) fn new(
+        told: Told<'b>,
+        slabs: &'b [Slab<'a>],
+        solved: &'b Solved<'a>,
+    ) -> Result<Self, Invalid> {
         let Solved { chart, state, .. } = solved;
         let looks = chart.look(&state.x, &state.own);
         let normal = chart.normal(&state.x, &state.own, &looks);
@@ -90,7 +94,8 @@ impl<'a, 'b> Solution<'a, 'b> {
             // Of an absorber it is 1 − α that must be known, as of others α.
             let a = found.albedo;
             let co_albedo = Interval { low: 1.0 - a.high, high: 1.0 - a.low, ..a };
-            let resolved = is_resolved(&found.sigma_t_per_mm, &a) || is_resolved(&found.sigma_t_per_mm, &co_albedo);
+            let resolved =
+                is_resolved(&found.sigma_t_per_mm, &a) || is_resolved(&found.sigma_t_per_mm, &co_albedo);
             InkChannel {
                 channel: name.to_owned(),
                 medium: medium(InkQuantity::medium(*ink, x)),

@@ -40,13 +40,8 @@ pub(super) struct InkIntervals {
 impl Profile<'_> {
     pub(super) fn intervals(&self, ink: Ink, common_g: Option<Interval>) -> InkIntervals {
         let [s, a, g_] = ink.map(|slot| self.chart.unknowns[slot].limits);
-        let limits = [
-            (s.0 + a.0 * a.0, s.1 + a.1 * a.1),
-            (0.0, 1.0),
-            g_,
-            (s.0 * g_.0.exp(), s.1 * g_.1.exp()),
-            a,
-        ];
+        let limits =
+            [(s.0 + a.0 * a.0, s.1 + a.1 * a.1), (0.0, 1.0), g_, (s.0 * g_.0.exp(), s.1 * g_.1.exp()), a];
         let [of_sigma_t, of_root, of_g, of_reduced, of_absorption] = InkQuantity::all(ink);
         let ends = |quantity, i: usize| self.ends(quantity, limits[i]);
         let positive = |v: f64| v.max(0.0);
@@ -69,7 +64,8 @@ impl Profile<'_> {
             let value = quantity.value(&self.optimum.x);
             return [End { value, open: false }; 2];
         }
-        [(-1.0, limits.0), (1.0, limits.1)].map(|(side, limit)| self.end(quantity, variance.sqrt(), side, limit))
+        [(-1.0, limits.0), (1.0, limits.1)]
+            .map(|(side, limit)| self.end(quantity, variance.sqrt(), side, limit))
     }
 
     fn end(&self, quantity: InkQuantity, deviation: f64, side: f64, limit: f64) -> End {

@@ -168,8 +168,7 @@ impl Chart<'_> {
         let n = self.unknowns.len();
         let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
         let reduce = |(member, (look, own)): (&Member, (&Look, &Line))| member.reduce(look, own);
-        let parts: Vec<_> =
-            self.members.par_iter().zip(looks.par_iter().zip(own)).map(reduce).collect();
+        let parts: Vec<_> = self.members.par_iter().zip(looks.par_iter().zip(own)).map(reduce).collect();
         let mut reduced = Vec::with_capacity(parts.len());
         for (look, (of_member, pull, one)) in looks.iter().zip(parts) {
             for (i, slot) in look.place.slots.iter().enumerate() {

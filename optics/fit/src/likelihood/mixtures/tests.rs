@@ -103,7 +103,10 @@ fn slabs_beyond_the_dictionary_are_left_out_and_said_so() {
     let found = unmixed(&[WHITE, BLACK, ("light", LIGHT, LIGHT)], 2).unwrap();
     let black = found.mixtures.iter().find(|m| m.material == "black").unwrap();
     let why = black.left_out.as_ref().unwrap();
-    assert!(black.agreement.is_none() && why.contains("sigma_t_per_mm = ") && why.contains("submit"), "{why}");
+    assert!(
+        black.agreement.is_none() && why.contains("sigma_t_per_mm = ") && why.contains("submit"),
+        "{why}"
+    );
     for (what, interval, truth) in against_truth(&found) {
         assert!(interval.contains(truth), "{what}: {interval:?} misses {truth}");
     }
