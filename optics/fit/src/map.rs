@@ -1,28 +1,43 @@
 //! Maps of the distance over all media, Fig. 9 of the paper.
 
-use optics_model::fit::{DistanceMap, FitOptions, MapLayer};
-use optics_model::{Invalid, Measurement};
+use optics_model::fit::{DistanceMap, FitOptions, MapLayer, Objective};
+use optics_model::{Grid, Invalid, Measurement};
 use rayon::prelude::*;
 
 use super::dictionary::FitDictionary;
-use super::question::{Place, Question, questions};
+use super::likelihood;
+use super::question::{Admissible, Place, Question, questions};
 use super::similarity::similar;
 
-/// One map per channel of a measurement: the error of Eq. 1 for every admissible medium.
+/// One map per channel of a measurement, over every admissible medium: the error of Eq. 1, or for the likelihood the root
+/// mean square of the residuals over their noise, with the set-up at its likeliest.
 pub fn distance_map(
     dictionary: &FitDictionary,
     measurement: &Measurement,
     options: &FitOptions,
 ) -> Result<Vec<DistanceMap>, Invalid> {
+    if likelihood::objective(options, [measurement]) == Objective::Likelihood {
+        return likelihood::distance_map(dictionary, measurement, options);
+    }
     Ok(questions(dictionary, measurement, options)?.iter().map(map).collect())
 }
 
 fn map(question: &Question) -> DistanceMap {
     let grid = question.dictionary.grid();
-    let admissible = &question.admissible;
     // Maps of several refractive indices would be maps of several dictionaries: that of the best is drawn.
     let ior = best_ior(question);
-    let mut layers: Vec<MapLayer> = admissible.g.clone().map(|g| layer(question, ior, g)).collect();
+    let layers = question.admissible.g.clone().map(|g| layer(question, ior, g)).collect();
+    of_layers(grid, question.name, &question.admissible, ior, layers)
+}
+
+/// The map of a channel at one refractive index, given a layer for each admissible anisotropy.
+pub(super) fn of_layers(
+    grid: &Grid,
+    channel: &str,
+    admissible: &Admissible,
+    ior: usize,
+    mut layers: Vec<MapLayer>,
+) -> DistanceMap {
     let by_error =
         |(_, a): &(usize, &MapLayer), (_, b): &(usize, &MapLayer)| a.best.error.total_cmp(&b.best.error);
     let best_layer = layers.iter().enumerate().min_by(by_error).map_or(0, |(i, _)| i);
@@ -31,7 +46,7 @@ fn map(question: &Question) -> DistanceMap {
         layer.similar = similar(&best, layer.g).ok();
     }
     DistanceMap {
-        channel: question.name.to_owned(),
+        channel: channel.to_owned(),
         sigma_t_per_mm: grid.sigma_t_per_mm()[admissible.sigma_t.clone()].to_vec(),
         albedo: grid.albedo()[admissible.albedo.clone()].to_vec(),
         sample_ior: grid.sample_ior()[ior],

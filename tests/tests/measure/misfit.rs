@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use optics_fit::fit;
-use optics_model::fit::{Bounds, Cause, FitOptions, FitSettings, MISFIT, Refined};
+use optics_model::fit::{Bounds, Cause, FitOptions, FitSettings, MISFIT, Nuisance, Objective, Refined};
 use optics_model::{MeasuredProfile, Measurement, Medium};
 
 use crate::{dictionary, photograph};
@@ -21,7 +21,7 @@ fn clean(thickness_mm: f64) -> &'static MeasuredProfile {
     &clean[usize::from(thickness_mm > 0.75)]
 }
 
-fn found(spoil: Spoil, swap: bool) -> Refined {
+fn found(spoil: Spoil, swap: bool, objective: Objective) -> Refined {
     let profile = |thickness_mm: f64| {
         let clean = clean(thickness_mm);
         let (x, values) = (clean.x_mm().to_vec(), clean.values());
@@ -37,14 +37,19 @@ fn found(spoil: Spoil, swap: bool) -> Refined {
         MeasuredProfile::new("G", told, x.clone(), spoilt, Some(errors)).unwrap()
     };
     let measurement = Measurement::new("m", vec![profile(0.5), profile(1.0)]).unwrap();
-    let settings = FitSettings { g: Bounds::fixed(0.4), refine: true, ..FitSettings::default() };
+    let settings = FitSettings {
+        g: Bounds::fixed(0.4),
+        refine: true,
+        objective: Some(objective),
+        ..FitSettings::default()
+    };
     let fit = fit(dictionary(), &measurement, &FitOptions::new(settings).unwrap()).unwrap();
     fit.channels[0].refined.clone().unwrap()
 }
 
 #[test]
 fn clean_photographs_have_no_misfit() {
-    let r = found(|_, v, _, _| v, false);
+    let r = found(|_, v, _, _| v, false, Objective::Paper);
     assert!(r.misfit < 1.5 && r.suspicion.is_none(), "{r:?}");
 }
 
@@ -64,9 +69,52 @@ fn spoilt_photographs_are_told_with_the_likeliest_reason() {
         ("thicknesses exchanged", |_, v, _, _| v, true, Cause::ThicknessesSwapped),
     ];
     for (what, spoil, swap, cause) in cases {
-        let r = found(spoil, swap);
+        let r = found(spoil, swap, Objective::Paper);
         println!("{what}: misfit {:.2}, {:?}", r.misfit, r.suspicion);
         assert!(r.misfit > MISFIT, "{what}: {}", r.misfit);
         assert_eq!(r.suspicion.map(|s| s.cause), Some(cause), "{what}");
+    }
+}
+
+fn estimate(r: &Refined, nuisance: Nuisance, profile_mm: f64) -> (f64, f64) {
+    let all = &r.likelihood.as_ref().unwrap().nuisances;
+    let found = all.iter().find(|n| n.nuisance == nuisance && n.profile_mm == Some(profile_mm)).unwrap();
+    (found.value, found.std_error)
+}
+
+/// What the paper's distance can only suspect the likelihood measures, and takes out.
+#[test]
+fn the_likelihood_estimates_what_is_wrong_and_finds_the_medium_nevertheless() {
+    let clean = found(|_, v, _, _| v, false, Objective::Likelihood);
+    let shifted = found(|x, _, _, at| at(x - 0.1), false, Objective::Likelihood);
+    let dusty = |x: f64, v: f64, _: f64, _: &dyn Fn(f64) -> f64| {
+        if (x * 36.0).floor().rem_euclid(23.0) < 1.0 { 0.7 * v } else { v }
+    };
+    let dusty = found(dusty, false, Objective::Likelihood);
+    for r in [&clean, &shifted, &dusty] {
+        let likelihood = r.likelihood.as_ref().unwrap();
+        assert!(r.misfit < 1.2 && likelihood.probability > 1e-3 && r.suspicion.is_none(), "{r:?}");
+        assert!(r.sigma_t_per_mm.contains(4.3) && r.albedo.contains(0.965), "{r:?}");
+    }
+    for profile_mm in [0.5, 1.0] {
+        let (origin, std_error) = estimate(&shifted, Nuisance::Origin, profile_mm);
+        assert!((origin - 0.1).abs() < 4.0 * std_error && std_error < 0.005, "{origin} ± {std_error}");
+    }
+    assert!(clean.likelihood.unwrap().outliers.is_empty());
+    let left_out = dusty.likelihood.unwrap().outliers.len();
+    // Of 32 specks the rims go with them where their noise looks like more of it.
+    assert!((30..=80).contains(&left_out), "{left_out} pixels for 32 specks of dust");
+}
+
+/// What no nuisance explains is told, with the paper's distance's suspicion, and widens the intervals.
+#[test]
+fn the_likelihood_says_that_it_does_not_explain_a_measurement() {
+    let coded = found(|_, v, _, _| 1.055 * v.powf(1.0 / 2.4) - 0.055, false, Objective::Likelihood);
+    let swapped = found(|_, v, _, _| v, true, Objective::Likelihood);
+    for (r, cause) in [(coded, Cause::GammaCoded), (swapped, Cause::ThicknessesSwapped)] {
+        let likelihood = r.likelihood.as_ref().unwrap();
+        assert!(r.misfit > MISFIT && likelihood.probability < 1e-6, "{r:?}");
+        assert_eq!(r.suspicion.map(|s| s.cause), Some(cause));
+        assert!(!likelihood.stretches.is_empty());
     }
 }

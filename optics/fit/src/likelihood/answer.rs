@@ -2,8 +2,8 @@
 
 use nalgebra::DMatrix;
 use optics_model::fit::{
-    Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, Nuisance, NuisanceEstimate, OutlierPixel,
-    Outside, Refined, Stretch, ThicknessError,
+    Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, MISFIT, Nuisance, NuisanceEstimate,
+    OutlierPixel, Outside, Refined, Stretch, Suspicion, ThicknessError,
 };
 use optics_model::{Grid, Medium};
 
@@ -15,10 +15,12 @@ use super::profile::{Profile, interval};
 use super::system::{Normal, Quantity, State, System};
 use super::term::{Linear, Own};
 use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, LN_THICKNESS, Line, ROOT_CO_ALBEDO, SHARED};
+use crate::question::{Admissible, Question};
 use crate::refine::held;
+use crate::search;
 use crate::sum::{dot, rms};
 use crate::surrogate::{albedo, g, sigma_t};
-use crate::uncertainty::{VALLEY, is_resolved};
+use crate::uncertainty::{Analysis, VALLEY, is_resolved};
 use crate::view::Slope;
 
 /// Probability of χ² below which residuals are said to be more than noise.
@@ -114,7 +116,7 @@ impl Found<'_, '_> {
             measurement_noise: rms(&std_errors),
             dictionary_share: self.dictionary_share(&covariance),
             misfit,
-            suspicion: None,
+            suspicion: self.suspicion(misfit),
             from_mixtures: false,
             likelihood: Some(Likelihood {
                 chi2: goodness.chi2,
@@ -126,6 +128,26 @@ impl Found<'_, '_> {
                 bound: bound(&ideal.unwrap_or_else(|| covariance.clone()), self.state, slots),
             }),
         }
+    }
+
+    /// What else may be wrong if nothing that the likelihood reckons with explains the measurement: what the paper's
+    /// distance suspects, with the common factor and anisotropy as they were found.
+    fn suspicion(&self, misfit: f64) -> Option<Suspicion> {
+        let settings = self.data.options.settings();
+        if misfit <= MISFIT {
+            return None;
+        }
+        let mu = settings.mu * self.x(LN_SCALE).exp();
+        let options = self.data.options.with_mu(mu, settings.mu_std_error).ok()?;
+        let options = match self.common_g {
+            Some(_) => options.with_g(self.medium(self.state).g()).ok()?,
+            None => options,
+        };
+        let admissible = Admissible::new(self.data.dictionary, &options).ok()?;
+        let (dictionary, measurement) = (self.data.dictionary, self.data.measurement);
+        let question = Question::new(dictionary, measurement, self.data.name, &options, admissible).ok()?;
+        let best = search::best(&question, 1);
+        Analysis::new(&question, best.first()?).refined(None).suspicion
     }
 
     /// χ² of the pixels that belong, with the deviations from what was known of the set-up.

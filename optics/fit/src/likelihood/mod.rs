@@ -12,6 +12,7 @@ mod camera;
 mod channel;
 mod chi2;
 mod joint;
+mod map;
 mod mixtures;
 mod problem;
 mod profile;
@@ -20,6 +21,8 @@ mod robust;
 mod start;
 mod system;
 mod term;
+#[cfg(test)]
+mod tests;
 
 use optics_model::fit::{ChannelFit, FitOptions, MaterialFit, Objective, Outside};
 use optics_model::{Invalid, Measurement};
@@ -30,6 +33,7 @@ use answer::Found;
 use problem::ChannelData;
 
 pub(super) use joint::measure;
+pub(super) use map::distance_map;
 pub(super) use mixtures::unmix;
 
 /// Numbers by pixel.

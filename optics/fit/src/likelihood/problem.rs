@@ -26,6 +26,7 @@ const RIM_MM: f64 = 0.02;
 pub(super) struct ChannelData<'a> {
     pub dictionary: &'a FitDictionary,
     pub material: usize,
+    pub measurement: &'a Measurement,
     pub name: &'a str,
     /// Index into the scene's channels.
     pub channel: usize,
@@ -167,7 +168,12 @@ impl<'a> ChannelData<'a> {
         };
         let profiles = of_channel.map(profile).collect::<Result<Vec<_>, _>>()?;
         let admissible = Admissible::new(dictionary, options)?;
-        Ok(Self { dictionary, material, name, channel, profiles, options: *options, admissible })
+        Ok(Self { dictionary, material, measurement, name, channel, profiles, options: *options, admissible })
+    }
+
+    /// Pixels of all profiles that are compared.
+    pub(super) fn pixels(&self) -> usize {
+        self.profiles.iter().map(|p| p.pixels.len()).sum()
     }
 
     /// One model for each refractive index of the sample.

@@ -215,7 +215,7 @@ impl Scan<'_> {
     }
 
     /// Number of a medium over all axes.
-    fn number(&self, [ior, s, g, a]: [usize; 4]) -> usize {
+    pub(super) fn number(&self, [ior, s, g, a]: [usize; 4]) -> usize {
         let grid = self.dictionary.grid();
         ((ior * grid.sigma_t_per_mm().len() + s) * grid.g().len() + g) * grid.albedo().len() + a
     }

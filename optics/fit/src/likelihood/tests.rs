@@ -1,0 +1,198 @@
+//! The likelihood on a dictionary from a formula: exact cases, limits, and descents from everywhere.
+
+use optics_model::fit::{Bounds, FitOptions, FitSettings, Nuisance, Objective, Refined};
+use optics_model::{MeasuredProfile, Measurement, ProfileSetup};
+
+use super::channel;
+use super::problem::ChannelData;
+use super::start::Start;
+use crate::dictionary::FitDictionary;
+use crate::fit;
+use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
+
+const MEDIUM: (f64, f64, f64) = (3.1, 0.93, 0.33);
+
+fn dictionary() -> FitDictionary {
+    noisy_dictionary(dense_axes(), 120, 0.0)
+}
+
+/// What is wrong with a profile.
+#[derive(Clone, Copy, Default)]
+struct Flaws {
+    origin_mm: f64,
+    gain: f64,
+    zero: f64,
+    slope: f64,
+    dust: bool,
+}
+
+/// Channel G at both thicknesses with 0.3 % of noise, as told.
+fn measured(medium: (f64, f64, f64), seed: u64, flaws: Flaws) -> Measurement {
+    let profile = |(slab, thickness): (u64, f64)| {
+        let x: Vec<f64> = (0..120).map(|i| (f64::from(i) + 0.5) / 12.0 - 5.0).collect();
+        let (sigma_t, albedo, g) = medium;
+        let at = |x: f64| profile_value(x, sigma_t, albedo, g, thickness, 1.0);
+        let light = |x: f64| 1.0 + flaws.gain + flaws.slope * x / 10.0;
+        let exact: Vec<f64> = x.iter().map(|x| at(x - flaws.origin_mm) * light(*x) + flaws.zero).collect();
+        let noise = |(i, v): (usize, &f64)| {
+            let speck = if flaws.dust && i % 17 == 5 { 0.8 } else { 1.0 };
+            v * speck * (1.0 + 0.003 * normal((seed * 2 + slab) * 120 + i as u64 + 5_000_000))
+        };
+        let values = exact.iter().enumerate().map(noise).collect();
+        let std_errors = exact.iter().map(|v| 0.003 * v).collect();
+        MeasuredProfile::new("G", thickness, x, values, Some(std_errors)).unwrap()
+    };
+    Measurement::new("m", vec![profile((0, 0.5)), profile((1, 1.0))]).unwrap()
+}
+
+fn settings() -> FitSettings {
+    // The formula is no physics: its lengths do not scale with the thickness, and nothing blurs it.
+    FitSettings {
+        objective: Some(Objective::Likelihood),
+        thickness_std_error_mm: 0.0,
+        blur_std_error_mm: 0.0,
+        refine: true,
+        ..FitSettings::default()
+    }
+}
+
+fn refined(measurement: &Measurement, settings: FitSettings) -> Refined {
+    let found = fit(&dictionary(), measurement, &FitOptions::new(settings).unwrap()).unwrap();
+    found.channels.into_iter().next().unwrap().refined.unwrap()
+}
+
+#[test]
+fn nuisances_are_found_and_the_medium_beside_them() {
+    let flaws = Flaws { origin_mm: 0.06, gain: 0.001, zero: -0.0015, slope: 0.003, dust: true };
+    let found = refined(&measured(MEDIUM, 1, flaws), FitSettings { g: Bounds::fixed(0.33), ..settings() });
+    let likelihood = found.likelihood.as_ref().unwrap();
+    assert!(likelihood.probability > 0.001 && found.misfit < 1.3, "{likelihood:?}");
+    assert!(found.sigma_t_per_mm.contains(MEDIUM.0) && found.albedo.contains(MEDIUM.1), "{found:?}");
+    // Seven specks of one pixel in each profile; a pixel beside them may go along.
+    assert!((14..=36).contains(&likelihood.outliers.len()), "{}", likelihood.outliers.len());
+    for n in likelihood.nuisances.iter().filter(|n| n.nuisance == Nuisance::Origin) {
+        assert!((n.value - 0.06).abs() < 4.0 * n.std_error && n.std_error < 0.01, "{n:?}");
+    }
+}
+
+/// Told exactly, or not known at all, gains do what they must: a prior of zero is not a nuisance.
+#[test]
+fn what_is_known_exactly_is_no_nuisance() {
+    let exact = FitSettings {
+        origin_std_error_mm: 0.0,
+        gain_std_error: 0.0,
+        offset_std_error: 0.0,
+        slope_std_error: 0.0,
+        g: Bounds::fixed(0.33),
+        ..settings()
+    };
+    let sure = refined(&measured(MEDIUM, 2, Flaws::default()), exact);
+    assert!(sure.likelihood.as_ref().unwrap().nuisances.is_empty());
+    assert!(sure.sigma_t_per_mm.contains(MEDIUM.0));
+    let loose =
+        refined(&measured(MEDIUM, 2, Flaws::default()), FitSettings { gain_std_error: 0.05, ..exact });
+    let width = |r: &Refined| r.albedo.high - r.albedo.low;
+    assert!(width(&loose) > 3.0 * width(&sure), "{} {}", width(&loose), width(&sure));
+}
+
+/// With everything but σ_t told, the bound is 1/√Σ(∂f/s)², the derivatives taken by quotients of the formula.
+#[test]
+fn the_bound_of_one_parameter_is_that_of_the_formula() {
+    let one = FitSettings {
+        origin_std_error_mm: 0.0,
+        gain_std_error: 0.0,
+        offset_std_error: 0.0,
+        slope_std_error: 0.0,
+        g: Bounds::fixed(0.3),
+        albedo: Bounds::fixed(0.9),
+        ..settings()
+    };
+    let medium = (3.1, 0.9, 0.3);
+    let found = refined(&measured(medium, 3, Flaws::default()), one);
+    let bound = found.likelihood.unwrap().bound.sigma_t_per_mm;
+    let mut information = 0.0;
+    let sigma_t = found.best.medium.sigma_t_per_mm();
+    for thickness in [0.5, 1.0] {
+        for i in 0..120 {
+            let x = (f64::from(i) + 0.5) / 12.0 - 5.0;
+            let at = |s: f64| profile_value(x, s, 0.9, 0.3, thickness, 1.0);
+            let by_ln = (at(1.001 * sigma_t) - at(0.999 * sigma_t)) / 0.002;
+            let noise = 0.003 * profile_value(x, medium.0, 0.9, 0.3, thickness, 1.0);
+            information += (by_ln / noise).powi(2);
+        }
+    }
+    let half = 0.5 * (bound.high / bound.low).ln();
+    let expected = 1.959_964 / f64::sqrt(information);
+    assert!((half / expected - 1.0).abs() < 0.05, "{half} {expected}");
+    let width = 0.5 * (found.sigma_t_per_mm.high / found.sigma_t_per_mm.low).ln();
+    assert!((width / half - 1.0).abs() < 0.1, "{width} {half}");
+}
+
+/// No descent from any fifth medium of the dictionary ends lower than the one that is chosen.
+#[test]
+fn finds_the_minimum_of_brute_force() {
+    let dictionary = dictionary();
+    let options = FitOptions::new(settings()).unwrap();
+    for (seed, medium) in [(4, MEDIUM), (5, (1.6, 0.35, 0.05)), (6, (6.4, 0.985, 0.55))] {
+        let flaws = Flaws { gain: 0.002, zero: 0.001, ..Flaws::default() };
+        let measurement = measured(medium, seed, flaws);
+        let data = ChannelData::new(&dictionary, &measurement, 0, "G", &options).unwrap();
+        let surrogates = data.surrogates();
+        let scan = data.scan(&surrogates, 0.0).unwrap();
+        let starts = channel::starts(&scan, &surrogates);
+        let (_, chosen, _) = channel::lowest(&data, &surrogates, &starts);
+        let axes = dense_axes();
+        let mut lowest = f64::INFINITY;
+        let all = axes.sigma_t_per_mm.iter().flat_map(|s| {
+            let axes = &axes;
+            axes.albedo.iter().flat_map(move |a| axes.g.iter().map(move |g| (*s, *a, *g)))
+        });
+        for (sigma_t, albedo, g) in all.step_by(5) {
+            let medium = [sigma_t.ln(), (1.0 - albedo).sqrt(), (1.0 - g).ln()];
+            let start = Start { medium, ior: 0, cost: 0.0 };
+            lowest = channel::lowest(&data, &surrogates, &[start]).1.cost.min(lowest);
+        }
+        assert!(chosen.cost <= lowest + 1.0, "{medium:?}: {} against {lowest}", chosen.cost);
+    }
+}
+
+/// The minimum does not depend on what a measurement's pixels are.
+#[test]
+fn coarser_pixels_beside_the_edge_give_the_same_medium() {
+    let fine = measured(MEDIUM, 7, Flaws::default());
+    let coarse = |p: &MeasuredProfile| {
+        let pairs = |v: &[f64]| -> Vec<f64> { v.chunks(2).map(|c| 0.5 * (c[0] + c[1])).collect() };
+        let errors = p.std_errors().unwrap().chunks(2).map(|c| 0.5 * c[0].hypot(c[1])).collect();
+        MeasuredProfile::new("G", p.thickness_mm(), pairs(p.x_mm()), pairs(p.values()), Some(errors)).unwrap()
+    };
+    let coarse = Measurement::new("m", fine.profiles().iter().map(coarse).collect()).unwrap();
+    let held = FitSettings { g: Bounds::fixed(0.33), ..settings() };
+    let (fine, coarse) = (refined(&fine, held), refined(&coarse, held));
+    let deviation = (fine.sigma_t_per_mm.high / fine.sigma_t_per_mm.low).ln() / 3.92;
+    let off = (fine.best.medium.sigma_t_per_mm() / coarse.best.medium.sigma_t_per_mm()).ln().abs();
+    assert!(off < 0.5 * deviation, "{off} of {deviation}");
+}
+
+#[test]
+fn what_cannot_be_weighed_is_refused() {
+    let dictionary = dictionary();
+    let options = FitOptions::new(settings()).unwrap();
+    let good = measured(MEDIUM, 8, Flaws::default());
+    let with = |change: &dyn Fn(&MeasuredProfile) -> MeasuredProfile| {
+        let measurement = Measurement::new("m", good.profiles().iter().map(change).collect()).unwrap();
+        fit(&dictionary, &measurement, &options).unwrap_err().field().to_owned()
+    };
+    let remade = |p: &MeasuredProfile, thickness: f64, errors: Vec<f64>| {
+        MeasuredProfile::new("G", thickness, p.x_mm().to_vec(), p.values().to_vec(), Some(errors)).unwrap()
+    };
+    let errors = |p: &MeasuredProfile| p.std_errors().unwrap().to_vec();
+    let zero = |p: &MeasuredProfile| {
+        let mut errors = errors(p);
+        errors[7] = 0.0;
+        remade(p, p.thickness_mm(), errors)
+    };
+    assert_eq!(with(&zero), "std_errors[7]");
+    assert_eq!(with(&|p| remade(p, 4.0 * p.thickness_mm(), errors(p))), "thickness_mm");
+    let setup = ProfileSetup { origin_mm: Some(9.9), ..ProfileSetup::default() };
+    assert_eq!(with(&|p| p.clone().with_setup(setup).unwrap()), "x_mm");
+}
