@@ -46,7 +46,7 @@ fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
     }
 }
 
-fn read_text(path: &Path, what: &str) -> Result<String> {
+pub(crate) fn read_text(path: &Path, what: &str) -> Result<String> {
     let place = || format!("{what} {}", path.display());
     let size = std::fs::metadata(path).with_context(place)?.len();
     if size > LARGEST {
@@ -55,7 +55,7 @@ fn read_text(path: &Path, what: &str) -> Result<String> {
     std::fs::read_to_string(path).with_context(place)
 }
 
-fn from_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path, what: &str) -> Result<T> {
+pub(crate) fn from_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path, what: &str) -> Result<T> {
     toml::from_str(text).with_context(|| format!("{what} {}", path.display()))
 }
 

@@ -9,6 +9,7 @@ mod exit;
 mod grid_file;
 mod interrupt;
 mod measurement_file;
+mod mixture_file;
 mod output;
 mod plot;
 mod progress;

@@ -79,6 +79,7 @@ pub(crate) fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFi
         misfit,
         suspicion: (misfit > 2.0).then_some(suspicion),
         likelihood: None,
+        from_mixtures: false,
     };
     ChannelFit {
         channel: name.to_owned(),

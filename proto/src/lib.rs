@@ -8,7 +8,7 @@ pub mod ids;
 pub mod lease;
 pub mod status;
 
-pub use convert::to_status;
+pub use convert::{mixtures, to_status};
 pub use ids::{DictionaryName, RequestLimits};
 
 /// Version of the messages between workers and coordinator. Whoever changes them so that older programs would

@@ -173,6 +173,7 @@ fn the_answer_of_a_measurement_is_understood() {
                 g: *g,
                 materials: materials.iter().cloned().map(Into::into).collect(),
                 common: common.clone().map(Into::into),
+                unmixed: None,
             },
         );
         assert_eq!(scale.unwrap().points.len(), 5, "version {version}");

@@ -1,6 +1,6 @@
 //! Fits as people read them.
 
-use optics_model::fit::{Candidate, ChannelFit, MaterialFit};
+use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
 
 use super::bound::bounds;
 use super::numbers::{albedo, albedo_end, interval, significant};
@@ -107,7 +107,9 @@ fn media(fits: &[MaterialFit]) -> String {
         head = vec!["material", "ch", "σ_t\n/mm", "α", "g", "error"];
     }
     let row = |material: &str, channel: &ChannelFit| {
-        let mut row = vec![short(material), channel.channel.clone()];
+        let from_mixtures = channel.refined.as_ref().is_some_and(|r| r.from_mixtures);
+        let star = if from_mixtures { "*" } else { "" };
+        let mut row = vec![short(material), format!("{}{star}", channel.channel)];
         match (&channel.refined, channel.candidates.first()) {
             (Some(r), _) => {
                 let m = &r.best.medium;
@@ -127,13 +129,16 @@ fn media(fits: &[MaterialFit]) -> String {
     };
     let rows = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| row(&fit.material, c)));
     let right: &[usize] = if refined { &[2, 4, 6] } else { &[2, 3, 4, 5] };
-    let unresolved =
-        fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref()).any(|r| !r.resolved);
-    let note = if unresolved {
-        "\n(…) unresolved: these data leave the medium open within the bounds told"
-    } else {
-        ""
+    let any = |is: fn(&Refined) -> bool| {
+        fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref()).any(is)
     };
+    let mut note = String::new();
+    if any(|r| !r.resolved) {
+        note += "\n(…) unresolved: these data leave the medium open within the bounds told";
+    }
+    if any(|r| r.from_mixtures) {
+        note += "\n* from mixtures with other inks";
+    }
     let title = if refined { "media" } else { "best records of the dictionary" };
     format!("{title}\n{}{note}", table(&head, right, rows))
 }

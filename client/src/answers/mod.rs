@@ -3,6 +3,7 @@
 mod bound;
 mod design;
 mod fits;
+mod inks;
 mod likelihood;
 mod misfit;
 mod numbers;
@@ -13,6 +14,7 @@ mod table;
 
 pub(crate) use design::{design_text, slabs};
 pub(crate) use fits::{Report, fits_text, neighbours};
+pub(crate) use inks::inks_text;
 pub(crate) use misfit::misfit_short;
 pub(crate) use numbers::{albedo, significant};
 pub(crate) use options::UsedOptions;

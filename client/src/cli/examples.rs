@@ -22,6 +22,7 @@ pub(super) const MEASURE: &str = "\
 Examples:
   farmctl measure examples/white.csv --mu 1
   farmctl measure materials.csv -o media --plot media.svg
+  farmctl measure chart.csv --mixtures chart.toml      strong absorbers by dilution
   farmctl measure materials.csv --objective paper      as the paper did";
 
 pub(super) const MAP: &str = "\

@@ -183,6 +183,10 @@ pub struct MeasureArgs {
     pub mu_std_error: f64,
     #[command(flatten)]
     pub search: MuArgs,
+    /// TOML file that tells which materials are mixtures of which, as volume fractions: strong absorbers are then found
+    /// from how they darken others.
+    #[arg(long, value_name = "FILE")]
+    pub mixtures: Option<PathBuf>,
     /// Let every channel have its own anisotropy; without this, and without --g, all share the best common one.
     #[arg(long, conflicts_with = "g")]
     pub free_g: bool,

@@ -1,15 +1,16 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use farm_proto::wire::{MeasureRequest, MeasureResponse};
-use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, ScaleCurve};
+use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, Mixtures, ScaleCurve, Unmixed};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{Report, UsedOptions, common_text, fits_text, table_csv};
+use crate::answers::{Report, UsedOptions, common_text, fits_text, inks_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
+use crate::mixture_file::read_mixtures;
 use crate::output::{Output, write_whole};
 use crate::plot::{self, Picture};
 use crate::renderers;
@@ -28,6 +29,7 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
+    let mixtures = args.mixtures.as_deref().map(read_mixtures).transpose()?;
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let assumed = set_up.assumed(&materials);
@@ -40,11 +42,17 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
             options: Some((&options).into()),
             search_mu: args.mu.is_none().then(|| range.into()),
             common_g: !args.free_g,
+            mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
         };
         Ok((dictionary, connection.fits().measure(request).await?.into_inner()))
     })
     .await?;
     let found = Found::try_from(answer)?;
+    if mixtures.is_some() && found.unmixed.is_none() {
+        bail!(
+            "the farm's answer tells nothing of mixtures: its coordinator is older than this farmctl; upgrade it"
+        );
+    }
     let pictures = match &args.plot {
         Some(path) => plot::write_fits(&found.materials, path)?,
         None => Vec::new(),
@@ -57,7 +65,7 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
     output.print("measure", &data, || {
         let assumed = assumed.text(options.settings());
         let report = Report { fits: &found.materials, assumed, bound: args.bound };
-        text(&found.common, &report, args.output.as_deref(), &pictures)
+        text(&found, &report, args.output.as_deref(), &pictures)
     })
 }
 
@@ -71,6 +79,8 @@ pub(super) struct Found {
     pub(super) scale: Option<ScaleCurve>,
     pub(super) common: Common,
     pub(super) materials: Vec<MaterialFit>,
+    /// None if no mixtures were told.
+    pub(super) unmixed: Option<Unmixed>,
 }
 
 impl TryFrom<MeasureResponse> for Found {
@@ -81,12 +91,16 @@ impl TryFrom<MeasureResponse> for Found {
             scale: answer.scale.map(ScaleCurve::try_from).transpose()?,
             common: answer.common.context(OLDER)?.try_into()?,
             materials: answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?,
+            unmixed: answer.unmixed.map(Unmixed::try_from).transpose()?,
         })
     }
 }
 
-fn text(common: &Common, report: &Report, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
-    let mut text = format!("{}\n\n{}", common_text(common), fits_text(report));
+fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
+    let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(report));
+    if let Some(unmixed) = &found.unmixed {
+        text += &format!("\n\n{}", inks_text(unmixed));
+    }
     text += &plot::drawn(pictures);
     if let Some(folder) = folder {
         text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
@@ -121,6 +135,8 @@ pub(super) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [N
         materials: &'a [MaterialFit],
         /// What was assumed when the file was read, and what looks suspicious in it.
         notes: &'a [Note],
+        #[serde(skip_serializing_if = "Option::is_none")]
+        unmixed: Option<&'a Unmixed>,
     }
     Data {
         options,
@@ -129,5 +145,6 @@ pub(super) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [N
         scale: found.scale.as_ref(),
         materials: &found.materials,
         notes,
+        unmixed: found.unmixed.as_ref(),
     }
 }

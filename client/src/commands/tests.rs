@@ -40,8 +40,12 @@ fn what_programs_read_stays_as_it_is() {
 fn answers() -> Vec<String> {
     let (fits, common, scale_curve) = (materials(), [common(Some(0.4)), common(None)], scale_curve());
     let [free, bound, likely] = options();
-    let found =
-        |g: usize, scale| measure::Found { scale, common: common[g].clone(), materials: fits.clone() };
+    let found = |g: usize, scale| measure::Found {
+        scale,
+        common: common[g].clone(),
+        materials: fits.clone(),
+        unmixed: None,
+    };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
     let simulated = |several| {
@@ -156,6 +160,7 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         misfit: 3.42,
         suspicion,
         likelihood: None,
+        from_mixtures: false,
     };
     ChannelFit {
         channel: name.to_owned(),

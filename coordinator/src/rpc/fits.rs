@@ -79,7 +79,17 @@ impl Fits for Context {
         let search_mu = search_mu.map_err(|e| e.within("search_mu")).or_status()?;
         let plan = MeasurePlan { search_mu, common_g: request.common_g };
         let materials = materials(request.materials).or_status()?;
-        let answer = self.ask(&name, move |d| fit::measure(d, &materials, &options, &plan)).await?;
+        let mixtures = farm_proto::mixtures(request.mixtures).or_status()?;
+        let question = move |d: &fit::FitDictionary| {
+            let mut measured = fit::measure(d, &materials, &options, &plan)?;
+            let unmixed =
+                mixtures.map(|m| fit::unmix(d, &materials, &m, &measured, &options, &plan)).transpose()?;
+            if let Some(unmixed) = &unmixed {
+                unmixed.replace(&mut measured.materials);
+            }
+            Ok((measured, unmixed))
+        };
+        let (answer, unmixed) = self.ask(&name, question).await?;
         Ok(Response::new(MeasureResponse {
             scale: answer.scale.map(Into::into),
             mu: answer.common.mu,
@@ -87,6 +97,7 @@ impl Fits for Context {
             g: answer.common.g,
             materials: encoded(answer.materials),
             common: Some(answer.common.into()),
+            unmixed: unmixed.map(Into::into),
         }))
     }
 

@@ -40,7 +40,7 @@ pub use design::design;
 pub use dictionary::{DictionaryBuilder, FitDictionary};
 pub use gradient::derivative;
 pub use map::distance_map;
-pub use measure::{MeasurePlan, Measured, measure, measure_refined};
+pub use measure::{MeasurePlan, Measured, measure, measure_refined, unmix};
 pub use scale::scale;
 pub use similarity::similar;
 

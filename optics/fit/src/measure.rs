@@ -1,8 +1,8 @@
 //! The whole job of the paper: scale factor, common anisotropy, fits, refinement, uncertainty.
 
 use optics_model::fit::{
-    Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, MuRange, Objective,
-    ScaleCurve,
+    Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, Mixtures, MuRange,
+    Objective, ScaleCurve, Unmixed,
 };
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
@@ -85,6 +85,19 @@ pub fn measure_refined(
         measured.common.mu_chosen = true;
     }
     Ok(measured)
+}
+
+/// Finds inks from their own slabs and those of their mixtures together, after all were measured one by one in the same
+/// way. It is the likelihood that is made least, whatever the objective was.
+pub fn unmix(
+    dictionary: &FitDictionary,
+    materials: &[Measurement],
+    mixtures: &Mixtures,
+    measured: &Measured,
+    options: &FitOptions,
+    plan: &MeasurePlan,
+) -> Result<Unmixed, Invalid> {
+    likelihood::unmix(dictionary, materials, mixtures, measured, options, plan)
 }
 
 /// What is measured, and with what.

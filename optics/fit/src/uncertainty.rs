@@ -99,6 +99,7 @@ impl<'a> Analysis<'a> {
             misfit: self.noise.misfit,
             suspicion: suspicion(&self.objective, x, &self.blocks, self.noise.misfit),
             likelihood: None,
+            from_mixtures: false,
         }
     }
 

@@ -222,6 +222,7 @@ impl From<Refined> for wire::Refined {
             misfit: r.misfit,
             suspicion: r.suspicion.map(Into::into),
             likelihood: r.likelihood.map(Into::into),
+            from_mixtures: r.from_mixtures,
         }
     }
 }
@@ -237,6 +238,7 @@ impl TryFrom<wire::Refined> for Refined {
         };
         Ok(Self {
             likelihood: r.likelihood.map(TryInto::try_into).transpose()?,
+            from_mixtures: r.from_mixtures,
             best: required("best", r.best)?.try_into()?,
             sigma_t_per_mm: interval("sigma_t_per_mm", r.sigma_t_per_mm)?,
             albedo: interval("albedo", r.albedo)?,

@@ -6,10 +6,12 @@ mod fit;
 mod lease;
 mod likelihood;
 mod measurement;
+mod mixtures;
 mod model;
 mod scale;
 mod status;
 
+pub use mixtures::mixtures;
 use optics_model::{Invalid, Result};
 use tonic_types::{ErrorDetails, StatusExt};
 

@@ -7,6 +7,7 @@
 
 mod imperfect;
 mod misfit;
+mod mixtures;
 mod plain;
 mod table_1;
 mod there_and_back;

@@ -117,6 +117,7 @@ impl Found<'_, '_> {
             dictionary_share: self.dictionary_share(&covariance),
             misfit,
             suspicion: self.suspicion(misfit),
+            from_mixtures: false,
             likelihood: Some(Likelihood {
                 chi2: goodness.chi2,
                 degrees_of_freedom: goodness.degrees_of_freedom,

@@ -14,6 +14,7 @@ mod chi2;
 mod design;
 mod joint;
 mod map;
+mod mixtures;
 mod problem;
 mod profile;
 mod records_noise;
@@ -35,6 +36,7 @@ use problem::ChannelData;
 pub(super) use design::{Known, Plan};
 pub(super) use joint::measure;
 pub(super) use map::distance_map;
+pub(super) use mixtures::unmix;
 
 /// Numbers by pixel.
 pub(super) type Line = Vec<f64>;

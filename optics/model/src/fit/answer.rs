@@ -69,7 +69,7 @@ pub struct Refined {
     /// Absorption coefficient σ_t (1 − α), which similarity theory leaves alone.
     #[serde(rename = "absorption_interval")]
     pub absorption_per_mm: Interval,
-    /// Covariance of (ln σ_t, √(1 − α), ln(1 − g)), row by row; zeros where a parameter was held.
+    /// Covariance of (ln σ_t, √(1 − α), ln(1 − g)), row by row; zeros where a parameter was held, or came from mixtures.
     pub covariance: [[f64; 3]; 3],
     /// Correlation of ln σ_t with ln(1 − g); zero if one of them was held.
     pub correlation: f64,
@@ -85,6 +85,9 @@ pub struct Refined {
     /// What the likelihood tells beyond; none if the paper's distance was made least.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub likelihood: Option<Likelihood>,
+    /// Medium and intervals come from mixtures with other inks: these profiles by themselves do not determine them.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub from_mixtures: bool,
 }
 
 /// What the likelihood tells of a channel's profiles beside the medium.

@@ -2,6 +2,7 @@
 
 mod answer;
 mod design;
+mod mixtures;
 mod options;
 
 pub use answer::{
@@ -12,4 +13,5 @@ pub use answer::{
 pub use design::{
     Design, DesignQuestion, DesignSettings, HalfWidths, Improvement, Limitation, PixelRow, SlabSet,
 };
+pub use mixtures::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, Wavelet};

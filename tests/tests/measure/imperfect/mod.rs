@@ -18,7 +18,7 @@ mod media;
 mod outcome;
 mod rows;
 mod table;
-mod truths;
+pub(super) mod truths;
 
 use std::sync::OnceLock;
 

@@ -52,7 +52,7 @@ impl Truth {
 }
 
 /// The records of a job, from the folder if they are there.
-pub(super) fn records(job: &JobSpec) -> PackedRecords {
+pub(crate) fn records(job: &JobSpec) -> PackedRecords {
     records_within(folder().as_deref(), job)
 }
 

@@ -1,0 +1,165 @@
+//! What mixtures tell of their inks, as people read it.
+
+use optics_model::fit::{Agreement, InkChannel, MISFIT, MixtureFit, Unmixed};
+
+use super::fits::short;
+use super::numbers::{albedo, albedo_end, interval, significant};
+use super::scale::common_text;
+use crate::output::{table, warning, wrapped};
+
+/// A mixture that lies off its inks by more than so many errors was mixed wrongly, or measured so.
+const PULL: f64 = 3.0;
+
+/// The inks, and the mixtures that do not agree with them.
+pub(crate) fn inks_text(unmixed: &Unmixed) -> String {
+    let mut text = format!("inks, from all their mixtures together\n{}\n", common_text(&unmixed.common));
+    text += &format!("\n{}\n\n{}", shared(unmixed), media(unmixed));
+    for line in disagreements(&unmixed.mixtures) {
+        text += &format!("\n{}", warning(&wrapped(&line)));
+    }
+    if let Some(line) = furthest(&unmixed.mixtures) {
+        text += &format!("\n{}", wrapped(&line));
+    }
+    text
+}
+
+fn rows(unmixed: &Unmixed, cells: impl Fn(&InkChannel) -> Vec<String>) -> Vec<Vec<String>> {
+    let row = |material: &str, channel: &InkChannel| {
+        let star = if channel.from_mixtures { "*" } else { "" };
+        let mut row = vec![short(material), format!("{}{star}", channel.channel)];
+        row.extend(cells(channel));
+        row
+    };
+    unmixed.inks.iter().flat_map(|ink| ink.channels.iter().map(|c| row(&ink.material, c))).collect()
+}
+
+fn shared(unmixed: &Unmixed) -> String {
+    let three = |v: f64| significant(v, 3);
+    let cells = |c: &InkChannel| {
+        let m = &c.medium;
+        vec![
+            three(m.reduced_scattering_per_mm()),
+            interval(&c.reduced_scattering_per_mm, three),
+            three(m.absorption_per_mm()),
+            interval(&c.absorption_per_mm, three),
+        ]
+    };
+    table(&["ink", "ch", "σ_s(1−g)\n/mm", "\n95 %", "σ_a\n/mm", "\n95 %"], &[2, 4], rows(unmixed, cells))
+}
+
+fn media(unmixed: &Unmixed) -> String {
+    let three = |v: f64| significant(v, 3);
+    let cells = |c: &InkChannel| {
+        let mark = |value: String| if c.resolved { value } else { format!("({value})") };
+        vec![
+            mark(three(c.medium.sigma_t_per_mm())),
+            interval(&c.sigma_t_per_mm, three),
+            mark(albedo(c.medium.albedo())),
+            interval(&c.albedo, albedo_end),
+            three(c.medium.g()),
+            interval(&c.g, |v| significant(v, 2)),
+        ]
+    };
+    let head = ["ink", "ch", "σ_t\n/mm", "\n95 %", "α", "\n95 %", "g", "\n95 %"];
+    let note = "* not determined by its own slabs";
+    format!("{}\n{note}", table(&head, &[2, 4, 6], rows(unmixed, cells)))
+}
+
+/// Mixtures that their inks do not explain, and those that were left out.
+fn disagreements(mixtures: &[MixtureFit]) -> Vec<String> {
+    let line = |m: &MixtureFit| {
+        let who = format!("{} {}", m.material, m.channel);
+        match (&m.agreement, &m.left_out) {
+            (Some(a), _) if a.pull > PULL || a.misfit > MISFIT => Some(format!(
+                "{who}: its inks do not explain it: σ_t and α lie off by {} of their errors, misfit {}; check how it \
+                 was mixed",
+                significant(a.pull, 2),
+                significant(a.misfit, 2)
+            )),
+            (None, Some(why)) => Some(format!("{who}: left out: {why}")),
+            _ => None,
+        }
+    };
+    mixtures.iter().filter_map(line).collect()
+}
+
+/// The mixture that agrees least, so that a reader sees how well all do.
+fn furthest(mixtures: &[MixtureFit]) -> Option<String> {
+    let told =
+        |m: &'_ MixtureFit| m.agreement.map(|a: Agreement| (format!("{} {}", m.material, m.channel), a.pull));
+    let all: Vec<(String, f64)> = mixtures.iter().filter_map(told).collect();
+    let (who, pull) = all.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let pull = significant(*pull, 2);
+    Some(format!("{} slabs and channels; furthest off its inks is {who}, by {pull} of its errors", all.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use optics_model::Medium;
+    use optics_model::fit::{Common, InkFit, Interval, MixturePart};
+
+    fn closed(low: f64, high: f64) -> Interval {
+        Interval { low, high, open_low: false, open_high: false }
+    }
+
+    fn unmixed() -> Unmixed {
+        let medium = Medium::new(9.16, 0.0758, 0.46).unwrap();
+        let channel = InkChannel {
+            channel: "R".into(),
+            medium,
+            sigma_t_per_mm: closed(8.69, 9.64),
+            albedo: closed(0.023, 0.126),
+            g: Interval { open_high: true, ..closed(0.398, 0.5) },
+            reduced_scattering_per_mm: closed(0.115, 0.618),
+            absorption_per_mm: closed(8.17, 8.77),
+            resolved: true,
+            from_mixtures: true,
+        };
+        let mixture = |material: &str, pull: Option<f64>, left_out: Option<&str>| MixtureFit {
+            material: material.into(),
+            channel: "R".into(),
+            parts: vec![MixturePart::new("white", 0.5), MixturePart::new("cyan", 0.5)],
+            medium,
+            agreement: pull.map(|pull| Agreement { chi2: 700.0, pixels: 720.0, misfit: 0.98, pull }),
+            left_out: left_out.map(str::to_owned),
+        };
+        Unmixed {
+            common: Common {
+                mu: 0.91,
+                mu_std_error: 0.01,
+                mu_interval: closed(0.89, 0.93),
+                mu_chosen: true,
+                g: Some(0.46),
+                g_interval: Some(closed(0.398, 0.5)),
+                by_g: Vec::new(),
+            },
+            inks: vec![InkFit { material: "cyan".into(), channels: vec![channel] }],
+            mixtures: vec![
+                mixture("pale", Some(1.2), None),
+                mixture("paler", Some(7.31), None),
+                mixture("deep", None, Some("sigma_t_per_mm = 35")),
+            ],
+        }
+    }
+
+    #[test]
+    fn inks_are_told_in_eighty_columns_with_mixtures_that_disagree() {
+        let text = anstream::adapter::strip_str(&inks_text(&unmixed())).to_string();
+        for line in text.lines() {
+            assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());
+        }
+        let flat = text.replace("\n  ", " ");
+        for told in [
+            "cyan  R*",
+            "8.69…9.64",
+            "0.115…0.618",
+            "paler R: its inks do not explain it: σ_t and α lie off by 7.3 of their errors",
+            "deep R: left out: sigma_t_per_mm = 35",
+            "2 slabs and channels; furthest off its inks is paler R, by 7.3 of its errors",
+        ] {
+            assert!(flat.contains(told), "{told}\n{text}");
+        }
+        assert!(!text.contains("pale R: "), "{text}");
+    }
+}

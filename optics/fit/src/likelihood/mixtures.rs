@@ -1,0 +1,380 @@
+//! Inks that absorb too much to be measured by themselves, by diluting them.
+//!
+//! Scattering and absorption of a mixture are the sums of those of its inks. So the profiles of pure inks and of their
+//! mixtures are fitted together, over σ_s, √σ_a and ln(1 − g) of the inks (`mixtures/blend`), with the set-up of every
+//! profile estimated as for one material. Each measured material is first fitted with a medium of its own: that tells
+//! what is dust, and equations from which the inks' descent begins (`mixtures/start`). Intervals follow the profile
+//! likelihood (`mixtures/profile`); where mixtures contradict one another by more than their noise, as they do if one was
+//! mixed wrongly, intervals are wider by their χ² a degree of freedom (a Birge ratio).
+
+mod answer;
+mod blend;
+mod profile;
+mod start;
+mod system;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+use nalgebra::DVector;
+use optics_model::fit::{ChannelFit, FitOptions, Mixtures, Unmixed};
+use optics_model::{Invalid, Measurement};
+
+use super::channel::{leave_out_specks_by_neighbours, settle};
+use super::joint::all_channels;
+use super::problem::{Assembly, ChannelData, Sharing, assemble};
+use super::system::{State, Unknown};
+use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
+use crate::common::scales;
+use crate::dictionary::FitDictionary;
+use crate::measure::{MeasurePlan, Measured};
+use crate::question::list;
+use crate::refine::held;
+use crate::surrogate::{Surrogate, albedo, coordinates, sigma_t};
+use answer::{Solution, Told};
+use blend::{Blend, Ink, Part};
+use start::{Equation, rank, solve};
+use system::{Chart, Member};
+
+/// Costs by which the first descent, and the last one, may miss their minimum.
+const ROUGHLY: f64 = 0.5;
+const WELL: f64 = 0.003;
+/// Least σ_s in 1/mm and √σ_a that an ink has, instead of nothing.
+const LEAST: (f64, f64) = (1e-6, 1e-4);
+/// Greatest σ_s and σ_a of an ink over the greatest σ_t of the dictionary: inks may lie beyond it, if mixtures do not.
+const GREATEST: f64 = 10.0;
+
+/// One channel of a measured material that is an ink or a mixture of inks.
+#[derive(Debug)]
+struct Slab<'a> {
+    data: ChannelData<'a>,
+    material: String,
+    /// Volume fractions by ink.
+    fractions: Vec<f64>,
+    /// Its profiles among those of all.
+    terms: Range<usize>,
+    /// Its own medium.
+    medium: [f64; 3],
+    /// Standard errors of its own σ_s (1 − g) and σ_a, infinite if they are not determined.
+    std_errors: [f64; 2],
+    left_out: Option<String>,
+}
+
+/// Finds inks from their own profiles and those of their mixtures, beginning where each was measured by itself.
+pub(crate) fn unmix(
+    dictionary: &FitDictionary,
+    materials: &[Measurement],
+    mixtures: &Mixtures,
+    measured: &Measured,
+    options: &FitOptions,
+    plan: &MeasurePlan,
+) -> Result<Unmixed, Invalid> {
+    let inks = mixtures.inks();
+    let mixed = mixed_materials(materials, mixtures)?;
+    let channels = all_channels(dictionary, &mixed, options)?;
+    let fits: Vec<&ChannelFit> = channels
+        .iter()
+        .map(|data| fit_of(measured, mixed[data.material].material(), data.name))
+        .collect::<Result<_, _>>()?;
+    let ior = common_ior(dictionary, &fits);
+    let models: Vec<Surrogate> =
+        channels.iter().map(|data| Surrogate::new(dictionary, data.channel, ior)).collect();
+    let sharing = Sharing {
+        g: plan.common_g && held(dictionary.grid(), options)[2].is_none(),
+        scale: plan.search_mu.as_ref().map(|range| {
+            let scales = scales(Some(range), options.settings().mu);
+            (scales[0], scales[scales.len() - 1])
+        }),
+    };
+    let media: Vec<[f64; 3]> = fits.iter().map(|fit| start_of(fit)).collect();
+    let scale = (measured.common.mu / options.settings().mu).ln();
+    let surrogates: Vec<&Surrogate> = models.iter().collect();
+    let (mut assembly, state) = assemble(&channels, &surrogates, &media, scale, sharing);
+    leave_out_specks_by_neighbours(&mut assembly.system);
+    let state = assembly.system.descend(state, None, ROUGHLY);
+    let state = settle(&mut assembly.system, state);
+    let slabs = slabs(channels, &mixed, mixtures, &assembly, &state);
+    check_rank(&slabs, &inks)?;
+    let unmixing = Unmixing { inks: &inks, slabs, assembly: &assembly, common_g: sharing.g };
+    let (solved, slabs) = unmixing.solve(&state)?;
+    let told = Told { dictionary, options, plan, mixtures, fits: &fits };
+    Ok(Solution::new(told, &slabs, &solved)?.answer())
+}
+
+/// The materials that are inks or mixtures of them.
+fn mixed_materials(materials: &[Measurement], mixtures: &Mixtures) -> Result<Vec<Measurement>, Invalid> {
+    let names: Vec<&str> = materials.iter().map(Measurement::material).collect();
+    if let Some(absent) = mixtures.all().iter().find(|m| !names.contains(&m.material())) {
+        let allowed = format!("the measurement has {}", names.join(", "));
+        return Err(Invalid::new("mixture.material", absent.material(), allowed));
+    }
+    let known = |m: &&Measurement| mixtures.parts_of(m.material()).is_some();
+    Ok(materials.iter().filter(known).cloned().collect())
+}
+
+fn fit_of<'a>(measured: &'a Measured, material: &str, channel: &str) -> Result<&'a ChannelFit, Invalid> {
+    let of_material = measured.materials.iter().find(|m| m.material == material);
+    let found = of_material.and_then(|m| m.channels.iter().find(|c| c.channel == channel));
+    let allowed = "what was measured before does not have it";
+    found.ok_or_else(|| Invalid::new("mixture.material", format!("{material}, {channel}"), allowed))
+}
+
+/// All inks have one refractive index: that of most fits.
+fn common_ior(dictionary: &FitDictionary, fits: &[&ChannelFit]) -> usize {
+    let iors = dictionary.grid().sample_ior();
+    let found = |fit: &&ChannelFit, ior: f64| fit.refined.as_ref().is_some_and(|r| r.best.sample_ior == ior);
+    let count = |i: &usize| fits.iter().filter(|fit| found(fit, iors[*i])).count();
+    (0..iors.len()).max_by_key(count).unwrap_or(0)
+}
+
+fn start_of(fit: &ChannelFit) -> [f64; 3] {
+    let best = fit.refined.as_ref().map_or(&fit.candidates[0], |r| &r.best);
+    coordinates(&best.medium)
+}
+
+fn slabs<'a>(
+    channels: Vec<ChannelData<'a>>,
+    materials: &[Measurement],
+    mixtures: &Mixtures,
+    assembly: &Assembly,
+    state: &State,
+) -> Vec<Slab<'a>> {
+    let system = &assembly.system;
+    let linear = system.linear(&state.x, &state.own);
+    let covariance = system.covariance(&system.normal(&state.x, &state.own, &linear).information);
+    let inks = mixtures.inks();
+    let slab = |(data, terms): (ChannelData<'a>, Range<usize>)| {
+        let parts = mixtures.parts_of(materials[data.material].material()).unwrap_or_default();
+        let of = |ink: &&str| parts.iter().find(|(name, _)| name == ink).map_or(0.0, |(_, f)| *f);
+        let slots = system.slots[terms.start];
+        let std_errors = [0, 1].map(|which| {
+            let quantity = super::system::Quantity::all(&slots)[3 + which];
+            let gradient = quantity.gradient(&state.x);
+            let variance = covariance.as_ref().map_or(f64::INFINITY, |c| gradient.dot(&(c * &gradient)));
+            let value = quantity.value(&state.x);
+            // The coordinates are ln σ_s (1 − g) and √σ_a; the second term is for a root of 0.
+            if which == 0 { value.exp() * variance.sqrt() } else { 2.0 * value * variance.sqrt() + variance }
+        });
+        Slab {
+            fractions: inks.iter().map(of).collect(),
+            medium: [LN_SIGMA_T, ROOT_CO_ALBEDO, LN_ONE_MINUS_G].map(|i| state.x[slots[i]]),
+            std_errors,
+            left_out: None,
+            material: materials[data.material].material().to_owned(),
+            data,
+            terms,
+        }
+    };
+    channels.into_iter().zip(assembly.terms.iter().cloned()).map(slab).collect()
+}
+
+/// In every channel the inks must differ in what they were mixed with.
+fn check_rank(slabs: &[Slab], inks: &[&str]) -> Result<(), Invalid> {
+    for slab in slabs {
+        let same: Vec<&Slab> = slabs.iter().filter(|s| s.data.channel == slab.data.channel).collect();
+        let fractions: Vec<Vec<f64>> =
+            same.iter().filter(|s| s.left_out.is_none()).map(|s| s.fractions.clone()).collect();
+        let known = rank(&fractions, inks.len());
+        if known < inks.len() {
+            let given = format!("{} inks in channel {}", inks.len(), slab.data.name);
+            let without: Vec<&str> = same.iter().filter_map(|s| s.left_out.as_deref()).collect();
+            let allowed = format!(
+                "the slabs tell only {known} of {} apart: measure them pure, or in mixtures of other fractions{}{}",
+                inks.join(", "),
+                if without.is_empty() { "" } else { "; " },
+                without.join("; ")
+            );
+            return Err(Invalid::new("mixtures", given, allowed));
+        }
+    }
+    Ok(())
+}
+
+/// Inks to be found.
+struct Unmixing<'a, 'b> {
+    inks: &'b [&'b str],
+    slabs: Vec<Slab<'a>>,
+    assembly: &'b Assembly<'a>,
+    common_g: bool,
+}
+
+/// Slots of the inks, by channel of the dictionary's scene and ink.
+type Inks = Vec<(usize, Vec<Ink>)>;
+
+impl<'a> Unmixing<'a, '_> {
+    /// The chart of all slabs whose media the dictionary has, at its minimum.
+    fn solve(mut self, from: &State) -> Result<(Solved<'a>, Vec<Slab<'a>>), Invalid> {
+        loop {
+            let (mut chart, state, inks) = self.chart(from);
+            let state = chart.descend(state, None, ROUGHLY);
+            chart.move_near(&state.x);
+            if !self.leave_out(&chart, &state)? {
+                let state = chart.descend(state, None, WELL);
+                return Ok((Solved { chart, state, inks, common_g: self.common_g }, self.slabs));
+            }
+        }
+    }
+
+    /// Profiles and unknowns where the inks' own equations lead.
+    fn chart(&self, from: &State) -> (Chart<'a>, State, Inks) {
+        let system = &self.assembly.system;
+        let (mut unknowns, mut x) = (system.unknowns.clone(), from.x.clone());
+        // A medium of a slab follows from its inks.
+        for slots in &system.slots {
+            for i in [LN_SIGMA_T, ROOT_CO_ALBEDO, LN_ONE_MINUS_G] {
+                unknowns[slots[i]].held = true;
+            }
+        }
+        let inks = self.ink_unknowns(&mut unknowns, &mut x);
+        let (mut members, mut own) = (Vec::new(), Vec::new());
+        for slab in self.slabs.iter().filter(|s| s.left_out.is_none()) {
+            let of_channel =
+                &inks.iter().find(|(c, _)| *c == slab.data.channel).expect("every channel has inks").1;
+            let parts = slab.fractions.iter().zip(of_channel).filter(|(f, _)| **f > 0.0);
+            let blend = Blend(parts.map(|(fraction, ink)| Part { fraction: *fraction, ink: *ink }).collect());
+            for i in slab.terms.clone() {
+                let [.., scale, blur, thickness] = system.slots[i];
+                members.push(Member {
+                    term: system.terms[i].clone(),
+                    surrogate: system.surrogates[i],
+                    blend: blend.clone(),
+                    setup: [scale, blur, thickness],
+                    limits: predicted(system.surrogates[i], system.terms[i].thickness_mm),
+                    parabola: None,
+                });
+                own.push(from.own[i].clone());
+            }
+        }
+        let state = State { x, own, cost: f64::INFINITY };
+        (Chart { members, unknowns }, state, inks)
+    }
+
+    /// Adds every ink in every channel.
+    fn ink_unknowns(&self, unknowns: &mut Vec<Unknown>, x: &mut DVector<f64>) -> Inks {
+        let system = &self.assembly.system;
+        let mut inks: Inks = Vec::new();
+        let mut common: Option<usize> = None;
+        for slab in &self.slabs {
+            let channel = slab.data.channel;
+            if inks.iter().any(|(c, _)| *c == channel) {
+                continue;
+            }
+            let g_slot = system.slots[slab.terms.start][LN_ONE_MINUS_G];
+            let free = Unknown { prior: None, limits: (0.0, 0.0), held: false };
+            let g_known = Unknown { held: false, ..system.unknowns[g_slot] };
+            let g_known = Unknown { held: Self::g_held(slab), ..g_known };
+            let greatest = GREATEST * sigma_t(system.surrogates[slab.terms.start].limits()[LN_SIGMA_T].1);
+            let mut add = |unknown: Unknown, at: f64| {
+                unknowns.push(unknown);
+                *x = x.clone().push(at.clamp(unknown.limits.0, unknown.limits.1));
+                unknowns.len() - 1
+            };
+            let starts = self.starts(channel);
+            let of_channel = starts.into_iter().map(|[scattering, root, ln_one_minus_g]| {
+                let s = add(Unknown { limits: (LEAST.0, greatest), ..free }, scattering);
+                let a = add(Unknown { limits: (LEAST.1, greatest.sqrt()), ..free }, root);
+                let g = match common {
+                    Some(g) => g,
+                    None => add(g_known, ln_one_minus_g),
+                };
+                common = self.common_g.then_some(g);
+                [s, a, g]
+            });
+            let of_channel = of_channel.collect();
+            inks.push((channel, of_channel));
+        }
+        inks
+    }
+
+    fn g_held(slab: &Slab) -> bool {
+        held(slab.data.dictionary.grid(), &slab.data.options)[2].is_some()
+    }
+
+    /// σ_s, √σ_a and ln(1 − g) of every ink in a channel, as the media of the slabs by themselves tell them.
+    fn starts(&self, channel: usize) -> Vec<[f64; 3]> {
+        let of_channel =
+            || self.slabs.iter().filter(move |s| s.data.channel == channel && s.left_out.is_none());
+        let count = of_channel().count() as f64;
+        let ln_one_minus_g = of_channel().map(|s| s.medium[LN_ONE_MINUS_G]).sum::<f64>() / count;
+        let equations = |which: usize| -> Vec<Equation> {
+            let equation = |slab: &Slab| {
+                let [s, a, g] = slab.medium;
+                let value = if which == 0 { sigma_t(s) * albedo(a) * g.exp() } else { sigma_t(s) * a * a };
+                let std_error = slab.std_errors[which];
+                Equation { fractions: slab.fractions.clone(), value, std_error }
+            };
+            of_channel().map(equation).filter(|e| e.std_error.is_finite()).collect()
+        };
+        let n = self.inks.len();
+        let (reduced, absorption) = (solve(&equations(0), n, 1.0), solve(&equations(1), n, 1.0));
+        // Not quite nothing, from where there would be no way back.
+        let start =
+            |(r, a): (f64, f64)| [(r / ln_one_minus_g.exp()).max(1e-2), a.max(1e-4).sqrt(), ln_one_minus_g];
+        reduced.into_iter().zip(absorption).map(start).collect()
+    }
+
+    /// Leaves out slabs whose media the dictionary does not have; false if there is none.
+    fn leave_out(&mut self, chart: &Chart, state: &State) -> Result<bool, Invalid> {
+        let mut members = chart.members.iter();
+        let mut changed = false;
+        for slab in self.slabs.iter_mut().filter(|s| s.left_out.is_none()) {
+            let of_slab: Vec<&Member> = members.by_ref().take(slab.terms.len()).collect();
+            if let Some(outside) = of_slab.iter().find_map(|m| outside(m, state)) {
+                slab.left_out = Some(outside);
+                changed = true;
+            }
+        }
+        if changed {
+            check_rank(&self.slabs, self.inks)?;
+        }
+        Ok(changed)
+    }
+}
+
+/// A chart at its minimum, and where its inks are.
+struct Solved<'a> {
+    chart: Chart<'a>,
+    state: State,
+    inks: Inks,
+    common_g: bool,
+}
+
+/// Media that are predicted at a thickness. Albedos go on below the least by as much as the least two differ, where
+/// profiles are smooth and nearly dark.
+fn predicted(surrogate: &Surrogate, thickness_mm: f64) -> [(f64, f64); 3] {
+    let [_, (bright, dark), g] = surrogate.limits();
+    let axis = surrogate.grid().albedo();
+    let root = |i: usize| axis.get(i).map_or(dark, |albedo| (1.0 - albedo).sqrt());
+    let further = (dark + (root(0) - root(1)).max(0.0)).min(1.0);
+    // Thicknesses were checked when the slabs were read.
+    let along = surrogate.supported(thickness_mm).unwrap_or(surrogate.limits()[LN_SIGMA_T]);
+    [along, (bright, further), g]
+}
+
+/// Why the dictionary does not predict a profile, if it does not.
+fn outside(member: &Member, state: &State) -> Option<String> {
+    let medium = member.blend.at(&state.x).medium;
+    let [along, (_, dark), _] = member.limits;
+    let grid = member.surrogate.grid();
+    let told = |name: &str, value: f64, axis: &[f64], range: String| {
+        let value = (value * 1e4).round() / 1e4;
+        format!(
+            "{name} = {value} at {} mm lies outside of the dictionary's {range}: `farmctl submit GRID.toml` computes one \
+             that reaches it if the grid file adds {value} to {name} = [{}]",
+            member.term.thickness_mm,
+            list(axis)
+        )
+    };
+    if !(along.0 - 1e-9..=along.1 + 1e-9).contains(&medium[LN_SIGMA_T]) {
+        let range = format!("{:.4} to {:.4} per mm", sigma_t(along.0), sigma_t(along.1));
+        let axis = grid.sigma_t_per_mm();
+        return Some(told("sigma_t_per_mm", sigma_t(medium[LN_SIGMA_T]), axis, range));
+    }
+    if medium[ROOT_CO_ALBEDO] > dark {
+        let axis = grid.albedo();
+        let range = format!("{} to {}", axis[0], axis[axis.len() - 1]);
+        return Some(told("albedo", albedo(medium[ROOT_CO_ALBEDO]), axis, range));
+    }
+    None
+}

@@ -1,0 +1,249 @@
+//! What is told of inks and mixtures.
+
+use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use optics_model::fit::{
+    Agreement, ChannelFit, Common, FitOptions, InkChannel, InkFit, Interval, MixtureFit, MixturePart,
+    Mixtures, Unmixed,
+};
+use optics_model::{Invalid, Medium};
+
+use super::blend::{Blend, Ink, InkQuantity};
+use super::profile::Profile;
+use super::system::{Chart, Look, Normal};
+use super::{Slab, Solved};
+use crate::dictionary::FitDictionary;
+use crate::intervals::Z;
+use crate::likelihood::chi2::exceedance;
+use crate::likelihood::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
+use crate::measure::{MeasurePlan, mu_interval};
+use crate::refine::held;
+use crate::sum::dot;
+use crate::surrogate::{albedo, g, sigma_t};
+use crate::uncertainty::is_resolved;
+
+/// Probability below which a disagreement is said to be more than noise.
+const UNLIKELY: f64 = 0.01;
+
+/// What was asked, and what each slab's material by itself was found to be.
+#[derive(Clone, Copy)]
+pub(super) struct Told<'b> {
+    pub dictionary: &'b FitDictionary,
+    pub options: &'b FitOptions,
+    pub plan: &'b MeasurePlan,
+    pub mixtures: &'b Mixtures,
+    /// In the order of the slabs.
+    pub fits: &'b [&'b ChannelFit],
+}
+
+/// Inks at the least −2 ln L.
+pub(super) struct Solution<'a, 'b> {
+    told: Told<'b>,
+    slabs: &'b [Slab<'a>],
+    solved: &'b Solved<'a>,
+    looks: Vec<Look>,
+    normal: Normal,
+    covariance: DMatrix<f64>,
+}
+
+impl<'a, 'b> Solution<'a, 'b> {
+    pub(super) fn new(
+        told: Told<'b>,
+        slabs: &'b [Slab<'a>],
+        solved: &'b Solved<'a>,
+    ) -> Result<Self, Invalid> {
+        let Solved { chart, state, .. } = solved;
+        let looks = chart.look(&state.x, &state.own);
+        let normal = chart.normal(&state.x, &state.own, &looks);
+        let covariance = chart.covariance(&normal.information).ok_or_else(|| {
+            let allowed = "the slabs do not determine their inks: measure more, or in other fractions";
+            Invalid::new("mixtures", format!("{} inks", told.mixtures.inks().len()), allowed)
+        })?;
+        Ok(Self { told, slabs, solved, looks, normal, covariance })
+    }
+
+    pub(super) fn answer(&self) -> Unmixed {
+        let mixtures: Vec<MixtureFit> = self.slabs.iter().map(|slab| self.mixture(slab)).collect();
+        let common = self.common();
+        let by_channel: Vec<(&str, Vec<InkChannel>)> = self
+            .solved
+            .inks
+            .iter()
+            .map(|(channel, inks)| self.channel(*channel, inks, common.g_interval))
+            .collect();
+        let of_ink = |(i, name): (usize, &str)| InkFit {
+            material: name.to_owned(),
+            channels: by_channel.iter().map(|(_, inks)| inks[i].clone()).collect(),
+        };
+        let inks = self.told.mixtures.inks().into_iter().enumerate().map(of_ink).collect();
+        Unmixed { common, inks, mixtures }
+    }
+
+    fn channel(&self, channel: usize, inks: &[Ink], common_g: Option<Interval>) -> (&str, Vec<InkChannel>) {
+        let of_channel: Vec<&Slab> = self.slabs.iter().filter(|s| s.data.channel == channel).collect();
+        let name = of_channel[0].data.name;
+        let chart = self.chart_of(channel);
+        let profile = Profile {
+            chart: &chart,
+            optimum: &self.solved.state,
+            covariance: &self.covariance,
+            inflation: self.disagreement(channel),
+        };
+        let one = |(i, ink): (usize, &Ink)| {
+            let found = profile.intervals(*ink, common_g);
+            let x = &self.solved.state.x;
+            // Of an absorber it is 1 − α that must be known, as of others α.
+            let a = found.albedo;
+            let co_albedo = Interval { low: 1.0 - a.high, high: 1.0 - a.low, ..a };
+            let resolved =
+                is_resolved(&found.sigma_t_per_mm, &a) || is_resolved(&found.sigma_t_per_mm, &co_albedo);
+            InkChannel {
+                channel: name.to_owned(),
+                medium: medium(InkQuantity::medium(*ink, x)),
+                sigma_t_per_mm: found.sigma_t_per_mm,
+                albedo: found.albedo,
+                g: found.g,
+                reduced_scattering_per_mm: found.reduced_scattering_per_mm,
+                absorption_per_mm: found.absorption_per_mm,
+                resolved,
+                from_mixtures: !self.resolved_alone(channel, i),
+            }
+        };
+        (name, inks.iter().enumerate().map(one).collect())
+    }
+
+    /// Whether an ink's own slabs determine it.
+    fn resolved_alone(&self, channel: usize, ink: usize) -> bool {
+        let pure = |slab: &Slab| slab.data.channel == channel && slab.fractions[ink] == 1.0;
+        let resolved = |fit: &ChannelFit| fit.refined.as_ref().is_some_and(|r| r.resolved);
+        self.slabs.iter().zip(self.told.fits).any(|(slab, fit)| pure(slab) && resolved(fit))
+    }
+
+    /// The chart with all other channels as parabolas: they speak of what is shared only.
+    fn chart_of(&self, channel: usize) -> Chart<'a> {
+        let mut chart = self.solved.chart.clone();
+        for (slab, members) in self.members() {
+            for i in members.filter(|_| slab.data.channel != channel) {
+                if let Some(reduced) = &self.normal.reduced[i] {
+                    chart.members[i].parabola = Some(Chart::parabola(&self.looks[i], reduced));
+                }
+            }
+        }
+        chart
+    }
+
+    /// Slabs that were not left out, and their profiles among the members of the chart.
+    fn members(&self) -> impl Iterator<Item = (&'b Slab<'a>, std::ops::Range<usize>)> {
+        let mut first = 0;
+        self.slabs.iter().filter(|s| s.left_out.is_none()).map(move |slab| {
+            let members = first..first + slab.terms.len();
+            first = members.end;
+            (slab, members)
+        })
+    }
+
+    /// χ² of what the profiles of a slab by themselves say of its σ_t and α against what the inks say.
+    fn pull(&self, members: std::ops::Range<usize>) -> f64 {
+        let (mut information, mut downhill) = (Matrix2::zeros(), Vector2::zeros());
+        for reduced in self.normal.reduced[members].iter().flatten() {
+            information += reduced.information.fixed_view::<2, 2>(0, 0);
+            downhill += reduced.downhill.fixed_rows::<2>(0);
+        }
+        let inverse = (information + Matrix2::identity() * 1e-9).try_inverse();
+        inverse.map_or(0.0, |inverse| downhill.dot(&(inverse * downhill)))
+    }
+
+    /// Factor on the rise of −2 ln L that intervals allow: more than 1 if slabs of a channel contradict one another by
+    /// more than their noise.
+    fn disagreement(&self, channel: usize) -> f64 {
+        let of_channel = || self.members().filter(|(slab, _)| slab.data.channel == channel);
+        let inks = self.told.mixtures.inks().len();
+        let freedom = 2.0 * (of_channel().count() as f64 - inks as f64);
+        let pulls: f64 = of_channel().map(|(_, members)| self.pull(members)).sum();
+        let ratio = |chi2: f64, freedom: f64| {
+            let more = freedom > 0.0 && exceedance(chi2, freedom) < UNLIKELY;
+            if more { chi2 / freedom } else { 1.0 }
+        };
+        let (chi2, pixels) = of_channel()
+            .map(|(_, members)| self.chi2(members))
+            .fold((0.0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+        ratio(pulls, freedom).max(ratio(chi2, pixels - 2.0 * inks as f64))
+    }
+
+    /// Of the pixels that belong, with the deviations of the profiles' own set-ups; and the number of pixels.
+    fn chi2(&self, members: std::ops::Range<usize>) -> (f64, f64) {
+        let (mut chi2, mut pixels) = (0.0, 0.0);
+        for i in members {
+            let Some(linear) = &self.looks[i].linear else { continue };
+            let left_out = &self.solved.chart.members[i].term.left_out;
+            for (r, _) in linear.residuals.iter().zip(left_out).filter(|(_, out)| !**out) {
+                chi2 += r * r;
+                pixels += 1.0;
+            }
+            let own = &self.solved.state.own[i];
+            chi2 += dot(own, own);
+        }
+        (chi2, pixels)
+    }
+
+    fn mixture(&self, slab: &Slab<'a>) -> MixtureFit {
+        let found = self.members().find(|(s, _)| std::ptr::eq(*s, slab));
+        let agreement = found.map(|(_, members)| {
+            let (chi2, pixels) = self.chi2(members.clone());
+            let (misfit, pull) = ((chi2 / pixels.max(1.0)).sqrt(), (0.5 * self.pull(members)).sqrt());
+            Agreement { chi2, pixels, misfit, pull }
+        });
+        let of_channel = self.solved.inks.iter().find(|(c, _)| *c == slab.data.channel);
+        let inks = of_channel.map_or(&[][..], |(_, inks)| inks);
+        let names = self.told.mixtures.inks();
+        let parts = || slab.fractions.iter().enumerate().filter(|(_, f)| **f > 0.0);
+        let blend = Blend(parts().map(|(i, f)| super::Part { fraction: *f, ink: inks[i] }).collect());
+        MixtureFit {
+            material: slab.material.clone(),
+            channel: slab.data.name.to_owned(),
+            parts: parts().map(|(i, f)| MixturePart::new(names[i], *f)).collect(),
+            medium: medium(blend.at(&self.solved.state.x).medium),
+            agreement,
+            left_out: slab.left_out.clone(),
+        }
+    }
+
+    fn common(&self) -> Common {
+        let scale = self.solved.chart.members[0].setup[0];
+        let x = &self.solved.state.x;
+        let widened = |slot: usize| {
+            let worst = self.solved.inks.iter().map(|(c, _)| self.disagreement(*c)).fold(1.0, f64::max);
+            (self.covariance[(slot, slot)].max(0.0) * worst).sqrt()
+        };
+        let mu = self.told.options.settings().mu * x[scale].exp();
+        let mu_std_error = mu * widened(scale);
+        let slot = self.solved.inks[0].1[0][LN_ONE_MINUS_G];
+        let only = held(self.told.dictionary.grid(), self.told.options)[2];
+        let found = self.solved.common_g.then(|| g(x[slot]));
+        Common {
+            mu,
+            mu_std_error,
+            mu_interval: mu_interval(mu, mu_std_error, self.told.plan.search_mu.as_ref()),
+            mu_chosen: self.told.plan.search_mu.is_some(),
+            g: found.or(only),
+            g_interval: found.map(|_| self.g_interval(slot, x, widened(slot))),
+            by_g: Vec::new(),
+        }
+    }
+
+    /// Linear in ln(1 − g).
+    fn g_interval(&self, slot: usize, x: &DVector<f64>, deviation: f64) -> Interval {
+        let (least, greatest) = self.solved.chart.unknowns[slot].limits;
+        let (low, high) = (x[slot] - Z * deviation, x[slot] + Z * deviation);
+        Interval {
+            low: g(high.min(greatest)),
+            high: g(low.max(least)),
+            open_low: high > greatest,
+            open_high: low < least,
+        }
+    }
+}
+
+fn medium(x: [f64; 3]) -> Medium {
+    let (sigma_t, albedo) = (sigma_t(x[LN_SIGMA_T]), albedo(x[ROOT_CO_ALBEDO].clamp(0.0, 1.0)));
+    Medium::new(sigma_t, albedo, g(x[LN_ONE_MINUS_G])).expect("inks are kept within what media may be")
+}

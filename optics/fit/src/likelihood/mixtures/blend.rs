@@ -1,0 +1,169 @@
+//! The medium of a mixture as a function of its inks.
+//!
+//! An ink's coordinates are σ_s, √σ_a and ln(1 − g). Mixtures are linear in the first, so what dilution tells of it is
+//! nearly normal, down to 0; profiles of a weak absorber are linear in the second; similar media lie on straight lines
+//! of the third.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::likelihood::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
+
+/// Slots of an ink's σ_s, √σ_a and ln(1 − g) among the unknowns.
+pub(super) type Ink = [usize; 3];
+
+/// One ink of a mixture.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Part {
+    pub fraction: f64,
+    pub ink: Ink,
+}
+
+/// What a profile's medium is made of.
+#[derive(Debug, Clone)]
+pub(super) struct Blend(pub Vec<Part>);
+
+/// A medium in the coordinates of the dictionary, and its derivatives by the inks' coordinates: three columns a part.
+#[derive(Debug)]
+pub(super) struct Blended {
+    pub medium: [f64; 3],
+    pub slopes: DMatrix<f64>,
+}
+
+impl Blend {
+    /// The slots of the columns of [`Blended::slopes`].
+    pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
+        self.0.iter().flat_map(|part| part.ink)
+    }
+
+    /// With σ_s = Σ f σ_s,i, σ_a = Σ f σ_a,i and r = Σ f σ_s,i (1 − g_i): ln σ_t, √(σ_a/σ_t), ln(r/σ_s).
+    pub(super) fn at(&self, x: &DVector<f64>) -> Blended {
+        let (mut scattering, mut absorption, mut reduced) = (0.0, 0.0, 0.0);
+        for Part { fraction, ink: [s, a, g] } in &self.0 {
+            scattering += fraction * x[*s];
+            absorption += fraction * x[*a] * x[*a];
+            reduced += fraction * x[*s] * x[*g].exp();
+        }
+        let sigma_t = scattering + absorption;
+        let root = (absorption / sigma_t).sqrt();
+        let mut slopes = DMatrix::zeros(3, 3 * self.0.len());
+        let mut column = |k: usize, [ds, da, dr]: [f64; 3]| {
+            slopes[(LN_SIGMA_T, k)] = (ds + da) / sigma_t;
+            slopes[(ROOT_CO_ALBEDO, k)] =
+                (scattering * da - absorption * ds) / (2.0 * root * sigma_t * sigma_t);
+            slopes[(LN_ONE_MINUS_G, k)] = dr / reduced - ds / scattering;
+        };
+        for (k, Part { fraction, ink: [s, a, g] }) in self.0.iter().enumerate() {
+            let factor = x[*g].exp();
+            column(3 * k, [*fraction, 0.0, fraction * factor]);
+            column(3 * k + 1, [0.0, 2.0 * fraction * x[*a], 0.0]);
+            column(3 * k + 2, [0.0, 0.0, fraction * x[*s] * factor]);
+        }
+        Blended { medium: [sigma_t.ln(), root, (reduced / scattering).ln()], slopes }
+    }
+}
+
+/// A function of an ink's coordinates whose interval is wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum InkQuantity {
+    SigmaT(Ink),
+    /// √(1 − α).
+    RootCoAlbedo(Ink),
+    LnOneMinusG(Ink),
+    ReducedScattering(Ink),
+    RootAbsorption(Ink),
+}
+
+impl InkQuantity {
+    pub(super) fn all(ink: Ink) -> [Self; 5] {
+        [
+            Self::SigmaT(ink),
+            Self::RootCoAlbedo(ink),
+            Self::LnOneMinusG(ink),
+            Self::ReducedScattering(ink),
+            Self::RootAbsorption(ink),
+        ]
+    }
+
+    /// The ink's own medium in the coordinates of the dictionary.
+    pub(super) fn medium(ink: Ink, x: &DVector<f64>) -> [f64; 3] {
+        Blend(vec![Part { fraction: 1.0, ink }]).at(x).medium
+    }
+
+    pub(super) fn value(self, x: &DVector<f64>) -> f64 {
+        match self {
+            Self::SigmaT([s, a, _]) => x[s] + x[a] * x[a],
+            Self::RootCoAlbedo([s, a, _]) => x[a] / (x[s] + x[a] * x[a]).sqrt(),
+            Self::LnOneMinusG([.., g]) => x[g],
+            Self::ReducedScattering([s, _, g]) => x[s] * x[g].exp(),
+            Self::RootAbsorption([_, a, _]) => x[a],
+        }
+    }
+
+    pub(super) fn gradient(self, x: &DVector<f64>) -> DVector<f64> {
+        let mut gradient = DVector::zeros(x.len());
+        match self {
+            Self::SigmaT([s, a, _]) => (gradient[s], gradient[a]) = (1.0, 2.0 * x[a]),
+            Self::RootCoAlbedo([s, a, _]) => {
+                let sigma_t = x[s] + x[a] * x[a];
+                let cubed = sigma_t * sigma_t.sqrt();
+                (gradient[s], gradient[a]) = (-0.5 * x[a] / cubed, x[s] / cubed);
+            }
+            Self::LnOneMinusG([.., g]) => gradient[g] = 1.0,
+            Self::ReducedScattering([s, _, g]) => {
+                let factor = x[g].exp();
+                (gradient[s], gradient[g]) = (factor, x[s] * factor);
+            }
+            Self::RootAbsorption([_, a, _]) => gradient[a] = 1.0,
+        }
+        gradient
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unknowns() -> DVector<f64> {
+        DVector::from_vec(vec![5.994, 0.0735, -0.511, 0.45, 2.924, -0.4])
+    }
+
+    /// Derivatives of a function by central differences.
+    fn differences(f: impl Fn(&DVector<f64>) -> f64) -> Vec<f64> {
+        let x = unknowns();
+        let moved = |i: usize, by: f64| {
+            let mut there = x.clone();
+            there[i] += by;
+            f(&there)
+        };
+        (0..x.len()).map(|i| (moved(i, 1e-5) - moved(i, -1e-5)) / 2e-5).collect()
+    }
+
+    #[test]
+    fn a_mixture_adds_scattering_and_absorption() {
+        let x = unknowns();
+        let part = |fraction: f64, first: usize| Part { fraction, ink: [first, first + 1, first + 2] };
+        let blend = Blend(vec![part(0.75, 0), part(0.25, 3)]);
+        let [ln_sigma_t, root, ln_one_minus_g] = blend.at(&x).medium;
+        let (s, a) = (0.75 * x[0] + 0.25 * x[3], 0.75 * x[1] * x[1] + 0.25 * x[4] * x[4]);
+        let g = 1.0 - (0.75 * x[0] * x[2].exp() + 0.25 * x[3] * x[5].exp()) / s;
+        assert!((ln_sigma_t - (s + a).ln()).abs() < 1e-12 && (root * root * (s + a) - a).abs() < 1e-12);
+        assert!((ln_one_minus_g - (1.0 - g).ln()).abs() < 1e-12);
+        let slopes = blend.at(&x).slopes;
+        for row in 0..3 {
+            let expected = differences(|x| blend.at(x).medium[row]);
+            for (k, slot) in blend.slots().enumerate() {
+                assert!((slopes[(row, k)] - expected[slot]).abs() < 1e-7, "{row} {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn gradients_of_quantities_are_their_slopes() {
+        for quantity in InkQuantity::all([0, 1, 2]).into_iter().chain(InkQuantity::all([3, 4, 5])) {
+            let expected = differences(|x| quantity.value(x));
+            for (found, expected) in quantity.gradient(&unknowns()).iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{quantity:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,209 @@
+//! Mixtures, and what they tell of their inks.
+
+use super::required;
+use crate::wire;
+use optics_model::fit::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
+use optics_model::invalid::{Invalid, Result, each};
+
+impl From<&MixturePart> for wire::MixturePart {
+    fn from(part: &MixturePart) -> Self {
+        Self { ink: part.ink().to_owned(), volume_fraction: part.volume_fraction() }
+    }
+}
+
+impl From<&Mixture> for wire::Mixture {
+    fn from(mixture: &Mixture) -> Self {
+        let parts = mixture.parts().iter().map(Into::into).collect();
+        Self { material: mixture.material().to_owned(), parts }
+    }
+}
+
+/// None if there are none.
+pub fn mixtures(all: Vec<wire::Mixture>) -> Result<Option<Mixtures>> {
+    if all.is_empty() {
+        return Ok(None);
+    }
+    let mixture = |m: wire::Mixture| {
+        Mixture::new(m.material, m.parts.into_iter().map(|part| (part.ink, part.volume_fraction)))
+    };
+    Ok(Some(Mixtures::new(each("mixtures", all, mixture)?)?))
+}
+
+impl From<Unmixed> for wire::Unmixed {
+    fn from(unmixed: Unmixed) -> Self {
+        Self {
+            common: Some(unmixed.common.into()),
+            inks: unmixed.inks.into_iter().map(Into::into).collect(),
+            mixtures: unmixed.mixtures.into_iter().map(Into::into).collect(),
+        }
+    }
+}
+
+impl TryFrom<wire::Unmixed> for Unmixed {
+    type Error = Invalid;
+
+    fn try_from(unmixed: wire::Unmixed) -> Result<Self> {
+        Ok(Self {
+            common: required("common", unmixed.common)?.try_into()?,
+            inks: each("inks", unmixed.inks, TryInto::try_into)?,
+            mixtures: each("mixtures", unmixed.mixtures, TryInto::try_into)?,
+        })
+    }
+}
+
+impl From<InkFit> for wire::InkFit {
+    fn from(ink: InkFit) -> Self {
+        Self { material: ink.material, channels: ink.channels.into_iter().map(Into::into).collect() }
+    }
+}
+
+impl TryFrom<wire::InkFit> for InkFit {
+    type Error = Invalid;
+
+    fn try_from(ink: wire::InkFit) -> Result<Self> {
+        Ok(Self { material: ink.material, channels: each("channels", ink.channels, TryInto::try_into)? })
+    }
+}
+
+impl From<InkChannel> for wire::InkChannel {
+    fn from(ink: InkChannel) -> Self {
+        Self {
+            channel: ink.channel,
+            medium: Some(ink.medium.into()),
+            sigma_t_per_mm: Some(ink.sigma_t_per_mm.into()),
+            albedo: Some(ink.albedo.into()),
+            g: Some(ink.g.into()),
+            reduced_scattering_per_mm: Some(ink.reduced_scattering_per_mm.into()),
+            absorption_per_mm: Some(ink.absorption_per_mm.into()),
+            resolved: ink.resolved,
+            from_mixtures: ink.from_mixtures,
+        }
+    }
+}
+
+impl TryFrom<wire::InkChannel> for InkChannel {
+    type Error = Invalid;
+
+    fn try_from(ink: wire::InkChannel) -> Result<Self> {
+        Ok(Self {
+            channel: ink.channel,
+            medium: required("medium", ink.medium)?.try_into()?,
+            sigma_t_per_mm: required("sigma_t_per_mm", ink.sigma_t_per_mm)?.into(),
+            albedo: required("albedo", ink.albedo)?.into(),
+            g: required("g", ink.g)?.into(),
+            reduced_scattering_per_mm: required("reduced_scattering_per_mm", ink.reduced_scattering_per_mm)?
+                .into(),
+            absorption_per_mm: required("absorption_per_mm", ink.absorption_per_mm)?.into(),
+            resolved: ink.resolved,
+            from_mixtures: ink.from_mixtures,
+        })
+    }
+}
+
+impl From<MixtureFit> for wire::MixtureFit {
+    fn from(fit: MixtureFit) -> Self {
+        let agreement = fit.agreement.map(|a| {
+            let Agreement { chi2, pixels, misfit, pull } = a;
+            wire::Agreement { chi2, pixels, misfit, pull }
+        });
+        Self {
+            material: fit.material,
+            channel: fit.channel,
+            parts: fit.parts.iter().map(Into::into).collect(),
+            medium: Some(fit.medium.into()),
+            agreement,
+            left_out: fit.left_out,
+        }
+    }
+}
+
+impl TryFrom<wire::MixtureFit> for MixtureFit {
+    type Error = Invalid;
+
+    fn try_from(fit: wire::MixtureFit) -> Result<Self> {
+        let agreement = fit.agreement.map(|a| {
+            let wire::Agreement { chi2, pixels, misfit, pull } = a;
+            Agreement { chi2, pixels, misfit, pull }
+        });
+        Ok(Self {
+            material: fit.material,
+            channel: fit.channel,
+            parts: fit.parts.into_iter().map(|p| MixturePart::new(p.ink, p.volume_fraction)).collect(),
+            medium: required("medium", fit.medium)?.try_into()?,
+            agreement,
+            left_out: fit.left_out,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use optics_model::Medium;
+    use optics_model::fit::{Common, Interval};
+
+    fn interval(low: f64) -> Interval {
+        Interval { low, high: 2.0 * low, open_low: low < 1.0, open_high: low > 3.0 }
+    }
+
+    fn unmixed() -> Unmixed {
+        let medium = Medium::new(9.0, 0.05, 0.4).unwrap();
+        let channel = InkChannel {
+            channel: "R".into(),
+            medium,
+            sigma_t_per_mm: interval(8.5),
+            albedo: interval(0.04),
+            g: interval(0.35),
+            reduced_scattering_per_mm: interval(0.2),
+            absorption_per_mm: interval(8.0),
+            resolved: true,
+            from_mixtures: true,
+        };
+        let mixture = |agreement, left_out: Option<&str>| MixtureFit {
+            material: "white+cyan".into(),
+            channel: "R".into(),
+            parts: vec![MixturePart::new("white", 0.5), MixturePart::new("cyan", 0.5)],
+            medium,
+            agreement,
+            left_out: left_out.map(str::to_owned),
+        };
+        let agreement = Agreement { chi2: 700.0, pixels: 720.0, misfit: 0.98, pull: 1.2 };
+        Unmixed {
+            common: Common {
+                mu: 0.91,
+                mu_std_error: 0.01,
+                mu_interval: interval(0.89),
+                mu_chosen: true,
+                g: Some(0.4),
+                g_interval: Some(interval(0.38)),
+                by_g: Vec::new(),
+            },
+            inks: vec![InkFit { material: "cyan".into(), channels: vec![channel] }],
+            mixtures: vec![mixture(Some(agreement), None), mixture(None, Some("outside"))],
+        }
+    }
+
+    #[test]
+    fn what_mixtures_tell_goes_there_and_back() {
+        let there = unmixed();
+        assert_eq!(Unmixed::try_from(wire::Unmixed::from(there.clone())).unwrap(), there);
+        let mut lacking = wire::Unmixed::from(there);
+        lacking.inks[0].channels[0].medium = None;
+        let refused = Unmixed::try_from(lacking).unwrap_err();
+        assert_eq!(refused.field(), "inks[0].channels[0].medium");
+    }
+
+    #[test]
+    fn mixtures_go_there_and_back_and_are_checked() {
+        let part = |ink: &str| (ink.to_owned(), 0.5);
+        let there =
+            Mixtures::new(vec![Mixture::new("grey", [part("white"), part("black")]).unwrap()]).unwrap();
+        let sent: Vec<wire::Mixture> = there.all().iter().map(Into::into).collect();
+        assert_eq!(mixtures(sent.clone()).unwrap(), Some(there));
+        assert_eq!(mixtures(Vec::new()).unwrap(), None);
+        let mut bad = sent;
+        bad[0].parts[0].volume_fraction = f64::NAN;
+        let refused = mixtures(bad).unwrap_err();
+        assert_eq!(refused.field(), "mixtures[0].parts of grey");
+    }
+}
