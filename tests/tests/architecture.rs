@@ -89,7 +89,18 @@ fn crates_depend_in_one_direction() {
 
 #[test]
 fn the_science_knows_no_runtime_network_clock_database_or_file() {
-    let used = ["blake3", "bytes", "fearless_simd", "glam", "rayon", "serde", "thiserror", "toml"];
+    let used = [
+        "blake3",
+        "bytes",
+        "fearless_simd",
+        "glam",
+        "libm",
+        "nalgebra",
+        "rayon",
+        "serde",
+        "thiserror",
+        "toml",
+    ];
     for krate in ["optics/model", "optics/tracer", "optics/fit"] {
         for dependency in dependencies(krate).iter().filter(|d| !d.starts_with("optics-")) {
             assert!(used.contains(&dependency.as_str()), "{krate} must not depend on {dependency}");

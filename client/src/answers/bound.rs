@@ -2,8 +2,7 @@
 
 use optics_model::fit::{Ends, Interval, Likelihood, MaterialFit, Refined};
 
-use super::fits::short;
-use super::numbers::significant;
+use super::numbers::{short, significant};
 use crate::output::{table, wrapped};
 
 /// One row a quantity: half-widths of the interval and of the Cramér–Rao bound, in per cent of it, and their ratio.

@@ -3,20 +3,9 @@
 use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
 
 use super::bound::bounds;
-use super::numbers::{albedo, albedo_end, interval, significant};
+use super::numbers::{albedo, albedo_end, interval, short, significant};
 use super::remarks::{remarks, warnings};
 use crate::output::{table, warning, wrapped};
-
-/// Longest name of a material in a table of 80 columns.
-const LONGEST_NAME: usize = 8;
-
-/// A name with its end cut off where it would make a table too wide.
-pub(super) fn short(name: &str) -> String {
-    if name.chars().count() <= LONGEST_NAME {
-        return name.to_owned();
-    }
-    name.chars().take(LONGEST_NAME - 1).chain(['…']).collect()
-}
 
 /// Fits, and how they are to be told.
 pub(crate) struct Report<'a> {

@@ -2,8 +2,7 @@
 
 use optics_model::fit::{Agreement, InkChannel, MISFIT, MixtureFit, Unmixed};
 
-use super::fits::short;
-use super::numbers::{albedo, albedo_end, interval, significant};
+use super::numbers::{albedo, albedo_end, interval, short, significant};
 use super::scale::common_text;
 use crate::output::{table, warning, wrapped};
 

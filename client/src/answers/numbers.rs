@@ -2,6 +2,17 @@
 
 use optics_model::fit::Interval;
 
+/// Longest name of a material in a table of 80 columns.
+const LONGEST_NAME: usize = 8;
+
+/// A name with its end cut off where it would make a table too wide.
+pub(super) fn short(name: &str) -> String {
+    if name.chars().count() <= LONGEST_NAME {
+        return name.to_owned();
+    }
+    name.chars().take(LONGEST_NAME - 1).chain(['…']).collect()
+}
+
 /// A number with so many significant digits, without trailing zeros.
 pub(crate) fn significant(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 use optics_model::fit::{
     Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, MISFIT, Nuisance, NuisanceEstimate,
-    OutlierPixel, Outside, Refined, Stretch, Suspicion, ThicknessError,
+    Outside, Refined, Suspicion, ThicknessError,
 };
 use optics_model::{Grid, Medium};
 
@@ -12,6 +12,7 @@ use super::channel::held_at;
 use super::chi2::exceedance;
 use super::problem::ChannelData;
 use super::profile::{Profile, interval};
+use super::residuals::{clustering, outliers, stretches};
 use super::system::{Normal, Quantity, State, System};
 use super::term::{Linear, Own};
 use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, LN_THICKNESS, Line, ROOT_CO_ALBEDO, SHARED};
@@ -25,13 +26,6 @@ use crate::view::Slope;
 
 /// Probability of χ² below which residuals are said to be more than noise.
 const UNLIKELY: f64 = 0.001;
-/// Least joint deviation of a stretch that is told, in standard deviations.
-const STRETCH: f64 = 5.0;
-/// Widths of stretches that are looked at, in pixels.
-const WIDTHS: [usize; 5] = [6, 12, 24, 48, 96];
-/// Most stretches that are told.
-const STRETCHES: usize = 4;
-
 /// A channel at its minimum.
 pub(super) struct Found<'a, 'b> {
     pub data: &'b ChannelData<'a>,
@@ -123,8 +117,8 @@ impl Found<'_, '_> {
                 degrees_of_freedom: goodness.degrees_of_freedom,
                 probability: goodness.probability,
                 nuisances: self.nuisances(&covariance, &normal.reduced),
-                outliers: self.outliers(&linear),
-                stretches: self.stretches(&linear),
+                outliers: outliers(self.system, &linear),
+                stretches: stretches(self.system, &linear),
                 bound: bound(&ideal.unwrap_or_else(|| covariance.clone()), self.state, slots),
             }),
         }
@@ -172,28 +166,11 @@ impl Found<'_, '_> {
         let degrees_of_freedom: f64 = pixels - parameters;
         let probability = exceedance(chi2, degrees_of_freedom);
         let inflation = if probability < UNLIKELY {
-            (chi2 / degrees_of_freedom.max(1.0)) * self.clustering(linear)
+            (chi2 / degrees_of_freedom.max(1.0)) * clustering(self.system, linear)
         } else {
             1.0
         };
         Goodness { chi2, degrees_of_freedom, probability, inflation }
-    }
-
-    /// By how much residuals that go together tell less than as many independent ones: 1 + 2 Σ of their correlations, up
-    /// to the first that is not positive.
-    fn clustering(&self, linear: &[Linear]) -> f64 {
-        let kept: Vec<Line> = linear
-            .iter()
-            .zip(&self.system.terms)
-            .map(|(l, t)| {
-                l.residuals.iter().zip(&t.left_out).filter(|(_, o)| !**o).map(|(r, _)| *r).collect()
-            })
-            .collect();
-        let product = |lag: usize| -> f64 {
-            kept.iter().map(|r| r.iter().zip(r.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>()).sum()
-        };
-        let square = product(0).max(f64::MIN_POSITIVE);
-        1.0 + 2.0 * (1..60).map(|lag| product(lag) / square).take_while(|c| *c > 0.0).sum::<f64>()
     }
 
     /// Of σ_t, α, g, σ_s(1 − g) and σ_a.
@@ -331,49 +308,6 @@ impl Found<'_, '_> {
             }
         }
         all
-    }
-
-    fn outliers(&self, linear: &[Linear]) -> Vec<OutlierPixel> {
-        let of_term = |(term, linear): (&super::term::Term, &Linear)| -> Vec<OutlierPixel> {
-            let pixel = |i: usize| OutlierPixel {
-                profile_mm: term.thickness_mm,
-                x_mm: term.x_mm[i],
-                deviation: linear.residuals[i],
-            };
-            (0..term.x_mm.len()).filter(|i| term.left_out[*i]).map(pixel).collect()
-        };
-        self.system.terms.iter().zip(linear).flat_map(of_term).collect()
-    }
-
-    /// Where neighbouring residuals are large together, the largest first.
-    fn stretches(&self, linear: &[Linear]) -> Vec<Stretch> {
-        let mut found: Vec<Stretch> = Vec::new();
-        for (term, linear) in self.system.terms.iter().zip(linear) {
-            let n = linear.residuals.len();
-            let kept = |i: usize| if term.left_out[i] { 0.0 } else { linear.residuals[i] };
-            let mut sums = vec![0.0];
-            (0..n).for_each(|i| sums.push(sums[i] + kept(i)));
-            for width in WIDTHS.into_iter().filter(|w| *w <= n) {
-                for first in (0..=n - width).step_by((width / 3).max(1)) {
-                    let deviation = (sums[first + width] - sums[first]) / (width as f64).sqrt();
-                    let (from_mm, to_mm) = (term.x_mm[first], term.x_mm[first + width - 1]);
-                    if deviation.abs() > STRETCH {
-                        found.push(Stretch { profile_mm: term.thickness_mm, from_mm, to_mm, deviation });
-                    }
-                }
-            }
-        }
-        found.sort_by(|a, b| b.deviation.abs().total_cmp(&a.deviation.abs()));
-        let mut told: Vec<Stretch> = Vec::new();
-        for stretch in found {
-            let apart = |s: &Stretch| {
-                s.profile_mm != stretch.profile_mm || s.to_mm < stretch.from_mm || s.from_mm > stretch.to_mm
-            };
-            if told.iter().all(apart) && told.len() < STRETCHES {
-                told.push(stretch);
-            }
-        }
-        told
     }
 
     /// The two norms of Eq. 2 for every profile.

@@ -54,7 +54,7 @@ pub(super) fn lowest<'a>(
 pub(super) fn leave_out_specks_by_neighbours(system: &mut System) {
     for term in &mut system.terms {
         term.left_out =
-            super::start::without_specks(&term.values, &term.std_errors).iter().map(|c| !c).collect();
+            super::form::without_specks(&term.values, &term.std_errors).iter().map(|c| !c).collect();
     }
 }
 

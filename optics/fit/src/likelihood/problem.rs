@@ -6,7 +6,8 @@ use optics_model::measurement::MIN_PIXELS;
 use optics_model::{Grid, Invalid, MeasuredProfile, Measurement};
 
 use super::camera::Camera;
-use super::start::{Compressed, Loose, Region, Scan, Source};
+use super::form::Loose;
+use super::start::{Compressed, Region, Scan, Source};
 use super::system::{State, System, Unknown};
 use super::term::{Own, OwnPrior, Term};
 use super::{Line, SHARED};

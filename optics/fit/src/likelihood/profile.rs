@@ -56,22 +56,24 @@ impl Profile<'_> {
         let wanted = Z * self.inflation.sqrt();
         let stiffness = 1e6 / (deviation * deviation);
         let mut warm: Option<State> = None;
-        let mut root_rise = |distance: f64| {
+        let root_rise = |distance: f64, warm: &mut Option<State>| {
             let at = from + side * distance;
             let held = Held { quantity, at, stiffness };
             let from = self.along(warm.as_ref().unwrap_or(self.optimum), quantity, at);
             let found = self.system.descend(from, Some(&held), TOLERANCE);
             let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
-            warm = Some(found);
+            *warm = Some(found);
             rise
         };
         // The root of the rise is close to linear in the distance.
         let (mut inside, mut outside) = ((0.0, 0.0), None);
         let mut distance = (wanted * deviation).min(furthest);
         for _ in 0..TRIALS {
-            let rise = root_rise(distance);
+            let rise = root_rise(distance, &mut warm);
             if (rise / wanted - 1.0).abs() < CLOSE {
-                return End { value: from + side * distance * wanted / rise, open: false };
+                // Where another quantity cannot follow any further, the dictionary ends the interval, not the data.
+                let open = warm.as_ref().is_some_and(|state| self.system.at_end(state, quantity));
+                return End { value: from + side * distance * wanted / rise, open };
             }
             if rise < wanted {
                 if distance >= furthest {

@@ -249,6 +249,27 @@ impl System<'_> {
         }
     }
 
+    /// Whether an extinction or an anisotropy, other than the quantity itself, lies where the dictionary or the bounds end
+    /// and would go on, by more than its standard deviation.
+    pub(super) fn at_end(&self, state: &State, quantity: Quantity) -> bool {
+        let ends = |slot: &usize| {
+            let (unknown, x) = (&self.unknowns[*slot], state.x[*slot]);
+            let at_end = x <= unknown.limits.0 || x >= unknown.limits.1;
+            at_end && !unknown.held && quantity != Quantity::Unknown(*slot)
+        };
+        let slots = self.slots.iter().flat_map(|slots| [slots[LN_SIGMA_T], slots[LN_ONE_MINUS_G]]);
+        let slots: Vec<usize> = slots.filter(ends).collect();
+        if slots.is_empty() {
+            return false;
+        }
+        let linear = self.linear(&state.x, &state.own);
+        let normal = self.normal(&state.x, &state.own, &linear);
+        slots.into_iter().any(|slot| {
+            let outwards = if state.x[slot] <= self.unknowns[slot].limits.0 { -1.0 } else { 1.0 };
+            outwards * normal.downhill[slot] > normal.information[(slot, slot)].max(0.0).sqrt()
+        })
+    }
+
     fn clamp(&self, mut x: DVector<f64>) -> DVector<f64> {
         for (x, unknown) in x.iter_mut().zip(&self.unknowns) {
             *x = x.clamp(unknown.limits.0, unknown.limits.1);

@@ -1,0 +1,105 @@
+//! A measured profile as a quadratic form: what is loose about it is integrated out, with columns that are taken from the
+//! profile itself.
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+
+use super::Line;
+use crate::sum::dot;
+
+/// Standard deviations from its neighbours from which on a pixel is not looked at here.
+const SPECK: f64 = 6.0;
+
+/// What is not known exactly, as standard deviations.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Loose {
+    pub gain: f64,
+    pub zero: f64,
+    pub slope: f64,
+    pub origin_mm: f64,
+    pub blur_mm2: f64,
+}
+
+/// A quadratic form over pixels, with some columns integrated out.
+pub(super) struct Form<'a> {
+    weights: &'a [f64],
+    /// Weighted columns, and the root of what their integral takes away.
+    columns: Vec<Line>,
+    root: DMatrix<f64>,
+}
+
+impl<'a> Form<'a> {
+    /// The columns have coefficients of variance 1.
+    pub(super) fn new(weights: &'a [f64], columns: &[Line]) -> Option<Self> {
+        let weighted: Vec<Line> =
+            columns.iter().map(|c| c.iter().zip(weights).map(|(c, w)| c * w).collect()).collect();
+        let n = columns.len();
+        let inner =
+            DMatrix::from_fn(n, n, |i, j| dot(&weighted[i], &columns[j]) + f64::from(u8::from(i == j)));
+        let root = Cholesky::new(inner)?.inverse();
+        Some(Self { weights, columns: weighted, root })
+    }
+
+    pub(super) fn of(&self, a: &[f64], b: &[f64]) -> f64 {
+        let direct: f64 = a.iter().zip(b).zip(self.weights).map(|((a, b), w)| a * b * w).sum();
+        let along =
+            |f: &[f64]| DVector::from_iterator(self.columns.len(), self.columns.iter().map(|c| dot(c, f)));
+        direct - along(a).dot(&(&self.root * along(b)))
+    }
+}
+
+/// The measurement as the basis has it.
+pub(super) fn smoothed(values: &[f64], weights: &[f64], directions: &[Line], mean: &[f64]) -> Option<Line> {
+    let n = directions.len();
+    let weighted: Vec<Line> =
+        directions.iter().map(|d| d.iter().zip(weights).map(|(d, w)| d * w).collect()).collect();
+    let normal = DMatrix::from_fn(n, n, |i, j| dot(&weighted[i], &directions[j]));
+    let trace = normal.trace();
+    let rest: Line = values.iter().zip(mean).map(|(v, m)| v - m).collect();
+    let right = DVector::from_iterator(n, weighted.iter().map(|w| dot(w, &rest)));
+    let c = Cholesky::new(normal + DMatrix::identity(n, n) * (1e-9 * trace))?.solve(&right);
+    let mut smooth = mean.to_vec();
+    for (direction, c) in directions.iter().zip(c.iter()) {
+        smooth.iter_mut().zip(direction).for_each(|(s, d)| *s += c * d);
+    }
+    Some(smooth)
+}
+
+/// What loose things do to the profile, per standard deviation.
+pub(super) fn loose_columns(
+    smooth: &[f64],
+    sensor: optics_model::scene::Sensor,
+    first: usize,
+    loose: &Loose,
+    ratio: f64,
+) -> Vec<Line> {
+    let last = smooth.len() - 1;
+    let pitch = sensor.pitch_mm() * ratio;
+    let slope = |f: &[f64]| -> Line {
+        let at = |i: usize| (f[(i + 1).min(last)] - f[i.saturating_sub(1)]) / (2.0 * pitch);
+        (0..=last).map(at).collect()
+    };
+    let by_x = slope(smooth);
+    let bend = slope(&by_x);
+    let scaled = |f: &[f64], by: f64| f.iter().map(|v| v * by).collect::<Line>();
+    let tilted = smooth.iter().enumerate();
+    vec![
+        scaled(smooth, loose.gain),
+        vec![loose.zero; smooth.len()],
+        tilted.map(|(i, v)| v * loose.slope * sensor.centre_mm(first + i) * ratio / 10.0).collect(),
+        scaled(&by_x, loose.origin_mm),
+        scaled(&bend, 0.5 * loose.blur_mm2),
+    ]
+}
+
+/// Pixels that lie where their neighbours do.
+pub(super) fn without_specks(values: &[f64], std_errors: &[f64]) -> Vec<bool> {
+    let n = values.len();
+    let apart = |i: usize| {
+        let mut near: Line = values[i.saturating_sub(4)..(i + 5).min(n)].to_vec();
+        near.sort_by(f64::total_cmp);
+        let spread = near[near.len() - 2] - near[1];
+        (values[i] - near[near.len() / 2]).abs() > SPECK * std_errors[i] + spread
+    };
+    let odd: Vec<bool> = (0..n).map(apart).collect();
+    (0..n).map(|i| !odd[i.saturating_sub(2)..(i + 3).min(n)].contains(&true)).collect()
+}
