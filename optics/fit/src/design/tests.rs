@@ -260,7 +260,7 @@ fn improvements_are_those_of_a_better_set_up() {
 }
 
 #[test]
-fn the_dictionarys_thicknesses_make_up_the_sets_and_the_best_is_marked() {
+fn thicknesses_of_the_dictionary_make_up_the_sets_and_the_best_is_marked() {
     let dictionary = dictionary(dense_axes());
     let found = sets(&dictionary, settings(guess(), FitSettings::default(), &[], &[1, 2]));
     let tried: Vec<(Vec<f64>, u32)> = found.iter().map(|s| (s.slabs_mm.clone(), s.shots)).collect();

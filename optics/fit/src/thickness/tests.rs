@@ -56,7 +56,7 @@ fn medium(sigma_t: f64) -> Coordinates {
 const SIGMA_T_PER_MM: [f64; 3] = [1.3, 4.1, 17.0];
 
 #[test]
-fn at_the_dictionarys_thicknesses_it_is_the_prediction_from_records() {
+fn at_thicknesses_of_the_dictionary_it_is_the_prediction_from_records() {
     let dictionary = dictionary(&[0.5, 0.8, 1.0]);
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     for (thickness, mm) in [0.5, 0.8, 1.0].into_iter().enumerate() {
