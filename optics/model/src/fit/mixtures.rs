@@ -65,7 +65,9 @@ impl Mixture {
             let given = format!("a sum of {sum:.6}");
             return Err(Invalid::new(field, given, "volume fractions must add up to 1"));
         }
-        all.iter_mut().for_each(|p| p.volume_fraction /= sum);
+        for part in &mut all {
+            part.volume_fraction /= sum;
+        }
         Ok(Self { material, parts: all })
     }
 
