@@ -1,6 +1,6 @@
 //! Refinement and uncertainty on a dictionary whose truth is a formula.
 
-use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Refined};
+use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Objective, Refined};
 
 use crate::testing::coarse_axes;
 use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement, normal, profile_value};
@@ -9,6 +9,7 @@ use crate::{FitDictionary, fit};
 fn options(g: Option<f64>) -> FitOptions {
     let g = g.map_or(Bounds::FREE, Bounds::fixed);
     FitOptions::new(FitSettings {
+        objective: Some(Objective::Paper),
         g,
         refine: true,
         gain_std_error: 0.0,

@@ -60,7 +60,8 @@ impl Mixture {
             }
             all.push(MixturePart { ink, volume_fraction });
         }
-        let sum: f64 = all.iter().map(|p| p.volume_fraction).sum();
+        // The sum of nothing is −0.
+        let sum = 0.0 + all.iter().map(|p| p.volume_fraction).sum::<f64>();
         if (sum - 1.0).abs() > ROUNDED {
             let given = format!("a sum of {sum:.6}");
             return Err(Invalid::new(field, given, "volume fractions must add up to 1"));
