@@ -22,7 +22,7 @@ pub(crate) fn common_text(common: &Common) -> String {
         ));
     } else {
         let (mu, error) = (significant(common.mu, 4), significant(common.mu_std_error, 1));
-        let mut line = format!("scale factor μ = {mu} ± {error}, chosen by the errors of refined fits");
+        let mut line = format!("scale factor μ = {mu} ± {error}, chosen with all channels together");
         if i.open_low || i.open_high {
             line += "; it may lie beyond the values tried: widen them with --mu-min and --mu-max";
         }

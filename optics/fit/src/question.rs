@@ -79,7 +79,8 @@ pub(super) fn unknown_thickness(grid: &Grid, thickness_mm: f64) -> Invalid {
     wanted.sort_by(f64::total_cmp);
     let allowed = format!(
         "the dictionary has {}; `farmctl submit GRID.toml` computes one with all of them if the grid file says \
-         thickness_mm = [{}], and takes over what is there",
+         thickness_mm = [{}], and takes over what is there. With --objective likelihood, thicknesses near the dictionary's \
+         need none",
         list(axis),
         list(&wanted)
     );

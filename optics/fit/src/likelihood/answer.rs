@@ -87,7 +87,7 @@ impl Found<'_, '_> {
         let free_g = !self.system.unknowns[slots[LN_ONE_MINUS_G]].held;
         let [sigma_t, albedo, g, reduced, absorption] = intervals;
         let resolved = is_resolved(&sigma_t, &albedo) || (free_g && self.resolved_at_g(goodness.inflation));
-        let errors = self.errors(self.state, &linear);
+        let errors = self.errors(&linear);
         let misfit = (goodness.chi2 / goodness.degrees_of_freedom.max(1.0)).sqrt();
         let std_errors = self.system.terms.iter().flat_map(|t| &t.std_errors);
         let std_errors: Line = std_errors.copied().collect();
@@ -311,7 +311,7 @@ impl Found<'_, '_> {
     }
 
     /// The two norms of Eq. 2 for every profile.
-    fn errors(&self, state: &State, linear: &[Linear]) -> Vec<ThicknessError> {
+    fn errors(&self, linear: &[Linear]) -> Vec<ThicknessError> {
         let settings = self.data.options.settings();
         let term = |(i, (term, linear)): (usize, (&super::term::Term, &Linear))| {
             let pitch_mm = self.data.profiles[i].profile.pitch_mm();
@@ -319,7 +319,6 @@ impl Found<'_, '_> {
             let rest: Line = term.values.iter().zip(&linear.model).map(|(v, m)| v - m).collect();
             let gradients = slope.magnitude(&term.values).into_iter().zip(slope.magnitude(&linear.model));
             let gradient: Line = gradients.map(|(a, b)| a - b).collect();
-            debug_assert_eq!(state.own.len(), self.system.terms.len());
             ThicknessError {
                 thickness_mm: term.thickness_mm,
                 value_rms: rms(&rest),
@@ -344,7 +343,7 @@ impl Found<'_, '_> {
             let state = held_at(self.system, self.state, &places);
             let linear = self.system.linear(&state.x, &state.own);
             let cost: f64 = linear.iter().map(|l| l.cost).sum();
-            let mut thicknesses = self.errors(&state, &linear);
+            let mut thicknesses = self.errors(&linear);
             for error in &mut thicknesses {
                 let same = |t: &f64| (t / error.thickness_mm - 1.0).abs() < 1e-6;
                 let thickness = grid.thickness_mm().iter().position(same);

@@ -76,12 +76,13 @@ impl Point {
     }
 }
 
-/// What is made least if nothing is said: the likelihood if every profile tells its noise.
+/// What is made least if nothing is said: the likelihood if every pixel tells its noise, which is none of 0.
 pub(super) fn objective<'a>(
     options: &FitOptions,
     materials: impl IntoIterator<Item = &'a Measurement>,
 ) -> Objective {
-    let told = |m: &Measurement| m.profiles().iter().all(|p| p.std_errors().is_some());
+    let positive = |errors: &[f64]| errors.iter().all(|e| *e > 0.0);
+    let told = |m: &Measurement| m.profiles().iter().all(|p| p.std_errors().is_some_and(positive));
     let default = || if materials.into_iter().all(told) { Objective::Likelihood } else { Objective::Paper };
     options.settings().objective.unwrap_or_else(default)
 }

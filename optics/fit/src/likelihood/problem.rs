@@ -5,12 +5,12 @@ use optics_model::fit::{FitOptions, Outside};
 use optics_model::measurement::MIN_PIXELS;
 use optics_model::{Grid, Invalid, MeasuredProfile, Measurement};
 
+use super::Line;
 use super::camera::Camera;
 use super::form::Loose;
 use super::start::{Compressed, Region, Scan, Source};
 use super::system::{State, System, Unknown};
 use super::term::{Own, OwnPrior, Term};
-use super::{Line, SHARED};
 use crate::dictionary::FitDictionary;
 use crate::noise::scatter_by_side;
 use crate::question::{Admissible, OUTSIDE, find_channel};
@@ -294,6 +294,5 @@ pub(super) fn assemble<'a>(
     let own: Vec<Line> = terms.iter().map(|t: &Term| vec![0.0; t.own_count()]).collect();
     let system = System { terms, surrogates: used, slots, unknowns: unknowns.all, coupling: None };
     let state = State { x: DVector::from_vec(unknowns.x), own, cost: f64::INFINITY };
-    debug_assert!(system.slots.iter().all(|s| s.len() == SHARED));
     (Assembly { system, terms: ranges }, state)
 }

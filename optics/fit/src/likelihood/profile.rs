@@ -73,7 +73,8 @@ impl Profile<'_> {
             if (rise / wanted - 1.0).abs() < CLOSE {
                 // Where another quantity cannot follow any further, the dictionary ends the interval, not the data.
                 let open = warm.as_ref().is_some_and(|state| self.system.at_end(state, quantity));
-                return End { value: from + side * distance * wanted / rise, open };
+                let reach = (distance * wanted / rise).min(furthest);
+                return End { value: from + side * reach, open };
             }
             if rise < wanted {
                 if distance >= furthest {
@@ -91,7 +92,8 @@ impl Profile<'_> {
                 None => (distance * (wanted / rise.max(0.2 * wanted)).min(3.0) * 1.02).min(furthest),
             };
         }
-        End { value: from + side * distance, open: false }
+        // What never rose enough has no end that was found.
+        End { value: from + side * distance, open: outside.is_none() }
     }
 
     /// A state, moved as it would follow the quantity if all were linear.

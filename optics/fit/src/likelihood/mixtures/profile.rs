@@ -109,7 +109,8 @@ impl Profile<'_> {
                 None => (distance * (wanted / rise.max(0.2 * wanted)).min(3.0) * 1.02).min(furthest),
             };
         }
-        End { value: from + side * distance, open: false }
+        // What never rose enough has no end that was found.
+        End { value: from + side * distance, open: outside.is_none() }
     }
 
     /// The state moved along the likeliest way to where the quantity is wanted.
