@@ -11,7 +11,7 @@ const TOLERANCE: f64 = 0.02;
 /// Share of the wanted rise that an end may be off by.
 const CLOSE: f64 = 0.08;
 /// Most places that are tried on each side.
-const TRIALS: usize = 10;
+const TRIALS: usize = 12;
 
 /// One end of an interval; open if a limit comes first.
 #[derive(Debug, Clone, Copy)]
@@ -65,35 +65,14 @@ impl Profile<'_> {
             *warm = Some(found);
             rise
         };
-        // The root of the rise is close to linear in the distance.
-        let (mut inside, mut outside) = ((0.0, 0.0), None);
-        let mut distance = (wanted * deviation).min(furthest);
-        for _ in 0..TRIALS {
-            let rise = root_rise(distance, &mut warm);
-            if (rise / wanted - 1.0).abs() < CLOSE {
+        match reach(wanted, deviation, furthest, |distance| root_rise(distance, &mut warm)) {
+            Some(distance) => {
                 // Where another quantity cannot follow any further, the dictionary ends the interval, not the data.
                 let open = warm.as_ref().is_some_and(|state| self.system.at_end(state, quantity));
-                let reach = (distance * wanted / rise).min(furthest);
-                return End { value: from + side * reach, open };
+                End { value: from + side * distance, open }
             }
-            if rise < wanted {
-                if distance >= furthest {
-                    return open;
-                }
-                inside = (distance, rise);
-            } else {
-                outside = Some((distance, rise));
-            }
-            distance = match outside {
-                Some((far, high)) => {
-                    let share = (wanted - inside.1) / (high - inside.1).max(1e-12);
-                    inside.0 + share.clamp(0.05, 0.95) * (far - inside.0)
-                }
-                None => (distance * (wanted / rise.max(0.2 * wanted)).min(3.0) * 1.02).min(furthest),
-            };
+            None => open,
         }
-        // What never rose enough has no end that was found.
-        End { value: from + side * distance, open: outside.is_none() }
     }
 
     /// A state, moved as it would follow the quantity if all were linear.
@@ -106,6 +85,42 @@ impl Profile<'_> {
         self.system.advance(&mut state, self.normal, &step);
         state
     }
+}
+
+/// At which distance the root of the rise is the wanted one; none if it is not up to the furthest. At `deviation` it is
+/// one if all is linear.
+pub(super) fn reach(
+    wanted: f64,
+    deviation: f64,
+    furthest: f64,
+    mut root_rise: impl FnMut(f64) -> f64,
+) -> Option<f64> {
+    // The root of the rise is close to linear in the distance.
+    let (mut inside, mut outside) = ((0.0, 0.0), None);
+    let mut distance = (wanted * deviation).min(furthest);
+    for _ in 0..TRIALS {
+        let rise = root_rise(distance);
+        if (rise / wanted - 1.0).abs() < CLOSE {
+            return Some((distance * wanted / rise).min(furthest));
+        }
+        if rise < wanted {
+            if distance >= furthest {
+                return None;
+            }
+            inside = (distance, rise);
+        } else {
+            outside = Some((distance, rise));
+        }
+        distance = match outside {
+            Some((far, high)) => {
+                let share = (wanted - inside.1) / (high - inside.1).max(1e-12);
+                inside.0 + share.clamp(0.05, 0.95) * (far - inside.0)
+            }
+            None => (distance * (wanted / rise.max(0.2 * wanted)).min(3.0) * 1.02).min(furthest),
+        };
+    }
+    // What never rose enough has no end that was found.
+    outside.map(|_| distance)
 }
 
 /// The interval of a parameter from the ends of its coordinate.

@@ -143,7 +143,7 @@ impl System<'_> {
 
     /// Indices of the unknowns that can move.
     pub(super) fn free(&self) -> Vec<usize> {
-        (0..self.unknowns.len()).filter(|i| !self.unknowns[*i].held).collect()
+        free(&self.unknowns)
     }
 
     /// All profiles at a state.
@@ -214,7 +214,7 @@ impl System<'_> {
         let mut normal = self.normal(&state.x, &state.own, &linear);
         for _ in 0..MOST_STEPS {
             let Some(step) = self.step(&state.x, &normal, held, damping) else { break };
-            let x = self.clamp(&state.x + step);
+            let x = clamped(&self.unknowns, &state.x + step);
             let moved = &x - &state.x;
             let mut there = state.clone();
             self.advance(&mut there, &normal, &moved);
@@ -242,7 +242,7 @@ impl System<'_> {
 
     /// Moves a state, each profile's own unknowns following.
     pub(super) fn advance(&self, state: &mut State, normal: &Normal, step: &DVector<f64>) {
-        state.x = self.clamp(&state.x + step);
+        state.x = clamped(&self.unknowns, &state.x + step);
         for ((slots, reduced), own) in self.slots.iter().zip(&normal.reduced).zip(&mut state.own) {
             let shared = DVector::from_iterator(SHARED, slots.iter().map(|s| step[*s]));
             own.iter_mut().zip(reduced.own_step(&shared).iter()).for_each(|(w, d)| *w += d);
@@ -270,14 +270,6 @@ impl System<'_> {
         })
     }
 
-    fn clamp(&self, mut x: DVector<f64>) -> DVector<f64> {
-        for (x, unknown) in x.iter_mut().zip(&self.unknowns) {
-            *x = x.clamp(unknown.limits.0, unknown.limits.1);
-        }
-        x
-    }
-
-    /// A damped Gauss–Newton step of the unknowns that can move and are not pulled over their limits.
     fn step(
         &self,
         x: &DVector<f64>,
@@ -291,34 +283,68 @@ impl System<'_> {
             downhill += &gradient * (*stiffness * (at - quantity.value(x)));
             information += &gradient * gradient.transpose() * *stiffness;
         }
-        let inwards = |i: &usize| {
-            let (low, high) = self.unknowns[*i].limits;
-            !((x[*i] <= low && downhill[*i] < 0.0) || (x[*i] >= high && downhill[*i] > 0.0))
-        };
-        let free: Vec<usize> = self.free().into_iter().filter(inwards).collect();
-        let mut matrix = submatrix(&information, &free);
-        for i in 0..free.len() {
-            matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
-        }
-        let solved = Cholesky::new(matrix)?
-            .solve(&DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i])));
-        let mut step = DVector::zeros(x.len());
-        free.iter().zip(solved.iter()).for_each(|(i, s)| step[*i] = *s);
-        Some(step)
+        damped_step(&self.unknowns, x, &information, &downhill, damping)
     }
 
     /// The inverse of an information matrix over the unknowns that can move; zeros elsewhere. None if it is singular.
     pub(super) fn covariance(&self, information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-        let free = self.free();
-        let small = Cholesky::new(submatrix(information, &free))?.inverse();
-        let mut whole = DMatrix::zeros(information.nrows(), information.nrows());
-        for (i, to_i) in free.iter().enumerate() {
-            for (j, to_j) in free.iter().enumerate() {
-                whole[(*to_i, *to_j)] = small[(i, j)];
-            }
-        }
-        Some(whole)
+        inverse_over_free(&self.unknowns, information, 0.0)
     }
+}
+
+/// Indices of the unknowns that can move.
+pub(super) fn free(unknowns: &[Unknown]) -> Vec<usize> {
+    (0..unknowns.len()).filter(|i| !unknowns[*i].held).collect()
+}
+
+pub(super) fn clamped(unknowns: &[Unknown], mut x: DVector<f64>) -> DVector<f64> {
+    for (x, unknown) in x.iter_mut().zip(unknowns) {
+        *x = x.clamp(unknown.limits.0, unknown.limits.1);
+    }
+    x
+}
+
+/// A damped Gauss–Newton step of the unknowns that can move and are not pulled over their limits.
+pub(super) fn damped_step(
+    unknowns: &[Unknown],
+    x: &DVector<f64>,
+    information: &DMatrix<f64>,
+    downhill: &DVector<f64>,
+    damping: f64,
+) -> Option<DVector<f64>> {
+    let inwards = |i: &usize| {
+        let (low, high) = unknowns[*i].limits;
+        !((x[*i] <= low && downhill[*i] < 0.0) || (x[*i] >= high && downhill[*i] > 0.0))
+    };
+    let free: Vec<usize> = free(unknowns).into_iter().filter(inwards).collect();
+    let mut matrix = submatrix(information, &free);
+    for i in 0..free.len() {
+        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
+    }
+    let pull = DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i]));
+    let solved = Cholesky::new(matrix)?.solve(&pull);
+    let mut step = DVector::zeros(x.len());
+    free.iter().zip(solved.iter()).for_each(|(i, s)| step[*i] = *s);
+    Some(step)
+}
+
+/// The inverse of an information matrix over the unknowns that can move, a little being added to each; zeros elsewhere.
+pub(super) fn inverse_over_free(
+    unknowns: &[Unknown],
+    information: &DMatrix<f64>,
+    ridge: f64,
+) -> Option<DMatrix<f64>> {
+    let free = free(unknowns);
+    let mut matrix = submatrix(information, &free);
+    (0..free.len()).for_each(|i| matrix[(i, i)] += ridge);
+    let small = Cholesky::new(matrix)?.inverse();
+    let mut whole = DMatrix::zeros(information.nrows(), information.nrows());
+    for (i, to_i) in free.iter().enumerate() {
+        for (j, to_j) in free.iter().enumerate() {
+            whole[(*to_i, *to_j)] = small[(i, j)];
+        }
+    }
+    Some(whole)
 }
 
 /// The rows and columns of these indices.

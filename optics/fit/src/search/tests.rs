@@ -198,7 +198,8 @@ fn unknown_channels_and_thicknesses_and_foreign_ranges_are_refused() {
     assert_eq!(
         refuse("R", 0.7, 0.0),
         "thickness_mm = 0.7 is not valid: the dictionary has 0.5, 1; `farmctl submit GRID.toml` computes one with all \
-         of them if the grid file says thickness_mm = [0.5, 0.7, 1], and takes over what is there"
+         of them if the grid file says thickness_mm = [0.5, 0.7, 1], and takes over what is there. With --objective likelihood, thicknesses near the \
+         dictionary's need none"
     );
     let range = refuse("R", 0.5, 100.0);
     assert!(range.contains("it covers 0 pixels of the dictionary's -5 to 5 mm, 8 are needed"), "{range}");

@@ -6,16 +6,12 @@ use optics_model::fit::Interval;
 use super::blend::{Ink, InkQuantity};
 use super::system::{Chart, Held};
 use crate::intervals::Z;
-use crate::likelihood::profile::{End, interval};
+use crate::likelihood::profile::{End, interval, reach};
 use crate::likelihood::system::State;
 use crate::surrogate::{albedo, g};
 
 /// Cost by which descents may miss their minimum.
 const TOLERANCE: f64 = 0.02;
-/// Share of the wanted rise that an end may be off by.
-const CLOSE: f64 = 0.03;
-/// Most places that are tried on each side.
-const TRIALS: usize = 12;
 
 /// A minimum, and how far things may rise from it.
 #[derive(Debug)]
@@ -77,40 +73,17 @@ impl Profile<'_> {
         let wanted = Z * self.inflation.sqrt();
         let stiffness = 1e6 / (deviation * deviation);
         let mut warm = self.optimum.clone();
-        let mut root_rise = |distance: f64| {
+        let root_rise = |distance: f64| {
             let held = Held { quantity, at: from + side * distance, stiffness };
             let found = self.chart.descend(self.along(&warm, quantity, held.at), Some(&held), TOLERANCE);
             let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
             warm = found;
             rise
         };
-        // The root of the rise is close to linear in the distance.
-        let (mut inside, mut outside) = ((0.0, 0.0), None);
-        let mut distance = (wanted * deviation).min(furthest);
-        for _ in 0..TRIALS {
-            let rise = root_rise(distance);
-            if (rise / wanted - 1.0).abs() < CLOSE {
-                let value = from + side * distance * wanted / rise;
-                return End { value: side * (side * value).min(side * limit), open: false };
-            }
-            if rise < wanted {
-                if distance >= furthest {
-                    return End { value: limit, open: true };
-                }
-                inside = (distance, rise);
-            } else {
-                outside = Some((distance, rise));
-            }
-            distance = match outside {
-                Some((far, high)) => {
-                    let share = (wanted - inside.1) / (high - inside.1).max(1e-12);
-                    inside.0 + share.clamp(0.05, 0.95) * (far - inside.0)
-                }
-                None => (distance * (wanted / rise.max(0.2 * wanted)).min(3.0) * 1.02).min(furthest),
-            };
+        match reach(wanted, deviation, furthest, root_rise) {
+            Some(distance) => End { value: from + side * distance, open: false },
+            None => End { value: limit, open: true },
         }
-        // What never rose enough has no end that was found.
-        End { value: from + side * distance, open: outside.is_none() }
     }
 
     /// The state moved along the likeliest way to where the quantity is wanted.

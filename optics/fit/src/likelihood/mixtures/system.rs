@@ -1,10 +1,10 @@
 //! Profiles of mixtures whose media follow from what is known of their inks, and the descent to the least −2 ln L.
 
-use nalgebra::{Cholesky, DMatrix, DVector};
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::blend::{Blend, InkQuantity};
-use crate::likelihood::system::{State, Unknown, submatrix};
+use crate::likelihood::system::{State, Unknown, clamped, damped_step, inverse_over_free};
 use crate::likelihood::term::{Linear, Reduced, Term};
 use crate::likelihood::{BLUR, LN_SCALE, LN_THICKNESS, Line, Point, SHARED};
 use crate::surrogate::Surrogate;
@@ -198,7 +198,7 @@ impl Chart<'_> {
         let mut damping = 1e-9;
         for _ in 0..MOST_STEPS {
             let Some(step) = self.step(&state.x, &normal, held, damping) else { break };
-            let x = self.clamp(&state.x + step);
+            let x = clamped(&self.unknowns, &state.x + step);
             let own = self.own_after(&state, &looks, &normal, &x);
             let there = self.look(&x, &own);
             let cost = self.cost(&x, &there);
@@ -233,19 +233,6 @@ impl Chart<'_> {
         state.own.iter().enumerate().map(follow).collect()
     }
 
-    fn clamp(&self, mut x: DVector<f64>) -> DVector<f64> {
-        for (x, unknown) in x.iter_mut().zip(&self.unknowns) {
-            *x = x.clamp(unknown.limits.0, unknown.limits.1);
-        }
-        x
-    }
-
-    /// Indices of the unknowns that can move.
-    fn free(&self) -> Vec<usize> {
-        (0..self.unknowns.len()).filter(|i| !self.unknowns[*i].held).collect()
-    }
-
-    /// A damped Gauss–Newton step of the unknowns that can move and are not pulled over their limits.
     fn step(
         &self,
         x: &DVector<f64>,
@@ -259,36 +246,13 @@ impl Chart<'_> {
             downhill += &gradient * (*stiffness * (at - quantity.value(x)));
             information += &gradient * gradient.transpose() * *stiffness;
         }
-        let inwards = |i: &usize| {
-            let (low, high) = self.unknowns[*i].limits;
-            !((x[*i] <= low && downhill[*i] < 0.0) || (x[*i] >= high && downhill[*i] > 0.0))
-        };
-        let free: Vec<usize> = self.free().into_iter().filter(inwards).collect();
-        let mut matrix = submatrix(&information, &free);
-        for i in 0..free.len() {
-            matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
-        }
-        let pull = DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i]));
-        let solved = Cholesky::new(matrix)?.solve(&pull);
-        let mut step = DVector::zeros(x.len());
-        free.iter().zip(solved.iter()).for_each(|(i, s)| step[*i] = *s);
-        Some(step)
+        damped_step(&self.unknowns, x, &information, &downhill, damping)
     }
 
     /// The inverse of an information matrix over the unknowns that can move; zeros elsewhere. What no profile tells has
     /// a very large variance.
     pub(super) fn covariance(&self, information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-        let free = self.free();
-        let mut matrix = submatrix(information, &free);
-        (0..free.len()).for_each(|i| matrix[(i, i)] += 1e-9);
-        let small = Cholesky::new(matrix)?.inverse();
-        let mut whole = DMatrix::zeros(information.nrows(), information.nrows());
-        for (i, to_i) in free.iter().enumerate() {
-            for (j, to_j) in free.iter().enumerate() {
-                whole[(*to_i, *to_j)] = small[(i, j)];
-            }
-        }
-        Some(whole)
+        inverse_over_free(&self.unknowns, information, 1e-9)
     }
 
     /// What stands for a profile near a state.
