@@ -71,7 +71,7 @@ impl Trial {
             media: number("FARM_TEST_MEDIA", 200),
             rows: names.map_or_else(Row::all, |names| names.iter().map(|name| Row::named(name)).collect()),
             ways: Way::ALL.into_iter().filter(wanted).collect(),
-            walks: (walks, walks / 2),
+            walks: (walks, walks),
         }
     }
 
