@@ -9,6 +9,7 @@ use optics_model::{Grid, Medium};
 
 use super::dictionary::FitDictionary;
 use super::local_axis::{LocalAxis, Weights};
+use super::wide::wide;
 
 /// Position in (ln σ_t, √(1 − α), ln(1 − g)).
 pub(super) type Coordinates = [f64; 3];
@@ -136,7 +137,7 @@ impl<'a> Surrogate<'a> {
                     let albedo = a.first + j.min(a.values.len() - 1);
                     &self.row(s.first + i, g.first + k, thickness, albedo)[pixels.clone()]
                 });
-                accumulate(rows, &albedos, (g.values[k], g.slopes[k]), &mut inner);
+                wide(|| accumulate(rows, &albedos, (g.values[k], g.slopes[k]), &mut inner));
             }
             let [value, by_albedo, by_g] = &inner;
             add_scaled(&mut values, s.values[i], value);
@@ -313,6 +314,8 @@ struct AlbedoWeights {
 
 /// Adds what the records of one σ_t and g contribute to a value and its derivatives by √(1 − α) and ln(1 − g). `g` is
 /// the weight of this g and its derivative.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 fn accumulate(rows: [&[f32]; 4], albedos: &AlbedoWeights, g: (f64, f64), out: &mut [Vec<f64>; 3]) {
     let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
     let [value, by_albedo, by_g] = out;

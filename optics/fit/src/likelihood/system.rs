@@ -167,6 +167,12 @@ impl System<'_> {
         linear.iter().map(|l| l.cost).sum::<f64>() + self.prior_cost(x)
     }
 
+    /// −2 ln L at a state, and its parabola there.
+    pub(super) fn look(&self, state: &State) -> (f64, Normal) {
+        let linear = self.linear(&state.x, &state.own);
+        (self.cost(&state.x, &linear), self.normal(&state.x, &state.own, &linear))
+    }
+
     pub(super) fn state(&self, x: DVector<f64>, own: Vec<Line>) -> State {
         let cost = self.cost(&x, &self.linear(&x, &own));
         State { x, own, cost }
@@ -334,13 +340,21 @@ pub(super) fn inverse_over_free(
     information: &DMatrix<f64>,
     ridge: f64,
 ) -> Option<DMatrix<f64>> {
-    let free = free(unknowns);
-    let mut matrix = submatrix(information, &free);
-    (0..free.len()).for_each(|i| matrix[(i, i)] += ridge);
+    inverse_over(&free(unknowns), information, ridge)
+}
+
+/// The same over these unknowns.
+pub(super) fn inverse_over(
+    indices: &[usize],
+    information: &DMatrix<f64>,
+    ridge: f64,
+) -> Option<DMatrix<f64>> {
+    let mut matrix = submatrix(information, indices);
+    (0..indices.len()).for_each(|i| matrix[(i, i)] += ridge);
     let small = Cholesky::new(matrix)?.inverse();
     let mut whole = DMatrix::zeros(information.nrows(), information.nrows());
-    for (i, to_i) in free.iter().enumerate() {
-        for (j, to_j) in free.iter().enumerate() {
+    for (i, to_i) in indices.iter().enumerate() {
+        for (j, to_j) in indices.iter().enumerate() {
             whole[(*to_i, *to_j)] = small[(i, j)];
         }
     }

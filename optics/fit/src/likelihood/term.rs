@@ -14,10 +14,11 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::camera::Camera;
 use super::robust::{rho, weight};
-use super::{Line, Point, SHARED};
+use super::{Line, Point, SHARED, blur};
 use crate::sum::dot;
 use crate::surrogate::Surrogate;
 use crate::thickness::NearThickness;
+use crate::wide::wide;
 
 /// What a profile has for itself, apart from the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -132,7 +133,8 @@ impl Term {
         };
         let mut slopes = predicted.slopes.to_vec();
         slopes.push(predicted.by_ln_thickness);
-        let seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), shared.blur_mm2());
+        let blur_mm2 = blur::variance_mm2(shared.blur());
+        let seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), blur_mm2);
         let scale = shared.scale();
         let (gain, slope) = (self.own_value(own, Own::Gain), self.own_value(own, Own::Slope));
         let zero = self.own_value(own, Own::Zero);
@@ -154,7 +156,8 @@ impl Term {
             columns.push(over_noise(&|i| by[i] * factors[i]));
         }
         columns.push(over_noise(&|i| -scale * seen.values[i]));
-        columns.push(over_noise(&|i| seen.by_blur[i] * factors[i]));
+        let by_blur = blur::slope(shared.blur());
+        columns.push(over_noise(&|i| by_blur * seen.by_blur[i] * factors[i]));
         columns.push(over_noise(&|i| by_thickness[i] * factors[i]));
         for OwnPrior { own, std_error: sd } in &self.priors {
             columns.push(match own {
@@ -189,13 +192,15 @@ impl Term {
         let weighted: Vec<Line> =
             linear.columns.iter().map(|c| c.iter().zip(&weights).map(|(c, w)| c * w).collect()).collect();
         let mut all = DMatrix::zeros(n, n);
-        for i in 0..n {
-            for j in 0..=i {
-                let product = dot(&weighted[i], &linear.columns[j]);
-                all[(i, j)] = product;
-                all[(j, i)] = product;
+        wide(|| {
+            for i in 0..n {
+                for j in 0..=i {
+                    let product = dot(&weighted[i], &linear.columns[j]);
+                    all[(i, j)] = product;
+                    all[(j, i)] = product;
+                }
             }
-        }
+        });
         let mut downhill = DVector::from_iterator(n, weighted.iter().map(|w| dot(w, &linear.residuals)));
         for (i, own) in own.iter().enumerate() {
             all[(SHARED + i, SHARED + i)] += 1.0;
