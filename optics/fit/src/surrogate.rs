@@ -54,6 +54,9 @@ fn interpolation(nodes: &[f64], x: f64) -> Weights {
     Weights { first, values, slopes }
 }
 
+/// Share of walks that go on to another scattering, q, as far as their noise is concerned.
+const SCATTERED_ON: f64 = 0.9;
+
 /// A profile between the records and its derivatives by the coordinates.
 #[derive(Debug, Clone)]
 pub(super) struct Prediction {
@@ -155,11 +158,22 @@ impl<'a> Surrogate<'a> {
     }
 
     /// Index of the dictionary's nearest thickness, and the factor from it.
-    fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
+    pub(super) fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
         let axis = self.dictionary.grid().thickness_mm();
         let off = |t: &f64| (thickness_mm / t).ln().abs();
         let nearest = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
         nearest.map_or((0, 1.0), |(index, nominal)| (index, thickness_mm / nominal))
+    }
+
+    /// How alike the records' noise is in two predictions at one thickness of the dictionary, as a correlation: which
+    /// records they share, and how alike the same walks are with both albedos. Where numbers of scatterings n are
+    /// distributed like qⁿ, the correlation of Σ αⁿ over walks is √((1 − qα²)(1 − qα′²))/(1 − qαα′).
+    pub(super) fn noise_in_common(&self, x: Coordinates, other: Coordinates) -> f64 {
+        let [a, b] = [x, other].map(|x| albedo(x[ALBEDO]).clamp(0.0, 1.0));
+        let left = |product: f64| 1.0 - SCATTERED_ON * product;
+        let of_walks = (left(a * a) * left(b * b)).sqrt() / left(a * b);
+        let of_records = self.sigma_t.likeness(x[SIGMA_T], other[SIGMA_T]) * self.g.likeness(x[G], other[G]);
+        of_walks * of_records
     }
 
     /// Records about `x` and what the model takes of each: number of the medium over all axes, weight, and the weight's

@@ -13,7 +13,7 @@ use super::chi2::exceedance;
 use super::problem::ChannelData;
 use super::profile::{Profile, interval};
 use super::residuals::{clustering, outliers, stretches};
-use super::system::{Normal, Quantity, State, System};
+use super::system::{Normal, Quantity, State, System, inverse_over_free};
 use super::term::Linear;
 use super::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, ROOT_CO_ALBEDO, SHARED};
 use crate::question::{Admissible, Question};
@@ -79,6 +79,9 @@ impl Found<'_, '_> {
         let goodness = self.goodness(&linear);
         let ideal = ideal_covariance(self.system, self.state);
         let intervals = self.intervals(&normal, covariance.as_ref(), goodness.inflation);
+        // What the data leave open has a very large variance; the set-up is known as well as it was told.
+        let covariance =
+            covariance.or_else(|| inverse_over_free(&self.system.unknowns, &normal.information, 1e-9));
         let covariance = covariance.map_or_else(nothing, |c| c * goodness.inflation);
         let slots = self.slots();
         let of = |i: usize, k: usize| covariance[(slots[i], slots[k])];

@@ -134,6 +134,7 @@ impl Plan<'_> {
             priors: priors.into_iter().filter(|p| p.std_error > 0.0).collect(),
             modes: Vec::new(),
             rest_variances: Vec::new(),
+            alike: 1.0,
             left_out: vec![false; x_mm.len()],
             robust: false,
             softness: 1.0,

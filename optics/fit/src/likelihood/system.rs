@@ -9,6 +9,9 @@ use crate::surrogate::Surrogate;
 
 /// Steps that one descent may take.
 const MOST_STEPS: usize = 40;
+/// Added to the information of every unknown when a step is taken, in units in which unknowns are of the order of 1. What
+/// the data leave open does not run away with the rest.
+const RIDGE: f64 = 0.1;
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
@@ -173,11 +176,6 @@ impl System<'_> {
         (self.cost(&state.x, &linear), self.normal(&state.x, &state.own, &linear))
     }
 
-    pub(super) fn state(&self, x: DVector<f64>, own: Vec<Line>) -> State {
-        let cost = self.cost(&x, &self.linear(&x, &own));
-        State { x, own, cost }
-    }
-
     pub(super) fn normal(&self, x: &DVector<f64>, own: &[Line], linear: &[Linear]) -> Normal {
         let n = self.unknowns.len();
         let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
@@ -325,7 +323,7 @@ pub(super) fn damped_step(
     let free: Vec<usize> = free(unknowns).into_iter().filter(inwards).collect();
     let mut matrix = submatrix(information, &free);
     for i in 0..free.len() {
-        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
+        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + RIDGE;
     }
     let pull = DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i]));
     let solved = Cholesky::new(matrix)?.solve(&pull);

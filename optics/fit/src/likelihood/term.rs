@@ -52,6 +52,9 @@ pub(super) struct Term {
     pub modes: Vec<Line>,
     /// Variance of the records' noise that the modes leave, by pixel.
     pub rest_variances: Line,
+    /// Profiles whose records' noise is the same, this one included: its variance is multiplied by their number, since it
+    /// does not average out over them.
+    pub alike: f64,
     /// Pixels that do not belong to the profile.
     pub left_out: Vec<bool>,
     /// Whether pixels may be odd; if not every one that is not left out counts as a normal one.
@@ -102,6 +105,15 @@ impl Reduced {
 }
 
 impl Term {
+    /// Counts the records' noise as that of so many profiles; its modes' coefficients become what they have to be.
+    pub(super) fn count_alike(&mut self, own: &mut Line, alike: f64) {
+        let factor = alike / self.alike;
+        self.alike = alike;
+        self.modes.iter_mut().flatten().for_each(|v| *v *= factor.sqrt());
+        self.rest_variances.iter_mut().for_each(|v| *v *= factor);
+        own[self.priors.len()..].iter_mut().for_each(|c| *c /= factor.sqrt());
+    }
+
     pub(super) fn own_count(&self) -> usize {
         self.priors.len() + self.modes.len()
     }
