@@ -1,5 +1,6 @@
 //! `farmctl` as a user meets it: output, JSON shapes, exit codes, and how commands get along.
 
+use std::path::Path;
 use std::process::Command;
 
 use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, keys, rows, write};
@@ -268,6 +269,66 @@ fn every_answer_of_the_fit_has_its_json_shape() {
     let similar = json(&run(dir, &similar), "similar");
     assert_eq!(keys(&similar), ["medium", "similar"]);
     assert!((similar["similar"][0]["sigma_t_per_mm"].as_f64().unwrap() - 3.84).abs() < 1e-9);
+}
+
+/// A measurement of simulated slabs, one of them a mixture of the two others in equal parts.
+fn chart(dir: &Path) -> String {
+    let media = [("pale", 4.8, 0.995), ("dark", 5.2, 0.92), ("both", 5.0, 0.956)];
+    let mut all = String::new();
+    for (material, sigma_t, albedo) in media {
+        let medium = format!("simulate --sigma-t {sigma_t} --albedo {albedo} --g 0.4 --thickness 0.5,1");
+        let slab = format!("{medium} --walks 20000 --seed 7 --measurement {material}");
+        let ran = run(dir, &slab.split(' ').collect::<Vec<_>>());
+        let rows = ran.stdout.lines().filter(|line| !line.starts_with('#'));
+        all.extend(rows.skip(usize::from(!all.is_empty())).map(|line| format!("{line}\n")));
+    }
+    all
+}
+
+#[test]
+fn mixtures_tell_of_their_inks() {
+    let farm = farm();
+    let dir = farm.path();
+    write(dir, "chart.csv", &chart(dir));
+    write(dir, "mix.toml", "[[mixture]]\nmaterial = \"both\"\nparts = { pale = 0.5, dark = 0.5 }\n");
+    let asked = ["measure", "chart.csv", "--dictionary", "grid", "--mixtures", "mix.toml", "--mu", "1"];
+    let text = run(dir, &asked);
+    assert!(
+        text.stdout.contains("inks, from all their mixtures together"),
+        "{} {}",
+        text.stdout,
+        text.stderr
+    );
+    let data = json(&run(dir, &[&asked[..], &["--json"]].concat()), "measure");
+    let inks = &data["unmixed"]["inks"];
+    assert_eq!(keys(&data["unmixed"]), ["common", "inks", "mixtures"]);
+    let dark = inks.as_array().unwrap().iter().find(|i| i["material"] == "dark").unwrap();
+    let interval = &dark["channels"][0]["absorption_interval"];
+    let (low, high) = (interval["low"].as_f64().unwrap(), interval["high"].as_f64().unwrap());
+    assert!(low < 0.416 && high > 0.416 && high < 0.8, "{interval}");
+    write(dir, "mix.toml", "[[mixture]]\nmaterial = \"grey\"\nparts = { pale = 0.5, dark = 0.5 }\n");
+    fails(dir, &asked, &["mixture.material", "grey", "both"]);
+}
+
+#[test]
+fn a_design_tells_what_slabs_would_give() {
+    let farm = farm();
+    let dir = farm.path();
+    let medium = ["--sigma-t", "5", "--albedo", "0.99", "--g", "0.4"];
+    let asked = [&["design", "--dictionary", "grid"][..], &medium].concat();
+    let text = run(dir, &asked);
+    assert_eq!(text.code, 0, "{}", text.stderr);
+    let data = json(&run(dir, &[&asked[..], &["--json"]].concat()), "design");
+    let sets = data["sets"].as_array().unwrap();
+    let width = |set: &Value| set["g_held"]["sigma_t_per_mm"].as_f64();
+    let one = sets.iter().find(|s| s["slabs_mm"] == value!([0.5]) && s["shots"] == 1).unwrap();
+    let both = sets.iter().find(|s| s["slabs_mm"] == value!([0.5, 1.0])).unwrap();
+    assert!(width(both).unwrap() < width(one).unwrap(), "{one} {both}");
+    assert_eq!(run(dir, &[&asked[..], &["--plot", "design.svg"]].concat()).code, 0);
+    assert!(std::fs::read(dir.join("design.svg")).unwrap().starts_with(b"<svg"));
+    let dark = [&["design", "--dictionary", "grid"][..], &["--sigma-t", "5", "--albedo", "2", "--g", "0.4"]]
+        .concat();
+    fails(dir, &dark, &["albedo"]);
 }
 
 #[test]
