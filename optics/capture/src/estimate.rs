@@ -1,7 +1,7 @@
 //! Numbers with errors, and where errors come from.
 
 /// A number with its standard error.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Estimate {
     pub value: f64,
     pub std_error: f64,

@@ -84,6 +84,16 @@ pub struct Exposure {
     pub iso: Option<f64>,
 }
 
+impl fmt::Display for Exposure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} s", self.time_s)?;
+        if let Some(n) = self.f_number {
+            write!(f, ", f/{n}")?;
+        }
+        self.iso.map_or(Ok(()), |iso| write!(f, ", ISO {iso}"))
+    }
+}
+
 /// A frame with what its file says about it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photo {

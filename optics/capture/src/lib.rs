@@ -4,13 +4,25 @@
 //! [`Darks`] → [`Flats`] → [`Patches`] → [`BareShots`] → [`Mountings`], one of those for each sample. Each step has
 //! `add(photo)`, which checks and may refuse, and `finish()`, whose result the next one uses.
 
-#[expect(unused_imports)]
-mod stub;
+mod black;
+mod calibration;
 mod estimate;
+mod flat;
 mod frame;
+mod kind;
+mod least_squares;
+mod noise;
+mod patches;
 mod refusal;
+mod saturation;
+mod stub;
 
+pub use black::{Black, Darks};
+pub use calibration::{Calibration, PatchReading};
 pub use estimate::{Contribution, Estimate, Source};
+pub use flat::{Flat, Flats};
 pub use frame::{Colour, Exposure, Frame, Levels, Pattern, Photo, Site};
+pub use noise::SiteNoise;
+pub use patches::{Area, Neutral, Patches};
 pub use refusal::{Refusal, Side, Warning};
 pub use stub::*;

@@ -70,13 +70,19 @@ pub enum Refusal {
          warm up, shoot the patches more often"
     )]
     LightDrifted { colour: Colour, percent: f64, first: String, last: String },
-    #[error("{label}: the dark side of the edge is {found}, not {told} as the session says; swap `dark_side`")]
+    #[error(
+        "{label}: the dark side of the edge is {found}, not {told} as the session says; swap `dark_side`"
+    )]
     SidesSwapped { label: String, found: Side, told: Side },
-    #[error("{label}: no edge of a board was found: {seen}; light evenly, fill the frame's middle with the edge")]
+    #[error(
+        "{label}: no edge of a board was found: {seen}; light evenly, fill the frame's middle with the edge"
+    )]
     NoBoard { label: String, seen: String },
     #[error("{label}: the scale is unknown: {seen}; show at least two parallel edges of the board")]
     NoScale { label: String, seen: String },
-    #[error("{label}: {what} is {found}, but {expected} in the shots before; use one camera with fixed settings")]
+    #[error(
+        "{label}: {what} is {found}, but {expected} in the shots before; use one camera with fixed settings"
+    )]
     Mixed { label: String, what: &'static str, found: String, expected: String },
     #[error("no {what} were given, and nothing can take their place")]
     Missing { what: &'static str },
@@ -85,11 +91,19 @@ pub enum Refusal {
 /// What is doubtful, and told beside the answer.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Warning {
-    #[error("{what}: {count} shots cannot tell an error between them; mount the slab again at least three times")]
+    #[error(
+        "{what}: {count} shots cannot tell an error between them; mount the slab again at least three times"
+    )]
     FewShots { what: String, count: usize },
     #[error("no dark shots: the black level is the files' own, without an error")]
     NoDark,
-    #[error("no flat shots: uneven light is not divided out; a slope of {slope_percent} % per 10 mm is allowed for")]
+    #[error(
+        "the black level is already subtracted; where the board is as dark as the noise its light is overrated"
+    )]
+    BlackSubtracted,
+    #[error(
+        "no flat shots: uneven light is not divided out; a slope of {slope_percent} % per 10 mm is allowed for"
+    )]
     NoFlat { slope_percent: f64 },
     #[error("{label}: the slab leaves nothing of the board free, so it was not checked that nothing moved")]
     Unchecked { label: String },

@@ -1,93 +1,25 @@
 //! Signatures of what is to come; replaced file by file.
 #![expect(clippy::todo, missing_debug_implementations, clippy::pedantic)]
-use optics_model::Invalid;
 use crate::*;
+use optics_model::Invalid;
 
-/// Rectangle in pixels of the mosaic.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Area { pub x: f64, pub y: f64, pub width: f64, pub height: f64 }
-
-pub struct Darks;
-impl Darks {
-    pub fn new() -> Self { todo!() }
-    pub fn add(&mut self, _photo: Photo) -> Result<(), Refusal> { todo!() }
-    /// Without dark shots, `any` photo of the session tells the files' own level.
-    pub fn finish(self, _any: &Photo) -> Result<Black, Refusal> { todo!() }
+pub struct Target {
+    pub square_mm: f64,
+    pub square_std_error_mm: f64,
+    pub dark_side: Option<Side>,
 }
-#[derive(Debug, Clone)]
-pub struct Black;
-impl Black {
-    /// Number without light per site.
-    pub fn levels(&self) -> &[Estimate] { todo!() }
-    /// Standard deviation of the fixed pattern, in numbers; 0 where none was found.
-    pub fn fixed_pattern(&self) -> &[f64] { todo!() }
-}
-pub struct Flats;
-impl Flats {
-    pub fn new(_black: &Black) -> Self { todo!() }
-    pub fn add(&mut self, _photo: Photo) -> Result<(), Refusal> { todo!() }
-    /// Without shots: even light, with the error of `Warning::NoFlat`.
-    pub fn finish(self) -> Result<Flat, Refusal> { todo!() }
-}
-#[derive(Debug, Clone)]
-pub struct Flat;
-impl Flat {
-    /// Light at a place of the frame over its mean.
-    pub fn at(&self, _colour: Colour, _x_px: f64, _y_px: f64) -> f64 { todo!() }
-    /// Relative, per whole width of the frame.
-    pub fn slope_std_error(&self) -> [f64; 3] { todo!() }
-}
-#[derive(Debug, Clone, PartialEq)]
-pub struct Neutral;
-impl Neutral {
-    pub fn new(_rho: Vec<[f64; 3]>, _std_error: f64, _areas: Vec<Area>) -> Result<Self, Invalid> { todo!() }
-}
-pub struct Patches;
-impl Patches {
-    pub fn new(_black: Black, _flat: Flat, _neutral: Neutral) -> Self { todo!() }
-    pub fn add(&mut self, _photo: Photo) -> Result<(), Refusal> { todo!() }
-    pub fn finish(self) -> Result<Calibration, Refusal> { todo!() }
-}
-/// From numbers to radiance factors, with all errors.
-#[derive(Debug, Clone)]
-pub struct Calibration {
-    pub noise: Vec<SiteNoise>,
-    pub patches: Vec<PatchReading>,
-    /// Stray light as a share of the frame's mean light.
-    pub glare: [Estimate; 3],
-    /// Numbers per unit of ρ.
-    pub gain: [Estimate; 3],
-    /// Largest relative change between reference shots.
-    pub drift: [f64; 3],
-    pub warnings: Vec<Warning>,
-}
-impl Calibration {
-    pub fn black(&self) -> &Black { todo!() }
-    pub fn flat(&self) -> &Flat { todo!() }
-}
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SiteNoise {
-    pub colour: Colour,
-    /// Without light, in numbers.
-    pub read: Estimate,
-    /// Numbers per electron.
-    pub gain: Estimate,
-}
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PatchReading {
-    pub rho: [f64; 3],
-    /// As read through the calibration.
-    pub value: [Estimate; 3],
-    /// Relative deviation from the line.
-    pub deviation: [f64; 3],
-}
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Target { pub square_mm: f64, pub square_std_error_mm: f64, pub dark_side: Option<Side> }
 pub struct BareShots<'a>(&'a Calibration);
 impl<'a> BareShots<'a> {
-    pub fn new(_calibration: &'a Calibration, _target: Target) -> Result<Self, Invalid> { todo!() }
-    pub fn add(&mut self, _photo: Photo) -> Result<(), Refusal> { todo!() }
-    pub fn finish(self) -> Result<Board, Refusal> { todo!() }
+    pub fn new(_calibration: &'a Calibration, _target: Target) -> Result<Self, Invalid> {
+        todo!()
+    }
+    pub fn add(&mut self, _photo: Photo) -> Result<(), Refusal> {
+        todo!()
+    }
+    pub fn finish(self) -> Result<Board, Refusal> {
+        todo!()
+    }
 }
 /// Where the bare board lies and what it looks like.
 #[derive(Debug, Clone)]
@@ -111,16 +43,29 @@ pub struct Board {
     pub warnings: Vec<Warning>,
 }
 impl Board {
-    pub fn to_px(&self, _x_mm: f64, _y_mm: f64) -> [f64; 2] { todo!() }
-    pub fn to_mm(&self, _x_px: f64, _y_px: f64) -> [f64; 2] { todo!() }
+    pub fn to_px(&self, _x_mm: f64, _y_mm: f64) -> [f64; 2] {
+        todo!()
+    }
+    pub fn to_mm(&self, _x_px: f64, _y_px: f64) -> [f64; 2] {
+        todo!()
+    }
     /// ρ of both sides from how the scene shows a board of ρ.
-    pub fn rho(&self, _seen: &[Seen; 3]) -> Result<[BoardRho; 3], Refusal> { todo!() }
+    pub fn rho(&self, _seen: &[Seen; 3]) -> Result<[BoardRho; 3], Refusal> {
+        todo!()
+    }
 }
 /// apparent = s + a ρ/(1 − b ρ)
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen { pub s: f64, pub a: f64, pub b: f64 }
+pub struct Seen {
+    pub s: f64,
+    pub a: f64,
+    pub b: f64,
+}
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BoardRho { pub light: Estimate, pub dark: Estimate }
+pub struct BoardRho {
+    pub light: Estimate,
+    pub dark: Estimate,
+}
 /// The edge in use within the crop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EdgeLine {
@@ -159,9 +104,15 @@ pub struct ShotReport {
 }
 pub struct Mountings<'a>(&'a Calibration, &'a Board);
 impl<'a> Mountings<'a> {
-    pub fn new(_calibration: &'a Calibration, _board: &'a Board, _label: &str) -> Self { todo!() }
-    pub fn add(&mut self, _photo: Photo) -> Result<(), Refusal> { todo!() }
-    pub fn finish(self) -> Result<SampleProfile, Refusal> { todo!() }
+    pub fn new(_calibration: &'a Calibration, _board: &'a Board, _label: &str) -> Self {
+        todo!()
+    }
+    pub fn add(&mut self, _photo: Photo) -> Result<(), Refusal> {
+        todo!()
+    }
+    pub fn finish(self) -> Result<SampleProfile, Refusal> {
+        todo!()
+    }
 }
 #[derive(Debug, Clone)]
 pub struct SampleProfile {
@@ -180,4 +131,6 @@ pub struct ShotCheck {
     pub warnings: Vec<Warning>,
 }
 /// For `--check`: a single photo, the files' own black level.
-pub fn check_shot(_photo: &Photo) -> Result<ShotCheck, Refusal> { todo!() }
+pub fn check_shot(_photo: &Photo) -> Result<ShotCheck, Refusal> {
+    todo!()
+}
