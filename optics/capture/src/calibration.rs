@@ -49,6 +49,8 @@ pub(crate) struct Light {
     pub at: Vec<(f64, [f64; 3])>,
     /// Relative standard error of a shot's brightness.
     pub std_error: [f64; 3],
+    /// Shots of the patches.
+    pub shots: usize,
 }
 
 impl Calibration {

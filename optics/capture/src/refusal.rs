@@ -81,6 +81,12 @@ pub enum Refusal {
     #[error("{label}: the scale is unknown: {seen}; show at least two parallel edges of the board")]
     NoScale { label: String, seen: String },
     #[error(
+        "{label}: the crop leaves the frame at ({x_px:.0}, {y_px:.0}) px; move the edge to the frame's middle"
+    )]
+    OutsideFrame { label: String, x_px: f64, y_px: f64 },
+    #[error("{label}: nothing lies on the board within the crop; cover the edge with the slab")]
+    NoSlab { label: String },
+    #[error(
         "{label}: {what} is {found}, but {expected} in the shots before; use one camera with fixed settings"
     )]
     Mixed { label: String, what: &'static str, found: String, expected: String },
@@ -107,7 +113,7 @@ pub enum Warning {
     NoFlat { slope_percent: f64 },
     #[error("{label}: the slab leaves nothing of the board free, so it was not checked that nothing moved")]
     Unchecked { label: String },
-    #[error("{label}: seen {direction} only, the free parts of the board do not tell all about a movement")]
+    #[error("{label}: the free parts of the board do not tell whether it moved {direction}")]
     HalfChecked { label: String, direction: &'static str },
     #[error("{label}: {share:.1} % of the crop's samples were rejected as dust or scratches")]
     ManyRejected { label: String, share: f64 },

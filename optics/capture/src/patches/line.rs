@@ -141,7 +141,7 @@ fn light(shots: &[Shot], brightness: &[[f64; 3]], warnings: &mut Vec<Warning>) -
     let n = shots.len() as f64;
     if shots.len() < 2 {
         warnings.push(Warning::NoDrift);
-        return Light { at: Vec::new(), std_error: [0.5 * DRIFT; 3] };
+        return Light { at: Vec::new(), std_error: [0.5 * DRIFT; 3], shots: 1 };
     }
     let std_error = std::array::from_fn(|c| {
         (brightness.iter().map(|b| (b[c] - 1.0).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
@@ -149,12 +149,12 @@ fn light(shots: &[Shot], brightness: &[[f64; 3]], warnings: &mut Vec<Warning>) -
     let times: Option<Vec<f64>> = shots.iter().map(|s| s.seconds).collect();
     let Some(times) = times else {
         warnings.push(Warning::NoTimes);
-        return Light { at: Vec::new(), std_error };
+        return Light { at: Vec::new(), std_error, shots: shots.len() };
     };
     let mut at: Vec<_> = times.into_iter().zip(brightness.iter().copied()).collect();
     at.sort_by(|a, b| a.0.total_cmp(&b.0));
     at.dedup_by(|later, earlier| later.0 <= earlier.0);
-    Light { at, std_error }
+    Light { at, std_error, shots: shots.len() }
 }
 
 /// The power of ρ by which brightness rises.

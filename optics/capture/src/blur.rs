@@ -1,0 +1,114 @@
+//! Blur and place of the bare edge.
+//!
+//! Convention of all profiles: a value is the average over its bin of the scene convolved with a Gaussian of standard
+//! deviation σ. That Gaussian holds the lens and the pixel's own aperture, whose variance is p²/12. On an edge
+//! F(x) = d + (l − d) [G(x + w/2) − G(x − w/2)]/w, G(z) = z Φ(z/σ) + σ φ(z/σ).
+
+use crate::estimate::Estimate;
+use crate::least_squares::{Normal, tukey};
+
+/// An edge in bins: their width w, the distance within which it is fitted, and place, value, error of each. Any unit of
+/// length, told by the results.
+#[derive(Debug, Clone)]
+pub(crate) struct EdgeBins {
+    pub width: f64,
+    pub reach: f64,
+    pub points: Vec<[f64; 3]>,
+}
+
+/// What an edge between two even sides looks like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct EdgeFit {
+    pub origin: Estimate,
+    pub blur: Estimate,
+    pub dark: f64,
+    pub light: f64,
+    /// χ² per degree of freedom.
+    pub reduced: f64,
+}
+
+/// None if it is no edge.
+pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
+    let EdgeBins { width, reach, .. } = *edge;
+    let inside = |p: &&[f64; 3]| p[0].abs() < reach && p[1].is_finite() && p[2] > 0.0;
+    let points: Vec<[f64; 3]> = edge.points.iter().filter(inside).copied().collect();
+    let outer = |sign: f64| {
+        let values = points.iter().filter(|p| sign * p[0] > 0.5 * reach).map(|p| p[1]);
+        let (sum, n) = values.fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
+        sum / n
+    };
+    // Dark, light, origin, σ, and slopes of both sides.
+    let mut p = [
+        outer(-1.0),
+        outer(1.0),
+        0.0,
+        rise(&points, outer(-1.0), outer(1.0))?.clamp(0.5 * width, 0.3 * reach),
+        0.0,
+        0.0,
+    ];
+    let mut inflation = 1.0;
+    let mut found = None;
+    let mut reduced = 1.0;
+    for _ in 0..25 {
+        let mut normal = Normal::new(p.len());
+        let (mut chi, mut weights) = (0.0, 0.0);
+        for [x, v, e] in &points {
+            let r = v - model(&p, *x, width);
+            let w = tukey(r / (e * inflation));
+            chi += w * (r / e).powi(2);
+            weights += w;
+            normal.add(&gradient(&p, *x, width), r, w / (e * e));
+        }
+        reduced = chi / (weights - p.len() as f64).max(1.0);
+        // An edge that is not quite such a curve has larger errors, not outliers.
+        inflation = reduced.sqrt().clamp(1.0, 1e3) * 1.5;
+        let solution = normal.solve()?;
+        for (p, d) in p.iter_mut().zip(solution.x.iter()) {
+            *p += d;
+        }
+        p[3] = p[3].clamp(0.1 * width, reach);
+        found = Some(solution);
+    }
+    let solution = found?;
+    let factor = reduced.max(1.0).sqrt();
+    let estimate = |i: usize| Estimate::new(p[i], factor * solution.std_error(i));
+    let fitted = EdgeFit { origin: estimate(2), blur: estimate(3), dark: p[0], light: p[1], reduced };
+    (fitted.origin.value.abs() < reach && fitted.blur.value.is_finite()).then_some(fitted)
+}
+
+/// σ from the distance between a quarter and three quarters of the rise.
+fn rise(points: &[[f64; 3]], dark: f64, light: f64) -> Option<f64> {
+    let crossing = |share: f64| {
+        let level = dark + share * (light - dark);
+        points.iter().find(|p| (p[1] - level) * (light - dark).signum() >= 0.0).map(|p| p[0])
+    };
+    Some((crossing(0.75)? - crossing(0.25)?) / 1.35)
+}
+
+/// ∫ Φ(z/σ) dz
+fn primitive(z: f64, sigma: f64) -> f64 {
+    let u = z / sigma;
+    let phi = libm::exp(-0.5 * u * u) / (2.0 * std::f64::consts::PI).sqrt();
+    z * cumulative(u) + sigma * phi
+}
+
+fn cumulative(u: f64) -> f64 {
+    0.5 * libm::erfc(-u / std::f64::consts::SQRT_2)
+}
+
+fn model(p: &[f64; 6], x: f64, width: f64) -> f64 {
+    let z = x - p[2];
+    let share = (primitive(z + 0.5 * width, p[3]) - primitive(z - 0.5 * width, p[3])) / width;
+    let (dark, light) = (p[0] + p[4] * z, p[1] + p[5] * z);
+    dark + (light - dark) * share
+}
+
+fn gradient(p: &[f64; 6], x: f64, width: f64) -> [f64; 6] {
+    std::array::from_fn(|i| {
+        let step = 1e-6;
+        let (mut up, mut down) = (*p, *p);
+        up[i] += step;
+        down[i] -= step;
+        (model(&up, x, width) - model(&down, x, width)) / (2.0 * step)
+    })
+}

@@ -1,0 +1,119 @@
+//! Joins shots, and tells how much more they differ than noise explains.
+//!
+//! What shot j shows beyond the mean F of all is taken as gⱼ F + zⱼ + sⱼ x F + oⱼ F′: gain, zero, slope and place of one
+//! mounting, each with a prior, so that profiles without contrast stay determined. Only what is left is noise.
+
+use crate::bins::EdgeProfile;
+use crate::least_squares::Normal;
+
+/// Standard deviations of gain, zero, slope per 10 mm and place in mm, of one mounting, before anything is seen.
+const PRIOR: [f64; 4] = [0.01, 0.003, 0.01, 0.02];
+
+/// Bins around each one whose scatter between shots is averaged.
+const AROUND: usize = 20;
+
+/// Several shots of the same thing.
+#[derive(Debug, Clone)]
+pub(crate) struct Joined {
+    pub profile: EdgeProfile,
+    /// Standard deviations between shots of gain, zero, slope per 10 mm and place in mm.
+    pub between: [f64; 4],
+}
+
+/// Mean by bins, weighted by noise.
+pub(crate) fn mean(profiles: &[&EdgeProfile]) -> EdgeProfile {
+    let first = profiles[0];
+    let bins = first.values.len();
+    let mut joined = first.clone();
+    // One weight for a shot: those of single bins are noisy.
+    let weight = |p: &EdgeProfile| {
+        let variances: Vec<f64> = p.std_errors.iter().filter(|e| e.is_finite()).map(|e| e * e).collect();
+        variances.len() as f64 / variances.iter().sum::<f64>().max(1e-30)
+    };
+    let weights: Vec<f64> = profiles.iter().map(|p| weight(p)).collect();
+    for k in 0..bins {
+        let known = || profiles.iter().zip(&weights).filter(|(p, _)| p.values[k].is_finite());
+        let total: f64 = known().map(|(_, w)| w).sum();
+        joined.values[k] = known().map(|(p, w)| w * p.values[k]).sum::<f64>() / total;
+        let variance = known().map(|(p, w)| (w * p.std_errors[k]).powi(2)).sum::<f64>();
+        joined.std_errors[k] = variance.sqrt() / total;
+        joined.counts[k] = profiles.iter().map(|p| p.counts[k]).sum();
+        let lost: f64 = profiles.iter().map(|p| p.rejected[k] * f64::from(p.counts[k])).sum();
+        joined.rejected[k] = lost / f64::from(joined.counts[k].max(1));
+    }
+    joined
+}
+
+pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
+    let mut profile = mean(profiles);
+    let shots = profiles.len();
+    if shots < 2 {
+        return Joined { profile, between: [0.0; 4] };
+    }
+    let basis = basis(&profile);
+    let mut between = [0.0; 4];
+    let mut left = Vec::new();
+    for shot in profiles {
+        let (coefficients, residuals) = departure(shot, &profile, &basis);
+        for (sum, c) in between.iter_mut().zip(coefficients) {
+            *sum += c * c;
+        }
+        left.push(residuals);
+    }
+    let freedom = shots as f64 - 1.0;
+    let between = between.map(|sum| (sum / freedom).sqrt());
+    let scatter: Vec<f64> = (0..profile.values.len())
+        .map(|k| left.iter().map(|r| r[k]).filter(|z| z.is_finite()).map(|z| z * z).sum::<f64>() / freedom)
+        .collect();
+    for (k, error) in profile.std_errors.iter_mut().enumerate() {
+        let near = &scatter[k.saturating_sub(AROUND)..(k + AROUND + 1).min(scatter.len())];
+        let mean = near.iter().sum::<f64>() / near.len() as f64;
+        // Scatter that chance explains is no reason: of χ² with so many degrees of freedom, three standard deviations.
+        let chance = 1.0 + 3.0 * (2.0 / (near.len() as f64 * freedom)).sqrt();
+        if mean > chance {
+            *error *= mean.sqrt();
+        }
+    }
+    Joined { profile, between }
+}
+
+/// F, 1, x F per 10 mm, F′ per mm.
+fn basis(profile: &EdgeProfile) -> Vec<[f64; 4]> {
+    const REACH: usize = 3;
+    let n = profile.values.len();
+    let width = profile.x_mm[1] - profile.x_mm[0];
+    (0..n)
+        .map(|k| {
+            let (below, above) = (k.saturating_sub(REACH), (k + REACH).min(n - 1));
+            let rise = (profile.values[above] - profile.values[below]) / ((above - below) as f64 * width);
+            let f = profile.values[k];
+            [f, 1.0, 0.1 * profile.x_mm[k] * f, rise]
+        })
+        .collect()
+}
+
+/// Coefficients of a shot's departure, and what is left of it in standard errors.
+fn departure(shot: &EdgeProfile, mean: &EdgeProfile, basis: &[[f64; 4]]) -> ([f64; 4], Vec<f64>) {
+    let mut normal = Normal::new(4);
+    for (i, sigma) in PRIOR.iter().enumerate() {
+        let mut row = [0.0; 4];
+        row[i] = 1.0;
+        normal.add(&row, 0.0, sigma.powi(-2));
+    }
+    for (k, row) in basis.iter().enumerate() {
+        let (r, e) = (shot.values[k] - mean.values[k], shot.std_errors[k]);
+        if r.is_finite() && e > 0.0 && row.iter().all(|v| v.is_finite()) {
+            normal.add(row, r, 1.0 / (e * e));
+        }
+    }
+    let found: [f64; 4] = normal.solve().map_or([0.0; 4], |s| std::array::from_fn(|i| s.x[i]));
+    let left = basis
+        .iter()
+        .enumerate()
+        .map(|(k, row)| {
+            let explained: f64 = row.iter().zip(found).map(|(b, c)| b * c).sum();
+            (shot.values[k] - mean.values[k] - explained) / shot.std_errors[k]
+        })
+        .collect();
+    (found, left)
+}
