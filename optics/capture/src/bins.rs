@@ -67,7 +67,8 @@ const ZONE: usize = 20;
 pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
     let sites: Vec<Site> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
     let (bins, clipped) = collect(radiance, edge, &sites, origin_mm);
-    let fits: Vec<Option<Fit>> = bins.par_iter().map(|samples| Fit::of(samples)).collect();
+    let waver_mm = WAVER_PX * edge.mm_per_px();
+    let fits: Vec<Option<Fit>> = bins.par_iter().map(|samples| Fit::of(samples, waver_mm)).collect();
     let ratios = |f: &Fit| f.scatter / f.sigma;
     let mut known: Vec<f64> = fits.iter().flatten().map(ratios).collect();
     let scatter = if known.is_empty() { 1.0 } else { median(&mut known) };
@@ -150,11 +151,14 @@ struct Fit {
     kept: usize,
 }
 
+/// Wavering of an edge that is no reason to reject samples: printers' and scans' edges are made of dots.
+const WAVER_PX: f64 = 0.5;
+
 /// Fewest samples of a bin.
 const SAMPLES: usize = 8;
 
 impl Fit {
-    fn of(samples: &[Binned]) -> Option<Self> {
+    fn of(samples: &[Binned], waver_mm: f64) -> Option<Self> {
         if samples.len() < SAMPLES {
             return None;
         }
@@ -168,8 +172,10 @@ impl Fit {
         for round in 0..12 {
             residuals = samples.iter().map(|s| s.residual(value, slope)).collect::<Vec<_>>();
             scatter = spread(&residuals);
-            // Curved profiles scatter more than noise. The first round only looks for the level.
-            scale = sigma.max(scatter) * if round == 0 { 3.0 } else { 1.0 };
+            // An edge that wavers by part of a pixel scatters as the profile is steep. The first round only looks
+            // for the level.
+            let wavering = slope * waver_mm;
+            scale = sigma.hypot(wavering).max(if round == 0 { 3.0 * scatter } else { 0.0 });
             let [mut n, mut sx, mut sxx, mut sy, mut sxy] = [0.0; 5];
             for (s, r) in samples.iter().zip(&residuals) {
                 let (w, x, y) = (tukey(r / scale), f64::from(s.offset), f64::from(s.value));
@@ -196,6 +202,9 @@ impl Fit {
             sxx += x * x;
         }
         let leverage = sxx / (n * sxx - sx * sx);
+        // Weights that reach farther than noise does lose less: the share lost falls with the fourth power of the reach.
+        let lost = TUKEY_VARIANCE - 1.0;
+        let leverage = leverage * (1.0 + lost * (sigma / scale).powi(4));
         Some(Self { value, slope, sigma, scatter, limit, leverage, kept: n as usize })
     }
 }
@@ -215,7 +224,7 @@ fn rejected(samples: &[Binned], fit: Option<&Fit>) -> Vec<[u32; 2]> {
 /// Bins without enough samples get NaN.
 fn profile(colour: Colour, bins: &[Vec<Binned>], fits: &[Option<Fit>], scatter: f64) -> EdgeProfile {
     let centre = |k: usize| (k as f64 + 0.5) * BIN_MM - HALF_CROP_MM;
-    let error = |f: &Fit| f.sigma * scatter * (f.leverage * TUKEY_VARIANCE).sqrt();
+    let error = |f: &Fit| f.sigma * scatter * f.leverage.sqrt();
     let share = |samples: &Vec<Binned>, f: &Fit| 1.0 - f.kept as f64 / samples.len() as f64;
     let of = |f: &dyn Fn(&Fit) -> f64| fits.iter().map(|fit| fit.as_ref().map_or(f64::NAN, f)).collect();
     EdgeProfile {

@@ -5,7 +5,7 @@
 //! F(x) = d + (l − d) [G(x + w/2) − G(x − w/2)]/w, G(z) = z Φ(z/σ) + σ φ(z/σ).
 
 use crate::estimate::Estimate;
-use crate::least_squares::{Normal, tukey};
+use crate::least_squares::Normal;
 
 /// An edge in bins: their width w, the distance within which it is fitted, and place, value, error of each. Any unit of
 /// length, told by the results.
@@ -46,22 +46,18 @@ pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
         0.0,
         0.0,
     ];
-    let mut inflation = 1.0;
     let mut found = None;
     let mut reduced = 1.0;
     for _ in 0..25 {
+        // Dust was rejected in the bins. Here all counts: a curve that is not quite such an edge is no outlier.
         let mut normal = Normal::new(p.len());
-        let (mut chi, mut weights) = (0.0, 0.0);
+        let mut chi = 0.0;
         for [x, v, e] in &points {
             let r = v - model(&p, *x, width);
-            let w = tukey(r / (e * inflation));
-            chi += w * (r / e).powi(2);
-            weights += w;
-            normal.add(&gradient(&p, *x, width), r, w / (e * e));
+            chi += (r / e).powi(2);
+            normal.add(&gradient(&p, *x, width), r, 1.0 / (e * e));
         }
-        reduced = chi / (weights - p.len() as f64).max(1.0);
-        // An edge that is not quite such a curve has larger errors, not outliers.
-        inflation = reduced.sqrt().clamp(1.0, 1e3) * 1.5;
+        reduced = chi / (points.len() as f64 - p.len() as f64).max(1.0);
         let solution = normal.solve()?;
         for (p, d) in p.iter_mut().zip(solution.x.iter()) {
             *p += d;

@@ -2,7 +2,7 @@
 
 use super::blurs::blur_px;
 use super::lines::Stretch;
-use super::scan::{Contrast, Point, Run, Scan};
+use super::scan::{Point, Run, Scan};
 use crate::black::Black;
 use crate::estimate::Estimate;
 use crate::frame::Photo;
@@ -57,20 +57,21 @@ impl Seen {
         std::array::from_fn(|i| {
             let points: Vec<Point> = other.stretches[i].iter().flat_map(|s| s.points.clone()).collect();
             let square = self.scan.reach_px * 6.0;
-            displacement(&self.stretches[i], &points, square)
+            displacement(&self.stretches[i], &points, square, self.scan.contrast.range())
         })
     }
 
     /// Looks for the board's edges where a slab leaves them free.
     pub fn free_parts(&self, photo: &Photo, black: &Black) -> FreeParts {
         let mut parts = FreeParts::default();
-        let contrast = Contrast { ..self.scan.contrast };
-        let scan = Scan { contrast, ..self.scan };
+        let (scan, range) = (self.scan, self.scan.contrast.range());
         for (i, run) in RUNS.into_iter().enumerate() {
             let points = scan.run(&photo.frame, black, run);
-            let own: Vec<Point> =
-                points.into_iter().filter(|p| near(&self.stretches[i], p, NEAR_PX).is_some()).collect();
-            parts.moved_px[i] = displacement(&self.stretches[i], &own, NEAR_PX);
+            let own: Vec<Point> = points
+                .into_iter()
+                .filter(|p| near(&self.stretches[i], p, NEAR_PX, range).is_some())
+                .collect();
+            parts.moved_px[i] = displacement(&self.stretches[i], &own, NEAR_PX, range);
             let slope = self.stretches[i].first().map_or(0.0, |s| s.slope);
             let mut sorted = own;
             sorted.sort_by(|a, b| a.on.total_cmp(&b.on));
@@ -92,29 +93,36 @@ impl Seen {
 /// Free edges are looked for so near to where they were, in pixels.
 const NEAR_PX: f64 = 12.0;
 
+/// Departure of the dark and the light level beside a free edge from the bare board's, as shares of the contrast: noise,
+/// and flicker of the light. Where a slab or its blurred rim lies on one side, levels depart by more; at these bounds
+/// they shift the edge by less than 0.1 px.
+const LEVELS: [f64; 2] = [0.004, 0.012];
+
 /// Fewest points that tell a movement.
 const POINTS: usize = 6;
 
-/// Where the bare shot shows the edge that a point belongs to, with the levels that it had.
-fn near(stretches: &[Stretch], point: &Point, within: f64) -> Option<f64> {
+/// Where the bare shot shows the edge that a point belongs to, if it lies between the same levels.
+fn near(stretches: &[Stretch], point: &Point, within: f64, range: f64) -> Option<f64> {
     stretches
         .iter()
         .filter(|s| s.rises == point.rises && (s.from() - 2.0..=s.to() + 2.0).contains(&point.on))
         .find(|s| (s.at(point.on) - point.at).abs() < within)
-        .map(|s| local(s, point.on))
+        .and_then(|s| local(s, point, range))
 }
 
-/// The stretch there, from its points nearby: printed and bent lines are not quite straight.
-fn local(stretch: &Stretch, on: f64) -> f64 {
-    const AROUND: usize = 15;
-    let i = stretch.points.partition_point(|p| p.on < on);
+/// The stretch there, from the points next to it: printed and bent lines are not quite straight.
+fn local(stretch: &Stretch, point: &Point, range: f64) -> Option<f64> {
+    const AROUND: usize = 4;
+    let i = stretch.points.partition_point(|p| p.on < point.on);
     let near = &stretch.points[i.saturating_sub(AROUND)..(i + AROUND).min(stretch.points.len())];
-    let off = near.iter().map(|p| p.at - stretch.at(p.on)).sum::<f64>() / near.len().max(1) as f64;
-    stretch.at(on) + off
+    let mean = |f: &dyn Fn(&Point) -> f64| near.iter().map(f).sum::<f64>() / near.len().max(1) as f64;
+    let like = |a: f64, b: f64, share: f64| (a - b).abs() < share * range;
+    let free = like(point.low, mean(&|p| p.low), LEVELS[0]) && like(point.high, mean(&|p| p.high), LEVELS[1]);
+    free.then(|| stretch.at(point.on) + mean(&|p| p.at - stretch.at(p.on)))
 }
 
-fn displacement(stretches: &[Stretch], points: &[Point], within: f64) -> Option<Estimate> {
-    let off = |p: &Point| near(stretches, p, within).map(|at| p.at - at);
+fn displacement(stretches: &[Stretch], points: &[Point], within: f64, range: f64) -> Option<Estimate> {
+    let off = |p: &Point| near(stretches, p, within, range).map(|at| p.at - at);
     let all: Vec<f64> = points.iter().filter_map(off).collect();
     if all.len() < POINTS {
         return None;

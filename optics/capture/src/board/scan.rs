@@ -27,6 +27,9 @@ pub(crate) struct Point {
     pub on: f64,
     /// Brighter after the edge than before it.
     pub rises: bool,
+    /// Levels on both sides, in numbers above black level.
+    pub low: f64,
+    pub high: f64,
 }
 
 impl Point {
@@ -63,13 +66,17 @@ impl Contrast {
         (light > 30.0 && dark < 0.6 * light).then_some(Self { black: dark, white: light })
     }
 
+    pub fn range(&self) -> f64 {
+        self.white - self.black
+    }
+
     fn middle(&self) -> f64 {
         f64::midpoint(self.black, self.white)
     }
 
     /// Whether levels on both sides of an edge are the board's, within a share of the contrast.
     fn fits(&self, low: f64, high: f64, share: f64) -> bool {
-        let range = self.white - self.black;
+        let range = self.range();
         (low - self.black).abs() < share * range && (high - self.white).abs() < share * range
     }
 }
@@ -118,22 +125,21 @@ impl Scan {
             };
             let values: Vec<f64> = (first..length).step_by(site.step).map(value).collect();
             let line = Samples { values: &values, first: first as f64 + 0.5, pitch: site.step as f64 };
-            let point = |(at, rises)| Point { at, on: on as f64 + 0.5, rises };
-            found.extend(self.crossings(&line).into_iter().map(point));
+            found.extend(self.crossings(&line, on as f64 + 0.5));
         }
         found
     }
 
-    fn crossings(&self, line: &Samples<'_>) -> Vec<(f64, bool)> {
+    fn crossings(&self, line: &Samples<'_>, on: f64) -> Vec<Point> {
         let middle = self.contrast.middle();
         (1..line.values.len())
             .filter(|i| (line.values[i - 1] < middle) != (line.values[*i] < middle))
-            .filter_map(|i| self.place(line, i))
+            .filter_map(|i| self.place(line, i, on))
             .collect()
     }
 
     /// Place of the edge between samples i − 1 and i.
-    fn place(&self, line: &Samples<'_>, i: usize) -> Option<(f64, bool)> {
+    fn place(&self, line: &Samples<'_>, i: usize, on: f64) -> Option<Point> {
         let core = (self.reach_px / line.pitch).ceil() as usize;
         let long = (PLATEAU_PX / line.pitch).ceil() as usize;
         let (from, to) = (i.checked_sub(core)?, i + core);
@@ -149,7 +155,7 @@ impl Scan {
         }
         let sum: f64 = line.values[from..to].iter().map(|v| (right - v) / (right - left)).sum();
         let at = line.first + line.pitch * (from as f64 - 0.5 + sum);
-        Some((at, right > left))
+        Some(Point { at, on, rises: right > left, low, high })
     }
 }
 
