@@ -41,6 +41,19 @@ struct Binned {
     y: u32,
 }
 
+/// Bins of a profile: the usual ones, or finer ones for the blur, since pixels much wider than a bin tell its own place
+/// only where the edge crosses them at many phases.
+#[derive(Debug, Clone, Copy)]
+struct Grid {
+    bins: usize,
+}
+
+impl Grid {
+    fn width_mm(self) -> f64 {
+        2.0 * HALF_CROP_MM / self.bins as f64
+    }
+}
+
 /// All about one channel of one shot.
 #[derive(Debug, Clone)]
 pub(crate) struct Binning {
@@ -63,12 +76,22 @@ pub(crate) struct Third {
 /// Bins of a zone in which thirds are compared.
 const ZONE: usize = 20;
 
+/// The bare edge in bins of a quarter of the usual width, for its blur.
+pub(crate) fn fine(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour) -> EdgeProfile {
+    bin_on(Grid { bins: 4 * BINS }, radiance, edge, colour, 0.0).profile
+}
+
 /// Bins one channel; `origin_mm` is where its edge lies in the frame's coordinates.
 pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
+    bin_on(Grid { bins: BINS }, radiance, edge, colour, origin_mm)
+}
+
+fn bin_on(grid: Grid, radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
     let sites: Vec<Site> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
-    let (bins, clipped) = collect(radiance, edge, &sites, origin_mm);
-    let waver_mm = WAVER_PX * edge.mm_per_px();
-    let fits: Vec<Option<Fit>> = bins.par_iter().map(|samples| Fit::of(samples, waver_mm)).collect();
+    let (bins, clipped) = collect(grid, radiance, edge, &sites, origin_mm);
+    let steps = steps(&bins);
+    let fits: Vec<Option<Fit>> =
+        bins.par_iter().zip(&steps).map(|(samples, step)| Fit::of(samples, *step, grid)).collect();
     let ratios = |f: &Fit| f.scatter / f.sigma;
     let mut known: Vec<f64> = fits.iter().flatten().map(ratios).collect();
     let scatter = if known.is_empty() { 1.0 } else { median(&mut known) };
@@ -76,7 +99,7 @@ pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, ori
     let rejected_px =
         bins.iter().zip(&fits).flat_map(|(samples, fit)| rejected(samples, fit.as_ref())).collect();
     Binning {
-        profile: profile(colour, &bins, &fits, scatter.max(1.0)),
+        profile: profile(grid, colour, &bins, &fits, scatter.max(1.0)),
         rejected_px,
         thirds: thirds(&bins, &fits),
         clipped_share: clipped as f64 / (total + clipped).max(1) as f64,
@@ -85,24 +108,26 @@ pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, ori
 }
 
 fn collect(
+    grid: Grid,
     radiance: &Radiance<'_>,
     edge: &EdgeFrame,
     sites: &[Site],
     origin_mm: f64,
 ) -> (Vec<Vec<Binned>>, usize) {
+    let width_mm = grid.width_mm();
     let corners = edge.crop_px();
     let end = |axis: usize, f: fn(f64, f64) -> f64| corners.iter().map(|c| c[axis]).reduce(f).unwrap_or(0.0);
     let (width, height) = (radiance.frame.width() as f64, radiance.frame.height() as f64);
     let columns = (end(0, f64::min) - 2.0).max(0.0) as usize..(end(0, f64::max) + 2.0).min(width) as usize;
     let rows = (end(1, f64::min) - 2.0).max(0.0) as usize..(end(1, f64::max) + 2.0).min(height) as usize;
-    let empty = || (vec![Vec::new(); BINS], 0);
+    let empty = || (vec![Vec::new(); grid.bins], 0);
     let add_row = |(mut bins, mut clipped): (Vec<Vec<Binned>>, usize), y: usize| {
         for site in sites.iter().filter(|s| (y + s.step - s.row) % s.step == 0) {
             let first = columns.start + (site.column + site.step - columns.start % site.step) % site.step;
             for x in (first..columns.end).step_by(site.step) {
                 let [across, along] = edge.mm([x as f64 + 0.5, y as f64 + 0.5]);
-                let at = (across - origin_mm) / BIN_MM + 0.5 * BINS as f64;
-                if along.abs() > HALF_CROP_MM || !(0.0..BINS as f64).contains(&at) {
+                let at = (across - origin_mm) / width_mm + 0.5 * grid.bins as f64;
+                if along.abs() > HALF_CROP_MM || !(0.0..grid.bins as f64).contains(&at) {
                     continue;
                 }
                 let sample = radiance.sample(*site, x, y);
@@ -111,7 +136,7 @@ fn collect(
                     continue;
                 }
                 bins[at as usize].push(Binned {
-                    offset: ((at.fract() - 0.5) * BIN_MM) as f32,
+                    offset: ((at.fract() - 0.5) * width_mm) as f32,
                     along: along as f32,
                     value: sample.value as f32,
                     variance: sample.variance as f32,
@@ -151,14 +176,23 @@ struct Fit {
     kept: usize,
 }
 
-/// Wavering of an edge that is no reason to reject samples: printers' and scans' edges are made of dots.
-const WAVER_PX: f64 = 0.5;
+/// Largest step from each bin's median to a neighbour's. Edges of printers and scans waver by part of a pixel, and
+/// samples that another bin would hold are no dust.
+fn steps(bins: &[Vec<Binned>]) -> Vec<f64> {
+    let medians: Vec<f64> = bins
+        .par_iter()
+        .map(|samples| median(&mut samples.iter().map(|s| f64::from(s.value)).collect::<Vec<_>>()))
+        .collect();
+    let step = |a: usize, b: usize| (medians[a] - medians[b]).abs();
+    let last = bins.len() - 1;
+    (0..bins.len()).map(|k| step(k, k.saturating_sub(1)).max(step(k, (k + 1).min(last)))).collect()
+}
 
 /// Fewest samples of a bin.
 const SAMPLES: usize = 8;
 
 impl Fit {
-    fn of(samples: &[Binned], waver_mm: f64) -> Option<Self> {
+    fn of(samples: &[Binned], step: f64, grid: Grid) -> Option<Self> {
         if samples.len() < SAMPLES {
             return None;
         }
@@ -172,10 +206,8 @@ impl Fit {
         for round in 0..12 {
             residuals = samples.iter().map(|s| s.residual(value, slope)).collect::<Vec<_>>();
             scatter = spread(&residuals);
-            // An edge that wavers by part of a pixel scatters as the profile is steep. The first round only looks
-            // for the level.
-            let wavering = slope * waver_mm;
-            scale = sigma.hypot(wavering).max(if round == 0 { 3.0 * scatter } else { 0.0 });
+            // The first round only looks for the level.
+            scale = sigma.hypot(step).max(if round == 0 { 3.0 * scatter } else { 0.0 });
             let [mut n, mut sx, mut sxx, mut sy, mut sxy] = [0.0; 5];
             for (s, r) in samples.iter().zip(&residuals) {
                 let (w, x, y) = (tukey(r / scale), f64::from(s.offset), f64::from(s.value));
@@ -186,7 +218,7 @@ impl Fit {
                 sxy += w * x * y;
             }
             let determinant = n * sxx - sx * sx;
-            if determinant <= 1e-6 * n * n * BIN_MM * BIN_MM {
+            if determinant <= 1e-6 * n * n * grid.width_mm().powi(2) {
                 return None;
             }
             value = (sxx * sy - sx * sxy) / determinant;
@@ -222,14 +254,20 @@ fn rejected(samples: &[Binned], fit: Option<&Fit>) -> Vec<[u32; 2]> {
 }
 
 /// Bins without enough samples get NaN.
-fn profile(colour: Colour, bins: &[Vec<Binned>], fits: &[Option<Fit>], scatter: f64) -> EdgeProfile {
-    let centre = |k: usize| (k as f64 + 0.5) * BIN_MM - HALF_CROP_MM;
+fn profile(
+    grid: Grid,
+    colour: Colour,
+    bins: &[Vec<Binned>],
+    fits: &[Option<Fit>],
+    scatter: f64,
+) -> EdgeProfile {
+    let centre = |k: usize| (k as f64 + 0.5) * grid.width_mm() - HALF_CROP_MM;
     let error = |f: &Fit| f.sigma * scatter * f.leverage.sqrt();
     let share = |samples: &Vec<Binned>, f: &Fit| 1.0 - f.kept as f64 / samples.len() as f64;
     let of = |f: &dyn Fn(&Fit) -> f64| fits.iter().map(|fit| fit.as_ref().map_or(f64::NAN, f)).collect();
     EdgeProfile {
         colour,
-        x_mm: (0..BINS).map(centre).collect(),
+        x_mm: (0..grid.bins).map(centre).collect(),
         values: of(&|f| f.value),
         std_errors: of(&error),
         counts: bins.iter().map(|b| b.len() as u32).collect(),

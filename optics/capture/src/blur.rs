@@ -23,8 +23,6 @@ pub(crate) struct EdgeFit {
     pub blur: Estimate,
     pub dark: f64,
     pub light: f64,
-    /// χ² per degree of freedom.
-    pub reduced: f64,
 }
 
 /// None if it is no edge.
@@ -47,17 +45,20 @@ pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
         0.0,
     ];
     let mut found = None;
-    let mut reduced = 1.0;
+    let mut misfit = 0.0;
     for _ in 0..25 {
-        // Dust was rejected in the bins. Here all counts: a curve that is not quite such an edge is no outlier.
+        // Dust was rejected in the bins; here all counts. What no such curve explains is taken to be alike in all bins,
+        // or else the quiet dark side would decide alone.
         let mut normal = Normal::new(p.len());
-        let mut chi = 0.0;
+        let (mut found_squares, mut noise_squares) = (0.0, 0.0);
         for [x, v, e] in &points {
             let r = v - model(&p, *x, width);
-            chi += (r / e).powi(2);
-            normal.add(&gradient(&p, *x, width), r, 1.0 / (e * e));
+            found_squares += r * r;
+            noise_squares += e * e;
+            normal.add(&gradient(&p, *x, width), r, 1.0 / (e * e + misfit));
         }
-        reduced = chi / (points.len() as f64 - p.len() as f64).max(1.0);
+        let share = points.len() as f64 / (points.len() as f64 - p.len() as f64).max(1.0);
+        misfit = ((found_squares * share - noise_squares) / points.len() as f64).max(0.0);
         let solution = normal.solve()?;
         for (p, d) in p.iter_mut().zip(solution.x.iter()) {
             *p += d;
@@ -66,9 +67,8 @@ pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
         found = Some(solution);
     }
     let solution = found?;
-    let factor = reduced.max(1.0).sqrt();
-    let estimate = |i: usize| Estimate::new(p[i], factor * solution.std_error(i));
-    let fitted = EdgeFit { origin: estimate(2), blur: estimate(3), dark: p[0], light: p[1], reduced };
+    let estimate = |i: usize| Estimate::new(p[i], solution.std_error(i));
+    let fitted = EdgeFit { origin: estimate(2), blur: estimate(3), dark: p[0], light: p[1] };
     (fitted.origin.value.abs() < reach && fitted.blur.value.is_finite()).then_some(fitted)
 }
 

@@ -1,6 +1,6 @@
 //! The bare board: where it lies, how the camera blurs it, how bright both sides are.
 
-use crate::bins::{BIN_MM, Binning, EdgeProfile, bin};
+use crate::bins::{Binning, EdgeProfile, bin, fine};
 use crate::blur::{self, EdgeBins};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
@@ -43,6 +43,8 @@ pub struct BareShots<'a> {
     found: Option<Found>,
     cells: Vec<Cells>,
     shots: Vec<ShotReport>,
+    /// In finer bins, per shot.
+    fine: Vec<[EdgeProfile; 3]>,
     warnings: Vec<Warning>,
 }
 
@@ -86,8 +88,8 @@ impl Target {
 impl<'a> BareShots<'a> {
     pub fn new(calibration: &'a Calibration, target: Target) -> Result<Self, Invalid> {
         target.check()?;
-        let (found, cells) = (None, Vec::new());
-        Ok(Self { calibration, target, found, cells, shots: Vec::new(), warnings: Vec::new() })
+        let (cells, shots, fine) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { calibration, target, found: None, cells, shots, fine, warnings: Vec::new() })
     }
 
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
@@ -105,6 +107,7 @@ impl<'a> BareShots<'a> {
         let radiance = Radiance::new(self.calibration, &photo);
         let binnings = Colour::ALL.map(|c| bin(&radiance, &edge_frame, c, 0.0));
         check_clipped(&photo, &binnings, radiance.full)?;
+        self.fine.push(Colour::ALL.map(|c| fine(&radiance, &edge_frame, c)));
         self.cells.push(Cells::of(&radiance, &edge_frame));
         self.shots.push(ShotReport::new(&photo.label, moved_px, blur_px, binnings));
         Ok(())
@@ -118,14 +121,15 @@ impl<'a> BareShots<'a> {
             let (what, count) = ("the bare board".to_owned(), self.shots.len());
             self.warnings.push(Warning::FewShots { what, count });
         }
-        let profiles = Colour::ALL.map(|c| mean(&self.shots, c));
         let label = &self.shots[0].label;
-        let fits = profiles.each_ref().map(|p| fit_edge(p, label));
-        let [red, green, blue] = fits;
+        let of_shots = |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<_>>();
+        let profiles = [0, 1, 2].map(|c| crate::join::mean(&of_shots(c)));
+        let of_fine = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
+        let [red, green, blue] = [0, 1, 2].map(|c| fit_edge(&crate::join::mean(&of_fine(c)), label));
         let fits = [red?, green?, blue?];
         let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
-            let of = |shot: &ShotReport| fit_edge(&shot.profiles[c], label).map(|e| f(&e));
-            let each: Vec<f64> = self.shots.iter().filter_map(|s| of(s).ok()).collect();
+            let each: Vec<f64> =
+                of_fine(c).into_iter().filter_map(|p| fit_edge(p, label).ok()).map(|e| f(&e)).collect();
             spread_of_mean(&each)
         };
         let with = |e: Estimate, spread: f64| Estimate::new(e.value, e.std_error.max(spread));
@@ -191,12 +195,8 @@ fn fit_edge(profile: &EdgeProfile, label: &str) -> Result<blur::EdgeFit, Refusal
         label: label.to_owned(),
         seen: format!("the {} edge is none between two even sides", profile.colour),
     };
-    blur::fit(&EdgeBins { width: BIN_MM, reach: REACH_MM, points }).ok_or_else(no_edge)
-}
-
-fn mean(shots: &[ShotReport], colour: Colour) -> EdgeProfile {
-    let profiles: Vec<&EdgeProfile> = shots.iter().map(|s| &s.profiles[colour.index()]).collect();
-    crate::join::mean(&profiles)
+    let width = profile.x_mm[1] - profile.x_mm[0];
+    blur::fit(&EdgeBins { width, reach: REACH_MM, points }).ok_or_else(no_edge)
 }
 
 fn spread_of_mean(values: &[f64]) -> f64 {
