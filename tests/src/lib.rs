@@ -7,6 +7,7 @@ pub mod cli;
 pub mod farm;
 pub mod grids;
 pub mod hand;
+pub mod photograph;
 pub mod process;
 pub mod proxy;
 pub mod reference;
