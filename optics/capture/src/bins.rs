@@ -122,9 +122,8 @@ fn collect(
     let rows = (end(1, f64::min) - 2.0).max(0.0) as usize..(end(1, f64::max) + 2.0).min(height) as usize;
     let empty = || (vec![Vec::new(); grid.bins], 0);
     let add_row = |(mut bins, mut clipped): (Vec<Vec<Binned>>, usize), y: usize| {
-        for site in sites.iter().filter(|s| (y + s.step - s.row) % s.step == 0) {
-            let first = columns.start + (site.column + site.step - columns.start % site.step) % site.step;
-            for x in (first..columns.end).step_by(site.step) {
+        for site in sites.iter().filter(|s| s.has_row(y)) {
+            for x in (site.column_from(columns.start)..columns.end).step_by(site.step) {
                 let [across, along] = edge.mm([x as f64 + 0.5, y as f64 + 0.5]);
                 let at = (across - origin_mm) / width_mm + 0.5 * grid.bins as f64;
                 if along.abs() > HALF_CROP_MM || !(0.0..grid.bins as f64).contains(&at) {

@@ -62,7 +62,7 @@ impl Darks {
 
     /// Without dark shots, `any` photograph of the session says what level its file tells.
     pub fn finish(self, any: &Photo) -> Result<Black, Refusal> {
-        let Some(last) = &self.last else { return told(any) };
+        let Some(last) = &self.last else { return Black::told(any) };
         Kind::of(last).check(any)?;
         let sites = last.frame.sites();
         let of_site = |lists: &[Vec<f64>], s: usize| lists.iter().map(|l| l[s]).collect::<Vec<_>>();
@@ -114,34 +114,35 @@ impl Black {
         &self.fixed_pattern
     }
 
+    /// What a photograph's own file tells.
+    pub(crate) fn told(photo: &Photo) -> Result<Self, Refusal> {
+        let Some(levels) = photo.levels.black else {
+            return Err(Refusal::BlackUnknown { label: photo.label.clone() });
+        };
+        let sites = photo.frame.sites();
+        let mut warnings = vec![Warning::NoDark];
+        if levels[..sites.len()].iter().all(|l| *l == 0.0) {
+            if photo.frame.pattern() != Pattern::Rgb {
+                let samples = photo.frame.samples();
+                let share = 100.0 * samples.iter().filter(|s| **s == 0).count() as f64 / samples.len() as f64;
+                return Err(Refusal::BlackSubtracted { label: photo.label.clone(), share });
+            }
+            warnings.push(Warning::BlackSubtracted);
+        }
+        Ok(Self {
+            levels: sites.iter().map(|s| Estimate::new(levels[s.index], 1.0)).collect(),
+            fixed_pattern: vec![0.0; sites.len()],
+            map: None,
+            pairs: Pairs::default(),
+            warnings,
+        })
+    }
+
     /// Number of a sample above black.
     pub(crate) fn signal(&self, frame: &Frame, site: Site, x: usize, y: usize) -> f64 {
         let departure = self.map.as_ref().map_or(0.0, |map| f64::from(map[index(frame, site, x, y)]));
         f64::from(frame.at(site, x, y)) - self.levels[site.index].value - departure
     }
-}
-
-fn told(photo: &Photo) -> Result<Black, Refusal> {
-    let Some(levels) = photo.levels.black else {
-        return Err(Refusal::BlackUnknown { label: photo.label.clone() });
-    };
-    let sites = photo.frame.sites();
-    let mut warnings = vec![Warning::NoDark];
-    if levels[..sites.len()].iter().all(|l| *l == 0.0) {
-        if photo.frame.pattern() != Pattern::Rgb {
-            let samples = photo.frame.samples();
-            let share = 100.0 * samples.iter().filter(|s| **s == 0).count() as f64 / samples.len() as f64;
-            return Err(Refusal::BlackSubtracted { label: photo.label.clone(), share });
-        }
-        warnings.push(Warning::BlackSubtracted);
-    }
-    Ok(Black {
-        levels: sites.iter().map(|s| Estimate::new(levels[s.index], 1.0)).collect(),
-        fixed_pattern: vec![0.0; sites.len()],
-        map: None,
-        pairs: Pairs::default(),
-        warnings,
-    })
 }
 
 fn index(frame: &Frame, site: Site, x: usize, y: usize) -> usize {

@@ -23,6 +23,7 @@ pub(crate) use edge::{EdgeFrame, HALF_CROP_MM};
 pub(crate) use movement::{check as check_moved, check_blur};
 
 use find::{Found, find};
+pub(crate) use find::{Sharpness, sharpness};
 
 use optics_model::Invalid;
 
@@ -92,6 +93,7 @@ impl<'a> BareShots<'a> {
         Ok(Self { calibration, target, found: None, cells, shots, fine, warnings: Vec::new() })
     }
 
+    #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
         self.calibration.kind.check(&photo)?;
         let found = find(&photo, &self.calibration.black, self.target)?;

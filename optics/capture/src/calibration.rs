@@ -124,14 +124,6 @@ impl<'a> Radiance<'a> {
             clipped: f64::from(self.frame.at(site, x, y)) >= self.full,
         }
     }
-
-    /// Variance of a sample there, had it this value.
-    pub fn variance(&self, site: Site, x: usize, y: usize, value: f64) -> f64 {
-        let c = site.colour.index();
-        let flat = self.calibration.flat.at(site.colour, x as f64 + 0.5, y as f64 + 0.5);
-        let per_unit = flat * self.gain[c] * self.calibration.site_gain[site.index];
-        self.calibration.noise[site.index].variance(value * per_unit + self.veil[c]) / (per_unit * per_unit)
-    }
 }
 
 /// Mean number above black of each channel over the frame, from a share of its samples.

@@ -151,9 +151,8 @@ fn cell(frame: &Frame, black: &Black, colour: Colour, full: f64, k: usize) -> Op
     let skip = (columns.len() * rows.len() / 16_000).isqrt().max(1);
     let (mut sum, mut count) = (0.0, 0.0);
     for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
-        let first = |start: usize, at: usize| start + (at + site.step - start % site.step) % site.step;
-        for y in (first(rows.start, site.row)..rows.end).step_by(site.step * skip) {
-            for x in (first(columns.start, site.column)..columns.end).step_by(site.step * skip) {
+        for y in (site.row_from(rows.start)..rows.end).step_by(site.step * skip) {
+            for x in (site.column_from(columns.start)..columns.end).step_by(site.step * skip) {
                 if f64::from(frame.at(site, x, y)) >= full {
                     return None;
                 }

@@ -165,10 +165,25 @@ impl Frame {
         let count = |side: usize, first: usize| (side - first).div_ceil(site.step);
         (count(self.width, site.column), count(self.height, site.row))
     }
+}
 
-    /// The same width, height and pattern.
-    pub(crate) fn is_like(&self, other: &Self) -> bool {
-        (self.width, self.height, self.pattern) == (other.width, other.height, other.pattern)
+impl Site {
+    /// Whether the site has samples in a row.
+    pub(crate) fn has_row(self, y: usize) -> bool {
+        y >= self.row && (y - self.row).is_multiple_of(self.step)
+    }
+
+    pub(crate) fn has_column(self, x: usize) -> bool {
+        x >= self.column && (x - self.column).is_multiple_of(self.step)
+    }
+
+    /// Its first column from `x` on.
+    pub(crate) fn column_from(self, x: usize) -> usize {
+        x + (self.column + self.step - x % self.step) % self.step
+    }
+
+    pub(crate) fn row_from(self, y: usize) -> usize {
+        y + (self.row + self.step - y % self.step) % self.step
     }
 }
 

@@ -39,6 +39,7 @@ impl<'a> Mountings<'a> {
         Self { calibration, board, what, shots: Vec::new(), means: Vec::new(), warnings: Vec::new() }
     }
 
+    #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
         self.calibration.kind.check(&photo)?;
         let label = &photo.label;

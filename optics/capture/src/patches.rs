@@ -56,6 +56,12 @@ struct Shot {
     sites: Vec<f64>,
 }
 
+/// Light of each sample of an area over the flat, and the mean of each site.
+struct Samples {
+    light: Vec<f64>,
+    per_site: Vec<(usize, f64)>,
+}
+
 #[derive(Debug, Clone, Copy)]
 struct Reading {
     light: f64,
@@ -129,7 +135,7 @@ impl Patches {
         for (i, area) in self.neutral.areas.iter().enumerate() {
             let mut per_channel = [Reading { light: 0.0, std_error: 0.0, veil: 0.0 }; 3];
             for colour in Colour::ALL {
-                let (samples, per_site) = self.samples(photo, *area, i, colour, full)?;
+                let Samples { light: samples, per_site } = self.samples(photo, *area, i, colour, full)?;
                 let (light, std_error) = robust_mean(&samples);
                 let middle = [area.x + 0.5 * area.width, area.y + 0.5 * area.height];
                 let veil = means[colour.index()] / self.flat.at(colour, middle[0], middle[1]);
@@ -145,7 +151,6 @@ impl Patches {
         Ok(Shot { label: photo.label.clone(), seconds: photo.seconds, readings, sites: of_sites })
     }
 
-    /// Light of each sample of an area, and the mean of each site.
     fn samples(
         &self,
         photo: &Photo,
@@ -153,7 +158,7 @@ impl Patches {
         index: usize,
         colour: Colour,
         full: f64,
-    ) -> Result<(Vec<f64>, Vec<(usize, f64)>), Refusal> {
+    ) -> Result<Samples, Refusal> {
         let frame = &photo.frame;
         let (right, bottom) = (area.x + area.width, area.y + area.height);
         if right > frame.width() as f64 || bottom > frame.height() as f64 {
@@ -164,13 +169,9 @@ impl Patches {
         let mut per_site = Vec::new();
         let mut clipped = 0_usize;
         for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
-            let first = |from: f64, at: usize| {
-                let from = from.ceil() as usize;
-                from + (at + site.step - from % site.step) % site.step
-            };
             let mut own = Vec::new();
-            for y in (first(area.y, site.row)..bottom as usize).step_by(site.step) {
-                for x in (first(area.x, site.column)..right as usize).step_by(site.step) {
+            for y in (site.row_from(area.y.ceil() as usize)..bottom as usize).step_by(site.step) {
+                for x in (site.column_from(area.x.ceil() as usize)..right as usize).step_by(site.step) {
                     clipped += usize::from(f64::from(frame.at(site, x, y)) >= full);
                     let light = self.flat.at(colour, x as f64 + 0.5, y as f64 + 0.5);
                     own.push(self.black.signal(frame, site, x, y) / light);
@@ -184,7 +185,7 @@ impl Patches {
             let place = format!("patch {}", index + 1);
             return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level: full });
         }
-        Ok((samples, per_site))
+        Ok(Samples { light: samples, per_site })
     }
 
     pub fn finish(self) -> Result<Calibration, Refusal> {

@@ -117,6 +117,12 @@ pub enum Warning {
     HalfChecked { label: String, direction: &'static str },
     #[error("{label}: {share:.1} % of the crop's samples were rejected as dust or scratches")]
     ManyRejected { label: String, share: f64 },
+    #[error(
+        "{label}: the brightest {colour} samples reach {percent:.0} % of the sensor's range; expose longer"
+    )]
+    Dim { label: String, colour: Colour, percent: f64 },
+    #[error("{label}: no free edge of the board tells how sharp it is")]
+    NoFreeEdge { label: String },
     #[error("the photographs are demosaiced: their neighbours are correlated and their errors too small")]
     Demosaiced,
     #[error("noise was told from single photographs, since none was taken twice")]

@@ -33,13 +33,13 @@ pub(super) fn blur_px(
     for point in smooth(points) {
         let on = point.on as usize;
         for site in frame.sites().into_iter().filter(|s| s.colour == Colour::Green) {
-            let own = if run == Run::Down { (site.row, site.column) } else { (site.column, site.row) };
-            if (on + site.step - own.0) % site.step != 0 {
+            if !(if run == Run::Down { site.has_row(on) } else { site.has_column(on) }) {
                 continue;
             }
             let from = (point.at - reach / cosine - 1.0).max(0.0) as usize;
             let to = ((point.at + reach / cosine + 1.0) as usize).min(length);
-            for i in (from..to).filter(|i| (i + site.step - own.1) % site.step == 0) {
+            let has = |i: &usize| if run == Run::Down { site.has_column(*i) } else { site.has_row(*i) };
+            for i in (from..to).filter(has) {
                 let distance = (i as f64 + 0.5 - point.at) * cosine;
                 let bin = (distance / WIDTH + half as f64).floor();
                 if (0.0..2.0 * half as f64).contains(&bin) {

@@ -3,10 +3,11 @@
 use super::Target;
 use super::edge::{EdgeFrame, EdgeLine, choose, dark_side, place};
 use super::lines::{BoardLine, Stretch, number, stretches};
-use super::movement::Seen;
+use super::movement::{Seen, check_shake};
 use super::pose;
 use super::scan::{Contrast, Run, Scan};
 use crate::black::Black;
+use crate::estimate::Estimate;
 use crate::frame::Photo;
 use crate::refusal::Refusal;
 
@@ -64,6 +65,23 @@ pub(crate) fn find(photo: &Photo, black: &Black, target: Target) -> Result<Found
     let (edge_frame, edge) = place(&photo.label, line, stretch, fitted.pose, target.square_mm, size)?;
     let corners_px = corners(&down, &across, &fitted.pose, size);
     Ok(Found { edge_frame, edge, scale_std_error: fitted.scale_std_error, corners_px, seen })
+}
+
+/// Blur of edges that run up and down, and across the frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sharpness {
+    pub blur_px: [Option<Estimate>; 2],
+}
+
+/// How sharp the longest edges of a photograph are; refuses one that was shaken.
+pub(crate) fn sharpness(photo: &Photo, black: &Black) -> Result<Sharpness, Refusal> {
+    let Some(contrast) = Contrast::of(&photo.frame, black) else {
+        return Ok(Sharpness { blur_px: [None; 2] });
+    };
+    let (scan, [down, across]) = look(photo, black, contrast);
+    let seen = Seen::new(photo, black, scan, [&down, &across]);
+    check_shake(&photo.label, &seen)?;
+    Ok(Sharpness { blur_px: [seen.blur_of(Run::Down), seen.blur_of(Run::Across)] })
 }
 
 /// Scans, and again where the edge is so blurred that its plateaus begin farther off.

@@ -39,7 +39,6 @@ pub(crate) struct Fitted {
     pub pose: Pose,
     /// Relative standard error of lengths in the frame's middle.
     pub scale_std_error: f64,
-    pub residual_px: f64,
 }
 
 impl Pose {
@@ -121,7 +120,7 @@ pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> R
         }
     }
     let scale_std_error = best.scale_error();
-    Ok(Fitted { pose: best.pose, scale_std_error, residual_px: best.sigma })
+    Ok(Fitted { pose: best.pose, scale_std_error })
 }
 
 /// From the first two lines of a run that has two.

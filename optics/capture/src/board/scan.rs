@@ -112,11 +112,11 @@ impl Scan {
         let greens = frame.sites().into_iter().filter(|s| s.colour == Colour::Green);
         let mut found = Vec::new();
         for site in greens {
-            let (first, own) = match run {
-                Run::Down => (site.column, site.row),
-                Run::Across => (site.row, site.column),
+            let (first, scanned) = match run {
+                Run::Down => (site.column, site.has_row(on)),
+                Run::Across => (site.row, site.has_column(on)),
             };
-            if (on + site.step - own) % site.step != 0 {
+            if !scanned {
                 continue;
             }
             let value = |i: usize| match run {

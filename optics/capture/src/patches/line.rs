@@ -77,7 +77,7 @@ fn channel(
         let expected = k * rho + glare * reading.veil;
         patch.deviation[c] = reading.light / expected - 1.0;
         let own = (neutral.std_error * rho * k).hypot(reading.std_error) / expected;
-        if !(patch.deviation[c].abs() <= NOT_LINEAR.max(3.0 * own)) {
+        if patch.deviation[c].is_nan() || patch.deviation[c].abs() > NOT_LINEAR.max(3.0 * own) {
             let deviation = 100.0 * patch.deviation[c];
             return Err(Refusal::NotLinear { colour, patch: i + 1, rho, deviation });
         }
