@@ -274,27 +274,29 @@ fn profile(
     }
 }
 
-/// Mean departure of each third along the edge from the bins' lines, by zones.
+/// Departure of each third along the edge from the bins' lines, by zones: means without a twelfth at either end, so that
+/// specks of dust do not count, but a bubble does that single bins would reject.
 fn thirds(bins: &[Vec<Binned>], fits: &[Option<Fit>]) -> Vec<Third> {
     let mut found = Vec::new();
     for (zone, (bins, fits)) in bins.chunks(ZONE).zip(fits.chunks(ZONE)).enumerate() {
-        let mut sums = [[0.0; 3]; 3];
+        let mut residuals = [const { Vec::new() }; 3];
+        let mut variances = [0.0; 3];
         for (samples, fit) in bins.iter().zip(fits) {
             let Some(fit) = fit else { continue };
             for s in samples {
-                let r = s.residual(fit.value, fit.slope);
                 let third = (f64::from(s.along) / HALF_CROP_MM * 1.5 + 1.5).clamp(0.0, 2.0) as usize;
-                let weight = tukey(r / fit.limit * 4.685);
-                let sum = &mut sums[third];
-                sum[0] += weight;
-                sum[1] += weight * r;
-                sum[2] += weight * fit.sigma.powi(2);
+                residuals[third].push(s.residual(fit.value, fit.slope));
+                variances[third] += fit.sigma.powi(2);
             }
         }
         let x_mm = (zone as f64 + 0.5) * ZONE as f64 * BIN_MM - HALF_CROP_MM;
-        for [n, departure, variance] in sums {
-            if n > 30.0 {
-                found.push(Third { x_mm, departure: departure / n, std_error: (variance / n / n).sqrt() });
+        for (mut residuals, variance) in residuals.into_iter().zip(variances) {
+            let (n, cut) = (residuals.len(), residuals.len() / 12);
+            if n > 30 {
+                residuals.sort_by(f64::total_cmp);
+                let kept = &residuals[cut..n - cut];
+                let departure = kept.iter().sum::<f64>() / kept.len() as f64;
+                found.push(Third { x_mm, departure, std_error: variance.sqrt() / n as f64 });
             }
         }
     }

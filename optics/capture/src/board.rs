@@ -1,6 +1,6 @@
 //! The bare board: where it lies, how the camera blurs it, how bright both sides are.
 
-use crate::bins::{Binning, EdgeProfile, bin, fine};
+use crate::bins::{BINS, Binning, EdgeProfile, bin, fine};
 use crate::blur::{self, EdgeBins};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
@@ -109,10 +109,28 @@ impl<'a> BareShots<'a> {
         let radiance = Radiance::new(self.calibration, &photo);
         let binnings = Colour::ALL.map(|c| bin(&radiance, &edge_frame, c, 0.0));
         check_clipped(&photo, &binnings, radiance.full)?;
+        self.check_slanted(&photo, &binnings)?;
         self.fine.push(Colour::ALL.map(|c| fine(&radiance, &edge_frame, c)));
         self.cells.push(Cells::of(&radiance, &edge_frame));
         self.shots.push(ShotReport::new(&photo.label, moved_px, blur_px, binnings));
         Ok(())
+    }
+
+    /// Samples of a colour must meet all bins: the edge has to cross at least one of their steps within the crop.
+    fn check_slanted(&self, photo: &Photo, binnings: &[Binning; 3]) -> Result<(), Refusal> {
+        let Some(found) = &self.found else { return Ok(()) };
+        let fewest = binnings.iter().flat_map(|b| &b.profile.counts).min().copied().unwrap_or(0);
+        let mean = binnings[0].profile.counts.iter().sum::<u32>() / BINS as u32;
+        if 4 * fewest >= mean {
+            return Ok(());
+        }
+        let step = photo.frame.sites()[0].step as f64;
+        let length_px = 2.0 * HALF_CROP_MM / found.edge_frame.mm_per_px();
+        Err(Refusal::NotSlanted {
+            label: photo.label.clone(),
+            angle_deg: found.edge.angle_deg.value,
+            needed_deg: 1.2 * step.atan2(length_px).to_degrees(),
+        })
     }
 
     pub fn finish(mut self) -> Result<Board, Refusal> {

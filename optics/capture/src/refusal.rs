@@ -66,6 +66,11 @@ pub enum Refusal {
     )]
     EdgeBent { label: String, bend_px: f64, allowed_px: f64 },
     #[error(
+        "{label}: the edge is turned by {angle_deg:+.2}° against the pixels, at least {needed_deg:.2}° are needed to \
+         see it at all their phases; turn the board a little"
+    )]
+    NotSlanted { label: String, angle_deg: f64, needed_deg: f64 },
+    #[error(
         "the light drifted by {percent:+.2} % in {colour} between {first} and {last}, 0.5 % are allowed; let the lamps \
          warm up, shoot the patches more often"
     )]

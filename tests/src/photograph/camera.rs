@@ -20,8 +20,10 @@ pub struct Camera {
     pub radial: f64,
     /// Pixel of the board's origin, from the frame's middle.
     pub origin_px: [f64; 2],
-    /// σ of the lens per channel, and that factor on it up and down for shaken shots is told by the shot.
+    /// σ of the lens per channel.
     pub lens_mm: [f64; 3],
+    /// Factor on it up and down: a hand that shook.
+    pub shaken: f64,
     /// Loss of light at the corners.
     pub vignetting: f64,
     /// Relative change of the light across the frame.
@@ -52,6 +54,7 @@ impl Default for Camera {
             radial: 0.0,
             origin_px: [9.3, -6.2],
             lens_mm: [0.028, 0.025, 0.0275],
+            shaken: 1.0,
             vignetting: 0.06,
             slope: [0.03, -0.02],
             glare: 0.004,
@@ -126,7 +129,7 @@ impl Camera {
 /// Light on each pixel of the mosaic, in numbers without noise above black, for lamps of brightness 1.
 #[must_use]
 pub fn expose(camera: &Camera, subject: &Subject) -> Vec<f64> {
-    let image = Image::new(subject, camera.lens_mm);
+    let image = Image::new(subject, camera.lens_mm, camera.shaken);
     let row = |y: usize| {
         let image = &image;
         (0..camera.width).map(move |x| {

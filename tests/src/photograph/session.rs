@@ -16,7 +16,9 @@ pub struct Session {
     sheet: Vec<f64>,
     chart: Vec<f64>,
     bare: Vec<f64>,
-    pub slab: Vec<f64>,
+    slab: Vec<f64>,
+    /// Of the lamps in one shot.
+    pub brightness: Vec<(What, u64, f64)>,
 }
 
 /// Patches of a grey card, in pixels: x, y, width, height.
@@ -44,7 +46,18 @@ impl Session {
             camera,
             board,
             rho,
+            brightness: Vec::new(),
         }
+    }
+
+    /// Shows another slab, or the same one to another camera, to the shots of samples.
+    pub fn lay(&mut self, camera: &Camera, slab: &Slab) {
+        self.slab = expose(camera, &Subject::Slab(slab.clone()));
+    }
+
+    /// Shows the bare board to another camera.
+    pub fn show_bare(&mut self, camera: &Camera, board: &Board) {
+        self.bare = expose(camera, &Subject::Board(board.clone()));
     }
 
     /// Areas well within the patches.
@@ -65,6 +78,11 @@ impl Session {
         }
     }
 
+    fn lamps(&self, what: What, index: u64) -> f64 {
+        let same = |b: &&(What, u64, f64)| b.0 == what && b.1 == index;
+        self.brightness.iter().find(same).map_or(1.0, |b| b.2)
+    }
+
     /// One shot; `flicker` is the standard deviation of the lamps.
     #[must_use]
     pub fn shoot(&self, what: What, index: u64, look: &Look) -> Photo {
@@ -80,7 +98,7 @@ impl Session {
         let shot = Shot {
             label: format!("{label}_{}", index + 1),
             seed,
-            brightness: 1.0 + look.flicker * random.normal(),
+            brightness: self.lamps(what, index) * (1.0 + look.flicker * random.normal()),
             seconds: Some(60.0 * (100 * what as u64 + index) as f64),
             exact: look.exact,
             dust: look.dust.filter(|_| what == What::Slab),

@@ -49,6 +49,8 @@ pub struct Slab {
 pub(super) struct Image {
     subject: Subject,
     sigma_mm: [f64; 3],
+    /// Factor on the blur up and down: a hand that shook.
+    shaken: f64,
     /// Blurred edges on a fine grid.
     tables: Vec<Vec<f64>>,
 }
@@ -57,12 +59,12 @@ const TABLE_REACH_MM: f64 = 40.0;
 const TABLE_STEP_MM: f64 = 2e-4;
 
 impl Image {
-    pub fn new(subject: &Subject, sigma_mm: [f64; 3]) -> Self {
+    pub fn new(subject: &Subject, sigma_mm: [f64; 3], shaken: f64) -> Self {
         let tables = match subject {
             Subject::Slab(slab) => (0..3).map(|c| blurred(slab.edge, c, sigma_mm[c])).collect(),
             _ => Vec::new(),
         };
-        Self { subject: subject.clone(), sigma_mm, tables }
+        Self { subject: subject.clone(), sigma_mm, shaken, tables }
     }
 
     /// Radiance factor at a place of the board's plane that lies at these pixels.
@@ -85,7 +87,7 @@ impl Image {
         let sigma = self.sigma_mm[c];
         let x = mm[0] - board.bow_per_mm * mm[1] * mm[1];
         let sideways = wave(x / board.square_mm, sigma / board.square_mm);
-        let down = wave(mm[1] / board.square_mm + 0.5, sigma / board.square_mm);
+        let down = wave(mm[1] / board.square_mm + 0.5, self.shaken * sigma / board.square_mm);
         let (middle, half) = (0.5 * (board.light[c] + board.dark[c]), 0.5 * (board.light[c] - board.dark[c]));
         middle + half * board.sign * sideways * down
     }
