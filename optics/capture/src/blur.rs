@@ -108,3 +108,37 @@ fn gradient(p: &[f64; 6], x: f64, width: f64) -> [f64; 6] {
         (model(&up, x, width) - model(&down, x, width)) / (2.0 * step)
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An exact edge in bins of 0.03 mm, its origin off by 0.011 mm.
+    fn edge(error: f64) -> EdgeBins {
+        let p = [0.02, 0.8, 0.011, 0.029, 0.0, -0.004];
+        let point = |k: i32| f64::from(k) * 0.03;
+        let points = (-40..=40).map(|k| [point(k), model(&p, point(k), 0.03), error]).collect();
+        EdgeBins { width: 0.03, reach: 0.6, points }
+    }
+
+    #[test]
+    fn an_exact_edge_gives_back_its_place_and_blur() {
+        let found = fit(&edge(1e-3)).unwrap();
+        assert!((found.origin.value - 0.011).abs() < 1e-8, "{found:?}");
+        assert!((found.blur.value - 0.029).abs() < 1e-8, "{found:?}");
+    }
+
+    #[test]
+    fn errors_of_place_and_blur_grow_with_those_of_the_bins() {
+        let [one, two] = [1e-3, 2e-3].map(|e| fit(&edge(e)).unwrap());
+        assert!((two.origin.std_error / one.origin.std_error - 2.0).abs() < 1e-6);
+        assert!((two.blur.std_error / one.blur.std_error - 2.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_does_not_rise_is_no_edge() {
+        let flat =
+            EdgeBins { points: edge(1e-3).points.iter().map(|p| [p[0], 0.5, p[2]]).collect(), ..edge(1e-3) };
+        assert!(fit(&flat).is_none());
+    }
+}

@@ -5,6 +5,7 @@ use crate::blur::{self, EdgeBins};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Photo};
+use crate::least_squares::{Normal, Solution};
 use crate::refusal::{Refusal, Side, Warning};
 use crate::report::ShotReport;
 
@@ -69,6 +70,8 @@ pub struct Board {
     pub dark: [Estimate; 3],
     pub shots: Vec<ShotReport>,
     pub warnings: Vec<Warning>,
+    /// Slope of its light side, relative per 10 mm: of the light that the flat leaves, and of the board itself.
+    pub slope: [Estimate; 3],
     pub(crate) found: Found,
     pub(crate) cells: Cells,
 }
@@ -167,6 +170,7 @@ impl<'a> BareShots<'a> {
             origin_mm,
             light: std::array::from_fn(|c| level(&profiles[c], 1.0)),
             dark: std::array::from_fn(|c| level(&profiles[c], -1.0)),
+            slope: profiles.each_ref().map(slope),
             profiles,
             cells: Cells::mean(&self.cells),
             shots: self.shots,
@@ -238,4 +242,16 @@ fn level(profile: &EdgeProfile, sign: f64) -> Estimate {
     let half = values.len() / 2;
     let [near, far] = [&values[..half], &values[half..]].map(|v| crate::least_squares::robust_mean(v).0);
     Estimate::new(value, noise.hypot(0.25 * (near - far)))
+}
+
+/// Relative slope of the light side per 10 mm, 1 mm from the edge and farther.
+fn slope(profile: &EdgeProfile) -> Estimate {
+    let mut normal = Normal::new(2);
+    for ((x, v), e) in profile.x_mm.iter().zip(&profile.values).zip(&profile.std_errors) {
+        if *x > 1.0 && v.is_finite() {
+            normal.add(&[1.0, x - 3.0], *v, 1.0 / (e * e));
+        }
+    }
+    let per_10_mm = |s: Solution| Estimate::new(10.0 * s.x[1] / s.x[0], 10.0 * s.std_error(1) / s.x[0]);
+    normal.solve().map_or(Estimate::new(0.0, f64::INFINITY), per_10_mm)
 }

@@ -85,6 +85,8 @@ pub(crate) struct Radiance<'a> {
     pub frame: &'a Frame,
     calibration: &'a Calibration,
     pub full: f64,
+    /// M per channel.
+    means: [f64; 3],
     /// γ M per channel.
     veil: [f64; 3],
     gain: [f64; 3],
@@ -104,13 +106,12 @@ impl<'a> Radiance<'a> {
         let means = frame_means(&calibration.black, &photo.frame);
         let veil = std::array::from_fn(|c| calibration.glare[c].value * means[c]);
         let gain = std::array::from_fn(|c| calibration.gain[c].value * light[c]);
-        Self { frame: &photo.frame, calibration, full: saturation(photo), veil, gain }
+        Self { frame: &photo.frame, calibration, full: saturation(photo), means, veil, gain }
     }
 
-    /// M γ's derivative: the radiance factor of the frame's mean, for the error of the glare.
+    /// Radiance factor of the frame's mean, by which an error of the glare is multiplied.
     pub fn mean(&self, colour: Colour) -> f64 {
-        let c = colour.index();
-        frame_means(&self.calibration.black, self.frame)[c] / self.gain[c]
+        self.means[colour.index()] / self.gain[colour.index()]
     }
 
     pub fn sample(&self, site: Site, x: usize, y: usize) -> Sample {

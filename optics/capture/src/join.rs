@@ -117,3 +117,53 @@ fn departure(shot: &EdgeProfile, mean: &EdgeProfile, basis: &[[f64; 4]]) -> ([f6
         .collect();
     (found, left)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Colour;
+
+    fn shot(gain: f64, error: f64, noise: impl Fn(usize) -> f64) -> EdgeProfile {
+        let x_mm: Vec<f64> = (0..360).map(|k| (f64::from(k) + 0.5) / 36.0 - 5.0).collect();
+        let values = x_mm.iter().enumerate().map(|(k, x)| gain * (0.5 + 0.3 * x.tanh()) + noise(k)).collect();
+        EdgeProfile {
+            colour: Colour::Green,
+            x_mm,
+            values,
+            std_errors: vec![error; 360],
+            counts: vec![100; 360],
+            rejected: vec![0.0; 360],
+        }
+    }
+
+    /// Alternating by one standard error: scatter, but not more than noise.
+    fn alternating(sign: f64) -> impl Fn(usize) -> f64 {
+        move |k| if k % 2 == 0 { sign * 1e-3 } else { -sign * 1e-3 }
+    }
+
+    #[test]
+    fn flicker_is_a_gain_and_not_noise() {
+        let shots = [0.997, 1.0, 1.003].map(|g| shot(g, 1e-3, |_| 0.0));
+        let joined = join(&shots.each_ref());
+        assert!((joined.between[0] - 0.003).abs() < 1e-4, "{:?}", joined.between);
+        let expected = 1e-3 / 3.0_f64.sqrt();
+        assert!(joined.profile.std_errors.iter().all(|e| (e / expected - 1.0).abs() < 1e-9));
+    }
+
+    #[test]
+    fn scatter_between_shots_beyond_noise_goes_into_the_errors() {
+        let shots = [shot(1.0, 2e-4, alternating(1.0)), shot(1.0, 2e-4, alternating(-1.0))];
+        let joined = join(&shots.each_ref());
+        // Each is 1e-3 off the mean: two shots have a standard deviation of √2·1e-3, their mean one of 1e-3.
+        assert!(joined.profile.std_errors[20..340].iter().all(|e| (e / 1e-3 - 1.0).abs() < 0.01));
+    }
+
+    #[test]
+    fn one_shot_is_its_own_mean() {
+        let one = shot(1.0, 1e-3, |_| 0.0);
+        let joined = join(&[&one]);
+        let same = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-12;
+        assert!(joined.profile.values.iter().zip(&one.values).all(same));
+        assert_eq!(joined.between, [0.0; 4]);
+    }
+}

@@ -99,8 +99,6 @@ impl<'a> Mountings<'a> {
         let shots = self.shots.len() as f64;
         let mean = |c: usize| self.means.iter().map(|m| m[c]).sum::<f64>() / shots;
         let between = |c: usize, i: usize| joined[c].between[i] / shots.sqrt();
-        let width_mm = calibration.kind.width as f64 * board.mm_per_px.value;
-        let slope = calibration.flat().slope_std_error();
         let black = |c: usize| {
             let levels = calibration.black().levels().iter();
             levels.map(|l| l.std_error).fold(0.0, f64::max) / calibration.gain[c].value
@@ -115,7 +113,7 @@ impl<'a> Mountings<'a> {
             (Source::Linearity, calibration.linearity),
             (Source::Black, per_channel(&|c| black(c).hypot(between(c, 1)))),
             (Source::Glare, per_channel(&|c| calibration.glare[c].std_error * mean(c))),
-            (Source::Slope, per_channel(&|c| (slope[c] * 10.0 / width_mm).hypot(between(c, 2)))),
+            (Source::Slope, per_channel(&|c| self.slope(c).hypot(between(c, 2)))),
             (
                 Source::Origin,
                 per_channel(&|c| board.origin_mm[c].std_error.hypot(between(c, 3)).hypot(moved)),
@@ -136,6 +134,16 @@ impl<'a> Mountings<'a> {
         of_reference.hypot(of_shot).hypot(gain.std_error / gain.value)
     }
 
+    /// Of the light across the crop, per 10 mm: what shots of the flat leave open, and what the bare board tells that is
+    /// itself even to [`BOARD_SLOPE`].
+    fn slope(&self, c: usize) -> f64 {
+        let width_mm = self.calibration.kind.width as f64 * self.board.mm_per_px.value;
+        let of_flat = self.calibration.flat().slope_std_error()[c] * 10.0 / width_mm;
+        let seen = self.board.slope[c];
+        let of_board = seen.value.hypot(seen.std_error).hypot(BOARD_SLOPE);
+        1.0 / (1.0 / of_flat).hypot(1.0 / of_board)
+    }
+
     /// What may have moved across the edge without being noticed.
     fn unseen_movement_mm(&self) -> f64 {
         let axis = self.board.found.across();
@@ -145,6 +153,9 @@ impl<'a> Mountings<'a> {
         mean * self.board.mm_per_px.value
     }
 }
+
+/// Relative slope per 10 mm that a printed square may have itself.
+const BOARD_SLOPE: f64 = 0.001;
 
 /// Where a movement across the edge cannot be seen, one of this many pixels is allowed for: half of what would refuse.
 const UNSEEN_PX: f64 = 0.05;

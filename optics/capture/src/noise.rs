@@ -186,3 +186,57 @@ fn group(blocks: &[Block]) -> (Block, f64) {
     let middle = Block { signal: of(|b| b.signal), variance: of(|b| b.variance) / correction };
     (middle, freedom * blocks.len() as f64 * std::f64::consts::FRAC_2_PI)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Pattern;
+
+    /// Numbers by a linear congruence, summed to nearly normal ones.
+    fn normal(state: &mut u64) -> f64 {
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            sum += (*state >> 11) as f64 / (1_u64 << 53) as f64;
+        }
+        sum
+    }
+
+    /// Eight grey stripes with σ_r = 4 and K = 0.7 over a black level of 100.
+    fn frame(seed: u64) -> Frame {
+        let mut state = seed;
+        let samples = (0..512 * 256)
+            .map(|i| {
+                let signal = 500.0 * f64::from(i % 512 / 64);
+                let sigma = (16.0 + 0.7 * signal).sqrt();
+                (100.0 + signal + sigma * normal(&mut state)).round().max(0.0) as u16
+            })
+            .collect();
+        let mosaic = Pattern::Bayer([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]);
+        Frame::new(512, 256, mosaic, samples).unwrap()
+    }
+
+    #[test]
+    fn pairs_tell_noise_without_light_and_numbers_per_electron() {
+        let (a, b) = (frame(1), frame(2));
+        let mut pairs = Pairs::default();
+        pairs.add(&a, &b, &[Estimate::new(100.0, 0.0); 4], 60_000.0);
+        for noise in pairs.fit(&a.sites()).unwrap() {
+            // Rounding adds a twelfth to the variance.
+            let read = (16.0_f64 + 1.0 / 12.0).sqrt();
+            assert!((noise.gain.value / 0.7 - 1.0).abs() < 0.03, "{noise:?}");
+            assert!((noise.read.value / read - 1.0).abs() < 0.03, "{noise:?}");
+            assert!((noise.gain.value - 0.7).abs() < 4.0 * noise.gain.std_error, "{noise:?}");
+        }
+    }
+
+    #[test]
+    fn a_single_frame_serves_where_nothing_was_taken_twice() {
+        let a = frame(3);
+        let mut pairs = Pairs::default();
+        pairs.add_single(&a, &[Estimate::new(100.0, 0.0); 4], 60_000.0);
+        assert!(!pairs.has_pairs());
+        let found = pairs.fit(&a.sites()).unwrap();
+        assert!(found.iter().all(|n| (n.gain.value / 0.7 - 1.0).abs() < 0.05), "{found:?}");
+    }
+}

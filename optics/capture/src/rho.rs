@@ -52,3 +52,18 @@ impl Board {
         Ok(found)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rho_comes_back_from_how_it_looks_with_its_error() {
+        let shown = Shown { s: 0.004, a: 0.55, b: 0.45 };
+        let apparent = |rho: f64| shown.s + shown.a * rho / (1.0 - shown.b * rho);
+        let found = shown.rho(Estimate::new(apparent(0.985), 1e-3));
+        assert!((found.value - 0.985).abs() < 1e-12);
+        let slope = (apparent(0.986) - apparent(0.984)) / 0.002;
+        assert!((found.std_error * slope / 1e-3 - 1.0).abs() < 1e-4, "{found:?}");
+    }
+}

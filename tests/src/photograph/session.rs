@@ -7,7 +7,7 @@ use super::noise::Random;
 use super::subject::{Board, Slab, Subject};
 
 /// A set-up with its subjects exposed once, to be shot as often as wished.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Session {
     pub camera: Camera,
     pub board: Board,

@@ -55,7 +55,10 @@ pub(super) struct Image {
     tables: Vec<Vec<f64>>,
 }
 
-const TABLE_REACH_MM: f64 = 40.0;
+/// Standard deviations beyond which an edge is no longer blurred, to 10⁻¹⁰.
+const FAR: f64 = 6.5;
+
+const TABLE_REACH_MM: f64 = 20.0;
 const TABLE_STEP_MM: f64 = 2e-4;
 
 impl Image {
@@ -83,6 +86,10 @@ impl Image {
         }
     }
 
+    pub fn is_dark(&self) -> bool {
+        matches!(self.subject, Subject::Nothing)
+    }
+
     fn board(&self, board: &Board, c: usize, mm: [f64; 2]) -> f64 {
         let sigma = self.sigma_mm[c];
         let x = mm[0] - board.bow_per_mm * mm[1] * mm[1];
@@ -95,8 +102,15 @@ impl Image {
     fn slab(&self, slab: &Slab, c: usize, mm: [f64; 2]) -> f64 {
         let sigma = self.sigma_mm[c];
         let [left, right, top, bottom] = slab.rim_mm;
-        let side = |z: f64| 0.5 * erfc(-z / (sigma * std::f64::consts::SQRT_2));
+        let side = |z: f64| match z / sigma {
+            u if u > FAR => 1.0,
+            u if u < -FAR => 0.0,
+            u => 0.5 * erfc(-u / std::f64::consts::SQRT_2),
+        };
         let cover = side(mm[0] - left) * side(right - mm[0]) * side(mm[1] - top) * side(bottom - mm[1]);
+        if cover == 0.0 {
+            return self.board(&slab.board, c, mm);
+        }
         let x = slab.board.sign * (mm[0] - slab.board.bow_per_mm * mm[1] * mm[1]);
         let mut covered = lookup(&self.tables[c], x);
         if let Some((at, radius, factor)) = slab.bubble {
@@ -113,6 +127,9 @@ impl Image {
 /// A square wave of period 2, +1 between 0 and 1, behind a Gaussian.
 fn wave(x: f64, sigma: f64) -> f64 {
     let nearest = x.round();
+    if (x - nearest).abs() > FAR * sigma {
+        return if (x.floor() as i64).rem_euclid(2) == 0 { 1.0 } else { -1.0 };
+    }
     let rises = if (nearest as i64).rem_euclid(2) == 0 { 1.0 } else { -1.0 };
     rises * (1.0 - erfc((x - nearest) / (sigma * std::f64::consts::SQRT_2)))
 }
@@ -123,7 +140,7 @@ fn blurred(edge: Edge, c: usize, sigma: f64) -> Vec<f64> {
     let jump = 0.5 * (edge(c, 1e-9) - edge(c, -1e-9));
     let middle = 0.5 * (edge(c, 1e-9) + edge(c, -1e-9));
     let smooth = |x: f64| edge(c, x) - middle - if x > 0.0 { jump } else { -jump };
-    let (nodes, reach) = (240_i32, 6.0);
+    let (nodes, reach) = (120_i32, 6.0);
     let kernel: Vec<(f64, f64)> = (-nodes..=nodes)
         .map(|k| f64::from(k) * reach / f64::from(nodes))
         .map(|u| (u * sigma, (-0.5 * u * u).exp()))

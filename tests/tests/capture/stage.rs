@@ -21,12 +21,6 @@ pub fn white(channel: usize, x_mm: f64) -> f64 {
     leaking(x_mm, low, high, step, reach)
 }
 
-/// A dark resin's.
-pub fn dark(channel: usize, x_mm: f64) -> f64 {
-    let high = [0.03, 0.12, 0.4][channel];
-    leaking(x_mm, 0.02, high, 0.6 * (high - 0.02), 0.4)
-}
-
 fn leaking(x: f64, low: f64, high: f64, step: f64, reach: f64) -> f64 {
     let rest = 0.5 * (high - low - step);
     if x < 0.0 { low + rest * (x / reach).exp() } else { high - rest * (-x / reach).exp() }

@@ -44,8 +44,7 @@ pub(crate) fn find(photo: &Photo, black: &Black, target: Target) -> Result<Found
     let none = |seen: String| Refusal::NoBoard { label: photo.label.clone(), seen };
     let contrast =
         Contrast::of(frame, black).ok_or_else(|| none("black and white are not told apart".into()))?;
-    let (scan, [down, across]) = look(photo, black, contrast);
-    let seen = Seen::new(photo, black, scan, [&down, &across]);
+    let ([down, across], seen) = look(photo, black, contrast);
     let middle = [0.5 * size[0], 0.5 * size[1]];
     let number = |found: Vec<Stretch>, on: f64| number(found, on).map_err(&none);
     let (down, across) = (number(down, middle[1])?, number(across, middle[0])?);
@@ -78,29 +77,29 @@ pub(crate) fn sharpness(photo: &Photo, black: &Black) -> Result<Sharpness, Refus
     let Some(contrast) = Contrast::of(&photo.frame, black) else {
         return Ok(Sharpness { blur_px: [None; 2] });
     };
-    let (scan, [down, across]) = look(photo, black, contrast);
-    let seen = Seen::new(photo, black, scan, [&down, &across]);
+    let (_, seen) = look(photo, black, contrast);
     check_shake(&photo.label, &seen)?;
     Ok(Sharpness { blur_px: [seen.blur_of(Run::Down), seen.blur_of(Run::Across)] })
 }
 
 /// Scans, and again where the edge is so blurred that its plateaus begin farther off.
-fn look(photo: &Photo, black: &Black, contrast: Contrast) -> (Scan, [Vec<Stretch>; 2]) {
+fn look(photo: &Photo, black: &Black, contrast: Contrast) -> ([Vec<Stretch>; 2], Seen) {
     let shortest = SHORTEST * photo.frame.width().min(photo.frame.height()) as f64;
     let mut scan = Scan { contrast, reach_px: REACH_PX, share: SHARE };
-    let mut found = [const { Vec::new() }; 2];
-    for _ in 0..3 {
-        found =
+    loop {
+        let found =
             [Run::Down, Run::Across].map(|run| stretches(&scan.run(&photo.frame, black, run), run, shortest));
-        let blur = Seen::new(photo, black, scan, [&found[0], &found[1]]).widest();
-        let needed = blur.map_or(2.5 * scan.reach_px, |b| (4.5 * b).min(40.0));
-        if needed <= scan.reach_px * 1.05 {
-            break;
+        let seen = Seen::new(photo, black, scan, [&found[0], &found[1]]);
+        let needed = seen.widest().map_or(2.5 * scan.reach_px, |b| (4.5 * b).min(WIDEST_PX));
+        if needed <= scan.reach_px * 1.05 || scan.reach_px >= WIDEST_PX {
+            return (found, seen);
         }
-        scan.reach_px = needed;
+        scan.reach_px = needed.min(WIDEST_PX);
     }
-    (scan, found)
 }
+
+/// Farthest that plateaus may begin, in pixels: an edge more blurred than that is none.
+const WIDEST_PX: f64 = 40.0;
 
 fn corners(down: &[BoardLine], across: &[BoardLine], pose: &pose::Pose, size: [f64; 2]) -> Vec<[f64; 2]> {
     let pairs = down.iter().flat_map(|d| across.iter().map(move |a| (d.index, a.index)));

@@ -66,7 +66,16 @@ impl Seen {
         let mut parts = FreeParts::default();
         let (scan, range) = (self.scan, self.scan.contrast.range());
         for (i, run) in RUNS.into_iter().enumerate() {
-            let points = scan.run(&photo.frame, black, run);
+            let end = if run == Run::Down { photo.frame.width() } else { photo.frame.height() };
+            let ranges = |on: f64| {
+                let of = |s: &Stretch| {
+                    let half = NEAR_PX + scan.reach_px + 12.0;
+                    (s.at(on) - half).max(0.0) as usize..((s.at(on) + half).max(0.0) as usize).min(end)
+                };
+                let along = |s: &&Stretch| (s.from() - 2.0..=s.to() + 2.0).contains(&on);
+                self.stretches[i].iter().filter(along).map(of).collect::<Vec<_>>()
+            };
+            let points = scan.within(&photo.frame, black, run, ranges);
             let own: Vec<Point> = points
                 .into_iter()
                 .filter(|p| near(&self.stretches[i], p, NEAR_PX, range).is_some())

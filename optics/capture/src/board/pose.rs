@@ -17,6 +17,9 @@ pub(crate) struct Pose {
 
 const PARAMETERS: usize = 9;
 
+/// Most points that are fitted.
+const TIES: usize = 4000;
+
 /// A point on a numbered line.
 #[derive(Debug, Clone, Copy)]
 struct Tie {
@@ -103,6 +106,9 @@ pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> R
             }
         }
     }
+    // More than this tells no more: lines are long, and their points nearly alike.
+    let skip = ties.len().div_ceil(TIES).max(1);
+    let ties: Vec<Tie> = ties.into_iter().step_by(skip).collect();
     let (d, a) = (down.len(), across.len());
     if d.max(a) < 2 {
         return Err(format!("{d} lines run up and down and {a} across"));
@@ -171,7 +177,11 @@ fn solve(start: Pose, ties: &[Tie], freedom: Freedom) -> Option<State> {
         }
         let step = normal.solve()?;
         freedom.apply(&mut pose, step.x.as_slice());
+        let settled = round > 5 && step.x.amax() < 1e-8;
         solution = Some(step);
+        if settled {
+            break;
+        }
     }
     Some(State { pose, freedom, solution: solution?, sigma })
 }
@@ -255,5 +265,62 @@ impl State {
             }
         }
         variance.max(0.0).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::board::lines::Stretch;
+    use crate::board::scan::Point;
+
+    fn pose(k1: f64) -> Pose {
+        let p = [0.3, 1.2, 0.03, -0.1, -0.03, 1.2, 0.01, -0.02, k1];
+        Pose { centre: [600.0, 400.0], half_diagonal: 721.0, p }
+    }
+
+    #[test]
+    fn pixels_and_squares_go_there_and_back() {
+        let pose = pose(-0.01);
+        for px in [[20.0, 30.0], [600.0, 400.0], [1190.0, 700.0]] {
+            let back = pose.px(pose.squares(px));
+            assert!((back[0] - px[0]).hypot(back[1] - px[1]) < 1e-7, "{px:?} {back:?}");
+        }
+    }
+
+    /// Points of two lines each way, exact.
+    fn lines(pose: &Pose, run: Run) -> Vec<BoardLine> {
+        let line = |index: i32| {
+            let place = |k: i32| {
+                let on = -0.35 + 0.05 * f64::from(k);
+                pose.px(if run == Run::Down { [f64::from(index), on] } else { [on, f64::from(index)] })
+            };
+            let point = |px: [f64; 2]| {
+                let [at, on] = if run == Run::Down { px } else { [px[1], px[0]] };
+                Point { at, on, rises: true, low: 0.0, high: 1.0 }
+            };
+            let points: Vec<Point> = (0..25).map(|k| point(place(k))).collect();
+            let slope = (points[24].at - points[0].at) / (points[24].on - points[0].on);
+            let offset = points[0].at - slope * points[0].on;
+            BoardLine { stretches: vec![Stretch { run, rises: true, points, offset, slope }], index }
+        };
+        vec![line(0), line(1)]
+    }
+
+    #[test]
+    fn a_pose_comes_back_from_two_lines_each_way() {
+        for k1 in [0.0, 0.02] {
+            let truth = pose(k1);
+            let found = fit(&lines(&truth, Run::Down), &lines(&truth, Run::Across), [1200.0, 800.0]).unwrap();
+            let scale = found.pose.pitch([600.0, 400.0]) / truth.pitch([600.0, 400.0]);
+            assert!((scale - 1.0).abs() < 1e-4, "k₁ {k1}: {scale}");
+        }
+    }
+
+    #[test]
+    fn one_line_each_way_tells_no_scale() {
+        let truth = pose(0.0);
+        let one = |run| vec![lines(&truth, run).swap_remove(0)];
+        assert!(fit(&one(Run::Down), &one(Run::Across), [1200.0, 800.0]).is_err());
     }
 }

@@ -4,6 +4,8 @@
 //! a + h Σ (R − v_i)/(R − L), the sum running over samples at pitch h from a on. That is linear in the samples, so noise
 //! does not bias it, and no shape of the blur is assumed.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use crate::black::Black;
@@ -98,23 +100,34 @@ const PLATEAU_PX: f64 = 8.0;
 const LINES: usize = 1200;
 
 impl Scan {
+    /// All edges of a photograph.
     pub fn run(&self, frame: &Frame, black: &Black, run: Run) -> Vec<Point> {
-        let (across, length) = match run {
-            Run::Down => (frame.height(), frame.width()),
-            Run::Across => (frame.width(), frame.height()),
-        };
-        let skip = across.div_ceil(LINES).max(1);
-        let lines: Vec<usize> = (0..across).step_by(skip).collect();
-        lines.par_iter().flat_map_iter(|on| self.line(frame, black, run, *on, length)).collect()
+        let whole = 0..if run == Run::Down { frame.width() } else { frame.height() };
+        self.within(frame, black, run, |_| vec![whole.clone()])
     }
 
-    fn line(&self, frame: &Frame, black: &Black, run: Run, on: usize, length: usize) -> Vec<Point> {
+    /// Edges within some ranges of each row or column.
+    pub fn within<F>(&self, frame: &Frame, black: &Black, run: Run, ranges: F) -> Vec<Point>
+    where
+        F: Fn(f64) -> Vec<Range<usize>> + Sync,
+    {
+        let across = if run == Run::Down { frame.height() } else { frame.width() };
+        let skip = across.div_ceil(LINES).max(1);
+        let lines: Vec<usize> = (0..across).step_by(skip).collect();
+        let line = |on: &usize| {
+            let ranges = ranges(*on as f64 + 0.5).into_iter();
+            ranges.flat_map(|range| self.line(frame, black, run, *on, range)).collect::<Vec<_>>()
+        };
+        lines.par_iter().flat_map_iter(line).collect()
+    }
+
+    fn line(&self, frame: &Frame, black: &Black, run: Run, on: usize, range: Range<usize>) -> Vec<Point> {
         let greens = frame.sites().into_iter().filter(|s| s.colour == Colour::Green);
         let mut found = Vec::new();
         for site in greens {
             let (first, scanned) = match run {
-                Run::Down => (site.column, site.has_row(on)),
-                Run::Across => (site.row, site.has_column(on)),
+                Run::Down => (site.column_from(range.start), site.has_row(on)),
+                Run::Across => (site.row_from(range.start), site.has_column(on)),
             };
             if !scanned {
                 continue;
@@ -123,7 +136,7 @@ impl Scan {
                 Run::Down => black.signal(frame, site, i, on),
                 Run::Across => black.signal(frame, site, on, i),
             };
-            let values: Vec<f64> = (first..length).step_by(site.step).map(value).collect();
+            let values: Vec<f64> = (first..range.end).step_by(site.step).map(value).collect();
             let line = Samples { values: &values, first: first as f64 + 0.5, pitch: site.step as f64 };
             found.extend(self.crossings(&line, on as f64 + 0.5));
         }

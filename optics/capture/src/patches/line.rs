@@ -157,16 +157,24 @@ fn light(shots: &[Shot], brightness: &[[f64; 3]], warnings: &mut Vec<Warning>) -
     Light { at, std_error, shots: shots.len() }
 }
 
-/// The power of ρ by which brightness rises.
+/// Refuses brightness that rises as another power of ρ than the first. Patches in the wrong order follow no power.
 fn check_gamma(neutral: &Neutral, shot: &Shot) -> Result<(), Refusal> {
+    let points: Vec<[f64; 2]> = (neutral.rho.iter().zip(&shot.readings))
+        .map(|(rho, reading)| [libm::log(rho[1]), libm::log(reading[1].light.max(1e-3))])
+        .collect();
     let mut normal = Normal::new(2);
-    for (rho, reading) in neutral.rho.iter().zip(&shot.readings) {
-        normal.add(&[1.0, libm::log(rho[1])], libm::log(reading[1].light.max(1e-3)), 1.0);
+    for [rho, light] in &points {
+        normal.add(&[1.0, *rho], *light, 1.0);
     }
-    let exponent = normal.solve().map_or(1.0, |s| s.x[1]);
-    // Patches in the wrong order give other powers still; a tone curve rises by about 0.45.
-    if exponent > 0.2 && !LINEAR_POWERS.contains(&exponent) {
+    let Some(line) = normal.solve() else { return Ok(()) };
+    let exponent = line.x[1];
+    let residual = |p: &[f64; 2]| (p[1] - line.x[0] - exponent * p[0]).powi(2);
+    let scatter = (points.iter().map(residual).sum::<f64>() / points.len() as f64).sqrt();
+    if exponent > 0.2 && !LINEAR_POWERS.contains(&exponent) && scatter < A_POWER {
         return Err(Refusal::GammaCoded { label: shot.label.clone(), exponent });
     }
     Ok(())
 }
+
+/// Scatter of ln L within which the patches follow a power.
+const A_POWER: f64 = 0.15;
