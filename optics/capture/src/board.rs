@@ -11,7 +11,7 @@ use crate::report::ShotReport;
 
 mod blurs;
 mod cells;
-mod edge;
+pub(crate) mod edge;
 mod find;
 mod lines;
 mod movement;
@@ -20,12 +20,12 @@ mod scan;
 
 pub(crate) use cells::Cells;
 pub use edge::EdgeLine;
-pub(crate) use edge::{EdgeFrame, HALF_CROP_MM};
 pub(crate) use movement::{check as check_moved, check_blur};
 
 use find::{Found, find};
 pub(crate) use find::{Sharpness, sharpness};
 
+use edge::HALF_CROP_MM;
 use optics_model::Invalid;
 
 /// The board as it was made.
