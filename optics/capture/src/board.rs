@@ -99,7 +99,7 @@ impl<'a> BareShots<'a> {
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
         self.calibration.kind.check(&photo)?;
-        let found = find(&photo, &self.calibration.black, self.target)?;
+        let found = find(self.calibration.view(&photo), self.target)?;
         let mut moved_px = [None; 2];
         if let Some(first) = &self.found {
             moved_px = first.seen.movement(&found.seen);
