@@ -57,7 +57,8 @@ fn check_geometry(session: &Session, board: &optics_capture::Board) {
     let origin_px = camera.px_per_mm * 0.5 * (from[0] + to[0]);
     let [a, b] = [[-4.0, 1.0], [4.0, 1.0]].map(|mm| camera.mm(board.to_px(mm[0], mm[1])));
     let scale = (b[0] - a[0]).hypot(b[1] - a[1]) / 8.0 - 1.0;
-    println!("angle off by {angle_deg:+.5}°, origin {origin_px:+.4} px, scale {scale:+.1e}");
+    let stated = board.mm_per_px.std_error / board.mm_per_px.value;
+    println!("angle off by {angle_deg:+.5}°, origin {origin_px:+.4} px, scale {scale:+.1e} ± {stated:.1e}");
     assert!(angle_deg.abs() < 0.02 && origin_px.abs() < 0.1 && scale.abs() < 1e-4);
     for c in 0..3 {
         let blur = board.blur_mm[c].value / told_blur_mm(session, c) - 1.0;
