@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 
-use crate::board::{EdgeFrame, HALF_CROP_MM};
+use crate::board::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
 use crate::frame::{Colour, Site};
 use crate::least_squares::{TUKEY_VARIANCE, median, spread, tukey};

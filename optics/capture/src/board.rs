@@ -11,7 +11,7 @@ use crate::report::ShotReport;
 
 mod blurs;
 mod cells;
-mod edge;
+pub(crate) mod edge;
 mod find;
 mod lines;
 mod movement;
@@ -20,12 +20,12 @@ mod scan;
 
 pub(crate) use cells::Cells;
 pub use edge::EdgeLine;
-pub(crate) use edge::{EdgeFrame, HALF_CROP_MM};
 pub(crate) use movement::{check as check_moved, check_blur};
 
 use find::{Found, find};
 pub(crate) use find::{Sharpness, sharpness};
 
+use edge::HALF_CROP_MM;
 use optics_model::Invalid;
 
 /// The board as it was made.
@@ -99,7 +99,7 @@ impl<'a> BareShots<'a> {
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
         self.calibration.kind.check(&photo)?;
-        let found = find(&photo, &self.calibration.black, self.target)?;
+        let found = find(self.calibration.view(&photo), self.target)?;
         let mut moved_px = [None; 2];
         if let Some(first) = &self.found {
             moved_px = first.seen.movement(&found.seen);

@@ -8,6 +8,7 @@ use crate::kind::Kind;
 use crate::noise::SiteNoise;
 use crate::refusal::Warning;
 use crate::saturation::saturation;
+use crate::view::View;
 
 /// From numbers to radiance factors, with all errors: v = ((S − D) − γ M) / (f k), see [`crate::Patches`].
 #[derive(Debug, Clone)]
@@ -60,6 +61,10 @@ impl Calibration {
 
     pub fn flat(&self) -> &Flat {
         &self.flat
+    }
+
+    pub(crate) fn view<'a>(&'a self, photo: &'a Photo) -> View<'a> {
+        View { photo, black: &self.black, flat: &self.flat }
     }
 }
 
@@ -141,4 +146,18 @@ pub(crate) fn frame_means(black: &Black, frame: &Frame) -> [f64; 3] {
         }
     }
     sums.map(|(sum, count)| sum / f64::max(count, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_is_interpolated_between_references_and_constant_beyond() {
+        let light = Light { at: vec![(10.0, [1.002; 3]), (20.0, [0.998; 3])], std_error: [0.0; 3], shots: 2 };
+        let at = |t: f64| light.relative(Some(t))[1];
+        assert_eq!((at(0.0), at(30.0)), (1.002, 0.998));
+        assert!((at(15.0) - 1.0).abs() < 1e-12 && (at(12.5) - 1.001).abs() < 1e-12);
+        assert_eq!(light.relative(None), [1.0; 3]);
+    }
 }

@@ -3,9 +3,11 @@
 use crate::black::Black;
 use crate::board::{Sharpness, sharpness};
 use crate::estimate::Estimate;
+use crate::flat::Flat;
 use crate::frame::{Colour, Photo};
 use crate::refusal::{Refusal, Warning};
 use crate::saturation::saturation;
+use crate::view::View;
 
 /// What one photograph shows without its session.
 #[derive(Debug, Clone)]
@@ -50,7 +52,7 @@ pub fn check_shot(photo: &Photo) -> Result<ShotCheck, Refusal> {
             check.warnings.push(Warning::Dim { label, colour, percent });
         }
     }
-    let Sharpness { blur_px } = sharpness(photo, &black)?;
+    let Sharpness { blur_px } = sharpness(View { photo, black: &black, flat: &Flat::even() })?;
     check.blur_px = blur_px;
     if blur_px.iter().all(Option::is_none) {
         check.warnings.push(Warning::NoFreeEdge { label: photo.label.clone() });

@@ -83,7 +83,7 @@ impl Flats {
 }
 
 impl Flat {
-    fn even() -> Self {
+    pub(crate) fn even() -> Self {
         Self {
             size: [1.0, 1.0],
             coefficients: [const { Vec::new() }; 3],

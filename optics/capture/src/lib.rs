@@ -23,6 +23,7 @@ mod refusal;
 mod report;
 mod rho;
 mod saturation;
+mod view;
 
 pub use bins::{BIN_MM, BINS, EdgeProfile};
 pub use black::{Black, Darks};

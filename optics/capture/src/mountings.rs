@@ -44,7 +44,7 @@ impl<'a> Mountings<'a> {
         self.calibration.kind.check(&photo)?;
         let label = &photo.label;
         let found = &self.board.found;
-        let free = found.seen.free_parts(&photo, &self.calibration.black);
+        let free = found.seen.free_parts(self.calibration.view(&photo));
         check_moved(label, &free.moved_px)?;
         check_blur(label, &found.seen, &free.blur_px)?;
         match free.moved_px {

@@ -41,6 +41,8 @@ pub struct Camera {
     /// A power by which numbers are bent, 1 in a raw file.
     pub gamma: f64,
     pub tells_black: bool,
+    /// Three samples a pixel instead of a mosaic.
+    pub rgb: bool,
 }
 
 impl Default for Camera {
@@ -67,6 +69,7 @@ impl Default for Camera {
             curve: 0.0,
             gamma: 1.0,
             tells_black: true,
+            rgb: false,
         }
     }
 }
@@ -118,10 +121,21 @@ impl Camera {
         (1.0 + self.slope[0] * u + self.slope[1] * v) * (1.0 - self.vignetting * 2.0 * (u * u + v * v))
     }
 
+    /// Samples of a row.
+    fn stride(&self) -> usize {
+        if self.rgb { 3 * self.width } else { self.width }
+    }
+
+    /// Column, row and channel of a sample.
+    fn place(&self, i: usize) -> (usize, usize, usize) {
+        let (along, y) = (i % self.stride(), i / self.stride());
+        if self.rgb { (along / 3, y, along % 3) } else { (along, y, MOSAIC[along % 2 + 2 * (y % 2)].index()) }
+    }
+
     fn fixed(&self) -> Option<Vec<f32>> {
         let mut random = Random::new(77);
         (self.fixed_pattern > 0.0).then(|| {
-            (0..self.width * self.height).map(|_| (self.fixed_pattern * random.normal()) as f32).collect()
+            (0..self.stride() * self.height).map(|_| (self.fixed_pattern * random.normal()) as f32).collect()
         })
     }
 }
@@ -131,13 +145,14 @@ impl Camera {
 pub fn expose(camera: &Camera, subject: &Subject) -> Vec<f64> {
     let image = Image::new(subject, camera.lens_mm, camera.shaken);
     let row = |y: usize| {
-        let image = &image;
-        (0..camera.width).map(move |x| {
-            let c = MOSAIC[x % 2 + 2 * (y % 2)].index();
-            pixel(camera, image, c, [x as f64, y as f64])
-        })
+        let samples = y * camera.stride()..(y + 1) * camera.stride();
+        let sample = |i: usize| {
+            let (x, y, c) = camera.place(i);
+            pixel(camera, &image, c, [x as f64, y as f64])
+        };
+        samples.map(sample).collect::<Vec<f64>>()
     };
-    let rows: Vec<Vec<f64>> = (0..camera.height).into_par_iter().map(|y| row(y).collect()).collect();
+    let rows: Vec<Vec<f64>> = (0..camera.height).into_par_iter().map(row).collect();
     let mut light = rows.concat();
     veil(camera, &mut light);
     light
@@ -162,7 +177,7 @@ fn pixel(camera: &Camera, image: &Image, c: usize, corner: [f64; 2]) -> f64 {
 
 /// Scatters a share of each channel's mean over the frame.
 fn veil(camera: &Camera, light: &mut [f64]) {
-    let channel = |i: usize| MOSAIC[(i % camera.width) % 2 + 2 * ((i / camera.width) % 2)].index();
+    let channel = |i: usize| camera.place(i).2;
     let mut sums = [[0.0; 2]; 3];
     for (i, v) in light.iter().enumerate() {
         sums[channel(i)][0] += v;
@@ -204,7 +219,8 @@ pub fn develop(camera: &Camera, light: &[f64], shot: &Shot) -> Photo {
             number.round().clamp(0.0, 65_535.0) as u16
         })
         .collect();
-    let frame = Frame::new(camera.width, camera.height, Pattern::Bayer(MOSAIC), samples);
+    let pattern = if camera.rgb { Pattern::Rgb } else { Pattern::Bayer(MOSAIC) };
+    let frame = Frame::new(camera.width, camera.height, pattern, samples);
     let levels = Levels {
         black: camera.tells_black.then_some([camera.black * fine; 4]),
         white: Some(camera.clip * fine),
@@ -236,10 +252,12 @@ fn disc(camera: &Camera, light: &mut [f64], at: [f64; 2], radius: f64, factor: f
     let range = |v: f64, limit: usize| {
         (v - radius).max(0.0) as usize..((v + radius).max(0.0) as usize + 1).min(limit)
     };
+    let planes = camera.stride() / camera.width;
     for y in range(at[1], camera.height) {
         for x in range(at[0], camera.width) {
             if (x as f64 + 0.5 - at[0]).hypot(y as f64 + 0.5 - at[1]) < radius {
-                light[y * camera.width + x] *= factor;
+                let first = y * camera.stride() + planes * x;
+                light[first..first + planes].iter_mut().for_each(|v| *v *= factor);
             }
         }
     }

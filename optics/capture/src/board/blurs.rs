@@ -1,10 +1,10 @@
 //! Blur of an edge across its own points, in pixels.
 
 use super::scan::{Point, Run};
-use crate::black::Black;
 use crate::blur::{self, EdgeBins};
 use crate::estimate::Estimate;
-use crate::frame::{Colour, Frame};
+use crate::frame::Colour;
+use crate::view::View;
 
 /// Width of the bins, in pixels.
 const WIDTH: f64 = 0.25;
@@ -14,8 +14,7 @@ const POINTS: usize = 10;
 
 /// σ of the Gaussian across points on a line at = offset + slope · on, lens and pixel together.
 pub(super) fn blur_px(
-    frame: &Frame,
-    black: &Black,
+    view: View<'_>,
     run: Run,
     points: &[Point],
     slope: f64,
@@ -24,6 +23,7 @@ pub(super) fn blur_px(
     if points.len() < POINTS {
         return None;
     }
+    let frame = view.frame();
     let half = (reach / WIDTH).ceil() as usize;
     let mut sums = vec![[0.0; 3]; 2 * half];
     let (length, cosine) = match run {
@@ -44,7 +44,7 @@ pub(super) fn blur_px(
                 let bin = (distance / WIDTH + half as f64).floor();
                 if (0.0..2.0 * half as f64).contains(&bin) {
                     let (x, y) = if run == Run::Down { (i, on) } else { (on, i) };
-                    let value = black.signal(frame, site, x, y);
+                    let value = view.signal(site, x, y);
                     let value = if point.rises { value } else { -value };
                     let sum = &mut sums[bin as usize];
                     *sum = [sum[0] + 1.0, sum[1] + value, sum[2] + value * value];

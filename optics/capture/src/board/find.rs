@@ -6,10 +6,9 @@ use super::lines::{BoardLine, Stretch, number, stretches};
 use super::movement::{Seen, check_shake};
 use super::pose;
 use super::scan::{Contrast, Run, Scan};
-use crate::black::Black;
 use crate::estimate::Estimate;
-use crate::frame::Photo;
 use crate::refusal::Refusal;
+use crate::view::View;
 
 /// A board in a photograph.
 #[derive(Debug, Clone)]
@@ -38,13 +37,13 @@ pub(super) const REACH_PX: f64 = 5.0;
 /// Departure of a bare board's levels from its common black and white: light that is uneven by so much.
 const SHARE: f64 = 0.2;
 
-pub(crate) fn find(photo: &Photo, black: &Black, target: Target) -> Result<Found, Refusal> {
+pub(crate) fn find(view: View<'_>, target: Target) -> Result<Found, Refusal> {
+    let photo = view.photo;
     let frame = &photo.frame;
     let size = [frame.width() as f64, frame.height() as f64];
     let none = |seen: String| Refusal::NoBoard { label: photo.label.clone(), seen };
-    let contrast =
-        Contrast::of(frame, black).ok_or_else(|| none("black and white are not told apart".into()))?;
-    let ([down, across], seen) = look(photo, black, contrast);
+    let contrast = Contrast::of(view).ok_or_else(|| none("black and white are not told apart".into()))?;
+    let ([down, across], seen) = look(view, contrast);
     let middle = [0.5 * size[0], 0.5 * size[1]];
     let number = |found: Vec<Stretch>, on: f64| number(found, on).map_err(&none);
     let (down, across) = (number(down, middle[1])?, number(across, middle[0])?);
@@ -73,23 +72,22 @@ pub(crate) struct Sharpness {
 }
 
 /// How sharp the longest edges of a photograph are; refuses one that was shaken.
-pub(crate) fn sharpness(photo: &Photo, black: &Black) -> Result<Sharpness, Refusal> {
-    let Some(contrast) = Contrast::of(&photo.frame, black) else {
+pub(crate) fn sharpness(view: View<'_>) -> Result<Sharpness, Refusal> {
+    let Some(contrast) = Contrast::of(view) else {
         return Ok(Sharpness { blur_px: [None; 2] });
     };
-    let (_, seen) = look(photo, black, contrast);
-    check_shake(&photo.label, &seen)?;
+    let (_, seen) = look(view, contrast);
+    check_shake(&view.photo.label, &seen)?;
     Ok(Sharpness { blur_px: [seen.blur_of(Run::Down), seen.blur_of(Run::Across)] })
 }
 
 /// Scans, and again where the edge is so blurred that its plateaus begin farther off.
-fn look(photo: &Photo, black: &Black, contrast: Contrast) -> ([Vec<Stretch>; 2], Seen) {
-    let shortest = SHORTEST * photo.frame.width().min(photo.frame.height()) as f64;
+fn look(view: View<'_>, contrast: Contrast) -> ([Vec<Stretch>; 2], Seen) {
+    let shortest = SHORTEST * view.frame().width().min(view.frame().height()) as f64;
     let mut scan = Scan { contrast, reach_px: REACH_PX, share: SHARE };
     loop {
-        let found =
-            [Run::Down, Run::Across].map(|run| stretches(&scan.run(&photo.frame, black, run), run, shortest));
-        let seen = Seen::new(photo, black, scan, [&found[0], &found[1]]);
+        let found = [Run::Down, Run::Across].map(|run| stretches(&scan.run(view, run), run, shortest));
+        let seen = Seen::new(view, scan, [&found[0], &found[1]]);
         let needed = seen.widest().map_or(2.5 * scan.reach_px, |b| (4.5 * b).min(WIDEST_PX));
         if needed <= scan.reach_px * 1.05 || scan.reach_px >= WIDEST_PX {
             return (found, seen);

@@ -3,11 +3,10 @@
 use super::blurs::blur_px;
 use super::lines::Stretch;
 use super::scan::{Point, Run, Scan};
-use crate::black::Black;
 use crate::estimate::Estimate;
-use crate::frame::Photo;
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
+use crate::view::View;
 
 /// Movement that refuses, in pixels: the bound that the place of the edge is held to. At a quarter of a pixel the
 /// contrast at the edge is wrong by 0.8 %, so here by 0.3 %.
@@ -35,11 +34,11 @@ pub(crate) struct FreeParts {
 const RUNS: [Run; 2] = [Run::Down, Run::Across];
 
 impl Seen {
-    pub fn new(photo: &Photo, black: &Black, scan: Scan, stretches: [&[Stretch]; 2]) -> Self {
+    pub fn new(view: View<'_>, scan: Scan, stretches: [&[Stretch]; 2]) -> Self {
         let blur = |i: usize| {
             let longest = stretches[i].iter().max_by(|a, b| a.length().total_cmp(&b.length()))?;
             let reach = scan.reach_px + 4.0;
-            blur_px(&photo.frame, black, RUNS[i], &longest.points, longest.slope, reach)
+            blur_px(view, RUNS[i], &longest.points, longest.slope, reach)
         };
         Self { scan, blur_px: [blur(0), blur(1)], stretches: stretches.map(<[Stretch]>::to_vec) }
     }
@@ -62,11 +61,11 @@ impl Seen {
     }
 
     /// Looks for the board's edges where a slab leaves them free.
-    pub fn free_parts(&self, photo: &Photo, black: &Black) -> FreeParts {
+    pub fn free_parts(&self, view: View<'_>) -> FreeParts {
         let mut parts = FreeParts::default();
         let (scan, range) = (self.scan, self.scan.contrast.range());
         for (i, run) in RUNS.into_iter().enumerate() {
-            let end = if run == Run::Down { photo.frame.width() } else { photo.frame.height() };
+            let end = if run == Run::Down { view.frame().width() } else { view.frame().height() };
             let ranges = |on: f64| {
                 let of = |s: &Stretch| {
                     let half = NEAR_PX + scan.reach_px + 12.0;
@@ -75,7 +74,7 @@ impl Seen {
                 let along = |s: &&Stretch| (s.from() - 2.0..=s.to() + 2.0).contains(&on);
                 self.stretches[i].iter().filter(along).map(of).collect::<Vec<_>>()
             };
-            let points = scan.within(&photo.frame, black, run, ranges);
+            let points = scan.within(view, run, ranges);
             let own: Vec<Point> = points
                 .into_iter()
                 .filter(|p| near(&self.stretches[i], p, NEAR_PX, range).is_some())
@@ -85,8 +84,7 @@ impl Seen {
             let mut sorted = own;
             sorted.sort_by(|a, b| a.on.total_cmp(&b.on));
             for stretch in super::lines::stretches(&sorted, run, 0.0) {
-                let blur =
-                    blur_px(&photo.frame, black, run, &stretch.points, slope, self.scan.reach_px + 4.0);
+                let blur = blur_px(view, run, &stretch.points, slope, self.scan.reach_px + 4.0);
                 if let Some(blur) = blur.filter(|b| b.std_error < 0.07 * b.value) {
                     let best = parts.blur_px[i].get_or_insert(blur);
                     if blur.std_error < best.std_error {

@@ -17,6 +17,9 @@ pub(crate) struct Pose {
 
 const PARAMETERS: usize = 9;
 
+/// Fall of χ² for which a pose may be freer.
+const PAYS: f64 = 9.0;
+
 /// Most points that are fitted.
 const TIES: usize = 4000;
 
@@ -117,15 +120,20 @@ pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> R
     let unable = || "the board's lines contradict each other".to_owned();
     let mut best = solve(start, &ties, Freedom::Similar).ok_or_else(unable)?;
     let both = d >= 2 && a >= 2;
+    // What a rejected pose would have changed may still be so.
+    let mut open = 0.0_f64;
     for freedom in [Freedom::Projective, Freedom::Radial] {
-        // Each more free pose must pay: by χ² of its residuals, with a margin for residuals that are not normal.
-        if let Some(freer) = both.then(|| solve(best.pose, &ties, freedom)).flatten()
-            && freer.chi_squared(&ties, freer.sigma) + 30.0 < best.chi_squared(&ties, freer.sigma)
-        {
+        let Some(freer) = both.then(|| solve(best.pose, &ties, freedom)).flatten() else { continue };
+        // Each more free pose must pay: by χ² of its residuals, with three standard deviations of one parameter.
+        if freer.chi_squared(&ties, freer.sigma) + PAYS < best.chi_squared(&ties, freer.sigma) {
             best = freer;
+            open = 0.0;
+        } else {
+            open = open
+                .hypot(libm::log(freer.pose.pitch(freer.pose.centre) / best.pose.pitch(best.pose.centre)));
         }
     }
-    let scale_std_error = best.scale_error();
+    let scale_std_error = best.scale_error().hypot(open);
     Ok(Fitted { pose: best.pose, scale_std_error })
 }
 

@@ -8,8 +8,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::black::Black;
-use crate::frame::{Colour, Frame};
+use crate::frame::Colour;
+use crate::view::View;
 
 /// Which way a line of the board runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,13 +52,14 @@ pub(crate) struct Contrast {
 
 impl Contrast {
     /// From the 4th and 96th of a hundred samples; none if these are no two levels.
-    pub fn of(frame: &Frame, black: &Black) -> Option<Self> {
+    pub fn of(view: View<'_>) -> Option<Self> {
+        let frame = view.frame();
         let mut values = Vec::new();
         let skip = (frame.width() * frame.height() / 200_000).isqrt().max(1);
         for site in frame.sites().into_iter().filter(|s| s.colour == Colour::Green) {
             for y in (site.row..frame.height()).step_by(site.step * skip) {
                 for x in (site.column..frame.width()).step_by(site.step * skip) {
-                    values.push(black.signal(frame, site, x, y));
+                    values.push(view.signal(site, x, y));
                 }
             }
         }
@@ -101,28 +102,28 @@ const LINES: usize = 1200;
 
 impl Scan {
     /// All edges of a photograph.
-    pub fn run(&self, frame: &Frame, black: &Black, run: Run) -> Vec<Point> {
-        let whole = 0..if run == Run::Down { frame.width() } else { frame.height() };
-        self.within(frame, black, run, |_| vec![whole.clone()])
+    pub fn run(&self, view: View<'_>, run: Run) -> Vec<Point> {
+        let whole = 0..if run == Run::Down { view.frame().width() } else { view.frame().height() };
+        self.within(view, run, |_| vec![whole.clone()])
     }
 
     /// Edges within some ranges of each row or column.
-    pub fn within<F>(&self, frame: &Frame, black: &Black, run: Run, ranges: F) -> Vec<Point>
+    pub fn within<F>(&self, view: View<'_>, run: Run, ranges: F) -> Vec<Point>
     where
         F: Fn(f64) -> Vec<Range<usize>> + Sync,
     {
-        let across = if run == Run::Down { frame.height() } else { frame.width() };
+        let across = if run == Run::Down { view.frame().height() } else { view.frame().width() };
         let skip = across.div_ceil(LINES).max(1);
         let lines: Vec<usize> = (0..across).step_by(skip).collect();
         let line = |on: &usize| {
             let ranges = ranges(*on as f64 + 0.5).into_iter();
-            ranges.flat_map(|range| self.line(frame, black, run, *on, range)).collect::<Vec<_>>()
+            ranges.flat_map(|range| self.line(view, run, *on, range)).collect::<Vec<_>>()
         };
         lines.par_iter().flat_map_iter(line).collect()
     }
 
-    fn line(&self, frame: &Frame, black: &Black, run: Run, on: usize, range: Range<usize>) -> Vec<Point> {
-        let greens = frame.sites().into_iter().filter(|s| s.colour == Colour::Green);
+    fn line(&self, view: View<'_>, run: Run, on: usize, range: Range<usize>) -> Vec<Point> {
+        let greens = view.frame().sites().into_iter().filter(|s| s.colour == Colour::Green);
         let mut found = Vec::new();
         for site in greens {
             let (first, scanned) = match run {
@@ -133,26 +134,28 @@ impl Scan {
                 continue;
             }
             let value = |i: usize| match run {
-                Run::Down => black.signal(frame, site, i, on),
-                Run::Across => black.signal(frame, site, on, i),
+                Run::Down => view.signal(site, i, on),
+                Run::Across => view.signal(site, on, i),
             };
             let values: Vec<f64> = (first..range.end).step_by(site.step).map(value).collect();
             let line = Samples { values: &values, first: first as f64 + 0.5, pitch: site.step as f64 };
-            found.extend(self.crossings(&line, on as f64 + 0.5));
+            let middle = on as f64 + 0.5;
+            let light = |at| view.light(if run == Run::Down { [at, middle] } else { [middle, at] });
+            found.extend(self.crossings(&line, on as f64 + 0.5, light));
         }
         found
     }
 
-    fn crossings(&self, line: &Samples<'_>, on: f64) -> Vec<Point> {
+    fn crossings(&self, line: &Samples<'_>, on: f64, light: impl Fn(f64) -> f64) -> Vec<Point> {
         let middle = self.contrast.middle();
         (1..line.values.len())
             .filter(|i| (line.values[i - 1] < middle) != (line.values[*i] < middle))
-            .filter_map(|i| self.place(line, i, on))
+            .filter_map(|i| self.place(line, i, on, &light))
             .collect()
     }
 
     /// Place of the edge between samples i − 1 and i.
-    fn place(&self, line: &Samples<'_>, i: usize, on: f64) -> Option<Point> {
+    fn place(&self, line: &Samples<'_>, i: usize, on: f64, light: &impl Fn(f64) -> f64) -> Option<Point> {
         let core = (self.reach_px / line.pitch).ceil() as usize;
         let long = (PLATEAU_PX / line.pitch).ceil() as usize;
         let (from, to) = (i.checked_sub(core)?, i + core);
@@ -160,13 +163,16 @@ impl Scan {
         if from < start + 2 || end < to + 2 {
             return None;
         }
+        let values = line.even(start..end, i, light);
+        let (core, right) = values.split_at(to - start);
+        let (left, core) = core.split_at(from - start);
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-        let (left, right) = (mean(&line.values[start..from]), mean(&line.values[to..end]));
+        let (left, right) = (mean(left), mean(right));
         let (low, high) = (left.min(right), left.max(right));
         if !self.contrast.fits(low, high, self.share) {
             return None;
         }
-        let sum: f64 = line.values[from..to].iter().map(|v| (right - v) / (right - left)).sum();
+        let sum: f64 = core.iter().map(|v| (right - v) / (right - left)).sum();
         let at = line.first + line.pitch * (from as f64 - 0.5 + sum);
         Some(Point { at, on, rises: right > left, low, high })
     }
@@ -176,4 +182,17 @@ struct Samples<'a> {
     values: &'a [f64],
     first: f64,
     pitch: f64,
+}
+
+impl Samples<'_> {
+    fn at(&self, i: usize) -> f64 {
+        self.first + self.pitch * i as f64
+    }
+
+    /// Samples as under the light at sample `middle`: light that rises across plateaus would shift edges.
+    fn even(&self, range: Range<usize>, middle: usize, light: impl Fn(f64) -> f64) -> Vec<f64> {
+        let (first, last) = (light(self.at(range.start)), light(self.at(range.end)));
+        let rise = 2.0 * (last - first) / ((last + first) * (range.end - range.start) as f64);
+        range.map(|k| self.values[k] / (1.0 + rise * (k as f64 - middle as f64))).collect()
+    }
 }
