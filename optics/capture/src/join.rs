@@ -4,6 +4,7 @@
 //! mounting, each with a prior, so that profiles without contrast stay determined. Only what is left is noise.
 
 use crate::bins::EdgeProfile;
+use crate::estimate::Estimate;
 use crate::least_squares::Normal;
 
 /// Standard deviations of gain, zero, slope per 10 mm and place in mm, of one mounting, before anything is seen.
@@ -51,17 +52,18 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
         return Joined { profile, between: [0.0; 4] };
     }
     let basis = basis(&profile);
+    let freedom = shots as f64 - 1.0;
     let mut between = [0.0; 4];
     let mut left = Vec::new();
     for shot in profiles {
-        let (coefficients, residuals) = departure(shot, &profile, &basis);
-        for (sum, c) in between.iter_mut().zip(coefficients) {
-            *sum += c * c;
+        let departure = Departure::of(shot, &profile, &basis);
+        for (sum, c) in between.iter_mut().zip(departure.coefficients) {
+            // What noise alone does to a coefficient is no difference between shots.
+            *sum += c.value * c.value - c.std_error * c.std_error * freedom / shots as f64;
         }
-        left.push(residuals);
+        left.push(departure.left);
     }
-    let freedom = shots as f64 - 1.0;
-    let between = between.map(|sum| (sum / freedom).sqrt());
+    let between = between.map(|sum: f64| (sum / freedom).max(0.0).sqrt());
     let scatter: Vec<f64> = (0..profile.values.len())
         .map(|k| left.iter().map(|r| r[k]).filter(|z| z.is_finite()).map(|z| z * z).sum::<f64>() / freedom)
         .collect();
@@ -92,30 +94,36 @@ fn basis(profile: &EdgeProfile) -> Vec<[f64; 4]> {
         .collect()
 }
 
-/// Coefficients of a shot's departure, and what is left of it in standard errors.
-fn departure(shot: &EdgeProfile, mean: &EdgeProfile, basis: &[[f64; 4]]) -> ([f64; 4], Vec<f64>) {
-    let mut normal = Normal::new(4);
-    for (i, sigma) in PRIOR.iter().enumerate() {
-        let mut row = [0.0; 4];
-        row[i] = 1.0;
-        normal.add(&row, 0.0, sigma.powi(-2));
-    }
-    for (k, row) in basis.iter().enumerate() {
-        let (r, e) = (shot.values[k] - mean.values[k], shot.std_errors[k]);
-        if r.is_finite() && e > 0.0 && row.iter().all(|v| v.is_finite()) {
-            normal.add(row, r, 1.0 / (e * e));
+/// How a shot departs from the mean.
+struct Departure {
+    coefficients: [Estimate; 4],
+    /// What they do not explain, in standard errors.
+    left: Vec<f64>,
+}
+
+impl Departure {
+    fn of(shot: &EdgeProfile, mean: &EdgeProfile, basis: &[[f64; 4]]) -> Self {
+        let mut normal = Normal::new(4);
+        for (i, sigma) in PRIOR.iter().enumerate() {
+            let mut row = [0.0; 4];
+            row[i] = 1.0;
+            normal.add(&row, 0.0, sigma.powi(-2));
         }
+        for (k, row) in basis.iter().enumerate() {
+            let (r, e) = (shot.values[k] - mean.values[k], shot.std_errors[k]);
+            if r.is_finite() && e > 0.0 && row.iter().all(|v| v.is_finite()) {
+                normal.add(row, r, 1.0 / (e * e));
+            }
+        }
+        let of = |s: crate::least_squares::Solution| {
+            std::array::from_fn(|i| Estimate::new(s.x[i], s.std_error(i)))
+        };
+        let coefficients: [Estimate; 4] = normal.solve().map_or([Estimate::default(); 4], of);
+        let explained = |row: &[f64; 4]| row.iter().zip(&coefficients).map(|(b, c)| b * c.value).sum::<f64>();
+        let off = |k: usize| shot.values[k] - mean.values[k] - explained(&basis[k]);
+        let left = (0..basis.len()).map(|k| off(k) / shot.std_errors[k]).collect();
+        Self { coefficients, left }
     }
-    let found: [f64; 4] = normal.solve().map_or([0.0; 4], |s| std::array::from_fn(|i| s.x[i]));
-    let left = basis
-        .iter()
-        .enumerate()
-        .map(|(k, row)| {
-            let explained: f64 = row.iter().zip(found).map(|(b, c)| b * c).sum();
-            (shot.values[k] - mean.values[k] - explained) / shot.std_errors[k]
-        })
-        .collect();
-    (found, left)
 }
 
 #[cfg(test)]

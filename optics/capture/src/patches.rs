@@ -69,6 +69,9 @@ struct Reading {
     veil: f64,
 }
 
+/// Pixels of an area that are read: a white patch is then known to 0.005 %.
+const SAMPLES: f64 = 100_000.0;
+
 impl Neutral {
     /// `rho` per patch and channel, `std_error` relative, `areas` in the same order.
     pub fn new(rho: Vec<[f64; 3]>, std_error: f64, areas: Vec<Area>) -> Result<Self, Invalid> {
@@ -165,13 +168,15 @@ impl Patches {
             let allowed = format!("within the frame of {} × {} pixels", frame.width(), frame.height());
             return Err(Invalid::new(format!("areas_px[{index}]"), format!("{area:?}"), allowed).into());
         }
+        let skip = ((area.width * area.height / SAMPLES).sqrt() as usize).max(1);
         let mut samples = Vec::new();
         let mut per_site = Vec::new();
         let mut clipped = 0_usize;
         for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
+            let step = site.step * skip;
             let mut own = Vec::new();
-            for y in (site.row_from(area.y.ceil() as usize)..bottom as usize).step_by(site.step) {
-                for x in (site.column_from(area.x.ceil() as usize)..right as usize).step_by(site.step) {
+            for y in (site.row_from(area.y.ceil() as usize)..bottom as usize).step_by(step) {
+                for x in (site.column_from(area.x.ceil() as usize)..right as usize).step_by(step) {
                     clipped += usize::from(f64::from(frame.at(site, x, y)) >= full);
                     let light = self.flat.at(colour, x as f64 + 0.5, y as f64 + 0.5);
                     own.push(self.black.signal(frame, site, x, y) / light);

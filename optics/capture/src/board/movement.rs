@@ -83,7 +83,9 @@ impl Seen {
             let slope = self.stretches[i].first().map_or(0.0, |s| s.slope);
             let mut sorted = own;
             sorted.sort_by(|a, b| a.on.total_cmp(&b.on));
-            for stretch in super::lines::stretches(&sorted, run, 0.0) {
+            let mut free = super::lines::stretches(&sorted, run, 0.0);
+            free.sort_by(|a, b| b.length().total_cmp(&a.length()));
+            for stretch in free.iter().take(LONGEST) {
                 let blur = blur_px(view, run, &stretch.points, slope, self.scan.reach_px + 4.0);
                 if let Some(blur) = blur.filter(|b| b.std_error < 0.07 * b.value) {
                     let best = parts.blur_px[i].get_or_insert(blur);
@@ -104,6 +106,9 @@ const NEAR_PX: f64 = 12.0;
 /// and flicker of the light. Where a slab or its blurred rim lies on one side, levels depart by more; at these bounds
 /// they shift the edge by less than 0.1 px.
 const LEVELS: [f64; 2] = [0.004, 0.012];
+
+/// So many of the longest free stretches tell the blur.
+const LONGEST: usize = 3;
 
 /// Fewest points that tell a movement.
 const POINTS: usize = 6;
