@@ -76,7 +76,7 @@ fn text(captured: &Captured, folder: &Path) -> String {
             format!("{:.4}", row.light),
             format!("{:.5}", row.noise),
             format!("{:.1} %", 100.0 * row.rejected),
-            format!("{:.1} ± {:.1}", 1000.0 * row.blur_mm, 1000.0 * row.blur_std_error_mm),
+            format!("{:.1} ± {:.2}", 1000.0 * row.blur_mm, 1000.0 * row.blur_std_error_mm),
             format!("± {:.1}", 1000.0 * row.origin_std_error_mm),
         ]
     });

@@ -44,7 +44,7 @@ fn row(captured: &Captured, sample: &CapturedSample, c: usize, profile: &EdgePro
         format!("{:.4}", ends[1]),
         format!("{:.5}", mean(&profile.std_errors)),
         format!("{:.2} %", 100.0 * mean(&profile.rejected)),
-        format!("{:.1} ± {:.1}", MICROMETRES * blur.value, MICROMETRES * blur.std_error),
+        format!("{:.1} ± {:.2}", MICROMETRES * blur.value, MICROMETRES * blur.std_error),
         format!("0 ± {:.1}", MICROMETRES * origin),
     ];
     format!("<tr>{}</tr>\n", cells.map(|cell| format!("<td>{cell}</td>")).concat())

@@ -25,7 +25,7 @@ fn board(captured: &Captured) -> String {
             board.origin_mm[c].value * 1000.0,
         ];
         format!(
-            "<tr><td class=\"{0}\">{0}</td><td>{1:.1} ± {2:.1}</td><td>{3:+.2}</td><td>{4}</td><td>{5}</td><td>{6}</td><td>{7}</td></tr>",
+            "<tr><td class=\"{0}\">{0}</td><td>{1:.1} ± {2:.2}</td><td>{3:+.2}</td><td>{4}</td><td>{5}</td><td>{6}</td><td>{7}</td></tr>",
             colour.letter(),
             cells[0],
             cells[1],
