@@ -127,9 +127,9 @@ fn sessions_that_cannot_be_are_refused_with_file_and_field_and_nothing_is_writte
     };
     spoilt(
         &|f| {
-            std::fs::remove_file(f.join("chart_1.dng"))
-                .and(std::fs::remove_file(f.join("chart_2.dng")))
-                .unwrap()
+            for name in ["chart_1.dng", "chart_2.dng"] {
+                std::fs::remove_file(f.join(name)).unwrap();
+            }
         },
         &["session file session.toml, line", "neutral.shots[0] = \"chart_*.dng\" is not valid: no such file"],
     );
