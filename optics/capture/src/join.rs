@@ -1,7 +1,9 @@
 //! Joins shots, and tells how much more they differ than noise explains.
 //!
 //! What shot j shows beyond the mean F of all is taken as gⱼ F + zⱼ + sⱼ x F + oⱼ F′: gain, zero, slope and place of one
-//! mounting, each with a prior, so that profiles without contrast stay determined. Only what is left is noise.
+//! mounting, each with a prior, so that profiles without contrast stay determined. Only what is left is noise. A profile
+//! without contrast cannot tell gain from zero: what F explains counts as gain, and of the others only what is at right
+//! angles to those before.
 
 use crate::bins::EdgeProfile;
 use crate::estimate::Estimate;
@@ -63,7 +65,10 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
         }
         left.push(departure.left);
     }
-    let between = between.map(|sum: f64| (sum / freedom).max(0.0).sqrt());
+    let mut between = between.map(|sum: f64| (sum / freedom).max(0.0).sqrt());
+    // Of the zero, what it does beside the gain.
+    let zero = basis.iter().map(|row| row[1] * row[1]).filter(|v| v.is_finite());
+    between[1] *= (zero.sum::<f64>() / basis.len() as f64).sqrt();
     let scatter: Vec<f64> = (0..profile.values.len())
         .map(|k| left.iter().map(|r| r[k]).filter(|z| z.is_finite()).map(|z| z * z).sum::<f64>() / freedom)
         .collect();
@@ -79,19 +84,31 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
     Joined { profile, between }
 }
 
-/// F, 1, x F per 10 mm, F′ per mm.
+/// F, 1, x F per 10 mm, F′ per mm, each at right angles to those before it.
 fn basis(profile: &EdgeProfile) -> Vec<[f64; 4]> {
     const REACH: usize = 3;
     let n = profile.values.len();
     let width = profile.x_mm[1] - profile.x_mm[0];
-    (0..n)
+    let mut rows: Vec<[f64; 4]> = (0..n)
         .map(|k| {
             let (below, above) = (k.saturating_sub(REACH), (k + REACH).min(n - 1));
             let rise = (profile.values[above] - profile.values[below]) / ((above - below) as f64 * width);
             let f = profile.values[k];
             [f, 1.0, 0.1 * profile.x_mm[k] * f, rise]
         })
-        .collect()
+        .collect();
+    for later in 1..4 {
+        for earlier in 0..later {
+            let known = || rows.iter().filter(|row| row.iter().all(|v| v.is_finite()));
+            let product: f64 = known().map(|row| row[later] * row[earlier]).sum();
+            let square: f64 = known().map(|row| row[earlier] * row[earlier]).sum();
+            let share = if square > 0.0 { product / square } else { 0.0 };
+            for row in &mut rows {
+                row[later] -= share * row[earlier];
+            }
+        }
+    }
+    rows
 }
 
 /// How a shot departs from the mean.
@@ -156,6 +173,20 @@ mod tests {
         assert!((joined.between[0] - 0.003).abs() < 1e-4, "{:?}", joined.between);
         let expected = 1e-3 / 3.0_f64.sqrt();
         assert!(joined.profile.std_errors.iter().all(|e| (e / expected - 1.0).abs() < 1e-9));
+    }
+
+    #[test]
+    fn flicker_of_a_profile_without_contrast_is_found_among_noise() {
+        let dull = |gain: f64, sign: f64| {
+            let mut shot = shot(gain, 1e-3, alternating(sign));
+            let noise = alternating(sign);
+            shot.values =
+                (0..360).map(|k| gain * (0.7 + 0.01 * (k as f64 / 180.0 - 1.0)) + noise(k)).collect();
+            shot
+        };
+        let shots = [dull(0.997, 1.0), dull(1.0, -1.0), dull(1.003, 1.0)];
+        let joined = join(&shots.each_ref());
+        assert!((joined.between[0] - 0.003).abs() < 3e-4, "{:?}", joined.between);
     }
 
     #[test]

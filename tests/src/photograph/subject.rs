@@ -86,6 +86,11 @@ impl Image {
         }
     }
 
+    /// Without edges but those of patches, so that the middle of a pixel tells all of it.
+    pub fn is_even(&self) -> bool {
+        matches!(self.subject, Subject::Sheet { .. } | Subject::Patches { .. })
+    }
+
     pub fn is_dark(&self) -> bool {
         matches!(self.subject, Subject::Nothing)
     }

@@ -14,9 +14,9 @@ fn seeds(quick: u64) -> u64 {
 #[test]
 fn a_session_without_noise_gives_the_exact_profile() {
     let session = session();
-    let found = measure(&session, &Look { exact: true, ..PLAIN }, 2).unwrap();
+    let found = measure(session, &Look { exact: true, ..PLAIN }, 2).unwrap();
     for (c, profile) in found.sample.profiles.iter().enumerate() {
-        let sigma = told_blur_mm(&session, c);
+        let sigma = told_blur_mm(session, c);
         let contrast = white(c, 5.0) - white(c, -5.0);
         let (mut edge, mut tails) = (0.0_f64, 0.0_f64);
         for (x, value) in profile.x_mm.iter().zip(&profile.values) {
@@ -32,9 +32,9 @@ fn a_session_without_noise_gives_the_exact_profile() {
 #[test]
 fn geometry_and_constants_of_a_session_come_out() {
     let session = session();
-    let found = measure(&session, &PLAIN, 2).unwrap();
-    report(&session, &found);
-    check_geometry(&session, &found.board);
+    let found = measure(session, &PLAIN, 2).unwrap();
+    report(session, &found);
+    check_geometry(session, &found.board);
     let camera = &session.camera;
     for c in 0..3 {
         assert!(
@@ -128,16 +128,16 @@ fn report(session: &Session, found: &Measured) {
 /// Over independent sessions, the scatter of each bin is what its error states, and neighbours do not move together.
 #[test]
 fn stated_errors_are_those_found() {
-    let session = Session::new(Camera::default(), slab());
+    let session = session();
     let count = seeds(12);
     let mut stated = [0.0; 3];
     let mut profiles: Vec<[Vec<f64>; 3]> = Vec::new();
-    let calibration = crate::stage::calibrate(&session, &PLAIN).unwrap();
-    let board = crate::stage::find(&session, &calibration, &PLAIN).unwrap();
+    let calibration = crate::stage::calibrate(session, &PLAIN).unwrap();
+    let board = crate::stage::find(session, &calibration, &PLAIN).unwrap();
     for seed in 0..count {
         let look = Look { seed: 100 + seed, ..PLAIN };
         let mut sample = optics_capture::Mountings::new(&calibration, &board, "white");
-        for photo in crate::stage::shots(&session, farm_tests::photograph::What::Slab, 2, &look) {
+        for photo in crate::stage::shots(session, farm_tests::photograph::What::Slab, 2, &look) {
             sample.add(photo).unwrap();
         }
         let sample = sample.finish().unwrap();

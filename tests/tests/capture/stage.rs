@@ -40,8 +40,10 @@ pub fn slab() -> Slab {
     Slab { board: board(), edge: white, rim_mm: [-12.0, 12.0, -8.2, 8.2], bubble: None }
 }
 
-pub fn session() -> Session {
-    Session::new(Camera::default(), slab())
+/// The plain session, exposed once for all tests.
+pub fn session() -> &'static Session {
+    static PLAIN: std::sync::OnceLock<Session> = std::sync::OnceLock::new();
+    PLAIN.get_or_init(|| Session::new(Camera::default(), slab()))
 }
 
 /// All shots of one kind.
