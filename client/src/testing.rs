@@ -2,8 +2,9 @@
 
 use optics_model::Medium;
 use optics_model::fit::{
-    Bound, Candidate, Cause, ChannelFit, Design, Ends, HalfWidths, Improvement, Interval, Likelihood,
-    Limitation, Nuisance, NuisanceEstimate, OutlierPixel, PixelRow, Refined, SlabSet, Stretch, Suspicion,
+    Agreement, Bound, Candidate, Cause, ChannelFit, Common, Design, Ends, HalfWidths, Improvement,
+    InkChannel, InkFit, Interval, Likelihood, Limitation, MixtureFit, MixturePart, Nuisance,
+    NuisanceEstimate, OutlierPixel, PixelRow, Refined, SlabSet, Stretch, Suspicion, Unmixed,
 };
 
 /// Two sets at σ_t = 6 / mm and 1 − α = 0.001: 0.5 mm, photographed once, and 0.5 and 1 mm, photographed twice.
@@ -126,5 +127,47 @@ pub(crate) fn likelihood(chi2: f64, probability: f64) -> Likelihood {
             reduced_scattering_per_mm: ends(13.5, 14.5),
             absorption_per_mm: ends(0.000_25, 0.0055),
         },
+    }
+}
+
+/// A strong absorber in white, with a mixture that contradicts it and one beyond the dictionary.
+pub(crate) fn unmixed() -> Unmixed {
+    let closed = |low, high| Interval { low, high, open_low: false, open_high: false };
+    let medium = Medium::new(9.16, 0.0758, 0.46).unwrap();
+    let channel = InkChannel {
+        channel: "R".into(),
+        medium,
+        sigma_t_per_mm: closed(8.69, 9.64),
+        albedo: closed(0.023, 0.126),
+        g: Interval { open_high: true, ..closed(0.398, 0.5) },
+        reduced_scattering_per_mm: closed(0.115, 0.618),
+        absorption_per_mm: closed(8.17, 8.77),
+        resolved: true,
+        from_mixtures: true,
+    };
+    let mixture = |material: &str, pull: Option<f64>, left_out: Option<&str>| MixtureFit {
+        material: material.into(),
+        channel: "R".into(),
+        parts: vec![MixturePart::new("white", 0.5), MixturePart::new("cyan", 0.5)],
+        medium,
+        agreement: pull.map(|pull| Agreement { chi2: 700.0, pixels: 720.0, misfit: 0.98, pull }),
+        left_out: left_out.map(str::to_owned),
+    };
+    Unmixed {
+        common: Common {
+            mu: 0.91,
+            mu_std_error: 0.01,
+            mu_interval: closed(0.89, 0.93),
+            mu_chosen: true,
+            g: Some(0.46),
+            g_interval: Some(closed(0.398, 0.5)),
+            by_g: Vec::new(),
+        },
+        inks: vec![InkFit { material: "cyan".into(), channels: vec![channel] }],
+        mixtures: vec![
+            mixture("pale", Some(1.2), None),
+            mixture("paler", Some(7.31), None),
+            mixture("deep", None, Some("sigma_t_per_mm = 35")),
+        ],
     }
 }

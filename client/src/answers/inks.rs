@@ -95,52 +95,7 @@ fn furthest(mixtures: &[MixtureFit]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use optics_model::Medium;
-    use optics_model::fit::{Common, InkFit, Interval, MixturePart};
-
-    fn closed(low: f64, high: f64) -> Interval {
-        Interval { low, high, open_low: false, open_high: false }
-    }
-
-    fn unmixed() -> Unmixed {
-        let medium = Medium::new(9.16, 0.0758, 0.46).unwrap();
-        let channel = InkChannel {
-            channel: "R".into(),
-            medium,
-            sigma_t_per_mm: closed(8.69, 9.64),
-            albedo: closed(0.023, 0.126),
-            g: Interval { open_high: true, ..closed(0.398, 0.5) },
-            reduced_scattering_per_mm: closed(0.115, 0.618),
-            absorption_per_mm: closed(8.17, 8.77),
-            resolved: true,
-            from_mixtures: true,
-        };
-        let mixture = |material: &str, pull: Option<f64>, left_out: Option<&str>| MixtureFit {
-            material: material.into(),
-            channel: "R".into(),
-            parts: vec![MixturePart::new("white", 0.5), MixturePart::new("cyan", 0.5)],
-            medium,
-            agreement: pull.map(|pull| Agreement { chi2: 700.0, pixels: 720.0, misfit: 0.98, pull }),
-            left_out: left_out.map(str::to_owned),
-        };
-        Unmixed {
-            common: Common {
-                mu: 0.91,
-                mu_std_error: 0.01,
-                mu_interval: closed(0.89, 0.93),
-                mu_chosen: true,
-                g: Some(0.46),
-                g_interval: Some(closed(0.398, 0.5)),
-                by_g: Vec::new(),
-            },
-            inks: vec![InkFit { material: "cyan".into(), channels: vec![channel] }],
-            mixtures: vec![
-                mixture("pale", Some(1.2), None),
-                mixture("paler", Some(7.31), None),
-                mixture("deep", None, Some("sigma_t_per_mm = 35")),
-            ],
-        }
-    }
+    use crate::testing::unmixed;
 
     #[test]
     fn inks_are_told_in_eighty_columns_with_mixtures_that_disagree() {

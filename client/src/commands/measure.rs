@@ -78,7 +78,7 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
     if let Some(folder) = &args.output {
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
-    let options = options.with_mu(found.common.mu, found.common.mu_std_error)?;
+    let options = options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
     let told = || {
         let assumed = assumed.text(options.settings());
         let report = Report { fits: &found.materials, assumed, bound: args.bound };

@@ -74,7 +74,17 @@ fn answers() -> Vec<String> {
         line("workers", &workers::data(&[worker()])),
         line("fit", &fit::data(used(&likely, &assumed), &[with_likelihood()], &[])),
         line("design", &design::data("paper", &design_question(likely), &assumed, &crate::testing::design())),
+        line("measure", &measure::data(used(&likely, &assumed), &with_inks(fits[..1].to_vec()), &[])),
     ]
+}
+
+fn with_inks(materials: Vec<MaterialFit>) -> measure::Found {
+    measure::Found {
+        scale: None,
+        common: common(Some(0.4)),
+        materials,
+        unmixed: Some(crate::testing::unmixed()),
+    }
 }
 
 fn line(kind: &str, data: &impl Serialize) -> String {

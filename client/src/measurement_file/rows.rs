@@ -21,9 +21,17 @@ pub(super) struct Draft {
 
 struct Row {
     line: u64,
-    x_mm: f64,
+    /// None in the one row of a patch.
+    x_mm: Option<f64>,
     value: f64,
     std_error: f64,
+}
+
+impl Row {
+    /// Of a patch it does not matter.
+    fn x(&self) -> f64 {
+        self.x_mm.unwrap_or_default()
+    }
 }
 
 /// Profiles of a file, ordered by material, and the line of each of their pixels.
@@ -59,7 +67,7 @@ fn add(
     let thickness_mm = number(columns.thickness)?;
     let entry = Row {
         line,
-        x_mm: number(columns.x)?,
+        x_mm: Some(columns.x).filter(|c| !row[c.place].is_empty()).map(number).transpose()?,
         value: number(columns.value)?,
         std_error: columns.std_error.map_or(Ok(0.0), number)?,
     };
@@ -136,21 +144,22 @@ pub(super) fn name_colours(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Resul
 /// Rows that do not rise in x are sorted.
 pub(super) fn sort(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
     let (mut falling, mut mixed) = (0, 0);
-    for draft in drafts {
+    // Patches are looked at when they are made.
+    for draft in drafts.iter_mut().filter(|d| d.rows.iter().all(|r| r.x_mm.is_some())) {
         let rows = &mut draft.rows;
-        if rows.windows(2).all(|w| w[1].x_mm < w[0].x_mm) && rows.len() > 1 {
+        if rows.windows(2).all(|w| w[1].x() < w[0].x()) && rows.len() > 1 {
             falling += 1;
             rows.reverse();
-        } else if rows.windows(2).any(|w| w[1].x_mm < w[0].x_mm) {
+        } else if rows.windows(2).any(|w| w[1].x() < w[0].x()) {
             mixed += 1;
-            rows.sort_by(|a, b| a.x_mm.total_cmp(&b.x_mm));
+            rows.sort_by(|a, b| a.x().total_cmp(&b.x()));
         }
-        if let Some(twice) = rows.windows(2).find(|w| w[0].x_mm == w[1].x_mm) {
+        if let Some(twice) = rows.windows(2).find(|w| w[0].x() == w[1].x()) {
             let (first, second) = (twice[0].line.min(twice[1].line), twice[0].line.max(twice[1].line));
             let place = place_of(first, &draft.material, &draft.channel, draft.thickness_mm);
             bail!(
                 "{place}: x_mm = {} stands here and in line {second}: x must be strictly rising, so a profile is given twice or two have the same names",
-                twice[0].x_mm
+                twice[0].x()
             );
         }
     }
@@ -173,12 +182,12 @@ pub(super) fn profiles(drafts: Vec<Draft>, with_errors: bool) -> Result<Profiles
     type Group = (String, Vec<MeasuredProfile>, Vec<Vec<u64>>);
     let mut groups: Vec<Group> = Vec::new();
     for draft in drafts {
-        let lines: Vec<u64> = draft.rows.iter().map(|r| r.line).collect();
-        let take = |f: fn(&Row) -> f64| draft.rows.iter().map(f).collect::<Vec<f64>>();
-        let (x, values) = (take(|r| r.x_mm), take(|r| r.value));
-        let errors = with_errors.then(|| take(|r| r.std_error));
-        let made = MeasuredProfile::new(draft.channel.clone(), draft.thickness_mm, x, values, errors);
-        let made = made.and_then(|p| with_setup(p, draft.setup));
+        let mut lines: Vec<u64> = draft.rows.iter().map(|r| r.line).collect();
+        let made = made(&draft, with_errors)?;
+        if let Ok(profile) = &made {
+            // All pixels of a patch are of its one row.
+            lines.resize(profile.values().len(), lines[0]);
+        }
         let profile = made.map_err(|e| {
             let line = lines[element(&e).unwrap_or(0).min(lines.len() - 1)];
             let place = place_of(line, &draft.material, &draft.channel, draft.thickness_mm);
@@ -199,6 +208,31 @@ pub(super) fn profiles(drafts: Vec<Draft>, with_errors: bool) -> Result<Profiles
         found.lines.push(lines);
     }
     Ok(found)
+}
+
+/// The profile of a draft, or what is wrong with its numbers; a patch if it has no x.
+fn made(draft: &Draft, with_errors: bool) -> Result<optics_model::Result<MeasuredProfile>> {
+    let Draft { channel, thickness_mm, rows, setup, .. } = draft;
+    if let Some(patch) = rows.iter().find(|r| r.x_mm.is_none()) {
+        if rows.len() > 1 {
+            let place = place_of(patch.line, &draft.material, channel, *thickness_mm);
+            bail!(
+                "{place}: x_mm is empty, which means a patch on the light base, but there are {} rows: a patch has one, and another thickness than a profile over the edge",
+                rows.len()
+            );
+        }
+        let std_error = with_errors.then_some(patch.std_error);
+        let made = MeasuredProfile::patch(channel, *thickness_mm, patch.value, std_error);
+        return Ok(made.and_then(|p| {
+            let known = ProfileSetup { thickness_std_error_mm: setup[0], ..*p.setup() };
+            p.with_setup(known)
+        }));
+    }
+    let take = |f: fn(&Row) -> f64| rows.iter().map(f).collect::<Vec<f64>>();
+    let (x, values) = (take(Row::x), take(|r| r.value));
+    let errors = with_errors.then(|| take(|r| r.std_error));
+    let made = MeasuredProfile::new(channel, *thickness_mm, x, values, errors);
+    Ok(made.and_then(|p| with_setup(p, *setup)))
 }
 
 /// The profile with what is known of its set-up, in the order of [`SETUP`].

@@ -223,6 +223,18 @@ fn mistakes_of_the_measurement_are_refused_at_their_lines() {
     );
 }
 
+#[test]
+fn a_row_without_x_is_a_patch() {
+    let found = parse(&(strict() + "white,R,2,,0.61,0.004\n"));
+    let patch = found.materials[0].profiles().last().unwrap();
+    assert!(patch.thickness_mm() == 2.0 && patch.values().iter().all(|v| *v == 0.61));
+    // All its pixels together are as certain as the row.
+    let information: f64 = patch.std_errors().unwrap().iter().map(|e| e.powi(-2)).sum();
+    assert!((information.powf(-0.5) - 0.004).abs() < 1e-12);
+    let told = error(&(strict() + "white,R,2,,0.61,0.004\nwhite,R,2,,0.62,0.004\n"));
+    assert!(told.contains("line 363") && told.contains("a patch has one"), "{told}");
+}
+
 const SETUP_HEAD: &str = "material,channel,thickness_mm,x_mm,value,std_error,thickness_std_error_mm,origin_mm,\
                           origin_std_error_mm,blur_mm,blur_std_error_mm\n";
 

@@ -31,6 +31,7 @@ mod testing;
 mod thickness;
 mod uncertainty;
 mod view;
+mod wide;
 
 use optics_model::fit::{ChannelFit, FitOptions, MaterialFit, Objective};
 use optics_model::{Invalid, Measurement};

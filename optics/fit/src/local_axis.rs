@@ -119,6 +119,18 @@ impl LocalAxis {
         Weights { first, values, slopes }
     }
 
+    /// The cosine between the weights at two coordinates: 1 where they coincide, 0 where they share no node.
+    pub(super) fn likeness(&self, a: f64, b: f64) -> f64 {
+        if self.nodes.len() == 1 {
+            return 1.0;
+        }
+        let ((first_a, a), (first_b, b)) = (self.values_at(a), self.values_at(b));
+        let at = |i: usize| i.checked_sub(first_b).and_then(|i| b.get(i)).copied().unwrap_or(0.0);
+        let product: f64 = a.iter().enumerate().map(|(i, a)| a * at(first_a + i)).sum();
+        let square = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>();
+        (product / (square(&a) * square(&b)).sqrt()).max(0.0)
+    }
+
     /// For the nodes of the window about a coordinate: their weight, and the functionals that give the window's
     /// polynomial at each of them.
     pub(super) fn hat(&self, x: f64) -> (usize, Vec<f64>, Vec<Vec<f64>>) {
@@ -156,6 +168,18 @@ mod tests {
 
     fn nodes(n: usize) -> Vec<f64> {
         (0..n).map(|i| (1.0 + i as f64 + 0.3 * (i % 3) as f64).ln()).collect()
+    }
+
+    #[test]
+    fn weights_are_alike_where_they_share_nodes() {
+        let axis = LocalAxis::new(nodes(40), 0.6);
+        let (low, high) = axis.range();
+        let middle = 0.5 * (low + high);
+        assert!((axis.likeness(middle, middle) - 1.0).abs() < 1e-12);
+        assert_eq!(axis.likeness(low, high), 0.0);
+        let near = [0.02, 0.1, 0.3].map(|d| axis.likeness(middle, middle + d));
+        assert!(near[0] > 0.9 && near.is_sorted_by(|a, b| a > b), "{near:?}");
+        assert_eq!(LocalAxis::new(vec![1.0], 0.6).likeness(1.0, 1.0), 1.0);
     }
 
     /// A local fit of degree k reproduces polynomials of degree k, and its slopes are their derivatives.

@@ -4,7 +4,8 @@
 const LANES: usize = 8;
 
 /// Σ f(a_i, b_i). The terms i, i + 8, i + 16, … form one partial sum each; these are added up pairwise.
-#[inline]
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 fn striped<A: Into<f64> + Copy, B: Into<f64> + Copy>(a: &[A], b: &[B], f: impl Fn(f64, f64) -> f64) -> f64 {
     debug_assert_eq!(a.len(), b.len());
     let mut sums = [0.0; LANES];
@@ -43,6 +44,7 @@ pub(super) fn rms(a: &[f64]) -> f64 {
 }
 
 /// Σ a_i b_i.
+#[inline]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     striped(a, b, |a, b| a * b)
 }

@@ -9,6 +9,7 @@ use optics_model::{Grid, Medium};
 
 use super::dictionary::FitDictionary;
 use super::local_axis::{LocalAxis, Weights};
+use super::wide::wide;
 
 /// Position in (ln σ_t, √(1 − α), ln(1 − g)).
 pub(super) type Coordinates = [f64; 3];
@@ -52,6 +53,9 @@ fn interpolation(nodes: &[f64], x: f64) -> Weights {
     let (values, slopes) = (0..count).map(weight).unzip();
     Weights { first, values, slopes }
 }
+
+/// Share of walks that go on to another scattering, q, as far as their noise is concerned.
+const SCATTERED_ON: f64 = 0.9;
 
 /// A profile between the records and its derivatives by the coordinates.
 #[derive(Debug, Clone)]
@@ -136,7 +140,7 @@ impl<'a> Surrogate<'a> {
                     let albedo = a.first + j.min(a.values.len() - 1);
                     &self.row(s.first + i, g.first + k, thickness, albedo)[pixels.clone()]
                 });
-                accumulate(rows, &albedos, (g.values[k], g.slopes[k]), &mut inner);
+                wide(|| accumulate(rows, &albedos, (g.values[k], g.slopes[k]), &mut inner));
             }
             let [value, by_albedo, by_g] = &inner;
             add_scaled(&mut values, s.values[i], value);
@@ -154,11 +158,22 @@ impl<'a> Surrogate<'a> {
     }
 
     /// Index of the dictionary's nearest thickness, and the factor from it.
-    fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
+    pub(super) fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
         let axis = self.dictionary.grid().thickness_mm();
         let off = |t: &f64| (thickness_mm / t).ln().abs();
         let nearest = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
         nearest.map_or((0, 1.0), |(index, nominal)| (index, thickness_mm / nominal))
+    }
+
+    /// How alike the records' noise is in two predictions at one thickness of the dictionary, as a correlation: which
+    /// records they share, and how alike the same walks are with both albedos. Where numbers of scatterings n are
+    /// distributed like qⁿ, the correlation of Σ αⁿ over walks is √((1 − qα²)(1 − qα′²))/(1 − qαα′).
+    pub(super) fn noise_in_common(&self, x: Coordinates, other: Coordinates) -> f64 {
+        let [a, b] = [x, other].map(|x| albedo(x[ALBEDO]).clamp(0.0, 1.0));
+        let left = |product: f64| 1.0 - SCATTERED_ON * product;
+        let of_walks = (left(a * a) * left(b * b)).sqrt() / left(a * b);
+        let of_records = self.sigma_t.likeness(x[SIGMA_T], other[SIGMA_T]) * self.g.likeness(x[G], other[G]);
+        of_walks * of_records
     }
 
     /// Records about `x` and what the model takes of each: number of the medium over all axes, weight, and the weight's
@@ -313,6 +328,8 @@ struct AlbedoWeights {
 
 /// Adds what the records of one σ_t and g contribute to a value and its derivatives by √(1 − α) and ln(1 − g). `g` is
 /// the weight of this g and its derivative.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 fn accumulate(rows: [&[f32]; 4], albedos: &AlbedoWeights, g: (f64, f64), out: &mut [Vec<f64>; 3]) {
     let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
     let [value, by_albedo, by_g] = out;

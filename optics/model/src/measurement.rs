@@ -12,6 +12,12 @@ use crate::medium::check_thickness;
 /// Fewest pixels of a measured profile: less does not tell an edge from a slope.
 pub const MIN_PIXELS: usize = 8;
 
+/// A profile that begins so far from the edge, on either side, lies beside it.
+const BESIDE_MM: f64 = 1.0;
+/// First pixel and pitch of what stands for a patch.
+const PATCH_MM: (f64, f64) = (4.6, 0.025);
+const PATCH_PIXELS: usize = 16;
+
 /// How well the set-up of a profile is known. What is none is taken from the options of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ProfileSetup {
@@ -72,7 +78,9 @@ impl MeasuredProfile {
         }
         check_pitch(&x_mm)?;
         check_numbers("values", n, &values, |v| v.abs() <= 1e6, "numbers of size up to 1e6 are allowed")?;
-        if values.iter().all(|v| *v == values[0]) {
+        // Beside the edge a profile may be flat, as a patch of a chart is.
+        let over_the_edge = x_mm[0] < BESIDE_MM && x_mm[n - 1] > -BESIDE_MM;
+        if over_the_edge && values.iter().all(|v| *v == values[0]) {
             let allowed = "a constant profile says nothing about the medium";
             return Err(Invalid::new("values", format_args!("{} everywhere", values[0]), allowed));
         }
@@ -81,6 +89,22 @@ impl MeasuredProfile {
         }
         let setup = ProfileSetup::default();
         Ok(Self { channel: channel.into(), thickness_mm, x_mm, values, std_errors, setup })
+    }
+
+    /// A patch of a chart: a slab on the light side of the base, so wide that no edge is near. Its value is that of a
+    /// profile over an edge as far from the edge as the paper's profiles reach, 4.6 to 5 mm.
+    pub fn patch(
+        channel: impl Into<String>,
+        thickness_mm: f64,
+        value: f64,
+        std_error: Option<f64>,
+    ) -> Result<Self> {
+        let (from_mm, pitch_mm) = PATCH_MM;
+        let x_mm = (0..PATCH_PIXELS).map(|i| from_mm + i as f64 * pitch_mm).collect();
+        // All pixels together are as certain as the value.
+        let of_pixel = std_error.map(|e| vec![e * (PATCH_PIXELS as f64).sqrt(); PATCH_PIXELS]);
+        let setup = ProfileSetup { origin_std_error_mm: Some(0.0), ..ProfileSetup::default() };
+        Self::new(channel, thickness_mm, x_mm, vec![value; PATCH_PIXELS], of_pixel)?.with_setup(setup)
     }
 
     /// The same with what is known of its set-up.

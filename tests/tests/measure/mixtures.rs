@@ -8,6 +8,7 @@ use farm_tests::statistics::{Normal, effort};
 use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure, unmix};
 use optics_model::fit::{FitOptions, Interval, Mixture, Mixtures, MuRange, Unmixed};
 use optics_model::job::JobSpec;
+use optics_model::scene::Channel;
 use optics_model::{Grid, MeasuredProfile, Measurement, Medium, TransportPoint, Walks};
 use rayon::prelude::*;
 
@@ -212,6 +213,42 @@ fn an_absorber_that_slabs_do_not_resolve_is_measured_in_white() {
     assert!(found.mixtures.iter().all(|m| m.agreement.unwrap().pull < 3.0), "{:?}", found.mixtures);
 }
 
+/// A slab so wide that it has no edge near, on the light side of the base.
+fn patch(subset: &[usize], seed: u64, mu: f64) -> Measurement {
+    let medium = mixed(&equal(subset), 0);
+    let paper = Grid::paper().scene().clone();
+    let light = paper.channels()[0].rho_light();
+    let uniform = paper.with_channels(vec![Channel::new("R", light, light).unwrap()]).unwrap();
+    let point = TransportPoint::new(medium.sigma_t_per_mm(), G, 1.0, 1.53).unwrap();
+    let (albedo, walks) = (vec![medium.albedo()], Walks::new(1_000_000).unwrap());
+    let job = JobSpec::new(uniform, point, albedo, walks, 990_000 + seed, false).unwrap();
+    let traced: Vec<f64> = records(&job).radiance_factors(0, 0).map(f64::from).collect();
+    let exact = traced.iter().sum::<f64>() / traced.len() as f64 / mu;
+    let std_error = 0.003 * exact;
+    let value = exact + std_error * Normal::new(880_500 + seed).normal();
+    let profile = MeasuredProfile::patch("R", 1.0, value, Some(std_error)).unwrap();
+    Measurement::new(name(subset), vec![profile]).unwrap()
+}
+
+#[test]
+fn an_absorber_is_measured_by_patches_of_a_chart() {
+    let subsets = two_inks();
+    let mu = 0.95;
+    let mut measured = photographed(&subsets[1..2], 0..1, 1_000_000, mu, equal);
+    measured.extend([0, 2].map(|i| patch(&subsets[i], i as u64, mu)));
+    let found = unmixed(crate::dictionary(), &subsets, &measured);
+    let lines = compared(&found);
+    let cyan: Vec<_> = lines.iter().filter(|(title, _)| title == "cyan R*").collect();
+    assert_eq!(cyan.len(), 4, "cyan is not from mixtures");
+    for (_, (what, truth, value, interval)) in cyan {
+        let slack = 0.5 * (interval.high - interval.low);
+        let near = interval.low - slack <= *truth && *truth <= interval.high + slack;
+        assert!(near, "{what} = {value} {interval:?}, not {truth}");
+    }
+    let absorption = found.inks.iter().find(|i| i.material == "cyan").unwrap().channels[0].absorption_per_mm;
+    assert!(absorption.high / absorption.low < 1.4, "{absorption:?}");
+}
+
 /// The long form: Table 1 whole.
 #[test]
 fn all_of_table_1_comes_out_of_the_chart_of_equal_mixtures() {
@@ -230,8 +267,9 @@ fn all_of_table_1_comes_out_of_the_chart_of_equal_mixtures() {
     println!("{held} of {} intervals hold", lines.len());
     // Sixty intervals of 95 %, which hold or miss by fours, and all with one g: fifty-one at the least.
     assert!(lines.len() == 60 && held >= 51, "{held} of {}", lines.len());
-    for absorber in ["cyan R*", "magenta G*", "yellow B*"] {
-        let of_ink: Vec<_> = lines.iter().filter(|(title, _)| title == absorber).collect();
+    // Noise that is a share of the value leaves magenta's green legible by itself, as dark as it is.
+    for absorber in ["cyan R*", "magenta G", "yellow B*"] {
+        let of_ink: Vec<_> = lines.iter().filter(|(title, _)| title.starts_with(absorber)).collect();
         assert_eq!(of_ink.len(), 4, "{absorber} is not from mixtures");
         assert!(of_ink.iter().all(|line| holds(line)), "{of_ink:?}");
     }

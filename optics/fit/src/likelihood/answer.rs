@@ -2,8 +2,8 @@
 
 use nalgebra::DMatrix;
 use optics_model::fit::{
-    Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, MISFIT, Nuisance, NuisanceEstimate,
-    Outside, Refined, Suspicion, ThicknessError,
+    Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, MISFIT, Outside, Refined, Suspicion,
+    ThicknessError,
 };
 use optics_model::{Grid, Medium};
 
@@ -13,9 +13,9 @@ use super::chi2::exceedance;
 use super::problem::ChannelData;
 use super::profile::{Profile, interval};
 use super::residuals::{clustering, outliers, stretches};
-use super::system::{Normal, Quantity, State, System};
-use super::term::{Linear, Own};
-use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, LN_THICKNESS, Line, ROOT_CO_ALBEDO, SHARED};
+use super::system::{Normal, Quantity, State, System, inverse_over_free};
+use super::term::Linear;
+use super::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, ROOT_CO_ALBEDO, SHARED};
 use crate::question::{Admissible, Question};
 use crate::refine::held;
 use crate::search;
@@ -46,7 +46,7 @@ struct Goodness {
 }
 
 impl Found<'_, '_> {
-    fn slots(&self) -> &[usize; SHARED] {
+    pub(super) fn slots(&self) -> &[usize; SHARED] {
         &self.system.slots[0]
     }
 
@@ -54,7 +54,7 @@ impl Found<'_, '_> {
         self.data.dictionary.grid()
     }
 
-    fn x(&self, unknown: usize) -> f64 {
+    pub(super) fn x(&self, unknown: usize) -> f64 {
         self.state.x[self.slots()[unknown]]
     }
 
@@ -79,6 +79,9 @@ impl Found<'_, '_> {
         let goodness = self.goodness(&linear);
         let ideal = ideal_covariance(self.system, self.state);
         let intervals = self.intervals(&normal, covariance.as_ref(), goodness.inflation);
+        // What the data leave open has a very large variance; the set-up is known as well as it was told.
+        let covariance =
+            covariance.or_else(|| inverse_over_free(&self.system.unknowns, &normal.information, 1e-9));
         let covariance = covariance.map_or_else(nothing, |c| c * goodness.inflation);
         let slots = self.slots();
         let of = |i: usize, k: usize| covariance[(slots[i], slots[k])];
@@ -245,69 +248,6 @@ impl Found<'_, '_> {
             return 0.0;
         };
         if whole > 0.0 { (1.0 - least[(slot, slot)] / whole).clamp(0.0, 1.0) } else { 0.0 }
-    }
-
-    fn nuisances(
-        &self,
-        covariance: &DMatrix<f64>,
-        reduced: &[super::term::Reduced],
-    ) -> Vec<NuisanceEstimate> {
-        let settings = self.data.options.settings();
-        let mut all = Vec::new();
-        let mut add = |nuisance, profile_mm, value, variance: f64, told: f64, told_std_error: f64| {
-            let std_error = variance.max(0.0).sqrt();
-            all.push(NuisanceEstimate { nuisance, profile_mm, value, std_error, told, told_std_error });
-        };
-        let slots = self.slots();
-        let free = |slot: usize| !self.system.unknowns[slot].held;
-        if free(slots[LN_SCALE]) {
-            let (x, slot) = (self.x(LN_SCALE), slots[LN_SCALE]);
-            let (told, factor) = (1.0 / settings.mu, (-x).exp() / settings.mu);
-            let relative = settings.mu_std_error / settings.mu;
-            let told_std_error = if relative > 0.0 { told * relative } else { f64::INFINITY };
-            add(
-                Nuisance::Scale,
-                None,
-                factor,
-                covariance[(slot, slot)] * factor * factor,
-                told,
-                told_std_error,
-            );
-        }
-        for (i, (term, profile)) in self.system.terms.iter().zip(&self.data.profiles).enumerate() {
-            let (slots, at) = (&self.system.slots[i], Some(term.thickness_mm));
-            let (blur, thickness) = (slots[BLUR], slots[LN_THICKNESS]);
-            if free(blur) && (i == 0 || self.system.slots[0][BLUR] != blur) {
-                let profile_mm = at.filter(|_| i > 0);
-                let (told, told_error) = profile.blur;
-                add(
-                    Nuisance::BlurVariance,
-                    profile_mm,
-                    self.state.x[blur],
-                    covariance[(blur, blur)],
-                    told,
-                    told_error,
-                );
-            }
-            if free(thickness) {
-                let t = self.state.x[thickness].exp();
-                let variance = covariance[(thickness, thickness)] * t * t;
-                add(Nuisance::Thickness, at, t, variance, term.thickness_mm, profile.thickness_std_error_mm);
-            }
-            let shared = super::system::submatrix(covariance, slots);
-            let own = reduced[i].own_covariance(&shared);
-            for (k, prior) in term.priors.iter().enumerate() {
-                let (nuisance, told) = match prior.own {
-                    Own::Origin => (Nuisance::Origin, term.origin_mm),
-                    Own::Gain => (Nuisance::Gain, 0.0),
-                    Own::Zero => (Nuisance::Zero, 0.0),
-                    Own::Slope => (Nuisance::Slope, 0.0),
-                };
-                let sd = prior.std_error;
-                add(nuisance, at, told + sd * self.state.own[i][k], own[(k, k)] * sd * sd, told, sd);
-            }
-        }
-        all
     }
 
     /// The two norms of Eq. 2 for every profile.

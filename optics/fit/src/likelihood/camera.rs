@@ -7,6 +7,7 @@
 use std::f64::consts::PI;
 
 use super::Line;
+use crate::wide::wide;
 
 /// Pixels that a profile is carried on beyond its ends, on each side.
 const PADDING: usize = 40;
@@ -198,15 +199,15 @@ fn convolve(taps: &[f64; KERNEL / 2], padded: &[f64]) -> Line {
     for i in inner.clone() {
         out[i] = taps[0] * padded[i];
     }
-    for (k, tap) in taps.iter().enumerate().skip(1) {
-        if *tap == 0.0 {
-            continue;
+    let middle = &mut out[inner];
+    wide(|| {
+        for (k, tap) in taps.iter().enumerate().skip(1).filter(|(_, tap)| **tap != 0.0) {
+            let (left, right) = (&padded[reach - k..], &padded[reach + k..]);
+            for ((out, l), r) in middle.iter_mut().zip(left).zip(right) {
+                *out += tap * (l + r);
+            }
         }
-        let (left, right) = (&padded[reach - k..], &padded[reach + k..]);
-        for ((out, l), r) in out[inner.clone()].iter_mut().zip(left).zip(right) {
-            *out += tap * (l + r);
-        }
-    }
+    });
     out
 }
 

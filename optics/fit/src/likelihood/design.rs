@@ -4,11 +4,11 @@
 use nalgebra::DVector;
 use optics_model::fit::{HalfWidths, PixelRow};
 
-use super::Line;
 use super::bound::{bound, ideal_covariance};
 use super::camera::Camera;
 use super::system::{Quantity, State, System, Unknown};
 use super::term::{Own, OwnPrior, Term};
+use super::{Line, blur};
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
 
 /// Standard deviation of the coordinates of a medium, and of the logarithm of μ, of which nothing is known beforehand: so
@@ -91,8 +91,8 @@ impl Plan<'_> {
         let [s, a, g] = [0, 1, 2].map(|i| add(Some((self.medium[i], UNKNOWN)), self.held[i], self.medium[i]));
         let (prior, held, value) = known_to(0.0, known.scale.unwrap_or(UNKNOWN));
         let scale = add(prior, held, value);
-        let (variance, deviation) = blur_mm2(known.blur_mm, known.blur_std_error_mm);
-        let (prior, held, value) = known_to(variance, deviation);
+        let (value, deviation) = blur::told(known.blur_mm, known.blur_std_error_mm);
+        let (prior, held, value) = known_to(value, deviation);
         let blur = add(prior, held, value);
         let slots = slabs_mm.iter().map(|slab| {
             let (prior, held, value) = known_to(slab.ln(), known.thickness_mm / slab);
@@ -134,6 +134,7 @@ impl Plan<'_> {
             priors: priors.into_iter().filter(|p| p.std_error > 0.0).collect(),
             modes: Vec::new(),
             rest_variances: Vec::new(),
+            alike: 1.0,
             left_out: vec![false; x_mm.len()],
             robust: false,
             softness: 1.0,
@@ -141,9 +142,4 @@ impl Plan<'_> {
             x_mm,
         }
     }
-}
-
-/// Mean and standard deviation of the blur's variance, as a fit takes them.
-fn blur_mm2(blur_mm: f64, std_error_mm: f64) -> (f64, f64) {
-    (blur_mm * blur_mm, 2.0 * blur_mm * std_error_mm + std_error_mm * std_error_mm)
 }

@@ -18,7 +18,7 @@ use super::outside;
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
 use super::profile::{Profile, interval};
 use super::start::{Scan, Start};
-use super::system::{Coupling, Normal, Quantity, State, System, submatrix};
+use super::system::{Coupling, Normal, Quantity, State, System, inverse_over_free, submatrix};
 use super::{LN_ONE_MINUS_G, LN_SCALE, SHARED};
 use crate::common::scales;
 use crate::dictionary::FitDictionary;
@@ -27,6 +27,8 @@ use crate::surrogate::{Surrogate, g};
 
 /// Cost by which the first descent may miss its minimum.
 const ROUGHLY: f64 = 1.0;
+/// Cost by which the last descent of a channel may miss its minimum.
+const WELL: f64 = 0.003;
 /// Most channels that the mesh is computed for.
 const MESH_CHANNELS: usize = 16;
 /// Probability of the channels' pulls below which they are said to disagree.
@@ -189,7 +191,8 @@ impl<'a> Set<'a> {
         let state = settle(&mut assembly.system, state);
         let linear = assembly.system.linear(&state.x, &state.own);
         let normal = assembly.system.normal(&state.x, &state.own, &linear);
-        let covariance = assembly.system.covariance(&normal.information);
+        // Some materials may leave their own media open.
+        let covariance = inverse_over_free(&assembly.system.unknowns, &normal.information, 1e-9);
         let iors = starts.iter().map(|s| s.ior).collect();
         let mut joint = Joint { assembly, state, normal, covariance, iors, disagreement: 1.0 };
         joint.disagreement = joint.disagreement(sharing);
@@ -341,14 +344,17 @@ impl<'a> Joint<'a> {
             Coupling { centre: centre.clone(), information: information * share, downhill: downhill * share };
         let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
         let terms = self.assembly.terms[channel].clone();
-        let system = System {
+        let mut system = System {
             terms: whole.terms[terms.clone()].to_vec(),
             surrogates: whole.surrogates[terms.clone()].to_vec(),
             slots: whole.slots[terms.clone()].iter().map(|slots| slots.each_ref().map(place)).collect(),
             unknowns: used.iter().map(|i| whole.unknowns[*i]).collect(),
             coupling: Some(coupling),
         };
-        let state = system.state(centre, self.state.own[terms].to_vec());
+        // For its own medium, noise that others share counts once.
+        let mut own = self.state.own[terms].to_vec();
+        system.terms.iter_mut().zip(&mut own).for_each(|(term, own)| term.count_alike(own, 1.0));
+        let state = system.descend(State { x: centre, own, cost: f64::INFINITY }, None, WELL);
         (system, state)
     }
 

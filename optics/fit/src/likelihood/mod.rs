@@ -7,6 +7,7 @@
 //! Intervals follow the least −2 ln L with one quantity held, up to a rise of 1.96² (`profile`).
 
 mod answer;
+mod blur;
 mod bound;
 mod camera;
 mod channel;
@@ -16,6 +17,7 @@ mod form;
 mod joint;
 mod map;
 mod mixtures;
+mod nuisances;
 mod problem;
 mod profile;
 mod records_noise;
@@ -49,7 +51,7 @@ pub(super) const ROOT_CO_ALBEDO: usize = 1;
 pub(super) const LN_ONE_MINUS_G: usize = 2;
 /// Logarithm of a factor on μ.
 pub(super) const LN_SCALE: usize = 3;
-/// Variance of the blur in mm².
+/// The camera's blur (`blur`).
 pub(super) const BLUR: usize = 4;
 pub(super) const LN_THICKNESS: usize = 5;
 pub(super) const SHARED: usize = 6;
@@ -67,7 +69,8 @@ impl Point {
         (-self.0[LN_SCALE]).exp()
     }
 
-    fn blur_mm2(&self) -> f64 {
+    /// Coordinate of the blur.
+    fn blur(&self) -> f64 {
         self.0[BLUR]
     }
 

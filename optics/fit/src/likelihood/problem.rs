@@ -5,12 +5,12 @@ use optics_model::fit::{FitOptions, Outside};
 use optics_model::measurement::MIN_PIXELS;
 use optics_model::{Grid, Invalid, MeasuredProfile, Measurement};
 
-use super::Line;
 use super::camera::Camera;
 use super::form::Loose;
 use super::start::{Compressed, Region, Scan, Source};
 use super::system::{State, System, Unknown};
 use super::term::{Own, OwnPrior, Term};
+use super::{Line, blur};
 use crate::dictionary::FitDictionary;
 use crate::noise::scatter_by_side;
 use crate::question::{Admissible, OUTSIDE, find_channel};
@@ -47,7 +47,7 @@ pub(super) struct ProfileData<'a> {
     pub thickness_std_error_mm: f64,
     origin_mm: f64,
     origin_std_error_mm: f64,
-    /// Mean and standard deviation of the blur's variance, in mm².
+    /// Mean and standard deviation of the blur's coordinate.
     pub blur: (f64, f64),
 }
 
@@ -100,7 +100,7 @@ impl<'a> ProfileData<'a> {
             thickness_std_error_mm: setup.thickness_std_error_mm.unwrap_or(settings.thickness_std_error_mm),
             origin_mm,
             origin_std_error_mm: setup.origin_std_error_mm.unwrap_or(settings.origin_std_error_mm),
-            blur: (blur_mm * blur_mm, 2.0 * blur_mm * blur_error + blur_error * blur_error),
+            blur: blur::told(blur_mm, blur_error),
         })
     }
 
@@ -139,6 +139,7 @@ impl<'a> ProfileData<'a> {
             priors: priors.into_iter().filter(|p| p.std_error > 0.0).collect(),
             modes: Vec::new(),
             rest_variances: Vec::new(),
+            alike: 1.0,
             left_out: vec![false; x_mm.len()],
             robust: false,
             softness: 1.0,
@@ -189,7 +190,7 @@ impl<'a> ChannelData<'a> {
                 zero: settings.offset_std_error * settings.mu,
                 slope: settings.slope_std_error,
                 origin_mm: data.origin_std_error_mm,
-                blur_mm2: data.blur.0 + data.blur.1,
+                blur_mm2: blur::variance_mm2(data.blur.0 + data.blur.1),
             };
             let source = Source {
                 channel: self.channel,
@@ -236,7 +237,7 @@ impl Unknowns {
         if let Some((.., i)) = self.blurs.iter().find(|(name, t, _)| name == channel && *t == told) {
             return *i;
         }
-        let i = self.add(Some(told), (0.0, told.0 + 20.0 * told.1), told.1 == 0.0, told.0);
+        let i = self.add(Some(told), (blur::coordinate(0.0), told.0 + 20.0 * told.1), told.1 == 0.0, told.0);
         self.blurs.push((channel.to_owned(), told, i));
         i
     }

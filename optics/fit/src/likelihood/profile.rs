@@ -1,9 +1,10 @@
 //! Intervals: how far a quantity can be moved, all else following, before −2 ln L has risen by 1.96².
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use optics_model::fit::Interval;
 
-use super::system::{Held, Normal, Quantity, State, System};
+use super::Line;
+use super::system::{Held, Normal, Quantity, State, System, Unknown, free, inverse_over};
 use crate::intervals::Z;
 
 /// Cost by which descents may miss their minimum.
@@ -12,6 +13,12 @@ const TOLERANCE: f64 = 0.02;
 const CLOSE: f64 = 0.08;
 /// Most places that are tried on each side.
 const TRIALS: usize = 12;
+/// Most places at which parabolas are taken on the way to an end.
+const LOOKS: usize = 40;
+/// Steps may grow by this factor.
+const LONGER: f64 = 1.5;
+/// A parabola is good for steps up to this share of the way, if nothing else would lower −2 ln L by more than this.
+const GOOD: (f64, f64) = (0.1, 0.3);
 
 /// One end of an interval; open if a limit comes first.
 #[derive(Debug, Clone, Copy)]
@@ -54,6 +61,9 @@ impl Profile<'_> {
             return open;
         }
         let wanted = Z * self.inflation.sqrt();
+        if let Some(end) = self.by_parabolas(quantity, wanted, side, furthest) {
+            return end;
+        }
         let stiffness = 1e6 / (deviation * deviation);
         let mut warm: Option<State> = None;
         let root_rise = |distance: f64, warm: &mut Option<State>| {
@@ -75,6 +85,45 @@ impl Profile<'_> {
         }
     }
 
+    /// The end where −2 ln L is close to a parabola, as it mostly is: each look at it tells how far its minimum, with the
+    /// quantity held, is from the wanted rise, and the next look is there (Venzon and Moolgavkar 1988). None if that does
+    /// not settle at once, or if it leads beyond the furthest.
+    fn by_parabolas(&self, quantity: Quantity, wanted: f64, side: f64, furthest: f64) -> Option<End> {
+        let (from, unknowns) = (quantity.value(&self.optimum.x), &self.system.unknowns);
+        let gradient = quantity.gradient(&self.optimum.x);
+        let rise = wanted * wanted;
+        let first = outwards(unknowns, &self.optimum.x, self.normal, &gradient, (rise, side))?;
+        let mut state = self.optimum.clone();
+        let mut inside = state.clone();
+        // How far the quantity may move at once: where a valley bends, parabolas are good for a part of the way only.
+        let mut furthest_step = f64::INFINITY;
+        self.system.advance(&mut state, self.normal, &first.whole);
+        for _ in 0..LOOKS {
+            let (cost, normal) = self.system.look(&state);
+            let gradient = quantity.gradient(&state.x);
+            let room = self.optimum.cost + rise - cost;
+            let Some(step) = outwards(unknowns, &state.x, &normal, &gradient, (room, side)) else {
+                state = halfway(&inside, &state);
+                furthest_step = (quantity.value(&state.x) - quantity.value(&inside.x)).abs();
+                continue;
+            };
+            let moved = gradient.dot(&step.whole);
+            let distance = side * (quantity.value(&state.x) + moved - from);
+            if !(distance > 0.0 && distance < furthest) {
+                return None;
+            }
+            let share = (furthest_step / moved.abs()).min(1.0);
+            inside = state.clone();
+            self.system.advance(&mut state, &normal, &(step.whole * share));
+            if share == 1.0 && moved.abs() < GOOD.0 * distance && step.slack < GOOD.1 {
+                let open = self.system.at_end(&state, quantity);
+                return Some(End { value: from + side * distance, open });
+            }
+            furthest_step *= LONGER;
+        }
+        None
+    }
+
     /// A state, moved as it would follow the quantity if all were linear.
     fn along(&self, from: &State, quantity: Quantity, at: f64) -> State {
         let mut state = from.clone();
@@ -84,6 +133,59 @@ impl Profile<'_> {
             direction * ((at - quantity.value(&state.x)) / gradient.dot(&(self.covariance * &gradient)));
         self.system.advance(&mut state, self.normal, &step);
         state
+    }
+}
+
+/// Between a state and one to which its parabola has led too far.
+fn halfway(from: &State, to: &State) -> State {
+    let between = |(a, b): (&Line, &Line)| a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect();
+    let own = from.own.iter().zip(&to.own).map(between).collect();
+    State { x: (&from.x + &to.x) * 0.5, own, cost: f64::INFINITY }
+}
+
+/// A step to where a parabola has risen as far as is wanted.
+struct Outwards {
+    whole: DVector<f64>,
+    /// How much lower the parabola would be with the quantity where it is.
+    slack: f64,
+}
+
+/// The step along which a quantity moves to the given side until the least of −2 ln L is higher than here by `rise`.
+/// Unknowns that it would push over their limits go up to these.
+fn outwards(
+    unknowns: &[Unknown],
+    x: &DVector<f64>,
+    normal: &Normal,
+    gradient: &DVector<f64>,
+    (rise, side): (f64, f64),
+) -> Option<Outwards> {
+    let information = &normal.information;
+    let mut moving = free(unknowns);
+    let mut limited = DVector::zeros(x.len());
+    loop {
+        let covariance = inverse_over(&moving, information, 0.0)?;
+        let downhill = &normal.downhill - information * &limited;
+        let (lowest, way) = (&covariance * &downhill, &covariance * gradient);
+        let fall = downhill.dot(&lowest) + (&normal.downhill + &downhill).dot(&limited);
+        let (pulled, variance) = (gradient.dot(&lowest), gradient.dot(&way));
+        let room = rise + fall;
+        if !(variance > 0.0 && room > 0.0) {
+            return None;
+        }
+        let whole = &limited + lowest + way * (side * (room / variance).sqrt());
+        let before = moving.len();
+        moving.retain(|i| {
+            let (low, high) = unknowns[*i].limits;
+            let to = x[*i] + whole[*i];
+            if !(low..=high).contains(&to) {
+                limited[*i] = to.clamp(low, high) - x[*i];
+            }
+            (low..=high).contains(&to)
+        });
+        if moving.len() == before {
+            let held = pulled + gradient.dot(&limited);
+            return Some(Outwards { whole, slack: fall - held * held / variance });
+        }
     }
 }
 

@@ -6,8 +6,9 @@ use crate::sum::dot;
 
 /// Most modes that are kept.
 const MODES: usize = 20;
-/// The modes that are kept leave less than this share of the pixels' own variance, in the mean.
-const LEFT: f64 = 0.02;
+/// The modes that are kept leave less than this, as a sum over pixels of variances over the pixels' own: what is left
+/// could be seen by no functional of the pixels better than with this χ².
+const LEFT: f64 = 0.2;
 
 /// A low-rank part of a covariance, and the variances that it leaves.
 #[derive(Debug, Default)]
@@ -27,7 +28,7 @@ impl Modes {
         let mut modes: Vec<Line> = Vec::new();
         while modes.len() < MODES {
             let share = |i: &usize| rest_variances[*i] / std_errors[*i].powi(2);
-            if (0..n).map(|i| share(&i)).sum::<f64>() < LEFT * n as f64 {
+            if (0..n).map(|i| share(&i)).sum::<f64>() < LEFT {
                 break;
             }
             let Some(pivot) = (0..n).max_by(|a, b| share(a).total_cmp(&share(b))) else { break };

@@ -9,6 +9,9 @@ use crate::surrogate::Surrogate;
 
 /// Steps that one descent may take.
 const MOST_STEPS: usize = 40;
+/// Added to the information of every unknown when a step is taken, in units in which unknowns are of the order of 1. What
+/// the data leave open does not run away with the rest.
+const RIDGE: f64 = 0.1;
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
@@ -167,9 +170,10 @@ impl System<'_> {
         linear.iter().map(|l| l.cost).sum::<f64>() + self.prior_cost(x)
     }
 
-    pub(super) fn state(&self, x: DVector<f64>, own: Vec<Line>) -> State {
-        let cost = self.cost(&x, &self.linear(&x, &own));
-        State { x, own, cost }
+    /// −2 ln L at a state, and its parabola there.
+    pub(super) fn look(&self, state: &State) -> (f64, Normal) {
+        let linear = self.linear(&state.x, &state.own);
+        (self.cost(&state.x, &linear), self.normal(&state.x, &state.own, &linear))
     }
 
     pub(super) fn normal(&self, x: &DVector<f64>, own: &[Line], linear: &[Linear]) -> Normal {
@@ -319,7 +323,7 @@ pub(super) fn damped_step(
     let free: Vec<usize> = free(unknowns).into_iter().filter(inwards).collect();
     let mut matrix = submatrix(information, &free);
     for i in 0..free.len() {
-        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
+        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + RIDGE;
     }
     let pull = DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i]));
     let solved = Cholesky::new(matrix)?.solve(&pull);
@@ -334,13 +338,21 @@ pub(super) fn inverse_over_free(
     information: &DMatrix<f64>,
     ridge: f64,
 ) -> Option<DMatrix<f64>> {
-    let free = free(unknowns);
-    let mut matrix = submatrix(information, &free);
-    (0..free.len()).for_each(|i| matrix[(i, i)] += ridge);
+    inverse_over(&free(unknowns), information, ridge)
+}
+
+/// The same over these unknowns.
+pub(super) fn inverse_over(
+    indices: &[usize],
+    information: &DMatrix<f64>,
+    ridge: f64,
+) -> Option<DMatrix<f64>> {
+    let mut matrix = submatrix(information, indices);
+    (0..indices.len()).for_each(|i| matrix[(i, i)] += ridge);
     let small = Cholesky::new(matrix)?.inverse();
     let mut whole = DMatrix::zeros(information.nrows(), information.nrows());
-    for (i, to_i) in free.iter().enumerate() {
-        for (j, to_j) in free.iter().enumerate() {
+    for (i, to_i) in indices.iter().enumerate() {
+        for (j, to_j) in indices.iter().enumerate() {
             whole[(*to_i, *to_j)] = small[(i, j)];
         }
     }

@@ -14,10 +14,11 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::camera::Camera;
 use super::robust::{rho, weight};
-use super::{Line, Point, SHARED};
+use super::{Line, Point, SHARED, blur};
 use crate::sum::dot;
 use crate::surrogate::Surrogate;
 use crate::thickness::NearThickness;
+use crate::wide::wide;
 
 /// What a profile has for itself, apart from the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,6 +52,9 @@ pub(super) struct Term {
     pub modes: Vec<Line>,
     /// Variance of the records' noise that the modes leave, by pixel.
     pub rest_variances: Line,
+    /// Profiles whose records' noise is the same, this one included: its variance is multiplied by their number, since it
+    /// does not average out over them.
+    pub alike: f64,
     /// Pixels that do not belong to the profile.
     pub left_out: Vec<bool>,
     /// Whether pixels may be odd; if not every one that is not left out counts as a normal one.
@@ -101,6 +105,15 @@ impl Reduced {
 }
 
 impl Term {
+    /// Counts the records' noise as that of so many profiles; its modes' coefficients become what they have to be.
+    pub(super) fn count_alike(&mut self, own: &mut Line, alike: f64) {
+        let factor = alike / self.alike;
+        self.alike = alike;
+        self.modes.iter_mut().flatten().for_each(|v| *v *= factor.sqrt());
+        self.rest_variances.iter_mut().for_each(|v| *v *= factor);
+        own[self.priors.len()..].iter_mut().for_each(|c| *c /= factor.sqrt());
+    }
+
     pub(super) fn own_count(&self) -> usize {
         self.priors.len() + self.modes.len()
     }
@@ -132,7 +145,8 @@ impl Term {
         };
         let mut slopes = predicted.slopes.to_vec();
         slopes.push(predicted.by_ln_thickness);
-        let seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), shared.blur_mm2());
+        let blur_mm2 = blur::variance_mm2(shared.blur());
+        let seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), blur_mm2);
         let scale = shared.scale();
         let (gain, slope) = (self.own_value(own, Own::Gain), self.own_value(own, Own::Slope));
         let zero = self.own_value(own, Own::Zero);
@@ -154,7 +168,8 @@ impl Term {
             columns.push(over_noise(&|i| by[i] * factors[i]));
         }
         columns.push(over_noise(&|i| -scale * seen.values[i]));
-        columns.push(over_noise(&|i| seen.by_blur[i] * factors[i]));
+        let by_blur = blur::slope(shared.blur());
+        columns.push(over_noise(&|i| by_blur * seen.by_blur[i] * factors[i]));
         columns.push(over_noise(&|i| by_thickness[i] * factors[i]));
         for OwnPrior { own, std_error: sd } in &self.priors {
             columns.push(match own {
@@ -189,13 +204,15 @@ impl Term {
         let weighted: Vec<Line> =
             linear.columns.iter().map(|c| c.iter().zip(&weights).map(|(c, w)| c * w).collect()).collect();
         let mut all = DMatrix::zeros(n, n);
-        for i in 0..n {
-            for j in 0..=i {
-                let product = dot(&weighted[i], &linear.columns[j]);
-                all[(i, j)] = product;
-                all[(j, i)] = product;
+        wide(|| {
+            for i in 0..n {
+                for j in 0..=i {
+                    let product = dot(&weighted[i], &linear.columns[j]);
+                    all[(i, j)] = product;
+                    all[(j, i)] = product;
+                }
             }
-        }
+        });
         let mut downhill = DVector::from_iterator(n, weighted.iter().map(|w| dot(w, &linear.residuals)));
         for (i, own) in own.iter().enumerate() {
             all[(SHARED + i, SHARED + i)] += 1.0;

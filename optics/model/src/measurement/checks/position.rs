@@ -32,7 +32,8 @@ pub(super) fn of_x(x: &[f64]) -> Option<Seen> {
         );
         return Some(Seen::refusal(Kind::UnitOfX, text));
     }
-    if span < 1.5 {
+    // What lies beside the edge is a patch.
+    if span < 1.5 && first < 1.0 {
         let text = format!("{range} mm, where profiles span about 10 mm: if it is cm, multiply by 10");
         return Some(Seen::warning(Kind::UnitOfX, text));
     }

@@ -1,0 +1,53 @@
+//! The coordinate of the camera's blur: u = √(σ² + u₀²), with σ the blur's standard deviation in mm.
+//!
+//! A blur that is narrow beside what a profile has changes it as σ² does, one that is wide beside a pixel changes a bend
+//! of it as σ does. In u both are close to linear.
+
+/// u₀ in mm: about where a blur grows wider than the pixels of photographs.
+const LEAST_MM: f64 = 0.01;
+
+/// u of a variance in mm².
+pub(super) fn coordinate(variance_mm2: f64) -> f64 {
+    (variance_mm2.max(0.0) + LEAST_MM * LEAST_MM).sqrt()
+}
+
+/// The variance in mm² at u.
+pub(super) fn variance_mm2(u: f64) -> f64 {
+    (u * u - LEAST_MM * LEAST_MM).max(0.0)
+}
+
+/// Derivative of the variance by u.
+pub(super) fn slope(u: f64) -> f64 {
+    2.0 * u
+}
+
+/// Mean and standard deviation of u where σ is told with a standard error.
+pub(super) fn told(blur_mm: f64, std_error_mm: f64) -> (f64, f64) {
+    let mean = coordinate(blur_mm * blur_mm);
+    (mean, coordinate((blur_mm + std_error_mm).powi(2)) - mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_coordinate_and_the_variance_are_inverse_with_this_slope() {
+        for blur_mm in [0.0_f64, 0.002, 0.01, 0.03, 0.4] {
+            let variance = blur_mm * blur_mm;
+            let u = coordinate(variance);
+            assert!((variance_mm2(u) - variance).abs() < 1e-15);
+            let quotient = (variance_mm2(u + 1e-6) - variance_mm2(u)) / 1e-6;
+            assert!((quotient - slope(u)).abs() < 2e-6);
+        }
+    }
+
+    #[test]
+    fn one_standard_error_of_the_blur_is_one_of_the_coordinate() {
+        let (mean, deviation) = told(0.025, 0.001);
+        assert!((variance_mm2(mean + deviation).sqrt() - 0.026).abs() < 1e-12);
+        let (mean, deviation) = told(0.0, 0.03);
+        assert!(mean == LEAST_MM && (variance_mm2(mean + deviation).sqrt() - 0.03).abs() < 1e-12);
+        assert_eq!(told(0.02, 0.0).1, 0.0);
+    }
+}
