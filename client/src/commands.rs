@@ -2,6 +2,7 @@
 
 pub(crate) mod access;
 pub(crate) mod backup;
+pub(crate) mod capture;
 mod chosen_dictionary;
 pub(crate) mod completions;
 pub(crate) mod design;
@@ -16,6 +17,7 @@ pub(crate) mod manage;
 pub(crate) mod map;
 pub(crate) mod measure;
 pub(crate) mod scale;
+mod session_folder;
 pub(crate) mod show;
 pub(crate) mod similar;
 pub(crate) mod simulate;

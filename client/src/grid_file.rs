@@ -27,6 +27,11 @@ pub fn read_scene(name: &str) -> Result<Scene> {
     named_scene(name, Path::new("."))
 }
 
+/// The same for a name in a file that is in `folder`.
+pub(crate) fn read_scene_beside(name: &str, folder: &Path) -> Result<Scene> {
+    named_scene(name, folder)
+}
+
 fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
     match name {
         "paper" => Ok(Scene::paper()),
@@ -60,7 +65,7 @@ pub(crate) fn from_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path,
 }
 
 /// Tells where in a file a value stands that is not valid.
-fn in_file(invalid: Invalid, text: &str, path: &Path, what: &str) -> anyhow::Error {
+pub(crate) fn in_file(invalid: Invalid, text: &str, path: &Path, what: &str) -> anyhow::Error {
     let line = line_of(text, invalid.field()).map_or_else(String::new, |line| format!(", line {line}"));
     anyhow::Error::new(invalid).context(format!("{what} {}{line}", path.display()))
 }

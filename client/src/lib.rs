@@ -2,6 +2,7 @@
 
 pub mod access_files;
 mod answers;
+mod capture;
 pub mod cli;
 mod commands;
 mod connection;
@@ -11,6 +12,7 @@ mod interrupt;
 mod measurement_file;
 mod mixture_file;
 mod output;
+mod photograph;
 mod plot;
 mod progress;
 mod records;
@@ -55,6 +57,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
     let global = &cli.global;
     match cli.command {
         Command::Submit(args) => return commands::submit::run(global, args, output).await,
+        Command::Capture(args) => return commands::capture::run(global, args, output).await,
         Command::Fit(args) => commands::fit::run(global, args, output).await?,
         Command::Scale(args) => commands::scale::run(global, args, output).await?,
         Command::Measure(args) => commands::measure::run(global, args, output).await?,

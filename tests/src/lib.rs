@@ -4,9 +4,11 @@
 #![expect(clippy::missing_errors_doc, clippy::unwrap_used, reason = "helpers of tests")]
 
 pub mod cli;
+pub mod dng;
 pub mod farm;
 pub mod grids;
 pub mod hand;
+pub mod photograph;
 pub mod process;
 pub mod proxy;
 pub mod reference;

@@ -10,7 +10,7 @@ pub(crate) fn common_text(common: &Common) -> String {
     let i = &common.mu_interval;
     let mut lines = Vec::new();
     if !common.mu_chosen {
-        lines.push(format!("scale factor μ = {}, as given", common.mu));
+        lines.push(given_text(common));
     } else if i.open_low && i.open_high {
         lines.push(format!(
             "scale factor μ: not determined by these data; taken as {} ± {} (tried: {} to {}). If the photographs are \
@@ -72,6 +72,16 @@ pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
     text
 }
 
+/// A scale factor that was given, with what the data make of it where it has an error.
+fn given_text(common: &Common) -> String {
+    if common.mu_std_error == 0.0 {
+        return format!("scale factor μ = {}, as given", common.mu);
+    }
+    let error = significant(common.mu_std_error, 1);
+    let digits = error.split_once('.').map_or(0, |(_, after)| after.len());
+    format!("scale factor μ = {:.digits$} ± {error}, from what was given and the data", common.mu)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -102,6 +112,9 @@ mod tests {
         );
         assert!(!told.contains("held"));
         common.mu_chosen = false;
+        let told = common_text(&common);
+        assert!(told.starts_with("scale factor μ = 1.00 ± 0.09, from what was given and the data"), "{told}");
+        common.mu_std_error = 0.0;
         assert!(common_text(&common).starts_with("scale factor μ = 1, as given"));
         let scale = |curvature| ScaleCurve {
             points: Vec::new(),

@@ -6,6 +6,14 @@ Examples:
   farmctl submit grid.toml --name fine            compute a grid of your own
   farmctl submit grid.toml --server http://farm:7700 --wait";
 
+pub(super) const CAPTURE: &str = "\
+Examples:
+  farmctl capture examples/session/session.toml -o white    profiles, set-up and a report
+  farmctl measure white                                     media from them
+  farmctl capture session.toml --measure                    both
+  farmctl capture --check IMG_0815.dng                      is this photograph usable?
+  farmctl capture --board board.pdf                         a board to print";
+
 pub(super) const FIT: &str = "\
 Examples:
   farmctl fit examples/white.csv
@@ -21,6 +29,7 @@ Examples:
 pub(super) const MEASURE: &str = "\
 Examples:
   farmctl measure examples/white.csv --mu 1
+  farmctl measure white                                what `farmctl capture` wrote there
   farmctl measure materials.csv -o media --plot media.svg
   farmctl measure chart.csv --mixtures chart.toml      strong absorbers by dilution
   farmctl measure materials.csv --objective paper      as the paper did";

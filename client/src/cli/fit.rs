@@ -158,7 +158,8 @@ pub struct ScaleArgs {
 
 #[derive(Debug, Args)]
 pub struct MeasureArgs {
-    /// CSV with the profiles of all materials of one set-up.
+    /// CSV with the profiles of all materials of one set-up, or a folder that `farmctl capture` wrote: its dictionary is
+    /// then computed if it is not there, its white reference taken for the scale factor (--mu 1), its report completed.
     pub measurements: PathBuf,
     #[command(flatten)]
     pub options: OptionArgs,

@@ -1,6 +1,7 @@
 //! The command line.
 
 mod bounds;
+mod capture;
 mod design;
 mod examples;
 mod farm;
@@ -15,6 +16,7 @@ use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
 pub use bounds::BoundsArg;
+pub use capture::CaptureArgs;
 pub use design::{DesignArgs, PixelsArg, SlabList};
 pub use farm::{
     AccessCommand, AccessCreateArgs, BackupArgs, CancelArgs, DeleteArgs, DoctorArgs, DrainArgs, EventsArgs,
@@ -42,6 +44,7 @@ pub struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
+  farmctl capture session.toml --measure       from photographs to media
   farmctl submit                               compute the paper's dictionary here
   farmctl measure examples/white.csv --mu 1    measure a material with it
   farmctl fit examples/white.csv --g 0.4       see the best fits one by one
@@ -84,6 +87,9 @@ pub enum Command {
     /// Compute a dictionary; if it exists with the same grid, carry on with it.
     #[command(after_help = examples::SUBMIT)]
     Submit(SubmitArgs),
+    /// Turn the photographs of a session into edge profiles, with all that is known of the set-up.
+    #[command(after_help = examples::CAPTURE)]
+    Capture(CaptureArgs),
     /// Find the media that best explain measured edge profiles, with error bars.
     #[command(after_help = examples::FIT)]
     Fit(FitArgs),

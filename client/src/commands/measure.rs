@@ -2,13 +2,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use farm_proto::wire::{MeasureRequest, MeasureResponse};
+use optics_model::Measurement;
 use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, Mixtures, ScaleCurve, Unmixed};
 use serde::Serialize;
 
-use super::chosen_dictionary;
+use super::session_folder::{MediumErrors, SessionFolder, medium_errors, sources_text};
+use super::{chosen_dictionary, submit};
 use crate::answers::{Report, UsedOptions, common_text, fits_text, inks_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
-use crate::connection::{Purpose, with_farm};
+use crate::connection::{Connection, Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::mixture_file::read_mixtures;
 use crate::output::{Output, write_whole};
@@ -16,12 +18,17 @@ use crate::plot::{self, Picture};
 use crate::renderers;
 use crate::set_up::SetUp;
 
-pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> Result<()> {
+pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output) -> Result<()> {
+    let folder = SessionFolder::open(&mut args)?;
     let set_up = SetUp::new(&args.options.set_up)?;
+    if let (Some(_), None, Some(error)) = (&folder, args.mu, set_up.mu_std_error()) {
+        // The session's white reference says what the scale factor is, and how well it is known.
+        (args.mu, args.mu_std_error) = (Some(1.0), error);
+    }
     let settings = FitSettings {
         mu: args.mu.unwrap_or(1.0),
         mu_std_error: args.mu_std_error,
-        curves: args.plot.is_some(),
+        curves: args.plot.is_some() || folder.is_some(),
         ..args.options.settings(&set_up)?
     };
     let options = FitOptions::new(settings)?;
@@ -34,7 +41,12 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let assumed = set_up.assumed(&materials);
     let materials = set_up.told_of(materials)?;
-    let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
+    let own = folder.as_ref().and_then(|folder| folder.dictionary.as_ref());
+    let purpose = if own.is_some() { Purpose::Compute } else { Purpose::Ask };
+    let (dictionary, found, errors) = with_farm(global, purpose, async |connection| {
+        if let Some((name, grid)) = own {
+            submit::ensure(connection, name, grid, global.quiet).await?;
+        }
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = MeasureRequest {
             dictionary: dictionary.clone(),
@@ -44,10 +56,16 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
             common_g: !args.free_g,
             mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
         };
-        Ok((dictionary, connection.fits().measure(request).await?.into_inner()))
+        let found = Found::try_from(connection.fits().measure(request).await?.into_inner())?;
+        let errors = match &folder {
+            Some(_) => {
+                errors_of(connection, &dictionary, &found, &materials, &set_up, options.settings()).await?
+            }
+            None => Vec::new(),
+        };
+        Ok((dictionary, found, errors))
     })
     .await?;
-    let found = Found::try_from(answer)?;
     if mixtures.is_some() && found.unmixed.is_none() {
         bail!(
             "the farm's answer tells nothing of mixtures: its coordinator is older than this farmctl; upgrade it"
@@ -61,12 +79,40 @@ pub(crate) async fn run(global: &Global, args: MeasureArgs, output: &Output) -> 
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
     let options = options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
-    let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
-    output.print("measure", &data, || {
+    let told = || {
         let assumed = assumed.text(options.settings());
         let report = Report { fits: &found.materials, assumed, bound: args.bound };
-        text(&found, &report, args.output.as_deref(), &pictures)
+        let sources = sources_text(&errors).map_or_else(String::new, |text| format!("\n\n{text}"));
+        text(&found, &report, args.output.as_deref(), &pictures) + &sources
+    };
+    let report = match &folder {
+        Some(folder) => folder.complete(&found.materials, found.common.mu, &errors, &told())?,
+        None => None,
+    };
+    let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
+    output.print("measure", &data, || {
+        let completed = report.map_or_else(String::new, |path| format!("\nadded to {}", path.display()));
+        told() + &completed
     })
+}
+
+/// What the media's errors are made of, for the channels that the data determine.
+async fn errors_of(
+    connection: &Connection,
+    dictionary: &str,
+    found: &Found,
+    measured: &[Measurement],
+    set_up: &SetUp,
+    known: &FitSettings,
+) -> Result<Vec<MediumErrors>> {
+    let mut errors = Vec::new();
+    for fit in &found.materials {
+        let Some(measured) = measured.iter().find(|m| m.material() == fit.material) else { continue };
+        for channel in &fit.channels {
+            errors.extend(medium_errors(connection, dictionary, measured, channel, set_up, known).await?);
+        }
+    }
+    Ok(errors)
 }
 
 /// Why an answer may lack what this program shows.

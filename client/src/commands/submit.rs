@@ -1,7 +1,7 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
@@ -12,6 +12,7 @@ use crate::cli::{Global, SubmitArgs};
 use crate::connection::{Connection, Purpose, patient, with_farm};
 use crate::exit;
 use crate::grid_file::read_grid;
+use crate::interrupt::Interrupted;
 use crate::output::{DictionaryJson, Output, duration, grouped, is_closed_pipe};
 
 pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> Result<ExitCode> {
@@ -49,6 +50,22 @@ enum End {
     /// Not waited for any longer; another process goes on with it.
     Left,
     Followed(watch::End),
+}
+
+/// Computes a dictionary if it is not there, and waits for it.
+pub(super) async fn ensure(
+    connection: &Connection,
+    name: &DictionaryName,
+    grid: &Grid,
+    quiet: bool,
+) -> Result<()> {
+    let args = SubmitArgs { grid: None, name: None, wait: true, priority: 0 };
+    let (status, end) = submit(connection, name, grid, &args, quiet).await?;
+    match (&end, status.state()) {
+        (End::Followed(watch::End::Ended(_)), DictionaryState::Done) => Ok(()),
+        (End::Left | End::Followed(watch::End::Interrupted), _) => Err(Interrupted.into()),
+        _ => bail!("the session's dictionary was not computed: {}", text(&status, &end)),
+    }
 }
 
 async fn submit(

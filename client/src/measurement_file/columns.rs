@@ -5,7 +5,7 @@ use anyhow::{Result, bail};
 use super::note::Note;
 
 /// The names of the strict format.
-const NAMES: [&str; 11] = [
+pub(crate) const NAMES: [&str; 11] = [
     "material",
     "channel",
     "thickness_mm",

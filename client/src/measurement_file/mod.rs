@@ -17,6 +17,7 @@ use anyhow::{Context, Result};
 use optics_model::Measurement;
 
 use crate::output::Output;
+pub(crate) use columns::NAMES as COLUMNS;
 pub use note::Note;
 use number::Decimal;
 use table::Table;

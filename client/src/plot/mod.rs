@@ -31,5 +31,5 @@ pub(crate) use overview::{OverviewFigure, overview_figure};
 pub(crate) use picture::Picture;
 pub(crate) use scale::scale_figure;
 
-use fit::fit_figure;
+pub(crate) use fit::fit_figure;
 use map::map_figure;

@@ -50,8 +50,8 @@ impl Picture {
         write_whole(path, &bytes).with_context(|| format!("figure {}", path.display()))
     }
 
-    #[cfg(test)]
-    pub(super) fn svg(&self) -> &str {
+    /// The drawing as it stands within a page.
+    pub(crate) fn svg(&self) -> &str {
         &self.svg
     }
 

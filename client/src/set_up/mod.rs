@@ -27,6 +27,7 @@ impl SetUp {
         let session = args.session.as_deref().map(Session::read).transpose()?.unwrap_or_default();
         let told = Session {
             gain_std_error: args.gain_std_error.or(session.gain_std_error),
+            mu_std_error: session.mu_std_error,
             offset_std_error: args.offset_std_error.or(session.offset_std_error),
             slope_std_error: args.slope_std_error.or(session.slope_std_error),
             thickness_std_error_mm: args.thickness_std_error_mm.or(session.thickness_std_error_mm),
@@ -35,6 +36,11 @@ impl SetUp {
             blur_std_error_mm: args.blur_std_error_mm.map(ByChannel::All).or(session.blur_std_error_mm),
         };
         Ok(Self { told })
+    }
+
+    /// Standard error of the scale factor, if the session tells how good its white reference is.
+    pub(crate) fn mu_std_error(&self) -> Option<f64> {
+        self.told.mu_std_error
     }
 
     /// The settings with what is told of all profiles.

@@ -43,6 +43,8 @@ impl ByChannel {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Session {
     pub gain_std_error: Option<f64>,
+    /// Of the gain that all profiles share: that of the white reference.
+    pub mu_std_error: Option<f64>,
     pub offset_std_error: Option<f64>,
     pub slope_std_error: Option<f64>,
     pub thickness_std_error_mm: Option<f64>,
@@ -80,6 +82,7 @@ impl Session {
         let by_channel = |name: &str| told(fields, name).map(|value| by_channel(name, value)).transpose();
         Ok(Self {
             gain_std_error: one("gain_std_error")?,
+            mu_std_error: one("mu_std_error")?,
             offset_std_error: one("offset_std_error")?,
             slope_std_error: one("slope_std_error")?,
             thickness_std_error_mm: one("thickness_std_error_mm")?,
@@ -153,6 +156,7 @@ mod tests {
         assert_eq!([blur.of("R"), blur.of("G"), blur.of("B")], [Some(0.025), Some(0.024), None]);
         let expected = Session {
             gain_std_error: Some(0.01),
+            mu_std_error: None,
             offset_std_error: Some(0.0),
             slope_std_error: None,
             thickness_std_error_mm: Some(0.002),

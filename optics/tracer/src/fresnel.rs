@@ -48,7 +48,6 @@ impl Facet {
     }
 
     /// R.
-    #[cfg(test)]
     pub fn reflectance(&self) -> f32 {
         0.5 * self.numerator / self.denominator
     }

@@ -8,6 +8,7 @@
 //! chunks of a fixed size, chunks into blocks, and sums merged in their order, whichever thread or machine was done
 //! first.
 
+mod bare_board;
 mod exits;
 mod fresnel;
 mod kernel;
@@ -34,6 +35,7 @@ use optics_model::profile::Record;
 use optics_model::sums::Sums;
 use rayon::prelude::*;
 
+pub use bare_board::BareBoard;
 use exits::{Chunk, Exits};
 pub use kernel::Kernel;
 use powers::AlbedoPowers;

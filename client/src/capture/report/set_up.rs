@@ -1,0 +1,151 @@
+//! The set-up: board, grey patches, light, noise.
+
+use optics_capture::{Calibration, Colour, Estimate};
+
+use super::super::picture::data_uri;
+use super::super::stage::Captured;
+use super::plot::plot;
+use super::samples::{profiles, significant};
+use super::{shots, warnings};
+
+/// Columns of the map of the light.
+const COLUMNS: usize = 90;
+
+pub(super) fn section(captured: &Captured) -> String {
+    format!("<h2>Board</h2>\n{}<h2>Camera and light</h2>\n{}", board(captured), camera(captured))
+}
+
+fn board(captured: &Captured) -> String {
+    let board = &captured.board;
+    let rows = Colour::ALL.iter().map(|colour| {
+        let c = colour.index();
+        let cells = [
+            board.blur_mm[c].value * 1000.0,
+            board.blur_mm[c].std_error * 1000.0,
+            board.origin_mm[c].value * 1000.0,
+        ];
+        format!(
+            "<tr><td class=\"{0}\">{0}</td><td>{1:.1} ± {2:.2}</td><td>{3:+.2}</td><td>{4}</td><td>{5}</td><td>{6}</td><td>{7}</td></tr>",
+            colour.letter(),
+            cells[0],
+            cells[1],
+            cells[2],
+            told(board.light[c]),
+            told(board.dark[c]),
+            told(captured.rho[c].light),
+            told(captured.rho[c].dark),
+        )
+    });
+    let figures: String = board.shots.iter().map(|shot| shots::figure(captured, shot)).collect();
+    format!(
+        "{}<p>{:.3} ± {:.3} px/mm; the edge is turned by {:.3} ± {:.3}° and bends by {:.3} px; its dark side is {}.</p>\n\
+         <div class=\"wide\"><table><tr><th>channel</th><th>blur σ [µm]</th><th>edge against green [µm]</th><th>looks light</th>\
+         <th>looks dark</th><th>ρ light</th><th>ρ dark</th></tr>{}</table></div>\n\
+         <figure>{}<figcaption>The bare edge.</figcaption></figure>\n<div class=\"row\">{figures}</div>\n",
+        warnings(&board.warnings),
+        1.0 / board.mm_per_px.value,
+        board.mm_per_px.std_error / board.mm_per_px.value.powi(2),
+        board.edge.angle_deg.value,
+        board.edge.angle_deg.std_error,
+        board.edge.bend_px.value,
+        board.edge.dark_side,
+        rows.collect::<String>(),
+        plot(&profiles(&board.profiles), ["x [mm]", "radiance factor"], [0.0, 0.0]),
+    )
+}
+
+fn told(estimate: Estimate) -> String {
+    let error = significant(estimate.std_error);
+    let digits = error.split_once('.').map_or(0, |(_, after)| after.len()).min(6);
+    format!("{:.digits$} ± {error}", estimate.value)
+}
+
+fn camera(captured: &Captured) -> String {
+    let calibration = &captured.calibration;
+    let first = captured.inputs.first().map(|input| input.about.clone()).unwrap_or_default();
+    let mut words: Vec<String> = first.camera.into_iter().collect();
+    words.extend(
+        first.exposure_s.map(|s| if s < 1.0 { format!("1/{:.0} s", 1.0 / s) } else { format!("{s} s") }),
+    );
+    words.extend(first.f_number.map(|n| format!("f/{n}")));
+    words.extend(first.iso.map(|iso| format!("ISO {iso}")));
+    format!(
+        "{}<p>{}</p>\n{}{}{}",
+        warnings(&calibration.warnings),
+        super::escaped(&words.join(", ")),
+        patches(calibration),
+        constants(calibration),
+        light(captured)
+    )
+}
+
+/// Grey patches against the line through them.
+fn patches(calibration: &Calibration) -> String {
+    let rows = calibration.patches.iter().map(|patch| {
+        let cells = [0, 1, 2]
+            .map(|c| format!("<td>{:.4} ({:+.2} %)</td>", patch.value[c].value, 100.0 * patch.deviation[c]));
+        format!("<tr><td>{}</td>{}</tr>", patch.rho[1], cells.concat())
+    });
+    format!(
+        "<h3>Grey patches</h3>\n<div class=\"wide\"><table><tr><th>ρ told</th><th>R seen</th><th>G seen</th><th>B seen</th></tr>{}</table></div>\n\
+         <p class=\"faint\">In brackets: how far a patch lies off the line through all.</p>\n",
+        rows.collect::<String>()
+    )
+}
+
+fn constants(calibration: &Calibration) -> String {
+    let rows = Colour::ALL.iter().map(|colour| {
+        let c = colour.index();
+        let sites = calibration.noise.iter().filter(|n| n.colour == *colour);
+        let noise: Vec<String> =
+            sites.map(|n| format!("{:.2} / {:.3}", n.read.value, n.gain.value)).collect();
+        format!(
+            "<tr><td class=\"{0}\">{0}</td><td>{1}</td><td>{2}</td><td>{3}</td><td>{4:.2} %</td></tr>",
+            colour.letter(),
+            noise.join(", "),
+            told(calibration.gain[c]),
+            told(calibration.glare[c]),
+            100.0 * calibration.drift[c],
+        )
+    });
+    format!(
+        "<h3>Constants</h3>\n<div class=\"wide\"><table><tr><th>channel</th><th>read noise / numbers an electron</th><th>numbers per unit</th>\
+         <th>glare</th><th>drift</th></tr>{}</table></div>\n",
+        rows.collect::<String>()
+    )
+}
+
+/// The light over the frame in green, as in Fig. 4 of the paper: grey is the mean, a step of colour 1 %.
+fn light(captured: &Captured) -> String {
+    let Some(first) = captured.inputs.first() else { return String::new() };
+    let [width, height] = first.thumbnail.full;
+    let rows = (COLUMNS * height).div_ceil(width.max(1)).clamp(1, 4 * COLUMNS);
+    let flat = captured.calibration.flat();
+    let at = |row: usize, column: usize| {
+        let place = |i: usize, n: usize, side: usize| (i as f64 + 0.5) / n as f64 * side as f64;
+        flat.at(Colour::Green, place(column, COLUMNS, width), place(row, rows, height))
+    };
+    let values: Vec<f64> =
+        (0..rows).flat_map(|r| (0..COLUMNS).map(move |c| (r, c))).map(|(r, c)| at(r, c)).collect();
+    let [low, high] = values.iter().fold([f64::INFINITY, 0.0], |[a, b], v| [v.min(a), v.max(b)]);
+    let bytes: Vec<u8> = values.iter().flat_map(|v| departure_colour(v - 1.0)).collect();
+    format!(
+        "<h3>Light over the frame</h3>\n<figure><img class=\"strip\" style=\"max-width:24rem\" src=\"{}\" alt=\"map of the light\">\
+         <figcaption>Green, from {:.1} % (blue) to {:+.1} % (red) of the mean, in steps of 1 %.</figcaption></figure>\n",
+        data_uri(COLUMNS, rows, &bytes),
+        100.0 * (low - 1.0),
+        100.0 * (high - 1.0),
+    )
+}
+
+/// Grey at 0, redder above and bluer below, full at 10 %.
+fn departure_colour(departure: f64) -> [u8; 3] {
+    let step = (100.0 * departure).round() / 10.0;
+    let part = step.abs().min(1.0);
+    let mixed = |from: f64, to: f64| (from + part * (to - from)).round() as u8;
+    if step >= 0.0 {
+        [mixed(200.0, 190.0), mixed(200.0, 40.0), mixed(200.0, 30.0)]
+    } else {
+        [mixed(200.0, 30.0), mixed(200.0, 70.0), mixed(200.0, 190.0)]
+    }
+}

@@ -1,0 +1,97 @@
+use std::fs::write;
+
+use super::*;
+
+const SOUND: &str = r#"
+[camera]
+dark = ["dark_*.pgm"]
+pattern = "RGGB"
+
+[neutral]
+shots = ["chart.pgm"]
+rho = [0.9, [0.5, 0.51, 0.52], 0.1]
+areas_px = [[0, 0, 20, 20], [20, 0, 20, 20], [40, 0, 20, 20]]
+
+[target]
+bare = ["board.pgm"]
+
+[[sample]]
+material = "white"
+thickness_mm = 0.512
+shots = ["white_*.pgm"]
+"#;
+
+/// A folder with a session and empty photographs; `change` replaces a part of the session by another.
+fn read(change: (&str, &str)) -> Result<Session> {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["dark_1", "dark_2", "chart", "board", "white_2", "white_1", "white_10"] {
+        write(folder.path().join(format!("{name}.pgm")), "").unwrap();
+    }
+    assert!(SOUND.contains(change.0), "{}", change.0);
+    let path = folder.path().join("session.toml");
+    write(&path, SOUND.replacen(change.0, change.1, 1)).unwrap();
+    let read = Session::read(&path);
+    // Paths are of the folder that is gone.
+    read.map_err(|e| anyhow::anyhow!(format!("{e:#}").replace(&folder.path().display().to_string(), "DIR")))
+}
+
+fn refused(from: &str, to: &str) -> String {
+    read((from, to)).unwrap_err().to_string()
+}
+
+#[test]
+fn what_is_left_out_is_the_papers() {
+    let session = read(("", "")).unwrap();
+    assert_eq!(session.target, Target { square_mm: 20.0, square_std_error_mm: 0.01, dark_side: None });
+    assert_eq!(session.samples[0].thickness_std_error_mm, 0.005);
+    assert_eq!(session.pattern, Some([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]));
+    let names = session.shots().map(|p| p.file_stem().unwrap().to_str().unwrap().to_owned());
+    let order = ["dark_1", "dark_2", "chart", "board", "white_1", "white_10", "white_2"];
+    assert_eq!(names.collect::<Vec<_>>(), order, "in the order of their use, each field's sorted");
+    assert_eq!(session.scene, optics_model::Scene::paper());
+}
+
+#[test]
+fn wrong_values_are_refused_with_file_line_field_and_what_is_allowed() {
+    let told = refused("thickness_mm = 0.512", "thickness_mm = -1");
+    assert_eq!(
+        told,
+        "session file DIR/session.toml, line 16: sample[0].thickness_mm = -1 is not valid: allowed are 0.01 to 100"
+    );
+    for (from, to, expected) in [
+        ("thickness_mm = 0.512", "", "missing field `thickness_mm`"),
+        ("thickness_mm = 0.512", "thickness_mm = nan", "sample[0].thickness_mm = NaN is not valid"),
+        ("thickness_mm", "height_mm", "unknown field `height_mm`"),
+        ("[target]", "[target]\nsquare_mm = 0", "target.square_mm = 0 is not valid"),
+        (
+            "[target]",
+            "[target]\ndark_side = \"west\"",
+            "allowed are \"left\", \"right\", \"top\" and \"bottom\"",
+        ),
+        ("\"RGGB\"", "\"RGBG\"", "camera.pattern = \"RGBG\" is not valid: allowed are \"RGGB\", \"BGGR\""),
+        ("\"white\"", "\" white\"", "sample[0].material = \" white\" is not valid"),
+        ("white_*", "cyan_*", "sample[0].shots[0] = \"cyan_*.pgm\" is not valid: no such file is in DIR"),
+        (
+            "bare = [\"board.pgm\"]",
+            "bare = []",
+            "target.bare = [] is not valid: at least one photograph is needed",
+        ),
+        ("white_*.pgm", "board.pgm", "the photograph is also in target.bare; each may be used once"),
+        (", 0.1]", "]", "neutral.rho = 2 patches is not valid"),
+        ("rho = [0.9", "rho = [9", "neutral.rho[0] = [9.0, 9.0, 9.0] is not valid"),
+        ("[40, 0, 20, 20]", "[40, 0, 20]", "invalid length 3"),
+        ("[camera]", "scene = \"none.toml\"\n[camera]", "scene \"none.toml\" is neither"),
+    ] {
+        let told = refused(from, to);
+        assert!(told.starts_with("session file DIR/session.toml"), "{told}");
+        assert!(told.contains(expected), "{to}: {told}");
+    }
+}
+
+#[test]
+fn a_slab_has_one_entry() {
+    let twice =
+        "[[sample]]\nmaterial = \"white\"\nthickness_mm = 0.512\nshots = [\"white_1.pgm\"]\n\n[[sample]]";
+    let told = refused("[[sample]]", twice).replace("white_*", "white_2");
+    assert!(told.contains("also in sample[0].shots"), "{told}");
+}

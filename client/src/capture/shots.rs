@@ -1,0 +1,108 @@
+//! A session's photographs, read one at a time.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use optics_capture::{Colour, Exposure, Frame, Levels, Pattern, Photo};
+
+use super::picture::Thumbnail;
+use crate::photograph::{self, About, Layout, Photograph};
+
+/// Reads photographs, refuses what does not belong to one session, and remembers what was read.
+#[derive(Debug, Default)]
+pub(crate) struct Shots {
+    /// Of files that do not tell it.
+    pattern: Option<[Colour; 4]>,
+    /// Folder that labels are relative to.
+    folder: PathBuf,
+    /// The first camera, and the label of its photograph.
+    camera: Option<(String, String)>,
+    read: Vec<Input>,
+}
+
+/// A photograph that was read.
+#[derive(Debug, Clone)]
+pub(crate) struct Input {
+    pub(crate) label: String,
+    pub(crate) digest: String,
+    pub(crate) about: About,
+    pub(crate) thumbnail: Thumbnail,
+}
+
+impl Shots {
+    pub(crate) fn new(pattern: Option<[Colour; 4]>, folder: &Path) -> Self {
+        Self { pattern, folder: folder.to_owned(), ..Self::default() }
+    }
+
+    /// Reads the next one.
+    pub(crate) fn read(&mut self, path: &Path) -> Result<Photo> {
+        let label = path.strip_prefix(&self.folder).unwrap_or(path).display().to_string();
+        let (photograph, digest) = photograph::read(path)?;
+        self.check_camera(&photograph.about, &label)?;
+        let about = photograph.about.clone();
+        let photo =
+            self.photo(photograph, &label).with_context(|| format!("photograph {}", path.display()))?;
+        // A photograph that is read twice is one input.
+        if !self.read.iter().any(|input| input.label == label) {
+            let thumbnail = Thumbnail::of(&photo.frame);
+            self.read.push(Input { label, digest: digest.to_hex().to_string(), about, thumbnail });
+        }
+        Ok(photo)
+    }
+
+    pub(crate) fn into_inputs(self) -> Vec<Input> {
+        self.read
+    }
+
+    fn check_camera(&mut self, about: &About, label: &str) -> Result<()> {
+        match (&self.camera, &about.camera) {
+            (Some((first, of)), Some(camera)) if first != camera => {
+                bail!("{label} was taken with {camera}, {of} with {first}: a session has one camera")
+            }
+            (None, Some(camera)) => self.camera = Some((camera.clone(), label.to_owned())),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn photo(&self, photograph: Photograph, label: &str) -> Result<Photo> {
+        let pattern = match (photograph.layout, self.pattern) {
+            (Layout::Rgb, None) => Pattern::Rgb,
+            (Layout::Mosaic(Some(colours)), None) => Pattern::Bayer(colours.map(colour)),
+            (Layout::Mosaic(None), Some(told)) => Pattern::Bayer(told),
+            (Layout::Mosaic(Some(colours)), Some(told)) => {
+                let colours = colours.map(colour);
+                if colours != told {
+                    let [says, told] = [colours, told].map(|p| p.map(Colour::letter).concat());
+                    bail!("camera.pattern is {told:?}, but the file says {says:?}: leave it out");
+                }
+                Pattern::Bayer(told)
+            }
+            (Layout::Mosaic(None), None) => bail!(
+                "the file does not tell the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
+                 under [camera] (`dcraw -i -v` tells it as \"Filter pattern\")"
+            ),
+            (Layout::Rgb, Some(_)) => {
+                bail!("the file has three colours in each pixel, so camera.pattern must be left out")
+            }
+        };
+        let Photograph { width, height, samples, black, white, about, .. } = photograph;
+        let exposure =
+            about.exposure_s.map(|time_s| Exposure { time_s, f_number: about.f_number, iso: about.iso });
+        Ok(Photo {
+            label: label.to_owned(),
+            frame: Frame::new(width, height, pattern, samples)?,
+            levels: Levels { black, white },
+            seconds: about.taken_s,
+            exposure,
+        })
+    }
+}
+
+fn colour(colour: photograph::Colour) -> Colour {
+    match colour {
+        photograph::Colour::Red => Colour::Red,
+        photograph::Colour::Green => Colour::Green,
+        photograph::Colour::Blue => Colour::Blue,
+    }
+}

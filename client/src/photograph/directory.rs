@@ -1,0 +1,245 @@
+//! Directories of TIFF files: tags with their values (TIFF 6.0, Sec. 2).
+
+use super::unreadable::Unreadable;
+
+/// Most entries and values that are looked at: a camera's file has hundreds of tags, a hundred thousand tiles at most.
+const MOST_VALUES: u64 = 1 << 20;
+
+/// The bytes of a TIFF file and their order.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bytes<'a> {
+    all: &'a [u8],
+    pub(super) big_endian: bool,
+}
+
+impl<'a> Bytes<'a> {
+    /// None if the file does not begin as a TIFF.
+    pub(super) fn new(all: &'a [u8]) -> Option<Self> {
+        match all {
+            [b'I', b'I', 42, 0, ..] => Some(Self { all, big_endian: false }),
+            [b'M', b'M', 0, 42, ..] => Some(Self { all, big_endian: true }),
+            _ => None,
+        }
+    }
+
+    pub(super) fn slice(self, what: &str, from: u64, length: u64) -> Result<&'a [u8], Unreadable> {
+        let to = from.saturating_add(length);
+        let has = self.all.len() as u64;
+        let cut = || Unreadable::Truncated { what: what.to_owned(), from, to, has };
+        if to > has {
+            return Err(cut());
+        }
+        self.all.get(from as usize..to as usize).ok_or_else(cut)
+    }
+
+    fn u16(self, what: &str, at: u64) -> Result<u16, Unreadable> {
+        let bytes = self.slice(what, at, 2)?;
+        let bytes = [bytes[0], bytes[1]];
+        Ok(if self.big_endian { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
+    }
+
+    fn u32(self, what: &str, at: u64) -> Result<u32, Unreadable> {
+        let bytes = self.slice(what, at, 4)?;
+        let bytes = [bytes[0], bytes[1], bytes[2], bytes[3]];
+        Ok(if self.big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
+    }
+
+    /// Where the first directory begins.
+    pub(super) fn first(self) -> Result<u64, Unreadable> {
+        Ok(u64::from(self.u32("the place of the first directory", 4)?))
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    tag: u16,
+    kind: u16,
+    count: u64,
+    /// Where the values are.
+    at: u64,
+}
+
+impl Entry {
+    /// Bytes of a value.
+    fn size(self) -> u64 {
+        match self.kind {
+            3 | 8 => 2,
+            4 | 9 | 11 | 13 => 4,
+            5 | 10 | 12 => 8,
+            _ => 1,
+        }
+    }
+}
+
+/// One directory: the tags of one picture, or those of EXIF.
+#[derive(Debug, Clone)]
+pub(super) struct Directory<'a> {
+    bytes: Bytes<'a>,
+    entries: Vec<Entry>,
+    /// Where the next one begins; 0 after the last.
+    pub(super) next: u64,
+}
+
+impl<'a> Directory<'a> {
+    pub(super) fn read(bytes: Bytes<'a>, at: u64) -> Result<Self, Unreadable> {
+        let count = u64::from(bytes.u16("a directory", at)?);
+        let mut entries = Vec::new();
+        for i in 0..count {
+            let at = at + 2 + 12 * i;
+            let (tag, kind) = (bytes.u16("a directory", at)?, bytes.u16("a directory", at + 2)?);
+            let entry = Entry { tag, kind, count: u64::from(bytes.u32("a directory", at + 4)?), at: at + 8 };
+            let inline = entry.size() * entry.count <= 4;
+            let place = if inline { at + 8 } else { u64::from(bytes.u32("a directory", at + 8)?) };
+            entries.push(Entry { at: place, ..entry });
+        }
+        // Some writers leave out the end of the last directory.
+        let next = bytes.u32("a directory", at + 2 + 12 * count).map_or(0, u64::from);
+        Ok(Self { bytes, entries, next })
+    }
+
+    pub(super) fn has(&self, tag: Tag) -> bool {
+        self.entry(tag).is_some()
+    }
+
+    fn entry(&self, tag: Tag) -> Option<Entry> {
+        self.entries.iter().find(|entry| entry.tag == tag.number).copied()
+    }
+
+    /// The values of a tag, none of them if it is not there.
+    pub(super) fn numbers(&self, tag: Tag) -> Result<Vec<f64>, Unreadable> {
+        let Some(entry) = self.entry(tag) else { return Ok(Vec::new()) };
+        if entry.count > MOST_VALUES {
+            let allowed = format!("at most {MOST_VALUES} are read");
+            return Err(Unreadable::tag(tag.name, format_args!("{} values", entry.count), allowed));
+        }
+        let bytes = self.bytes.slice(tag.name, entry.at, entry.size() * entry.count)?;
+        let size = entry.size() as usize;
+        bytes.chunks_exact(size).map(|value| self.number(tag, entry.kind, value)).collect()
+    }
+
+    fn number(&self, tag: Tag, kind: u16, value: &[u8]) -> Result<f64, Unreadable> {
+        let u32_at = |i: usize| {
+            let b = [value[i], value[i + 1], value[i + 2], value[i + 3]];
+            if self.bytes.big_endian { u32::from_be_bytes(b) } else { u32::from_le_bytes(b) }
+        };
+        let u16_at =
+            |b: [u8; 2]| if self.bytes.big_endian { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) };
+        Ok(match kind {
+            1 | 7 => f64::from(value[0]),
+            6 => f64::from(value[0] as i8),
+            3 => f64::from(u16_at([value[0], value[1]])),
+            8 => f64::from(u16_at([value[0], value[1]]) as i16),
+            4 | 13 => f64::from(u32_at(0)),
+            9 => f64::from(u32_at(0) as i32),
+            5 => f64::from(u32_at(0)) / f64::from(u32_at(4)),
+            10 => f64::from(u32_at(0) as i32) / f64::from(u32_at(4) as i32),
+            11 => f64::from(f32::from_bits(u32_at(0))),
+            12 => {
+                let (first, second) = (u64::from(u32_at(0)), u64::from(u32_at(4)));
+                let (high, low) = if self.bytes.big_endian { (first, second) } else { (second, first) };
+                f64::from_bits(high << 32 | low)
+            }
+            _ => return Err(Unreadable::tag(tag.name, format_args!("type {kind}"), "numbers are wanted")),
+        })
+    }
+
+    /// The first value, if it is a number.
+    pub(super) fn number_of(&self, tag: Tag) -> Result<Option<f64>, Unreadable> {
+        Ok(self.numbers(tag)?.first().copied().filter(|value| value.is_finite()))
+    }
+
+    /// Values that are whole numbers, as sizes and places are.
+    pub(super) fn whole(&self, tag: Tag) -> Result<Vec<u64>, Unreadable> {
+        let whole = |value: f64| {
+            let sound = value >= 0.0 && value.fract() == 0.0;
+            if sound {
+                Ok(value as u64)
+            } else {
+                Err(Unreadable::tag(tag.name, value, "whole numbers are wanted"))
+            }
+        };
+        self.numbers(tag)?.into_iter().map(whole).collect()
+    }
+
+    pub(super) fn whole_of(&self, tag: Tag) -> Result<Option<u64>, Unreadable> {
+        Ok(self.whole(tag)?.first().copied())
+    }
+
+    pub(super) fn needed(&self, tag: Tag) -> Result<u64, Unreadable> {
+        self.whole_of(tag)?.ok_or_else(|| Unreadable::missing(tag.name, "every picture has it"))
+    }
+
+    /// A text without the zero at its end; none if it is no text.
+    pub(super) fn text(&self, tag: Tag) -> Option<String> {
+        let bytes = self.raw(tag)?;
+        let text = String::from_utf8_lossy(bytes);
+        let text: String = text.trim_end_matches('\0').chars().filter(|c| !c.is_control()).collect();
+        let text = text.trim();
+        (!text.is_empty()).then(|| text.to_owned())
+    }
+
+    /// The bytes of a tag's values.
+    pub(super) fn raw(&self, tag: Tag) -> Option<&'a [u8]> {
+        let entry = self.entry(tag)?;
+        self.bytes.slice(tag.name, entry.at, entry.size() * entry.count).ok()
+    }
+}
+
+/// A tag by its number, with the name that people know it by.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tag {
+    number: u16,
+    pub(super) name: &'static str,
+}
+
+macro_rules! tags {
+    ($($constant:ident = $number:literal $name:literal;)*) => {
+        impl Tag {
+            $(pub(super) const $constant: Self = Self { number: $number, name: $name };)*
+        }
+    };
+}
+
+tags! {
+    SUBFILE_TYPE = 254 "NewSubfileType";
+    WIDTH = 256 "ImageWidth";
+    HEIGHT = 257 "ImageLength";
+    BITS = 258 "BitsPerSample";
+    COMPRESSION = 259 "Compression";
+    PHOTOMETRIC = 262 "PhotometricInterpretation";
+    MAKE = 271 "Make";
+    MODEL = 272 "Model";
+    STRIP_OFFSETS = 273 "StripOffsets";
+    SAMPLES = 277 "SamplesPerPixel";
+    ROWS_PER_STRIP = 278 "RowsPerStrip";
+    STRIP_BYTES = 279 "StripByteCounts";
+    PLANAR = 284 "PlanarConfiguration";
+    TRANSFER_FUNCTION = 301 "TransferFunction";
+    DATE_TIME = 306 "DateTime";
+    PREDICTOR = 317 "Predictor";
+    TILE_WIDTH = 322 "TileWidth";
+    TILE_HEIGHT = 323 "TileLength";
+    TILE_OFFSETS = 324 "TileOffsets";
+    TILE_BYTES = 325 "TileByteCounts";
+    SUB_IFDS = 330 "SubIFDs";
+    SAMPLE_FORMAT = 339 "SampleFormat";
+    CFA_DIM = 33421 "CFARepeatPatternDim";
+    CFA_PATTERN = 33422 "CFAPattern";
+    EXPOSURE_TIME = 33434 "ExposureTime";
+    F_NUMBER = 33437 "FNumber";
+    EXIF = 34665 "ExifIFD";
+    ICC = 34675 "ICCProfile";
+    ISO = 34855 "ISOSpeedRatings";
+    DATE_TIME_ORIGINAL = 36867 "DateTimeOriginal";
+    SUBSEC_ORIGINAL = 37521 "SubSecTimeOriginal";
+    DNG_VERSION = 50706 "DNGVersion";
+    CFA_PLANE_COLOR = 50710 "CFAPlaneColor";
+    CFA_LAYOUT = 50711 "CFALayout";
+    LINEARIZATION = 50712 "LinearizationTable";
+    BLACK_DIM = 50713 "BlackLevelRepeatDim";
+    BLACK = 50714 "BlackLevel";
+    BLACK_DELTA_H = 50715 "BlackLevelDeltaH";
+    BLACK_DELTA_V = 50716 "BlackLevelDeltaV";
+    WHITE = 50717 "WhiteLevel";
+    ACTIVE_AREA = 50829 "ActiveArea";
+}

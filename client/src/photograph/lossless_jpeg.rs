@@ -1,0 +1,269 @@
+//! Lossless JPEG, the usual compression of DNG (ITU-T T.81, Annex H): Huffman-coded differences from a prediction.
+
+use super::unreadable::Unreadable;
+
+/// Decodes one strip or tile: rows after rows, the components of a pixel side by side.
+pub(super) fn decode(bytes: &[u8], wanted: usize) -> Result<Vec<u16>, Unreadable> {
+    let head = Head::read(bytes)?;
+    let has = head.width * head.height * head.components;
+    if has != wanted {
+        return Err(damaged(format!("a lossless JPEG has {has} samples, {wanted} are wanted")));
+    }
+    let scan = bytes.get(head.scan..).unwrap_or_default();
+    // A sample takes a bit at least.
+    if wanted > scan.len().saturating_mul(8) {
+        return Err(damaged(format!("{} bytes cannot hold {wanted} samples", scan.len())));
+    }
+    head.samples(scan)
+}
+
+fn damaged(what: impl Into<String>) -> Unreadable {
+    Unreadable::Damaged(what.into())
+}
+
+/// A Huffman code: for each 16 bits ahead, the length of the code that they begin with, and its value.
+type Code = Vec<(u8, u8)>;
+
+#[derive(Debug, Default)]
+struct Head {
+    width: usize,
+    height: usize,
+    components: usize,
+    precision: u32,
+    predictor: u8,
+    shift: u32,
+    /// Restart after so many pixels; 0 for never.
+    restart: usize,
+    codes: [Option<Code>; 4],
+    /// Which code a component uses.
+    code_of: Vec<usize>,
+    /// Where the coded data begin.
+    scan: usize,
+}
+
+impl Head {
+    fn read(bytes: &[u8]) -> Result<Self, Unreadable> {
+        let mut head = Self::default();
+        if bytes.get(..2) != Some(&[0xff, 0xd8]) {
+            return Err(damaged("a strip or tile is no lossless JPEG"));
+        }
+        let mut at = 2;
+        loop {
+            let cut = || damaged("a lossless JPEG ends within its head");
+            let &[0xff, marker, high, low] = bytes.get(at..at + 4).ok_or_else(cut)? else {
+                return Err(damaged("a lossless JPEG has no marker where one should be"));
+            };
+            let length = usize::from(u16::from_be_bytes([high, low]));
+            let body = bytes.get(at + 4..at + 2 + length.max(2)).ok_or_else(cut)?;
+            at += 2 + length.max(2);
+            match marker {
+                0xc3 => head.frame(body)?,
+                0xc4 => head.tables(body)?,
+                0xdd => head.restart = usize::from(u16::from_be_bytes([byte(body, 0)?, byte(body, 1)?])),
+                0xda => {
+                    head.scan(body)?;
+                    head.scan = at;
+                    return Ok(head);
+                }
+                0xc0..=0xc2 | 0xc5..=0xcf => return Err(Unreadable::Jpeg),
+                _ => {}
+            }
+        }
+    }
+
+    fn frame(&mut self, body: &[u8]) -> Result<(), Unreadable> {
+        self.precision = u32::from(byte(body, 0)?);
+        let u16_at = |i| Ok(usize::from(u16::from_be_bytes([byte(body, i)?, byte(body, i + 1)?])));
+        (self.height, self.width) = (u16_at(1)?, u16_at(3)?);
+        self.components = usize::from(byte(body, 5)?);
+        let sampled = (0..self.components)
+            .try_fold(false, |s, i| Ok::<_, Unreadable>(s | (byte(body, 7 + 3 * i)? != 0x11)))?;
+        if !(2..=16).contains(&self.precision) || !(1..=4).contains(&self.components) || sampled {
+            return Err(damaged("a lossless JPEG with a head that DNG does not allow"));
+        }
+        if self.width == 0 || self.height == 0 {
+            return Err(damaged("a lossless JPEG without pixels"));
+        }
+        Ok(())
+    }
+
+    fn tables(&mut self, mut body: &[u8]) -> Result<(), Unreadable> {
+        while !body.is_empty() {
+            let place = usize::from(byte(body, 0)? & 15);
+            let counts = body.get(1..17).ok_or_else(|| damaged("a Huffman table is cut off"))?;
+            let values: usize = counts.iter().map(|c| usize::from(*c)).sum();
+            let of = body.get(17..17 + values).ok_or_else(|| damaged("a Huffman table is cut off"))?;
+            *self.codes.get_mut(place).ok_or_else(|| damaged("a fifth Huffman table"))? =
+                Some(code(counts, of)?);
+            body = &body[17 + values..];
+        }
+        Ok(())
+    }
+
+    fn scan(&mut self, body: &[u8]) -> Result<(), Unreadable> {
+        let components = usize::from(byte(body, 0)?);
+        if components != self.components || self.components == 0 {
+            return Err(damaged("a lossless JPEG in several scans"));
+        }
+        for i in 0..components {
+            let place = usize::from(byte(body, 2 + 2 * i)? >> 4);
+            if !matches!(self.codes.get(place), Some(Some(_))) {
+                return Err(damaged("a Huffman table is missing"));
+            }
+            self.code_of.push(place);
+        }
+        self.predictor = byte(body, 1 + 2 * components)?;
+        self.shift = u32::from(byte(body, 3 + 2 * components)? & 15);
+        if !(1..=7).contains(&self.predictor) || self.shift >= self.precision {
+            return Err(damaged(format!("a lossless JPEG with predictor {}", self.predictor)));
+        }
+        Ok(())
+    }
+
+    fn samples(&self, scan: &[u8]) -> Result<Vec<u16>, Unreadable> {
+        let row = self.width * self.components;
+        let mut samples = vec![0_u16; row * self.height];
+        let mut bits = Bits::new(scan);
+        let codes: Vec<&Code> = self.code_of.iter().filter_map(|place| self.codes[*place].as_ref()).collect();
+        let start = 1_i32 << (self.precision - self.shift - 1);
+        // The first row after a restart begins anew.
+        let mut first_row = 0;
+        for pixel in 0..self.width * self.height {
+            let (y, x) = (pixel / self.width, pixel % self.width);
+            let restarts = self.restart > 0 && pixel > 0 && pixel.is_multiple_of(self.restart);
+            if restarts {
+                bits.restart();
+                first_row = y;
+            }
+            for (component, code) in codes.iter().enumerate() {
+                let at = pixel * self.components + component;
+                let left = || i32::from(samples[at - self.components]);
+                let above = || i32::from(samples[at - row]);
+                let prediction = match (x == 0 || restarts, y == first_row) {
+                    (true, true) => start,
+                    (true, false) => above(),
+                    (false, true) => left(),
+                    (false, false) => predict(
+                        self.predictor,
+                        left(),
+                        above(),
+                        i32::from(samples[at - row - self.components]),
+                    ),
+                };
+                let difference = bits.difference(code)?;
+                samples[at] = (prediction + difference) as u16;
+            }
+        }
+        if self.shift > 0 {
+            for sample in &mut samples {
+                *sample <<= self.shift;
+            }
+        }
+        Ok(samples)
+    }
+}
+
+/// Table H.1: a is to the left, b above, c above to the left.
+fn predict(predictor: u8, a: i32, b: i32, c: i32) -> i32 {
+    match predictor {
+        1 => a,
+        2 => b,
+        3 => c,
+        4 => a + b - c,
+        5 => a + ((b - c) >> 1),
+        6 => b + ((a - c) >> 1),
+        _ => (a + b) >> 1,
+    }
+}
+
+fn byte(body: &[u8], at: usize) -> Result<u8, Unreadable> {
+    body.get(at).copied().ok_or_else(|| damaged("a lossless JPEG ends within its head"))
+}
+
+/// Codes of 1 to 16 bits, in order of their lengths (Annex C).
+fn code(counts: &[u8], values: &[u8]) -> Result<Code, Unreadable> {
+    let mut table = vec![(0, 0); 1 << 16];
+    let (mut next, mut values) = (0_usize, values.iter());
+    for (length, count) in (1_u8..).zip(counts) {
+        let width = 1 << (16 - length);
+        for value in values.by_ref().take(usize::from(*count)) {
+            let cells = table
+                .get_mut(next..next + width)
+                .ok_or_else(|| damaged("a Huffman table has too many codes"))?;
+            if *value > 16 {
+                return Err(damaged(format!("a difference of {value} bits")));
+            }
+            cells.fill((length, *value));
+            next += width;
+        }
+    }
+    Ok(table)
+}
+
+/// Bits of coded data, the highest first; a zero byte after 0xff is stuffing. Beyond the end come zeros.
+struct Bits<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    word: u64,
+    held: u32,
+}
+
+impl<'a> Bits<'a> {
+    fn new(bytes: &'a [u8]) -> Self {
+        Self { bytes, at: 0, word: 0, held: 0 }
+    }
+
+    fn fill(&mut self) {
+        while self.held <= 48 {
+            let byte = match (self.bytes.get(self.at), self.bytes.get(self.at + 1)) {
+                (Some(0xff), Some(0)) => {
+                    self.at += 2;
+                    0xff
+                }
+                // A marker: nothing is taken beyond it.
+                (Some(0xff) | None, _) => 0,
+                (Some(byte), _) => {
+                    self.at += 1;
+                    *byte
+                }
+            };
+            self.word = self.word << 8 | u64::from(byte);
+            self.held += 8;
+        }
+    }
+
+    fn take(&mut self, count: u32) -> u32 {
+        self.held -= count;
+        (self.word >> self.held) as u32 & ((1 << count) - 1)
+    }
+
+    fn difference(&mut self, code: &Code) -> Result<i32, Unreadable> {
+        self.fill();
+        let (length, size) = code[(self.word >> (self.held - 16)) as usize & 0xffff];
+        if length == 0 {
+            return Err(damaged("coded data that no Huffman code begins with"));
+        }
+        self.held -= u32::from(length);
+        Ok(match size {
+            0 => 0,
+            16 => 32_768,
+            size => {
+                let bits = self.take(u32::from(size)) as i32;
+                let half = 1 << (size - 1);
+                if bits < half { bits - 2 * half + 1 } else { bits }
+            }
+        })
+    }
+
+    /// Goes on behind the next restart marker.
+    fn restart(&mut self) {
+        (self.word, self.held) = (0, 0);
+        while let Some(pair) = self.bytes.get(self.at..self.at + 2) {
+            if pair[0] == 0xff && (0xd0..=0xd7).contains(&pair[1]) {
+                self.at += 2;
+                return;
+            }
+            self.at += 1;
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Photographs as numbers: files of cameras and raw converters, decoded without a change to any sample.
+//!
+//! What does not hold linear values of more than 8 bits is refused, with what to do instead. Sizes are checked against the
+//! file before memory is taken, so that a damaged file costs no more than a sound one.
+
+mod about;
+mod chunks;
+mod directory;
+mod icc;
+mod lossless_jpeg;
+mod netpbm;
+mod png;
+#[cfg(test)]
+mod tests;
+mod tiff;
+mod unreadable;
+
+use std::io::Read as _;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+
+pub(crate) use about::About;
+pub(crate) use unreadable::Unreadable;
+
+/// Most pixels of a photograph.
+pub(crate) const MOST_PIXELS: usize = 150_000_000;
+
+/// Largest file that is read, in bytes: three samples of 16 bits for each pixel, and something for the rest.
+const LARGEST: u64 = 1_000_000_000;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Colour {
+    Red,
+    Green,
+    Blue,
+}
+
+/// What the samples of a photograph are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Layout {
+    /// One sample a pixel, its colour by row and column modulo 2; none if the file does not tell.
+    Mosaic(Option<[Colour; 4]>),
+    /// Three samples a pixel.
+    Rgb,
+}
+
+impl Layout {
+    pub(crate) fn samples_per_pixel(self) -> usize {
+        match self {
+            Self::Mosaic(_) => 1,
+            Self::Rgb => 3,
+        }
+    }
+}
+
+/// A decoded photograph.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Photograph {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) layout: Layout,
+    /// Row by row.
+    pub(crate) samples: Vec<u16>,
+    /// Black level by row and column modulo 2, or by colour.
+    pub(crate) black: Option<[f64; 4]>,
+    /// Level at which the sensor saturates.
+    pub(crate) white: Option<f64>,
+    pub(crate) about: About,
+}
+
+/// Reads a photograph; the digest is that of the file.
+pub(crate) fn read(path: &Path) -> Result<(Photograph, blake3::Hash)> {
+    let place = || format!("photograph {}", path.display());
+    let bytes = read_bytes(path).with_context(place)?;
+    let digest = blake3::hash(&bytes);
+    Ok((decode(&bytes).with_context(place)?, digest))
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    let file = std::fs::File::open(path)?;
+    let size = file.metadata()?.len();
+    if size > LARGEST {
+        bail!("the file has {size} bytes, {LARGEST} are allowed");
+    }
+    let mut bytes = Vec::with_capacity(size as usize);
+    file.take(LARGEST).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// Decodes a file of any format that is known, told by its first bytes.
+pub(crate) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
+    match bytes {
+        [] => Err(Unreadable::Empty),
+        [0xff, 0xd8, ..] => Err(Unreadable::Jpeg),
+        [0x89, b'P', b'N', b'G', ..] => png::decode(bytes),
+        [b'P', b'5' | b'6', ..] => netpbm::decode(bytes),
+        [b'P', b'1'..=b'4', ..] => Err(Unreadable::EightBit { bits: 8 }),
+        // Canon, Olympus, Panasonic, Fujifilm.
+        [_, _, _, _, _, _, _, _, b'C', b'R', ..] if tiff::is_tiff(bytes) => {
+            Err(Unreadable::CamerasOwn("CR2"))
+        }
+        [_, _, _, _, b'f', b't', b'y', b'p', b'c', b'r', b'x', ..] => Err(Unreadable::CamerasOwn("CR3")),
+        [b'I', b'I', b'R', b'O' | b'S', ..] => Err(Unreadable::CamerasOwn("ORF")),
+        [b'I', b'I', b'U', 0, ..] => Err(Unreadable::CamerasOwn("RW2")),
+        [b'F', b'U', b'J', b'I', b'F', b'I', b'L', b'M', ..] => Err(Unreadable::CamerasOwn("RAF")),
+        _ if tiff::is_tiff(bytes) => tiff::decode(bytes),
+        _ => Err(Unreadable::UnknownFormat),
+    }
+}
+
+/// Refuses sizes that no photograph has, before memory is taken.
+fn checked_size(width: u64, height: u64) -> Result<(usize, usize), Unreadable> {
+    let pixels = width.checked_mul(height).filter(|n| (1..=MOST_PIXELS as u64).contains(n));
+    match pixels {
+        Some(_) => Ok((width as usize, height as usize)),
+        None => Err(Unreadable::Size { width, height }),
+    }
+}

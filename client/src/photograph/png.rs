@@ -1,0 +1,54 @@
+//! PNG with 16 bits a sample.
+
+use std::io::Cursor;
+
+use super::icc::tone_curve;
+use super::unreadable::Unreadable;
+use super::{About, Layout, Photograph, checked_size};
+
+/// Deflate makes nothing more than this many times smaller.
+const MOST_DEFLATED: u64 = 1032;
+
+pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
+    let damaged = |e: png::DecodingError| Unreadable::Damaged(e.to_string());
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    decoder.set_transformations(png::Transformations::IDENTITY);
+    let mut reader = decoder.read_info().map_err(damaged)?;
+    let info = reader.info();
+    let (width, height) = checked_size(u64::from(info.width), u64::from(info.height))?;
+    if info.bit_depth != png::BitDepth::Sixteen {
+        return Err(Unreadable::EightBit { bits: info.bit_depth as u32 });
+    }
+    if let Some(seen) = not_linear(info) {
+        return Err(Unreadable::NotLinear { seen });
+    }
+    let layout = match info.color_type {
+        png::ColorType::Rgb => Layout::Rgb,
+        png::ColorType::Grayscale => Layout::Mosaic(None),
+        other => {
+            let allowed = "allowed are grey and RGB without alpha";
+            return Err(Unreadable::tag("colour type", format_args!("{other:?}"), allowed));
+        }
+    };
+    let about = info.exif_metadata.as_deref().map_or_else(About::default, About::of_exif);
+    let length = 2 * width * height * layout.samples_per_pixel();
+    if length as u64 > MOST_DEFLATED * bytes.len() as u64 {
+        return Err(Unreadable::Damaged(format!("{} bytes cannot hold {length}", bytes.len())));
+    }
+    let mut pixels = vec![0; length];
+    reader.next_frame(&mut pixels).map_err(damaged)?;
+    let samples = pixels.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();
+    Ok(Photograph { width, height, layout, samples, black: None, white: None, about })
+}
+
+/// What the file says of a tone curve; a file that says nothing is taken to be linear, and its grey patches tell.
+fn not_linear(info: &png::Info) -> Option<String> {
+    if info.srgb.is_some() {
+        return Some("an sRGB chunk".to_owned());
+    }
+    if let Some(curve) = info.icc_profile.as_deref().and_then(tone_curve) {
+        return Some(curve);
+    }
+    let gamma = info.gama_chunk?.into_value();
+    ((gamma - 1.0).abs() > 0.01).then(|| format!("a gAMA chunk of {gamma}"))
+}

@@ -1,0 +1,347 @@
+use ::png as png_crate;
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+use proptest::prelude::*;
+use std::io::Write as _;
+
+use super::*;
+
+/// A TIFF of one strip, of which tests change the tags.
+#[derive(Clone)]
+struct Maker {
+    width: u32,
+    height: u32,
+    big_endian: bool,
+    strip: Vec<u8>,
+    /// Tag, type, values.
+    tags: Vec<(u16, u16, Vec<u32>)>,
+}
+
+const RGGB: [Colour; 4] = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
+
+impl Maker {
+    /// A DNG with a mosaic whose samples count up.
+    fn dng() -> Self {
+        let strip = (0..24_u16).flat_map(|v| (1000 * v).to_le_bytes()).collect();
+        let cfa = vec![
+            (33421, 3, vec![2, 2]),
+            (33422, 1, vec![0, 1, 1, 2]),
+            (50706, 1, vec![1, 4, 0, 0]),
+            (50714, 3, vec![64]),
+            (50717, 4, vec![15_000]),
+        ];
+        Self { width: 6, height: 4, big_endian: false, strip, tags: cfa }.with(262, &[32_803])
+    }
+
+    fn rgb() -> Self {
+        let strip = (0..24_u16).flat_map(|v| (1000 * v).to_le_bytes()).collect();
+        Self { width: 4, height: 2, big_endian: false, strip, tags: vec![] }.with(262, &[2]).with(277, &[3])
+    }
+
+    fn with(mut self, tag: u16, values: &[u32]) -> Self {
+        self.tags.retain(|t| t.0 != tag);
+        self.tags.push((tag, 4, values.to_vec()));
+        self
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        let short = |v: u16| if self.big_endian { v.to_be_bytes() } else { v.to_le_bytes() };
+        let long = |v: u32| if self.big_endian { v.to_be_bytes() } else { v.to_le_bytes() };
+        let mut tags = self.tags.clone();
+        let usual = [
+            (256, vec![self.width]),
+            (257, vec![self.height]),
+            (258, vec![16]),
+            (273, vec![8]),
+            (279, vec![self.strip.len() as u32]),
+        ];
+        for (tag, values) in usual {
+            if !tags.iter().any(|t| t.0 == tag) {
+                tags.push((tag, 4, values));
+            }
+        }
+        tags.sort_by_key(|t| t.0);
+        let mut file = if self.big_endian { b"MM\0\x2a".to_vec() } else { b"II\x2a\0".to_vec() };
+        let directory = 8 + self.strip.len() + self.strip.len() % 2;
+        file.extend(long(directory as u32));
+        file.extend(&self.strip);
+        file.resize(directory, 0);
+        file.extend(short(tags.len() as u16));
+        let mut beyond = Vec::new();
+        for (tag, kind, values) in &tags {
+            let stored: Vec<u8> = values
+                .iter()
+                .flat_map(|v| match kind {
+                    1 => vec![*v as u8],
+                    3 => short(*v as u16).to_vec(),
+                    _ => long(*v).to_vec(),
+                })
+                .collect();
+            let count = if *kind == 5 { values.len() / 2 } else { values.len() };
+            file.extend(short(*tag).into_iter().chain(short(*kind)).chain(long(count as u32)));
+            if stored.len() <= 4 {
+                file.extend(stored.iter().copied().chain([0; 4]).take(4));
+            } else {
+                file.extend(long((directory + 2 + 12 * tags.len() + 4 + beyond.len()) as u32));
+                beyond.extend(stored);
+            }
+        }
+        file.extend([0; 4]);
+        file.extend(beyond);
+        file
+    }
+
+    fn decode(&self) -> Result<Photograph, Unreadable> {
+        decode(&self.bytes())
+    }
+
+    fn refused(&self) -> String {
+        self.decode().unwrap_err().to_string()
+    }
+}
+
+fn counting() -> Vec<u16> {
+    (0..24).map(|v| 1000 * v).collect()
+}
+
+fn deflated(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+#[test]
+fn a_dng_gives_its_samples_levels_and_how_it_was_taken() {
+    let mut dng = Maker::dng().with(34_855, &[100]);
+    dng.tags.push((33_434, 5, vec![1, 20]));
+    let photograph = dng.decode().unwrap();
+    assert_eq!((photograph.width, photograph.height), (6, 4));
+    assert_eq!(photograph.layout, Layout::Mosaic(Some(RGGB)));
+    assert_eq!(photograph.samples, counting());
+    assert_eq!((photograph.black, photograph.white), (Some([64.0; 4]), Some(15_000.0)));
+    let about = About { exposure_s: Some(0.05), iso: Some(100.0), ..About::default() };
+    assert_eq!(photograph.about, about);
+}
+
+#[test]
+fn both_orders_of_bytes_deflate_differences_and_tiles_give_the_same_samples() {
+    let mut big = Maker::dng();
+    big.big_endian = true;
+    big.strip = counting().iter().flat_map(|v| v.to_be_bytes()).collect();
+    let mut packed = Maker::dng().with(259, &[8]);
+    packed.strip = deflated(&packed.strip);
+    let mut differences = Maker::dng().with(259, &[8]).with(317, &[2]);
+    let rows = counting();
+    let stored = rows.chunks(6).flat_map(|row| {
+        (0..6).map(|i| if i == 0 { row[0] } else { row[i].wrapping_sub(row[i - 1]) }).collect::<Vec<_>>()
+    });
+    differences.strip = deflated(&stored.flat_map(u16::to_le_bytes).collect::<Vec<_>>());
+    // Two tiles of 4 × 4: the right one is half beyond the picture.
+    let mut tiles = Maker::dng().with(322, &[4]).with(323, &[4]).with(324, &[8, 40]).with(325, &[32, 32]);
+    let tile = |left: usize| {
+        (0..16)
+            .map(move |i| (i / 4, left + i % 4))
+            .map(|(y, x)| if x < 6 { 1000 * (6 * y + x) as u16 } else { 7 })
+    };
+    tiles.strip = tile(0).chain(tile(4)).flat_map(u16::to_le_bytes).collect();
+    for (maker, what) in [(big, "big"), (packed, "deflate"), (differences, "differences"), (tiles, "tiles")] {
+        assert_eq!(maker.decode().unwrap().samples, counting(), "{what}");
+    }
+}
+
+#[test]
+fn samples_of_12_and_14_bits_are_packed_with_the_highest_bit_first() {
+    for bits in [10_u32, 12, 14] {
+        let values: Vec<u32> = (0..24).map(|v| v * 611 % (1 << bits)).collect();
+        let mut strip = Vec::new();
+        for row in values.chunks(6) {
+            let text: String = row.iter().map(|v| format!("{v:0w$b}", w = bits as usize)).collect();
+            let text = text.into_bytes();
+            strip.extend(text.chunks(8).map(|byte| {
+                byte.iter().chain([b'0'; 8].iter()).take(8).fold(0_u8, |sum, bit| sum << 1 | (bit - b'0'))
+            }));
+        }
+        let maker = Maker { strip, ..Maker::dng() }.with(258, &[bits]);
+        let expected: Vec<u16> = values.iter().map(|v| *v as u16).collect();
+        assert_eq!(maker.decode().unwrap().samples, expected, "{bits}");
+    }
+}
+
+/// A picture of 3 × 2 pixels with two components, coded by hand: predictor 1, differences of 0 to 3 bits.
+#[test]
+fn lossless_jpeg_gives_the_samples() {
+    let samples: [i32; 12] = [130, 126, 131, 125, 135, 128, 129, 126, 129, 127, 130, 133];
+    // Codes 00, 01, 10, 110 for sizes 0, 1, 2, 3.
+    let codes = ["00", "01", "10", "110"];
+    let mut bits = String::new();
+    for at in 0..12 {
+        let prediction = match at {
+            0 | 1 => 128,
+            6 | 7 => samples[at - 6],
+            _ => samples[at - 2],
+        };
+        let difference = samples[at] - prediction;
+        let size = 32 - difference.unsigned_abs().leading_zeros();
+        bits += codes[size as usize];
+        let coded = if difference < 0 { difference + (1 << size) - 1 } else { difference };
+        if size > 0 {
+            bits += &format!("{coded:0w$b}", w = size as usize);
+        }
+    }
+    let mut jpeg = vec![0xff, 0xd8, 0xff, 0xc4, 0, 23, 0, 0, 3, 1];
+    jpeg.extend([0; 13]);
+    jpeg.extend([0, 1, 2, 3]);
+    jpeg.extend([0xff, 0xc3, 0, 14, 8, 0, 2, 0, 3, 2, 0, 0x11, 0, 1, 0x11, 0]);
+    jpeg.extend([0xff, 0xda, 0, 10, 2, 0, 0, 1, 0, 1, 0, 0]);
+    let bits = bits.into_bytes();
+    jpeg.extend(
+        bits.chunks(8)
+            .map(|b| b.iter().chain([b'1'; 8].iter()).take(8).fold(0_u8, |s, b| s << 1 | (b - b'0'))),
+    );
+    jpeg.extend([0xff, 0xd9]);
+    let maker = Maker { width: 6, height: 2, strip: jpeg, ..Maker::dng() }.with(259, &[7]);
+    let expected: Vec<u16> = samples.iter().map(|v| *v as u16).collect();
+    assert_eq!(maker.decode().unwrap().samples, expected);
+}
+
+#[test]
+fn masked_margins_are_cut_off_and_companded_values_are_spread() {
+    let maker = Maker::dng().with(50_829, &[1, 2, 3, 6]);
+    let photograph = maker.decode().unwrap();
+    assert_eq!((photograph.width, photograph.height), (4, 2));
+    assert_eq!(photograph.samples, [8, 9, 10, 11, 14, 15, 16, 17].map(|v| 1000 * v));
+    let mut table = Maker::dng().with(50_712, &[0, 10, 40]);
+    table.strip = (0..24_u16).flat_map(|v| (v % 4).to_le_bytes()).collect();
+    assert_eq!(table.decode().unwrap().samples[..5], [0, 10, 40, 40, 0]);
+    let refused = Maker::dng().with(50_829, &[0, 0, 5, 6]).refused();
+    assert_eq!(refused, "tag ActiveArea = [0, 0, 5, 6] is not valid: it must lie within 6 × 4 pixels");
+}
+
+#[test]
+fn linear_rgb_and_mosaics_without_a_pattern_are_read() {
+    let rgb = Maker::rgb().decode().unwrap();
+    assert_eq!((rgb.layout, rgb.samples), (Layout::Rgb, counting()));
+    let grey = Maker { tags: vec![], ..Maker::dng() }.with(262, &[1]).decode().unwrap();
+    assert_eq!((grey.layout, grey.black, grey.white), (Layout::Mosaic(None), None, None));
+    let pgm = [&b"P5\n# a comment\n2 1\n65535\n"[..], &[1, 0, 2, 3]].concat();
+    assert_eq!(decode(&pgm).unwrap().samples, [256, 515]);
+    let ppm = [&b"P6 1 1 1023\n"[..], &[0, 1, 0, 2, 0, 3]].concat();
+    let ppm = decode(&ppm).unwrap();
+    assert_eq!((ppm.layout, ppm.white, ppm.samples), (Layout::Rgb, Some(1023.0), vec![1, 2, 3]));
+}
+
+fn png(colour: png_crate::ColorType, depth: png_crate::BitDepth, gamma: Option<f32>) -> Vec<u8> {
+    let mut file = Vec::new();
+    let mut encoder = png_crate::Encoder::new(&mut file, 4, 2);
+    encoder.set_color(colour);
+    encoder.set_depth(depth);
+    if let Some(gamma) = gamma {
+        encoder.set_source_gamma(png_crate::ScaledFloat::new(gamma));
+    }
+    let samples: Vec<u8> = counting().repeat(2).iter().flat_map(|v| v.to_be_bytes()).collect();
+    let bytes = 8 * colour.samples() * if depth == png_crate::BitDepth::Sixteen { 2 } else { 1 };
+    encoder.write_header().unwrap().write_image_data(&samples[..bytes]).unwrap();
+    file
+}
+
+#[test]
+fn png_of_16_bits_is_read_unless_it_has_a_tone_curve() {
+    use png_crate::{BitDepth, ColorType};
+    let rgb = decode(&png(ColorType::Rgb, BitDepth::Sixteen, None)).unwrap();
+    assert_eq!((rgb.layout, rgb.samples), (Layout::Rgb, counting()));
+    assert!(decode(&png(ColorType::Grayscale, BitDepth::Sixteen, Some(1.0))).is_ok());
+    let refused = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
+    let gamma = refused(&png(ColorType::Rgb, BitDepth::Sixteen, Some(0.45455)));
+    assert!(gamma.starts_with("the values have gone through a tone curve (a gAMA chunk of 0.45"), "{gamma}");
+    assert!(refused(&png(ColorType::Rgb, BitDepth::Eight, None)).starts_with("8 bits a sample are too few"));
+    assert!(refused(&png(ColorType::Rgba, BitDepth::Sixteen, None)).contains("allowed are grey and RGB"));
+}
+
+#[test]
+fn what_is_no_photograph_of_radiances_is_refused_with_what_to_do() {
+    for (bytes, told) in [
+        (&b""[..], "the file is empty"),
+        (b"\xff\xd8\xff\xe0", "JPEG holds 8 bits after a tone curve"),
+        (b"II\x2a\0\x10\0\0\0CR\x02\0", "CR2 files, a camera's own format, are not read"),
+        (b"P5 2 2 255\n    ", "8 bits a sample are too few"),
+        (b"P5 2 2\n", "the file is damaged: the head tells no greatest value"),
+        (
+            b"P5 2 2 65535\n  ",
+            "the file is cut off or damaged: the pixels should be at bytes 13 to 21, the file has 15",
+        ),
+        (b"P5 200000 2000 65535\n", "200000 × 2000 pixels are not read: allowed are 1 to 150000000"),
+        (b"hello", "the file is no DNG, TIFF, PNG, PGM or PPM"),
+    ] {
+        let error = decode(bytes).unwrap_err().to_string();
+        assert!(error.starts_with(told), "{error}");
+    }
+    let rgb = Maker::rgb;
+    assert!(rgb().with(258, &[8, 8, 8]).refused().starts_with("8 bits a sample are too few"));
+    assert!(rgb().with(262, &[6]).refused().starts_with("JPEG"));
+    assert!(rgb().with(339, &[3]).refused().starts_with("tag SampleFormat"));
+    let packed = rgb().with(259, &[5]).refused();
+    assert!(packed.starts_with("tag Compression = 5 is not valid: allowed are 1 (none), 7"), "{packed}");
+    let curve: Vec<u32> = (0..256).map(|i: u32| i * i).collect();
+    assert!(rgb().with(301, &curve).refused().contains("its TransferFunction"));
+    let mosaic = Maker::dng().with(33_421, &[6, 6]).refused();
+    assert_eq!(mosaic, "tag CFARepeatPatternDim = [6, 6] is not valid: allowed are mosaics of 2 × 2 pixels");
+    let cut = Maker::dng().bytes();
+    let cut = decode(&cut[..30]).unwrap_err().to_string();
+    assert!(
+        cut.starts_with("the file is cut off or damaged: a directory should be at bytes 56 to 58"),
+        "{cut}"
+    );
+}
+
+#[test]
+fn a_few_bytes_that_claim_to_be_a_huge_picture_are_refused_before_memory_is_taken() {
+    for compression in [1, 7, 8] {
+        let mut huge = Maker::dng().with(259, &[compression]);
+        (huge.width, huge.height) = (15_000, 10_000);
+        huge.refused();
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    /// Whatever is changed in a sound file: an error or a photograph with as many samples as it says, never a panic.
+    #[test]
+    fn damaged_files_are_refused_or_read_but_never_end_the_program(
+        kind in 0..5_usize,
+        changes in prop::collection::vec((0..400_usize, any::<u8>()), 1..6),
+        cut in 0..600_usize,
+    ) {
+        let mut packed = Maker::dng().with(259, &[8]);
+        packed.strip = deflated(&packed.strip);
+        let mut bytes = match kind {
+            0 => Maker::dng().bytes(),
+            1 => packed.bytes(),
+            2 => Maker::rgb().with(50_829, &[0, 0, 2, 4]).bytes(),
+            3 => png(png_crate::ColorType::Rgb, png_crate::BitDepth::Sixteen, Some(1.0)),
+            _ => [&b"P5 6 4 65535\n"[..], &[7; 48]].concat(),
+        };
+        for (at, value) in changes {
+            let length = bytes.len();
+            bytes[at % length] = value;
+        }
+        bytes.truncate(cut.max(1));
+        if let Ok(photograph) = decode(&bytes) {
+            let wanted = photograph.width * photograph.height * photograph.layout.samples_per_pixel();
+            prop_assert_eq!(photograph.samples.len(), wanted);
+        }
+    }
+
+    #[test]
+    fn damaged_lossless_jpeg_never_ends_the_program(bytes in prop::collection::vec(any::<u8>(), 0..200), wanted in 1..300_usize) {
+        let mut jpeg = vec![0xff, 0xd8, 0xff, 0xc4, 0, 23, 0, 0, 3, 1];
+        jpeg.extend([0; 13]);
+        jpeg.extend([0, 1, 2, 3]);
+        jpeg.extend([0xff, 0xc3, 0, 11, 8, 0, 2, 0, 3, 1, 0, 0x11, 0]);
+        jpeg.extend([0xff, 0xda, 0, 8, 1, 0, 0, 1, 0, 0]);
+        jpeg.extend(&bytes);
+        let _ = lossless_jpeg::decode(&jpeg, wanted);
+        let _ = lossless_jpeg::decode(&jpeg, 6);
+        let _ = lossless_jpeg::decode(&bytes, wanted);
+    }
+}

@@ -1,0 +1,235 @@
+//! TIFF and DNG: which of a file's pictures is the photograph, and what its tags say (TIFF 6.0, TIFF/EP, DNG 1.4).
+
+use super::chunks::Chunks;
+use super::directory::{Bytes, Directory, Tag};
+use super::icc::tone_curve;
+use super::unreadable::Unreadable;
+use super::{About, Colour, Layout, Photograph};
+
+/// Most directories of a file that are looked at; a loop of them ends there.
+const MOST_DIRECTORIES: usize = 64;
+
+/// PhotometricInterpretation of a mosaic, and of a demosaiced picture without a tone curve.
+const CFA: u64 = 32_803;
+const LINEAR_RAW: u64 = 34_892;
+
+pub(super) fn is_tiff(bytes: &[u8]) -> bool {
+    Bytes::new(bytes).is_some()
+}
+
+pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
+    let bytes = Bytes::new(bytes).ok_or(Unreadable::UnknownFormat)?;
+    let directories = directories(bytes)?;
+    let is_dng = directories.iter().any(|d| d.has(Tag::DNG_VERSION));
+    let picture = photograph_of(&directories, is_dng)?;
+    let bits = bits(picture)?;
+    let layout = layout(picture)?;
+    if let Some(seen) = not_linear(picture) {
+        return Err(Unreadable::NotLinear { seen });
+    }
+    let chunks = Chunks::new(bytes, picture, layout.samples_per_pixel(), bits)?;
+    let (width, height) = (chunks.width(), chunks.height());
+    let mut samples = chunks.read()?;
+    let table = picture.numbers(Tag::LINEARIZATION)?;
+    linearize(&mut samples, &table);
+    let white = picture.number_of(Tag::WHITE)?.filter(|v| *v > 0.0);
+    let whole = Photograph {
+        width,
+        height,
+        layout,
+        samples,
+        black: black(picture, layout)?,
+        // DNG: 2^bits − 1 where nothing is said.
+        white: white.or_else(|| is_dng.then(|| f64::from((1_u32 << bits) - 1))),
+        about: About::of(bytes, &directories),
+    };
+    cropped(whole, &picture.whole(Tag::ACTIVE_AREA)?)
+}
+
+/// All directories, those below others included.
+fn directories(bytes: Bytes) -> Result<Vec<Directory>, Unreadable> {
+    let mut found: Vec<Directory> = Vec::new();
+    let mut places = vec![bytes.first()?];
+    while let Some(at) = places.pop() {
+        if at == 0 || found.len() >= MOST_DIRECTORIES {
+            continue;
+        }
+        // What lies after the first may be damaged without harm, if it is not the photograph.
+        match Directory::read(bytes, at) {
+            Ok(directory) => {
+                places.push(directory.next);
+                places.extend(directory.whole(Tag::SUB_IFDS)?.into_iter().take(MOST_DIRECTORIES));
+                found.push(directory);
+            }
+            Err(error) if found.is_empty() => return Err(error),
+            Err(_) => {}
+        }
+    }
+    Ok(found)
+}
+
+/// The mosaic, else the linear picture; of files that are no DNG any picture that is no preview.
+fn photograph_of<'d, 'a>(all: &'d [Directory<'a>], is_dng: bool) -> Result<&'d Directory<'a>, Unreadable> {
+    let whole = |d: &&Directory| {
+        d.has(Tag::WIDTH) && !matches!(d.whole_of(Tag::SUBFILE_TYPE), Ok(Some(kind)) if kind != 0)
+    };
+    let of = |kind: u64| {
+        all.iter().filter(whole).find(|d| d.whole_of(Tag::PHOTOMETRIC).ok().flatten() == Some(kind))
+    };
+    if let Some(raw) = of(CFA).or_else(|| of(LINEAR_RAW)) {
+        return Ok(raw);
+    }
+    if is_dng {
+        let needed = format!("a DNG's photograph has {CFA} (mosaic) or {LINEAR_RAW} (linear)");
+        return Err(Unreadable::missing(Tag::PHOTOMETRIC.name, needed));
+    }
+    let first =
+        all.iter().find(whole).ok_or_else(|| Unreadable::missing(Tag::WIDTH.name, "no picture has it"))?;
+    match first.whole_of(Tag::COMPRESSION)? {
+        Some(6 | 7) => Err(Unreadable::Jpeg),
+        _ => Ok(first),
+    }
+}
+
+/// Bits of each sample.
+fn bits(picture: &Directory) -> Result<u32, Unreadable> {
+    let bits = picture.whole(Tag::BITS)?;
+    let first = bits.first().copied().unwrap_or(1);
+    if bits.iter().any(|b| *b != first) {
+        return Err(Unreadable::tag(
+            Tag::BITS.name,
+            format_args!("{bits:?}"),
+            "they must be the same for all samples",
+        ));
+    }
+    if matches!(picture.whole_of(Tag::SAMPLE_FORMAT)?, Some(format) if format != 1) {
+        return Err(Unreadable::tag(
+            Tag::SAMPLE_FORMAT.name,
+            "no whole numbers",
+            "allowed is 1, whole numbers",
+        ));
+    }
+    match first {
+        0..=8 => Err(Unreadable::EightBit { bits: first as u32 }),
+        9..=16 => Ok(first as u32),
+        other => Err(Unreadable::tag(Tag::BITS.name, other, "allowed are 9 to 16")),
+    }
+}
+
+fn layout(picture: &Directory) -> Result<Layout, Unreadable> {
+    let samples = picture.whole_of(Tag::SAMPLES)?.unwrap_or(1);
+    let kind = picture.needed(Tag::PHOTOMETRIC)?;
+    match (kind, samples) {
+        (CFA, 1) => pattern(picture).map(|pattern| Layout::Mosaic(Some(pattern))),
+        (1, 1) => Ok(Layout::Mosaic(None)),
+        (2 | LINEAR_RAW, 3) => match picture.whole_of(Tag::PLANAR)? {
+            None | Some(1) => Ok(Layout::Rgb),
+            Some(other) => {
+                Err(Unreadable::tag(Tag::PLANAR.name, other, "allowed is 1, colours side by side"))
+            }
+        },
+        (CFA | 1 | 2 | LINEAR_RAW, other) => {
+            Err(Unreadable::tag(Tag::SAMPLES.name, other, "allowed are 1 of a mosaic and 3 of RGB"))
+        }
+        (6, _) => Err(Unreadable::Jpeg),
+        (other, _) => {
+            let allowed =
+                format!("allowed are 1 (grey: a mosaic), 2 (RGB), {CFA} (mosaic), {LINEAR_RAW} (linear)");
+            Err(Unreadable::tag(Tag::PHOTOMETRIC.name, other, allowed))
+        }
+    }
+}
+
+/// The colours of a 2 × 2 mosaic.
+fn pattern(picture: &Directory) -> Result<[Colour; 4], Unreadable> {
+    let size = picture.whole(Tag::CFA_DIM)?;
+    if size != [2, 2] {
+        let given = format!("{size:?}");
+        return Err(Unreadable::tag(Tag::CFA_DIM.name, given, "allowed are mosaics of 2 × 2 pixels"));
+    }
+    if !matches!(picture.whole_of(Tag::CFA_LAYOUT)?, None | Some(1)) {
+        return Err(Unreadable::tag(Tag::CFA_LAYOUT.name, "no rectangle", "allowed is 1"));
+    }
+    let planes = picture.whole(Tag::CFA_PLANE_COLOR)?;
+    if !planes.is_empty() && planes != [0, 1, 2] {
+        let given = format!("{planes:?}");
+        return Err(Unreadable::tag(
+            Tag::CFA_PLANE_COLOR.name,
+            given,
+            "allowed are red, green and blue: [0, 1, 2]",
+        ));
+    }
+    let codes = picture.whole(Tag::CFA_PATTERN)?;
+    let colours: Vec<Colour> = codes
+        .iter()
+        .filter_map(|code| match code {
+            0 => Some(Colour::Red),
+            1 => Some(Colour::Green),
+            2 => Some(Colour::Blue),
+            _ => None,
+        })
+        .collect();
+    let refused =
+        || Unreadable::tag(Tag::CFA_PATTERN.name, format_args!("{codes:?}"), "four of 0, 1 and 2 are wanted");
+    colours.try_into().map_err(|_| refused())
+}
+
+fn not_linear(picture: &Directory) -> Option<String> {
+    if let Some(curve) = picture.raw(Tag::ICC).and_then(tone_curve) {
+        return Some(curve);
+    }
+    let curve = picture.numbers(Tag::TRANSFER_FUNCTION).ok().filter(|curve| curve.len() > 2)?;
+    let (last, rise) = ((curve.len().min(65_536) - 1) as f64, 65_535.0);
+    // Three curves may stand one after the other.
+    let last = if curve.len().is_multiple_of(3) { (curve.len() / 3 - 1) as f64 } else { last };
+    let straight = (0..=last as usize).all(|i| (curve[i] / rise - i as f64 / last).abs() < 1e-3);
+    (!straight).then(|| "its TransferFunction".to_owned())
+}
+
+/// Black level by row and column modulo 2, or by colour. None where it changes within the picture: dark shots tell more.
+fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unreadable> {
+    let levels = picture.numbers(Tag::BLACK)?;
+    let size = picture.whole(Tag::BLACK_DIM)?;
+    for delta in [Tag::BLACK_DELTA_H, Tag::BLACK_DELTA_V] {
+        if picture.numbers(delta)?.iter().any(|d| d.abs() > 0.01) {
+            return Ok(None);
+        }
+    }
+    if levels.iter().any(|level| !(0.0..=65_535.0).contains(level)) {
+        return Err(Unreadable::tag(Tag::BLACK.name, format_args!("{levels:?}"), "allowed are 0 to 65535"));
+    }
+    Ok(match (layout, levels.as_slice(), size.as_slice()) {
+        (_, [all], _) => Some([*all; 4]),
+        (Layout::Rgb, [r, g, b], _) => Some([*r, *g, *b, *g]),
+        (Layout::Mosaic(_), [a, b, c, d], [2, 2]) => Some([*a, *b, *c, *d]),
+        (Layout::Mosaic(_), [a, b], [1, 2]) => Some([*a, *b, *a, *b]),
+        (Layout::Mosaic(_), [a, b], [2, 1]) => Some([*a, *a, *b, *b]),
+        _ => None,
+    })
+}
+
+/// Companded values as what they stand for.
+fn linearize(samples: &mut [u16], table: &[f64]) {
+    let Some(last) = table.len().checked_sub(1) else { return };
+    for sample in samples {
+        *sample = table[usize::from(*sample).min(last)].clamp(0.0, 65_535.0) as u16;
+    }
+}
+
+/// Without the masked margins: pattern and black level count from the active area's corner.
+fn cropped(whole: Photograph, area: &[u64]) -> Result<Photograph, Unreadable> {
+    let &[top, left, bottom, right] = area else { return Ok(whole) };
+    let inside = top < bottom && left < right && bottom <= whole.height as u64 && right <= whole.width as u64;
+    if !inside {
+        let allowed = format!("it must lie within {} × {} pixels", whole.width, whole.height);
+        return Err(Unreadable::tag(Tag::ACTIVE_AREA.name, format_args!("{area:?}"), allowed));
+    }
+    let [top, left, bottom, right] = [top, left, bottom, right].map(|v| v as usize);
+    if (top, left, bottom, right) == (0, 0, whole.height, whole.width) {
+        return Ok(whole);
+    }
+    let n = whole.layout.samples_per_pixel();
+    let rows = whole.samples.chunks_exact(whole.width * n).skip(top).take(bottom - top);
+    let samples = rows.flat_map(|row| row[left * n..right * n].iter().copied()).collect();
+    Ok(Photograph { width: right - left, height: bottom - top, samples, ..whole })
+}

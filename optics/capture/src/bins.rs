@@ -1,0 +1,304 @@
+//! Binning along the edge (ISO 12233): each raw sample of one colour goes into the bin of its distance from the edge.
+//!
+//! In each bin a robust line is fitted to the samples; its value at the bin's middle is the profile's. With samples spread
+//! evenly that is the average over the bin, whatever the profile's slope.
+
+use rayon::prelude::*;
+
+use crate::board::edge::{EdgeFrame, HALF_CROP_MM};
+use crate::calibration::Radiance;
+use crate::frame::{Colour, Site};
+use crate::least_squares::{TUKEY_VARIANCE, median, spread, tukey};
+
+/// Bins of a profile, and their width: 10 mm / 360.
+pub const BINS: usize = 360;
+pub const BIN_MM: f64 = 2.0 * HALF_CROP_MM / BINS as f64;
+
+/// Profile of one channel over bins of equal width; x rises from the dark side to the light side, the edge at 0.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EdgeProfile {
+    pub colour: Colour,
+    pub x_mm: Vec<f64>,
+    /// Averages over bins, as radiance factors.
+    pub values: Vec<f64>,
+    /// Of noise, independent in each bin.
+    pub std_errors: Vec<f64>,
+    /// Samples in each bin.
+    pub counts: Vec<u32>,
+    /// Share of them that were rejected.
+    pub rejected: Vec<f64>,
+}
+
+/// One sample in a bin.
+#[derive(Debug, Clone, Copy)]
+struct Binned {
+    /// From the bin's middle, and along the edge, in mm.
+    offset: f32,
+    along: f32,
+    value: f32,
+    variance: f32,
+    x: u32,
+    y: u32,
+}
+
+/// Bins of a profile: the usual ones, or finer ones for the blur, since pixels much wider than a bin tell its own place
+/// only where the edge crosses them at many phases.
+#[derive(Debug, Clone, Copy)]
+struct Grid {
+    bins: usize,
+}
+
+impl Grid {
+    fn width_mm(self) -> f64 {
+        2.0 * HALF_CROP_MM / self.bins as f64
+    }
+}
+
+/// All about one channel of one shot.
+#[derive(Debug, Clone)]
+pub(crate) struct Binning {
+    pub profile: EdgeProfile,
+    pub rejected_px: Vec<[u32; 2]>,
+    pub thirds: Vec<Third>,
+    pub clipped_share: f64,
+    /// Scatter in bins over the noise that the sensor explains.
+    pub scatter: f64,
+}
+
+/// How a third of the crop departs from the whole, within some bins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Third {
+    pub x_mm: f64,
+    pub departure: f64,
+    pub std_error: f64,
+}
+
+/// Bins of a zone in which thirds are compared.
+const ZONE: usize = 20;
+
+/// The bare edge in bins of a quarter of the usual width, for its blur.
+pub(crate) fn fine(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour) -> EdgeProfile {
+    bin_on(Grid { bins: 4 * BINS }, radiance, edge, colour, 0.0).profile
+}
+
+/// Bins one channel; `origin_mm` is where its edge lies in the frame's coordinates.
+pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
+    bin_on(Grid { bins: BINS }, radiance, edge, colour, origin_mm)
+}
+
+fn bin_on(grid: Grid, radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
+    let sites: Vec<Site> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
+    let (bins, clipped) = collect(grid, radiance, edge, &sites, origin_mm);
+    let steps = steps(&bins);
+    let fits: Vec<Option<Fit>> =
+        bins.par_iter().zip(&steps).map(|(samples, step)| Fit::of(samples, *step, grid)).collect();
+    let ratios = |f: &Fit| f.scatter / f.sigma;
+    let mut known: Vec<f64> = fits.iter().flatten().map(ratios).collect();
+    let scatter = if known.is_empty() { 1.0 } else { median(&mut known) };
+    let total: usize = bins.iter().map(Vec::len).sum();
+    let rejected_px =
+        bins.iter().zip(&fits).flat_map(|(samples, fit)| rejected(samples, fit.as_ref())).collect();
+    Binning {
+        profile: profile(grid, colour, &bins, &fits, scatter.max(1.0)),
+        rejected_px,
+        thirds: thirds(&bins, &fits),
+        clipped_share: clipped as f64 / (total + clipped).max(1) as f64,
+        scatter,
+    }
+}
+
+fn collect(
+    grid: Grid,
+    radiance: &Radiance<'_>,
+    edge: &EdgeFrame,
+    sites: &[Site],
+    origin_mm: f64,
+) -> (Vec<Vec<Binned>>, usize) {
+    let width_mm = grid.width_mm();
+    let corners = edge.crop_px();
+    let end = |axis: usize, f: fn(f64, f64) -> f64| corners.iter().map(|c| c[axis]).reduce(f).unwrap_or(0.0);
+    let (width, height) = (radiance.frame.width() as f64, radiance.frame.height() as f64);
+    let columns = (end(0, f64::min) - 2.0).max(0.0) as usize..(end(0, f64::max) + 2.0).min(width) as usize;
+    let rows = (end(1, f64::min) - 2.0).max(0.0) as usize..(end(1, f64::max) + 2.0).min(height) as usize;
+    let empty = || (vec![Vec::new(); grid.bins], 0);
+    let add_row = |(mut bins, mut clipped): (Vec<Vec<Binned>>, usize), y: usize| {
+        for site in sites.iter().filter(|s| s.has_row(y)) {
+            for x in (site.column_from(columns.start)..columns.end).step_by(site.step) {
+                let [across, along] = edge.mm([x as f64 + 0.5, y as f64 + 0.5]);
+                let at = (across - origin_mm) / width_mm + 0.5 * grid.bins as f64;
+                if along.abs() > HALF_CROP_MM || !(0.0..grid.bins as f64).contains(&at) {
+                    continue;
+                }
+                let sample = radiance.sample(*site, x, y);
+                if sample.clipped {
+                    clipped += 1;
+                    continue;
+                }
+                bins[at as usize].push(Binned {
+                    offset: ((at.fract() - 0.5) * width_mm) as f32,
+                    along: along as f32,
+                    value: sample.value as f32,
+                    variance: sample.variance as f32,
+                    x: x as u32,
+                    y: y as u32,
+                });
+            }
+        }
+        (bins, clipped)
+    };
+    // Chunks of rows of a fixed size, joined in their order: the same sums whatever the number of threads.
+    let all: Vec<usize> = rows.collect();
+    let parts: Vec<_> =
+        all.par_chunks(64).map(|chunk| chunk.iter().fold(empty(), |sum, y| add_row(sum, *y))).collect();
+    let mut whole = empty();
+    for (bins, clipped) in parts {
+        for (to, from) in whole.0.iter_mut().zip(bins) {
+            to.extend(from);
+        }
+        whole.1 += clipped;
+    }
+    whole
+}
+
+/// A robust line in a bin.
+#[derive(Debug, Clone, Copy)]
+struct Fit {
+    value: f64,
+    slope: f64,
+    /// Of one sample: as the sensor explains it, and as found.
+    sigma: f64,
+    scatter: f64,
+    /// Beyond this residual samples are rejected.
+    limit: f64,
+    /// Variance of the value over that of one sample.
+    leverage: f64,
+    kept: usize,
+}
+
+/// Largest step from each bin's median to a neighbour's. Edges of printers and scans waver by part of a pixel, and
+/// samples that another bin would hold are no dust.
+fn steps(bins: &[Vec<Binned>]) -> Vec<f64> {
+    let medians: Vec<f64> = bins
+        .par_iter()
+        .map(|samples| median(&mut samples.iter().map(|s| f64::from(s.value)).collect::<Vec<_>>()))
+        .collect();
+    let step = |a: usize, b: usize| (medians[a] - medians[b]).abs();
+    let last = bins.len() - 1;
+    (0..bins.len()).map(|k| step(k, k.saturating_sub(1)).max(step(k, (k + 1).min(last)))).collect()
+}
+
+/// Fewest samples of a bin.
+const SAMPLES: usize = 8;
+
+impl Fit {
+    fn of(samples: &[Binned], step: f64, grid: Grid) -> Option<Self> {
+        if samples.len() < SAMPLES {
+            return None;
+        }
+        // The mean of noisy variances is right, weights by single ones would favour dark samples.
+        let variance = median(&mut samples.iter().map(|s| f64::from(s.variance)).collect::<Vec<_>>());
+        let sigma = variance.sqrt().max(1e-12);
+        let mut value = median(&mut samples.iter().map(|s| f64::from(s.value)).collect::<Vec<_>>());
+        let mut slope = 0.0;
+        let (mut scatter, mut scale) = (sigma, f64::INFINITY);
+        let mut residuals = Vec::new();
+        for round in 0..12 {
+            residuals = samples.iter().map(|s| s.residual(value, slope)).collect::<Vec<_>>();
+            scatter = spread(&residuals);
+            // The first round only looks for the level.
+            scale = sigma.hypot(step).max(if round == 0 { 3.0 * scatter } else { 0.0 });
+            let [mut n, mut sx, mut sxx, mut sy, mut sxy] = [0.0; 5];
+            for (s, r) in samples.iter().zip(&residuals) {
+                let (w, x, y) = (tukey(r / scale), f64::from(s.offset), f64::from(s.value));
+                n += w;
+                sx += w * x;
+                sxx += w * x * x;
+                sy += w * y;
+                sxy += w * x * y;
+            }
+            let determinant = n * sxx - sx * sx;
+            if determinant <= 1e-6 * n * n * grid.width_mm().powi(2) {
+                return None;
+            }
+            value = (sxx * sy - sx * sxy) / determinant;
+            slope = (n * sxy - sx * sy) / determinant;
+        }
+        let limit = 4.685 * scale;
+        let kept = samples.iter().zip(&residuals).filter(|(_, r)| r.abs() < limit);
+        let (mut n, mut sx, mut sxx) = (0.0, 0.0, 0.0);
+        for (s, _) in kept {
+            let x = f64::from(s.offset);
+            n += 1.0;
+            sx += x;
+            sxx += x * x;
+        }
+        let leverage = sxx / (n * sxx - sx * sx);
+        // Weights that reach farther than noise does lose less: the share lost falls with the fourth power of the reach.
+        let lost = TUKEY_VARIANCE - 1.0;
+        let leverage = leverage * (1.0 + lost * (sigma / scale).powi(4));
+        Some(Self { value, slope, sigma, scatter, limit, leverage, kept: n as usize })
+    }
+}
+
+impl Binned {
+    fn residual(&self, value: f64, slope: f64) -> f64 {
+        f64::from(self.value) - value - slope * f64::from(self.offset)
+    }
+}
+
+fn rejected(samples: &[Binned], fit: Option<&Fit>) -> Vec<[u32; 2]> {
+    let Some(fit) = fit else { return Vec::new() };
+    let far = |s: &&Binned| s.residual(fit.value, fit.slope).abs() >= fit.limit;
+    samples.iter().filter(far).map(|s| [s.x, s.y]).collect()
+}
+
+/// Bins without enough samples get NaN.
+fn profile(
+    grid: Grid,
+    colour: Colour,
+    bins: &[Vec<Binned>],
+    fits: &[Option<Fit>],
+    scatter: f64,
+) -> EdgeProfile {
+    let centre = |k: usize| (k as f64 + 0.5) * grid.width_mm() - HALF_CROP_MM;
+    let error = |f: &Fit| f.sigma * scatter * f.leverage.sqrt();
+    let share = |samples: &Vec<Binned>, f: &Fit| 1.0 - f.kept as f64 / samples.len() as f64;
+    let of = |f: &dyn Fn(&Fit) -> f64| fits.iter().map(|fit| fit.as_ref().map_or(f64::NAN, f)).collect();
+    EdgeProfile {
+        colour,
+        x_mm: (0..grid.bins).map(centre).collect(),
+        values: of(&|f| f.value),
+        std_errors: of(&error),
+        counts: bins.iter().map(|b| b.len() as u32).collect(),
+        rejected: bins.iter().zip(fits).map(|(b, f)| f.as_ref().map_or(0.0, |f| share(b, f))).collect(),
+    }
+}
+
+/// Departure of each third along the edge from the bins' lines, by zones: means without a twelfth at either end, so that
+/// specks of dust do not count, but a bubble does that single bins would reject.
+fn thirds(bins: &[Vec<Binned>], fits: &[Option<Fit>]) -> Vec<Third> {
+    let mut found = Vec::new();
+    for (zone, (bins, fits)) in bins.chunks(ZONE).zip(fits.chunks(ZONE)).enumerate() {
+        let mut residuals = [const { Vec::new() }; 3];
+        let mut variances = [0.0; 3];
+        for (samples, fit) in bins.iter().zip(fits) {
+            let Some(fit) = fit else { continue };
+            for s in samples {
+                let third = (f64::from(s.along) / HALF_CROP_MM * 1.5 + 1.5).clamp(0.0, 2.0) as usize;
+                residuals[third].push(s.residual(fit.value, fit.slope));
+                variances[third] += fit.sigma.powi(2);
+            }
+        }
+        let x_mm = (zone as f64 + 0.5) * ZONE as f64 * BIN_MM - HALF_CROP_MM;
+        for (mut residuals, variance) in residuals.into_iter().zip(variances) {
+            let (n, cut) = (residuals.len(), residuals.len() / 12);
+            if n > 30 {
+                residuals.sort_by(f64::total_cmp);
+                let kept = &residuals[cut..n - cut];
+                let departure = kept.iter().sum::<f64>() / kept.len() as f64;
+                found.push(Third { x_mm, departure, std_error: variance.sqrt() / n as f64 });
+            }
+        }
+    }
+    found
+}

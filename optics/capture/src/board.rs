@@ -1,0 +1,257 @@
+//! The bare board: where it lies, how the camera blurs it, how bright both sides are.
+
+use crate::bins::{BINS, Binning, EdgeProfile, bin, fine};
+use crate::blur::{self, EdgeBins};
+use crate::calibration::{Calibration, Radiance};
+use crate::estimate::Estimate;
+use crate::frame::{Colour, Photo};
+use crate::least_squares::{Normal, Solution};
+use crate::refusal::{Refusal, Side, Warning};
+use crate::report::ShotReport;
+
+mod blurs;
+mod cells;
+pub(crate) mod edge;
+mod find;
+mod lines;
+mod movement;
+mod pose;
+mod scan;
+
+pub(crate) use cells::Cells;
+pub use edge::EdgeLine;
+pub(crate) use movement::{check as check_moved, check_blur};
+
+use find::{Found, find};
+pub(crate) use find::{Sharpness, sharpness};
+
+use edge::HALF_CROP_MM;
+use optics_model::Invalid;
+
+/// The board as it was made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Target {
+    pub square_mm: f64,
+    pub square_std_error_mm: f64,
+    /// Dark side of the edge in use; without it the edge nearest to the frame's middle is taken.
+    pub dark_side: Option<Side>,
+}
+
+/// Shots of the bare board, one after the other.
+#[derive(Debug)]
+pub struct BareShots<'a> {
+    calibration: &'a Calibration,
+    target: Target,
+    found: Option<Found>,
+    cells: Vec<Cells>,
+    shots: Vec<ShotReport>,
+    /// In finer bins, per shot.
+    fine: Vec<[EdgeProfile; 3]>,
+    warnings: Vec<Warning>,
+}
+
+/// Where the bare board lies and what it looks like.
+#[derive(Debug, Clone)]
+pub struct Board {
+    pub edge: EdgeLine,
+    pub mm_per_px: Estimate,
+    /// Corners of squares that lie in the frame.
+    pub corners_px: Vec<[f64; 2]>,
+    /// The crop's corners, around it.
+    pub crop_px: [[f64; 2]; 4],
+    /// Of the bare edge; x is 0 where green has it.
+    pub profiles: [EdgeProfile; 3],
+    /// Standard deviation of the Gaussian between the scene and the profiles, besides their bins: lens and pixel.
+    pub blur_mm: [Estimate; 3],
+    /// Where each channel has the edge, in x of `profiles`. Profiles of samples have it taken off.
+    pub origin_mm: [Estimate; 3],
+    /// Radiance factors of both sides, away from the edge.
+    pub light: [Estimate; 3],
+    pub dark: [Estimate; 3],
+    pub shots: Vec<ShotReport>,
+    pub warnings: Vec<Warning>,
+    /// Slope of its light side, relative per 10 mm: of the light that the flat leaves, and of the board itself.
+    pub slope: [Estimate; 3],
+    pub(crate) found: Found,
+    pub(crate) cells: Cells,
+}
+
+impl Target {
+    fn check(&self) -> Result<(), Invalid> {
+        if !(1.0..=1000.0).contains(&self.square_mm) {
+            return Err(Invalid::new("square_mm", self.square_mm, "from 1 to 1000"));
+        }
+        if !(0.0..=0.05 * self.square_mm).contains(&self.square_std_error_mm) {
+            let allowed = "from 0 to a twentieth of square_mm";
+            return Err(Invalid::new("square_std_error_mm", self.square_std_error_mm, allowed));
+        }
+        Ok(())
+    }
+}
+
+impl<'a> BareShots<'a> {
+    pub fn new(calibration: &'a Calibration, target: Target) -> Result<Self, Invalid> {
+        target.check()?;
+        let (cells, shots, fine) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { calibration, target, found: None, cells, shots, fine, warnings: Vec::new() })
+    }
+
+    #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
+    pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
+        self.calibration.kind.check(&photo)?;
+        let found = find(self.calibration.view(&photo), self.target)?;
+        let mut moved_px = [None; 2];
+        if let Some(first) = &self.found {
+            moved_px = first.seen.movement(&found.seen);
+            movement::check(&photo.label, &moved_px)?;
+            movement::check_focus(&photo.label, &first.seen, &found.seen)?;
+        }
+        movement::check_shake(&photo.label, &found.seen)?;
+        let blur_px = found.seen.blur_of(found.edge_frame.run);
+        let edge_frame = self.found.get_or_insert(found).edge_frame;
+        let radiance = Radiance::new(self.calibration, &photo);
+        let binnings = Colour::ALL.map(|c| bin(&radiance, &edge_frame, c, 0.0));
+        check_clipped(&photo, &binnings, radiance.full)?;
+        self.check_slanted(&photo, &binnings)?;
+        self.fine.push(Colour::ALL.map(|c| fine(&radiance, &edge_frame, c)));
+        self.cells.push(Cells::of(&radiance, &edge_frame));
+        self.shots.push(ShotReport::new(&photo.label, moved_px, blur_px, binnings));
+        Ok(())
+    }
+
+    /// Samples of a colour must meet all bins: the edge has to cross at least one of their steps within the crop.
+    fn check_slanted(&self, photo: &Photo, binnings: &[Binning; 3]) -> Result<(), Refusal> {
+        let Some(found) = &self.found else { return Ok(()) };
+        let fewest = binnings.iter().flat_map(|b| &b.profile.counts).min().copied().unwrap_or(0);
+        let mean = binnings[0].profile.counts.iter().sum::<u32>() / BINS as u32;
+        if 4 * fewest >= mean {
+            return Ok(());
+        }
+        let step = photo.frame.sites()[0].step as f64;
+        let length_px = 2.0 * HALF_CROP_MM / found.edge_frame.mm_per_px();
+        Err(Refusal::NotSlanted {
+            label: photo.label.clone(),
+            angle_deg: found.edge.angle_deg.value,
+            needed_deg: 1.2 * step.atan2(length_px).to_degrees(),
+        })
+    }
+
+    pub fn finish(mut self) -> Result<Board, Refusal> {
+        let Some(found) = self.found else {
+            return Err(Refusal::Missing { what: "shots of the bare board" });
+        };
+        if self.shots.len() < 2 {
+            let (what, count) = ("the bare board".to_owned(), self.shots.len());
+            self.warnings.push(Warning::FewShots { what, count });
+        }
+        let label = &self.shots[0].label;
+        let of_shots = |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<_>>();
+        let profiles = [0, 1, 2].map(|c| crate::join::mean(&of_shots(c)));
+        let of_fine = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
+        let [red, green, blue] = [0, 1, 2].map(|c| fit_edge(&crate::join::mean(&of_fine(c)), label));
+        let fits = [red?, green?, blue?];
+        let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
+            let each: Vec<f64> =
+                of_fine(c).into_iter().filter_map(|p| fit_edge(p, label).ok()).map(|e| f(&e)).collect();
+            spread_of_mean(&each)
+        };
+        let with = |e: Estimate, spread: f64| Estimate::new(e.value, e.std_error.max(spread));
+        let blur_mm = std::array::from_fn(|c| with(fits[c].blur, spread(|e| e.blur.value, c)));
+        let origin_mm = std::array::from_fn(|c| with(fits[c].origin, spread(|e| e.origin.value, c)));
+        let edge_frame = found.edge_frame;
+        let scale = edge_frame.mm_per_px();
+        let of_square = self.target.square_std_error_mm / self.target.square_mm;
+        Ok(Board {
+            edge: found.edge,
+            mm_per_px: Estimate::new(scale, scale * of_square.hypot(found.scale_std_error)),
+            corners_px: found.corners_px.clone(),
+            crop_px: edge_frame.crop_px(),
+            blur_mm,
+            origin_mm,
+            light: std::array::from_fn(|c| level(&profiles[c], 1.0)),
+            dark: std::array::from_fn(|c| level(&profiles[c], -1.0)),
+            slope: profiles.each_ref().map(slope),
+            profiles,
+            cells: Cells::mean(&self.cells),
+            shots: self.shots,
+            warnings: self.warnings,
+            found,
+        })
+    }
+}
+
+impl Board {
+    /// The pixel at a distance from the edge, positive on its light side, and a place along it.
+    pub fn to_px(&self, x_mm: f64, y_mm: f64) -> [f64; 2] {
+        self.found.edge_frame.px([x_mm, y_mm])
+    }
+
+    /// Distance from the edge, positive on its light side, and place along it.
+    pub fn to_mm(&self, x_px: f64, y_px: f64) -> [f64; 2] {
+        self.found.edge_frame.mm([x_px, y_px])
+    }
+}
+
+/// Share of clipped samples that refuses.
+const CLIPPED: f64 = 1e-3;
+
+pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], level: f64) -> Result<(), Refusal> {
+    match binnings.iter().find(|b| b.clipped_share > CLIPPED) {
+        None => Ok(()),
+        Some(b) => Err(Refusal::Clipped {
+            label: photo.label.clone(),
+            colour: b.profile.colour,
+            place: "the crop".to_owned(),
+            share: 100.0 * b.clipped_share,
+            level,
+        }),
+    }
+}
+
+/// Distance from the edge within which its blur is fitted, in mm.
+const REACH_MM: f64 = 0.6;
+
+fn fit_edge(profile: &EdgeProfile, label: &str) -> Result<blur::EdgeFit, Refusal> {
+    let points = (profile.x_mm.iter().zip(&profile.values).zip(&profile.std_errors))
+        .map(|((x, v), e)| [*x, *v, *e])
+        .collect();
+    let no_edge = || Refusal::NoBoard {
+        label: label.to_owned(),
+        seen: format!("the {} edge is none between two even sides", profile.colour),
+    };
+    let width = profile.x_mm[1] - profile.x_mm[0];
+    blur::fit(&EdgeBins { width, reach: REACH_MM, points }).ok_or_else(no_edge)
+}
+
+fn spread_of_mean(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    if values.len() < 2 {
+        return 0.0;
+    }
+    let mean = values.iter().sum::<f64>() / n;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt()
+}
+
+/// Brightness of one side, 1 mm from the edge and farther; unevenness counts as error.
+fn level(profile: &EdgeProfile, sign: f64) -> Estimate {
+    let far = |x: &f64| sign * x > 1.0;
+    let values: Vec<f64> =
+        profile.x_mm.iter().zip(&profile.values).filter(|(x, _)| far(x)).map(|(_, v)| *v).collect();
+    let values: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
+    let (value, noise) = crate::least_squares::robust_mean(&values);
+    let half = values.len() / 2;
+    let [near, far] = [&values[..half], &values[half..]].map(|v| crate::least_squares::robust_mean(v).0);
+    Estimate::new(value, noise.hypot(0.25 * (near - far)))
+}
+
+/// Relative slope of the light side per 10 mm, 1 mm from the edge and farther.
+fn slope(profile: &EdgeProfile) -> Estimate {
+    let mut normal = Normal::new(2);
+    for ((x, v), e) in profile.x_mm.iter().zip(&profile.values).zip(&profile.std_errors) {
+        if *x > 1.0 && v.is_finite() {
+            normal.add(&[1.0, x - 3.0], *v, 1.0 / (e * e));
+        }
+    }
+    let per_10_mm = |s: Solution| Estimate::new(10.0 * s.x[1] / s.x[0], 10.0 * s.std_error(1) / s.x[0]);
+    normal.solve().map_or(Estimate::new(0.0, f64::INFINITY), per_10_mm)
+}

@@ -1,0 +1,100 @@
+//! Brightness of the crop in coarse cells: where a slab covers it.
+
+use super::edge::{EdgeFrame, HALF_CROP_MM};
+use crate::calibration::Radiance;
+use crate::frame::Colour;
+use crate::least_squares::robust_mean;
+use crate::refusal::Refusal;
+
+/// Cells along each side of the crop: half a millimetre.
+const CELLS: usize = 20;
+
+/// Relative departure within which a cell looks as without a slab.
+const FREE: f64 = 0.015;
+
+/// Mean radiance factor of each cell and channel, by distance from the edge within each row.
+#[derive(Debug, Clone)]
+pub(crate) struct Cells([Vec<Cell>; 3]);
+
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    value: f64,
+    std_error: f64,
+}
+
+impl Cells {
+    pub fn of(radiance: &Radiance<'_>, edge: &EdgeFrame) -> Self {
+        Self(Colour::ALL.map(|colour| (0..CELLS * CELLS).map(|k| cell(radiance, edge, colour, k)).collect()))
+    }
+
+    pub fn mean(shots: &[Self]) -> Self {
+        let n = shots.len() as f64;
+        let of = |c: usize, k: usize| {
+            let sum = |f: fn(&Cell) -> f64| shots.iter().map(|s| f(&s.0[c][k])).sum::<f64>();
+            Cell { value: sum(|c| c.value) / n, std_error: sum(|c| c.std_error) / n / n.sqrt() }
+        };
+        Self([0, 1, 2].map(|c| (0..CELLS * CELLS).map(|k| of(c, k)).collect()))
+    }
+
+    /// Refuses a crop that a slab does not cover, `self` being the bare board.
+    pub fn check_covered(&self, label: &str, sample: &Self) -> Result<(), Refusal> {
+        let free: Vec<bool> = (0..CELLS * CELLS).map(|k| self.is_free(sample, k)).collect();
+        let half = CELLS / 2;
+        let light = |k: usize| k % CELLS >= half;
+        let share = |side: bool| {
+            free.iter().enumerate().filter(|(k, f)| **f && light(*k) == side).count() as f64
+                / (half * CELLS) as f64
+        };
+        if share(true) > 0.9 && share(false) > 0.9 {
+            return Err(Refusal::NoSlab { label: label.to_owned() });
+        }
+        // A slab that lets no light through looks like the bare dark side.
+        let dark_tells = share(false) < 0.6;
+        let counts = |k: &usize| free[*k] && (light(*k) || dark_tells);
+        let corner = |k: usize| [(k % CELLS) as f64, (k / CELLS) as f64];
+        let border = |k: &usize| [k % CELLS, k / CELLS].iter().any(|i| *i == 0 || *i == CELLS - 1);
+        let open: Vec<usize> = (0..CELLS * CELLS).filter(border).filter(counts).collect();
+        // One cell may be a chance.
+        if open.len() < 3 {
+            return Ok(());
+        }
+        let inner = (0..CELLS * CELLS).filter(counts).map(corner);
+        let mm = |i: f64| (i + 0.5) * 2.0 * HALF_CROP_MM / CELLS as f64 - HALF_CROP_MM;
+        let nearest = inner.min_by(|a, b| {
+            let far = |c: &[f64; 2]| mm(c[0]).hypot(mm(c[1]));
+            far(a).total_cmp(&far(b))
+        });
+        let [x, y] = nearest.unwrap_or([0.0; 2]);
+        Err(Refusal::RimInCrop { label: label.to_owned(), x_mm: mm(x), y_mm: mm(y) })
+    }
+
+    fn is_free(&self, sample: &Self, k: usize) -> bool {
+        (0..3).all(|c| {
+            let (bare, now) = (self.0[c][k], sample.0[c][k]);
+            let noise = bare.std_error.hypot(now.std_error);
+            (now.value - bare.value).abs() < (FREE * bare.value).max(3.0 * noise)
+        })
+    }
+}
+
+fn cell(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, k: usize) -> Cell {
+    const STEPS: usize = 8;
+    let side = 2.0 * HALF_CROP_MM / CELLS as f64;
+    let at = |i: usize, part: usize| (i as f64 + (part as f64 + 0.5) / STEPS as f64) * side - HALF_CROP_MM;
+    let sites: Vec<_> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
+    let mut values = Vec::new();
+    for part in 0..STEPS * STEPS {
+        let [x, y] = edge.px([at(k % CELLS, part % STEPS), at(k / CELLS, part / STEPS)]);
+        for site in &sites {
+            let on = |v: f64, first: usize, limit: usize| {
+                let steps = ((v - 0.5 - first as f64) / site.step as f64).round().max(0.0) as usize;
+                (first + steps * site.step).min(limit - 1 - (limit - 1 - first) % site.step)
+            };
+            let (x, y) =
+                (on(x, site.column, radiance.frame.width()), on(y, site.row, radiance.frame.height()));
+            values.push(radiance.sample(*site, x, y).value);
+        }
+    }
+    let (value, std_error) = robust_mean(&values);
+    Cell { value, std_error }
+}

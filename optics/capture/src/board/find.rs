@@ -1,0 +1,106 @@
+//! Finds the board in a photograph.
+
+use super::Target;
+use super::edge::{EdgeFrame, EdgeLine, choose, dark_side, place};
+use super::lines::{BoardLine, Stretch, number, stretches};
+use super::movement::{Seen, check_shake};
+use super::pose;
+use super::scan::{Contrast, Run, Scan};
+use crate::estimate::Estimate;
+use crate::refusal::Refusal;
+use crate::view::View;
+
+/// A board in a photograph.
+#[derive(Debug, Clone)]
+pub(crate) struct Found {
+    pub edge_frame: EdgeFrame,
+    pub edge: EdgeLine,
+    /// Of lengths in the frame's middle, relative.
+    pub scale_std_error: f64,
+    pub corners_px: Vec<[f64; 2]>,
+    pub seen: Seen,
+}
+
+impl Found {
+    /// Which of a photograph's axes the edge is crossed along: 0 sideways, 1 up and down.
+    pub fn across(&self) -> usize {
+        usize::from(self.edge_frame.run == Run::Across)
+    }
+}
+
+/// Shortest stretch of edge that counts, as a share of the frame's shorter side.
+const SHORTEST: f64 = 0.03;
+
+/// Plateaus begin here until the blur is known, in pixels.
+pub(super) const REACH_PX: f64 = 5.0;
+
+/// Departure of a bare board's levels from its common black and white: light that is uneven by so much.
+const SHARE: f64 = 0.2;
+
+pub(crate) fn find(view: View<'_>, target: Target) -> Result<Found, Refusal> {
+    let photo = view.photo;
+    let frame = &photo.frame;
+    let size = [frame.width() as f64, frame.height() as f64];
+    let none = |seen: String| Refusal::NoBoard { label: photo.label.clone(), seen };
+    let contrast = Contrast::of(view).ok_or_else(|| none("black and white are not told apart".into()))?;
+    let ([down, across], seen) = look(view, contrast);
+    let middle = [0.5 * size[0], 0.5 * size[1]];
+    let number = |found: Vec<Stretch>, on: f64| number(found, on).map_err(&none);
+    let (down, across) = (number(down, middle[1])?, number(across, middle[0])?);
+    if down.is_empty() && across.is_empty() {
+        return Err(none("no straight edge".into()));
+    }
+    let unscaled = |seen: String| Refusal::NoScale { label: photo.label.clone(), seen };
+    let fitted = pose::fit(&down, &across, size).map_err(unscaled)?;
+    let per_mm = 1.0 / (target.square_mm * fitted.pose.pitch(middle));
+    let told = target.dark_side;
+    let (line, stretch) = choose(&down, &across, told, middle, 2.0 * per_mm)
+        .ok_or_else(|| none("no edge runs as `dark_side` says".into()))?;
+    let found = dark_side(stretch);
+    if let Some(told) = told.filter(|told| *told != found) {
+        return Err(Refusal::SidesSwapped { label: photo.label.clone(), found, told });
+    }
+    let (edge_frame, edge) = place(&photo.label, line, stretch, fitted.pose, target.square_mm, size)?;
+    let corners_px = corners(&down, &across, &fitted.pose, size);
+    Ok(Found { edge_frame, edge, scale_std_error: fitted.scale_std_error, corners_px, seen })
+}
+
+/// Blur of edges that run up and down, and across the frame.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sharpness {
+    pub blur_px: [Option<Estimate>; 2],
+}
+
+/// How sharp the longest edges of a photograph are; refuses one that was shaken.
+pub(crate) fn sharpness(view: View<'_>) -> Result<Sharpness, Refusal> {
+    let Some(contrast) = Contrast::of(view) else {
+        return Ok(Sharpness { blur_px: [None; 2] });
+    };
+    let (_, seen) = look(view, contrast);
+    check_shake(&view.photo.label, &seen)?;
+    Ok(Sharpness { blur_px: [seen.blur_of(Run::Down), seen.blur_of(Run::Across)] })
+}
+
+/// Scans, and again where the edge is so blurred that its plateaus begin farther off.
+fn look(view: View<'_>, contrast: Contrast) -> ([Vec<Stretch>; 2], Seen) {
+    let shortest = SHORTEST * view.frame().width().min(view.frame().height()) as f64;
+    let mut scan = Scan { contrast, reach_px: REACH_PX, share: SHARE };
+    loop {
+        let found = [Run::Down, Run::Across].map(|run| stretches(&scan.run(view, run), run, shortest));
+        let seen = Seen::new(view, scan, [&found[0], &found[1]]);
+        let needed = seen.widest().map_or(2.5 * scan.reach_px, |b| (4.5 * b).min(WIDEST_PX));
+        if needed <= scan.reach_px * 1.05 || scan.reach_px >= WIDEST_PX {
+            return (found, seen);
+        }
+        scan.reach_px = needed.min(WIDEST_PX);
+    }
+}
+
+/// Farthest that plateaus may begin, in pixels: an edge more blurred than that is none.
+const WIDEST_PX: f64 = 40.0;
+
+fn corners(down: &[BoardLine], across: &[BoardLine], pose: &pose::Pose, size: [f64; 2]) -> Vec<[f64; 2]> {
+    let pairs = down.iter().flat_map(|d| across.iter().map(move |a| (d.index, a.index)));
+    let inside = |px: &[f64; 2]| (0.0..=size[0]).contains(&px[0]) && (0.0..=size[1]).contains(&px[1]);
+    pairs.map(|(d, a)| pose.px([f64::from(d), f64::from(a)])).filter(inside).collect()
+}

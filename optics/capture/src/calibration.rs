@@ -1,0 +1,163 @@
+//! From numbers to radiance factors.
+
+use crate::black::Black;
+use crate::estimate::Estimate;
+use crate::flat::Flat;
+use crate::frame::{Colour, Frame, Photo, Site};
+use crate::kind::Kind;
+use crate::noise::SiteNoise;
+use crate::refusal::Warning;
+use crate::saturation::saturation;
+use crate::view::View;
+
+/// From numbers to radiance factors, with all errors: v = ((S − D) − γ M) / (f k), see [`crate::Patches`].
+#[derive(Debug, Clone)]
+pub struct Calibration {
+    pub noise: Vec<SiteNoise>,
+    pub patches: Vec<PatchReading>,
+    /// γ: share of the frame's mean light that is scattered over the frame.
+    pub glare: [Estimate; 3],
+    /// k: numbers per unit of radiance factor, its error without the certificate's.
+    pub gain: [Estimate; 3],
+    /// Relative departure from a line at half the brightness of the white reference.
+    pub linearity: [f64; 3],
+    /// Of the white reference's certificate, relative.
+    pub reference_std_error: f64,
+    /// Largest relative change of the light between shots of the patches.
+    pub drift: [f64; 3],
+    pub warnings: Vec<Warning>,
+    pub(crate) light: Light,
+    pub(crate) black: Black,
+    pub(crate) flat: Flat,
+    /// Brightness of each site against its channel.
+    pub(crate) site_gain: Vec<f64>,
+    pub(crate) kind: Kind,
+}
+
+/// One grey patch, read through the calibration.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PatchReading {
+    pub rho: [f64; 3],
+    pub value: [Estimate; 3],
+    /// Relative, from the line through all.
+    pub deviation: [f64; 3],
+}
+
+/// Brightness of the lamps in time, relative to the mean of all shots of the patches.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Light {
+    /// Seconds and brightness per channel, rising in time; empty where times are unknown.
+    pub at: Vec<(f64, [f64; 3])>,
+    /// Relative standard error of a shot's brightness.
+    pub std_error: [f64; 3],
+    /// Shots of the patches.
+    pub shots: usize,
+}
+
+impl Calibration {
+    pub fn black(&self) -> &Black {
+        &self.black
+    }
+
+    pub fn flat(&self) -> &Flat {
+        &self.flat
+    }
+
+    pub(crate) fn view<'a>(&'a self, photo: &'a Photo) -> View<'a> {
+        View { photo, black: &self.black, flat: &self.flat }
+    }
+}
+
+impl Light {
+    /// Linear between shots, constant before and after.
+    fn relative(&self, seconds: Option<f64>) -> [f64; 3] {
+        let (Some(t), Some(first), Some(last)) = (seconds, self.at.first(), self.at.last()) else {
+            return [1.0; 3];
+        };
+        if t <= first.0 || t >= last.0 {
+            return if t <= first.0 { first.1 } else { last.1 };
+        }
+        let next = self.at.iter().position(|a| a.0 > t).unwrap_or(self.at.len() - 1);
+        let (a, b) = (self.at[next - 1], self.at[next]);
+        let share = (t - a.0) / (b.0 - a.0);
+        std::array::from_fn(|c| a.1[c] + share * (b.1[c] - a.1[c]))
+    }
+}
+
+/// A frame whose samples are read as radiance factors.
+#[derive(Debug)]
+pub(crate) struct Radiance<'a> {
+    pub frame: &'a Frame,
+    calibration: &'a Calibration,
+    pub full: f64,
+    /// M per channel.
+    means: [f64; 3],
+    /// γ M per channel.
+    veil: [f64; 3],
+    gain: [f64; 3],
+}
+
+/// One sample as a radiance factor.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sample {
+    pub value: f64,
+    pub variance: f64,
+    pub clipped: bool,
+}
+
+impl<'a> Radiance<'a> {
+    pub fn new(calibration: &'a Calibration, photo: &'a Photo) -> Self {
+        let light = calibration.light.relative(photo.seconds);
+        let means = frame_means(&calibration.black, &photo.frame);
+        let veil = std::array::from_fn(|c| calibration.glare[c].value * means[c]);
+        let gain = std::array::from_fn(|c| calibration.gain[c].value * light[c]);
+        Self { frame: &photo.frame, calibration, full: saturation(photo), means, veil, gain }
+    }
+
+    /// Radiance factor of the frame's mean, by which an error of the glare is multiplied.
+    pub fn mean(&self, colour: Colour) -> f64 {
+        self.means[colour.index()] / self.gain[colour.index()]
+    }
+
+    pub fn sample(&self, site: Site, x: usize, y: usize) -> Sample {
+        let c = site.colour.index();
+        let signal = self.calibration.black.signal(self.frame, site, x, y);
+        let flat = self.calibration.flat.at(site.colour, x as f64 + 0.5, y as f64 + 0.5);
+        let per_unit = flat * self.gain[c] * self.calibration.site_gain[site.index];
+        Sample {
+            value: (signal - self.veil[c]) / per_unit,
+            variance: self.calibration.noise[site.index].variance(signal) / (per_unit * per_unit),
+            clipped: f64::from(self.frame.at(site, x, y)) >= self.full,
+        }
+    }
+}
+
+/// Mean number above black of each channel over the frame, from a share of its samples.
+pub(crate) fn frame_means(black: &Black, frame: &Frame) -> [f64; 3] {
+    let mut sums = [(0.0, 0.0); 3];
+    let skip = (frame.width() * frame.height() / 400_000).isqrt().max(1);
+    for site in frame.sites() {
+        let (sum, count) = &mut sums[site.colour.index()];
+        for y in (site.row..frame.height()).step_by(site.step * skip) {
+            for x in (site.column..frame.width()).step_by(site.step * skip) {
+                *sum += black.signal(frame, site, x, y);
+                *count += 1.0;
+            }
+        }
+    }
+    sums.map(|(sum, count)| sum / f64::max(count, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_is_interpolated_between_references_and_constant_beyond() {
+        let light = Light { at: vec![(10.0, [1.002; 3]), (20.0, [0.998; 3])], std_error: [0.0; 3], shots: 2 };
+        let at = |t: f64| light.relative(Some(t))[1];
+        assert_eq!((at(0.0), at(30.0)), (1.002, 0.998));
+        assert!((at(15.0) - 1.0).abs() < 1e-12 && (at(12.5) - 1.001).abs() < 1e-12);
+        assert_eq!(light.relative(None), [1.0; 3]);
+    }
+}

@@ -1,0 +1,238 @@
+//! Unevenness of light and lens, from an even sheet.
+//!
+//! ln L = c_j + P(x, y), P a polynomial of the fourth order without constant, common to all shots, c_j the brightness of
+//! shot j. Paper's own structure moves with the sheet, so what differs between shots tells how much of it is left.
+
+use rayon::prelude::*;
+
+use crate::black::Black;
+use crate::frame::{Colour, Frame, Photo};
+use crate::kind::Kind;
+use crate::least_squares::{Normal, robust_mean, spread, tukey};
+use crate::noise::Pairs;
+use crate::refusal::{Refusal, Warning};
+use crate::saturation::saturation;
+
+/// Cells of the grid on which a flat is fitted.
+const ACROSS: usize = 36;
+const DOWN: usize = 24;
+
+const ORDER: usize = 4;
+
+/// Relative slope over the frame that is allowed for where no flat, or a single one, tells it.
+const UNKNOWN_SLOPE: f64 = 0.01;
+
+/// Flat shots, one after the other.
+#[derive(Debug)]
+pub struct Flats {
+    black: Black,
+    last: Option<Photo>,
+    cells: Vec<[Vec<f64>; 3]>,
+    pairs: Pairs,
+}
+
+/// Light over the frame, relative to its mean.
+#[derive(Debug, Clone)]
+pub struct Flat {
+    size: [f64; 2],
+    /// Coefficients of [`terms`], after a constant.
+    coefficients: [Vec<f64>; 3],
+    slope_std_error: [f64; 3],
+    pub(crate) pairs: Pairs,
+    pub(crate) warnings: Vec<Warning>,
+}
+
+impl Flats {
+    pub fn new(black: &Black) -> Self {
+        Self { black: black.clone(), last: None, cells: Vec::new(), pairs: Pairs::default() }
+    }
+
+    pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
+        let full = saturation(&photo);
+        if let Some(last) = &self.last {
+            Kind::of(last).check(&photo)?;
+            self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
+        }
+        let mut cells = Vec::new();
+        for colour in Colour::ALL {
+            cells.push(grid(&photo, &self.black, colour, full)?);
+        }
+        if let Ok(cells) = cells.try_into() {
+            self.cells.push(cells);
+        }
+        self.last = Some(photo);
+        Ok(())
+    }
+
+    /// Without shots: even light, with a warning.
+    pub fn finish(self) -> Result<Flat, Refusal> {
+        let Some(last) = self.last else { return Ok(Flat::even()) };
+        let size = [last.frame.width() as f64, last.frame.height() as f64];
+        let mut coefficients = [const { Vec::new() }; 3];
+        let mut slope_std_error = [UNKNOWN_SLOPE; 3];
+        for colour in Colour::ALL {
+            let c = colour.index();
+            let cells: Vec<&[f64]> = self.cells.iter().map(|shot| shot[c].as_slice()).collect();
+            coefficients[c] = fit(&cells).ok_or(Refusal::Missing { what: "even flat shots" })?;
+            if cells.len() > 1 {
+                slope_std_error[c] = slope_error(&cells);
+            }
+        }
+        Ok(Flat { size, coefficients, slope_std_error, pairs: self.pairs, warnings: Vec::new() })
+    }
+}
+
+impl Flat {
+    pub(crate) fn even() -> Self {
+        Self {
+            size: [1.0, 1.0],
+            coefficients: [const { Vec::new() }; 3],
+            slope_std_error: [UNKNOWN_SLOPE; 3],
+            pairs: Pairs::default(),
+            warnings: vec![Warning::NoFlat { slope_percent: 100.0 * UNKNOWN_SLOPE }],
+        }
+    }
+
+    /// Light at a place of the frame over its mean.
+    pub fn at(&self, colour: Colour, x_px: f64, y_px: f64) -> f64 {
+        let coefficients = &self.coefficients[colour.index()];
+        let terms = terms(2.0 * x_px / self.size[0] - 1.0, 2.0 * y_px / self.size[1] - 1.0);
+        libm::exp(coefficients.iter().zip(terms).map(|(c, t)| c * t).sum())
+    }
+
+    /// Relative slope across the frame's whole width that shots of the flat leave uncertain.
+    pub fn slope_std_error(&self) -> [f64; 3] {
+        self.slope_std_error
+    }
+}
+
+const TERMS: usize = (ORDER + 1) * (ORDER + 2) / 2;
+
+/// x^i y^j, i + j ≤ [`ORDER`], the constant first; less their means over the square, so that exp of the rest is 1 on
+/// average but for what is of second order.
+fn terms(x: f64, y: f64) -> [f64; TERMS] {
+    let mean = |n: usize| if n.is_multiple_of(2) { 1.0 / (n as f64 + 1.0) } else { 0.0 };
+    let powers = |v: f64| [1.0, v, v * v, v * v * v, v * v * v * v];
+    let (of_x, of_y) = (powers(x), powers(y));
+    let mut terms = [1.0; TERMS];
+    let mut k = 1;
+    for order in 1..=ORDER {
+        for j in 0..=order {
+            terms[k] = of_x[order - j] * of_y[j] - mean(order - j) * mean(j);
+            k += 1;
+        }
+    }
+    terms
+}
+
+/// Centres of cells on the square.
+fn places() -> impl Iterator<Item = (f64, f64)> {
+    let centre = |i: usize, n: usize| (2.0 * i as f64 + 1.0) / n as f64 - 1.0;
+    (0..ACROSS * DOWN).map(move |k| (centre(k % ACROSS, ACROSS), centre(k / ACROSS, DOWN)))
+}
+
+/// ln of the mean light of each cell.
+fn grid(photo: &Photo, black: &Black, colour: Colour, full: f64) -> Result<Vec<f64>, Refusal> {
+    let frame = &photo.frame;
+    let cells: Vec<_> =
+        (0..ACROSS * DOWN).into_par_iter().map(|k| cell(frame, black, colour, full, k)).collect();
+    let clipped = cells.iter().filter(|c| c.is_none()).count();
+    if clipped > 0 {
+        let share = 100.0 * clipped as f64 / cells.len() as f64;
+        let place = "the sheet".to_owned();
+        return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level: full });
+    }
+    Ok(cells.into_iter().flatten().collect())
+}
+
+fn cell(frame: &Frame, black: &Black, colour: Colour, full: f64, k: usize) -> Option<f64> {
+    let range = |i: usize, n: usize, side: usize| i * side / n..(i + 1) * side / n;
+    let (columns, rows) = (range(k % ACROSS, ACROSS, frame.width()), range(k / ACROSS, DOWN, frame.height()));
+    // A few thousand samples tell a cell's mean to 0.01 %.
+    let skip = (columns.len() * rows.len() / 16_000).isqrt().max(1);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
+        for y in (site.row_from(rows.start)..rows.end).step_by(site.step * skip) {
+            for x in (site.column_from(columns.start)..columns.end).step_by(site.step * skip) {
+                if f64::from(frame.at(site, x, y)) >= full {
+                    return None;
+                }
+                sum += black.signal(frame, site, x, y);
+                count += 1.0;
+            }
+        }
+    }
+    Some(libm::log((sum / f64::max(count, 1.0)).max(1e-3)))
+}
+
+/// Coefficients common to all shots, the first one 0.
+fn fit(shots: &[&[f64]]) -> Option<Vec<f64>> {
+    let levels: Vec<f64> = shots.iter().map(|s| robust_mean(s).0).collect();
+    let cells: Vec<f64> = (0..ACROSS * DOWN)
+        .map(|k| shots.iter().zip(&levels).map(|(s, l)| s[k] - l).sum::<f64>() / shots.len() as f64)
+        .collect();
+    let mut weights = vec![1.0; cells.len()];
+    let mut found = Vec::new();
+    for _ in 0..6 {
+        let mut normal = Normal::new(TERMS);
+        for (((x, y), value), weight) in places().zip(&cells).zip(&weights) {
+            normal.add(&terms(x, y), *value, *weight);
+        }
+        found = normal.solve()?.x.as_slice().to_vec();
+        let model = |(x, y): (f64, f64)| terms(x, y).iter().zip(&found).map(|(t, c)| t * c).sum::<f64>();
+        let residuals: Vec<f64> = places().zip(&cells).map(|(p, v)| v - model(p)).collect();
+        let sigma = spread(&residuals).max(1e-9);
+        weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
+    }
+    found[0] = 0.0;
+    Some(found)
+}
+
+/// Standard error of the mean slope, from slopes of single shots.
+fn slope_error(shots: &[&[f64]]) -> f64 {
+    let slope = |shot: &&[f64]| -> f64 {
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for ((x, _), v) in places().zip(shot.iter()) {
+            sum += x * v;
+            squares += x * x;
+        }
+        2.0 * sum / squares
+    };
+    let slopes: Vec<f64> = shots.iter().map(slope).collect();
+    let n = slopes.len() as f64;
+    let mean = slopes.iter().sum::<f64>() / n;
+    (slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn terms_have_no_mean_over_the_frame() {
+        let n = 200;
+        let at = |i: usize| (2.0 * i as f64 + 1.0) / n as f64 - 1.0;
+        let mut sums = [0.0; TERMS];
+        for k in 0..n * n {
+            for (sum, t) in sums.iter_mut().zip(terms(at(k % n), at(k / n))) {
+                *sum += t / (n * n) as f64;
+            }
+        }
+        assert!(sums[1..].iter().all(|s| s.abs() < 1e-4), "{sums:?}");
+    }
+
+    /// Vignetting and a slope, in three shots of which one has a speck.
+    #[test]
+    fn a_smooth_light_comes_back_in_spite_of_a_speck() {
+        let light = |x: f64, y: f64| libm::log((1.0 + 0.03 * x - 0.02 * y) * (1.0 - 0.06 * (x * x + y * y)));
+        let even: Vec<f64> = places().map(|(x, y)| light(x, y)).collect();
+        let mut spoiled = even.clone();
+        spoiled[100] -= 0.3;
+        let found = fit(&[&even, &spoiled, &even]).unwrap();
+        let model = |x: f64, y: f64| terms(x, y).iter().zip(&found).map(|(t, c)| t * c).sum::<f64>();
+        let offset = model(0.0, 0.0) - light(0.0, 0.0);
+        for (x, y) in places() {
+            assert!((model(x, y) - light(x, y) - offset).abs() < 3e-4, "{x} {y}");
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! Photographs as numbers.
+//!
+//! Places in a photograph are in pixels of the mosaic: x to the right, y down, the first pixel's centre at (0.5, 0.5).
+
+use std::fmt;
+
+use optics_model::Invalid;
+
+/// Most samples of a frame: a hundred megapixels in three colours.
+pub const MAX_SAMPLES: usize = 300_000_000;
+
+/// Shortest side of a frame, in pixels: less holds no board.
+pub const MIN_SIDE: usize = 64;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Colour {
+    Red,
+    Green,
+    Blue,
+}
+
+impl Colour {
+    pub const ALL: [Self; 3] = [Self::Red, Self::Green, Self::Blue];
+
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
+    /// `R`, `G` or `B`: the channel's name in measurements.
+    pub fn letter(self) -> &'static str {
+        ["R", "G", "B"][self.index()]
+    }
+}
+
+impl fmt::Display for Colour {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(["red", "green", "blue"][self.index()])
+    }
+}
+
+/// How samples lie in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pattern {
+    /// One sample a pixel, behind a mosaic of 2 × 2 pixels that is told row by row.
+    Bayer([Colour; 4]),
+    /// Three samples a pixel, interleaved red, green, blue.
+    Rgb,
+}
+
+/// Samples that share a filter and an amplifier: one of the four places of a mosaic, or one of three colours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Site {
+    pub index: usize,
+    pub colour: Colour,
+    /// First column and row with such a sample, and the step to the next one.
+    pub column: usize,
+    pub row: usize,
+    pub step: usize,
+}
+
+/// One photograph as numbers: what a decoder gives.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Frame {
+    width: usize,
+    height: usize,
+    pattern: Pattern,
+    samples: Vec<u16>,
+}
+
+/// What a file says of its numbers, where it does.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Levels {
+    /// Number without light, for each place of the mosaic, row by row (R, G, B and nothing for [`Pattern::Rgb`]).
+    pub black: Option<[f64; 4]>,
+    /// Number at which the sensor is full.
+    pub white: Option<f64>,
+}
+
+/// How a shot was exposed; shots of a session must agree.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Exposure {
+    pub time_s: f64,
+    pub f_number: Option<f64>,
+    pub iso: Option<f64>,
+}
+
+impl fmt::Display for Exposure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} s", self.time_s)?;
+        if let Some(n) = self.f_number {
+            write!(f, ", f/{n}")?;
+        }
+        self.iso.map_or(Ok(()), |iso| write!(f, ", ISO {iso}"))
+    }
+}
+
+/// A frame with what its file says about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Photo {
+    /// Names the photograph in messages.
+    pub label: String,
+    pub frame: Frame,
+    pub levels: Levels,
+    /// Time of the shot, from any common start: drift of the light is reckoned with it.
+    pub seconds: Option<f64>,
+    pub exposure: Option<Exposure>,
+}
+
+impl Frame {
+    pub fn new(width: usize, height: usize, pattern: Pattern, samples: Vec<u16>) -> Result<Self, Invalid> {
+        for (field, side) in [("width", width), ("height", height)] {
+            if side < MIN_SIDE {
+                return Err(Invalid::new(field, side, format!("at least {MIN_SIDE} pixels are needed")));
+            }
+        }
+        let planes = if pattern == Pattern::Rgb { 3 } else { 1 };
+        let count = width.checked_mul(height).and_then(|n| n.checked_mul(planes));
+        let Some(count) = count.filter(|n| *n <= MAX_SAMPLES) else {
+            let given = format!("{width} × {height}");
+            return Err(Invalid::new("width × height", given, format!("at most {MAX_SAMPLES} samples")));
+        };
+        if samples.len() != count {
+            let allowed = format!("{width} × {height} pixels have {count} samples");
+            return Err(Invalid::new("samples", samples.len(), allowed));
+        }
+        if let Pattern::Bayer(colours) = pattern
+            && Colour::ALL.iter().any(|c| !colours.contains(c))
+        {
+            let given = colours.map(Colour::letter).concat();
+            return Err(Invalid::new("pattern", given, "a mosaic holds red, green and blue"));
+        }
+        Ok(Self { width, height, pattern, samples })
+    }
+
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    pub fn pattern(&self) -> Pattern {
+        self.pattern
+    }
+
+    pub fn samples(&self) -> &[u16] {
+        &self.samples
+    }
+
+    pub fn sites(&self) -> Vec<Site> {
+        self.pattern.sites()
+    }
+
+    /// The sample of a site at one of its pixels.
+    pub(crate) fn at(&self, site: Site, x: usize, y: usize) -> u16 {
+        match self.pattern {
+            Pattern::Bayer(_) => self.samples[y * self.width + x],
+            Pattern::Rgb => self.samples[(y * self.width + x) * 3 + site.index],
+        }
+    }
+
+    /// Columns and rows of a site.
+    pub(crate) fn extent(&self, site: Site) -> (usize, usize) {
+        let count = |side: usize, first: usize| (side - first).div_ceil(site.step);
+        (count(self.width, site.column), count(self.height, site.row))
+    }
+}
+
+impl Site {
+    /// Whether the site has samples in a row.
+    pub(crate) fn has_row(self, y: usize) -> bool {
+        y >= self.row && (y - self.row).is_multiple_of(self.step)
+    }
+
+    pub(crate) fn has_column(self, x: usize) -> bool {
+        x >= self.column && (x - self.column).is_multiple_of(self.step)
+    }
+
+    /// Its first column from `x` on.
+    pub(crate) fn column_from(self, x: usize) -> usize {
+        x + (self.column + self.step - x % self.step) % self.step
+    }
+
+    pub(crate) fn row_from(self, y: usize) -> usize {
+        y + (self.row + self.step - y % self.step) % self.step
+    }
+}
+
+impl Pattern {
+    pub fn sites(self) -> Vec<Site> {
+        match self {
+            Self::Bayer(colours) => (0..4)
+                .map(|i| Site { index: i, colour: colours[i], column: i % 2, row: i / 2, step: 2 })
+                .collect(),
+            Self::Rgb => Colour::ALL
+                .map(|colour| Site { index: colour.index(), colour, column: 0, row: 0, step: 1 })
+                .to_vec(),
+        }
+    }
+}
+
+impl fmt::Debug for Frame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Frame {{ {} × {}, {:?} }}", self.width, self.height, self.pattern)
+    }
+}

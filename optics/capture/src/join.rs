@@ -1,0 +1,208 @@
+//! Joins shots, and tells how much more they differ than noise explains.
+//!
+//! What shot j shows beyond the mean F of all is taken as gⱼ F + zⱼ + sⱼ x F + oⱼ F′: gain, zero, slope and place of one
+//! mounting, each with a prior, so that profiles without contrast stay determined. Only what is left is noise. A profile
+//! without contrast cannot tell gain from zero: what F explains counts as gain, and of the others only what is at right
+//! angles to those before.
+
+use crate::bins::EdgeProfile;
+use crate::estimate::Estimate;
+use crate::least_squares::Normal;
+
+/// Standard deviations of gain, zero, slope per 10 mm and place in mm, of one mounting, before anything is seen.
+const PRIOR: [f64; 4] = [0.01, 0.003, 0.01, 0.02];
+
+/// Bins around each one whose scatter between shots is averaged.
+const AROUND: usize = 20;
+
+/// Several shots of the same thing.
+#[derive(Debug, Clone)]
+pub(crate) struct Joined {
+    pub profile: EdgeProfile,
+    /// Standard deviations between shots of gain, zero, slope per 10 mm and place in mm.
+    pub between: [f64; 4],
+}
+
+/// Mean by bins, weighted by noise.
+pub(crate) fn mean(profiles: &[&EdgeProfile]) -> EdgeProfile {
+    let first = profiles[0];
+    let bins = first.values.len();
+    let mut joined = first.clone();
+    // One weight for a shot: those of single bins are noisy.
+    let weight = |p: &EdgeProfile| {
+        let variances: Vec<f64> = p.std_errors.iter().filter(|e| e.is_finite()).map(|e| e * e).collect();
+        variances.len() as f64 / variances.iter().sum::<f64>().max(1e-30)
+    };
+    let weights: Vec<f64> = profiles.iter().map(|p| weight(p)).collect();
+    for k in 0..bins {
+        let known = || profiles.iter().zip(&weights).filter(|(p, _)| p.values[k].is_finite());
+        let total: f64 = known().map(|(_, w)| w).sum();
+        joined.values[k] = known().map(|(p, w)| w * p.values[k]).sum::<f64>() / total;
+        let variance = known().map(|(p, w)| (w * p.std_errors[k]).powi(2)).sum::<f64>();
+        joined.std_errors[k] = variance.sqrt() / total;
+        joined.counts[k] = profiles.iter().map(|p| p.counts[k]).sum();
+        let lost: f64 = profiles.iter().map(|p| p.rejected[k] * f64::from(p.counts[k])).sum();
+        joined.rejected[k] = lost / f64::from(joined.counts[k].max(1));
+    }
+    joined
+}
+
+pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
+    let mut profile = mean(profiles);
+    let shots = profiles.len();
+    if shots < 2 {
+        return Joined { profile, between: [0.0; 4] };
+    }
+    let basis = basis(&profile);
+    let freedom = shots as f64 - 1.0;
+    let mut between = [0.0; 4];
+    let mut left = Vec::new();
+    for shot in profiles {
+        let departure = Departure::of(shot, &profile, &basis);
+        for (sum, c) in between.iter_mut().zip(departure.coefficients) {
+            // What noise alone does to a coefficient is no difference between shots.
+            *sum += c.value * c.value - c.std_error * c.std_error * freedom / shots as f64;
+        }
+        left.push(departure.left);
+    }
+    let mut between = between.map(|sum: f64| (sum / freedom).max(0.0).sqrt());
+    // Of the zero, what it does beside the gain.
+    let zero = basis.iter().map(|row| row[1] * row[1]).filter(|v| v.is_finite());
+    between[1] *= (zero.sum::<f64>() / basis.len() as f64).sqrt();
+    let scatter: Vec<f64> = (0..profile.values.len())
+        .map(|k| left.iter().map(|r| r[k]).filter(|z| z.is_finite()).map(|z| z * z).sum::<f64>() / freedom)
+        .collect();
+    for (k, error) in profile.std_errors.iter_mut().enumerate() {
+        let near = &scatter[k.saturating_sub(AROUND)..(k + AROUND + 1).min(scatter.len())];
+        let mean = near.iter().sum::<f64>() / near.len() as f64;
+        // Scatter that chance explains is no reason: of χ² with so many degrees of freedom, three standard deviations.
+        let chance = 1.0 + 3.0 * (2.0 / (near.len() as f64 * freedom)).sqrt();
+        if mean > chance {
+            *error *= mean.sqrt();
+        }
+    }
+    Joined { profile, between }
+}
+
+/// F, 1, x F per 10 mm, F′ per mm, each at right angles to those before it.
+fn basis(profile: &EdgeProfile) -> Vec<[f64; 4]> {
+    const REACH: usize = 3;
+    let n = profile.values.len();
+    let width = profile.x_mm[1] - profile.x_mm[0];
+    let mut rows: Vec<[f64; 4]> = (0..n)
+        .map(|k| {
+            let (below, above) = (k.saturating_sub(REACH), (k + REACH).min(n - 1));
+            let rise = (profile.values[above] - profile.values[below]) / ((above - below) as f64 * width);
+            let f = profile.values[k];
+            [f, 1.0, 0.1 * profile.x_mm[k] * f, rise]
+        })
+        .collect();
+    for later in 1..4 {
+        for earlier in 0..later {
+            let known = || rows.iter().filter(|row| row.iter().all(|v| v.is_finite()));
+            let product: f64 = known().map(|row| row[later] * row[earlier]).sum();
+            let square: f64 = known().map(|row| row[earlier] * row[earlier]).sum();
+            let share = if square > 0.0 { product / square } else { 0.0 };
+            for row in &mut rows {
+                row[later] -= share * row[earlier];
+            }
+        }
+    }
+    rows
+}
+
+/// How a shot departs from the mean.
+struct Departure {
+    coefficients: [Estimate; 4],
+    /// What they do not explain, in standard errors.
+    left: Vec<f64>,
+}
+
+impl Departure {
+    fn of(shot: &EdgeProfile, mean: &EdgeProfile, basis: &[[f64; 4]]) -> Self {
+        let mut normal = Normal::new(4);
+        for (i, sigma) in PRIOR.iter().enumerate() {
+            let mut row = [0.0; 4];
+            row[i] = 1.0;
+            normal.add(&row, 0.0, sigma.powi(-2));
+        }
+        for (k, row) in basis.iter().enumerate() {
+            let (r, e) = (shot.values[k] - mean.values[k], shot.std_errors[k]);
+            if r.is_finite() && e > 0.0 && row.iter().all(|v| v.is_finite()) {
+                normal.add(row, r, 1.0 / (e * e));
+            }
+        }
+        let of = |s: crate::least_squares::Solution| {
+            std::array::from_fn(|i| Estimate::new(s.x[i], s.std_error(i)))
+        };
+        let coefficients: [Estimate; 4] = normal.solve().map_or([Estimate::default(); 4], of);
+        let explained = |row: &[f64; 4]| row.iter().zip(&coefficients).map(|(b, c)| b * c.value).sum::<f64>();
+        let off = |k: usize| shot.values[k] - mean.values[k] - explained(&basis[k]);
+        let left = (0..basis.len()).map(|k| off(k) / shot.std_errors[k]).collect();
+        Self { coefficients, left }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Colour;
+
+    fn shot(gain: f64, error: f64, noise: impl Fn(usize) -> f64) -> EdgeProfile {
+        let x_mm: Vec<f64> = (0..360).map(|k| (f64::from(k) + 0.5) / 36.0 - 5.0).collect();
+        let values = x_mm.iter().enumerate().map(|(k, x)| gain * (0.5 + 0.3 * x.tanh()) + noise(k)).collect();
+        EdgeProfile {
+            colour: Colour::Green,
+            x_mm,
+            values,
+            std_errors: vec![error; 360],
+            counts: vec![100; 360],
+            rejected: vec![0.0; 360],
+        }
+    }
+
+    /// Alternating by one standard error: scatter, but not more than noise.
+    fn alternating(sign: f64) -> impl Fn(usize) -> f64 {
+        move |k| if k % 2 == 0 { sign * 1e-3 } else { -sign * 1e-3 }
+    }
+
+    #[test]
+    fn flicker_is_a_gain_and_not_noise() {
+        let shots = [0.997, 1.0, 1.003].map(|g| shot(g, 1e-3, |_| 0.0));
+        let joined = join(&shots.each_ref());
+        assert!((joined.between[0] - 0.003).abs() < 1e-4, "{:?}", joined.between);
+        let expected = 1e-3 / 3.0_f64.sqrt();
+        assert!(joined.profile.std_errors.iter().all(|e| (e / expected - 1.0).abs() < 1e-9));
+    }
+
+    #[test]
+    fn flicker_of_a_profile_without_contrast_is_found_among_noise() {
+        let dull = |gain: f64, sign: f64| {
+            let mut shot = shot(gain, 1e-3, alternating(sign));
+            let noise = alternating(sign);
+            shot.values =
+                (0..360).map(|k| gain * (0.7 + 0.01 * (k as f64 / 180.0 - 1.0)) + noise(k)).collect();
+            shot
+        };
+        let shots = [dull(0.997, 1.0), dull(1.0, -1.0), dull(1.003, 1.0)];
+        let joined = join(&shots.each_ref());
+        assert!((joined.between[0] - 0.003).abs() < 3e-4, "{:?}", joined.between);
+    }
+
+    #[test]
+    fn scatter_between_shots_beyond_noise_goes_into_the_errors() {
+        let shots = [shot(1.0, 2e-4, alternating(1.0)), shot(1.0, 2e-4, alternating(-1.0))];
+        let joined = join(&shots.each_ref());
+        // Each is 1e-3 off the mean: two shots have a standard deviation of √2·1e-3, their mean one of 1e-3.
+        assert!(joined.profile.std_errors[20..340].iter().all(|e| (e / 1e-3 - 1.0).abs() < 0.01));
+    }
+
+    #[test]
+    fn one_shot_is_its_own_mean() {
+        let one = shot(1.0, 1e-3, |_| 0.0);
+        let joined = join(&[&one]);
+        let same = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-12;
+        assert!(joined.profile.values.iter().zip(&one.values).all(same));
+        assert_eq!(joined.between, [0.0; 4]);
+    }
+}

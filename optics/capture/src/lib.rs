@@ -1,0 +1,41 @@
+//! From photographs to profiles: numerics over plain arrays, without files, network or clock.
+//!
+//! A session runs through steps that take photographs one at a time, so that never more than two are in memory:
+//! [`Darks`] → [`Flats`] → [`Patches`] → [`BareShots`] → [`Mountings`], one of those for each sample. Each step has
+//! `add(photo)`, which checks and may refuse, and `finish()`, whose result the next one uses.
+
+mod bins;
+mod black;
+mod blur;
+mod board;
+mod calibration;
+mod check;
+mod estimate;
+mod flat;
+mod frame;
+mod join;
+mod kind;
+mod least_squares;
+mod mountings;
+mod noise;
+mod patches;
+mod refusal;
+mod report;
+mod rho;
+mod saturation;
+mod view;
+
+pub use bins::{BIN_MM, BINS, EdgeProfile};
+pub use black::{Black, Darks};
+pub use board::{BareShots, Board, EdgeLine, Target};
+pub use calibration::{Calibration, PatchReading};
+pub use check::{ShotCheck, check_shot};
+pub use estimate::{Contribution, Estimate, Source};
+pub use flat::{Flat, Flats};
+pub use frame::{Colour, Exposure, Frame, Levels, Pattern, Photo, Site};
+pub use mountings::{Mountings, SampleProfile};
+pub use noise::SiteNoise;
+pub use patches::{Area, Neutral, Patches};
+pub use refusal::{Refusal, Side, Warning};
+pub use report::ShotReport;
+pub use rho::{BoardRho, Shown};

@@ -1,0 +1,234 @@
+//! Grey patches: linearity, stray light and the white reference.
+//!
+//! (S − D)/f = k ρ + γ M/f: f is the flat, k the numbers per unit of radiance factor, M the frame's mean of S − D, and γ
+//! the share of it that lens and camera scatter over the frame.
+
+use optics_model::Invalid;
+
+use crate::black::Black;
+use crate::calibration::{Calibration, frame_means};
+use crate::flat::Flat;
+use crate::frame::{Colour, Photo};
+use crate::kind::Kind;
+use crate::least_squares::robust_mean;
+use crate::noise::Pairs;
+use crate::refusal::Refusal;
+use crate::saturation::saturation;
+
+mod line;
+
+/// Rectangle in pixels of the mosaic.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Area {
+    pub x: f64,
+    pub y: f64,
+    pub width: f64,
+    pub height: f64,
+}
+
+/// The grey patches and what is certified of them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Neutral {
+    rho: Vec<[f64; 3]>,
+    std_error: f64,
+    areas: Vec<Area>,
+}
+
+/// Shots of the patches, one after the other.
+#[derive(Debug)]
+pub struct Patches {
+    black: Black,
+    flat: Flat,
+    neutral: Neutral,
+    last: Option<Photo>,
+    shots: Vec<Shot>,
+    pairs: Pairs,
+}
+
+/// What one shot shows.
+#[derive(Debug, Clone)]
+struct Shot {
+    label: String,
+    seconds: Option<f64>,
+    /// Per patch and channel: mean number above black, over the flat, with its standard error; M/f.
+    readings: Vec<[Reading; 3]>,
+    /// Brightness of each site against its channel.
+    sites: Vec<f64>,
+}
+
+/// Light of each sample of an area over the flat, and the mean of each site.
+struct Samples {
+    light: Vec<f64>,
+    per_site: Vec<(usize, f64)>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Reading {
+    light: f64,
+    std_error: f64,
+    veil: f64,
+}
+
+/// Pixels of an area that are read: a white patch is then known to 0.005 %.
+const SAMPLES: f64 = 100_000.0;
+
+impl Neutral {
+    /// `rho` per patch and channel, `std_error` relative, `areas` in the same order.
+    pub fn new(rho: Vec<[f64; 3]>, std_error: f64, areas: Vec<Area>) -> Result<Self, Invalid> {
+        if rho.len() < 3 {
+            return Err(Invalid::new("rho", format!("{} patches", rho.len()), "at least 3 tell a line"));
+        }
+        if let Some((i, wrong)) =
+            rho.iter().enumerate().find(|(_, r)| r.iter().any(|v| !(1e-4..=1.2).contains(v)))
+        {
+            return Err(Invalid::new(format!("rho[{i}]"), format!("{wrong:?}"), "from 0.0001 to 1.2"));
+        }
+        if !(0.0..=0.5).contains(&std_error) {
+            return Err(Invalid::new("std_error", std_error, "relative, from 0 to 0.5"));
+        }
+        if areas.len() != rho.len() {
+            let allowed = format!("{}, one for each rho", rho.len());
+            return Err(Invalid::new("areas_px", areas.len(), allowed));
+        }
+        let fits = |a: &Area| a.x >= 0.0 && a.y >= 0.0 && a.width >= 8.0 && a.height >= 8.0;
+        if let Some(i) = areas.iter().position(|a| !fits(a) || !(a.x + a.y + a.width + a.height).is_finite())
+        {
+            let given = format!("{:?}", areas[i]);
+            return Err(Invalid::new(
+                format!("areas_px[{i}]"),
+                given,
+                "at least 8 × 8 pixels within the frame",
+            ));
+        }
+        Ok(Self { rho, std_error, areas })
+    }
+
+    /// Index of the brightest patch: the white reference.
+    pub(crate) fn white(&self) -> usize {
+        let green = |i: &usize| self.rho[*i][1];
+        (0..self.rho.len()).max_by(|a, b| green(a).total_cmp(&green(b))).unwrap_or(0)
+    }
+}
+
+impl Patches {
+    pub fn new(black: Black, flat: Flat, neutral: Neutral) -> Self {
+        Self { black, flat, neutral, last: None, shots: Vec::new(), pairs: Pairs::default() }
+    }
+
+    pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
+        let full = saturation(&photo);
+        if let Some(last) = &self.last {
+            Kind::of(last).check(&photo)?;
+            self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
+        } else {
+            self.pairs.add_single(&photo.frame, self.black.levels(), full);
+        }
+        let shot = self.read(&photo, full)?;
+        self.shots.push(shot);
+        self.last = Some(photo);
+        Ok(())
+    }
+
+    fn read(&self, photo: &Photo, full: f64) -> Result<Shot, Refusal> {
+        let frame = &photo.frame;
+        let sites = frame.sites();
+        let means = frame_means(&self.black, frame);
+        let mut readings = Vec::new();
+        let mut of_sites = vec![1.0; sites.len()];
+        for (i, area) in self.neutral.areas.iter().enumerate() {
+            let mut per_channel = [Reading { light: 0.0, std_error: 0.0, veil: 0.0 }; 3];
+            for colour in Colour::ALL {
+                let Samples { light: samples, per_site } = self.samples(photo, *area, i, colour, full)?;
+                let (light, std_error) = robust_mean(&samples);
+                let middle = [area.x + 0.5 * area.width, area.y + 0.5 * area.height];
+                let veil = means[colour.index()] / self.flat.at(colour, middle[0], middle[1]);
+                per_channel[colour.index()] = Reading { light, std_error, veil };
+                if i == self.neutral.white() {
+                    for (site, mean) in per_site {
+                        of_sites[site] = mean / light;
+                    }
+                }
+            }
+            readings.push(per_channel);
+        }
+        Ok(Shot { label: photo.label.clone(), seconds: photo.seconds, readings, sites: of_sites })
+    }
+
+    fn samples(
+        &self,
+        photo: &Photo,
+        area: Area,
+        index: usize,
+        colour: Colour,
+        full: f64,
+    ) -> Result<Samples, Refusal> {
+        let frame = &photo.frame;
+        let (right, bottom) = (area.x + area.width, area.y + area.height);
+        if right > frame.width() as f64 || bottom > frame.height() as f64 {
+            let allowed = format!("within the frame of {} × {} pixels", frame.width(), frame.height());
+            return Err(Invalid::new(format!("areas_px[{index}]"), format!("{area:?}"), allowed).into());
+        }
+        let skip = ((area.width * area.height / SAMPLES).sqrt() as usize).max(1);
+        let mut samples = Vec::new();
+        let mut per_site = Vec::new();
+        let mut clipped = 0_usize;
+        for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
+            let step = site.step * skip;
+            let mut own = Vec::new();
+            for y in (site.row_from(area.y.ceil() as usize)..bottom as usize).step_by(step) {
+                for x in (site.column_from(area.x.ceil() as usize)..right as usize).step_by(step) {
+                    clipped += usize::from(f64::from(frame.at(site, x, y)) >= full);
+                    let light = self.flat.at(colour, x as f64 + 0.5, y as f64 + 0.5);
+                    own.push(self.black.signal(frame, site, x, y) / light);
+                }
+            }
+            per_site.push((site.index, robust_mean(&own).0));
+            samples.append(&mut own);
+        }
+        if clipped * 1000 > samples.len() {
+            let share = 100.0 * clipped as f64 / samples.len() as f64;
+            let place = format!("patch {}", index + 1);
+            return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level: full });
+        }
+        Ok(Samples { light: samples, per_site })
+    }
+
+    pub fn finish(self) -> Result<Calibration, Refusal> {
+        let Some(last) = &self.last else { return Err(Refusal::Missing { what: "shots of the patches" }) };
+        let sites = last.frame.sites();
+        let fitted = line::fit(&self.neutral, &self.shots)?;
+        // Shots of the patches are alike; flats show moved paper. Those serve where nothing better was taken twice.
+        let mut pairs = self.black.pairs.clone();
+        pairs.extend(&self.pairs);
+        if self.shots.len() < 2 {
+            pairs.extend(&self.flat.pairs);
+        }
+        let noise = pairs.fit(&sites).ok_or(Refusal::Missing { what: "shots that tell the noise" })?;
+        let mean =
+            |s: usize| self.shots.iter().map(|shot| shot.sites[s]).sum::<f64>() / self.shots.len() as f64;
+        let site_gain = (0..sites.len()).map(mean).collect();
+        let mut warnings = [self.black.warnings.as_slice(), &self.flat.warnings, &fitted.warnings].concat();
+        if !pairs.has_pairs() {
+            warnings.push(crate::Warning::NoPairs);
+        }
+        if last.frame.pattern() == crate::Pattern::Rgb {
+            warnings.push(crate::Warning::Demosaiced);
+        }
+        let kind = Kind::of(last);
+        Ok(Calibration {
+            noise,
+            patches: fitted.patches,
+            glare: fitted.glare,
+            gain: fitted.gain,
+            linearity: fitted.linearity,
+            reference_std_error: self.neutral.std_error,
+            drift: fitted.drift,
+            light: fitted.light,
+            warnings,
+            black: self.black,
+            flat: self.flat,
+            site_gain,
+            kind,
+        })
+    }
+}

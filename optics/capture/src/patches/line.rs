@@ -1,0 +1,180 @@
+//! The line through the patches.
+
+use super::{Neutral, Reading, Shot};
+use crate::calibration::{Light, PatchReading};
+use crate::estimate::Estimate;
+use crate::frame::Colour;
+use crate::least_squares::{Normal, Solution};
+use crate::refusal::{Refusal, Warning};
+
+/// Relative departure from the line that refuses.
+const NOT_LINEAR: f64 = 0.01;
+
+/// Relative change of the light between shots that refuses.
+const DRIFT: f64 = 0.005;
+
+/// Powers of ρ beyond which a picture counts as gamma-coded.
+const LINEAR_POWERS: std::ops::Range<f64> = 0.85..1.15;
+
+#[derive(Debug, Default)]
+pub(super) struct Fitted {
+    pub patches: Vec<PatchReading>,
+    pub gain: [Estimate; 3],
+    pub glare: [Estimate; 3],
+    pub linearity: [f64; 3],
+    pub drift: [f64; 3],
+    pub light: Light,
+    pub warnings: Vec<Warning>,
+}
+
+pub(super) fn fit(neutral: &Neutral, shots: &[Shot]) -> Result<Fitted, Refusal> {
+    check_gamma(neutral, &shots[0])?;
+    let mut fitted = Fitted::default();
+    let brightness: Vec<[f64; 3]> = relative(shots);
+    check_drift(shots, &brightness, &mut fitted)?;
+    fitted.light = light(shots, &brightness, &mut fitted.warnings);
+    let mut readings: Vec<PatchReading> =
+        neutral.rho.iter().map(|rho| PatchReading { rho: *rho, ..PatchReading::default() }).collect();
+    for colour in Colour::ALL {
+        let c = colour.index();
+        let means = mean_readings(shots, &brightness, c);
+        channel(neutral, &means, colour, &mut fitted, &mut readings)?;
+    }
+    fitted.patches = readings;
+    Ok(fitted)
+}
+
+/// Mean of all shots, each brought to the mean brightness.
+fn mean_readings(shots: &[Shot], brightness: &[[f64; 3]], c: usize) -> Vec<Reading> {
+    let n = shots.len() as f64;
+    (0..shots[0].readings.len())
+        .map(|i| {
+            let sum = |f: fn(&Reading) -> f64| -> f64 {
+                shots.iter().zip(brightness).map(|(s, b)| f(&s.readings[i][c]) / b[c]).sum()
+            };
+            Reading {
+                light: sum(|r| r.light) / n,
+                std_error: sum(|r| r.std_error) / n / n.sqrt(),
+                veil: sum(|r| r.veil) / n,
+            }
+        })
+        .collect()
+}
+
+fn channel(
+    neutral: &Neutral,
+    readings: &[Reading],
+    colour: Colour,
+    fitted: &mut Fitted,
+    patches: &mut [PatchReading],
+) -> Result<(), Refusal> {
+    let c = colour.index();
+    let line =
+        regress(neutral, readings, c, false).ok_or(Refusal::Missing { what: "patches of different ρ" })?;
+    let (k, glare) = (line.x[0], line.x[1]);
+    for (i, (patch, reading)) in patches.iter_mut().zip(readings).enumerate() {
+        let rho = neutral.rho[i][c];
+        let expected = k * rho + glare * reading.veil;
+        patch.deviation[c] = reading.light / expected - 1.0;
+        let own = (neutral.std_error * rho * k).hypot(reading.std_error) / expected;
+        if patch.deviation[c].is_nan() || patch.deviation[c].abs() > NOT_LINEAR.max(3.0 * own) {
+            let deviation = 100.0 * patch.deviation[c];
+            return Err(Refusal::NotLinear { colour, patch: i + 1, rho, deviation });
+        }
+    }
+    let white = neutral.white();
+    let (rho, of_white) = (neutral.rho[white][c], readings[white]);
+    let gain = (of_white.light - glare * of_white.veil) / rho;
+    let gain_error = of_white.std_error.hypot(line.std_error(1) * of_white.veil) / rho;
+    fitted.gain[c] = Estimate::new(gain, gain_error);
+    fitted.glare[c] = Estimate::new(glare, line.std_error(1));
+    for (patch, reading) in patches.iter_mut().zip(readings) {
+        let value = (reading.light - glare * reading.veil) / gain;
+        patch.value[c] = Estimate::new(value, reading.std_error / gain);
+    }
+    // L = kρ + γM + qρ²: against the line through black and white, half-way it departs by qρ/2.
+    fitted.linearity[c] = regress(neutral, readings, c, true)
+        .map_or(0.0, |curve| (0.5 * rho * curve.x[2] / curve.x[0]).abs().min(NOT_LINEAR));
+    Ok(())
+}
+
+/// Weighted by the certificate and the noise.
+fn regress(neutral: &Neutral, readings: &[Reading], c: usize, curved: bool) -> Option<Solution> {
+    let scale = readings[neutral.white()].light / neutral.rho[neutral.white()][c];
+    let mut normal = Normal::new(if curved { 3 } else { 2 });
+    for (rho, reading) in neutral.rho.iter().map(|r| r[c]).zip(readings) {
+        let sigma = (neutral.std_error.max(1e-4) * rho * scale).hypot(reading.std_error).max(1e-6 * scale);
+        let row = [rho, reading.veil, rho * rho];
+        normal.add(&row[..if curved { 3 } else { 2 }], reading.light, sigma.powi(-2));
+    }
+    normal.solve()
+}
+
+/// Brightness of each shot over the mean of all, weighted by light.
+fn relative(shots: &[Shot]) -> Vec<[f64; 3]> {
+    let light = |shot: &Shot| -> [f64; 3] {
+        std::array::from_fn(|c| shot.readings.iter().map(|r| r[c].light).sum::<f64>())
+    };
+    let all: Vec<[f64; 3]> = shots.iter().map(light).collect();
+    let mean: [f64; 3] = std::array::from_fn(|c| all.iter().map(|l| l[c]).sum::<f64>() / all.len() as f64);
+    all.into_iter().map(|l| std::array::from_fn(|c| l[c] / mean[c])).collect()
+}
+
+fn check_drift(shots: &[Shot], brightness: &[[f64; 3]], fitted: &mut Fitted) -> Result<(), Refusal> {
+    for colour in Colour::ALL {
+        let c = colour.index();
+        let order = |a: &usize, b: &usize| brightness[*a][c].total_cmp(&brightness[*b][c]);
+        let least = (0..shots.len()).min_by(order).unwrap_or(0);
+        let most = (0..shots.len()).max_by(order).unwrap_or(0);
+        let (first, last) = (least.min(most), least.max(most));
+        let drift = brightness[last][c] / brightness[first][c] - 1.0;
+        if drift.abs() > DRIFT {
+            let (first, last) = (shots[first].label.clone(), shots[last].label.clone());
+            return Err(Refusal::LightDrifted { colour, percent: 100.0 * drift, first, last });
+        }
+        fitted.drift[c] = drift;
+    }
+    Ok(())
+}
+
+fn light(shots: &[Shot], brightness: &[[f64; 3]], warnings: &mut Vec<Warning>) -> Light {
+    let n = shots.len() as f64;
+    if shots.len() < 2 {
+        warnings.push(Warning::NoDrift);
+        return Light { at: Vec::new(), std_error: [0.5 * DRIFT; 3], shots: 1 };
+    }
+    let std_error = std::array::from_fn(|c| {
+        (brightness.iter().map(|b| (b[c] - 1.0).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
+    });
+    let times: Option<Vec<f64>> = shots.iter().map(|s| s.seconds).collect();
+    let Some(times) = times else {
+        warnings.push(Warning::NoTimes);
+        return Light { at: Vec::new(), std_error, shots: shots.len() };
+    };
+    let mut at: Vec<_> = times.into_iter().zip(brightness.iter().copied()).collect();
+    at.sort_by(|a, b| a.0.total_cmp(&b.0));
+    at.dedup_by(|later, earlier| later.0 <= earlier.0);
+    Light { at, std_error, shots: shots.len() }
+}
+
+/// Refuses brightness that rises as another power of ρ than the first. Patches in the wrong order follow no power.
+fn check_gamma(neutral: &Neutral, shot: &Shot) -> Result<(), Refusal> {
+    let points: Vec<[f64; 2]> = (neutral.rho.iter().zip(&shot.readings))
+        .map(|(rho, reading)| [libm::log(rho[1]), libm::log(reading[1].light.max(1e-3))])
+        .collect();
+    let mut normal = Normal::new(2);
+    for [rho, light] in &points {
+        normal.add(&[1.0, *rho], *light, 1.0);
+    }
+    let Some(line) = normal.solve() else { return Ok(()) };
+    let exponent = line.x[1];
+    let residual = |p: &[f64; 2]| (p[1] - line.x[0] - exponent * p[0]).powi(2);
+    let scatter = (points.iter().map(residual).sum::<f64>() / points.len() as f64).sqrt();
+    if exponent > 0.2 && !LINEAR_POWERS.contains(&exponent) && scatter < A_POWER {
+        return Err(Refusal::GammaCoded { label: shot.label.clone(), exponent });
+    }
+    Ok(())
+}
+
+/// Scatter of ln L within which the patches follow a power.
+const A_POWER: f64 = 0.15;

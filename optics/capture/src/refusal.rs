@@ -1,0 +1,159 @@
+//! Why photographs are refused, and what is doubtful about those that are not.
+
+use thiserror::Error;
+
+use optics_model::Invalid;
+
+use crate::frame::Colour;
+
+/// What makes a session worthless: what was seen, where, and what to do.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum Refusal {
+    #[error(transparent)]
+    Invalid(#[from] Invalid),
+    #[error("{label}: {share:.1} % of the {colour} samples in {place} are clipped at {level}; expose less")]
+    Clipped { label: String, colour: Colour, place: String, share: f64, level: f64 },
+    #[error(
+        "the {colour} samples are not linear: patch {patch} (ρ {rho}) is {deviation:+.2} % off the line through the \
+         others, 1 % is allowed; check the order of the patches, switch off tone curves"
+    )]
+    NotLinear { colour: Colour, patch: usize, rho: f64, deviation: f64 },
+    #[error(
+        "{label}: brightness rises as the {exponent:.2}th power of ρ: this picture is gamma-coded; give the raw file, \
+         or convert it without a tone curve"
+    )]
+    GammaCoded { label: String, exponent: f64 },
+    #[error(
+        "{label}: {share:.0} % of the dark samples are 0: the black level is already subtracted and the noise cut \
+         off; give the raw file"
+    )]
+    BlackSubtracted { label: String, share: f64 },
+    #[error("{label}: the black level is unknown: add dark shots, or files that tell it")]
+    BlackUnknown { label: String },
+    #[error(
+        "{label}: the edge is blurred by {blur_px:.2} px, {times:.2} times the session's {session_px:.2} px, 1.3 times \
+         are allowed; focus again, let nothing move"
+    )]
+    Defocused { label: String, blur_px: f64, session_px: f64, times: f64 },
+    #[error(
+        "{label}: edges are blurred by {across_px:.2} px sideways and {along_px:.2} px up and down, 1.3 times are \
+         allowed: something moved during the exposure; use a remote release"
+    )]
+    Shaken { label: String, across_px: f64, along_px: f64 },
+    #[error(
+        "{label}: the board lies ({dx_px:+.2}, {dy_px:+.2}) px from where the bare shots show it, {allowed_px:.2} px \
+         are allowed; camera or board moved: shoot the bare board again"
+    )]
+    Moved { label: String, dx_px: f64, dy_px: f64, allowed_px: f64 },
+    #[error(
+        "{label}: the slab's rim crosses the crop at {x_mm:+.1} mm from the edge, {y_mm:+.1} mm along it; cover at \
+         least 5 mm on each side of the edge"
+    )]
+    RimInCrop { label: String, x_mm: f64, y_mm: f64 },
+    #[error(
+        "{label}: the border of a square crosses the crop: {room_mm:.1} mm of the edge are free to one side, \
+         {needed_mm:.1} mm are needed; move the edge to the frame's middle, or use larger squares"
+    )]
+    BorderInCrop { label: String, room_mm: f64, needed_mm: f64 },
+    #[error(
+        "{label}: thirds of the crop disagree in {colour}: {deviation:+.4} at {x_mm:+.1} mm, {z:.0} standard errors; \
+         look for bubbles, dust, a tilted slab"
+    )]
+    ThirdsDisagree { label: String, colour: Colour, x_mm: f64, deviation: f64, z: f64 },
+    #[error(
+        "{label}: the edge bends by {bend_px:.2} px within the crop, {allowed_px:.2} px are allowed; lay the board \
+         flat, move the edge to the frame's middle"
+    )]
+    EdgeBent { label: String, bend_px: f64, allowed_px: f64 },
+    #[error(
+        "{label}: the edge is turned by {angle_deg:+.2}° against the pixels, at least {needed_deg:.2}° are needed to \
+         see it at all their phases; turn the board a little"
+    )]
+    NotSlanted { label: String, angle_deg: f64, needed_deg: f64 },
+    #[error(
+        "the light drifted by {percent:+.2} % in {colour} between {first} and {last}, 0.5 % are allowed; let the lamps \
+         warm up, shoot the patches more often"
+    )]
+    LightDrifted { colour: Colour, percent: f64, first: String, last: String },
+    #[error(
+        "{label}: the dark side of the edge is {found}, not {told} as the session says; swap `dark_side`"
+    )]
+    SidesSwapped { label: String, found: Side, told: Side },
+    #[error(
+        "{label}: no edge of a board was found: {seen}; light evenly, fill the frame's middle with the edge"
+    )]
+    NoBoard { label: String, seen: String },
+    #[error("{label}: the scale is unknown: {seen}; show at least two parallel edges of the board")]
+    NoScale { label: String, seen: String },
+    #[error(
+        "{label}: the crop leaves the frame at ({x_px:.0}, {y_px:.0}) px; move the edge to the frame's middle"
+    )]
+    OutsideFrame { label: String, x_px: f64, y_px: f64 },
+    #[error("{label}: nothing lies on the board within the crop; cover the edge with the slab")]
+    NoSlab { label: String },
+    #[error(
+        "{label}: {what} is {found}, but {expected} in the shots before; use one camera with fixed settings"
+    )]
+    Mixed { label: String, what: &'static str, found: String, expected: String },
+    #[error("no {what} were given, and nothing can take their place")]
+    Missing { what: &'static str },
+}
+
+/// What is doubtful, and told beside the answer.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum Warning {
+    #[error(
+        "{what}: {count} shots cannot tell an error between them; mount the slab again at least three times"
+    )]
+    FewShots { what: String, count: usize },
+    #[error("no dark shots: the black level is the files' own, without an error")]
+    NoDark,
+    #[error(
+        "the black level is already subtracted; where the board is as dark as the noise its light is overrated"
+    )]
+    BlackSubtracted,
+    #[error(
+        "no flat shots: uneven light is not divided out; a slope of {slope_percent} % per 10 mm is allowed for"
+    )]
+    NoFlat { slope_percent: f64 },
+    #[error("{label}: the slab leaves nothing of the board free, so it was not checked that nothing moved")]
+    Unchecked { label: String },
+    #[error("{label}: the free parts of the board do not tell whether it moved {direction}")]
+    HalfChecked { label: String, direction: &'static str },
+    #[error("{label}: {share:.1} % of the crop's samples were rejected as dust or scratches")]
+    ManyRejected { label: String, share: f64 },
+    #[error(
+        "{label}: the brightest {colour} samples reach {percent:.0} % of the sensor's range; expose longer"
+    )]
+    Dim { label: String, colour: Colour, percent: f64 },
+    #[error("{label}: no free edge of the board tells how sharp it is")]
+    NoFreeEdge { label: String },
+    #[error("the photographs are demosaiced: their neighbours are correlated and their errors too small")]
+    Demosaiced,
+    #[error("noise was told from single photographs, since none was taken twice")]
+    NoPairs,
+    #[error("times of the shots are unknown: the white reference is the mean of its shots")]
+    NoTimes,
+    #[error("no shots of the patches after the samples: drift of the light is unknown")]
+    NoDrift,
+}
+
+/// A side of the edge in use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    Left,
+    Right,
+    Top,
+    Bottom,
+}
+
+impl std::fmt::Display for Side {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Left => "left",
+            Self::Right => "right",
+            Self::Top => "top",
+            Self::Bottom => "bottom",
+        })
+    }
+}

@@ -1,0 +1,41 @@
+//! What is told of each shot.
+
+use crate::bins::{Binning, EdgeProfile};
+use crate::estimate::Estimate;
+
+/// One shot of a bare board or of a sample.
+#[derive(Debug, Clone)]
+pub struct ShotReport {
+    pub label: String,
+    /// Pixels of samples in the crop that were rejected as dust or scratches.
+    pub rejected_px: Vec<[u32; 2]>,
+    /// Movement against the first bare shot sideways and up and down, where it could be told.
+    pub moved_px: [Option<Estimate>; 2],
+    /// σ of lens and pixel, where a bare edge tells it.
+    pub blur_px: Option<Estimate>,
+    /// Scatter of samples within bins over what the sensor's noise explains, per channel.
+    pub scatter: [f64; 3],
+    /// Of this shot alone.
+    pub profiles: [EdgeProfile; 3],
+}
+
+impl ShotReport {
+    pub(crate) fn new(
+        label: &str,
+        moved_px: [Option<Estimate>; 2],
+        blur_px: Option<Estimate>,
+        binnings: [Binning; 3],
+    ) -> Self {
+        let scatter = binnings.each_ref().map(|b| b.scatter);
+        let mut rejected_px: Vec<[u32; 2]> = binnings.iter().flat_map(|b| b.rejected_px.clone()).collect();
+        rejected_px.sort_unstable();
+        let profiles = binnings.map(|b| b.profile);
+        Self { label: label.to_owned(), rejected_px, moved_px, blur_px, scatter, profiles }
+    }
+
+    /// Share of the crop's samples that were rejected.
+    pub fn rejected_share(&self) -> f64 {
+        let total: u32 = self.profiles.iter().flat_map(|p| &p.counts).sum();
+        self.rejected_px.len() as f64 / f64::from(total.max(1))
+    }
+}

@@ -1,0 +1,69 @@
+//! Reflectance of the board from how it looks in the scene.
+//!
+//! A base of reflectance ρ under layers looks like s + a ρ/(1 − b ρ): s is what the layers reflect themselves, a what goes
+//! in and out, b what they throw back onto the base.
+
+use optics_model::Invalid;
+
+use crate::board::Board;
+use crate::estimate::Estimate;
+
+/// How the scene shows an even base of any reflectance ρ: as s + a ρ/(1 − b ρ).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shown {
+    pub s: f64,
+    pub a: f64,
+    pub b: f64,
+}
+
+/// Reflectances of both sides of the edge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BoardRho {
+    pub light: Estimate,
+    pub dark: Estimate,
+}
+
+impl Shown {
+    /// ρ = y/(a + b y), y = v − s.
+    pub fn rho(&self, apparent: Estimate) -> Estimate {
+        let y = apparent.value - self.s;
+        let below = self.a + self.b * y;
+        Estimate::new(y / below, apparent.std_error * self.a / (below * below))
+    }
+}
+
+impl Board {
+    /// ρ of both sides. `gain_std_error` is the relative error of the white reference, which both share.
+    pub fn rho(&self, shown: &[Shown; 3], gain_std_error: f64) -> Result<[BoardRho; 3], Invalid> {
+        let mut found = [BoardRho { light: Estimate::default(), dark: Estimate::default() }; 3];
+        for (c, rho) in found.iter_mut().enumerate() {
+            let with = |e: Estimate| Estimate::new(e.value, e.std_error.hypot(gain_std_error * e.value));
+            *rho =
+                BoardRho { light: shown[c].rho(with(self.light[c])), dark: shown[c].rho(with(self.dark[c])) };
+            for (side, estimate) in [("light", rho.light), ("dark", rho.dark)] {
+                let within = -3.0 * estimate.std_error..=1.0 + 3.0 * estimate.std_error;
+                if !within.contains(&estimate.value) {
+                    let field = format!("rho.{side}[{}]", crate::Colour::ALL[c].letter());
+                    let allowed = "from 0 to 1; the scene or the white reference does not fit this board";
+                    return Err(Invalid::new(field, format!("{:.4}", estimate.value), allowed));
+                }
+            }
+        }
+        Ok(found)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rho_comes_back_from_how_it_looks_with_its_error() {
+        let shown = Shown { s: 0.004, a: 0.55, b: 0.45 };
+        let apparent = |rho: f64| shown.s + shown.a * rho / (1.0 - shown.b * rho);
+        let found = shown.rho(Estimate::new(apparent(0.985), 1e-3));
+        assert!((found.value - 0.985).abs() < 1e-12);
+        let slope = (apparent(0.986) - apparent(0.984)) / 0.002;
+        assert!((found.std_error * slope / 1e-3 - 1.0).abs() < 1e-4, "{found:?}");
+    }
+}

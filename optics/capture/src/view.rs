@@ -1,0 +1,29 @@
+//! A photograph before it is calibrated.
+
+use crate::black::Black;
+use crate::flat::Flat;
+use crate::frame::{Colour, Frame, Photo, Site};
+
+/// A photograph with what its samples are read by.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct View<'a> {
+    pub photo: &'a Photo,
+    pub black: &'a Black,
+    pub flat: &'a Flat,
+}
+
+impl View<'_> {
+    pub fn frame(&self) -> &Frame {
+        &self.photo.frame
+    }
+
+    /// Number above black level.
+    pub fn signal(&self, site: Site, x: usize, y: usize) -> f64 {
+        self.black.signal(&self.photo.frame, site, x, y)
+    }
+
+    /// Relative brightness of green light at a place.
+    pub fn light(&self, [x, y]: [f64; 2]) -> f64 {
+        self.flat.at(Colour::Green, x, y)
+    }
+}

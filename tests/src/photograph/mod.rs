@@ -1,0 +1,14 @@
+//! A maker of photographs: from exact edges to numbers of a mosaic, with all that is wrong with a real set-up.
+//!
+//! Each pixel is the integral over its area, by Gauss's rule, of the scene behind the lens. Blur is a Gaussian in the
+//! board's plane, and is convolved analytically or in a table fine enough for 10⁻⁵.
+
+mod camera;
+mod noise;
+mod session;
+mod subject;
+
+pub use camera::{Camera, Dust, Shot, develop, expose};
+pub use noise::Random;
+pub use session::{Look, Session, What, patches};
+pub use subject::{Board, Edge, Slab, Subject};

@@ -1,0 +1,127 @@
+//! Whole sessions: what a laboratory photographs, in its order.
+
+use optics_capture::{Area, Neutral, Photo, Side, Target};
+
+use super::camera::{Camera, Dust, Shot, develop, expose};
+use super::noise::Random;
+use super::subject::{Board, Slab, Subject};
+
+/// A set-up with its subjects exposed once, to be shot as often as wished.
+#[derive(Debug, Clone)]
+pub struct Session {
+    pub camera: Camera,
+    pub board: Board,
+    pub rho: Vec<f64>,
+    dark: Vec<f64>,
+    sheet: Vec<f64>,
+    chart: Vec<f64>,
+    bare: Vec<f64>,
+    slab: Vec<f64>,
+    /// Of the lamps in one shot.
+    pub brightness: Vec<(What, u64, f64)>,
+}
+
+/// Patches of a grey card, in pixels: x, y, width, height.
+#[must_use]
+pub fn patches(camera: &Camera) -> Vec<[f64; 4]> {
+    let (w, h) = (camera.width as f64, camera.height as f64);
+    (0..6).map(|i| [w * (0.06 + 0.15 * f64::from(i)), 0.35 * h, 0.12 * w, 0.3 * h]).collect()
+}
+
+/// The Macbeth greys of the paper.
+const GREYS: [f64; 6] = [0.956, 0.594, 0.361, 0.193, 0.090, 0.032];
+
+impl Session {
+    #[must_use]
+    pub fn new(camera: Camera, slab: Slab) -> Self {
+        let rho = GREYS.to_vec();
+        let chart = Subject::Patches { areas: patches(&camera), rho: rho.clone() };
+        let board = slab.board.clone();
+        Self {
+            dark: expose(&camera, &Subject::Nothing),
+            sheet: expose(&camera, &Subject::Sheet { slope: [0.0, 0.0] }),
+            chart: expose(&camera, &chart),
+            bare: expose(&camera, &Subject::Board(board.clone())),
+            slab: expose(&camera, &Subject::Slab(slab)),
+            camera,
+            board,
+            rho,
+            brightness: Vec::new(),
+        }
+    }
+
+    /// Shows another slab, or the same one to another camera, to the shots of samples.
+    pub fn lay(&mut self, camera: &Camera, slab: &Slab) {
+        self.slab = expose(camera, &Subject::Slab(slab.clone()));
+    }
+
+    /// Shows the bare board to another camera.
+    pub fn show_bare(&mut self, camera: &Camera, board: &Board) {
+        self.bare = expose(camera, &Subject::Board(board.clone()));
+    }
+
+    /// Areas well within the patches.
+    #[must_use]
+    pub fn neutral(&self) -> Neutral {
+        let inner =
+            |a: &[f64; 4]| Area { x: a[0] + 8.0, y: a[1] + 8.0, width: a[2] - 16.0, height: a[3] - 16.0 };
+        let areas = patches(&self.camera).iter().map(inner).collect();
+        Neutral::new(self.rho.iter().map(|r| [*r; 3]).collect(), 0.005, areas).unwrap()
+    }
+
+    #[must_use]
+    pub fn target(&self) -> Target {
+        Target {
+            square_mm: self.board.square_mm,
+            square_std_error_mm: 0.0,
+            dark_side: Some(if self.board.sign > 0.0 { Side::Left } else { Side::Right }),
+        }
+    }
+
+    fn lamps(&self, what: What, index: u64) -> f64 {
+        let same = |b: &&(What, u64, f64)| b.0 == what && b.1 == index;
+        self.brightness.iter().find(same).map_or(1.0, |b| b.2)
+    }
+
+    /// One shot; `flicker` is the standard deviation of the lamps.
+    #[must_use]
+    pub fn shoot(&self, what: What, index: u64, look: &Look) -> Photo {
+        let seed = look.seed.wrapping_mul(1000) + index + 100 * what as u64;
+        let mut random = Random::new(seed ^ 0xABCD);
+        let (light, label) = match what {
+            What::Dark => (&self.dark, "dark"),
+            What::Sheet => (&self.sheet, "flat"),
+            What::Chart => (&self.chart, "chart"),
+            What::Bare => (&self.bare, "board"),
+            What::Slab => (&self.slab, "slab"),
+        };
+        let shot = Shot {
+            label: format!("{label}_{}", index + 1),
+            seed,
+            brightness: self.lamps(what, index) * (1.0 + look.flicker * random.normal()),
+            seconds: Some(60.0 * (100 * what as u64 + index) as f64),
+            exact: look.exact,
+            dust: look.dust.filter(|_| what == What::Slab),
+        };
+        develop(&self.camera, light, &shot)
+    }
+}
+
+/// What is on the table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum What {
+    Dark,
+    Sheet,
+    Chart,
+    Bare,
+    Slab,
+}
+
+/// How a session is shot.
+#[derive(Debug, Clone, Copy)]
+pub struct Look {
+    pub seed: u64,
+    pub flicker: f64,
+    pub exact: bool,
+    pub dust: Option<Dust>,
+}

@@ -1,0 +1,177 @@
+//! What is photographed, blurred by the lens.
+
+/// An edge's exact profile: radiance factor at a distance in mm, positive on the light side.
+pub type Edge = fn(channel: usize, x_mm: f64) -> f64;
+
+/// What lies before the camera. Lengths are in mm of the board's plane, its edge in use at x = 0, the frame's middle near
+/// y = 0.
+#[derive(Debug, Clone)]
+pub enum Subject {
+    Nothing,
+    /// An even sheet, with its own slope per 100 mm.
+    Sheet {
+        slope: [f64; 2],
+    },
+    /// Patches over grey: areas in pixels.
+    Patches {
+        areas: Vec<[f64; 4]>,
+        rho: Vec<f64>,
+    },
+    Board(Board),
+    Slab(Slab),
+}
+
+/// A checkerboard whose lines lie at multiples of the square sideways and at half-way between them up and down.
+#[derive(Debug, Clone)]
+pub struct Board {
+    pub square_mm: f64,
+    /// Radiance factors as seen, per channel.
+    pub light: [f64; 3],
+    pub dark: [f64; 3],
+    /// −1 with the dark side to the right.
+    pub sign: f64,
+    /// The edge's bow: x of the edge is bow y².
+    pub bow_per_mm: f64,
+}
+
+/// A slab that covers part of a board.
+#[derive(Debug, Clone)]
+pub struct Slab {
+    pub board: Board,
+    pub edge: Edge,
+    /// Left, right, top and bottom of the slab.
+    pub rim_mm: [f64; 4],
+    /// A bubble: place, radius, and factor on brightness within.
+    pub bubble: Option<([f64; 2], f64, f64)>,
+}
+
+/// A subject as the lens shows it.
+pub(super) struct Image {
+    subject: Subject,
+    sigma_mm: [f64; 3],
+    /// Factor on the blur up and down: a hand that shook.
+    shaken: f64,
+    /// Blurred edges on a fine grid.
+    tables: Vec<Vec<f64>>,
+}
+
+/// Standard deviations beyond which an edge is no longer blurred, to 10⁻¹⁰.
+const FAR: f64 = 6.5;
+
+const TABLE_REACH_MM: f64 = 20.0;
+const TABLE_STEP_MM: f64 = 2e-4;
+
+impl Image {
+    pub fn new(subject: &Subject, sigma_mm: [f64; 3], shaken: f64) -> Self {
+        let tables = match subject {
+            Subject::Slab(slab) => (0..3).map(|c| blurred(slab.edge, c, sigma_mm[c])).collect(),
+            _ => Vec::new(),
+        };
+        Self { subject: subject.clone(), sigma_mm, shaken, tables }
+    }
+
+    /// Radiance factor at a place of the board's plane that lies at these pixels.
+    pub fn at(&self, c: usize, mm: [f64; 2], px: [f64; 2]) -> f64 {
+        match &self.subject {
+            Subject::Nothing => 0.0,
+            Subject::Sheet { slope } => 0.9 * (1.0 + 0.01 * (slope[0] * mm[0] + slope[1] * mm[1])),
+            Subject::Patches { areas, rho } => {
+                let inside = |a: &[f64; 4]| {
+                    (a[0]..a[0] + a[2]).contains(&px[0]) && (a[1]..a[1] + a[3]).contains(&px[1])
+                };
+                areas.iter().position(inside).map_or(0.19, |i| rho[i])
+            }
+            Subject::Board(board) => self.board(board, c, mm),
+            Subject::Slab(slab) => self.slab(slab, c, mm),
+        }
+    }
+
+    /// Without edges but those of patches, so that the middle of a pixel tells all of it.
+    pub fn is_even(&self) -> bool {
+        matches!(self.subject, Subject::Sheet { .. } | Subject::Patches { .. })
+    }
+
+    pub fn is_dark(&self) -> bool {
+        matches!(self.subject, Subject::Nothing)
+    }
+
+    fn board(&self, board: &Board, c: usize, mm: [f64; 2]) -> f64 {
+        let sigma = self.sigma_mm[c];
+        let x = mm[0] - board.bow_per_mm * mm[1] * mm[1];
+        let sideways = wave(x / board.square_mm, sigma / board.square_mm);
+        let down = wave(mm[1] / board.square_mm + 0.5, self.shaken * sigma / board.square_mm);
+        let (middle, half) = (0.5 * (board.light[c] + board.dark[c]), 0.5 * (board.light[c] - board.dark[c]));
+        middle + half * board.sign * sideways * down
+    }
+
+    fn slab(&self, slab: &Slab, c: usize, mm: [f64; 2]) -> f64 {
+        let sigma = self.sigma_mm[c];
+        let [left, right, top, bottom] = slab.rim_mm;
+        let side = |z: f64| match z / sigma {
+            u if u > FAR => 1.0,
+            u if u < -FAR => 0.0,
+            u => 0.5 * erfc(-u / std::f64::consts::SQRT_2),
+        };
+        let cover = side(mm[0] - left) * side(right - mm[0]) * side(mm[1] - top) * side(bottom - mm[1]);
+        if cover == 0.0 {
+            return self.board(&slab.board, c, mm);
+        }
+        let x = slab.board.sign * (mm[0] - slab.board.bow_per_mm * mm[1] * mm[1]);
+        let mut covered = lookup(&self.tables[c], x);
+        if let Some((at, radius, factor)) = slab.bubble {
+            let far = (mm[0] - at[0]).hypot(mm[1] - at[1]);
+            covered *= 1.0 + (factor - 1.0) * side(radius - far);
+        }
+        if cover > 1.0 - 1e-12 {
+            return covered;
+        }
+        cover * covered + (1.0 - cover) * self.board(&slab.board, c, mm)
+    }
+}
+
+/// A square wave of period 2, +1 between 0 and 1, behind a Gaussian.
+fn wave(x: f64, sigma: f64) -> f64 {
+    let nearest = x.round();
+    if (x - nearest).abs() > FAR * sigma {
+        return if (x.floor() as i64).rem_euclid(2) == 0 { 1.0 } else { -1.0 };
+    }
+    let rises = if (nearest as i64).rem_euclid(2) == 0 { 1.0 } else { -1.0 };
+    rises * (1.0 - erfc((x - nearest) / (sigma * std::f64::consts::SQRT_2)))
+}
+
+/// The edge convolved with a Gaussian, its jump at 0 apart so that nothing is sampled across it.
+fn blurred(edge: Edge, c: usize, sigma: f64) -> Vec<f64> {
+    let count = (2.0 * TABLE_REACH_MM / TABLE_STEP_MM) as usize + 1;
+    let jump = 0.5 * (edge(c, 1e-9) - edge(c, -1e-9));
+    let middle = 0.5 * (edge(c, 1e-9) + edge(c, -1e-9));
+    let smooth = |x: f64| edge(c, x) - middle - if x > 0.0 { jump } else { -jump };
+    let (nodes, reach) = (120_i32, 6.0);
+    let kernel: Vec<(f64, f64)> = (-nodes..=nodes)
+        .map(|k| f64::from(k) * reach / f64::from(nodes))
+        .map(|u| (u * sigma, (-0.5 * u * u).exp()))
+        .collect();
+    let total: f64 = kernel.iter().map(|k| k.1).sum();
+    (0..count)
+        .map(|i| {
+            let x = i as f64 * TABLE_STEP_MM - TABLE_REACH_MM;
+            if x.abs() > 1.0 {
+                // Far from the edge σ is small against all that is left: f + σ² f″/2.
+                let h = 0.01;
+                let bent = (edge(c, x + h) + edge(c, x - h) - 2.0 * edge(c, x)) / (h * h);
+                return edge(c, x) + 0.5 * sigma * sigma * bent;
+            }
+            let step = middle + jump * (1.0 - erfc(x / (sigma * std::f64::consts::SQRT_2)));
+            step + kernel.iter().map(|(d, w)| w * smooth(x + d)).sum::<f64>() / total
+        })
+        .collect()
+}
+
+fn lookup(table: &[f64], x: f64) -> f64 {
+    let at = ((x + TABLE_REACH_MM) / TABLE_STEP_MM).clamp(0.0, (table.len() - 2) as f64);
+    let share = at.fract();
+    table[at as usize] * (1.0 - share) + table[at as usize + 1] * share
+}
+
+fn erfc(x: f64) -> f64 {
+    libm::erfc(x)
+}

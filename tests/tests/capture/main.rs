@@ -1,0 +1,5 @@
+//! From photographs to profiles: figures of the stage, with photographs whose truth is known.
+
+mod figures;
+mod refusals;
+mod stage;

@@ -1,0 +1,116 @@
+//! The stage as a whole, and set-ups for it.
+
+use farm_tests::photograph::{Board, Camera, Look, Session, Slab, What};
+use optics_capture::{
+    BareShots, Calibration, Darks, Flats, Mountings, Patches, Photo, Refusal, SampleProfile,
+};
+
+/// What a session gives.
+pub struct Measured {
+    pub calibration: Calibration,
+    pub board: optics_capture::Board,
+    pub sample: SampleProfile,
+}
+
+pub const PLAIN: Look = Look { seed: 1, flicker: 0.0, exact: false, dust: None };
+
+/// A white resin's edge: light that leaks from side to side over 1 mm, with a step where the board itself shows.
+pub fn white(channel: usize, x_mm: f64) -> f64 {
+    let (step, reach) = ([0.30, 0.26, 0.20][channel], [0.9, 0.7, 0.5][channel]);
+    let (low, high) = ([0.34, 0.38, 0.44][channel], [0.76, 0.75, 0.74][channel]);
+    leaking(x_mm, low, high, step, reach)
+}
+
+fn leaking(x: f64, low: f64, high: f64, step: f64, reach: f64) -> f64 {
+    let rest = 0.5 * (high - low - step);
+    if x < 0.0 { low + rest * (x / reach).exp() } else { high - rest * (-x / reach).exp() }
+}
+
+pub fn board() -> Board {
+    Board {
+        square_mm: 14.0,
+        light: [0.838, 0.816, 0.814],
+        dark: [0.0213, 0.0209, 0.0222],
+        sign: 1.0,
+        bow_per_mm: 0.0,
+    }
+}
+
+pub fn slab() -> Slab {
+    Slab { board: board(), edge: white, rim_mm: [-12.0, 12.0, -8.2, 8.2], bubble: None }
+}
+
+/// The plain session, exposed once for all tests.
+pub fn session() -> &'static Session {
+    static PLAIN: std::sync::OnceLock<Session> = std::sync::OnceLock::new();
+    PLAIN.get_or_init(|| Session::new(Camera::default(), slab()))
+}
+
+/// All shots of one kind.
+pub fn shots(session: &Session, what: What, count: u64, look: &Look) -> Vec<Photo> {
+    (0..count).map(|i| session.shoot(what, i, look)).collect()
+}
+
+/// Dark, flat, patches.
+pub fn calibrate(session: &Session, look: &Look) -> Result<Calibration, Refusal> {
+    let mut darks = Darks::new();
+    for photo in shots(session, What::Dark, 2, look) {
+        darks.add(photo)?;
+    }
+    let black = darks.finish(&session.shoot(What::Bare, 0, look))?;
+    let mut flats = Flats::new(&black);
+    for photo in shots(session, What::Sheet, 2, look) {
+        flats.add(photo)?;
+    }
+    let mut patches = Patches::new(black, flats.finish()?, session.neutral());
+    for photo in shots(session, What::Chart, 2, look) {
+        patches.add(photo)?;
+    }
+    patches.finish()
+}
+
+pub fn find(
+    session: &Session,
+    calibration: &Calibration,
+    look: &Look,
+) -> Result<optics_capture::Board, Refusal> {
+    let mut bare = BareShots::new(calibration, session.target())?;
+    for photo in shots(session, What::Bare, 2, look) {
+        bare.add(photo)?;
+    }
+    bare.finish()
+}
+
+pub fn measure(session: &Session, look: &Look, mountings: u64) -> Result<Measured, Refusal> {
+    let calibration = calibrate(session, look)?;
+    let board = find(session, &calibration, look)?;
+    let mut sample = Mountings::new(&calibration, &board, "white");
+    for photo in shots(session, What::Slab, mountings, look) {
+        sample.add(photo)?;
+    }
+    let sample = sample.finish()?;
+    Ok(Measured { calibration, board, sample })
+}
+
+/// The exact edge behind a Gaussian of `sigma_mm`, averaged over a bin around `x_mm`.
+pub fn truth(edge: fn(usize, f64) -> f64, channel: usize, x_mm: f64, sigma_mm: f64) -> f64 {
+    const NODES: i32 = 400;
+    const PARTS: i32 = 16;
+    let (mut sum, mut total) = (0.0, 0.0);
+    for k in -NODES..=NODES {
+        let u = (f64::from(k) + 0.5) * 6.0 / f64::from(NODES);
+        let weight = (-0.5 * u * u).exp();
+        for part in 0..PARTS {
+            let within = (f64::from(part) + 0.5) / f64::from(PARTS) - 0.5;
+            sum += weight * edge(channel, x_mm + u * sigma_mm + within * optics_capture::BIN_MM);
+            total += weight;
+        }
+    }
+    sum / total
+}
+
+/// σ of the convention: the lens, and the pixel's own aperture.
+pub fn told_blur_mm(session: &Session, channel: usize) -> f64 {
+    let pixel_mm = 1.0 / session.camera.px_per_mm;
+    session.camera.lens_mm[channel].hypot(pixel_mm / 12.0_f64.sqrt())
+}

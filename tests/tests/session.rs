@@ -1,0 +1,186 @@
+//! From photographs to media: `farmctl capture` and `farmctl measure` with the session that is shipped as an example.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::path::{Path, PathBuf};
+
+use farm_tests::cli::{fails, folder, json, keys, write};
+use farm_tests::process::run;
+use farm_tests::reference::root;
+
+const FILES: [&str; 5] = ["grid.toml", "measurements.csv", "report.html", "scene.toml", "session.json"];
+
+fn session() -> PathBuf {
+    root().join("examples/session/session.toml")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("paths of tests are text")
+}
+
+/// A copy of the example that can be spoilt.
+fn copy() -> tempfile::TempDir {
+    let folder = folder();
+    for entry in std::fs::read_dir(session().parent().unwrap()).unwrap() {
+        let path = entry.unwrap().path();
+        std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
+    }
+    folder
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<_> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// The truth is that of tests/examples/session.rs: ρ of the scene `paper`, 26 pixels a millimetre, lenses that blur by 36,
+/// 32 and 35 µm behind pixels of 1/26 mm.
+#[test]
+fn the_example_becomes_profiles_with_what_is_known_of_the_set_up_and_the_same_bytes_again() {
+    let folder = folder();
+    let captured = run(folder.path(), &["capture", text(&session()), "-o", "white", "--json"]);
+    assert_eq!(captured.code, 0, "{}", captured.stderr);
+    let data = json(&captured, "capture");
+    assert_eq!(keys(&data), ["errors", "files", "output", "profiles", "warnings"]);
+    assert_eq!(data["profiles"].as_array().unwrap().len(), 6);
+    let white = folder.path().join("white");
+    assert_eq!(names(&white), FILES);
+    assert_eq!(names(folder.path()), ["white"], "drafts are gone");
+
+    let session_json: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(white.join("session.json")).unwrap()).unwrap();
+    let told = |path: &str| session_json.pointer(path).and_then(serde_json::Value::as_f64).unwrap();
+    assert!((1.0 / told("/board/mm_per_px/value") - 26.0).abs() < 0.02);
+    for (channel, lens_mm, light, dark) in
+        [("R", 0.036, 0.985, 0.024), ("G", 0.032, 0.972, 0.023), ("B", 0.035, 0.971, 0.026)]
+    {
+        let blur_mm = f64::hypot(lens_mm, 1.0 / 26.0 / 12_f64.sqrt());
+        let found = told(&format!("/blur_mm/{channel}"));
+        assert!((found / blur_mm - 1.0).abs() < 0.03, "{channel}: {found} {blur_mm}");
+        let rho = [
+            told(&format!("/board/rho_light/{channel}/value")),
+            told(&format!("/board/rho_dark/{channel}/value")),
+        ];
+        assert!((rho[0] - light).abs() < 0.005 && (rho[1] - dark).abs() < 0.0005, "{channel}: {rho:?}");
+    }
+    assert_eq!(session_json["inputs"].as_array().unwrap().len(), 14);
+    let grid = farmctl::read_grid(&white.join("grid.toml")).unwrap();
+    assert_eq!(grid.thickness_mm(), [0.512, 1.006]);
+    let measured = farmctl::read_measurements(&white.join("measurements.csv")).unwrap();
+    assert!(measured.notes.is_empty(), "{:?}", measured.notes);
+
+    let again = run(folder.path(), &["capture", text(&session()), "-o", "again"]);
+    assert!(again.stdout.contains("written to again: measurements.csv"), "{}", again.stdout);
+    for name in FILES {
+        let [first, second] =
+            ["white", "again"].map(|f| std::fs::read(folder.path().join(f).join(name)).unwrap());
+        assert!(first == second, "{name} differs");
+    }
+}
+
+/// σ_t within 5 % and inside its interval, with a part of the paper's grid and 100,000 walks: what the whole path loses.
+#[test]
+fn a_folder_is_measured_with_its_own_dictionary_and_the_report_shows_it() {
+    let folder = folder();
+    assert_eq!(run(folder.path(), &["capture", text(&session()), "-o", "white", "-q"]).code, 0);
+    let grid = folder.path().join("white/grid.toml");
+    let axes = std::fs::read_to_string(&grid).unwrap() + "g = [0.4]\nwalks = 100000\n";
+    std::fs::write(&grid, axes).unwrap();
+    let measured = run(folder.path(), &["measure", "white", "--json"]);
+    assert_eq!(measured.code, 0, "{}", measured.stderr);
+    let data = json(&measured, "measure");
+    for (channel, sigma_t) in
+        data["materials"][0]["channels"].as_array().unwrap().iter().zip([6.0, 9.0, 24.0])
+    {
+        let found = channel["refined"]["sigma_t_per_mm"].as_f64().unwrap();
+        assert!((found / sigma_t - 1.0).abs() < 0.05, "{channel}: {found}");
+    }
+    let report = std::fs::read_to_string(folder.path().join("white/report.html")).unwrap();
+    assert!(report.contains("photograph above, simulation below") && report.contains("σ_t"));
+    assert!(!report.contains("Nothing is fitted yet"));
+    assert!(!report.contains("<script") && !report.contains("http://") || report.contains("www.w3.org"));
+    // The dictionary is there: measured again, nothing is computed.
+    let again = run(folder.path(), &["measure", "white", "--json"]);
+    assert_eq!(json(&again, "measure")["materials"], data["materials"]);
+}
+
+#[test]
+fn sessions_that_cannot_be_are_refused_with_file_and_field_and_nothing_is_written() {
+    let spoilt = |change: &dyn Fn(&Path), told: &[&str]| {
+        let folder = copy();
+        change(folder.path());
+        fails(folder.path(), &["capture", "session.toml", "-o", "out"], told);
+        assert!(!folder.path().join("out").exists(), "{told:?}: half a result");
+    };
+    let edited = |from: &str, to: &str| {
+        let (from, to) = (from.to_owned(), to.to_owned());
+        move |folder: &Path| {
+            let session = std::fs::read_to_string(folder.join("session.toml")).unwrap();
+            assert!(session.contains(&from), "{from}");
+            write(folder, "session.toml", &session.replacen(&from, &to, 1));
+        }
+    };
+    let replaced = |name: &'static str, bytes: &'static [u8]| {
+        move |folder: &Path| std::fs::write(folder.join(name), bytes).unwrap()
+    };
+    spoilt(
+        &|f| {
+            for name in ["chart_1.dng", "chart_2.dng"] {
+                std::fs::remove_file(f.join(name)).unwrap();
+            }
+        },
+        &["session file session.toml, line", "neutral.shots[0] = \"chart_*.dng\" is not valid: no such file"],
+    );
+    spoilt(&edited("thickness_mm = 0.512", "#"), &["missing field `thickness_mm`"]);
+    spoilt(
+        &edited("dark_side = \"left\"", "dark_side = \"right\""),
+        &["dark side of the edge is left, not right"],
+    );
+    spoilt(&edited("[0.956, 0.594,", "[0.594, 0.956,"), &["not linear", "order of the patches"]);
+    spoilt(
+        &replaced("white_05_1.dng", b"\xff\xd8\xff\xe0"),
+        &["photograph white_05_1.dng", "JPEG holds 8 bits"],
+    );
+    spoilt(&replaced("white_05_1.dng", b"P5 720 576 255\n"), &["8 bits a sample are too few"]);
+    spoilt(
+        &|f| {
+            let path = f.join("white_05_2.dng");
+            let bytes = std::fs::read(&path).unwrap();
+            std::fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
+        },
+        &["photograph white_05_2.dng: the file is cut off or damaged"],
+    );
+    spoilt(
+        &|f| {
+            let path = f.join("white_05_2.dng");
+            let mut bytes = std::fs::read(&path).unwrap();
+            let name = b"Made M1";
+            while let Some(at) = bytes.windows(7).position(|w| w == name) {
+                bytes[at + 6] = b'2';
+            }
+            std::fs::write(path, bytes).unwrap();
+        },
+        &["white_05_2.dng was taken with Made M2, dark_1.dng with Made M1: a session has one camera"],
+    );
+    spoilt(&edited("white_05_*", "board_1"), &["each may be used once"]);
+}
+
+#[test]
+fn single_photographs_are_checked_and_a_board_can_be_printed() {
+    let folder = copy();
+    let good = run(folder.path(), &["capture", "--check", "board_1.dng", "white_05_1.dng"]);
+    assert_eq!(good.code, 0, "{}", good.stderr);
+    assert!(good.stdout.contains("board_1.dng: usable"), "{}", good.stdout);
+    let bad = run(folder.path(), &["capture", "--check", "board_1.dng", "session.toml", "--json"]);
+    assert_eq!(bad.code, 1, "{}", bad.stdout);
+    let data = json(&bad, "check");
+    assert_eq!((data["usable"].as_bool(), data["shots"][0]["usable"].as_bool()), (Some(false), Some(true)));
+    assert!(data["shots"][1]["reason"].as_str().unwrap().starts_with("the file is no DNG"), "{data}");
+    for name in ["board.svg", "board.pdf"] {
+        assert_eq!(run(folder.path(), &["capture", "--board", name]).code, 0);
+        assert!(folder.path().join(name).metadata().unwrap().len() > 1000);
+    }
+    fails(folder.path(), &["capture", "--board", "board.jpg"], &["must end with .svg or .pdf"]);
+}
