@@ -76,10 +76,17 @@ pub(crate) struct Third {
 /// Bins of a zone in which thirds are compared.
 const ZONE: usize = 20;
 
-/// The bare edge in bins of a quarter of the usual width, for its blur.
+/// The bare edge for its blur, in bins of a quarter of the usual width, or as fine as its samples fill.
 pub(crate) fn fine(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour) -> EdgeProfile {
-    bin_on(Grid { bins: 4 * BINS }, radiance, edge, colour, 0.0).profile
+    let of_colour = radiance.frame.sites().into_iter().filter(|s| s.colour == colour);
+    let per_pixel: f64 = of_colour.map(|s| ((s.step * s.step) as f64).recip()).sum();
+    let samples = per_pixel * (2.0 * HALF_CROP_MM / edge.mm_per_px()).powi(2);
+    let parts = (samples / (BINS as f64 * FILLED)).clamp(1.0, 4.0) as usize;
+    bin_on(Grid { bins: parts * BINS }, radiance, edge, colour, 0.0).profile
 }
+
+/// Samples that a fine bin should hold on average: with fewer, many would lack the least number.
+const FILLED: f64 = 15.0;
 
 /// Bins one channel; `origin_mm` is where its edge lies in the frame's coordinates.
 pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
