@@ -8,6 +8,7 @@ use super::records_noise::Modes;
 use super::robust::{is_dust, specks};
 use super::start::{Scan, Start};
 use super::system::{State, System, submatrix};
+use super::term::Own;
 use crate::surrogate::Surrogate;
 use crate::thickness::NearThickness;
 
@@ -20,6 +21,8 @@ const FOLLOWED: (f64, f64) = (60.0, 1.3);
 const STARTS: usize = 3;
 /// How far an unknown may move before what depends on where the state is is looked at again: a hundredth of σ_t, say.
 const FAR: f64 = 0.01;
+/// How far off in mm a descent finds an edge from where it was told.
+const FAR_MM: f64 = 0.06;
 /// By this factor the noise is made smaller at a time, on the way to a model without dust.
 const HARDER: f64 = 0.4;
 
@@ -40,9 +43,10 @@ pub(super) fn lowest<'a>(
 ) -> (Assembly<'a>, State, usize) {
     let follow = |start: &Start| {
         let one = std::slice::from_ref(data);
-        let (mut assembly, state) =
+        let (mut assembly, mut state) =
             assemble(one, &[&surrogates[start.ior]], &[start.medium], 0.0, Sharing::default());
         leave_out_specks_by_neighbours(&mut assembly.system);
+        place_edges(&assembly.system, &mut state);
         let state = assembly.system.descend(state, None, ROUGHLY);
         (assembly, state, start.ior)
     };
@@ -55,6 +59,25 @@ pub(super) fn leave_out_specks_by_neighbours(system: &mut System) {
     for term in &mut system.terms {
         term.left_out =
             super::form::without_specks(&term.values, &term.std_errors).iter().map(|c| !c).collect();
+    }
+}
+
+/// Looks along each profile for its edge, if it may lie so far off that a descent would not find it.
+pub(super) fn place_edges(system: &System, state: &mut State) {
+    for (i, (term, own)) in system.terms.iter().zip(&mut state.own).enumerate() {
+        let origin = term.priors.iter().position(|p| p.own == Own::Origin && p.std_error > FAR_MM);
+        let Some(origin) = origin else { continue };
+        let point = system.point(i, &state.x);
+        let steps = (2.5 * term.priors[origin].std_error / FAR_MM).ceil() as i32;
+        let cost = |step: i32| {
+            let mut there = own.clone();
+            there[origin] = f64::from(step) * FAR_MM / term.priors[origin].std_error;
+            (term.linear(system.surrogates[i], &point, &there).cost, there)
+        };
+        let best = (-steps..=steps).map(cost).min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, there)) = best {
+            *own = there;
+        }
     }
 }
 

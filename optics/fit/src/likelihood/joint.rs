@@ -12,7 +12,7 @@ use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
 use super::answer::Found;
-use super::channel::{leave_out_specks_by_neighbours, settle};
+use super::channel::{leave_out_specks_by_neighbours, place_edges, settle};
 use super::chi2::exceedance;
 use super::outside;
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
@@ -185,8 +185,9 @@ impl<'a> Set<'a> {
         let surrogates: Vec<&Surrogate> =
             self.surrogates.iter().zip(&starts).map(|(s, start)| &s[start.ior]).collect();
         let media: Vec<[f64; 3]> = starts.iter().map(|s| s.medium).collect();
-        let (mut assembly, state) = assemble(&self.channels, &surrogates, &media, cell.scale, sharing);
+        let (mut assembly, mut state) = assemble(&self.channels, &surrogates, &media, cell.scale, sharing);
         leave_out_specks_by_neighbours(&mut assembly.system);
+        place_edges(&assembly.system, &mut state);
         let state = assembly.system.descend(state, None, ROUGHLY);
         let state = settle(&mut assembly.system, state);
         let linear = assembly.system.linear(&state.x, &state.own);

@@ -13,6 +13,8 @@ const TOLERANCE: f64 = 0.02;
 const CLOSE: f64 = 0.08;
 /// Most places that are tried on each side.
 const TRIALS: usize = 12;
+/// Stiffness of the spring that holds a quantity, over its information.
+const STIFF: f64 = 1e6;
 /// Most places at which parabolas are taken on the way to an end.
 const LOOKS: usize = 40;
 /// Steps may grow by this factor.
@@ -64,7 +66,7 @@ impl Profile<'_> {
         if let Some(end) = self.by_parabolas(quantity, wanted, side, furthest) {
             return end;
         }
-        let stiffness = 1e6 / (deviation * deviation);
+        let stiffness = STIFF / (deviation * deviation);
         let mut warm: Option<State> = None;
         let root_rise = |distance: f64, warm: &mut Option<State>| {
             let at = from + side * distance;
@@ -116,12 +118,23 @@ impl Profile<'_> {
             inside = state.clone();
             self.system.advance(&mut state, &normal, &(step.whole * share));
             if share == 1.0 && moved.abs() < GOOD.0 * distance && step.slack < GOOD.1 {
-                let open = self.system.at_end(&state, quantity);
-                return Some(End { value: from + side * distance, open });
+                return self.confirmed(state, quantity, from + side * distance, wanted);
             }
             furthest_step *= LONGER;
         }
         None
+    }
+
+    /// An end that a parabola has led to, if a descent with the quantity held there finds the wanted rise as well: at limits
+    /// of other unknowns parabolas may lead astray.
+    fn confirmed(&self, state: State, quantity: Quantity, value: f64, wanted: f64) -> Option<End> {
+        let gradient = quantity.gradient(&self.optimum.x);
+        let variance = gradient.dot(&(self.covariance * &gradient));
+        let held = Held { quantity, at: value, stiffness: STIFF / variance };
+        let found = self.system.descend(state, Some(&held), TOLERANCE);
+        let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
+        ((rise / wanted - 1.0).abs() < CLOSE)
+            .then(|| End { value, open: self.system.at_end(&found, quantity) })
     }
 
     /// A state, moved as it would follow the quantity if all were linear.
