@@ -21,7 +21,7 @@ pub(crate) const FILES: [&str; 5] =
 /// Thicknesses that differ by less share a thickness of the dictionary: the fit allows for much more.
 const ALIKE: f64 = 1.04;
 
-/// Writes the folder, all of it or nothing.
+/// Writes the folder: nothing if anything cannot be made, and each file whole.
 pub(crate) fn write_folder(folder: &Path, captured: &Captured) -> Result<()> {
     let contents = [
         measurements(captured)?,

@@ -42,11 +42,8 @@ impl Shots {
         let about = photograph.about.clone();
         let photo =
             self.photo(photograph, &label).with_context(|| format!("photograph {}", path.display()))?;
-        // A photograph that is read twice is one input.
-        if !self.read.iter().any(|input| input.label == label) {
-            let thumbnail = Thumbnail::of(&photo.frame);
-            self.read.push(Input { label, digest: digest.to_hex().to_string(), about, thumbnail });
-        }
+        let thumbnail = Thumbnail::of(&photo.frame);
+        self.read.push(Input { label, digest: digest.to_hex().to_string(), about, thumbnail });
         Ok(photo)
     }
 

@@ -75,17 +75,18 @@ impl Run<'_> {
             darks.add(self.read(path, "dark")?)?;
         }
         // A photograph with light tells the black level of a session without dark shots.
-        let any =
-            self.shots.read(session.neutral_shots.first().context("a session has shots of patches")?)?;
-        let black = darks.finish(&any)?;
-        drop(any);
+        let (first, others) =
+            session.neutral_shots.split_first().context("a session has shots of patches")?;
+        let first = self.read(first, "grey patches")?;
+        let black = darks.finish(&first)?;
         let mut flats = Flats::new(&black);
         for path in &session.flat {
             flats.add(self.read(path, "flat")?)?;
         }
         let flat = flats.finish()?;
         let mut patches = Patches::new(black, flat, session.neutral.clone());
-        for path in &session.neutral_shots {
+        patches.add(first)?;
+        for path in others {
             patches.add(self.read(path, "grey patches")?)?;
         }
         Ok(patches.finish()?)

@@ -62,7 +62,7 @@ pub(super) fn data<'a>(
         #[serde(flatten)]
         options: UsedOptions<'a>,
         scale: &'a ScaleCurve,
-        /// By the errors of refined fits.
+        /// By refined fits.
         common: &'a Common,
         materials: &'a [MaterialFit],
         /// What was assumed when the file was read, and what looks suspicious in it.

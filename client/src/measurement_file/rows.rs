@@ -221,7 +221,7 @@ fn made(draft: &Draft, with_errors: bool) -> Result<optics_model::Result<Measure
                 rows.len()
             );
         }
-        let std_error = with_errors.then_some(patch.std_error);
+        let std_error = if with_errors { patch.std_error } else { 0.0 };
         let made = MeasuredProfile::patch(channel, *thickness_mm, patch.value, std_error);
         return Ok(made.and_then(|p| {
             let known = ProfileSetup { thickness_std_error_mm: setup[0], ..*p.setup() };

@@ -231,6 +231,8 @@ fn a_row_without_x_is_a_patch() {
     // All its pixels together are as certain as the row.
     let information: f64 = patch.std_errors().unwrap().iter().map(|e| e.powi(-2)).sum();
     assert!((information.powf(-0.5) - 0.004).abs() < 1e-12);
+    let told = error(&(strict() + "white,R,2,,0.61,0\n"));
+    assert!(told.contains("line 363") && told.contains("a patch needs one above 0"), "{told}");
     let told = error(&(strict() + "white,R,2,,0.61,0.004\nwhite,R,2,,0.62,0.004\n"));
     assert!(told.contains("line 363") && told.contains("a patch has one"), "{told}");
 }

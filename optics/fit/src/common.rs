@@ -1,4 +1,4 @@
-//! The scale factor and the anisotropy that all channels of a set share, by the errors of refined fits.
+//! The scale factor and the anisotropy that all channels of a set share, by the paper's distance of refined fits.
 //!
 //! Errors of the best *records* follow the gaps of the grid: whichever anisotropy has a record near by wins. Sums of
 //! refined errors are smooth in both, with their least value at the truth but for noise. A mesh of both finds the valley;

@@ -8,6 +8,24 @@ pub(super) struct Weights {
     pub slopes: Vec<f64>,
 }
 
+/// Weights of the nodes from `first` on.
+#[derive(Debug)]
+pub(super) struct Direction {
+    first: usize,
+    values: Vec<f64>,
+}
+
+impl Direction {
+    /// 1 for the same weights, 0 for weights that share no node.
+    pub(super) fn cosine(&self, other: &Self) -> f64 {
+        let at = |i: usize| i.checked_sub(other.first).and_then(|i| other.values.get(i)).copied();
+        let product = |(i, a): (usize, &f64)| a * at(self.first + i).unwrap_or(0.0);
+        let product: f64 = self.values.iter().enumerate().map(product).sum();
+        let square = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>();
+        (product / (square(&self.values) * square(&other.values)).sqrt()).max(0.0)
+    }
+}
+
 /// Local polynomials over the nodes of one axis.
 #[derive(Debug)]
 pub(super) struct LocalAxis {
@@ -119,16 +137,10 @@ impl LocalAxis {
         Weights { first, values, slopes }
     }
 
-    /// The cosine between the weights at two coordinates: 1 where they coincide, 0 where they share no node.
-    pub(super) fn likeness(&self, a: f64, b: f64) -> f64 {
-        if self.nodes.len() == 1 {
-            return 1.0;
-        }
-        let ((first_a, a), (first_b, b)) = (self.values_at(a), self.values_at(b));
-        let at = |i: usize| i.checked_sub(first_b).and_then(|i| b.get(i)).copied().unwrap_or(0.0);
-        let product: f64 = a.iter().enumerate().map(|(i, a)| a * at(first_a + i)).sum();
-        let square = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>();
-        (product / (square(&a) * square(&b)).sqrt()).max(0.0)
+    /// The weights at a coordinate, as a vector over the nodes.
+    pub(super) fn direction(&self, x: f64) -> Direction {
+        let (first, values) = if self.nodes.len() == 1 { (0, vec![1.0]) } else { self.values_at(x) };
+        Direction { first, values }
     }
 
     /// For the nodes of the window about a coordinate: their weight, and the functionals that give the window's
@@ -175,11 +187,13 @@ mod tests {
         let axis = LocalAxis::new(nodes(40), 0.6);
         let (low, high) = axis.range();
         let middle = 0.5 * (low + high);
-        assert!((axis.likeness(middle, middle) - 1.0).abs() < 1e-12);
-        assert_eq!(axis.likeness(low, high), 0.0);
-        let near = [0.02, 0.1, 0.3].map(|d| axis.likeness(middle, middle + d));
+        let cosine = |a: f64, b: f64| axis.direction(a).cosine(&axis.direction(b));
+        assert!((cosine(middle, middle) - 1.0).abs() < 1e-12);
+        assert_eq!(cosine(low, high), 0.0);
+        let near = [0.02, 0.1, 0.3].map(|d| cosine(middle, middle + d));
         assert!(near[0] > 0.9 && near.is_sorted_by(|a, b| a > b), "{near:?}");
-        assert_eq!(LocalAxis::new(vec![1.0], 0.6).likeness(1.0, 1.0), 1.0);
+        let only = LocalAxis::new(vec![1.0], 0.6);
+        assert_eq!(only.direction(1.0).cosine(&only.direction(1.0)), 1.0);
     }
 
     /// A local fit of degree k reproduces polynomials of degree k, and its slopes are their derivatives.

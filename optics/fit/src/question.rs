@@ -126,7 +126,7 @@ impl<'a> Term<'a> {
             .position(same)
             .ok_or_else(|| unknown_thickness(dictionary.grid(), profile.thickness_mm()))?;
         let sensor = dictionary.grid().scene().sensor();
-        let resampled = resample(profile, sensor);
+        let resampled = resample(profile.x_mm(), profile.values(), sensor);
         if resampled.values.len() < MIN_PIXELS {
             let (x, half) = (profile.x_mm(), sensor.width_mm() / 2.0);
             let given = format!("{} to {}", x[0], x[x.len() - 1]);
@@ -189,8 +189,10 @@ pub(super) fn check_ranges<'a>(
 ) -> Result<(), Invalid> {
     let sensor = dictionary.grid().scene().sensor();
     let profiles = materials.into_iter().flat_map(Measurement::profiles);
-    let mut ranges: Vec<(usize, usize)> =
-        profiles.map(|p| resample(p, sensor).pixels).map(|pixels| (pixels.start, pixels.end)).collect();
+    let mut ranges: Vec<(usize, usize)> = profiles
+        .map(|p| resample(p.x_mm(), p.values(), sensor).pixels)
+        .map(|pixels| (pixels.start, pixels.end))
+        .collect();
     ranges.sort_unstable();
     ranges.dedup();
     if ranges.len() > RANGES {

@@ -2,7 +2,6 @@
 
 use std::ops::Range;
 
-use optics_model::MeasuredProfile;
 use optics_model::scene::Sensor;
 
 /// Share of a pixel by which a measurement may fall short of a dictionary pixel that it still counts as covering:
@@ -51,24 +50,23 @@ impl Resampled {
 /// Between the edges the integral is straight if the measured pixels are as fine as the dictionary's – then these are
 /// box averages – and of fifth order if they are coarser, since the profile may not be taken as a staircase then: its
 /// steps would count as blur. Pixels that the measurement does not cover are left out.
-pub(super) fn resample(profile: &MeasuredProfile, sensor: Sensor) -> Resampled {
-    let pitch = profile.pitch_mm();
-    let left = profile.x_mm()[0] - 0.5 * pitch;
-    let right = left + pitch * profile.x_mm().len() as f64;
+pub(super) fn resample(x_mm: &[f64], values: &[f64], sensor: Sensor) -> Resampled {
+    let cells = x_mm.len();
+    let pitch = (x_mm[cells - 1] - x_mm[0]) / (cells - 1) as f64;
+    let left = x_mm[0] - 0.5 * pitch;
+    let right = left + pitch * cells as f64;
     let edge = |pixel: usize| pixel as f64 * sensor.pitch_mm() - 0.5 * sensor.width_mm();
     let slack = SLACK * sensor.pitch_mm();
     let covered = |pixel: &usize| edge(*pixel) >= left - slack && edge(pixel + 1) <= right + slack;
     let first = (0..sensor.pixels()).find(covered).unwrap_or(0);
     let count = (first..sensor.pixels()).take_while(covered).count();
-    let cells = profile.x_mm().len();
     let position = |x: f64| ((x - left) / pitch).clamp(0.0, cells as f64);
     let edges_used = if pitch > (1.0 + SLACK) * sensor.pitch_mm() { 6 } else { 2 };
     let shares: Vec<Share> = (first..first + count)
         .map(|pixel| share(position(edge(pixel)), position(edge(pixel + 1)), cells, edges_used))
         .collect();
-    let value = |share: &Share| {
-        share.weights.iter().zip(&profile.values()[share.first..]).map(|(w, v)| w * v).sum::<f64>()
-    };
+    let value =
+        |share: &Share| share.weights.iter().zip(&values[share.first..]).map(|(w, v)| w * v).sum::<f64>();
     let values = shares.iter().map(value).collect();
     Resampled { pixels: first..first + count, values, shares }
 }
@@ -109,7 +107,13 @@ impl Integral {
 
 #[cfg(test)]
 mod tests {
+    use optics_model::MeasuredProfile;
+
     use super::*;
+
+    fn of(profile: &MeasuredProfile, sensor: Sensor) -> Resampled {
+        resample(profile.x_mm(), profile.values(), sensor)
+    }
 
     fn measured(n: usize, width: f64, shift: f64, f: impl Fn(f64) -> f64) -> MeasuredProfile {
         let pitch = width / n as f64;
@@ -125,7 +129,7 @@ mod tests {
     #[test]
     fn the_same_pixels_come_back_unchanged() {
         let profile = measured(360, 10.0, 0.0, |x| x * x);
-        let resampled = resample(&profile, sensor(360));
+        let resampled = of(&profile, sensor(360));
         assert_eq!(resampled.pixels, 0..360);
         for (a, b) in resampled.values.iter().zip(profile.values()) {
             assert!((a - b).abs() < 1e-9);
@@ -136,7 +140,7 @@ mod tests {
     fn coarse_pixels_are_means_of_fine_ones_also_when_they_do_not_divide() {
         let profile = measured(700, 10.0, 0.0, |x| 2.0 * x);
         for n in [100, 90] {
-            let resampled = resample(&profile, sensor(n));
+            let resampled = of(&profile, sensor(n));
             assert_eq!(resampled.pixels, 0..n as usize);
             for (i, v) in resampled.values.iter().enumerate() {
                 assert!((v - 2.0 * sensor(n).centre_mm(i)).abs() < 1e-3, "{n} pixels, {i}: {v}");
@@ -153,7 +157,7 @@ mod tests {
             (integral(x + pitch / 2.0) - integral(x - pitch / 2.0)) / pitch
         };
         let coarse = measured(180, 10.0, 0.0, |x| mean(x, 10.0 / 180.0));
-        let resampled = resample(&coarse, sensor(360));
+        let resampled = of(&coarse, sensor(360));
         assert_eq!(resampled.pixels, 0..360);
         for (i, v) in resampled.values.iter().enumerate() {
             let exact = mean(sensor(360).centre_mm(i), 10.0 / 360.0);
@@ -169,7 +173,7 @@ mod tests {
     fn functionals_of_the_pixels_are_functionals_of_the_measurement() {
         for n in [77, 100, 700] {
             let profile = measured(n, 10.0, 0.0, |x| 0.3 + x.sin());
-            let resampled = resample(&profile, sensor(100));
+            let resampled = of(&profile, sensor(100));
             let functional: Vec<f64> = (0..100).map(|i| f64::from(i % 7) - 3.0).collect();
             let direct: f64 = functional.iter().zip(&resampled.values).map(|(g, v)| g * v).sum();
             let pulled = resampled.pull_back(&functional, n);
@@ -180,8 +184,8 @@ mod tests {
 
     #[test]
     fn only_the_overlap_is_kept() {
-        let resampled = resample(&measured(80, 4.0, 1.0, |x| x), sensor(100));
+        let resampled = of(&measured(80, 4.0, 1.0, |x| x), sensor(100));
         assert_eq!(resampled.pixels, 40..80);
-        assert!(resample(&measured(80, 4.0, 20.0, |x| x), sensor(100)).values.is_empty());
+        assert!(of(&measured(80, 4.0, 20.0, |x| x), sensor(100)).values.is_empty());
     }
 }

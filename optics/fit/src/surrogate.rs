@@ -8,7 +8,7 @@
 use optics_model::{Grid, Medium};
 
 use super::dictionary::FitDictionary;
-use super::local_axis::{LocalAxis, Weights};
+use super::local_axis::{Direction, LocalAxis, Weights};
 use super::wide::wide;
 
 /// Position in (ln σ_t, √(1 − α), ln(1 − g)).
@@ -54,8 +54,34 @@ fn interpolation(nodes: &[f64], x: f64) -> Weights {
     Weights { first, values, slopes }
 }
 
-/// Share of walks that go on to another scattering, q, as far as their noise is concerned.
+/// Share of walks that go on to another scattering, q. Assumed: slabs thin and thick lie on either side of it.
 const SCATTERED_ON: f64 = 0.9;
+
+/// Where a prediction's noise comes from.
+#[derive(Debug)]
+pub(super) struct NoisePlace {
+    ior: usize,
+    thickness: usize,
+    albedo: f64,
+    sigma_t: Direction,
+    g: Direction,
+}
+
+impl NoisePlace {
+    /// How alike the records' noise is in two predictions, as a correlation: which records they share, and how alike the
+    /// same walks are with both albedos. Every record at a thickness has walks of its own; channels share them. Where
+    /// numbers of scatterings n are distributed like qⁿ, the correlation of Σ αⁿ over walks is
+    /// √((1 − qα²)(1 − qα′²))/(1 − qαα′).
+    pub(super) fn in_common(&self, other: &Self) -> f64 {
+        if (self.ior, self.thickness) != (other.ior, other.thickness) {
+            return 0.0;
+        }
+        let (a, b) = (self.albedo, other.albedo);
+        let left = |product: f64| 1.0 - SCATTERED_ON * product;
+        let of_walks = (left(a * a) * left(b * b)).sqrt() / left(a * b);
+        of_walks * self.sigma_t.cosine(&other.sigma_t) * self.g.cosine(&other.g)
+    }
+}
 
 /// A profile between the records and its derivatives by the coordinates.
 #[derive(Debug, Clone)]
@@ -158,22 +184,23 @@ impl<'a> Surrogate<'a> {
     }
 
     /// Index of the dictionary's nearest thickness, and the factor from it.
-    pub(super) fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
+    fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
         let axis = self.dictionary.grid().thickness_mm();
         let off = |t: &f64| (thickness_mm / t).ln().abs();
         let nearest = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
         nearest.map_or((0, 1.0), |(index, nominal)| (index, thickness_mm / nominal))
     }
 
-    /// How alike the records' noise is in two predictions at one thickness of the dictionary, as a correlation: which
-    /// records they share, and how alike the same walks are with both albedos. Where numbers of scatterings n are
-    /// distributed like qⁿ, the correlation of Σ αⁿ over walks is √((1 − qα²)(1 − qα′²))/(1 − qαα′).
-    pub(super) fn noise_in_common(&self, x: Coordinates, other: Coordinates) -> f64 {
-        let [a, b] = [x, other].map(|x| albedo(x[ALBEDO]).clamp(0.0, 1.0));
-        let left = |product: f64| 1.0 - SCATTERED_ON * product;
-        let of_walks = (left(a * a) * left(b * b)).sqrt() / left(a * b);
-        let of_records = self.sigma_t.likeness(x[SIGMA_T], other[SIGMA_T]) * self.g.likeness(x[G], other[G]);
-        of_walks * of_records
+    /// What the records' noise in a prediction is made of.
+    pub(super) fn noise_at(&self, thickness_mm: f64, x: Coordinates) -> NoisePlace {
+        let (thickness, ratio) = self.nearest_thickness(thickness_mm);
+        NoisePlace {
+            ior: self.ior,
+            thickness,
+            albedo: albedo(x[ALBEDO]).clamp(0.0, 1.0),
+            sigma_t: self.sigma_t.direction(x[SIGMA_T] + ratio.ln()),
+            g: self.g.direction(x[G]),
+        }
     }
 
     /// Records about `x` and what the model takes of each: number of the medium over all axes, weight, and the weight's

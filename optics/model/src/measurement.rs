@@ -78,14 +78,16 @@ impl MeasuredProfile {
         }
         check_pitch(&x_mm)?;
         check_numbers("values", n, &values, |v| v.abs() <= 1e6, "numbers of size up to 1e6 are allowed")?;
-        // Beside the edge a profile may be flat, as a patch of a chart is.
-        let over_the_edge = x_mm[0] < BESIDE_MM && x_mm[n - 1] > -BESIDE_MM;
-        if over_the_edge && values.iter().all(|v| *v == values[0]) {
-            let allowed = "a constant profile says nothing about the medium";
-            return Err(Invalid::new("values", format_args!("{} everywhere", values[0]), allowed));
-        }
         if let Some(errors) = &std_errors {
             check_numbers("std_errors", n, errors, |v| v >= 0.0, "numbers from 0 on are allowed")?;
+        }
+        // Beside the edge a profile may be flat, as a patch of a chart is, if it tells how certain it is: its own scatter
+        // does not.
+        let certain = std_errors.as_ref().is_some_and(|errors| errors.iter().all(|e| *e > 0.0));
+        let may_be_flat = lies_beside_the_edge(&x_mm) && certain;
+        if !may_be_flat && values.iter().all(|v| *v == values[0]) {
+            let allowed = "a constant profile says nothing about the medium";
+            return Err(Invalid::new("values", format_args!("{} everywhere", values[0]), allowed));
         }
         let setup = ProfileSetup::default();
         Ok(Self { channel: channel.into(), thickness_mm, x_mm, values, std_errors, setup })
@@ -93,18 +95,16 @@ impl MeasuredProfile {
 
     /// A patch of a chart: a slab on the light side of the base, so wide that no edge is near. Its value is that of a
     /// profile over an edge as far from the edge as the paper's profiles reach, 4.6 to 5 mm.
-    pub fn patch(
-        channel: impl Into<String>,
-        thickness_mm: f64,
-        value: f64,
-        std_error: Option<f64>,
-    ) -> Result<Self> {
+    pub fn patch(channel: impl Into<String>, thickness_mm: f64, value: f64, std_error: f64) -> Result<Self> {
+        if !(std_error > 0.0 && std_error.is_finite()) {
+            return Err(Invalid::new("std_error", std_error, "a patch needs one above 0"));
+        }
         let (from_mm, pitch_mm) = PATCH_MM;
         let x_mm = (0..PATCH_PIXELS).map(|i| from_mm + i as f64 * pitch_mm).collect();
         // All pixels together are as certain as the value.
-        let of_pixel = std_error.map(|e| vec![e * (PATCH_PIXELS as f64).sqrt(); PATCH_PIXELS]);
+        let of_pixel = vec![std_error * (PATCH_PIXELS as f64).sqrt(); PATCH_PIXELS];
         let setup = ProfileSetup { origin_std_error_mm: Some(0.0), ..ProfileSetup::default() };
-        Self::new(channel, thickness_mm, x_mm, vec![value; PATCH_PIXELS], of_pixel)?.with_setup(setup)
+        Self::new(channel, thickness_mm, x_mm, vec![value; PATCH_PIXELS], Some(of_pixel))?.with_setup(setup)
     }
 
     /// The same with what is known of its set-up.
@@ -139,6 +139,10 @@ impl MeasuredProfile {
     pub fn pitch_mm(&self) -> f64 {
         pitch(&self.x_mm)
     }
+}
+
+fn lies_beside_the_edge(x_mm: &[f64]) -> bool {
+    x_mm[0] >= BESIDE_MM || x_mm[x_mm.len() - 1] <= -BESIDE_MM
 }
 
 fn pitch(x: &[f64]) -> f64 {

@@ -226,7 +226,7 @@ fn patch(subset: &[usize], seed: u64, mu: f64) -> Measurement {
     let exact = traced.iter().sum::<f64>() / traced.len() as f64 / mu;
     let std_error = 0.003 * exact;
     let value = exact + std_error * Normal::new(880_500 + seed).normal();
-    let profile = MeasuredProfile::patch("R", 1.0, value, Some(std_error)).unwrap();
+    let profile = MeasuredProfile::patch("R", 1.0, value, std_error).unwrap();
     Measurement::new(name(subset), vec![profile]).unwrap()
 }
 

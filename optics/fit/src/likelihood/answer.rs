@@ -26,6 +26,7 @@ use crate::view::Slope;
 
 /// Probability of χ² below which residuals are said to be more than noise.
 const UNLIKELY: f64 = 0.001;
+
 /// A channel at its minimum.
 pub(super) struct Found<'a, 'b> {
     pub data: &'b ChannelData<'a>,

@@ -9,7 +9,7 @@ use super::robust::{is_dust, specks};
 use super::start::{Scan, Start};
 use super::system::{State, System, submatrix};
 use super::term::Own;
-use crate::surrogate::Surrogate;
+use crate::surrogate::{NoisePlace, Surrogate};
 use crate::thickness::NearThickness;
 
 /// Cost by which a rough descent, and the last one, may miss their minimum.
@@ -128,25 +128,15 @@ fn add_modes(system: &mut System, state: &mut State) {
         own.resize(term.priors.len() + found.modes.len(), 0.0);
         (term.modes, term.rest_variances, term.alike) = (found.modes, found.rest_variances, 1.0);
     }
-    let alike: Vec<f64> = (0..system.terms.len()).map(|i| profiles_alike(system, &state.x, i)).collect();
-    for ((term, own), alike) in system.terms.iter_mut().zip(&mut state.own).zip(alike) {
-        term.count_alike(own, alike);
+    let places: Vec<NoisePlace> = (0..system.terms.len())
+        .map(|i| {
+            let point = system.point(i, &state.x);
+            system.surrogates[i].noise_at(point.thickness_mm(), point.medium())
+        })
+        .collect();
+    for (i, (term, own)) in system.terms.iter_mut().zip(&mut state.own).enumerate() {
+        term.count_alike(own, places.iter().map(|other| places[i].in_common(other)).sum());
     }
-}
-
-/// How many profiles have the records' noise of this one, as a sum of correlations. Every record at a thickness of the
-/// dictionary has walks of its own; channels share them.
-fn profiles_alike(system: &System, x: &DVector<f64>, term: usize) -> f64 {
-    let place = |i: usize| {
-        let (point, surrogate) = (system.point(i, x), system.surrogates[i]);
-        let (thickness, ratio) = surrogate.nearest_thickness(point.thickness_mm());
-        let [s, a, g] = point.medium();
-        (surrogate.ior(), thickness, [s + ratio.ln(), a, g])
-    };
-    let (ior, thickness, own) = place(term);
-    let others = (0..system.terms.len()).filter(|i| *i != term).map(place);
-    let same = others.filter(|(i, t, _)| (*i, *t) == (ior, thickness));
-    1.0 + same.map(|(.., other)| system.surrogates[term].noise_in_common(own, other)).sum::<f64>()
 }
 
 /// What the standard deviation of residuals would be if those of most pixels were normal, in that of the noise.

@@ -63,10 +63,12 @@ impl Profile<'_> {
             return open;
         }
         let wanted = Z * self.inflation.sqrt();
-        if let Some(end) = self.by_parabolas(quantity, wanted, side, furthest) {
+        let stiffness = STIFF / (deviation * deviation);
+        let found = self.by_parabolas(quantity, wanted, side, furthest);
+        let confirm = |(state, at)| self.confirmed(state, &Held { quantity, at, stiffness }, wanted);
+        if let Some(end) = found.and_then(confirm) {
             return end;
         }
-        let stiffness = STIFF / (deviation * deviation);
         let mut warm: Option<State> = None;
         let root_rise = |distance: f64, warm: &mut Option<State>| {
             let at = from + side * distance;
@@ -87,10 +89,16 @@ impl Profile<'_> {
         }
     }
 
-    /// The end where −2 ln L is close to a parabola, as it mostly is: each look at it tells how far its minimum, with the
+    /// A state at the end, and the quantity there, where −2 ln L is close to a parabola, as it mostly is: each look at it tells how far its minimum, with the
     /// quantity held, is from the wanted rise, and the next look is there (Venzon and Moolgavkar 1988). None if that does
     /// not settle at once, or if it leads beyond the furthest.
-    fn by_parabolas(&self, quantity: Quantity, wanted: f64, side: f64, furthest: f64) -> Option<End> {
+    fn by_parabolas(
+        &self,
+        quantity: Quantity,
+        wanted: f64,
+        side: f64,
+        furthest: f64,
+    ) -> Option<(State, f64)> {
         let (from, unknowns) = (quantity.value(&self.optimum.x), &self.system.unknowns);
         let gradient = quantity.gradient(&self.optimum.x);
         let rise = wanted * wanted;
@@ -118,7 +126,7 @@ impl Profile<'_> {
             inside = state.clone();
             self.system.advance(&mut state, &normal, &(step.whole * share));
             if share == 1.0 && moved.abs() < GOOD.0 * distance && step.slack < GOOD.1 {
-                return self.confirmed(state, quantity, from + side * distance, wanted);
+                return Some((state, from + side * distance));
             }
             furthest_step *= LONGER;
         }
@@ -127,14 +135,11 @@ impl Profile<'_> {
 
     /// An end that a parabola has led to, if a descent with the quantity held there finds the wanted rise as well: at limits
     /// of other unknowns parabolas may lead astray.
-    fn confirmed(&self, state: State, quantity: Quantity, value: f64, wanted: f64) -> Option<End> {
-        let gradient = quantity.gradient(&self.optimum.x);
-        let variance = gradient.dot(&(self.covariance * &gradient));
-        let held = Held { quantity, at: value, stiffness: STIFF / variance };
-        let found = self.system.descend(state, Some(&held), TOLERANCE);
+    fn confirmed(&self, state: State, held: &Held, wanted: f64) -> Option<End> {
+        let found = self.system.descend(state, Some(held), TOLERANCE);
         let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
-        ((rise / wanted - 1.0).abs() < CLOSE)
-            .then(|| End { value, open: self.system.at_end(&found, quantity) })
+        let open = || self.system.at_end(&found, held.quantity);
+        ((rise / wanted - 1.0).abs() < CLOSE).then(|| End { value: held.at, open: open() })
     }
 
     /// A state, moved as it would follow the quantity if all were linear.

@@ -77,9 +77,8 @@ impl Compressed {
         let ratio = profile.thickness_mm() / nominal;
         let x: Line = profile.x_mm().iter().map(|x| (x - origin_mm) / ratio).collect();
         let calm = without_specks(profile.values(), std_errors);
-        let scaled = MeasuredProfile::new("", *nominal, x, profile.values().to_vec(), None).ok()?;
         let sensor = dictionary.grid().scene().sensor();
-        let resampled = resample(&scaled, sensor);
+        let resampled = resample(&x, profile.values(), sensor);
         if resampled.values.is_empty() {
             return None;
         }

@@ -310,7 +310,7 @@ pub struct ScaleCurve {
     pub points: Vec<ScalePoint>,
 }
 
-/// What all channels of a set of materials share, chosen by the errors of refined fits.
+/// What all channels of a set of materials share, chosen by refined fits of all of them.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Common {
     pub mu: f64,

@@ -1,0 +1,159 @@
+//! All channels of a set at their common minimum, and what each of them says there.
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+use optics_model::fit::Interval;
+
+use crate::likelihood::chi2::exceedance;
+use crate::likelihood::problem::{Assembly, Sharing};
+use crate::likelihood::profile::{Profile, interval};
+use crate::likelihood::system::{Coupling, Normal, Quantity, State, System, submatrix};
+use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE, SHARED};
+use crate::surrogate::g;
+
+/// Cost by which the last descent of a channel may miss its minimum.
+const WELL: f64 = 0.003;
+/// Probability of the channels' pulls below which they are said to disagree.
+const DISAGREE: f64 = 0.01;
+
+/// All channels at their common minimum.
+pub(super) struct Joint<'a> {
+    pub assembly: Assembly<'a>,
+    pub state: State,
+    pub normal: Normal,
+    pub covariance: Option<DMatrix<f64>>,
+    pub iors: Vec<usize>,
+    /// χ² of the channels' pulls on what they share, a degree of freedom, but at least 1.
+    pub disagreement: f64,
+}
+
+impl<'a> Joint<'a> {
+    pub(super) fn deviation(&self, slot: usize) -> f64 {
+        let variance = self.covariance.as_ref().map_or(f64::INFINITY, |c| c[(slot, slot)]);
+        (variance * self.disagreement).max(0.0).sqrt()
+    }
+
+    pub(super) fn g_interval(&self, slot: usize) -> Interval {
+        let limits = self.assembly.system.unknowns[slot].limits;
+        let Some(covariance) = &self.covariance else {
+            return Interval { low: g(limits.1), high: g(limits.0), open_low: true, open_high: true };
+        };
+        let profile = Profile {
+            system: &self.assembly.system,
+            optimum: &self.state,
+            normal: &self.normal,
+            covariance,
+            inflation: self.disagreement,
+        };
+        interval(profile.ends(Quantity::Unknown(slot), limits), g, true)
+    }
+
+    /// What a channel's own profiles say, over all unknowns.
+    fn contribution(&self, channel: usize) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.state.x.len();
+        let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        for term in self.assembly.terms[channel].clone() {
+            let (slots, reduced) = (&self.assembly.system.slots[term], &self.normal.reduced[term]);
+            for i in 0..SHARED {
+                downhill[slots[i]] += reduced.downhill[i];
+                for k in 0..SHARED {
+                    information[(slots[i], slots[k])] += reduced.information[(i, k)];
+                }
+            }
+        }
+        (information, downhill)
+    }
+
+    fn used_by(&self, channel: usize) -> Vec<usize> {
+        let terms = self.assembly.terms[channel].clone();
+        let mut used: Vec<usize> = terms.flat_map(|t| self.assembly.system.slots[t]).collect();
+        used.sort_unstable();
+        used.dedup();
+        used
+    }
+
+    /// A channel as a system of its own, with what the others say beside it.
+    pub(super) fn channel(&self, channel: usize) -> (System<'a>, State) {
+        let whole = &self.assembly.system;
+        let used = self.used_by(channel);
+        let (own, own_downhill) = self.contribution(channel);
+        let (mut rest, mut downhill) = (&self.normal.information - own, &self.normal.downhill - own_downhill);
+        for slot in &used {
+            if let Some((mean, sd)) = whole.unknowns[*slot].prior.filter(|_| !whole.unknowns[*slot].held) {
+                rest[(*slot, *slot)] -= 1.0 / (sd * sd);
+                downhill[*slot] += (self.state.x[*slot] - mean) / (sd * sd);
+            }
+        }
+        let others: Vec<usize> = whole.free().into_iter().filter(|i| !used.contains(i)).collect();
+        let (information, downhill) = eliminate(&rest, &downhill, &used, &others);
+        let share = 1.0 / self.disagreement;
+        let centre = DVector::from_iterator(used.len(), used.iter().map(|i| self.state.x[*i]));
+        let coupling =
+            Coupling { centre: centre.clone(), information: information * share, downhill: downhill * share };
+        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
+        let terms = self.assembly.terms[channel].clone();
+        let mut system = System {
+            terms: whole.terms[terms.clone()].to_vec(),
+            surrogates: whole.surrogates[terms.clone()].to_vec(),
+            slots: whole.slots[terms.clone()].iter().map(|slots| slots.each_ref().map(place)).collect(),
+            unknowns: used.iter().map(|i| whole.unknowns[*i]).collect(),
+            coupling: Some(coupling),
+        };
+        // For its own medium, noise that others share counts once.
+        let mut own = self.state.own[terms].to_vec();
+        system.terms.iter_mut().zip(&mut own).for_each(|(term, own)| term.count_alike(own, 1.0));
+        let state = system.descend(State { x: centre, own, cost: f64::INFINITY }, None, WELL);
+        (system, state)
+    }
+
+    pub(super) fn disagreement(&self, sharing: Sharing) -> f64 {
+        let slots = self.assembly.system.slots[0];
+        let unknowns = &self.assembly.system.unknowns;
+        let shared: Vec<usize> = [(LN_ONE_MINUS_G, sharing.g), (LN_SCALE, sharing.scale.is_some())]
+            .into_iter()
+            .filter(|(i, shared)| *shared && !unknowns[slots[*i]].held)
+            .map(|(i, _)| slots[i])
+            .collect();
+        let channels = self.assembly.terms.len();
+        let freedom = (shared.len() * channels.saturating_sub(1)) as f64;
+        if freedom == 0.0 {
+            return 1.0;
+        }
+        let pull = |channel: usize| -> f64 {
+            let (mut information, downhill) = self.contribution(channel);
+            let others: Vec<usize> = self
+                .used_by(channel)
+                .into_iter()
+                .filter(|i| !unknowns[*i].held && !shared.contains(i))
+                .collect();
+            for i in &others {
+                information[(*i, *i)] += unknowns[*i].prior.map_or(0.0, |(_, sd)| 1.0 / (sd * sd));
+            }
+            let (information, pull) = eliminate(&information, &downhill, &shared, &others);
+            let ridge = DMatrix::identity(shared.len(), shared.len()) * 1e-9;
+            Cholesky::new(information + ridge).map_or(0.0, |c| pull.dot(&c.solve(&pull)))
+        };
+        let chi2: f64 = (0..channels).map(pull).sum();
+        if exceedance(chi2, freedom) < DISAGREE { (chi2 / freedom).max(1.0) } else { 1.0 }
+    }
+}
+
+/// A quadratic over some unknowns that is left when others follow.
+fn eliminate(
+    information: &DMatrix<f64>,
+    downhill: &DVector<f64>,
+    kept: &[usize],
+    others: &[usize],
+) -> (DMatrix<f64>, DVector<f64>) {
+    let inner = submatrix(information, kept);
+    let part =
+        |indices: &[usize]| DVector::from_iterator(indices.len(), indices.iter().map(|i| downhill[*i]));
+    let mixed = DMatrix::from_fn(others.len(), kept.len(), |i, k| information[(others[i], kept[k])]);
+    let ridge = DMatrix::identity(others.len(), others.len()) * 1e-9;
+    match Cholesky::new(submatrix(information, others) + ridge) {
+        Some(root) if !others.is_empty() => (
+            inner - mixed.transpose() * root.solve(&mixed),
+            part(kept) - mixed.transpose() * root.solve(&part(others)),
+        ),
+        _ => (inner, part(kept)),
+    }
+}
