@@ -1,0 +1,161 @@
+#!/usr/bin/env python3
+"""A session of photographs rendered by Mitsuba 3, for `farmctl capture`: its truth is known, its renderer not ours.
+
+A perspective camera 1 m above a checkerboard takes an even sheet, grey patches, the bare board, and slabs of 30 mm by
+20 mm in two thicknesses, in the scene `paper` with sides: see stack.py. The pictures then go through a lens, a sensor
+and a mosaic: see mosaic.py.
+
+    python3 -m venv venv && venv/bin/pip install mitsuba numpy
+    venv/bin/python tests/mitsuba/session.py render -o rendered      # an hour or more; goes on where it was stopped
+    venv/bin/python tests/mitsuba/session.py shoot rendered -o photographs
+    farmctl capture photographs/session.toml -o resin
+    farmctl measure resin --g 0.4
+
+Slabs are path-traced within 5 mm of the edge. One path in six finds the ring, so single pixels stay noisy: `shoot` takes
+the mean along the edge, in strips of half of what `capture` bins. What noise remains differs from shot to shot, since
+every shot has paths of its own, so `capture` sees it and counts it. Parts without a slab are even, but for the shadow
+beside the slab: they are painted with the mean of what was rendered, and how much of each pixel they cover.
+
+Mitsuba's LLVM variants need LLVM's library (Debian: libllvm19); without it the scalar variant is used, about half as fast.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from statistics import NormalDist
+
+import mitsuba as mi
+import numpy as np
+
+import stack
+from compare import choose_variant
+
+# White of the paper's Table 1 in red and green, its cyan's blue in blue: σ_t per mm, α and g.
+MEDIA = {"R": (6.0, 0.9991, 0.4), "G": (9.0, 0.9997, 0.4), "B": (7.5, 0.98, 0.4)}
+RHO = {"R": (0.985, 0.024), "G": (0.972, 0.023), "B": (0.971, 0.026)}
+THICKNESSES = (0.5, 1.0)
+SHOTS = 3
+PATCHES = (0.956, 0.594, 0.361, 0.193, 0.090, 0.032)
+SHEET = 0.9
+# The lens, a Gaussian: as many places of the picture against the sensor, each with paths of its own.
+LENS_PX = 0.8
+PLACES = 12
+# Pixels: x, y, width, height. The middle is measured, the sides and the strips beyond the slab are only seen.
+MIDDLE = (188, 190, 224, 200)
+SIDES = ((0, 190, 188, 200), (412, 190, 188, 200))
+BEYOND = ((0, 0, 600, 86), (0, 494, 600, 86))
+
+
+def parse():
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = p.add_subparsers(dest="command", required=True)
+    render = commands.add_parser("render", help="path-trace the parts of all pictures")
+    render.add_argument("-o", "--output", type=Path, required=True)
+    render.add_argument("--spp", type=int, default=2, help="samples per pixel, place and shot of the slabs (default 2)")
+    render.add_argument("--variant", help="Mitsuba variant (default: llvm_ad_mono, else scalar_rgb)")
+    shoot = commands.add_parser("shoot", help="write photographs and session file from the parts")
+    shoot.add_argument("rendered", type=Path)
+    shoot.add_argument("-o", "--output", type=Path, required=True)
+    return p.parse_args()
+
+
+def places():
+    """Displacements in pixels, of unit variance times the lens's, in an order that is even from the start."""
+    quantiles = np.array([NormalDist().inv_cdf((k + 0.5) / PLACES) for k in range(PLACES)])
+    quantiles *= LENS_PX / quantiles.std()
+    half = [0, 4, 2, 5, 1, 3]
+    # Pairs on opposite sides; up and down in another order, so that both are unrelated.
+    first = np.array([k for pair in half for k in (pair, PLACES - 1 - pair)])
+    return np.stack([quantiles[first], quantiles[(7 * first + 4) % PLACES]], axis=1)
+
+
+class Picture:
+    """Sums of a window's values and how many there are, kept in a file after each pass."""
+
+    def __init__(self, path):
+        self.path = path
+        self.passes = 0
+        self.sum = self.count = 0
+        if path.exists():
+            kept = np.load(path)
+            self.passes, self.sum, self.count = int(kept["passes"]), kept["sum"], kept["count"]
+
+    def add(self, image):
+        # Mitsuba's rough dielectric gives a NaN now and then: such a value is left out.
+        fine = np.isfinite(image)
+        self.sum = self.sum + np.where(fine, image, 0.0)
+        self.count = self.count + fine
+        self.passes += 1
+        part = self.path.with_suffix(".part.npz")
+        np.savez(part, passes=self.passes, sum=self.sum, count=self.count)
+        part.replace(self.path)
+
+
+class Renderer:
+    def __init__(self, folder, camera):
+        self.folder, self.camera = folder, camera
+        self.scenes = {}
+
+    def passes(self, name, build, spp, wanted, seed):
+        """Renders up to so many passes of a picture, each with another place of the lens."""
+        picture = Picture(self.folder / f"{name}.npz")
+        while picture.passes < wanted:
+            if name not in self.scenes:
+                self.scenes[name] = mi.load_dict(build())
+            loaded = self.scenes[name]
+            dx, dy = places()[picture.passes % PLACES]
+            parameters = mi.traverse(loaded)
+            parameters["sensor.principal_point_offset_x"] = dx / self.camera.width
+            parameters["sensor.principal_point_offset_y"] = dy / self.camera.height
+            parameters.update()
+            image = np.array(mi.render(loaded, spp=spp, seed=seed + 1000 * picture.passes))
+            picture.add(image[..., 0].astype(float))
+            print(f"{name}: pass {picture.passes} of {wanted}", flush=True)
+
+    def all(self, spp):
+        camera = self.camera
+        self.passes("board", lambda: stack.lit_board(camera), 32, PLACES, 1)
+        self.passes("chart", lambda: stack.patches(camera, PATCHES)[1], 8, PLACES, 2)
+        self.passes("sheet", lambda: stack.sheet(camera, SHEET), 8, PLACES, 3)
+        for i, (channel, rho) in enumerate(RHO.items()):
+            self.passes(f"bare_{channel}", lambda: stack.bare(camera, rho), 2, 4 * PLACES, 10 + i)
+        for t in THICKNESSES:
+            self.passes(f"cover_{t}", lambda: stack.lit_slab(camera, t), 32, PLACES, 4)
+            for i, window in enumerate(BEYOND):
+                build = lambda: stack.slab(camera, MEDIA["G"], t, RHO["G"], window)  # noqa: E731
+                self.passes(f"beyond_{t}_{i}", build, 1, PLACES, 20 + i)
+        for wanted in range(1, PLACES + 1):
+            self.slabs(spp, wanted)
+
+    def slabs(self, spp, wanted):
+        for t in THICKNESSES:
+            for i, channel in enumerate(MEDIA):
+                for shot in range(SHOTS):
+                    self.slab(f"slab_{t}_{channel}_{shot}", t, channel, MIDDLE, spp, wanted, 100 + 10 * i + shot)
+                if wanted <= 2:
+                    for side, window in enumerate(SIDES):
+                        self.slab(f"side_{t}_{channel}_{side}", t, channel, window, 1, wanted, 200 + 10 * i + side)
+
+    def slab(self, name, t, channel, window, spp, wanted, seed):
+        build = lambda: stack.slab(self.camera, MEDIA[channel], t, RHO[channel], window)  # noqa: E731
+        self.passes(name, build, spp, wanted, seed + int(1e4 * t))
+
+
+def main():
+    args = parse()
+    camera = stack.Camera()
+    if args.command == "render":
+        print(f"Mitsuba {mi.__version__} {choose_variant(args.variant)}")
+        args.output.mkdir(parents=True, exist_ok=True)
+        Renderer(args.output, camera).all(args.spp)
+    else:
+        choose_variant("scalar_rgb")
+        import mosaic
+
+        args.output.mkdir(parents=True, exist_ok=True)
+        truth = mosaic.shoot(args.rendered, args.output, camera)
+        (args.output / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
