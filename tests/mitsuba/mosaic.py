@@ -12,8 +12,8 @@ from compare import RING_DEG
 # Radiance of a perfect white in air under the ring, whose radiance is 1.
 WHITE = math.sin(math.radians(RING_DEG[1])) ** 2 - math.sin(math.radians(RING_DEG[0])) ** 2
 
-# Half of what `capture` bins: its bins hold two strips or three, so that neighbours share little.
-STRIP_MM = 10 / 360 / 2
+# As wide as the bins of `capture` and, but for what it finds of the edge, in the same places: neighbours share little.
+STRIP_MM = 10 / 360
 # Beyond this the sides, which nobody measures, tell by wide strips.
 STRIPS_TO_MM = 5.45
 WIDE_MM = 0.5
@@ -34,7 +34,10 @@ GLARE = 0.002
 
 def load(folder, name):
     """A picture as radiance factors of each pixel, with how many passes it has."""
-    kept = np.load(folder / f"{name}.npz")
+    path = folder / f"{name}.npz"
+    if not path.exists():
+        raise SystemExit(f"{path} is missing: go on with `render`")
+    kept = np.load(path)
     return kept["sum"] / np.maximum(kept["count"], 1) / WHITE, int(kept["passes"])
 
 
@@ -78,25 +81,45 @@ class Parts:
     def __init__(self, folder, camera):
         self.folder, self.camera = folder, camera
         self.x, self.y = places_mm(camera)
+        x, y = camera.aside_mm
+        # Squared tangent of the angle between view and normal.
+        self.tilt = ((self.x - x) ** 2 + (self.y - y) ** 2) / camera.distance_mm**2
         self.cover = load(folder, "board")[0] * WHITE
         self.levels = {c: self.bare_levels(c) for c in session.MEDIA}
 
     def bare_levels(self, channel):
-        """The bare board's light and dark squares, each with its standard error."""
+        """The bare board seen straight from above, light and dark, each with its standard error; and what both gain by
+        the square of the angle of view. The coat's own reflection of the ring makes half of the dark, and rises as the
+        view turns towards the ring; the ring being round, it knows no direction."""
         image, _ = load(self.folder, f"bare_{channel}")
-        found = []
-        for square in (image[self.cover > 0.9999], image[self.cover < 1e-4]):
-            found.append((square.mean(), square.std() / math.sqrt(square.size)))
-        return found
+        is_light, is_dark = self.cover > 0.9999, self.cover < 1e-4
+        tilt = self.tilt[is_dark]
+        design = np.stack([np.ones(tilt.size), tilt], axis=1)
+        covariance = np.linalg.inv(design.T @ design)
+        level, rise = covariance @ design.T @ image[is_dark]
+        noise = image[is_dark].std()
+        light = image[is_light] - rise * self.tilt[is_light]
+        return {
+            "light": [light.mean(), light.std() / math.sqrt(light.size)],
+            "dark": [level, noise * math.sqrt(covariance[0, 0])],
+            "rise": [rise, noise * math.sqrt(covariance[1, 1])],
+        }
 
     def bare(self, channel):
-        (light, _), (dark, _) = self.levels[channel]
-        return dark + (light - dark) * self.cover
+        level = self.levels[channel]
+        light, dark, rise = (level[k][0] for k in ("light", "dark", "rise"))
+        return dark + (light - dark) * self.cover + rise * self.tilt
 
     def strips(self, thickness, channel, shot):
         """The slab's picture: a function of x alone, since it is the same along the edge."""
         count = 2 * round(STRIPS_TO_MM / STRIP_MM)
-        image, passes = load(self.folder, f"slab_{thickness}_{channel}_{shot}")
+        name = f"slab_{thickness}_{channel}_{shot}"
+        image, passes = load(self.folder, name)
+        if passes % session.PLACES:
+            raise SystemExit(
+                f"{name}: {passes} passes; a multiple of {session.PLACES} is needed, or its lens is not the board's: "
+                "go on with `render`"
+            )
         x = window_of(self.x, session.MIDDLE)
         strips = means(image, self.strip_of(x), count)
         assert np.isfinite(strips).all(), "a strip without a pixel"
@@ -120,22 +143,19 @@ class Parts:
     def shadow(self, thickness):
         """How much darker the bare squares are beside the slab: a function of the distance from its long sides."""
         reach = np.abs(self.y) - stack.SLAB_MM[1]
-        index = np.floor(reach / SHADOW_MM).astype(int)
         factors = np.ones(self.cover.shape)
-        windows = session.BEYOND
-        images = [load(self.folder, f"beyond_{thickness}_{i}")[0] for i in range(len(windows))]
-        for light, (level, _) in zip((True, False), self.levels["G"]):
-            def pick(image):
-                covers = [window_of(self.cover, w) for w in windows]
-                which = [(c > 0.9999) if light else (c < 1e-4) for c in covers]
-                parts = [window_of(image, w) for w in windows] if isinstance(image, np.ndarray) else image
-                return np.concatenate([p[k] for p, k in zip(parts, which)])
-
-            found = means(pick(images), pick(index), 20) / level
+        bare = self.bare("G")
+        for share in (self.cover, 1 - self.cover):
+            # Of whole squares, above and below the slab together.
+            indices, ratios = [], []
+            for i, window in enumerate(session.BEYOND):
+                whole = window_of(share, window) > 0.9999
+                image = load(self.folder, f"beyond_{thickness}_{i}")[0]
+                indices.append(np.floor(window_of(reach, window)[whole] / SHADOW_MM).astype(int))
+                ratios.append(image[whole] / window_of(bare, window)[whole])
+            found = means(np.concatenate(ratios), np.concatenate(indices), 20)
             known = np.flatnonzero(np.isfinite(found))
-            factor = np.interp(reach, (known + 0.5) * SHADOW_MM, found[known])
-            share = self.cover if light else 1 - self.cover
-            factors += share * (factor - 1)
+            factors += share * (np.interp(reach, (known + 0.5) * SHADOW_MM, found[known]) - 1)
         return factors
 
     def sample(self, thickness, channel, shot):
@@ -236,7 +256,7 @@ def shoot(folder, output, camera):
         "rho": session.RHO,
         "seen_bare": parts.levels,
         "px_per_mm": camera.px_per_mm,
-        "lens_mm": session.LENS_PX / camera.px_per_mm,
+        "lens_mm": float(np.std(session.LENS_PX)) / camera.px_per_mm,
         "glare": GLARE,
         "passes": [min(passes), max(passes)],
     }

@@ -11,18 +11,19 @@ and a mosaic: see mosaic.py.
     farmctl capture photographs/session.toml -o resin
     farmctl measure resin --g 0.4
 
-Slabs are path-traced within 5 mm of the edge. One path in six finds the ring, so single pixels stay noisy: `shoot` takes
-the mean along the edge, in strips of half of what `capture` bins. What noise remains differs from shot to shot, since
-every shot has paths of its own, so `capture` sees it and counts it. Parts without a slab are even, but for the shadow
-beside the slab: they are painted with the mean of what was rendered, and how much of each pixel they cover.
+Slabs are path-traced within 5 mm of the edge, on either side and along it. One path in six finds the ring, so single
+pixels stay noisy: `shoot` takes the mean along the edge, in strips as wide as the bins of `capture`. What noise remains
+differs from shot to shot, since every shot has paths of its own, so `capture` sees it and counts it. Parts without a
+slab are even, but for the shadow beside the slab: they are painted with the mean of what was rendered, each pixel by how
+much of it they cover.
 
-Mitsuba's LLVM variants need LLVM's library (Debian: libllvm19); without it the scalar variant is used, about half as fast.
+Mitsuba's LLVM variants need LLVM's library: Debian's libllvm19 does with AVX-512, libllvm16 and older do not. Without it
+the scalar variant is used, about half as fast.
 """
 
 import argparse
 import json
 from pathlib import Path
-from statistics import NormalDist
 
 import mitsuba as mi
 import numpy as np
@@ -37,9 +38,11 @@ THICKNESSES = (0.5, 1.0)
 SHOTS = 3
 PATCHES = (0.956, 0.594, 0.361, 0.193, 0.090, 0.032)
 SHEET = 0.9
-# The lens, a Gaussian: as many places of the picture against the sensor, each with paths of its own.
-LENS_PX = 0.8
-PLACES = 12
+# The lens, near to a Gaussian: places of the picture against the sensor in pixels, each with paths of its own. Sideways
+# and up and down in another order, so that both are unrelated.
+LENS_PX = (-1.4609, 1.4609, -0.2688, 0.2688, -0.6852, 0.6852)
+UP_PX = (-0.2688, 0.2688, -0.6852, -1.4609, 1.4609, 0.6852)
+PLACES = len(LENS_PX)
 # Pixels: x, y, width, height. The middle is measured, the sides and the strips beyond the slab are only seen.
 MIDDLE = (188, 190, 224, 200)
 SIDES = ((0, 190, 188, 200), (412, 190, 188, 200))
@@ -51,22 +54,13 @@ def parse():
     commands = p.add_subparsers(dest="command", required=True)
     render = commands.add_parser("render", help="path-trace the parts of all pictures")
     render.add_argument("-o", "--output", type=Path, required=True)
-    render.add_argument("--spp", type=int, default=2, help="samples per pixel, place and shot of the slabs (default 2)")
+    render.add_argument("--spp", type=int, default=1, help="samples per pixel, pass and shot of the slabs (default 1)")
+    render.add_argument("--rounds", type=int, default=6, help="of all places of the lens, of the slabs (default 6)")
     render.add_argument("--variant", help="Mitsuba variant (default: llvm_ad_mono, else scalar_rgb)")
     shoot = commands.add_parser("shoot", help="write photographs and session file from the parts")
     shoot.add_argument("rendered", type=Path)
     shoot.add_argument("-o", "--output", type=Path, required=True)
     return p.parse_args()
-
-
-def places():
-    """Displacements in pixels, of unit variance times the lens's, in an order that is even from the start."""
-    quantiles = np.array([NormalDist().inv_cdf((k + 0.5) / PLACES) for k in range(PLACES)])
-    quantiles *= LENS_PX / quantiles.std()
-    half = [0, 4, 2, 5, 1, 3]
-    # Pairs on opposite sides; up and down in another order, so that both are unrelated.
-    first = np.array([k for pair in half for k in (pair, PLACES - 1 - pair)])
-    return np.stack([quantiles[first], quantiles[(7 * first + 4) % PLACES]], axis=1)
 
 
 class Picture:
@@ -103,28 +97,28 @@ class Renderer:
             if name not in self.scenes:
                 self.scenes[name] = mi.load_dict(build())
             loaded = self.scenes[name]
-            dx, dy = places()[picture.passes % PLACES]
+            place = picture.passes % PLACES
             parameters = mi.traverse(loaded)
-            parameters["sensor.principal_point_offset_x"] = dx / self.camera.width
-            parameters["sensor.principal_point_offset_y"] = dy / self.camera.height
+            parameters["sensor.principal_point_offset_x"] = LENS_PX[place] / self.camera.width
+            parameters["sensor.principal_point_offset_y"] = UP_PX[place] / self.camera.height
             parameters.update()
             image = np.array(mi.render(loaded, spp=spp, seed=seed + 1000 * picture.passes))
             picture.add(image[..., 0].astype(float))
             print(f"{name}: pass {picture.passes} of {wanted}", flush=True)
 
-    def all(self, spp):
+    def all(self, spp, rounds):
         camera = self.camera
-        self.passes("board", lambda: stack.lit_board(camera), 32, PLACES, 1)
+        self.passes("board", lambda: stack.lit_board(camera), 64, PLACES, 1)
         self.passes("chart", lambda: stack.patches(camera, PATCHES)[1], 8, PLACES, 2)
         self.passes("sheet", lambda: stack.sheet(camera, SHEET), 8, PLACES, 3)
         for i, (channel, rho) in enumerate(RHO.items()):
-            self.passes(f"bare_{channel}", lambda: stack.bare(camera, rho), 2, 4 * PLACES, 10 + i)
+            self.passes(f"bare_{channel}", lambda: stack.bare(camera, rho), 2, 6 * PLACES, 10 + i)
         for t in THICKNESSES:
-            self.passes(f"cover_{t}", lambda: stack.lit_slab(camera, t), 32, PLACES, 4)
+            self.passes(f"cover_{t}", lambda: stack.lit_slab(camera, t), 64, PLACES, 4)
             for i, window in enumerate(BEYOND):
                 build = lambda: stack.slab(camera, MEDIA["G"], t, RHO["G"], window)  # noqa: E731
                 self.passes(f"beyond_{t}_{i}", build, 1, PLACES, 20 + i)
-        for wanted in range(1, PLACES + 1):
+        for wanted in range(1, rounds * PLACES + 1):
             self.slabs(spp, wanted)
 
     def slabs(self, spp, wanted):
@@ -132,13 +126,13 @@ class Renderer:
             for i, channel in enumerate(MEDIA):
                 for shot in range(SHOTS):
                     self.slab(f"slab_{t}_{channel}_{shot}", t, channel, MIDDLE, spp, wanted, 100 + 10 * i + shot)
-                if wanted <= 2:
+                if wanted == 1:
                     for side, window in enumerate(SIDES):
                         self.slab(f"side_{t}_{channel}_{side}", t, channel, window, 1, wanted, 200 + 10 * i + side)
 
     def slab(self, name, t, channel, window, spp, wanted, seed):
         build = lambda: stack.slab(self.camera, MEDIA[channel], t, RHO[channel], window)  # noqa: E731
-        self.passes(name, build, spp, wanted, seed + int(1e4 * t))
+        self.passes(name, build, spp, wanted, seed + int(1e6 * t))
 
 
 def main():
@@ -147,7 +141,7 @@ def main():
     if args.command == "render":
         print(f"Mitsuba {mi.__version__} {choose_variant(args.variant)}")
         args.output.mkdir(parents=True, exist_ok=True)
-        Renderer(args.output, camera).all(args.spp)
+        Renderer(args.output, camera).all(args.spp, args.rounds)
     else:
         choose_variant("scalar_rgb")
         import mosaic

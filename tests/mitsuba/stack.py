@@ -34,7 +34,7 @@ class Camera:
     aside_mm: tuple = (5.2, -3.5)
     turn_deg: float = 1.4
 
-    def sensor(self, window=None, spp=1):
+    def sensor(self, window=None, sampler="independent"):
         """The sensor of a window of pixels (x, y, width, height)."""
         t = mi.ScalarTransform4f
         turn = math.radians(self.turn_deg)
@@ -57,7 +57,7 @@ class Camera:
                 origin=[*self.aside_mm, self.distance_mm], target=[0, 0, 0], up=[math.sin(turn), math.cos(turn), 0]
             ),
             "film": film,
-            "sampler": {"type": "independent", "sample_count": spp},
+            "sampler": {"type": sampler},
         }
 
 
@@ -69,6 +69,7 @@ def rectangle(z, x, y, bsdf, **more):
 
 
 def dielectric(inside, outside, roughness=0.0):
+    """Between two indices; the inside is below a face, or within a wall."""
     bsdf = {"type": "dielectric", "int_ior": inside, "ext_ior": outside}
     return bsdf | ({"type": "roughdielectric", "distribution": "ggx", "alpha": roughness} if roughness else {})
 
@@ -169,7 +170,7 @@ def slab(camera, medium, thickness, rho, window=None):
         coat=rectangle(coat, x, y, dielectric(COAT_IOR, GEL[0], BASE_ROUGHNESS)),
         bottom=rectangle(bottom, x, y, dielectric(GEL[0], n, SAMPLE_ROUGHNESS), exterior=ref),
         top=rectangle(top, x, y, dielectric(n, GEL[0], SAMPLE_ROUGHNESS), interior=ref),
-        glass=rectangle(glass, x, y, dielectric(GLASS[0], GEL[0])),
+        glass=rectangle(glass, x, y, dielectric(GEL[0], GLASS[0])),
         air=rectangle(air, x, y, dielectric(GLASS[0], 1.0)),
         **around_the_slab(),
         **walls(coat, bottom, dielectric(GEL[0], 1.0)),
@@ -180,22 +181,22 @@ def slab(camera, medium, thickness, rho, window=None):
     )
 
 
-def lit(camera, shape):
+def lit(camera, shape, radiance):
     """A shape that glows, before black: how much of each pixel it covers."""
-    return scene(camera, None, 1, shape=shape | {"emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}}})
+    integrator = {"type": "path", "max_depth": 1}
+    glowing = shape | {"emitter": {"type": "area", "radiance": radiance}}
+    return {"type": "scene", "integrator": integrator, "sensor": camera.sensor(None, "multijitter"), "shape": glowing}
 
 
 def lit_board(camera):
     """The board's light squares."""
     shape = board(1.0, 0.0)
-    texture = shape["bsdf"]["reflectance"]
-    shape["emitter"] = {"type": "area", "radiance": texture}
-    return scene(camera, None, 1, shape=shape)
+    return lit(camera, shape, shape["bsdf"]["reflectance"])
 
 
 def lit_slab(camera, thickness):
     x, y = ((-half, half) for half in SLAB_MM)
-    return lit(camera, rectangle(heights(thickness)[-1], x, y, diffuse(0.5)))
+    return lit(camera, rectangle(heights(thickness)[-1], x, y, diffuse(0.5)), {"type": "spectrum", "value": 1.0})
 
 
 def patches(camera, rho):
