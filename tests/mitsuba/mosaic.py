@@ -19,12 +19,13 @@ STRIPS_TO_MM = 5.45
 WIDE_MM = 0.5
 SHADOW_MM = 0.25
 
-# 14 bits. Numbers above black of a perfect white; numbers an electron; standard deviation of reading.
+# 15 bits, so that the noise of few paths never clips. Numbers above black of a perfect white; numbers an electron;
+# standard deviation of reading.
 FULL = {"R": 9500.0, "G": 13000.0, "B": 11000.0}
 PER_ELECTRON = 12.0
 READ = 6.0
 BLACK = 512
-TOP = 16383
+TOP = 32767
 SITES = {"R": [(0, 0)], "G": [(1, 0), (0, 1)], "B": [(1, 1)]}
 # Loss of light at the corners, its rise across the frame, and the share that is scattered over it.
 VIGNETTING = 0.04
@@ -166,7 +167,7 @@ class Parts:
 
 
 class Sensor:
-    """Takes pictures of radiance factors as 14-bit mosaics."""
+    """Takes pictures of radiance factors as mosaics."""
 
     def __init__(self, camera):
         u = (np.arange(camera.width) + 0.5) / camera.width - 0.5

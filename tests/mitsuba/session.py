@@ -11,14 +11,14 @@ and a mosaic: see mosaic.py.
     farmctl capture photographs/session.toml -o resin
     farmctl measure resin --g 0.4
 
-Slabs are path-traced within 5 mm of the edge, on either side and along it. One path in six finds the ring, so single
-pixels stay noisy: `shoot` takes the mean along the edge, in strips as wide as the bins of `capture`. What noise remains
-differs from shot to shot, since every shot has paths of its own, so `capture` sees it and counts it. Parts without a
-slab are even, but for the shadow beside the slab: they are painted with the mean of what was rendered, each pixel by how
-much of it they cover.
+Slabs are path-traced within 5 mm of the edge, on either side and along it. One path in six finds the ring, so
+single pixels stay noisy: `shoot` takes the mean along the edge, in strips as wide as the bins of `capture`. What
+noise remains differs from shot to shot, since every shot has paths of its own, so `capture` sees it and counts it.
+Parts without a slab are even, but for the shadow beside the slab: they are painted with the mean of what was
+rendered, each pixel by how much of it they cover.
 
-Mitsuba's LLVM variants need LLVM's library: Debian's libllvm19 does with AVX-512, libllvm16 and older do not. Without it
-the scalar variant is used, about half as fast.
+Mitsuba's LLVM variants need LLVM's library (DRJIT_LIBLLVM_PATH names it): Debian's libllvm19 does with AVX-512,
+libllvm16 and older abort. Without it the scalar variant is used, about half as fast.
 """
 
 import argparse
