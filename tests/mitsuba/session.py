@@ -109,8 +109,8 @@ class Renderer:
     def all(self, spp, rounds):
         camera = self.camera
         self.passes("board", lambda: stack.lit_board(camera), 64, PLACES, 1)
-        self.passes("chart", lambda: stack.patches(camera, PATCHES)[1], 8, PLACES, 2)
-        self.passes("sheet", lambda: stack.sheet(camera, SHEET), 8, PLACES, 3)
+        self.passes("chart", lambda: stack.patches(camera, PATCHES)[1], 8, 2 * PLACES, 2)
+        self.passes("sheet", lambda: stack.sheet(camera, SHEET), 8, 2 * PLACES, 3)
         for i, (channel, rho) in enumerate(RHO.items()):
             self.passes(f"bare_{channel}", lambda: stack.bare(camera, rho), 2, 6 * PLACES, 10 + i)
         for t in THICKNESSES:
