@@ -7,6 +7,7 @@ use fearless_simd::{Level, dispatch};
 use optics_model::sums::Sums;
 
 use super::exits::{Chunk, Exit, Exits};
+use super::light::Light;
 use super::stack::Stack;
 use super::tally::Tally;
 use super::{Stopped, walk, wavefront};
@@ -77,13 +78,14 @@ impl Kernel {
     pub(super) fn run_chunk(
         self,
         stack: &Stack,
+        light: &Light,
         chunk: Chunk,
         stop: &AtomicBool,
         exits: &mut Exits,
     ) -> Result<(), Stopped> {
         match self.0 {
-            Way::Scalar => walk::run_chunk(stack, chunk, stop, exits),
-            Way::Vector(level) => wavefront::run_chunk(level, stack, chunk, stop, exits),
+            Way::Scalar => walk::run_chunk(stack, light, chunk, stop, exits),
+            Way::Vector(level) => wavefront::run_chunk(level, stack, light, chunk, stop, exits),
         }
     }
 

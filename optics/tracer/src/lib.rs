@@ -12,9 +12,11 @@ mod bare_board;
 mod exits;
 mod fresnel;
 mod kernel;
+mod light;
 mod math;
 mod microfacet;
 mod phase;
+mod pick;
 mod powers;
 #[doc(hidden)]
 pub mod probe;
@@ -38,6 +40,8 @@ use rayon::prelude::*;
 pub use bare_board::BareBoard;
 use exits::{Chunk, Exits};
 pub use kernel::Kernel;
+use light::Light;
+use pick::ratios;
 use powers::AlbedoPowers;
 use stack::Stack;
 use tally::Tally;
@@ -85,6 +89,7 @@ struct Tracer<'a> {
     kernel: Kernel,
     job: &'a JobSpec,
     stack: Stack,
+    light: Light,
     powers: AlbedoPowers,
     key: [u32; 2],
     stop: &'a AtomicBool,
@@ -92,11 +97,13 @@ struct Tracer<'a> {
 
 impl<'a> Tracer<'a> {
     fn new(kernel: Kernel, job: &'a JobSpec, stop: &'a AtomicBool) -> Self {
+        let stack = Stack::new(job.scene(), &job.point());
         Self {
             kernel,
             job,
-            stack: Stack::new(job.scene(), &job.point()),
-            powers: AlbedoPowers::new(job.albedo()),
+            light: Light::of(job, &stack),
+            stack,
+            powers: AlbedoPowers::new(&ratios(job.albedo())),
             key: stream_key(job.seed(), &job.point()),
             stop,
         }
@@ -128,11 +135,11 @@ impl<'a> Tracer<'a> {
     fn chunk(&self, index: u64, batches: u64) -> Result<Sums, Stopped> {
         let walks = (batches * BATCH_WALKS) as u32;
         let chunk = Chunk { key: self.key, index, walks };
-        let mut exits = Exits::default();
-        self.kernel.run_chunk(&self.stack, chunk, self.stop, &mut exits)?;
+        let mut exits = Exits::new(walks);
+        self.kernel.run_chunk(&self.stack, &self.light, chunk, self.stop, &mut exits)?;
         let mut partial = Sums::new(self.job);
         let mut tally = Tally::new(self.job, &self.powers);
-        let mut exits = exits.in_order(walks).peekable();
+        let mut exits = exits.in_order().peekable();
         for batch in 1..=batches {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(Stopped);

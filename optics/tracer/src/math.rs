@@ -49,6 +49,12 @@ pub fn exp(x: f32) -> f32 {
     y * f32::from_bits(((n as i32 + 127) << 23) as u32)
 }
 
+/// Near 2^x for −100 ≤ x < 128, at most 6 % above it: the bits of a float are nearly its logarithm. What is smaller counts
+/// as −100.
+pub fn power_of_two(x: f32) -> f32 {
+    f32::from_bits(((x.max(-100.0) + 127.0) * 8_388_608.0) as u32)
+}
+
 /// x^y for 0 < x ≤ 1 and y ≥ 0; relative error below 3e-7 (1 + |y ln x|).
 pub fn pow(x: f32, y: f32) -> f32 {
     exp(y * ln(x))
@@ -105,6 +111,17 @@ mod tests {
         assert!(worst < 3e-7, "{worst:e}");
         assert_eq!((exp(0.0), exp(-100.0)), (1.0, 0.0));
         assert!(relative(pow(0.25, 1.5), 0.125) < 1e-6);
+    }
+
+    #[test]
+    fn powers_of_two_are_near() {
+        for i in -99_000..1000 {
+            let x = i as f32 * 1e-3;
+            let ratio = f64::from(power_of_two(x)) / f64::from(x).exp2();
+            assert!((0.9999..1.0615).contains(&ratio), "{x}: {ratio}");
+        }
+        assert_eq!((power_of_two(0.0), power_of_two(-3.0)), (1.0, 0.125));
+        assert_eq!(power_of_two(-1e9), power_of_two(-100.0));
     }
 
     #[test]

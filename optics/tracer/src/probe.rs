@@ -9,6 +9,8 @@ use optics_model::sums::Sums;
 
 use super::exits::{Chunk, Exits};
 use super::kernel::Kernel;
+use super::light::Light;
+use super::pick::ratios;
 use super::powers::AlbedoPowers;
 use super::stack::Stack;
 use super::tally::Tally;
@@ -26,13 +28,14 @@ pub fn count_events(job: &JobSpec) -> Events {
     walk::count_events(&Stack::new(job.scene(), &job.point()), first_chunk(job))
 }
 
-/// The walks of the first chunk alone, without scoring; returns how many left into the ring.
+/// The walks of the first chunk alone, without scoring; returns how many vertices they keep.
 pub fn run_walks(kernel: Kernel, job: &JobSpec) -> Result<usize, Stopped> {
     let chunk = first_chunk(job);
-    let mut exits = Exits::default();
+    let mut exits = Exits::new(chunk.walks);
     let stack = Stack::new(job.scene(), &job.point());
-    kernel.run_chunk(&stack, chunk, &AtomicBool::new(false), &mut exits)?;
-    Ok(exits.in_order(chunk.walks).count())
+    let light = Light::of(job, &stack);
+    kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
+    Ok(exits.in_order().count())
 }
 
 /// The walks of the first chunk, ready to be scored again and again.
@@ -46,17 +49,19 @@ pub struct Scoring<'a> {
 
 impl<'a> Scoring<'a> {
     pub fn new(kernel: Kernel, job: &'a JobSpec) -> Result<Self, Stopped> {
-        let mut exits = Exits::default();
+        let chunk = first_chunk(job);
+        let mut exits = Exits::new(chunk.walks);
         let stack = Stack::new(job.scene(), &job.point());
-        kernel.run_chunk(&stack, first_chunk(job), &AtomicBool::new(false), &mut exits)?;
-        Ok(Self { job, kernel, powers: AlbedoPowers::new(job.albedo()), exits })
+        let light = Light::of(job, &stack);
+        kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
+        Ok(Self { job, kernel, powers: AlbedoPowers::new(&ratios(job.albedo())), exits })
     }
 
     /// Scores the walks as one batch; returns the memory that the sums take.
     pub fn score(&mut self) -> usize {
         let mut partial = Sums::new(self.job);
         let mut tally = Tally::new(self.job, &self.powers);
-        let exits = self.exits.in_order(first_chunk(self.job).walks);
+        let exits = self.exits.in_order();
         self.kernel.score(&mut tally, exits, &mut partial);
         Sums::bytes(self.job)
     }

@@ -1,7 +1,7 @@
 //! From walks to profiles: difference arrays, batches, and sums in a fixed order.
 //!
-//! A walk that meets the base at offsets d₁ … d_m contributes, as a function of the entry position X, a staircase
-//! with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so that the average
+//! A walk that meets the base at offsets d₁ … d_m before it meets the light contributes, as a function of the entry
+//! position X, a staircase with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so that the average
 //! over each pixel is exact, and integrates once per batch.
 //!
 //! Nothing but the base tells left from right, so the mirror image of a walk is as likely as the walk: both are scored.
@@ -12,11 +12,14 @@
     reason = "what is not inlined is not compiled for the instruction set that was chosen at run time"
 )]
 
+use std::ops::Range;
+
 use optics_model::job::JobSpec;
 use optics_model::scene::Sensor;
 use optics_model::sums::{Sums, quantities};
 
-use super::exits::Exit;
+use super::exits::{Albedos, Exit};
+use super::pick::{GROUPS, REFERENCES, groups};
 use super::powers::{AlbedoPowers, GrowingPowers};
 
 /// Steps of one batch of walks: `[cell][channel][quantity][albedo]`, with one cell more than pixels.
@@ -25,12 +28,18 @@ pub struct Tally<'a> {
     job: &'a JobSpec,
     sensor: Sensor,
     powers: &'a AlbedoPowers,
+    /// Albedos of each group, and all.
+    groups: [Vec<Range<usize>>; GROUPS],
+    all: Vec<Range<usize>>,
     /// Per channel: powers of ρ_light and ρ_dark, and their difference.
     reflectances: Vec<(GrowingPowers, GrowingPowers, f64)>,
     columns: usize,
-    steps: Vec<f64>,
-    /// Weight of the walk at hand for every quantity and albedo.
-    weights: Vec<f64>,
+    /// In single precision: a batch's walks are few, and memory is what scoring waits for.
+    steps: Vec<f32>,
+    /// Weight of the exit at hand for every quantity and albedo, and the columns in which it is one.
+    weights: Vec<f32>,
+    exact: Vec<f64>,
+    at_hand: Vec<Range<usize>>,
     /// Positions of the walk's steps in pixels from the left end.
     positions: Vec<f64>,
 }
@@ -44,6 +53,8 @@ impl<'a> Tally<'a> {
             job,
             sensor,
             powers,
+            groups: groups(job.albedo()),
+            all: std::iter::once(0..job.albedo().len()).collect(),
             reflectances: channels
                 .iter()
                 .map(|c| {
@@ -54,11 +65,13 @@ impl<'a> Tally<'a> {
             columns,
             steps: vec![0.0; (sensor.pixels() + 1) * channels.len() * columns],
             weights: vec![0.0; columns],
+            exact: vec![0.0; columns],
+            at_hand: Vec::new(),
             positions: Vec::new(),
         }
     }
 
-    /// Adds the walks of a batch that have left into the ring, and the batch to `partial`.
+    /// Adds the exits of a batch's walks, and the batch to `partial`.
     #[inline(always)]
     pub fn add_batch<'b>(&mut self, exits: impl Iterator<Item = Exit<'b>>, partial: &mut Sums) {
         for exit in exits {
@@ -67,10 +80,13 @@ impl<'a> Tally<'a> {
         self.finish_batch(partial);
     }
 
-    /// Adds a walk and its mirror image, which is just as likely, with half the weight each.
+    /// Adds an exit and its mirror image, which is just as likely, with half the weight each.
     #[inline(always)]
     fn add(&mut self, exit: &Exit<'_>) {
         self.weigh(exit);
+        if self.at_hand.is_empty() {
+            return;
+        }
         for side in [1.0, -1.0] {
             self.add_staircase(side, exit.hits_mm);
         }
@@ -104,29 +120,48 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// α^n, n α^(n−1) and (n/σ_t − L) α^n, times half the walk's weight.
+    /// α^n, n α^(n−1) and (n/σ_t − L) α^n, times half the exit's weight, for the albedos that it counts for.
     #[inline(always)]
     fn weigh(&mut self, exit: &Exit<'_>) {
         let albedos = self.job.albedo().len();
-        let (n, weight) = (exit.scatterings, 0.5 * f64::from(exit.weight));
-        let (values, derivatives) = self.weights.split_at_mut(albedos);
-        self.powers.write(n, weight, values);
-        if !derivatives.is_empty() {
-            let (d_albedo, d_sigma_t) = derivatives.split_at_mut(albedos);
-            self.powers.write(n.saturating_sub(1), weight * f64::from(n), d_albedo);
-            let score = f64::from(n) / self.job.point().sigma_t_per_mm() - f64::from(exit.length_mm);
-            for (d, value) in d_sigma_t.iter_mut().zip(values) {
-                *d = score * *value;
+        let (n, weight) = (exit.scatterings, 0.5 * exit.weight);
+        let (runs, reference) = match exit.albedos {
+            Albedos::All => (&self.all, 1.0),
+            Albedos::Group(group) => (&self.groups[group], f64::from(REFERENCES[group])),
+        };
+        self.at_hand.clear();
+        for run in runs {
+            self.at_hand.push(run.clone());
+            let (values, derivatives) = self.exact.split_at_mut(albedos);
+            let values = &mut values[run.clone()];
+            self.powers.write(n, weight, run.start, values);
+            if !derivatives.is_empty() {
+                let (d_albedo, d_sigma_t) = derivatives.split_at_mut(albedos);
+                let slope = weight * f64::from(n) / reference;
+                self.powers.write(n.saturating_sub(1), slope, run.start, &mut d_albedo[run.clone()]);
+                let score = f64::from(n) / self.job.point().sigma_t_per_mm() - f64::from(exit.length_mm);
+                for (d, value) in d_sigma_t[run.clone()].iter_mut().zip(values) {
+                    *d = score * *value;
+                }
+                self.at_hand.extend([1, 2].map(|q| q * albedos + run.start..q * albedos + run.end));
             }
+        }
+        for columns in &self.at_hand {
+            let exact = &self.exact[columns.clone()];
+            self.weights[columns.clone()].iter_mut().zip(exact).for_each(|(w, e)| *w = single(*e));
         }
     }
 
     #[inline(always)]
     fn add_step(&mut self, cell: usize, channel: usize, step: f64) {
         let row = (cell * self.reflectances.len() + channel) * self.columns;
+        let step = single(step);
         if step != 0.0 {
-            for (sum, weight) in self.steps[row..][..self.columns].iter_mut().zip(&self.weights) {
-                *sum += step * weight;
+            let row = &mut self.steps[row..][..self.columns];
+            for columns in &self.at_hand {
+                for (sum, weight) in row[columns.clone()].iter_mut().zip(&self.weights[columns.clone()]) {
+                    *sum += step * weight;
+                }
             }
         }
     }
@@ -140,7 +175,7 @@ impl<'a> Tally<'a> {
         let sums = partial.sums.chunks_exact_mut(row).zip(partial.squares.chunks_exact_mut(row));
         for (cell, (sum, square)) in cells.zip(sums) {
             for (((level, step), sum), square) in level.iter_mut().zip(cell).zip(sum).zip(square) {
-                *level += *step;
+                *level += f64::from(*step);
                 *step = 0.0;
                 *sum += *level;
                 *square += *level * *level;
@@ -150,4 +185,10 @@ impl<'a> Tally<'a> {
         self.steps[beyond..].fill(0.0);
         partial.batch_added();
     }
+}
+
+/// In single precision; what is so small that it would be slow is 0.
+#[inline(always)]
+fn single(x: f64) -> f32 {
+    if x.abs() < 1e-18 { 0.0 } else { x as f32 }
 }

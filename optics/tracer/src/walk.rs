@@ -10,8 +10,10 @@ use glam::Vec3;
 use super::Stopped;
 use super::exits::{Chunk, Exits};
 use super::fresnel::{Facet, RelativeIndex};
+use super::light::Light;
 use super::math::{ln, unit_vector};
 use super::microfacet::{Scattered, scatter_once, scatter_until_out};
+use super::pick::{AT_BASE, Pick, Reservoir};
 use super::rng::{Stream, uniform};
 use super::stack::Stack;
 
@@ -227,29 +229,46 @@ fn scatter_smoothly(wi: Vec3, index: RelativeIndex, u: f32) -> Scattered {
     Scattered { direction, weight: 1.0 }
 }
 
-/// Runs the walks of a chunk one after the other and collects those that leave into the ring. This is the tracer in
-/// its plainest form, and what the vector kernel must agree with to the last bit.
-pub fn run_chunk(stack: &Stack, chunk: Chunk, stop: &AtomicBool, exits: &mut Exits) -> Result<(), Stopped> {
+/// Runs the walks of a chunk one after the other and connects them with the light. This is the tracer in its plainest
+/// form, and what the vector kernel must agree with to the last bit.
+pub fn run_chunk(
+    stack: &Stack,
+    light: &Light,
+    chunk: Chunk,
+    stop: &AtomicBool,
+    exits: &mut Exits,
+) -> Result<(), Stopped> {
     let [inner, outer] = stack.ring_sin2;
+    let mut hits = Vec::new();
     for index in 0..chunk.walks {
         if stop.load(Ordering::Relaxed) {
             return Err(Stopped);
         }
-        let hits = exits.begin();
+        hits.clear();
         let stream = Stream::new(chunk.key, chunk.index, index);
-        let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream);
+        let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream.clone());
+        let mut reservoir = Reservoir::new();
         while event != Event::Left && event != Event::Lost {
+            let u = walk.direction.z;
             event = walk.step();
-            if event == Event::Base {
-                exits.hit(walk.x_mm);
-            }
-        }
-        if event == Event::Left && (inner..=outer).contains(&walk.sin2()) {
+            let (z_mm, worth) = match event {
+                Event::Scattered => {
+                    reservoir.scattered();
+                    (walk.z_mm, light.about(walk.z_mm, u) * walk.weight)
+                }
+                Event::Base => {
+                    hits.push(walk.x_mm);
+                    (AT_BASE, light.base * walk.weight)
+                }
+                _ => continue,
+            };
             let Walk { weight, scatterings, length_mm, .. } = walk;
-            exits.end(hits, index, weight, scatterings, length_mm);
-        } else {
-            exits.forget(hits);
+            let vertex = Pick { z_mm, u, worth, weight, scatterings, hits: hits.len() as u32, length_mm };
+            reservoir.add(vertex, &stream);
         }
+        let in_ring = event == Event::Left && (inner..=outer).contains(&walk.sin2());
+        let straight = (in_ring && walk.scatterings == 0 && hits.is_empty()).then_some(walk.weight);
+        exits.end(index, hits.iter().copied(), reservoir.kept(), straight, light);
     }
     Ok(())
 }

@@ -6,19 +6,37 @@ use optics_model::TransportPoint;
 use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
 
 use super::Kernel;
-use crate::exits::{Chunk, Exit, Exits};
+use crate::exits::{Albedos, Chunk, Exit, Exits};
+use crate::light::Light;
 use crate::stack::Stack;
+use crate::walk::ROULETTE_BLOCKS;
 
-/// Everything about the exits of a chunk, in order.
-fn exits(kernel: Kernel, stack: &Stack, walks: u32) -> Vec<(u32, u32, u32, u32, Vec<u32>)> {
+/// Everything about an exit, in bits.
+#[derive(Debug, PartialEq)]
+struct Bits {
+    walk: u32,
+    albedos: Albedos,
+    weight: u64,
+    scatterings: u32,
+    length: u32,
+    hits: Vec<u32>,
+}
+
+/// The exits of a chunk, in order.
+fn exits(kernel: Kernel, stack: &Stack, walks: u32) -> Vec<Bits> {
     let chunk = Chunk { key: [0x1234_5678, 0x9abc_def0], index: (7 << 32) + 5, walks };
-    let mut exits = Exits::default();
-    kernel.run_chunk(stack, chunk, &AtomicBool::new(false), &mut exits).expect("nobody stops it");
-    let bits = |exit: Exit<'_>| {
-        let hits = exit.hits_mm.iter().map(|x| x.to_bits()).collect();
-        (exit.walk, exit.weight.to_bits(), exit.scatterings, exit.length_mm.to_bits(), hits)
+    let light = Light::new(stack, stack.ring_sin2.map(|s| f64::from(s).clamp(0.0, 1.0)), true);
+    let mut exits = Exits::new(walks);
+    kernel.run_chunk(stack, &light, chunk, &AtomicBool::new(false), &mut exits).expect("nobody stops it");
+    let bits = |exit: Exit<'_>| Bits {
+        walk: exit.walk,
+        albedos: exit.albedos,
+        weight: exit.weight.to_bits(),
+        scatterings: exit.scatterings,
+        length: exit.length_mm.to_bits(),
+        hits: exit.hits_mm.iter().map(|x| x.to_bits()).collect(),
     };
-    exits.in_order(walks).map(bits).collect()
+    exits.in_order().map(bits).collect()
 }
 
 fn scene(layers: Vec<Layer>, ring: [f64; 2], polar_deg: f64) -> Scene {
@@ -97,8 +115,9 @@ fn kernels_agree_about_roulette() {
     let point = TransportPoint::new(600.0, 0.0, 0.5, 1.5).expect("valid");
     let stack = Stack::new(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), &point);
     let expected = exits(Kernel::SCALAR, &stack, 2_000);
-    assert!(expected.iter().any(|exit| f32::from_bits(exit.1) > 1.0), "no walk has survived roulette");
-    assert!(expected.len() < 2_000, "no walk has been lost to roulette");
+    // Two scatterings a block at most.
+    let survived = expected.iter().any(|exit| exit.scatterings > 2 * ROULETTE_BLOCKS);
+    assert!(survived, "no walk has met the light after roulette");
     for kernel in Kernel::all() {
         assert!(exits(kernel, &stack, 2_000) == expected, "{kernel}");
     }
@@ -133,7 +152,10 @@ fn every_kernel_can_be_stopped() {
     let point = TransportPoint::new(2.0, 0.0, 0.5, 1.53).expect("valid");
     let stack = Stack::new(&Scene::paper(), &point);
     let chunk = Chunk { key: [1, 2], index: 0, walks: 25_000 };
+    let light = Light::new(&stack, [0.0, 1.0], false);
     for kernel in Kernel::all() {
-        assert!(kernel.run_chunk(&stack, chunk, &AtomicBool::new(true), &mut Exits::default()).is_err());
+        assert!(
+            kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(true), &mut Exits::new(25_000)).is_err()
+        );
     }
 }

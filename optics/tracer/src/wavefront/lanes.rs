@@ -4,6 +4,7 @@ use fearless_simd::{Bytes, Simd, SimdBase, SimdMask};
 
 use super::order::Order;
 pub use super::vector::{Floats, Mask, WIDTH, Words};
+use crate::pick::GROUPS;
 
 /// Walks that are under way at a time: what keeps every queue's vectors full and still fits the second-level
 /// cache. The result does not depend on it.
@@ -13,7 +14,7 @@ pub const POOL: usize = 1024;
 const ROOM: usize = POOL + 2 * WIDTH;
 
 /// Words that make up the state of a walk.
-const STATE: usize = 10;
+const STATE: usize = 15;
 
 /// The first `n` lanes.
 #[inline(always)]
@@ -45,12 +46,17 @@ pub struct Walks<S: Simd> {
     pub block: Words<S>,
     /// Place in the chunk.
     pub walk: Words<S>,
+    /// What [`crate::pick`] keeps of each group of albedos: the sum over the vertices, and where the next is kept.
+    pub sums: [Floats<S>; GROUPS],
+    pub next: [Floats<S>; GROUPS],
+    /// α_ref^n of the first group.
+    pub power: Floats<S>,
 }
 
 impl<S: Simd> Walks<S> {
     #[inline(always)]
     fn from_words(words: [Words<S>; STATE]) -> Self {
-        let [x, z, dx, dy, dz, length, weight, scatterings, block, walk] = words;
+        let [x, z, dx, dy, dz, length, weight, scatterings, block, walk, s0, s1, n0, n1, power] = words;
         Self {
             x: x.bitcast(),
             z: z.bitcast(),
@@ -62,6 +68,9 @@ impl<S: Simd> Walks<S> {
             scatterings,
             block,
             walk,
+            sums: [s0.bitcast(), s1.bitcast()],
+            next: [n0.bitcast(), n1.bitcast()],
+            power: power.bitcast(),
         }
     }
 
@@ -78,6 +87,11 @@ impl<S: Simd> Walks<S> {
             self.scatterings,
             self.block,
             self.walk,
+            self.sums[0].bitcast(),
+            self.sums[1].bitcast(),
+            self.next[0].bitcast(),
+            self.next[1].bitcast(),
+            self.power.bitcast(),
         ]
     }
 }

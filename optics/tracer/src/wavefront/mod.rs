@@ -16,9 +16,12 @@
 mod flight;
 mod gate;
 mod hits;
+mod keep;
 mod lanes;
 mod numbers;
 mod order;
+mod permute;
+mod table;
 mod vector;
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -27,25 +30,29 @@ use fearless_simd::{Level, Simd, SimdBase, SimdInto, SimdMask, dispatch, u32x16}
 
 use super::Stopped;
 use super::exits::{Chunk, Exits};
+use super::light::Light;
+use super::pick::GROUPS;
 use super::rng::{FIRST_BLOCK, Stream, uniform};
 use super::stack::Stack;
 use super::walk::ROULETTE_BLOCKS;
 use flight::Sample;
 use gate::{Fates, Gate, Kind, Route, gate_at_end, gates, reflect_diffusely};
 use hits::Hits;
+use keep::Keep;
 use lanes::{Floats, Mask, POOL, Queue, WIDTH, Walks, Words, count, first_lanes};
 use numbers::Philox;
 use order::Order;
 
-/// Runs the walks of a chunk with the instructions of `level` and collects those that leave into the ring.
+/// Runs the walks of a chunk with the instructions of `level` and connects them with the light.
 pub fn run_chunk(
     level: Level,
     stack: &Stack,
+    light: &Light,
     chunk: Chunk,
     stop: &AtomicBool,
     exits: &mut Exits,
 ) -> Result<(), Stopped> {
-    dispatch!(level, simd => Wavefront::new(simd, stack, chunk, exits).run(stop))
+    dispatch!(level, simd => Wavefront::new(simd, stack, light, chunk, exits).run(stop))
 }
 
 struct Wavefront<'a, S: Simd> {
@@ -67,12 +74,15 @@ struct Wavefront<'a, S: Simd> {
     begun: u32,
     ended: u32,
     hits: Hits,
+    keep: Keep<'a, S>,
     exits: &'a mut Exits,
+    /// Hits of a walk that ends.
+    hits_mm: Vec<f32>,
 }
 
 impl<'a, S: Simd> Wavefront<'a, S> {
     #[inline(always)]
-    fn new(simd: S, stack: &'a Stack, chunk: Chunk, exits: &'a mut Exits) -> Self {
+    fn new(simd: S, stack: &'a Stack, light: &'a Light, chunk: Chunk, exits: &'a mut Exits) -> Self {
         let gates = gates(stack);
         Self {
             simd,
@@ -88,7 +98,9 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             begun: 0,
             ended: 0,
             hits: Hits::new(chunk.walks),
+            keep: Keep::new(simd, light, chunk),
             exits,
+            hits_mm: Vec::new(),
         }
     }
 
@@ -141,6 +153,9 @@ impl<'a, S: Simd> Wavefront<'a, S> {
                 scatterings: Words::splat(self.simd, 0),
                 block: Words::splat(self.simd, FIRST_BLOCK),
                 walk: u32x16::from_fn(self.simd, |lane| self.begun + lane as u32),
+                sums: [float(0.0); GROUPS],
+                next: [float(0.0); GROUPS],
+                power: float(1.0),
             };
             self.waiting[0].push(self.simd, &walks, first_lanes(self.simd, n as usize));
             self.begun += n;
@@ -171,7 +186,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             }
             at += WIDTH;
             let lanes = self.play_roulette(&mut walks, all);
-            let stay = self.sample.fly_twice(&self.random, &mut walks, lanes);
+            let stay = self.sample.fly_twice(&self.random, &mut walks, lanes, &mut self.keep, &self.hits);
             let order = Order::new(self.simd, stay);
             self.inside.place(&walks, &order, kept);
             kept += order.chosen();
@@ -210,14 +225,15 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             let mut stream = Stream::new(self.chunk.key, self.chunk.index, walk[lane]).at_block(block[lane]);
             if uniform(stream.words()[0]) < 0.5 {
                 alive &= !(1 << lane);
-                self.end(walk[lane]);
             }
             weight[lane] *= 2.0;
             block[lane] += 1;
         }
         walks.weight = weight.simd_into(self.simd);
         walks.block = block.simd_into(self.simd);
-        Mask::from_bitmask(self.simd, alive)
+        let alive = Mask::from_bitmask(self.simd, alive);
+        self.end(walks, lanes & !alive, None);
+        alive
     }
 
     /// Takes the walks that wait at a gate through it, in vectors of at least `least` walks.
@@ -253,15 +269,13 @@ impl<'a, S: Simd> Wavefront<'a, S> {
                 for lane in bits(lanes) {
                     self.hits.push(walk[lane], x[lane]);
                 }
+                self.keep.hit(&mut walks, lanes, &self.hits);
                 reflect_diffusely(&self.random, &mut walks);
                 let none = Mask::splat(self.simd, false);
                 Fates { reflected: lanes, transmitted: none, lost: none }
             }
         };
-        let walk = walks.walk.to_array();
-        for lane in bits(fates.lost) {
-            self.end(walk[lane]);
-        }
+        self.end(&walks, fates.lost, None);
         self.go_on(&mut walks, fates.reflected, gate.reflected);
         self.go_on(&mut walks, fates.transmitted, gate.transmitted);
     }
@@ -302,28 +316,32 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         }
     }
 
-    /// Ends walks that have left the stack; those in the ring are kept for the tally.
+    /// Ends walks that have left the stack.
     #[inline(always)]
     fn leave(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
         let sin2 = walks.dx * walks.dx + walks.dy * walks.dy;
         let [inner, outer] = self.stack.ring_sin2;
-        let scores = lanes & sin2.simd_ge(inner) & sin2.simd_le(outer);
-        let (walk, weight) = (walks.walk.to_array(), walks.weight.to_array());
-        let (scatterings, length) = (walks.scatterings.to_array(), walks.length.to_array());
-        for lane in bits(scores) {
-            let begin = self.exits.begin();
-            self.hits.move_to(walk[lane], self.exits);
-            self.exits.end(begin, walk[lane], weight[lane], scatterings[lane], length[lane]);
-        }
-        for lane in bits(lanes & !scores) {
-            self.hits.forget(walk[lane]);
-        }
-        self.ended += count(lanes) as u32;
+        self.end(walks, lanes, Some(sin2.simd_ge(inner) & sin2.simd_le(outer)));
     }
 
-    fn end(&mut self, walk: u32) {
-        self.hits.forget(walk);
-        self.ended += 1;
+    /// Ends walks and hands on what they have met of the light. Those in the ring have left into it.
+    #[inline(always)]
+    fn end(&mut self, walks: &Walks<S>, lanes: Mask<S>, in_ring: Option<Mask<S>>) {
+        if !lanes.any_true() {
+            return;
+        }
+        let (walk, weight) = (walks.walk.to_array(), walks.weight.to_array());
+        let (sums, scatterings) = (walks.sums.map(|s| s.to_array()), walks.scatterings.to_array());
+        let in_ring = in_ring.map_or(0, |lanes| lanes.to_bitmask());
+        for lane in bits(lanes) {
+            let walk = walk[lane];
+            self.hits.take(walk, &mut self.hits_mm);
+            let straight = in_ring >> lane & 1 == 1 && scatterings[lane] == 0 && self.hits_mm.is_empty();
+            let kept = self.keep.kept(walk, sums.map(|s| s[lane]));
+            let hits_mm = self.hits_mm.iter().copied();
+            self.exits.end(walk, hits_mm, kept, straight.then_some(weight[lane]), self.keep.light);
+        }
+        self.ended += count(lanes) as u32;
     }
 }
 
