@@ -41,10 +41,9 @@ pub use bare_board::BareBoard;
 use exits::{Chunk, Exits};
 pub use kernel::Kernel;
 use light::Light;
-use pick::ratios;
-use powers::AlbedoPowers;
+use pick::GROUPS;
 use stack::Stack;
-use tally::Tally;
+use tally::{Group, Tally};
 
 /// Batches whose walks share a chunk: a unit of parallel work, whose sums are added up one after the other. Part of
 /// the physics version, since it fixes the streams and the order of sums.
@@ -90,7 +89,7 @@ struct Tracer<'a> {
     job: &'a JobSpec,
     stack: Stack,
     light: Light,
-    powers: AlbedoPowers,
+    groups: [Group; GROUPS],
     key: [u32; 2],
     stop: &'a AtomicBool,
 }
@@ -103,7 +102,7 @@ impl<'a> Tracer<'a> {
             job,
             light: Light::of(job, &stack),
             stack,
-            powers: AlbedoPowers::new(&ratios(job.albedo())),
+            groups: Group::all(job),
             key: stream_key(job.seed(), &job.point()),
             stop,
         }
@@ -138,7 +137,7 @@ impl<'a> Tracer<'a> {
         let mut exits = Exits::new(walks);
         self.kernel.run_chunk(&self.stack, &self.light, chunk, self.stop, &mut exits)?;
         let mut partial = Sums::new(self.job);
-        let mut tally = Tally::new(self.job, &self.powers);
+        let mut tally = Tally::new(self.job, &self.groups);
         let mut exits = exits.in_order().peekable();
         for batch in 1..=batches {
             if self.stop.load(Ordering::Relaxed) {

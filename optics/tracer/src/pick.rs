@@ -9,8 +9,6 @@
 //! when the last one was kept (Efraimidis and Spirakis 2006, "Weighted random sampling with a reservoir", exponential
 //! jumps).
 
-use std::ops::Range;
-
 use super::light::Light;
 use super::rng::{Stream, uniform};
 
@@ -43,28 +41,14 @@ pub struct Pick {
 /// Height of hits on the base.
 pub const AT_BASE: f32 = -1.0;
 
-/// The runs of these albedos that belong to each group.
-pub fn groups(albedos: &[f64]) -> [Vec<Range<usize>>; GROUPS] {
-    let group =
-        |albedo: f64| REFERENCES.iter().position(|r| albedo <= f64::from(*r) + 1e-6).unwrap_or(GROUPS - 1);
-    let mut runs: [Vec<Range<usize>>; GROUPS] = Default::default();
+/// Indices of the albedos of each group.
+pub fn members(albedos: &[f64]) -> [Vec<usize>; GROUPS] {
+    let mut members: [Vec<usize>; GROUPS] = Default::default();
     for (i, albedo) in albedos.iter().enumerate() {
-        let runs = &mut runs[group(*albedo)];
-        match runs.last_mut() {
-            Some(run) if run.end == i => run.end += 1,
-            _ => runs.push(i..i + 1),
-        }
+        let group = REFERENCES.iter().position(|r| *albedo <= f64::from(*r) + 1e-6);
+        members[group.unwrap_or(GROUPS - 1)].push(i);
     }
-    runs
-}
-
-/// α/α_ref of each albedo.
-pub fn ratios(albedos: &[f64]) -> Vec<f64> {
-    let mut ratios = albedos.to_vec();
-    for (runs, reference) in groups(albedos).into_iter().zip(REFERENCES) {
-        runs.into_iter().flatten().for_each(|i| ratios[i] /= f64::from(reference));
-    }
-    ratios
+    members
 }
 
 impl Pick {
@@ -131,10 +115,8 @@ mod tests {
 
     #[test]
     fn albedos_belong_to_the_group_with_the_next_larger_reference() {
-        let [dark, bright] = groups(&[0.05, 0.9, 0.91, 1.0]);
-        assert_eq!((dark, bright), (vec![0..2], vec![2..4]));
-        let [dark, bright] = groups(&[0.95, 0.1, 0.99]);
-        assert_eq!((dark, bright), (vec![1..2], vec![0..1, 2..3]));
+        assert_eq!(members(&[0.05, 0.9, 0.91, 1.0]), [vec![0, 1], vec![2, 3]]);
+        assert_eq!(members(&[0.95, 0.1, 0.99]), [vec![1], vec![0, 2]]);
     }
 
     /// Vertices are kept as often as they are worth, in each group by its own powers.

@@ -10,10 +10,9 @@ use optics_model::sums::Sums;
 use super::exits::{Chunk, Exits};
 use super::kernel::Kernel;
 use super::light::Light;
-use super::pick::ratios;
-use super::powers::AlbedoPowers;
+use super::pick::GROUPS;
 use super::stack::Stack;
-use super::tally::Tally;
+use super::tally::{Group, Tally};
 use super::walk::{self, Events};
 use super::{CHUNK_BATCHES, Stopped};
 
@@ -43,7 +42,7 @@ pub fn run_walks(kernel: Kernel, job: &JobSpec) -> Result<usize, Stopped> {
 pub struct Scoring<'a> {
     job: &'a JobSpec,
     kernel: Kernel,
-    powers: AlbedoPowers,
+    groups: [Group; GROUPS],
     exits: Exits,
 }
 
@@ -54,13 +53,13 @@ impl<'a> Scoring<'a> {
         let stack = Stack::new(job.scene(), &job.point());
         let light = Light::of(job, &stack);
         kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
-        Ok(Self { job, kernel, powers: AlbedoPowers::new(&ratios(job.albedo())), exits })
+        Ok(Self { job, kernel, groups: Group::all(job), exits })
     }
 
     /// Scores the walks as one batch; returns the memory that the sums take.
     pub fn score(&mut self) -> usize {
         let mut partial = Sums::new(self.job);
-        let mut tally = Tally::new(self.job, &self.powers);
+        let mut tally = Tally::new(self.job, &self.groups);
         let exits = self.exits.in_order();
         self.kernel.score(&mut tally, exits, &mut partial);
         Sums::bytes(self.job)
