@@ -23,7 +23,8 @@ pub use edge::EdgeLine;
 pub(crate) use movement::{check as check_moved, check_blur};
 
 use find::{Found, find};
-pub(crate) use find::{Sharpness, sharpness};
+pub use find::FreeEdge;
+pub(crate) use find::free_edges;
 
 use edge::HALF_CROP_MM;
 use optics_model::Invalid;
