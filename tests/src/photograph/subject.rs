@@ -22,7 +22,8 @@ impl Edge {
 
 impl fmt::Debug for Edge {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Edge({:?} … {:?})", [0, 1, 2].map(|c| self.at(c, -5.0)), [0, 1, 2].map(|c| self.at(c, 5.0)))
+        let ends = [-5.0, 5.0].map(|x| [0, 1, 2].map(|c| self.at(c, x)));
+        f.debug_tuple("Edge").field(&ends).finish()
     }
 }
 

@@ -55,7 +55,8 @@ mod tests {
 
     #[test]
     fn a_profile_is_linear_on_each_side_and_jumps_at_the_edge() {
-        let values: Vec<f64> = (0..12).map(|i| if i < 6 { f64::from(i) } else { 10.0 + f64::from(i) }).collect();
+        let values: Vec<f64> =
+            (0..12).map(|i| if i < 6 { f64::from(i) } else { 10.0 + f64::from(i) }).collect();
         // Pixels of 1 mm: centres at −5.5 … 5.5.
         assert_eq!((at(&values, -5.5), at(&values, -4.75)), (0.0, 0.75));
         assert_eq!((at(&values, -1e-9), at(&values, 1e-9)), (5.0, 16.0));

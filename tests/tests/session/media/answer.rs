@@ -41,7 +41,12 @@ impl Answer {
             found: quantities(&Medium::new(sigma_t, albedo, g).unwrap()),
             intervals: [
                 interval("sigma_t_interval"),
-                Interval { low: 1.0 - a.high, high: 1.0 - a.low, open_low: a.open_high, open_high: a.open_low },
+                Interval {
+                    low: 1.0 - a.high,
+                    high: 1.0 - a.low,
+                    open_low: a.open_high,
+                    open_high: a.open_low,
+                },
                 interval("reduced_scattering_interval"),
                 interval("absorption_interval"),
             ],
@@ -73,9 +78,10 @@ fn quantities(m: &Medium) -> [f64; 4] {
 
 /// One row for each medium (Markdown).
 pub(super) fn table(answers: &[Answer]) -> String {
-    let mut text = "| medium | σ_t truth | found | 95 % | holds | off | 1 − α truth | found | 95 % | holds | off \
+    let mut text =
+        "| medium | σ_t truth | found | 95 % | holds | off | 1 − α truth | found | 95 % | holds | off \
                     | p(χ²) |\n|---|---|---|---|---|---|---|---|---|---|---|---|\n"
-        .to_owned();
+            .to_owned();
     for a in answers {
         text += &format!("| {}{} ", a.name, if a.resolved { "" } else { " (unresolved)" });
         for (q, digits) in [(0, 4), (1, 3)] {

@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use farm_tests::dng::dng;
-use farm_tests::photograph::{Board, Camera, Dust, Look, Random, Session, Slab, Told, What, session_file, traced};
+use farm_tests::photograph::{
+    Board, Camera, Dust, Look, Random, Session, Slab, Told, What, session_file, traced,
+};
 use optics_model::scene::Channel;
 use optics_model::{Medium, Scene};
 use optics_tracer::BareBoard;
@@ -93,7 +95,8 @@ impl Laboratory {
                 std::fs::write(folder.join(format!("{file}_{}.dng", index + 1)), dng(&photo)).unwrap();
             }
         };
-        let after = |from: f64, count: u64| (0..count).map(|i| (i, from + 60.0 * i as f64)).collect::<Vec<_>>();
+        let after =
+            |from: f64, count: u64| (0..count).map(|i| (i, from + 60.0 * i as f64)).collect::<Vec<_>>();
         shoot(&mut session, What::Dark, ("dark", self.seed), &after(0.0, 3));
         shoot(&mut session, What::Sheet, ("flat", self.seed), &after(200.0, 3));
         shoot(&mut session, What::Chart, ("chart", self.seed), &[(0, 400.0), (1, LAST_S)]);
@@ -125,9 +128,7 @@ fn scene(random: &mut Random) -> Scene {
 
 fn board(scene: &Scene, square_mm: f64) -> Board {
     let bare = BareBoard::of(scene).unwrap();
-    let seen = |rho: &dyn Fn(&Channel) -> f64| {
-        [0, 1, 2].map(|c| bare.apparent(rho(&scene.channels()[c])))
-    };
+    let seen = |rho: &dyn Fn(&Channel) -> f64| [0, 1, 2].map(|c| bare.apparent(rho(&scene.channels()[c])));
     let (light, dark) = (seen(&|c| c.rho_light()), seen(&|c| c.rho_dark()));
     Board { square_mm, light, dark, sign: 1.0, bow_per_mm: 0.0 }
 }

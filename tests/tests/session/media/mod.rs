@@ -7,13 +7,16 @@
 //!
 //! | variable | meaning |
 //! |---|---|
-//! | `FARM_TEST_SESSIONS=20` | so many sessions |
+//! | `FARM_TEST_SESSIONS=0..20` | these sessions |
+//! | `FARM_TEST_KEEP=DIR` | keeps their folders |
 //! | `FARM_TEST_WITHOUT=white,dust` | without these defects, named in `laboratory.rs`, to see what they do |
 //! | `FARM_TEST_AXES='g = [0.3, 0.4, 0.5]'` | axes of the dictionary; g then comes from between these |
 
 mod answer;
 mod laboratory;
 
+use std::ops::Range;
+use std::path::Path;
 use std::time::Instant;
 
 use farm_tests::cli::{folder, json};
@@ -29,7 +32,7 @@ const HELD: f64 = 0.9;
 
 /// How much is done.
 struct Trial {
-    sessions: u64,
+    sessions: Range<u64>,
     without: Vec<String>,
     /// Lines that the dictionary's grid gets.
     axes: String,
@@ -41,7 +44,7 @@ struct Trial {
 impl Trial {
     fn normal() -> Self {
         let axes = "g = [0.3, 0.4, 0.5]\nwalks = 100000\n".to_owned();
-        Self { sessions: 1, without: Vec::new(), axes, g: (0.3, 0.5), walks: 1_000_000 }
+        Self { sessions: 0..1, without: Vec::new(), axes, g: (0.3, 0.5), walks: 1_000_000 }
     }
 
     fn long() -> Self {
@@ -53,12 +56,15 @@ impl Trial {
         }
         let axes = given("FARM_TEST_AXES").map_or(String::new(), |axes| axes + "\n");
         let g = if axes.is_empty() { (0.0, 0.8) } else { (0.3, 0.5) };
-        let sessions = given("FARM_TEST_SESSIONS").map_or(7, |v| v.parse().unwrap());
+        let sessions = given("FARM_TEST_SESSIONS").map_or(0..7, |v| {
+            let (from, to) = v.split_once("..").expect("FARM_TEST_SESSIONS is a range such as 0..20");
+            from.parse().unwrap()..to.parse().unwrap()
+        });
         Self { sessions, without, axes, g, walks: 4_000_000 }
     }
 
     fn answers(&self) -> Vec<Answer> {
-        (0..self.sessions).flat_map(|number| self.session(number)).collect()
+        self.sessions.clone().flat_map(|number| self.session(number)).collect()
     }
 
     /// From photographs to the media of one session.
@@ -78,17 +84,23 @@ impl Trial {
         assert_eq!(measured.code, 0, "session {number}: {}", measured.stderr);
         let data = json(&measured, "measure");
         println!(
-            "session {number}: g {:.3}, white off by {:+.2} %, {:.0} s\n{}",
+            "session {number}: g {:.3}, white reference off by {:+.2} %, {:.0} s",
             laboratory.g(),
             100.0 * laboratory.white,
             started.elapsed().as_secs_f64(),
-            captured.stdout.lines().filter(|l| l.starts_with("board") || l.starts_with("errors")).collect::<Vec<_>>().join("\n"),
         );
+        let of_set_up = |line: &&str| line.starts_with("board") || line.starts_with("errors");
+        captured.stdout.lines().filter(of_set_up).for_each(|line| println!("{line}"));
         let channels = data["materials"][0]["channels"].as_array().unwrap().iter();
         let answer = |(medium, channel): (_, &serde_json::Value)| {
             Answer::new(format!("{number} {}", channel["channel"].as_str().unwrap()), medium, channel)
         };
-        laboratory.media.iter().zip(channels).map(answer).collect()
+        if let Some(kept) = std::env::var_os("FARM_TEST_KEEP") {
+            std::fs::rename(folder.path(), Path::new(&kept).join(number.to_string())).unwrap();
+        }
+        let answers: Vec<Answer> = laboratory.media.iter().zip(channels).map(answer).collect();
+        println!("{}", table(&answers));
+        answers
     }
 }
 
@@ -96,7 +108,6 @@ impl Trial {
 fn photographs_become_media_and_intervals_hold_the_truth() {
     let trial = if effort() >= 10 { Trial::long() } else { Trial::normal() };
     let answers = trial.answers();
-    println!("{}", table(&answers));
     let share = |q: usize| Share::of(answers.iter().map(|a| a.holds(q))).unwrap();
     for (q, name) in QUANTITIES.into_iter().enumerate() {
         let errors = |s: f64| 100.0 * quantile(answers.iter().map(|a| a.error(q).abs()).collect(), s);
