@@ -38,7 +38,7 @@ const SQUARE: [Edge; 4] = [
 ];
 
 fn part(file: &Path, [columns, rows]: Area) -> Photo {
-    let bytes = std::fs::read(file).unwrap();
+    let bytes = std::fs::read(file).expect("the photograph is there");
     assert_eq!(bytes.len(), 2 * WIDTH * HEIGHT, "{}", file.display());
     let samples: Vec<u16> = bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
     let row = |y: usize| samples[y * WIDTH..][columns[0]..columns[1]].to_vec();
@@ -47,7 +47,8 @@ fn part(file: &Path, [columns, rows]: Area) -> Photo {
     let pattern = Pattern::Bayer([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]);
     Photo {
         label: "openisp".to_owned(),
-        frame: Frame::new(columns[1] - columns[0], rows[1] - rows[0], pattern, samples).unwrap(),
+        frame: Frame::new(columns[1] - columns[0], rows[1] - rows[0], pattern, samples)
+            .expect("parts are large enough"),
         levels: Levels { black: Some([BLACK; 4]), white: Some(FULL) },
         seconds: None,
         exposure: None,
