@@ -1,14 +1,15 @@
 //! The finished records of a dictionary: all that were promised, or an error.
 //!
 //! A coordinator does not keep a stream for ever that nobody reads, and connections break. Then the rest is asked for
-//! again, from the first record that has not come.
+//! again, from the first record that has not come. Records that are named one by one are asked for in pieces of as many as
+//! one call may name.
 
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::{ExportRequest, GetRequest};
-use farm_proto::{RECORDS_PROMISED, wire};
+use farm_proto::{RECORDS_PROMISED, RequestLimits, wire};
 use optics_model::Record;
 use tonic::{Code, Status, Streaming};
 
@@ -26,8 +27,10 @@ pub(crate) struct Records<'a> {
     connection: &'a Connection,
     dictionary: &'a DictionaryStatus,
     indices: Vec<u32>,
+    /// How many of the indices have been asked for.
+    asked: usize,
     stream: Streaming<wire::Record>,
-    /// How many the coordinator said are done.
+    /// How many of those the coordinator said are done.
     promised: usize,
     received: usize,
     /// Number of the first record that has not come.
@@ -42,8 +45,9 @@ impl<'a> Records<'a> {
         dictionary: &'a DictionaryStatus,
         indices: Vec<u32>,
     ) -> Result<Self> {
-        let (stream, promised) = ask(connection, dictionary, &indices, 0).await?;
-        Ok(Self { connection, dictionary, indices, stream, promised, received: 0, next: 0, tries: 0 })
+        let asked = indices.len().min(RequestLimits::INDICES);
+        let (stream, promised) = ask(connection, dictionary, &indices[..asked], 0).await?;
+        Ok(Self { connection, dictionary, indices, asked, stream, promised, received: 0, next: 0, tries: 0 })
     }
 
     /// The next record; None if all have come.
@@ -61,6 +65,13 @@ impl<'a> Records<'a> {
                 Ok(None) if self.received < self.promised => {
                     let early = anyhow::anyhow!("the coordinator ended the stream without a reason");
                     return Err(early.context(self.incomplete()));
+                }
+                Ok(None) if self.asked < self.indices.len() => {
+                    self.next = self.indices[self.asked];
+                    self.asked = self.indices.len().min(self.asked + RequestLimits::INDICES);
+                    if let Err(error) = self.ask_for_rest().await {
+                        self.go_on_after(error.downcast::<Status>()?).await?;
+                    }
                 }
                 Ok(None) => return Ok(None),
                 Err(status) => self.go_on_after(status).await?,
@@ -94,7 +105,13 @@ impl<'a> Records<'a> {
             "dictionary {} has been replaced by another one meanwhile",
             self.dictionary.name
         );
-        let (stream, rest) = ask(self.connection, self.dictionary, &self.indices, self.next).await?;
+        let indices = &self.indices[..self.asked];
+        let begin = indices.partition_point(|n| *n < self.next);
+        if begin == indices.len() && begin > 0 {
+            // All of them have come; a list of none would mean all records.
+            return Ok(());
+        }
+        let (stream, rest) = ask(self.connection, self.dictionary, &indices[begin..], self.next).await?;
         self.stream = stream;
         self.promised = self.promised.max(self.received + rest);
         Ok(())

@@ -72,6 +72,8 @@ impl RequestLimits {
     pub const MESSAGE_BYTES: usize = 16 << 20;
     /// Most leases of one call.
     pub const LEASES: u32 = 1024;
+    /// Most records that one call names by their numbers.
+    pub const INDICES: usize = 10_000;
     /// Lowest and highest priority of a dictionary.
     pub const PRIORITY: std::ops::RangeInclusive<i32> = -1000..=1000;
     /// Longest label, reason or other text for people that is kept, in bytes.

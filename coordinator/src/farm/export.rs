@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use farm_proto::DictionaryName;
+use farm_proto::{DictionaryName, RequestLimits};
 use optics_model::{Grid, Invalid, Record};
 
 use super::{Farm, Result};
@@ -62,6 +62,11 @@ fn at_a_time(grid: &Grid) -> usize {
 /// The numbers of the records that are wanted, in pieces that are read at once.
 fn ranges(grid: &Grid, first: usize, indices: &[u32]) -> Result<Vec<Range<usize>>, Invalid> {
     let (total, chunk) = (grid.record_count(), at_a_time(grid));
+    if indices.len() > RequestLimits::INDICES {
+        let allowed =
+            format!("at most {} are allowed: ask for the others in another call", RequestLimits::INDICES);
+        return Err(Invalid::new("indices", format!("{} numbers", indices.len()), allowed));
+    }
     let allowed = || format!("the dictionary has records 0 to {}", total - 1);
     if let Some((i, bad)) = indices.iter().enumerate().find(|(_, n)| **n as usize >= total) {
         return Err(Invalid::new(format!("indices[{i}]"), bad, allowed()));
@@ -73,6 +78,38 @@ fn ranges(grid: &Grid, first: usize, indices: &[u32]) -> Result<Vec<Range<usize>
     if indices.is_empty() {
         return Ok((first..total).step_by(chunk).map(|from| from..(from + chunk).min(total)).collect());
     }
-    let numbers = indices.iter().map(|n| *n as usize).filter(|n| *n >= first);
-    Ok(numbers.map(|n| n..n + 1).collect())
+    let mut ranges: Vec<Range<usize>> = Vec::new();
+    for number in indices.iter().map(|n| *n as usize).filter(|n| *n >= first) {
+        match ranges.last_mut() {
+            Some(range) if range.end == number && range.len() < chunk => range.end += 1,
+            _ => ranges.push(number..number + 1),
+        }
+    }
+    Ok(ranges)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_follow_each_other_are_read_at_once() {
+        let grid = Grid::paper();
+        assert_eq!(ranges(&grid, 0, &[5, 6, 7, 3, 3, 4]).unwrap(), [5..8, 3..4, 3..5]);
+        assert_eq!(ranges(&grid, 6, &[5, 6, 7]).unwrap(), [6..8]);
+    }
+
+    #[test]
+    fn what_is_asked_for_is_bounded() {
+        let grid = Grid::paper();
+        let most = vec![1; RequestLimits::INDICES];
+        assert_eq!(ranges(&grid, 0, &most).unwrap().len(), most.len());
+        let error = ranges(&grid, 0, &[most, vec![2]].concat()).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "indices = 10001 numbers is not valid: at most 10000 are allowed: ask for the others in another call"
+        );
+        let error = ranges(&grid, 0, &[7, 34_276]).unwrap_err().to_string();
+        assert!(error.starts_with("indices[1] = 34276"), "{error}");
+    }
 }

@@ -1,7 +1,8 @@
-//! The data directory: created, proven writable and locked before SQLite touches it.
+//! The data directory: created, closed to other users, proven writable and locked before SQLite touches it.
 
-use std::fs::{File, TryLockError};
+use std::fs::{DirBuilder, File, Permissions, TryLockError};
 use std::io::Write;
+use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
 use super::{Result, StoreError, filesystem};
@@ -22,11 +23,13 @@ impl DataDir {
         if let Some(warning) = filesystem::refuse_network_filesystem(path)? {
             tracing::warn!("{warning}");
         }
-        std::fs::create_dir_all(path).map_err(fault("cannot be created"))?;
+        DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(fault("cannot be created"))?;
+        close_to_others(path, 0o700);
         let lock = File::options()
             .create(true)
             .truncate(false)
             .write(true)
+            .mode(0o600)
             .open(path.join("lock"))
             .map_err(fault("cannot be written to"))?;
         match lock.try_lock() {
@@ -40,7 +43,19 @@ impl DataDir {
         let dir = Self { path: path.to_owned(), _lock: lock };
         dir.forget_address();
         dir.remove_leftovers();
+        for name in ["farm.db", "farm.db-wal", "farm.db-shm", "lock"] {
+            close_to_others(&path.join(name), 0o600);
+        }
         Ok(dir)
+    }
+
+    /// Makes an empty database file that is its owner's alone, if there is none: SQLite would let others read it. It gives
+    /// its log the same permissions.
+    pub fn create_database(&self) -> Result<()> {
+        let file = File::options().create(true).append(true).mode(0o600).open(self.database_file());
+        let fault =
+            |source| StoreError::DataDir { dir: self.path.clone(), what: "cannot be written to", source };
+        file.map(drop).map_err(fault)
     }
 
     /// Where the coordinator that holds this directory listens, if it has said so.
@@ -82,5 +97,53 @@ impl DataDir {
     pub fn forget_address(&self) {
         // What is not there need not be removed, and a stale address is noticed when nobody answers.
         let _ = std::fs::remove_file(self.path.join(ADDRESS_FILE));
+    }
+}
+
+/// Takes from other users what they may do with a file or folder that is there; its owner keeps what he may.
+fn close_to_others(path: &Path, most: u32) {
+    let Ok(now) = std::fs::metadata(path).map(|m| m.permissions().mode() & 0o777) else { return };
+    if now & !most == 0 {
+        return;
+    }
+    match std::fs::set_permissions(path, Permissions::from_mode(now & most)) {
+        Ok(()) => tracing::info!(path = %path.display(), "closed to other users of this machine"),
+        Err(error) => {
+            tracing::warn!(path = %path.display(), %error, "other users of this machine may read or change this");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mode(path: &Path) -> u32 {
+        std::fs::metadata(path).unwrap().permissions().mode() & 0o777
+    }
+
+    #[test]
+    fn folder_and_files_are_the_owners_alone() {
+        let home = tempfile::tempdir().unwrap();
+        let path = home.path().join("new/farm-data");
+        let dir = DataDir::lock(&path).unwrap();
+        dir.create_database().unwrap();
+        assert_eq!(mode(&path), 0o700);
+        assert_eq!([mode(&path.join("lock")), mode(&dir.database_file())], [0o600, 0o600]);
+    }
+
+    #[test]
+    fn a_folder_that_was_open_to_others_is_closed() {
+        let home = tempfile::tempdir().unwrap();
+        let path = home.path().join("farm-data");
+        std::fs::create_dir(&path).unwrap();
+        std::fs::set_permissions(&path, Permissions::from_mode(0o755)).unwrap();
+        for name in ["farm.db", "farm.db-wal", "lock"] {
+            std::fs::write(path.join(name), "").unwrap();
+            std::fs::set_permissions(path.join(name), Permissions::from_mode(0o644)).unwrap();
+        }
+        let _dir = DataDir::lock(&path).unwrap();
+        assert_eq!(mode(&path), 0o700);
+        assert_eq!(["farm.db", "farm.db-wal", "lock"].map(|name| mode(&path.join(name))), [0o600; 3]);
     }
 }

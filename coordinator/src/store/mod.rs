@@ -92,6 +92,7 @@ impl Store {
     /// is told of every commit of results.
     pub async fn open(dir: DataDir, committed: impl Fn(Commit) + Send + 'static) -> Result<Self> {
         let file = dir.database_file();
+        dir.create_database()?;
         let options = SqliteConnectOptions::new().filename(&file).busy_timeout(Duration::from_secs(10));
         let open = |what| {
             let file = file.clone();

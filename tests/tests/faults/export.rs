@@ -83,3 +83,40 @@ async fn an_export_to_a_file_that_is_interrupted_leaves_nothing_and_ends_with_13
     assert_eq!(files(&farm), Vec::<String>::new());
     drop(proxy);
 }
+
+/// 300 albedos at 42 points, of one channel and few pixels.
+const MANY: &str = "\
+sigma_t_per_mm = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21]
+g = [0.4]
+thickness_mm = [0.5, 1.0]
+walks = 5000
+
+[scene.sensor]
+width_mm = 10.0
+pixels = 8
+[[scene.channel]]
+name = 'mono'
+rho_light = 0.9
+rho_dark = 0.1
+[[scene.layer]]
+name = 'resin'
+sample = true
+";
+
+#[test]
+fn more_records_than_one_call_may_name_are_exported_all_the_same() {
+    let farm = Farm::start(&[]);
+    let albedos: Vec<String> = (1..=300).map(|i| format!("{}", f64::from(i) / 301.0)).collect();
+    farm.submit("many", &format!("albedo = [{}]\n{MANY}", albedos.join(", ")));
+    let _worker = farm.worker("worker", &[]);
+    farm.done("many");
+    let all = farm.farmctl(&["export", "many"]).stdout;
+    let named = farm.farmctl(&["export", "many", "--g", "0.4"]);
+    assert_eq!((named.code, named.stderr.as_str()), (0, ""));
+    assert!(
+        all.lines().count() > 12_600 && named.stdout == all,
+        "{} lines of {}",
+        named.stdout.lines().count(),
+        all.lines().count()
+    );
+}
