@@ -2,31 +2,20 @@
 //! Table 1 at g = 0.4, traced in the scene `paper` and photographed by the maker of the tests. Prints the truth.
 
 use std::path::PathBuf;
-use std::sync::OnceLock;
-use std::sync::atomic::AtomicBool;
 
 use farm_tests::dng::dng;
-use farm_tests::photograph::{Board, Camera, Dust, Look, Session, Slab, What};
-use optics_model::job::JobSpec;
-use optics_model::scene::Sensor;
-use optics_model::{Scene, TransportPoint, Walks};
+use farm_tests::photograph::{Board, Camera, Dust, Look, Session, Slab, What, traced};
+use optics_model::{Invalid, Medium, Scene};
 use optics_tracer::BareBoard;
 
 /// σ_t in 1/mm and α of red, green and blue.
 const MEDIA: [(f64, f64); 3] = [(6.0, 0.9991), (9.0, 0.9997), (24.0, 0.999)];
 const G: f64 = 0.4;
-const SAMPLE_IOR: f64 = 1.53;
 const WALKS: u64 = 4_000_000;
-
-/// Pixels of the traced profiles, over 12 mm.
-const WIDTH_MM: f64 = 12.0;
-const PIXELS: u32 = 480;
 
 /// Measured thicknesses, which are not the nominal ones.
 const THIN_MM: f64 = 0.512;
 const THICK_MM: f64 = 1.006;
-
-type Profiles = [Vec<f64>; 3];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder: PathBuf = std::env::args_os().nth(1).ok_or("name a folder")?.into();
@@ -40,8 +29,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         sign: 1.0,
         bow_per_mm: 0.0,
     };
-    let slabs = [("white_05", thin as fn(usize, f64) -> f64, 3), ("white_10", thick, 4)];
-    for (name, edge, seed) in slabs {
+    let slabs = [("white_05", THIN_MM, 3), ("white_10", THICK_MM, 4)];
+    for (name, thickness_mm, seed) in slabs {
+        let edge = traced(&Scene::paper(), white()?, thickness_mm, WALKS, 11);
         let slab = Slab { board: board.clone(), edge, rim_mm: [-13.0, 13.0, -9.0, 9.0], bubble: None };
         let session = Session::new(camera(), slab);
         let look = Look { seed, flicker: 0.0005, exact: false, dust: Some(Dust { specks: 8, scratches: 1 }) };
@@ -73,6 +63,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
+fn white() -> Result<[Medium; 3], Invalid> {
+    let [red, green, blue] = MEDIA.map(|(sigma_t, albedo)| Medium::new(sigma_t, albedo, G));
+    Ok([red?, green?, blue?])
+}
+
 /// A small camera: 28 × 22 mm at 26 pixels a millimetre, 10 bits.
 fn camera() -> Camera {
     Camera {
@@ -88,37 +83,4 @@ fn camera() -> Camera {
         clip: 1023.0,
         ..Camera::default()
     }
-}
-
-fn thin(channel: usize, x_mm: f64) -> f64 {
-    static TRACED: OnceLock<Profiles> = OnceLock::new();
-    at(&TRACED.get_or_init(|| traced(THIN_MM))[channel], x_mm)
-}
-
-fn thick(channel: usize, x_mm: f64) -> f64 {
-    static TRACED: OnceLock<Profiles> = OnceLock::new();
-    at(&TRACED.get_or_init(|| traced(THICK_MM))[channel], x_mm)
-}
-
-/// Linear between the pixels' centres, constant beyond them.
-fn at(values: &[f64], x_mm: f64) -> f64 {
-    let place = ((x_mm / WIDTH_MM + 0.5) * f64::from(PIXELS) - 0.5).clamp(0.0, f64::from(PIXELS - 1));
-    let (i, share) = (place as usize, place.fract());
-    let next = values[(i + 1).min(values.len() - 1)];
-    values[i] + share * (next - values[i])
-}
-
-fn traced(thickness_mm: f64) -> Profiles {
-    let profile = |c: usize| {
-        let (sigma_t, albedo) = MEDIA[c];
-        let build = || {
-            let scene = Scene::paper().with_sensor(Sensor::new(WIDTH_MM, PIXELS, 0.0)?);
-            let point = TransportPoint::new(sigma_t, G, thickness_mm, SAMPLE_IOR)?;
-            JobSpec::new(scene, point, vec![albedo], Walks::new(WALKS)?, 11, false)
-        };
-        let job = build().expect("the job is valid");
-        let records = optics_tracer::trace(&job, &AtomicBool::new(false)).expect("nobody stops it");
-        records[0].profiles[c].radiance_factor.values().iter().map(|v| f64::from(*v)).collect()
-    };
-    [0, 1, 2].map(profile)
 }

@@ -70,8 +70,12 @@ pub fn coordinator() -> PathBuf {
     BUILT.get_or_init(|| build(&["--package", "farm-coordinator"])).join("farm-coordinator")
 }
 
-/// Builds and tells the folder with the programs.
+/// Builds and tells the folder with the programs, or the one that `FARM_TEST_PROGRAMS` names: long forms then go on while
+/// sources change.
 fn build(what: &[&str]) -> PathBuf {
+    if let Some(folder) = std::env::var_os("FARM_TEST_PROGRAMS") {
+        return folder.into();
+    }
     let mut build = Command::new(env!("CARGO"));
     build.current_dir(crate::reference::root()).args(["build", "--quiet"]).args(what);
     if !cfg!(debug_assertions) {

@@ -22,8 +22,9 @@ pub(crate) use cells::Cells;
 pub use edge::EdgeLine;
 pub(crate) use movement::{check as check_moved, check_blur};
 
+pub use find::FreeEdge;
+pub(crate) use find::free_edges;
 use find::{Found, find};
-pub(crate) use find::{Sharpness, sharpness};
 
 use edge::HALF_CROP_MM;
 use optics_model::Invalid;

@@ -1,10 +1,9 @@
 //! A single photograph, while the slab still lies there.
 
 use crate::black::Black;
-use crate::board::{Sharpness, sharpness};
-use crate::estimate::Estimate;
+use crate::board::{FreeEdge, free_edges};
 use crate::flat::Flat;
-use crate::frame::{Colour, Photo};
+use crate::frame::{Colour, Frame, Photo, Site};
 use crate::refusal::{Refusal, Warning};
 use crate::saturation::saturation;
 use crate::view::View;
@@ -16,8 +15,8 @@ pub struct ShotCheck {
     pub clipped_share: [f64; 3],
     /// Brightest hundredth per channel as a share of what the sensor holds: 0.5 to 0.9 is well exposed.
     pub brightness_share: [f64; 3],
-    /// σ of lens and pixel across edges that run up and down, and across the frame, where any is free.
-    pub blur_px: [Option<Estimate>; 2],
+    /// The longest free edges that run up and down, and across the frame.
+    pub edges: [Option<FreeEdge>; 2],
     pub warnings: Vec<Warning>,
 }
 
@@ -30,58 +29,79 @@ const DIM: f64 = 0.15;
 /// Checks what a photograph shows by itself: clipping, black level, exposure, and sharpness of free edges.
 /// Against its session a shot is checked by [`crate::Mountings::add`].
 pub fn check_shot(photo: &Photo) -> Result<ShotCheck, Refusal> {
-    let black = Black::told(photo)?;
     let full = saturation(photo);
     let mut check = ShotCheck {
         clipped_share: [0.0; 3],
         brightness_share: [0.0; 3],
-        blur_px: [None; 2],
+        edges: [None; 2],
         warnings: Vec::new(),
     };
+    // Whoever exposes anew needs to hear of nothing else.
     for colour in Colour::ALL {
-        let c = colour.index();
-        let (clipped, brightest) = levels(photo, &black, colour, full);
-        check.clipped_share[c] = clipped;
-        check.brightness_share[c] = brightest;
+        let clipped = clipped_share(photo, colour, full);
+        check.clipped_share[colour.index()] = clipped;
         if clipped > CLIPPED {
             let (label, place) = (photo.label.clone(), "the frame's middle".to_owned());
             return Err(Refusal::Clipped { label, colour, place, share: 100.0 * clipped, level: full });
         }
+    }
+    let black = Black::told(photo)?;
+    for colour in Colour::ALL {
+        let brightest = brightness_share(photo, &black, colour, full);
+        check.brightness_share[colour.index()] = brightest;
         if brightest < DIM {
             let (label, percent) = (photo.label.clone(), 100.0 * brightest);
             check.warnings.push(Warning::Dim { label, colour, percent });
         }
     }
-    let Sharpness { blur_px } = sharpness(View { photo, black: &black, flat: &Flat::even() })?;
-    check.blur_px = blur_px;
-    if blur_px.iter().all(Option::is_none) {
+    check.edges = free_edges(View { photo, black: &black, flat: &Flat::even() })?;
+    if check.edges.iter().flatten().all(|edge| edge.blur_px.is_none()) {
         check.warnings.push(Warning::NoFreeEdge { label: photo.label.clone() });
     }
     Ok(check)
 }
 
-/// Share of clipped samples, and the brightest hundredth over the full range, in the middle half of the frame.
-fn levels(photo: &Photo, black: &Black, colour: Colour, full: f64) -> (f64, f64) {
-    let frame = &photo.frame;
-    let skip = (frame.width() * frame.height() / 1_000_000).isqrt().max(1);
-    let (mut signals, mut clipped) = (Vec::new(), 0.0);
-    let mut range = full;
-    for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
+/// The longest edges between black and white that run up and down, and across the frame. Samples that clip are not looked
+/// at as such: see [`check_shot`].
+pub fn find_edges(photo: &Photo) -> Result<[Option<FreeEdge>; 2], Refusal> {
+    free_edges(View { photo, black: &Black::told(photo)?, flat: &Flat::even() })
+}
+
+/// Share of clipped samples in the middle half of the frame.
+fn clipped_share(photo: &Photo, colour: Colour, full: f64) -> f64 {
+    let (mut clipped, mut total) = (0.0, 0.0);
+    for_middle(&photo.frame, colour, |site, x, y| {
+        clipped += f64::from(u8::from(f64::from(photo.frame.at(site, x, y)) >= full));
+        total += 1.0;
+    });
+    clipped / f64::max(total, 1.0)
+}
+
+/// The brightest hundredth over the full range, in the middle half of the frame.
+fn brightness_share(photo: &Photo, black: &Black, colour: Colour, full: f64) -> f64 {
+    let (mut signals, mut range) = (Vec::new(), full);
+    for_middle(&photo.frame, colour, |site, x, y| {
         range = full - black.levels()[site.index].value;
-        for y in (site.row..frame.height()).step_by(site.step * skip) {
+        signals.push(black.signal(&photo.frame, site, x, y));
+    });
+    if signals.is_empty() {
+        return 0.0;
+    }
+    let at = signals.len() * 99 / 100;
+    *signals.select_nth_unstable_by(at, f64::total_cmp).1 / range.max(1.0)
+}
+
+/// Samples of a colour in the middle half of the frame, about a million if there are more.
+fn for_middle(frame: &Frame, colour: Colour, mut each: impl FnMut(Site, usize, usize)) {
+    let skip = (frame.width() * frame.height() / 1_000_000).isqrt().max(1);
+    let middle = |at: usize, side: usize| (side / 4..side - side / 4).contains(&at);
+    for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
+        for y in (site.row..frame.height()).step_by(site.step * skip).filter(|y| middle(*y, frame.height())) {
             for x in (site.column..frame.width()).step_by(site.step * skip) {
-                let middle = |at: usize, side: usize| (side / 4..side - side / 4).contains(&at);
-                if middle(x, frame.width()) && middle(y, frame.height()) {
-                    clipped += f64::from(u8::from(f64::from(frame.at(site, x, y)) >= full));
-                    signals.push(black.signal(frame, site, x, y));
+                if middle(x, frame.width()) {
+                    each(site, x, y);
                 }
             }
         }
     }
-    if signals.is_empty() {
-        return (0.0, 0.0);
-    }
-    let at = signals.len() * 99 / 100;
-    let brightest = *signals.select_nth_unstable_by(at, f64::total_cmp).1;
-    (clipped / signals.len() as f64, brightest / range.max(1.0))
 }

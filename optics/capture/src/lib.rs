@@ -27,9 +27,9 @@ mod view;
 
 pub use bins::{BIN_MM, BINS, EdgeProfile};
 pub use black::{Black, Darks};
-pub use board::{BareShots, Board, EdgeLine, Target};
+pub use board::{BareShots, Board, EdgeLine, FreeEdge, Target};
 pub use calibration::{Calibration, PatchReading};
-pub use check::{ShotCheck, check_shot};
+pub use check::{ShotCheck, check_shot, find_edges};
 pub use estimate::{Contribution, Estimate, Source};
 pub use flat::{Flat, Flats};
 pub use frame::{Colour, Exposure, Frame, Levels, Pattern, Photo, Site};

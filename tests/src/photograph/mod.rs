@@ -6,9 +6,13 @@
 mod camera;
 mod noise;
 mod session;
+mod session_file;
 mod subject;
+mod traced;
 
 pub use camera::{Camera, Dust, Shot, develop, expose};
 pub use noise::Random;
 pub use session::{Look, Session, What, patches};
+pub use session_file::{Told, session_file};
 pub use subject::{Board, Edge, Slab, Subject};
+pub use traced::traced;

@@ -11,6 +11,7 @@ use super::subject::{Board, Slab, Subject};
 pub struct Session {
     pub camera: Camera,
     pub board: Board,
+    /// Of the grey patches, as their certificate says.
     pub rho: Vec<f64>,
     dark: Vec<f64>,
     sheet: Vec<f64>,
@@ -34,8 +35,15 @@ const GREYS: [f64; 6] = [0.956, 0.594, 0.361, 0.193, 0.090, 0.032];
 impl Session {
     #[must_use]
     pub fn new(camera: Camera, slab: Slab) -> Self {
+        Self::with_certificate(camera, slab, 0.0)
+    }
+
+    /// Grey patches that are brighter than their certificate says, by a relative error.
+    #[must_use]
+    pub fn with_certificate(camera: Camera, slab: Slab, error: f64) -> Self {
         let rho = GREYS.to_vec();
-        let chart = Subject::Patches { areas: patches(&camera), rho: rho.clone() };
+        let brighter = rho.iter().map(|rho| rho * (1.0 + error)).collect();
+        let chart = Subject::Patches { areas: patches(&camera), rho: brighter };
         let board = slab.board.clone();
         Self {
             dark: expose(&camera, &Subject::Nothing),
@@ -60,12 +68,17 @@ impl Session {
         self.bare = expose(camera, &Subject::Board(board.clone()));
     }
 
-    /// Areas well within the patches.
+    /// Areas well within the patches: x, y, width, height in pixels.
+    #[must_use]
+    pub fn areas_px(&self) -> Vec<[f64; 4]> {
+        let inner = |[x, y, w, h]: [f64; 4]| [x + 8.0, y + 8.0, w - 16.0, h - 16.0];
+        patches(&self.camera).into_iter().map(inner).collect()
+    }
+
     #[must_use]
     pub fn neutral(&self) -> Neutral {
-        let inner =
-            |a: &[f64; 4]| Area { x: a[0] + 8.0, y: a[1] + 8.0, width: a[2] - 16.0, height: a[3] - 16.0 };
-        let areas = patches(&self.camera).iter().map(inner).collect();
+        let area = |[x, y, width, height]: [f64; 4]| Area { x, y, width, height };
+        let areas = self.areas_px().into_iter().map(area).collect();
         Neutral::new(self.rho.iter().map(|r| [*r; 3]).collect(), 0.005, areas).unwrap()
     }
 

@@ -1,7 +1,31 @@
 //! What is photographed, blurred by the lens.
 
-/// An edge's exact profile: radiance factor at a distance in mm, positive on the light side.
-pub type Edge = fn(channel: usize, x_mm: f64) -> f64;
+use std::fmt;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+/// An edge's exact profile: radiance factor of a channel at a distance in mm, positive on the light side.
+#[derive(Clone)]
+pub struct Edge(Arc<dyn Fn(usize, f64) -> f64 + Send + Sync>);
+
+impl Edge {
+    pub fn new(profile: impl Fn(usize, f64) -> f64 + Send + Sync + 'static) -> Self {
+        Self(Arc::new(profile))
+    }
+
+    #[must_use]
+    pub fn at(&self, channel: usize, x_mm: f64) -> f64 {
+        (self.0)(channel, x_mm)
+    }
+}
+
+impl fmt::Debug for Edge {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ends = [-5.0, 5.0].map(|x| [0, 1, 2].map(|c| self.at(c, x)));
+        f.debug_tuple("Edge").field(&ends).finish()
+    }
+}
 
 /// What lies before the camera. Lengths are in mm of the board's plane, its edge in use at x = 0, the frame's middle near
 /// y = 0.
@@ -64,7 +88,7 @@ const TABLE_STEP_MM: f64 = 2e-4;
 impl Image {
     pub fn new(subject: &Subject, sigma_mm: [f64; 3], shaken: f64) -> Self {
         let tables = match subject {
-            Subject::Slab(slab) => (0..3).map(|c| blurred(slab.edge, c, sigma_mm[c])).collect(),
+            Subject::Slab(slab) => (0..3).map(|c| blurred(&slab.edge, c, sigma_mm[c])).collect(),
             _ => Vec::new(),
         };
         Self { subject: subject.clone(), sigma_mm, shaken, tables }
@@ -140,30 +164,29 @@ fn wave(x: f64, sigma: f64) -> f64 {
 }
 
 /// The edge convolved with a Gaussian, its jump at 0 apart so that nothing is sampled across it.
-fn blurred(edge: Edge, c: usize, sigma: f64) -> Vec<f64> {
+fn blurred(edge: &Edge, c: usize, sigma: f64) -> Vec<f64> {
     let count = (2.0 * TABLE_REACH_MM / TABLE_STEP_MM) as usize + 1;
-    let jump = 0.5 * (edge(c, 1e-9) - edge(c, -1e-9));
-    let middle = 0.5 * (edge(c, 1e-9) + edge(c, -1e-9));
-    let smooth = |x: f64| edge(c, x) - middle - if x > 0.0 { jump } else { -jump };
-    let (nodes, reach) = (120_i32, 6.0);
-    let kernel: Vec<(f64, f64)> = (-nodes..=nodes)
-        .map(|k| f64::from(k) * reach / f64::from(nodes))
-        .map(|u| (u * sigma, (-0.5 * u * u).exp()))
-        .collect();
-    let total: f64 = kernel.iter().map(|k| k.1).sum();
-    (0..count)
-        .map(|i| {
-            let x = i as f64 * TABLE_STEP_MM - TABLE_REACH_MM;
-            if x.abs() > 1.0 {
-                // Far from the edge σ is small against all that is left: f + σ² f″/2.
-                let h = 0.01;
-                let bent = (edge(c, x + h) + edge(c, x - h) - 2.0 * edge(c, x)) / (h * h);
-                return edge(c, x) + 0.5 * sigma * sigma * bent;
-            }
-            let step = middle + jump * (1.0 - erfc(x / (sigma * std::f64::consts::SQRT_2)));
-            step + kernel.iter().map(|(d, w)| w * smooth(x + d)).sum::<f64>() / total
-        })
-        .collect()
+    let jump = 0.5 * (edge.at(c, 1e-9) - edge.at(c, -1e-9));
+    let middle = 0.5 * (edge.at(c, 1e-9) + edge.at(c, -1e-9));
+    let smooth = |x: f64| edge.at(c, x) - middle - if x > 0.0 { jump } else { -jump };
+    // Without a jump near by, a sum at steps of σ/4 is as exact as one at finer steps.
+    let [near, far] = [120, 24].map(|nodes| kernel(nodes, sigma));
+    let value = |i: usize| {
+        let x = i as f64 * TABLE_STEP_MM - TABLE_REACH_MM;
+        let step = middle + jump * (1.0 - erfc(x / (sigma * std::f64::consts::SQRT_2)));
+        let kernel = if x.abs() > 1.0 { &far } else { &near };
+        step + kernel.iter().map(|(d, w)| w * smooth(x + d)).sum::<f64>()
+    };
+    (0..count).into_par_iter().map(value).collect()
+}
+
+/// Distances and weights of a Gaussian's sum, `nodes` on each side.
+fn kernel(nodes: i32, sigma: f64) -> Vec<(f64, f64)> {
+    const REACH: f64 = 6.0;
+    let steps = (-nodes..=nodes).map(|k| f64::from(k) * REACH / f64::from(nodes));
+    let weights: Vec<(f64, f64)> = steps.map(|u| (u * sigma, (-0.5 * u * u).exp())).collect();
+    let total: f64 = weights.iter().map(|w| w.1).sum();
+    weights.into_iter().map(|(d, w)| (d, w / total)).collect()
 }
 
 fn lookup(table: &[f64], x: f64) -> f64 {

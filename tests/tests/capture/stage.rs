@@ -1,6 +1,6 @@
 //! The stage as a whole, and set-ups for it.
 
-use farm_tests::photograph::{Board, Camera, Look, Session, Slab, What};
+use farm_tests::photograph::{Board, Camera, Edge, Look, Session, Slab, What};
 use optics_capture::{
     BareShots, Calibration, Darks, Flats, Mountings, Patches, Photo, Refusal, SampleProfile,
 };
@@ -37,7 +37,7 @@ pub fn board() -> Board {
 }
 
 pub fn slab() -> Slab {
-    Slab { board: board(), edge: white, rim_mm: [-12.0, 12.0, -8.2, 8.2], bubble: None }
+    Slab { board: board(), edge: Edge::new(white), rim_mm: [-12.0, 12.0, -8.2, 8.2], bubble: None }
 }
 
 /// The plain session, exposed once for all tests.

@@ -42,7 +42,8 @@ fn data(path: &Path, seen: &Result<Seen>) -> Value {
             "exposure": exposure,
             "clipped_share": check.clipped_share,
             "brightness_share": check.brightness_share,
-            "blur_px": check.blur_px.map(|blur| blur.map(|b| b.value)),
+            "blur_px": check.edges.map(|edge| Some(edge?.blur_px?.value)),
+            "angle_deg": check.edges.map(|edge| Some(edge?.angle_deg.value)),
             "warnings": check.warnings.iter().map(ToString::to_string).collect::<Vec<_>>(),
         }),
     }
@@ -65,10 +66,12 @@ fn text(path: &Path, seen: &Result<Seen>) -> String {
     let percent = |shares: [f64; 3]| shares.map(|share| format!("{:.0}", 100.0 * share)).join("/");
     let mut words =
         vec![format!("{name}: usable, brightest {} % of full (R/G/B)", percent(check.brightness_share))];
-    let blurs = check.blur_px.iter().zip(["sideways", "up and down"]);
-    words.extend(
-        blurs.filter_map(|(blur, way)| Some(format!("sharpest edge {:.2} px {way}", blur.as_ref()?.value))),
-    );
+    let edges = check.edges.iter().zip(["sideways", "up and down"]);
+    words.extend(edges.filter_map(|(edge, way)| {
+        let edge = edge.as_ref()?;
+        let (blur, angle) = (edge.blur_px?.value, edge.angle_deg.value);
+        Some(format!("longest edge {blur:.2} px {way}, turned by {angle:+.2}°"))
+    }));
     words.extend(exposure.clone());
     let prefix = format!("{name}: ");
     let warnings = check.warnings.iter().map(ToString::to_string);

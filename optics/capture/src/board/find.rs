@@ -65,20 +65,24 @@ pub(crate) fn find(view: View<'_>, target: Target) -> Result<Found, Refusal> {
     Ok(Found { edge_frame, edge, scale_std_error: fitted.scale_std_error, corners_px, seen })
 }
 
-/// Blur of edges that run up and down, and across the frame.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Sharpness {
-    pub blur_px: [Option<Estimate>; 2],
+/// A straight edge between black and white.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FreeEdge {
+    /// Against the frame's columns, or its rows if those are nearer; positive clockwise.
+    pub angle_deg: Estimate,
+    /// σ of lens and pixel across it; none if it is too short.
+    pub blur_px: Option<Estimate>,
 }
 
-/// How sharp the longest edges of a photograph are; refuses one that was shaken.
-pub(crate) fn sharpness(view: View<'_>) -> Result<Sharpness, Refusal> {
-    let Some(contrast) = Contrast::of(view) else {
-        return Ok(Sharpness { blur_px: [None; 2] });
-    };
+/// The longest edges of a photograph that run up and down, and across the frame; refuses one that was shaken.
+pub(crate) fn free_edges(view: View<'_>) -> Result<[Option<FreeEdge>; 2], Refusal> {
+    let Some(contrast) = Contrast::of(view) else { return Ok([None; 2]) };
     let (_, seen) = look(view, contrast);
     check_shake(&view.photo.label, &seen)?;
-    Ok(Sharpness { blur_px: [seen.blur_of(Run::Down), seen.blur_of(Run::Across)] })
+    Ok([Run::Down, Run::Across].map(|run| {
+        let angle_deg = seen.longest(run)?.angle_deg();
+        Some(FreeEdge { angle_deg, blur_px: seen.blur_of(run) })
+    }))
 }
 
 /// Scans, and again where the edge is so blurred that its plateaus begin farther off.

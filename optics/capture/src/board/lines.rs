@@ -1,6 +1,7 @@
 //! From places of edges to straight stretches, and from those to lines of the board.
 
 use super::scan::{Point, Run};
+use crate::estimate::Estimate;
 use crate::least_squares::{Normal, spread, tukey};
 
 /// A straight stretch of edge between two corners.
@@ -29,6 +30,17 @@ impl Stretch {
 
     pub fn length(&self) -> f64 {
         (self.to() - self.from()) * self.slope.hypot(1.0)
+    }
+
+    /// Against the frame's columns or rows, positive clockwise.
+    pub fn angle_deg(&self) -> Estimate {
+        let n = self.points.len() as f64;
+        let mean = self.points.iter().map(|p| p.on).sum::<f64>() / n;
+        let squares: f64 = self.points.iter().map(|p| (p.on - mean).powi(2)).sum();
+        let residuals: Vec<f64> = self.points.iter().map(|p| p.at - self.at(p.on)).collect();
+        let error = spread(&residuals) / squares.sqrt() / (1.0 + self.slope * self.slope);
+        let angle = if self.run == Run::Down { -self.slope.atan() } else { self.slope.atan() };
+        Estimate::new(angle.to_degrees(), error.to_degrees())
     }
 }
 

@@ -36,7 +36,7 @@ const RUNS: [Run; 2] = [Run::Down, Run::Across];
 impl Seen {
     pub fn new(view: View<'_>, scan: Scan, stretches: [&[Stretch]; 2]) -> Self {
         let blur = |i: usize| {
-            let longest = stretches[i].iter().max_by(|a, b| a.length().total_cmp(&b.length()))?;
+            let longest = longest(stretches[i])?;
             let reach = scan.reach_px + 4.0;
             blur_px(view, RUNS[i], &longest.points, longest.slope, reach)
         };
@@ -45,6 +45,10 @@ impl Seen {
 
     pub fn blur_of(&self, run: Run) -> Option<Estimate> {
         self.blur_px[usize::from(run == Run::Across)]
+    }
+
+    pub fn longest(&self, run: Run) -> Option<&Stretch> {
+        longest(&self.stretches[usize::from(run == Run::Across)])
     }
 
     pub fn widest(&self) -> Option<f64> {
@@ -97,6 +101,10 @@ impl Seen {
         }
         parts
     }
+}
+
+fn longest(stretches: &[Stretch]) -> Option<&Stretch> {
+    stretches.iter().max_by(|a, b| a.length().total_cmp(&b.length()))
 }
 
 /// Free edges are looked for so near to where they were, in pixels.

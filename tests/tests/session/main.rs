@@ -2,6 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
+mod media;
+
 use std::path::{Path, PathBuf};
 
 use farm_tests::cli::{fails, folder, json, keys, write};

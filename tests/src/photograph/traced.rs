@@ -1,0 +1,65 @@
+//! Edges under slabs of media, traced.
+
+use std::sync::atomic::AtomicBool;
+
+use optics_model::job::JobSpec;
+use optics_model::scene::Sensor;
+use optics_model::{Medium, Scene, TransportPoint, Walks};
+use rayon::prelude::*;
+
+use super::subject::Edge;
+
+/// Pixels of the traced profiles: a quarter of the paper's, so that lens and bins do not see them.
+const WIDTH_MM: f64 = 12.0;
+const PIXELS: u32 = 1728;
+
+const SAMPLE_IOR: f64 = 1.53;
+
+/// The edge of a scene's board under a slab whose channels each have a medium of their own.
+///
+/// # Panics
+/// If the scene has other than three channels, or there is no such slab.
+#[must_use]
+pub fn traced(scene: &Scene, media: [Medium; 3], thickness_mm: f64, walks: u64, seed: u64) -> Edge {
+    let profile = |c: usize| {
+        let medium = &media[c];
+        let build = || {
+            let scene = scene.clone().with_channels(vec![scene.channels()[c].clone()])?;
+            let scene = scene.with_sensor(Sensor::new(WIDTH_MM, PIXELS, 0.0)?);
+            let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, SAMPLE_IOR)?;
+            JobSpec::new(scene, point, vec![medium.albedo()], Walks::new(walks)?, seed, false)
+        };
+        let job = build().expect("the slab is valid");
+        let records = optics_tracer::trace(&job, &AtomicBool::new(false)).expect("nobody stops it");
+        let values = records[0].profiles[0].radiance_factor.values();
+        values.iter().map(|v| f64::from(*v)).collect::<Vec<f64>>()
+    };
+    let profiles: Vec<Vec<f64>> = (0..3).into_par_iter().map(profile).collect();
+    Edge::new(move |c, x_mm| at(&profiles[c], x_mm))
+}
+
+/// Linear between the centres of the pixels of one side, constant beyond them: the board's own edge is a jump.
+fn at(values: &[f64], x_mm: f64) -> f64 {
+    let half = values.len() / 2;
+    let (from, to) = if x_mm < 0.0 { (0, half - 1) } else { (half, values.len() - 1) };
+    let place = (x_mm / WIDTH_MM + 0.5) * values.len() as f64 - 0.5;
+    let place = place.clamp(from as f64, to as f64);
+    let (i, share) = (place as usize, place.fract());
+    let next = values[(i + 1).min(to)];
+    values[i] + share * (next - values[i])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_profile_is_linear_on_each_side_and_jumps_at_the_edge() {
+        let values: Vec<f64> =
+            (0..12).map(|i| if i < 6 { f64::from(i) } else { 10.0 + f64::from(i) }).collect();
+        // Pixels of 1 mm: centres at −5.5 … 5.5.
+        assert_eq!((at(&values, -5.5), at(&values, -4.75)), (0.0, 0.75));
+        assert_eq!((at(&values, -1e-9), at(&values, 1e-9)), (5.0, 16.0));
+        assert_eq!((at(&values, -9.0), at(&values, 9.0)), (0.0, 21.0));
+    }
+}

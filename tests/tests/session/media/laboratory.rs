@@ -1,0 +1,153 @@
+//! A laboratory: the media of its slabs, all that is wrong with its set-up, and its photographs as files.
+
+use std::path::Path;
+
+use farm_tests::dng::dng;
+use farm_tests::photograph::{
+    Board, Camera, Dust, Look, Random, Session, Slab, Told, What, session_file, traced,
+};
+use optics_model::scene::Channel;
+use optics_model::{Medium, Scene};
+use optics_tracer::BareBoard;
+
+/// Thicknesses as the session file tells them.
+pub(super) const TOLD_MM: [f64; 2] = [0.512, 1.006];
+/// Standard errors as the session file tells them: of a slab's thickness, of a square, of the white reference.
+const THICKNESS_MM: f64 = 0.005;
+const SQUARE_MM: f64 = 0.01;
+const WHITE: f64 = 0.005;
+
+const TOLD_SQUARE_MM: f64 = 20.0;
+/// Of the lamps, between exposures.
+const FLICKER: f64 = 0.001;
+const MOUNTINGS: u64 = 3;
+
+/// What may be left out, to see what it does.
+pub(super) const DEFECTS: [&str; 9] =
+    ["white", "thickness", "square", "noise", "flicker", "drift", "light", "glare", "dust"];
+
+/// One session: three media, one for each channel, in two thicknesses.
+#[derive(Debug)]
+pub(super) struct Laboratory {
+    pub media: [Medium; 3],
+    thickness_mm: [f64; 2],
+    scene: Scene,
+    board: Board,
+    camera: Camera,
+    /// Relative error of the white reference.
+    pub white: f64,
+    flicker: f64,
+    /// Relative change of the lamps from the first shot to the last.
+    drift: f64,
+    dust: Option<Dust>,
+    exact: bool,
+    seed: u64,
+}
+
+impl Laboratory {
+    /// Media as in the tests of imperfect measurements: σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, evenly in the
+    /// logarithm; an anisotropy for all, between two. What is wrong has the size that the session file tells.
+    pub(super) fn draw(number: u64, (g_min, g_max): (f64, f64), without: &[String]) -> Self {
+        let mut random = Random::new(810_000 + number);
+        let has = |defect: &str| if without.iter().any(|w| w == defect) { 0.0 } else { 1.0 };
+        let g = random.between(g_min, g_max);
+        let mut log = |low: f64, high: f64| low * (high / low).powf(random.even());
+        let media = [0; 3].map(|_| Medium::new(log(1.1, 28.0), 1.0 - log(1e-3, 0.7), g).unwrap());
+        let thickness_mm = TOLD_MM.map(|t| t + has("thickness") * THICKNESS_MM * random.normal());
+        let square_mm = TOLD_SQUARE_MM + has("square") * SQUARE_MM * random.normal();
+        let white = has("white") * WHITE * random.normal();
+        let scene = scene(&mut random);
+        Self {
+            media,
+            thickness_mm,
+            board: board(&scene, square_mm),
+            scene,
+            camera: camera(&mut random, has("light"), has("glare"), has("noise")),
+            white,
+            flicker: has("flicker") * FLICKER,
+            drift: has("drift") * random.between(-0.002, 0.002),
+            dust: (has("dust") > 0.0).then_some(Dust { specks: 20, scratches: 2 }),
+            exact: has("noise") == 0.0,
+            seed: 820_000 + 10 * number,
+        }
+    }
+
+    pub(super) fn g(&self) -> f64 {
+        self.media[0].g()
+    }
+
+    /// Writes photographs and session file.
+    pub(super) fn photograph(&self, folder: &Path, walks: u64) {
+        let slab = |i: usize| Slab {
+            board: self.board.clone(),
+            edge: traced(&self.scene, self.media, self.thickness_mm[i], walks, self.seed + i as u64),
+            rim_mm: [-13.0, 13.0, -9.0, 9.0],
+            bubble: None,
+        };
+        let mut session = Session::with_certificate(self.camera.clone(), slab(0), self.white);
+        let shoot = |session: &mut Session, what: What, (file, seed): (&str, u64), shots: &[(u64, f64)]| {
+            for (index, seconds) in shots {
+                let brightness = 1.0 + self.drift * (seconds / LAST_S - 0.5);
+                session.brightness = vec![(what, *index, brightness)];
+                let look = Look { seed, flicker: self.flicker, exact: self.exact, dust: self.dust };
+                let mut photo = session.shoot(what, *index, &look);
+                photo.seconds = Some(*seconds);
+                std::fs::write(folder.join(format!("{file}_{}.dng", index + 1)), dng(&photo)).unwrap();
+            }
+        };
+        let after =
+            |from: f64, count: u64| (0..count).map(|i| (i, from + 60.0 * i as f64)).collect::<Vec<_>>();
+        shoot(&mut session, What::Dark, ("dark", self.seed), &after(0.0, 3));
+        shoot(&mut session, What::Sheet, ("flat", self.seed), &after(200.0, 3));
+        shoot(&mut session, What::Chart, ("chart", self.seed), &[(0, 400.0), (1, LAST_S)]);
+        shoot(&mut session, What::Bare, ("board", self.seed), &after(600.0, 3));
+        for (i, from) in [900.0, 1500.0].into_iter().enumerate() {
+            session.lay(&self.camera, &slab(i));
+            let file = format!("slab{i}");
+            shoot(&mut session, What::Slab, (&file, self.seed + i as u64), &after(from, MOUNTINGS));
+        }
+        let told = Told {
+            square_mm: TOLD_SQUARE_MM,
+            square_std_error_mm: SQUARE_MM,
+            white_std_error: WHITE,
+            thickness_mm: &TOLD_MM,
+            thickness_std_error_mm: THICKNESS_MM,
+        };
+        std::fs::write(folder.join("session.toml"), session_file(&session, &told)).unwrap();
+    }
+}
+
+/// When the last photograph is taken.
+const LAST_S: f64 = 2400.0;
+
+/// The paper's scene with a print of its own.
+fn scene(random: &mut Random) -> Scene {
+    let channel = |name| Channel::new(name, random.between(0.93, 0.985), random.between(0.02, 0.03)).unwrap();
+    Scene::paper().with_channels(["R", "G", "B"].map(channel).to_vec()).unwrap()
+}
+
+fn board(scene: &Scene, square_mm: f64) -> Board {
+    let bare = BareBoard::of(scene).unwrap();
+    let seen = |rho: &dyn Fn(&Channel) -> f64| [0, 1, 2].map(|c| bare.apparent(rho(&scene.channels()[c])));
+    let (light, dark) = (seen(&|c| c.rho_light()), seen(&|c| c.rho_dark()));
+    Board { square_mm, light, dark, sign: 1.0, bow_per_mm: 0.0 }
+}
+
+/// Each switch is 0 or 1.
+fn camera(random: &mut Random, light: f64, glare: f64, noise: f64) -> Camera {
+    let lens = random.between(0.02, 0.035);
+    Camera {
+        width: 1040,
+        height: 800,
+        turn_deg: random.between(0.6, 3.0) * if random.even() < 0.5 { -1.0 } else { 1.0 },
+        keystone: [random.between(-0.006, 0.006), random.between(-0.006, 0.006)],
+        radial: random.between(-0.001, 0.001),
+        origin_px: [random.between(-12.0, 12.0), random.between(-12.0, 12.0)],
+        lens_mm: [lens, lens * random.between(0.85, 1.0), lens * random.between(0.9, 1.1)],
+        vignetting: light * random.between(0.02, 0.08),
+        slope: [light * random.between(-0.04, 0.04), light * random.between(-0.04, 0.04)],
+        glare: glare * random.between(0.001, 0.005),
+        fixed_pattern: noise * random.between(0.0, 2.0),
+        ..Camera::default()
+    }
+}

@@ -1,0 +1,122 @@
+//! Sessions of photographs to media, by the two commands that a laboratory types.
+//!
+//! Media between the grid points are traced afresh with the board's true ρ and the slabs' true thicknesses, and
+//! photographed by the maker, whose lamps flicker and drift, whose lens blurs, darkens corners and glares, on whose slabs
+//! lies dust, and whose white reference, squares and thicknesses are off by their told errors. With
+//! `FARM_TEST_EFFORT=10` there are seven sessions of three media with the paper's whole grid. Then these may be set:
+//!
+//! | variable | meaning |
+//! |---|---|
+//! | `FARM_TEST_SESSIONS=0..20` | these sessions |
+//! | `FARM_TEST_KEEP=DIR` | keeps their folders |
+//! | `FARM_TEST_WITHOUT=white,dust` | without these defects, named in `laboratory.rs`, to see what they do |
+//! | `FARM_TEST_AXES='g = [0.3, 0.4, 0.5]'` | axes of the dictionary; g then comes from between these |
+
+mod answer;
+mod laboratory;
+
+use std::ops::Range;
+use std::path::Path;
+
+use farm_tests::cli::{folder, json};
+use farm_tests::process::run;
+use farm_tests::statistics::{Share, effort, quantile};
+
+use answer::{Answer, QUANTITIES, table};
+use laboratory::{DEFECTS, Laboratory};
+
+/// Largest median error of σ_t, and least share of intervals that hold the truth.
+const MEDIAN_ERROR: f64 = 0.01;
+const HELD: f64 = 0.9;
+
+/// Walks of a truth. What they leave of noise is common to all pixels, like an error of the profile's gain, of which the
+/// session knows 0.04 to 0.12 %: 4 million leave 0.15 % of it, these 0.04 %.
+const TRUTH_WALKS: u64 = 64_000_000;
+
+/// How much is done.
+struct Trial {
+    sessions: Range<u64>,
+    without: Vec<String>,
+    /// Lines that the dictionary's grid gets.
+    axes: String,
+    g: (f64, f64),
+    /// Walks of the truth.
+    walks: u64,
+}
+
+impl Trial {
+    fn normal() -> Self {
+        let axes = "g = [0.3, 0.4, 0.5]\nwalks = 100000\n".to_owned();
+        Self { sessions: 0..1, without: Vec::new(), axes, g: (0.3, 0.5), walks: 1_000_000 }
+    }
+
+    fn long() -> Self {
+        let given = |name: &str| std::env::var(name).ok();
+        let without: Vec<String> =
+            given("FARM_TEST_WITHOUT").map_or(Vec::new(), |v| v.split(',').map(str::to_owned).collect());
+        for name in &without {
+            assert!(DEFECTS.contains(&name.as_str()), "{name} is none of {DEFECTS:?}");
+        }
+        let axes = given("FARM_TEST_AXES").map_or(String::new(), |axes| axes + "\n");
+        let g = if axes.is_empty() { (0.0, 0.8) } else { (0.3, 0.5) };
+        let sessions = given("FARM_TEST_SESSIONS").map_or(0..7, |v| {
+            let (from, to) = v.split_once("..").expect("FARM_TEST_SESSIONS is a range such as 0..20");
+            from.parse().unwrap()..to.parse().unwrap()
+        });
+        Self { sessions, without, axes, g, walks: TRUTH_WALKS }
+    }
+
+    fn answers(&self) -> Vec<Answer> {
+        self.sessions.clone().flat_map(|number| self.session(number)).collect()
+    }
+
+    /// From photographs to the media of one session.
+    fn session(&self, number: u64) -> Vec<Answer> {
+        let laboratory = Laboratory::draw(number, self.g, &self.without);
+        let folder = folder();
+        laboratory.photograph(folder.path(), self.walks);
+        let captured = run(folder.path(), &["capture", "session.toml", "-o", "out"]);
+        assert_eq!(captured.code, 0, "session {number}: {}", captured.stderr);
+        if !self.axes.is_empty() {
+            let grid = folder.path().join("out/grid.toml");
+            let text = std::fs::read_to_string(&grid).unwrap() + &self.axes;
+            std::fs::write(&grid, text).unwrap();
+        }
+        let g = laboratory.g().to_string();
+        let measured = run(folder.path(), &["measure", "out", "--g", &g, "--json"]);
+        assert_eq!(measured.code, 0, "session {number}: {}", measured.stderr);
+        let data = json(&measured, "measure");
+        println!(
+            "session {number}: g {:.3}, white reference off by {:+.2} %",
+            laboratory.g(),
+            100.0 * laboratory.white,
+        );
+        let of_set_up = |line: &&str| line.starts_with("board") || line.starts_with("errors");
+        captured.stdout.lines().filter(of_set_up).for_each(|line| println!("{line}"));
+        let channels = data["materials"][0]["channels"].as_array().unwrap().iter();
+        let answer = |(medium, channel): (_, &serde_json::Value)| {
+            Answer::new(format!("{number} {}", channel["channel"].as_str().unwrap()), medium, channel)
+        };
+        if let Some(kept) = std::env::var_os("FARM_TEST_KEEP") {
+            std::fs::rename(folder.path(), Path::new(&kept).join(number.to_string())).unwrap();
+        }
+        let answers: Vec<Answer> = laboratory.media.iter().zip(channels).map(answer).collect();
+        println!("{}", table(&answers));
+        answers
+    }
+}
+
+#[test]
+fn photographs_become_media_and_intervals_hold_the_truth() {
+    let trial = if effort() >= 10 { Trial::long() } else { Trial::normal() };
+    let answers = trial.answers();
+    let share = |q: usize| Share::of(answers.iter().map(|a| a.holds(q))).unwrap();
+    for (q, name) in QUANTITIES.into_iter().enumerate() {
+        let errors = |s: f64| 100.0 * quantile(answers.iter().map(|a| a.error(q).abs()).collect(), s);
+        println!("{name}: median error {:.2} %, 90 % {:.2} %, {} % hold", errors(0.5), errors(0.9), share(q));
+    }
+    let median = quantile(answers.iter().map(|a| a.error(0).abs()).collect(), 0.5);
+    assert!(median <= MEDIAN_ERROR, "the median error of σ_t is {median}");
+    let held = Share::of([0, 1].into_iter().flat_map(|q| answers.iter().map(move |a| a.holds(q)))).unwrap();
+    assert!(held.share >= HELD, "{held} % of the intervals of σ_t and α hold");
+}
