@@ -12,6 +12,8 @@ pub(crate) const QUARANTINED: u8 = 4;
 pub(crate) const CANCELLED: u8 = 5;
 /// The time to wait was over.
 pub(crate) const TIMEOUT: u8 = 6;
+/// All jobs are done, and machines disagree about some of them: which result is right is not known yet.
+pub(crate) const DISPUTED: u8 = 7;
 /// Stopped by a signal.
 pub(crate) const INTERRUPTED: u8 = 130;
 
@@ -22,6 +24,7 @@ pub(crate) fn code_of(status: &DictionaryStatus) -> ExitCode {
 
 pub(crate) fn number_of(status: &DictionaryStatus) -> u8 {
     match status.state() {
+        DictionaryState::Done if status.jobs_disputed > 0 => DISPUTED,
         DictionaryState::Done | DictionaryState::Running | DictionaryState::Paused => 0,
         DictionaryState::Failed if status.has_quarantined() => QUARANTINED,
         DictionaryState::Failed => FAILED,

@@ -194,6 +194,14 @@ pub(crate) fn now_unix_s() -> i64 {
     since.map_or(0, |d| d.as_secs() as i64)
 }
 
+/// The state of a dictionary, as "done, 2 disputed".
+pub(crate) fn state(status: &DictionaryStatus) -> String {
+    match (status.state().as_str(), status.jobs_disputed) {
+        (state, 0) => state.to_owned(),
+        (state, disputed) => format!("{state}, {disputed} disputed"),
+    }
+}
+
 /// Progress of a dictionary, as `list`, `submit` and `show` tell it.
 #[derive(Debug, Serialize)]
 pub(crate) struct DictionaryJson {
@@ -203,6 +211,8 @@ pub(crate) struct DictionaryJson {
     records_total: usize,
     jobs_done: usize,
     jobs_leased: usize,
+    jobs_disputed: usize,
+    jobs_failed: usize,
     jobs_total: usize,
     work_done: f64,
     failed_jobs: Vec<FailedJobJson>,
@@ -239,6 +249,8 @@ impl From<&DictionaryStatus> for DictionaryJson {
             records_total: d.records_total(),
             jobs_done: d.jobs_done,
             jobs_leased: d.jobs_leased,
+            jobs_disputed: d.jobs_disputed,
+            jobs_failed: d.jobs_failed,
             jobs_total: d.jobs_total(),
             work_done: d.work_done,
             failed_jobs: failed.collect(),
@@ -265,6 +277,7 @@ pub(crate) struct WorkerJson {
     jobs_done: u64,
     silent_ms: u64,
     state: String,
+    suspended_ms: u64,
     version: String,
 }
 
@@ -278,6 +291,7 @@ impl From<&WorkerStatus> for WorkerJson {
             jobs_done: w.jobs_done,
             silent_ms: w.silent_ms,
             state: w.state.to_string(),
+            suspended_ms: w.suspended_ms,
             version: w.version.clone(),
         }
     }

@@ -105,6 +105,8 @@ mod tests {
             state: DictionaryState::Running,
             jobs_done: 418,
             jobs_leased: 0,
+            jobs_disputed: 0,
+            jobs_failed: 0,
             failed: Vec::new(),
             work_done: 0.3629,
             priority: 0,

@@ -5,6 +5,7 @@ use std::time::Duration;
 use farm_proto::ids::Token;
 
 use crate::dispatch::TokenSource;
+use crate::stored::Secret;
 
 /// Reads the machine's clocks.
 #[derive(Debug, Clone)]
@@ -37,6 +38,16 @@ impl Clock {
 /// If the operating system has no randomness to give.
 pub fn random_token() -> String {
     format!("{:032x}", random())
+}
+
+/// Random bytes that keep something secret for as long as a database is in use.
+///
+/// # Panics
+/// If the operating system has no randomness to give.
+pub fn random_secret() -> Secret {
+    let mut bytes = [0_u8; 32];
+    getrandom::fill(&mut bytes).expect("the operating system gives random numbers");
+    Secret(bytes)
 }
 
 fn random() -> u128 {

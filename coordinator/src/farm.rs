@@ -25,6 +25,7 @@ use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use optics_model::{Grid, Invalid};
 
+use crate::clock::random_secret;
 use crate::config::Config;
 use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Settings};
 use crate::metrics::Metrics;
@@ -231,9 +232,10 @@ async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, Sto
         lease: config.lease,
         max_attempts: config.max_attempts,
         check_share: config.check_share,
+        secret: store.secret(random_secret()).await?,
     });
-    for (worker, reason) in store.fenced_workers().await? {
-        dispatcher.remember_fence(worker, reason);
+    for machine in store.machines().await? {
+        dispatcher.remember_machine(machine);
     }
     for stored in store.dictionaries().await? {
         let ended = store.ended_jobs(stored.id, stored.grid.walks()).await?;
@@ -243,6 +245,9 @@ async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, Sto
             tracing::info!(%name, state, reason = dictionary.reason(), "not continued");
         }
         dispatcher.take_up_dictionary(dictionary);
+    }
+    for check in store.open_checks().await? {
+        dispatcher.remember_check(check);
     }
     Ok(dispatcher)
 }

@@ -47,8 +47,10 @@ pub enum EndedJob {
         job: u32,
         walks: Walks,
         records: Digest,
-        /// The worker that computed it, if one did it alone.
+        /// The machine that computed it, if one did it alone.
         by: Option<Origin>,
+        /// Machines that have found the same when they checked it.
+        confirmed: Vec<Origin>,
         /// Its records were there before.
         reused: bool,
     },
@@ -67,9 +69,77 @@ impl EndedJob {
     }
 }
 
-/// A worker's process, by the number of its row in the store: what results are traced back to.
+/// A machine, by the number of its row in the store: what results are traced back to, and who answers for them, however
+/// many processes run there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Origin(pub i64);
+
+/// Where a worker came from. Token and address are what the coordinator has seen; the host is what the worker tells.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Machine {
+    /// Name of the token that it has shown; empty if none is asked for.
+    pub token: String,
+    /// The other end of its connection; empty if that is this process.
+    pub address: String,
+    /// What tells its machine from others, chosen by itself; may be empty.
+    pub host: String,
+}
+
+impl Machine {
+    #[cfg(test)]
+    pub(crate) fn at(address: &str) -> Self {
+        Self { address: address.to_owned(), ..Self::default() }
+    }
+
+    /// What the store knows it by. A worker cannot choose it: it would be another one whenever it liked.
+    pub fn identity(&self) -> String {
+        format!("{}@{}", self.token, self.address)
+    }
+
+    /// Whether both are known to be the same machine, if it tells the truth: a worker that was started anew may come from
+    /// another address.
+    pub fn is_same(&self, other: &Self) -> bool {
+        let same_host = !self.host.is_empty() && self.host == other.host;
+        self.token == other.token && (self.address == other.address || same_host)
+    }
+}
+
+/// A machine that the store knows.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KnownMachine {
+    pub origin: Origin,
+    pub machine: Machine,
+    /// What its worker was called last.
+    pub label: String,
+    /// Why it is fenced off, if it is.
+    pub fenced: Option<String>,
+}
+
+/// One machine's result, as its digest. Who it was may be unknown: several, or a program of old that did not note it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Vote {
+    pub by: Option<Origin>,
+    pub digest: Digest,
+}
+
+/// A check that is not settled: of a job, or of one block of it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OpenCheck {
+    pub dictionary: DictionaryId,
+    pub job: u32,
+    pub block: u32,
+    pub votes: Vec<Vote>,
+}
+
+/// Random bytes of this database that nobody outside knows.
+#[derive(Clone, Copy)]
+pub struct Secret(pub [u8; 32]);
+
+impl std::fmt::Debug for Secret {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Secret")
+    }
+}
 
 /// A result to be stored.
 #[derive(Debug)]

@@ -19,7 +19,7 @@ const TINY: &str = "489ae2e8843061d76675c4e449b2dcbc915686ec2e5af42c958c1c5c58a9
 const SLOPES: &str = "e055f3e4960318c9b5d568cdde3e97e0a16d22a2f871f97b8cf2ff86cebcb44f";
 
 /// Version of the physics of the program that wrote the fixture of each schema.
-const PHYSICS_VERSIONS: [u32; 3] = [2, 3, 3];
+const PHYSICS_VERSIONS: [u32; 4] = [2, 3, 3, 3];
 
 /// The digest that a grid had in the program that wrote a fixture.
 fn grid_digest(grid: &Grid, schema: i64) -> Digest {

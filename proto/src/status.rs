@@ -41,6 +41,9 @@ impl DictionaryState {
     }
 }
 
+/// Most jobs given up that a status tells; lists of all come in pages.
+pub const FAILED_JOBS: usize = 1000;
+
 /// A job given up after too many failed attempts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FailedJob {
@@ -61,6 +64,11 @@ pub struct DictionaryStatus {
     pub state: DictionaryState,
     pub jobs_done: usize,
     pub jobs_leased: usize,
+    /// Jobs about which machines disagree, whether or not they are done.
+    pub jobs_disputed: usize,
+    /// How many jobs were given up.
+    pub jobs_failed: usize,
+    /// The first of them, [`FAILED_JOBS`] at most.
     pub failed: Vec<FailedJob>,
     /// Share of the estimated work that is done, 0 to 1.
     pub work_done: f64,
@@ -111,6 +119,8 @@ pub enum WorkerState {
     Fenced,
     /// Has not been heard of for longer than a lease holds.
     Silent,
+    /// Fails one job after the other: gets none for a while.
+    Suspended,
 }
 
 impl fmt::Display for WorkerState {
@@ -121,6 +131,7 @@ impl fmt::Display for WorkerState {
             Self::Draining => "draining",
             Self::Fenced => "fenced",
             Self::Silent => "silent",
+            Self::Suspended => "suspended",
         })
     }
 }
@@ -134,5 +145,7 @@ pub struct WorkerStatus {
     pub jobs_done: u64,
     pub silent_ms: u64,
     pub state: WorkerState,
+    /// How long it gets no jobs; 0 if it is not suspended.
+    pub suspended_ms: u64,
     pub version: String,
 }

@@ -1,5 +1,7 @@
 //! A farm of real processes: a coordinator that keeps its port over restarts, workers, and all who talk to them.
 
+mod tokens;
+
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};

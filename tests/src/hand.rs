@@ -53,6 +53,7 @@ impl HandWorker {
             protocol_version: PROTOCOL_VERSION,
             instance: label.to_owned(),
             version: "by hand".to_owned(),
+            host: String::new(),
         };
         let id = client.register(request).await?.into_inner().worker_id;
         Ok(Self { client, id })

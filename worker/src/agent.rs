@@ -64,7 +64,8 @@ async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> R
     let pool = Pool::new(config.threads)?;
     let held: Arc<HeldLeases> = Arc::default();
     let url = config.coordinator.url();
-    let introduction = Introduction { label: config.label.clone(), threads: config.threads };
+    let introduction =
+        Introduction { label: config.label.clone(), host: config.host.clone(), threads: config.threads };
     let Some(session) = Session::open(link, url, introduction, held.clone(), &shutdown).await? else {
         tracing::info!("stopped before the coordinator at {url} was reached");
         return Ok(Ended::Stopped);

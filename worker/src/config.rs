@@ -13,6 +13,8 @@ pub struct Config {
     pub threads: usize,
     /// Tells people which worker this is.
     pub label: String,
+    /// Tells this machine from others, whichever process runs on it.
+    pub host: String,
     /// Memory for results that wait to be delivered: when it is full, tracing waits.
     pub buffer_bytes: usize,
     /// How long jobs may go on that are being traced when the worker is told to stop.
@@ -31,6 +33,7 @@ impl Config {
             coordinator,
             threads,
             label: format!("{}:{}", host(), std::process::id()),
+            host: machine(),
             buffer_bytes: 256 << 20,
             grace: Duration::ZERO,
             time_limit: None,
@@ -43,4 +46,11 @@ fn host() -> String {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let name = name.trim();
     if name.is_empty() { "worker".to_owned() } else { name.to_owned() }
+}
+
+/// A number that this machine has had since it was started, in containers too, and that no other machine can know. Empty
+/// if the system tells none.
+fn machine() -> String {
+    let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    boot.trim().chars().take(64).collect()
 }

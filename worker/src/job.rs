@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use farm_proto::lease::{Lease, LeaseKey};
+use optics_model::Digest;
 use optics_model::sums::result_bytes;
-use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
 use crate::delivery::{PendingResult, ResultBuffer};
 use crate::leases::{HeldLeases, JobSwitches};
-use crate::pool::{Pool, TraceEnd};
+use crate::pool::{Pool, Start, TraceEnd};
 use crate::session::Session;
 
 /// What all jobs of a worker share. The delivery ends when the last of these is dropped.
@@ -34,7 +35,10 @@ impl Workshop {
         let (bytes, identity) = (result_bytes(&job), job.identity());
         // If results cannot be delivered, tracing waits here.
         let Some(room) = self.buffer.take(bytes).await else { return };
-        match self.pool.trace(job, switches).await {
+        let (begun, begins) = oneshot::channel();
+        let announced = self.announce(key, identity, begins);
+        let (end, ()) = tokio::join!(self.pool.trace(job, switches, begun), announced);
+        match end {
             TraceEnd::Finished(result) => {
                 self.held.mark_traced(&key);
                 // The next job may begin while this result is on its way.
@@ -43,6 +47,15 @@ impl Workshop {
             }
             TraceEnd::Panicked(reason) => self.report_failure(&key, &reason).await,
             TraceEnd::Stopped => {}
+        }
+    }
+
+    /// Tells the coordinator when a thread is about to begin, which waits for that.
+    async fn announce(&self, key: LeaseKey, identity: Digest, begins: oneshot::Receiver<Start>) {
+        // Otherwise the job was stopped before.
+        if let Ok(start) = begins.await {
+            self.session.begins(key, identity).await;
+            let _ = start.send(());
         }
     }
 

@@ -87,6 +87,7 @@ fn config(args: Args) -> Result<Config, AccessError> {
     Ok(Config {
         threads: args.threads.map_or(config.threads, usize::from),
         label: args.label.unwrap_or(config.label),
+        host: config.host,
         time_limit: args.time_limit,
         grace: args.grace,
         idle_exit: args.idle_exit,

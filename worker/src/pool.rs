@@ -20,6 +20,9 @@ pub(crate) enum JobResult {
     Sums(Sums),
 }
 
+/// Lets a thread begin that has said that it is about to.
+pub(crate) type Start = oneshot::Sender<()>;
+
 /// How the tracing of a job ended.
 #[derive(Debug)]
 pub(crate) enum TraceEnd {
@@ -38,20 +41,31 @@ impl Pool {
         Ok(Self(Arc::new(rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build()?)))
     }
 
-    /// Traces a job; its switch ends it early.
-    pub(crate) async fn trace(&self, job: JobSpec, switches: Arc<JobSwitches>) -> TraceEnd {
+    /// Traces a job; its switch ends it early. When a thread is about to begin, it says so through `begun`, and waits for
+    /// the start.
+    pub(crate) async fn trace(
+        &self,
+        job: JobSpec,
+        switches: Arc<JobSwitches>,
+        begun: oneshot::Sender<Start>,
+    ) -> TraceEnd {
         let (sender, receiver) = oneshot::channel();
         self.0.spawn(move || {
             // Nobody listens any more if the agent was dropped.
-            let _ = sender.send(trace_now(&job, &switches));
+            let _ = sender.send(trace_now(&job, &switches, begun));
         });
         receiver.await.unwrap_or(TraceEnd::Stopped)
     }
 }
 
-fn trace_now(job: &JobSpec, switches: &JobSwitches) -> TraceEnd {
+fn trace_now(job: &JobSpec, switches: &JobSwitches, begun: oneshot::Sender<Start>) -> TraceEnd {
     if !switches.start() {
         return TraceEnd::Stopped;
+    }
+    let (start, started) = oneshot::channel();
+    // Nobody waits to be told, or is there to give the start: it begins at once.
+    if begun.send(start).is_ok() {
+        let _ = started.blocking_recv();
     }
     guarded(|| match job.block() {
         Some(block) => trace_block(job, block, &switches.stop).map(JobResult::Sums),
@@ -81,11 +95,29 @@ mod tests {
     use super::*;
     use crate::testing::{endless_job, job};
 
+    /// Nobody waits to be told that the job begins.
+    fn unheard() -> oneshot::Sender<Start> {
+        oneshot::channel().0
+    }
+
+    #[tokio::test]
+    async fn a_thread_says_that_it_is_about_to_begin_and_waits_for_the_start() {
+        let pool = Pool::new(1).unwrap();
+        let (begun, begins) = oneshot::channel();
+        let traced = tokio::spawn(async move { pool.trace(job(1), Arc::default(), begun).await });
+        let start = begins.await.unwrap();
+        // A second, of which such a job needs a small part.
+        tokio::time::sleep(std::time::Duration::from_secs(1)).await;
+        assert!(!traced.is_finished(), "it does not wait");
+        start.send(()).unwrap();
+        assert!(matches!(traced.await.unwrap(), TraceEnd::Finished(_)));
+    }
+
     #[tokio::test]
     async fn a_job_has_the_records_that_the_tracer_yields() {
         let pool = Pool::new(1).unwrap();
         let switches = Arc::<JobSwitches>::default();
-        let end = pool.trace(job(1), switches.clone()).await;
+        let end = pool.trace(job(1), switches.clone(), unheard()).await;
         let TraceEnd::Finished(JobResult::Records(records)) = end else { panic!("{end:?}") };
         let expected = trace(&job(1), &switches.stop).unwrap();
         assert_eq!(records, PackedRecords::pack(&job(1), &expected));
@@ -96,7 +128,7 @@ mod tests {
         let pool = Pool::new(1).unwrap();
         let before = Arc::<JobSwitches>::default();
         before.stop();
-        assert!(matches!(pool.trace(endless_job(), before).await, TraceEnd::Stopped));
+        assert!(matches!(pool.trace(endless_job(), before, unheard()).await, TraceEnd::Stopped));
         let during = Arc::<JobSwitches>::default();
         let traced = tokio::spawn({
             let (pool, switches) = (pool.clone(), during.clone());

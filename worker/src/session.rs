@@ -22,6 +22,8 @@ use crate::retry::repeat;
 
 /// Longest time a call may take that neither carries records nor holds leases.
 const CALL: Duration = Duration::from_mins(1);
+/// Longest time that a job waits until it is known that it begins.
+const TELL: Duration = Duration::from_millis(500);
 /// Longest time that leaving may take: whoever stops a worker waits for it.
 const LEAVE: Duration = Duration::from_secs(5);
 
@@ -37,6 +39,8 @@ pub enum Error {
 #[derive(Debug, Clone)]
 pub(crate) struct Introduction {
     pub label: String,
+    /// Tells this machine from others.
+    pub host: String,
     pub threads: usize,
 }
 
@@ -138,6 +142,18 @@ impl Session {
         }
     }
 
+    /// Tells that a job begins, so that it can be blamed if it makes this process die at once. If that cannot be told soon
+    /// the job begins all the same.
+    pub(crate) async fn begins(&self, key: LeaseKey, identity: Digest) {
+        let request =
+            RenewRequest { worker_id: self.worker_id(), leases: vec![on_wire((key, true, identity))] };
+        let mut client = self.client.clone();
+        let told = client.renew(timed(request, TELL));
+        if let Ok(Err(status)) = tokio::time::timeout(TELL, told).await {
+            tracing::debug!(job = key.job, message = status.message(), "that a job begins could not be told");
+        }
+    }
+
     /// Delivers results until they are acknowledged or refused for good. `parts` makes the messages for a worker's id;
     /// a call may take `limit`.
     pub(crate) async fn complete(
@@ -182,9 +198,10 @@ impl Session {
     }
 
     async fn register(&self) -> Result<(), Status> {
-        let Introduction { label, threads } = &self.introduction;
+        let Introduction { label, host, threads } = &self.introduction;
         let request = RegisterRequest {
             label: label.clone(),
+            host: host.clone(),
             threads: *threads as u32,
             physics_version: PHYSICS_VERSION,
             protocol_version: PROTOCOL_VERSION,

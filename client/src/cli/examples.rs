@@ -114,6 +114,11 @@ pub(super) const DRAIN: &str = "\
 Example:
   farmctl workers drain node7:4711";
 
+pub(super) const READMIT: &str = "\
+Examples:
+  farmctl workers readmit node7:4711
+  farmctl workers readmit worker@10.0.0.7";
+
 pub(super) const EVENTS: &str = "\
 Examples:
   farmctl events -n 20

@@ -85,11 +85,21 @@ pub enum WorkersCommand {
     /// Let a worker finish its jobs and leave.
     #[command(after_help = examples::DRAIN)]
     Drain(DrainArgs),
+    /// Let a machine in again that was fenced off, once it is known why it computed wrongly.
+    #[command(after_help = examples::READMIT)]
+    Readmit(ReadmitArgs),
 }
 
 #[derive(Debug, Args)]
 pub struct DrainArgs {
     /// Id or label of the worker, as `farmctl workers` shows them.
+    pub worker: String,
+}
+
+#[derive(Debug, Args)]
+pub struct ReadmitArgs {
+    /// What its worker was called, as `farmctl events` shows it, or TOKEN@ADDRESS: the name of its token and where it came
+    /// from.
     pub worker: String,
 }
 

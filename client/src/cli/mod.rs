@@ -20,7 +20,7 @@ pub use capture::CaptureArgs;
 pub use design::{DesignArgs, PixelsArg, SlabList};
 pub use farm::{
     AccessCommand, AccessCreateArgs, BackupArgs, CancelArgs, DeleteArgs, DoctorArgs, DrainArgs, EventsArgs,
-    NameArgs, PriorityArgs, RestoreArgs, WaitArgs, WorkersArgs, WorkersCommand,
+    NameArgs, PriorityArgs, ReadmitArgs, RestoreArgs, WaitArgs, WorkersArgs, WorkersCommand,
 };
 pub use fit::{
     FitArgs, MapArgs, MeasureArgs, MuArgs, ObjectiveArg, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg,

@@ -50,11 +50,15 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
                     (n, silent) => format!("{n} registered, {silent} of them silent for longer than a lease"),
                 },
             ));
+            findings.extend(workers.iter().filter(|w| w.state == WorkerState::Suspended).map(|w| {
+                let text = format!("{} is suspended: it fails one job after the other; see `farmctl events`", w.label);
+                finding("workers", false, text)
+            }));
             findings.extend(workers.iter().filter(|w| w.state == WorkerState::Fenced).map(|w| {
                 finding(
                     "workers",
                     false,
-                    format!("{} is fenced off: it computed wrongly; check its machine", w.label),
+                    format!("{} is fenced off: others found other results; check its machine, then `farmctl workers readmit`", w.label),
                 )
             }));
         }

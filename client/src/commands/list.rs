@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::output::{DictionaryJson, Output, duration, grouped, share_of_work, table};
+use crate::output::{DictionaryJson, Output, duration, grouped, share_of_work, state, table};
 
 #[derive(Debug, Serialize)]
 pub(super) struct ListJson {
@@ -44,13 +44,13 @@ pub(crate) fn text(dictionaries: &[DictionaryStatus]) -> String {
     let row = |d: &DictionaryStatus| {
         vec![
             d.name.to_string(),
-            d.state().as_str().to_owned(),
+            state(d),
             d.priority.to_string(),
             grouped(d.records_done() as u64),
             grouped(d.records_total() as u64),
             share_of_work(d.work_done),
             d.eta_s.map_or_else(String::new, |s| duration(std::time::Duration::from_secs_f64(s))),
-            d.failed.len().to_string(),
+            d.jobs_failed.to_string(),
         ]
     };
     table(&head, &[2, 3, 4, 5, 6, 7], dictionaries.iter().map(row))

@@ -5,14 +5,14 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryStatus, FailedJob};
-use farm_proto::wire::GetRequest;
+use farm_proto::wire::{GetRequest, ListFailedRequest};
 use optics_model::SceneFile;
 use optics_model::grid::Axes;
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::output::{DictionaryJson, Output, grouped};
+use crate::output::{DictionaryJson, Output, grouped, state};
 use crate::plot::Picture;
 use crate::records::Records;
 
@@ -21,7 +21,10 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
     let status = with_farm(global, Purpose::Ask, async |connection| {
         let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
-        let status = DictionaryStatus::try_from(answer.into_inner())?;
+        let mut status = DictionaryStatus::try_from(answer.into_inner())?;
+        if status.jobs_failed > status.failed.len() {
+            status.failed = all_failed(connection, &name).await?;
+        }
         if let Some(path) = &args.plot {
             draw(connection, &status, path).await?;
         }
@@ -29,6 +32,20 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
     })
     .await?;
     output.print("show", &data(&status), || text(&status))
+}
+
+/// All jobs that were given up; a status has the first of them.
+async fn all_failed(connection: &Connection, name: &DictionaryName) -> Result<Vec<FailedJob>> {
+    let (mut failed, mut page_token) = (Vec::new(), String::new());
+    loop {
+        let request = ListFailedRequest { name: name.to_string(), page_size: 1000, page_token };
+        let page = connection.dictionaries().list_failed(request).await?.into_inner();
+        failed.extend(page.failed.into_iter().map(FailedJob::from));
+        page_token = page.next_page_token;
+        if page_token.is_empty() {
+            return Ok(failed);
+        }
+    }
 }
 
 pub(super) fn data(status: &DictionaryStatus) -> impl Serialize {
@@ -75,7 +92,7 @@ fn text(status: &DictionaryStatus) -> String {
     let digest = status.records_digest.map_or("– (not complete)".to_owned(), |d| d.to_string());
     let mut lines = vec![
         ("dictionary", status.name.to_string()),
-        ("state", status.state().as_str().to_owned()),
+        ("state", state(status)),
         ("records", {
             let (done, total) = (status.records_done() as u64, status.records_total() as u64);
             format!("{} of {} done", grouped(done), grouped(total))

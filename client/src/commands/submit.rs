@@ -101,7 +101,14 @@ fn text(status: &DictionaryStatus, end: &End) -> String {
         }
         End::Followed(watch::End::Ended(elapsed)) if status.state() == DictionaryState::Done => {
             let digest = status.records_digest.map(|d| d.to_string()).unwrap_or_default();
-            format!("{name}: {total} records are done, in {}\nrecords digest {digest}", duration(*elapsed))
+            let disputed = match status.jobs_disputed {
+                0 => String::new(),
+                n => format!("\n{n} jobs are disputed: see `farmctl explain {name}`"),
+            };
+            format!(
+                "{name}: {total} records are done, in {}{disputed}\nrecords digest {digest}",
+                duration(*elapsed)
+            )
         }
         End::Followed(watch::End::Ended(_)) if status.state() == DictionaryState::Cancelled => {
             watch::line(status)
@@ -110,7 +117,7 @@ fn text(status: &DictionaryStatus, end: &End) -> String {
             let reasons = status.failed.iter().map(|f| format!("\n  job {}: {}", f.job, f.reason));
             format!(
                 "{name}: {done} of {total} records are done, {} jobs failed{}",
-                status.failed.len(),
+                status.jobs_failed,
                 reasons.collect::<String>()
             )
         }

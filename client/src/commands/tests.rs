@@ -314,6 +314,8 @@ fn dictionary(done: bool) -> DictionaryStatus {
         state: if done { DictionaryState::Done } else { DictionaryState::Cancelled },
         jobs_done: if done { 4 } else { 1 },
         jobs_leased: 2,
+        jobs_disputed: if done { 2 } else { 0 },
+        jobs_failed: if done { 0 } else { 2 },
         failed: if done { Vec::new() } else { vec![failed(true), failed(false)] },
         work_done: if done { 1.0 } else { 0.362 },
         priority: -3,
@@ -334,6 +336,7 @@ fn worker() -> WorkerStatus {
         jobs_done: 836,
         silent_ms: 1234,
         state: WorkerState::Working,
+        suspended_ms: 0,
         version: "0.1.0".to_owned(),
     }
 }

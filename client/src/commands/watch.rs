@@ -13,7 +13,7 @@ use crate::cli::{Global, WaitArgs};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
 use crate::interrupt::{Interrupted, interrupted};
-use crate::output::{DictionaryJson, Output, grouped};
+use crate::output::{DictionaryJson, Output, grouped, state};
 use crate::progress::Progress;
 
 /// How following a dictionary ended.
@@ -126,9 +126,9 @@ fn must_progress(connection: &Connection, status: &DictionaryStatus) -> Result<(
 /// What there is to say of a dictionary in a line.
 pub(crate) fn line(status: &DictionaryStatus) -> String {
     let (done, total) = (grouped(status.records_done() as u64), grouped(status.records_total() as u64));
-    let mut line = format!("{}: {}, {done} of {total} records", status.name, status.state().as_str());
-    if !status.failed.is_empty() {
-        line += &format!(", {} jobs given up", status.failed.len());
+    let mut line = format!("{}: {}, {done} of {total} records", status.name, state(status));
+    if status.jobs_failed > 0 {
+        line += &format!(", {} jobs given up", grouped(status.jobs_failed as u64));
     }
     if !status.reason.is_empty() {
         line += &format!(" ({})", status.reason);

@@ -1,6 +1,6 @@
 use anyhow::Result;
 use farm_proto::status::WorkerStatus;
-use farm_proto::wire::{DrainWorkerRequest, ListWorkersRequest};
+use farm_proto::wire::{DrainWorkerRequest, ListWorkersRequest, ReadmitWorkerRequest};
 use serde::Serialize;
 
 use crate::cli::{Global, WorkersArgs, WorkersCommand};
@@ -17,10 +17,16 @@ struct DrainJson {
     worker_id: String,
 }
 
+#[derive(Debug, Serialize)]
+struct ReadmitJson {
+    worker: String,
+}
+
 pub(crate) async fn run(global: &Global, args: WorkersArgs, output: &Output) -> Result<()> {
     match args.command {
         None | Some(WorkersCommand::List) => list(global, output).await,
         Some(WorkersCommand::Drain(args)) => drain(global, &args.worker, output).await,
+        Some(WorkersCommand::Readmit(args)) => readmit(global, &args.worker, output).await,
     }
 }
 
@@ -40,6 +46,17 @@ async fn drain(global: &Global, worker: &str, output: &Output) -> Result<()> {
     })
     .await?;
     output.print("drain", &DrainJson { worker_id }, || format!("{worker} finishes what it has and ends"))
+}
+
+async fn readmit(global: &Global, worker: &str, output: &Output) -> Result<()> {
+    with_farm(global, Purpose::Ask, async |connection| {
+        let request = ReadmitWorkerRequest { worker: worker.to_owned() };
+        connection.admin().readmit_worker(request).await?;
+        Ok(())
+    })
+    .await?;
+    let data = ReadmitJson { worker: worker.to_owned() };
+    output.print("readmit", &data, || format!("{worker} may come again: start its workers"))
 }
 
 pub(crate) async fn fetch(connection: &Connection) -> Result<Vec<WorkerStatus>> {
@@ -63,7 +80,10 @@ pub(crate) fn text(workers: &[WorkerStatus]) -> String {
     }
     let row = |w: &WorkerStatus| {
         let heard = format!("{:.1} s ago", w.silent_ms as f64 / 1000.0);
-        let state = w.state.to_string();
+        let state = match w.suspended_ms {
+            0 => w.state.to_string(),
+            left => format!("{} for {} s", w.state, left.div_ceil(1000)),
+        };
         let id = w.id.0.chars().take(8).collect();
         vec![
             w.label.clone(),

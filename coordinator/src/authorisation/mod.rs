@@ -25,6 +25,7 @@ use crate::clock::Clock;
 use crate::throttle::Throttle;
 
 pub use permission::Caller;
+pub(crate) use permission::machine_address;
 pub use report::ObservedBody;
 pub use request_id::RequestId;
 

@@ -1,6 +1,6 @@
 //! Which roles may call what.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 
 use farm_link::{CoordinatorAccess, Role};
 use http::header::AUTHORIZATION;
@@ -81,10 +81,27 @@ fn bearer_token(headers: &HeaderMap) -> Option<&str> {
 
 /// The other end of a call's connection, for the log.
 pub(super) fn peer(extensions: &Extensions) -> Option<String> {
+    remote(extensions).map(|address| address.to_string())
+}
+
+fn remote(extensions: &Extensions) -> Option<SocketAddr> {
     let plain = extensions.get::<TcpConnectInfo>().map(TcpConnectInfo::remote_addr);
     let encrypted =
         || extensions.get::<TlsConnectInfo<TcpConnectInfo>>().map(|tls| tls.get_ref().remote_addr());
-    plain.or_else(encrypted).flatten().map(|address: SocketAddr| address.to_string())
+    plain.or_else(encrypted).flatten()
+}
+
+/// The machine at the other end of a call's connection, as far as its address tells: a network of IPv6 counts as one,
+/// since a machine has as many addresses there as it likes. Empty if there is no address.
+pub(crate) fn machine_address(extensions: &Extensions) -> String {
+    match remote(extensions).map(|address| address.ip().to_canonical()) {
+        None => String::new(),
+        Some(IpAddr::V6(address)) if !address.is_loopback() => {
+            let [a, b, c, d, ..] = address.segments();
+            format!("{}/64", Ipv6Addr::new(a, b, c, d, 0, 0, 0, 0))
+        }
+        Some(address) => address.to_string(),
+    }
 }
 
 #[cfg(test)]
@@ -112,6 +129,22 @@ mod tests {
         {
             assert_eq!(needed(path), Needed::Nothing, "{path}");
         }
+    }
+
+    #[test]
+    fn a_machine_is_known_by_its_address_whatever_port_and_however_it_is_written() {
+        let of = |address: &str| {
+            let remote_addr = Some(address.parse().unwrap());
+            let mut extensions = Extensions::new();
+            extensions.insert(TcpConnectInfo { local_addr: None, remote_addr });
+            machine_address(&extensions)
+        };
+        assert_eq!(of("10.0.0.7:1"), "10.0.0.7");
+        assert_eq!(of("[::ffff:10.0.0.7]:2"), "10.0.0.7");
+        assert_eq!(of("[2001:db8:1:2:3:4:5:6]:3"), "2001:db8:1:2::/64");
+        assert_eq!(of("[2001:db8:1:2::1]:3"), "2001:db8:1:2::/64");
+        assert_eq!(of("[::1]:3"), "::1");
+        assert_eq!(machine_address(&Extensions::new()), "");
     }
 
     #[test]

@@ -7,10 +7,9 @@ use farm_proto::lease::LeaseKey;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Walks};
 
-use super::checks::{Verdict, Vote};
 use super::job::{Stage, Strike};
-use super::{Count, DispatchError, Dispatcher, Effect, Event, EventKind, JobRef, PartId, Purpose, checks};
-use crate::stored::{Origin, Outcome};
+use super::{DispatchError, Dispatcher, Event, EventKind, JobRef, PartId, Purpose};
+use crate::stored::{Origin, Outcome, Vote};
 
 /// What to do with a result that has come in.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,11 +35,13 @@ impl Admission {
 #[derive(Debug)]
 pub struct Arrived<'a> {
     pub worker: &'a WorkerId,
-    /// The worker's process, also if the worker is not known any more.
+    /// The worker's machine, also if the worker is not known any more.
     pub by: Origin,
     pub key: &'a LeaseKey,
     /// Of its whole job.
     pub walks: Walks,
+    /// Of what has come: records, or the sums of a block.
+    pub digest: Digest,
 }
 
 /// What is to be looked up in the store now that a result has come.
@@ -54,8 +55,9 @@ pub enum Next {
 }
 
 impl Dispatcher {
-    /// Whether a result is wanted. It counts also if its lease is lost: records depend on the job alone. `identity` is
-    /// what the worker was told to compute, so that a result for another grid or another number of walks is refused.
+    /// Whether a result is wanted. It counts also if its lease is lost, as long as the coordinator gave it, be it before a
+    /// restart: records depend on the job alone. `identity` is what the worker was told to compute, so that a result
+    /// for another grid or another number of walks is refused.
     pub fn admit(
         &mut self,
         now: Duration,
@@ -77,12 +79,19 @@ impl Dispatcher {
     fn wanted(&self, key: &LeaseKey, identity: Digest, by: Origin) -> Result<Admission, DispatchError> {
         let part = PartId::from(key);
         let lost = DispatchError::LeaseLost { job: key.job, attempt: key.attempt };
+        if !self.seal().gave(key, self.workers.machines.token(by)) {
+            return Err(lost);
+        }
         let dictionary =
             self.dictionaries.get(&key.dictionary).ok_or(DispatchError::UnknownJob(key.dictionary.0))?;
         let Some(job) = dictionary.job(part) else { return Err(DispatchError::UnknownJob(key.dictionary.0)) };
         let spec = dictionary.spec(key.job, key.part);
         if spec.identity() != identity {
             return Err(lost);
+        }
+        let is_check = self.leases.get(key).is_some_and(|held| held.purpose == Purpose::Check);
+        if let Some(stored) = self.checks.subject(part).filter(|_| is_check && job.is_divided()) {
+            return Ok(Admission::Compare { job: spec, by, stored });
         }
         match &job.stage {
             Stage::Done { .. } if job.is_divided() => Ok(Admission::Repeated { job: spec }),
@@ -116,7 +125,7 @@ impl Dispatcher {
                 Next::FindBlocks
             }
             Outcome::Before { records, new } => {
-                self.compared(arrived.by, key, records, new);
+                self.compared(arrived, records, new);
                 Next::Nothing
             }
             Outcome::Unwanted | Outcome::Repeated | Outcome::Differs => Next::Nothing,
@@ -135,12 +144,29 @@ impl Dispatcher {
         self.end_leases_of_job(id, key.job);
         let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
         dictionary.finish(key.job, walks, records, Some(by), false);
+        self.confirmed.remove(&(id, key.job));
         let suspect = self.suspects.remove(&(id, key.job));
-        if walks.blocks() == 1 && (suspect || checks::is_drawn(records, self.settings.check_share)) {
-            self.checks.want(PartId::from(key), Vote { by: Some(by), digest: records });
+        if walks.blocks() > 1 {
+            self.want_check_of_block(arrived, suspect);
+        } else if suspect || self.draws(key, records) {
+            self.checks.want(PartId::from(key), vec![Vote { by: Some(by), digest: records }], suspect);
             self.outbox.work = true;
         }
         self.tell_end(id);
+    }
+
+    fn draws(&self, key: &LeaseKey, digest: Digest) -> bool {
+        self.seal().draws(PartId::from(key), digest, self.settings.check_share)
+    }
+
+    /// Asks for a second opinion on a block, if it is drawn. Its sums are merged, so that nobody could tell later what they
+    /// were: the store keeps their digest.
+    fn want_check_of_block(&mut self, arrived: &Arrived, suspect: bool) {
+        let Arrived { by, key, digest, .. } = *arrived;
+        if suspect || self.draws(key, digest) {
+            self.checks.want(PartId::from(key), vec![Vote { by: Some(by), digest }], true);
+            self.outbox.work = true;
+        }
     }
 
     /// Tells that a dictionary has ended, if none of its jobs is open.
@@ -154,19 +180,36 @@ impl Dispatcher {
     }
 
     /// A result differs from the records of other jobs that asked for the same walks. Which is wrong is not known: all
-    /// are done again, and then compared with what a second worker finds. It counts as a failed attempt, so that it cannot go
-    /// on for ever.
-    pub fn distrust(&mut self, arrived: &Arrived, others: &[(DictionaryId, u32)]) {
-        let key = arrived.key;
-        self.suspects.insert((key.dictionary, key.job));
+    /// are done again, and then compared with what a second machine finds. It counts as a failed attempt, so that it
+    /// cannot go on for ever.
+    pub fn distrust(&mut self, now: Duration, arrived: &Arrived, others: &[JobRef]) {
+        self.suspects.insert((arrived.key.dictionary, arrived.key.job));
         self.suspects.extend(others);
+        let what = "other records than those of the same walks in another dictionary";
+        self.reject(now, arrived, what, format!("{what}: both are computed again"));
+    }
+
+    /// A result differs from records of the same walks that several machines have found alike: one against these undoes
+    /// nothing.
+    pub fn contradict(&mut self, now: Duration, arrived: &Arrived) {
+        let what =
+            "other records than those that several machines found for the same walks in another dictionary";
+        self.reject(now, arrived, what, format!("{what}: they are not taken"));
+    }
+
+    fn reject(&mut self, now: Duration, arrived: &Arrived, what: &str, told: String) {
+        let key = arrived.key;
         if self.leases.get(key).is_some() {
             self.free(key.token);
         }
-        let what = "other records than those of the same walks in another dictionary";
-        self.tell_difference(arrived.by, key, format!("{what}: both are computed again"));
+        self.tell_difference(arrived.by, key, told);
         let reason = format!("attempt {}: {what}", key.attempt);
-        self.strike(key, Strike { worker: Some(arrived.by), silent: false, reason });
+        self.strike(now, key, Strike { machine: arrived.by, silent: None, reason });
+    }
+
+    /// Whether several machines have found the records of one of these jobs.
+    pub fn is_confirmed(&self, jobs: &[JobRef]) -> bool {
+        jobs.iter().any(|job| self.confirmed.contains_key(job))
     }
 
     /// Notes that a block of a divided job is stored.
@@ -177,8 +220,11 @@ impl Dispatcher {
         if current {
             self.result_came(now, arrived);
         }
-        if let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary).filter(|_| current) {
-            dictionary.part_stored(key.job, key.part);
+        if let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary).filter(|_| current)
+            && dictionary.part_stored(key.job, key.part)
+        {
+            let suspect = self.suspects.contains(&(key.dictionary, key.job));
+            self.want_check_of_block(arrived, suspect);
         }
     }
 
@@ -199,6 +245,7 @@ impl Dispatcher {
         self.end_leases_of_job(id, job);
         if let Some(dictionary) = self.dictionaries.get_mut(&id) {
             dictionary.prolong(job, more);
+            self.checks.retain(|part| (part.dictionary, part.job) != (id, job));
             self.outbox.work = true;
         }
     }
@@ -228,99 +275,7 @@ impl Dispatcher {
         }
         self.pace.working(now, self.leases.len() > 0);
         self.workers.job_done(arrived.worker);
+        self.workers.machines.succeeded(arrived.by);
         self.outbox.changed = true;
-    }
-
-    /// Compares a result with the one that is stored. True if they are equal.
-    pub fn compared(&mut self, by: Origin, key: &LeaseKey, stored: Digest, new: Digest) -> bool {
-        let part = PartId::from(key);
-        if self.leases.get(key).is_some_and(|held| held.purpose == Purpose::Check) {
-            self.leases.remove(key.token);
-            // If this settles nothing another worker may check.
-            self.outbox.work = true;
-        }
-        if self.workers.is_fenced(by) {
-            return stored == new;
-        }
-        let stage = self.dictionaries.get(&part.dictionary).and_then(|d| d.job(part)).map(|job| &job.stage);
-        let first = match stage {
-            Some(Stage::Done { records, by, .. }) if *records == stored => *by,
-            // What it was compared with is not what is there now: either not noted yet, or forgotten meanwhile.
-            stage => {
-                if stored != new && stage.is_some() {
-                    self.suspects.insert((key.dictionary, key.job));
-                }
-                return stored == new;
-            }
-        };
-        let verdict =
-            self.checks.vote(part, Vote { by: first, digest: stored }, Vote { by: Some(by), digest: new });
-        self.outbox.changed = true;
-        let confirmed = match &verdict {
-            Verdict::Agreed => true,
-            Verdict::Wrong(wrong) => stored == new && !wrong.contains(&Some(by)),
-            Verdict::Disputed | Verdict::Repeated | Verdict::Contradicted => false,
-        };
-        if confirmed {
-            let (dictionary, job) = (part.dictionary, part.job);
-            self.outbox.effects.push(Effect::Agreed { dictionary, job, worker: by });
-        }
-        match verdict {
-            Verdict::Repeated => {}
-            Verdict::Agreed => self.outbox.counts.push(Count::Agreed),
-            Verdict::Disputed => {
-                self.outbox.counts.push(Count::Disputed);
-                // A third worker decides, which may be waiting for work.
-                self.outbox.work = true;
-                let first = first.map_or_else(|| "an earlier one".to_owned(), |o| self.workers.label_of(o));
-                self.tell_difference(
-                    by,
-                    key,
-                    format!("other records than those of {first}: a third worker decides"),
-                );
-            }
-            Verdict::Contradicted => {
-                self.outbox.counts.push(Count::Disputed);
-                self.tell_difference(by, key, "records differ between workers");
-                self.fence(part, Some(by));
-            }
-            Verdict::Wrong(wrong) => {
-                self.tell_difference(by, key, "records differ between workers");
-                for origin in wrong {
-                    self.fence(part, origin);
-                }
-            }
-        }
-        stored == new
-    }
-
-    fn tell_difference(&mut self, by: Origin, key: &LeaseKey, message: impl Into<String>) {
-        if let Some(dictionary) = self.dictionaries.get(&key.dictionary) {
-            let event = Event::of_job(EventKind::ResultsDiffer, dictionary.name(), key.job, message);
-            self.outbox.events.push(event.by(self.workers.label_of(by)));
-        }
-    }
-
-    /// Fences off whoever computed wrongly; if that is not known, at least the job is computed again.
-    fn fence(&mut self, part: PartId, origin: Option<Origin>) {
-        let name = self.dictionaries.get(&part.dictionary).map(|d| d.name().to_string()).unwrap_or_default();
-        let Some(origin) = origin else {
-            let (dictionary, job) = (part.dictionary, part.job);
-            self.outbox.effects.push(Effect::Recompute { dictionary, job });
-            return;
-        };
-        let reason = format!("its records of job {} of {name} are wrong: two other results agree", part.job);
-        if self.workers.is_fenced(origin) {
-            return;
-        }
-        self.workers.fence(origin, reason.clone());
-        let label = self.workers.label_of(origin);
-        self.outbox.events.push(Event::of_worker(EventKind::WorkerFenced, label, reason.clone()));
-        for id in self.workers.ids_of(origin) {
-            for token in self.leases.of_worker(&id) {
-                self.free(token);
-            }
-        }
-        self.outbox.effects.push(Effect::Fence { worker: origin, reason });
     }
 }

@@ -1,13 +1,15 @@
 //! Leases that come to nothing: handed back or failed; and who is blamed for it.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::LeaseKey;
 
-use super::job::Strike;
+use super::job::{Job, Strike};
 use super::leases::Held;
 use super::{Count, DispatchError, Dispatcher, Effect, Event, EventKind, PartId, Purpose};
+use crate::stored::Origin;
 
 impl Dispatcher {
     /// Takes leases back without blame; those that are not held are passed over.
@@ -34,11 +36,32 @@ impl Dispatcher {
             return Err(lost);
         }
         let checked = self.free(key.token).is_some_and(|held| held.purpose == Purpose::Check);
+        let reason = format!("attempt {}: {reason}", key.attempt);
+        self.failed_on(now, origin, key, &reason);
         if !checked {
-            let reason = format!("attempt {}: {reason}", key.attempt);
-            self.strike(key, Strike { worker: Some(origin), silent: false, reason });
+            self.strike(now, key, Strike { machine: origin, silent: None, reason });
         }
         Ok(())
+    }
+
+    /// Counts against a machine that a job has come to nothing there.
+    pub(super) fn failed_on(&mut self, now: Duration, machine: Origin, key: &LeaseKey, reason: &str) {
+        let alone = !self.able(now).any(|other| other != machine);
+        let job = (key.dictionary, key.job);
+        if let Some(pause) = self.workers.machines.failed(now, machine, job, alone) {
+            let message =
+                format!("it fails one job after the other and gets none for {} s; {reason}", pause.as_secs());
+            let label = self.workers.label_of(machine);
+            self.outbox.events.push(Event::of_worker(EventKind::WorkerSuspended, label, message));
+            self.outbox.changed = true;
+        }
+    }
+
+    /// Machines that could take a job now or soon.
+    pub(super) fn able(&self, now: Duration) -> impl Iterator<Item = Origin> {
+        let here = self.workers.active().filter(move |(_, worker)| !self.is_silent(now, worker));
+        let origins = here.map(|(_, worker)| worker.origin);
+        origins.filter(move |origin| self.workers.machines.pause_left(now, *origin).is_none())
     }
 
     /// Ends one lease; its part waits again if nobody else holds it.
@@ -61,12 +84,17 @@ impl Dispatcher {
         Some(held)
     }
 
-    pub(super) fn strike(&mut self, key: &LeaseKey, strike: Strike) {
+    pub(super) fn strike(&mut self, now: Duration, key: &LeaseKey, strike: Strike) {
         let (id, job) = (key.dictionary, key.job);
-        let label = strike.worker.map(|origin| self.workers.label_of(origin)).unwrap_or_default();
+        let label = self.workers.label_of(strike.machine);
+        let able: BTreeSet<Origin> = self.able(now).collect();
         let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
         let name = dictionary.name().clone();
-        let given_up = dictionary.strike(job, strike.clone(), self.settings.max_attempts);
+        let no_other = |job: &Job| able.iter().all(|machine| job.is_struck_by(*machine));
+        let given_up = dictionary.strike(job, strike.clone(), self.settings.max_attempts, no_other);
+        if dictionary.jobs.get(job as usize).is_some_and(|job| job.machines_struck() > 1) {
+            self.outbox.work |= self.workers.machines.exonerate(now, (id, job));
+        }
         let event = |kind, message: String| Event::of_job(kind, &name, job, message).by(label.as_str());
         self.outbox.events.push(event(EventKind::AttemptFailed, strike.reason));
         self.outbox.changed = true;

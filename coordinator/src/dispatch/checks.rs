@@ -1,6 +1,7 @@
-//! Results compared bit for bit between workers, and who is believed when they differ.
+//! Results compared bit for bit between machines, and who is believed when they differ.
 //!
-//! Results are deterministic, so of two that differ one is wrong. A third worker decides: what two agree on is right.
+//! Results are deterministic, so of two that differ one is wrong. A third machine decides: what most agree on is right, if
+//! that are two at least. A machine has one vote, and only for a check that it was given.
 
 use std::collections::BTreeMap;
 
@@ -8,124 +9,161 @@ use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 
 use super::PartId;
-use crate::stored::Origin;
+use crate::stored::{Origin, Vote};
 
 /// Checks that may wait; when there are more, the oldest are dropped.
 const MOST: usize = 1000;
-
-/// Whether a result is among the share that is checked. Its digest decides: that is as good as chance for a wrong result,
-/// since nobody can foresee its digest, and after a restart the same are drawn.
-pub(super) fn is_drawn(records: Digest, share: f64) -> bool {
-    let [a, b, c, d, ..] = *records.as_bytes();
-    f64::from(u32::from_le_bytes([a, b, c, d])) < share * 2.0_f64.powi(32)
-}
-
-/// One worker's result, as its digest. The worker is unknown if the coordinator was restarted in between.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Vote {
-    pub by: Option<Origin>,
-    pub digest: Digest,
-}
 
 /// What a vote led to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// All agree.
     Agreed,
-    /// The same worker said the same again.
-    Repeated,
-    /// The same worker says something else than before.
-    Contradicted,
-    /// Two results differ: another worker is needed.
+    /// Nobody has asked, or this machine has been heard.
+    NotHeard,
+    /// No result has more votes than the others: another machine is needed.
     Disputed,
-    /// Two agree against these.
-    Wrong(Vec<Option<Origin>>),
+    /// Most agree on `right`; those who found something else.
+    Wrong { right: Digest, wrong: Vec<Option<Origin>> },
+}
+
+#[derive(Debug)]
+struct Open {
+    votes: Vec<Vote>,
+    /// The store has it too.
+    stored: bool,
 }
 
 #[derive(Debug, Default)]
 pub(super) struct Checks {
-    open: BTreeMap<PartId, Vec<Vote>>,
+    open: BTreeMap<PartId, Open>,
+    /// Those that the store is to be told of.
+    changed: BTreeMap<PartId, Vec<Vote>>,
     pub agreed: u64,
     pub disputed: u64,
 }
 
 impl Checks {
-    /// Asks for a second opinion on a result.
-    pub fn want(&mut self, part: PartId, first: Vote) {
+    /// Asks for another opinion on a result, for which these stand so far. `lasting`: it could not be found out after a
+    /// restart that it was asked for.
+    pub fn want(&mut self, part: PartId, votes: Vec<Vote>, lasting: bool) {
+        if self.open.contains_key(&part) {
+            return;
+        }
         if self.open.len() >= MOST {
             // A dispute must be settled; what merely waits for a first comparison can be let go.
-            let waiting = self.open.iter().find(|(_, votes)| votes.len() < 2).map(|(part, _)| *part);
+            let waiting = self.open.iter().find(|(_, open)| !is_disputed(&open.votes)).map(|(part, _)| *part);
             if let Some(part) = waiting {
-                self.open.remove(&part);
+                self.settle(part);
             }
         }
-        self.open.entry(part).or_insert_with(|| vec![first]);
+        if lasting {
+            self.changed.insert(part, votes.clone());
+        }
+        self.open.insert(part, Open { votes, stored: lasting });
+    }
+
+    /// Takes up a check that the store remembers.
+    pub fn remember(&mut self, part: PartId, votes: Vec<Vote>) {
+        self.open.insert(part, Open { votes, stored: true });
+    }
+
+    /// What the store is to be told: the votes of a check, none if it is settled.
+    pub fn take_changed(&mut self) -> BTreeMap<PartId, Vec<Vote>> {
+        std::mem::take(&mut self.changed)
     }
 
     /// The open checks of a dictionary's jobs.
-    pub fn of_dictionary(&self, id: DictionaryId) -> Vec<(PartId, Vec<Vote>)> {
-        let of_it = self.open.iter().filter(|(part, _)| part.dictionary == id);
-        of_it.map(|(part, votes)| (*part, votes.clone())).collect()
+    pub fn of_dictionary(&self, id: DictionaryId) -> impl Iterator<Item = (PartId, &[Vote])> {
+        let from = PartId { dictionary: id, job: 0, part: 0 };
+        let of_it = self.open.range(from..).take_while(move |(part, _)| part.dictionary == id);
+        of_it.map(|(part, open)| (*part, &open.votes[..]))
     }
 
-    /// Goes on with a check at another job with the same records.
-    pub fn take_over(&mut self, part: PartId, votes: Vec<Vote>) {
-        self.open.entry(part).or_insert(votes);
-    }
-
-    /// Parts that this worker has not computed itself.
-    pub fn open_to(&self, worker: Origin) -> impl Iterator<Item = PartId> {
-        let unseen = move |votes: &Vec<Vote>| votes.iter().all(|v| v.by != Some(worker));
-        self.open.iter().filter(move |(_, votes)| unseen(votes)).map(|(part, _)| *part)
+    /// Parts that a machine may check: no vote is its own, which `is_own` tells.
+    pub fn open_to(&self, is_own: impl Fn(Origin) -> bool) -> impl Iterator<Item = PartId> {
+        let unseen = move |open: &Open| !open.votes.iter().any(|vote| vote.by.is_some_and(&is_own));
+        self.open.iter().filter(move |(_, open)| unseen(open)).map(|(part, _)| *part)
     }
 
     pub fn waiting(&self) -> usize {
         self.open.len()
     }
 
-    pub fn is_disputed(&self, part: PartId) -> bool {
-        self.open.get(&part).is_some_and(|votes| votes.len() > 1)
+    /// What stands first in an open check: the result that is stored.
+    pub fn subject(&self, part: PartId) -> Option<Digest> {
+        Some(self.open.get(&part)?.votes.first()?.digest)
     }
 
-    /// Compares one more result with the stored one, whether or not it was asked for.
-    pub fn vote(&mut self, part: PartId, stored: Vote, new: Vote) -> Verdict {
-        let asked_for = self.open.contains_key(&part);
-        let votes = self.open.entry(part).or_insert_with(|| vec![stored]);
-        if let Some(same) = votes.iter().position(|v| v.by.is_some() && v.by == new.by) {
-            let consistent = votes[same].digest == new.digest;
-            if consistent {
-                // Its own opinion again proves nothing.
-                if !asked_for {
-                    self.open.remove(&part);
-                }
-                return Verdict::Repeated;
-            }
-            // What it said before counts no more; what others said is still to be settled.
-            votes.remove(same);
-            if votes.is_empty() {
-                self.open.remove(&part);
-            }
-            self.disputed += 1;
-            return Verdict::Contradicted;
+    pub fn disputed_in(&self, id: DictionaryId) -> impl Iterator<Item = PartId> {
+        self.of_dictionary(id).filter(|(_, votes)| is_disputed(votes)).map(|(part, _)| part)
+    }
+
+    /// Hears one more machine about a part that is being checked. `is_own` tells who has the same vote as it.
+    pub fn vote(&mut self, part: PartId, new: Vote, is_own: impl Fn(Origin) -> bool) -> Verdict {
+        let Some(open) = self.open.get_mut(&part) else { return Verdict::NotHeard };
+        if open.votes.iter().any(|vote| vote.by.is_some_and(&is_own)) {
+            return Verdict::NotHeard;
         }
-        votes.push(new);
-        let count = |digest: Digest| votes.iter().filter(|v| v.digest == digest).count();
-        let Some(right) = votes.iter().map(|v| v.digest).find(|d| count(*d) > 1) else {
+        open.votes.push(new);
+        let Some(right) = most_agreed(&open.votes) else {
             self.disputed += 1;
+            open.stored = true;
+            self.changed.insert(part, open.votes.clone());
             return Verdict::Disputed;
         };
-        let mut wrong: Vec<_> = votes.iter().filter(|v| v.digest != right).map(|v| v.by).collect();
+        let mut wrong: Vec<_> = open.votes.iter().filter(|v| v.digest != right).map(|v| v.by).collect();
         wrong.dedup();
-        self.open.remove(&part);
+        self.settle(part);
         if wrong.is_empty() {
             self.agreed += 1;
             return Verdict::Agreed;
         }
-        Verdict::Wrong(wrong)
+        Verdict::Wrong { right, wrong }
+    }
+
+    /// A machine's votes count no more. What others have said is still to be settled, if what is stored has a vote left.
+    pub fn unhear(&mut self, machine: Origin) {
+        let heard = |open: &Open| open.votes.iter().any(|vote| vote.by == Some(machine));
+        let of_it: Vec<PartId> =
+            self.open.iter().filter(|(_, open)| heard(open)).map(|(part, _)| *part).collect();
+        for part in of_it {
+            let Some(open) = self.open.get_mut(&part) else { continue };
+            let subject = open.votes[0].digest;
+            open.votes.retain(|vote| vote.by != Some(machine));
+            if open.votes.first().is_none_or(|first| first.digest != subject) {
+                self.settle(part);
+            } else if open.stored {
+                self.changed.insert(part, open.votes.clone());
+            }
+        }
     }
 
     /// Forgets checks whose subject is gone.
     pub fn retain(&mut self, keep: impl Fn(PartId) -> bool) {
-        self.open.retain(|part, _| keep(*part));
+        let gone: Vec<PartId> = self.open.keys().filter(|part| !keep(**part)).copied().collect();
+        for part in gone {
+            self.settle(part);
+        }
     }
+
+    /// The check of a part is over.
+    pub fn settle(&mut self, part: PartId) {
+        if self.open.remove(&part).is_some_and(|open| open.stored) {
+            self.changed.insert(part, Vec::new());
+        }
+    }
+}
+
+fn is_disputed(votes: &[Vote]) -> bool {
+    votes.iter().any(|vote| vote.digest != votes[0].digest)
+}
+
+/// What at least two found, and more than found anything else.
+fn most_agreed(votes: &[Vote]) -> Option<Digest> {
+    let count = |digest: Digest| votes.iter().filter(|vote| vote.digest == digest).count();
+    let most = votes.iter().map(|vote| count(vote.digest)).max()?;
+    let mut best = votes.iter().map(|vote| vote.digest).filter(|digest| count(*digest) == most);
+    let first = best.next()?;
+    (most > 1 && best.all(|other| other == first)).then_some(first)
 }

@@ -9,11 +9,10 @@ use farm_proto::status::DictionaryState;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Invalid, Walks};
 
-use super::checks::Vote;
 use super::job::{Job, Part, Stage, Strike};
 use super::plan::Plan;
 use super::{PartId, plan, shared};
-use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary};
+use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary, Vote};
 
 /// Numbers that change with every job, kept so that nobody has to count.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
@@ -42,6 +41,8 @@ pub struct Dictionary {
     pub(super) counts: Counts,
     /// Parts that are leased; the dispatcher keeps who holds them.
     pub(super) leased: usize,
+    /// Who has confirmed what the store has, until the dispatcher takes that.
+    pub(super) confirmed: Vec<(u32, Vec<Origin>)>,
 }
 
 impl Dictionary {
@@ -63,7 +64,13 @@ impl Dictionary {
         }
         let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
         let (family, counts) = (shared::family(&stored.grid), Counts::default());
-        let mut dictionary = Self { stored, outdated, too_large, family, jobs, pending, counts, leased: 0 };
+        let confirmed = ended.iter().filter_map(|end| match end {
+            EndedJob::Done { job, confirmed, .. } if !confirmed.is_empty() => Some((*job, confirmed.clone())),
+            _ => None,
+        });
+        let confirmed = confirmed.collect();
+        let mut dictionary =
+            Self { stored, outdated, too_large, family, jobs, pending, counts, leased: 0, confirmed };
         dictionary.count();
         if let Some(why) = &dictionary.too_large {
             dictionary.stored.reason = format!("its grid is too large: {why}; delete it");
@@ -151,7 +158,7 @@ impl Dictionary {
         self.jobs.get(index as usize).map(|job| job.open_parts().collect()).unwrap_or_default()
     }
 
-    /// Jobs that one worker has done alone, with its result; blocks cannot be checked once they are merged.
+    /// Jobs that one machine has done alone, with its result. Blocks are checked one by one.
     /// Also told: whether the records came for another dictionary.
     pub(super) fn unchecked(&self) -> impl Iterator<Item = (u32, Vote, bool)> {
         let wanted = |(job, index): (&Job, u32)| match job.stage {
@@ -264,19 +271,26 @@ impl Dictionary {
         self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Done { .. }))
     }
 
-    /// Counts an attempt that came to nothing. If these are too many the job is given up: all reasons, and whether
-    /// it was for silence.
-    pub(super) fn strike(&mut self, index: u32, strike: Strike, max: u32) -> Option<(String, bool)> {
+    /// Counts an attempt that came to nothing. It is given up if `max` machines have failed at it, or if as many
+    /// attempts have failed and nobody else is there who might try (`no_other`): all reasons, and whether silence was
+    /// among them.
+    pub(super) fn strike(
+        &mut self,
+        index: u32,
+        strike: Strike,
+        max: u32,
+        no_other: impl FnOnce(&Job) -> bool,
+    ) -> Option<(String, bool)> {
         let job = &mut self.jobs[index as usize];
         if !matches!(job.stage, Stage::Open { .. }) {
             return None;
         }
         job.strikes.push(strike);
-        if job.strikes.len() < max as usize {
+        if job.strikes.len() < max as usize || (job.machines_struck() < max as usize && !no_other(job)) {
             return None;
         }
         let reasons: Vec<_> = job.strikes.iter().map(|s| s.reason.as_str()).collect();
-        let (reason, quarantined) = (reasons.join("; "), job.strikes.iter().any(|s| s.silent));
+        let (reason, quarantined) = (reasons.join("; "), job.strikes.iter().any(|s| s.silent.is_some()));
         for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
@@ -285,10 +299,17 @@ impl Dictionary {
         Some((reason, quarantined))
     }
 
-    /// Takes back the blame for silence: the worker has been heard of again.
-    pub(super) fn forgive(&mut self, index: u32, worker: Origin) {
+    /// Takes back the blame for silence: the process has been heard of again.
+    pub(super) fn forgive(&mut self, index: u32, process: &str) {
         if let Some(job) = self.jobs.get_mut(index as usize) {
-            job.strikes.retain(|s| !(s.silent && s.worker == Some(worker)));
+            job.strikes.retain(|s| s.silent.as_deref() != Some(process));
+        }
+    }
+
+    /// What is stored of a job now stands in another machine's name, or in nobody's.
+    pub(super) fn set_by(&mut self, index: u32, machine: Option<Origin>) {
+        if let Some(Job { stage: Stage::Done { by, .. }, .. }) = self.jobs.get_mut(index as usize) {
+            *by = machine;
         }
     }
 

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use farm_proto::DictionaryName;
+use farm_proto::ids::DictionaryId;
 use farm_proto::status::DictionaryState;
 
 use super::{Dictionary, Dispatcher, PartId, Purpose};
@@ -24,7 +25,10 @@ impl Dispatcher {
         let dictionary = self.by_name(name)?;
         let mut reasons = Vec::new();
         match dictionary.state() {
-            DictionaryState::Done => reasons.push(reason("DONE", "all of its jobs are done")),
+            DictionaryState::Done => {
+                self.explain_disputes(dictionary, &mut reasons);
+                reasons.push(reason("DONE", "all of its jobs are done"));
+            }
             DictionaryState::Cancelled if dictionary.too_large.is_some() => {
                 reasons.push(reason("TOO_LARGE", dictionary.reason()));
             }
@@ -44,6 +48,9 @@ impl Dispatcher {
             DictionaryState::Failed => {}
             DictionaryState::Running => self.explain_running(now, dictionary, &mut reasons),
         }
+        if dictionary.state() != DictionaryState::Done {
+            self.explain_disputes(dictionary, &mut reasons);
+        }
         let (_, given_up) = dictionary.ended();
         if given_up > 0 {
             reasons.push(reason(
@@ -54,9 +61,31 @@ impl Dispatcher {
         Some(reasons)
     }
 
+    /// Jobs whose results differ between machines, and which are right is not known.
+    fn explain_disputes(&self, dictionary: &Dictionary, reasons: &mut Vec<Reason>) {
+        let (count, first) =
+            (self.disputed(dictionary.id()), self.checks.disputed_in(dictionary.id()).next());
+        if let Some(PartId { job, .. }) = first {
+            let text = format!(
+                "machines disagree about {count} jobs, the first is job {job}: one that has not computed it must decide"
+            );
+            reasons.push(reason("DISPUTED", text));
+        }
+    }
+
+    /// Jobs of a dictionary about which machines disagree.
+    pub(super) fn disputed(&self, id: DictionaryId) -> usize {
+        let mut jobs: Vec<u32> = self.checks.disputed_in(id).map(|part| part.job).collect();
+        jobs.dedup();
+        jobs.len()
+    }
+
     fn explain_running(&self, now: Duration, dictionary: &Dictionary, reasons: &mut Vec<Reason>) {
         let registered = self.workers.len();
         let active = self.workers.active().count();
+        let paused =
+            self.workers.active().filter(|(_, w)| self.workers.machines.pause_left(now, w.origin).is_some());
+        let paused = paused.count();
         if registered == 0 {
             reasons.push(reason("NO_WORKERS", "no worker is registered: start farm-worker"));
         } else if active == 0 {
@@ -66,6 +95,11 @@ impl Dispatcher {
             let text =
                 format!("none of {active} workers has been heard of for {} s", self.settings.lease.as_secs());
             reasons.push(reason("WORKERS_SILENT", text));
+        }
+        if paused > 0 {
+            let text =
+                format!("{paused} of {active} workers are suspended: they fail one job after the other");
+            reasons.push(reason("WORKERS_SUSPENDED", text));
         }
         let before: Vec<_> = self.served_before(dictionary).filter(|d| d.pending() > 0).collect();
         if let (Some(next), true) = (before.first(), dictionary.pending() > 0) {
@@ -107,12 +141,6 @@ impl Dispatcher {
                 self.settings.max_attempts
             );
             reasons.push(reason("RETRYING", text));
-        }
-        let disputed = (0..dictionary.jobs() as u32)
-            .find(|job| self.checks.is_disputed(PartId { dictionary: dictionary.id(), job: *job, part: 0 }));
-        if let Some(job) = disputed {
-            let text = format!("two workers disagree about job {job}: a third must decide");
-            reasons.push(reason("DISPUTED", text));
         }
     }
 }

@@ -2,11 +2,12 @@
 
 use std::time::Duration;
 
-use farm_proto::ids::{DictionaryId, WorkerId};
+use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::{Lease, LeaseKey};
 use optics_model::Digest;
 
 use super::leases::{Held, Leases};
+use super::shared::Taker;
 use super::{Count, Dictionary, DispatchError, Dispatcher, Grant, PartId, Purpose, TokenSource};
 
 impl Dispatcher {
@@ -26,17 +27,28 @@ impl Dispatcher {
             return Ok(Grant { drain: true, ..Grant::default() });
         }
         let mut grant = Grant::default();
+        let machines = &self.workers.machines;
+        if machines.pause_left(now, origin).is_some() {
+            return Ok(grant);
+        }
+        let trial = machines.is_on_trial(origin);
+        if trial && self.workers.ids_of(origin).iter().any(|id| self.leases.count_of(id) > 0) {
+            return Ok(grant);
+        }
+        let max = if trial { 1 } else { max };
+        let is_own = |other| machines.share_a_vote(origin, other);
         let checks: Vec<PartId> =
-            self.checks.open_to(origin).filter(|part| self.may_check(*part)).take(max).collect();
+            self.checks.open_to(is_own).filter(|part| self.may_check(*part)).take(max).collect();
         for part in checks {
             self.grant(now, worker, part, Purpose::Check, tokens, &mut grant);
         }
         let order: Vec<DictionaryId> = self.order.iter().map(|(_, id)| *id).collect();
+        let mut taker = Taker::new(origin);
         for id in order {
             // Workers that outlived a restart may have the costliest of these in hand, and have not said so yet.
             let returning = now < self.settings.lease && self.taken_up.contains(&id);
             while grant.leases.len() < max
-                && let Some(part) = self.next_part(id, returning)
+                && let Some(part) = self.next_part_for(now, &mut taker, id, returning)
                 && let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary)
             {
                 let attempt = dictionary.begin(part.job, part.part);
@@ -45,6 +57,7 @@ impl Dispatcher {
                 self.lease(now, worker, part, attempt, purpose, tokens, &mut grant);
             }
         }
+        self.kept_for_others |= taker.kept;
         while grant.leases.len() < max
             && let Some(part) = self.next_late(worker)
         {
@@ -101,12 +114,19 @@ impl Dispatcher {
         grant: &mut Grant,
     ) {
         let PartId { dictionary, job, part } = id;
-        let key = LeaseKey { dictionary, job, attempt, token: tokens.token(), part };
+        let bare = LeaseKey { dictionary, job, attempt, token: Token(0), part };
+        let token = self.seal().token(&bare, tokens.token().0 as u64, self.holder(worker));
+        let key = LeaseKey { token, ..bare };
         let deadline = now + self.settings.lease;
         let worker = worker.clone();
         self.leases.insert(Held { key, worker, purpose, since: now, deadline, running: false });
         grant.leases.push(Lease { key, job: self.dictionaries[&dictionary].spec(job, part) });
         self.outbox.counts.push(Count::Granted(purpose));
+    }
+
+    /// The access token that a worker has shown, by its name.
+    pub(super) fn holder(&self, worker: &WorkerId) -> &str {
+        self.workers.get(worker).map_or("", |worker| self.workers.machines.token(worker.origin))
     }
 
     /// Extends leases; tells which are lost, and whether the worker is to leave. A lease that is not known (the
@@ -142,6 +162,9 @@ impl Dispatcher {
                 self.leases.extend(key.token, deadline, running);
             }
             return own;
+        }
+        if !self.seal().gave(key, self.holder(worker)) {
+            return false;
         }
         let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) else { return false };
         let wanted = !self.leases.has(key.token)

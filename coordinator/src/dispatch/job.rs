@@ -21,9 +21,9 @@ pub(super) enum Stage {
 /// Why an attempt came to nothing.
 #[derive(Debug, Clone)]
 pub(super) struct Strike {
-    pub worker: Option<Origin>,
-    /// The worker fell silent while it computed; it may still come back.
-    pub silent: bool,
+    pub machine: Origin,
+    /// The process that fell silent while it computed; it may still come back.
+    pub silent: Option<String>,
     pub reason: String,
 }
 
@@ -73,6 +73,19 @@ impl Job {
     /// Cost of one part.
     pub fn part_cost(&self) -> f64 {
         self.cost / f64::from(self.walks.blocks())
+    }
+
+    /// Whether a machine has failed at it.
+    pub fn is_struck_by(&self, machine: Origin) -> bool {
+        self.strikes.iter().any(|strike| strike.machine == machine)
+    }
+
+    /// How many machines have failed at it.
+    pub fn machines_struck(&self) -> usize {
+        let first = |(i, strike): &(usize, &Strike)| {
+            !self.strikes[..*i].iter().any(|before| before.machine == strike.machine)
+        };
+        self.strikes.iter().enumerate().filter(first).count()
     }
 
     /// Takes up how the job ended, as the store has it.

@@ -157,6 +157,7 @@ impl Leases {
         self.deadlines = self.deadlines.iter().map(|(deadline, token)| (*deadline + by, *token)).collect();
         for held in self.all.values_mut() {
             held.deadline += by;
+            held.since += by;
         }
     }
 }

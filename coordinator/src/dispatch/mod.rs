@@ -11,14 +11,17 @@ mod dictionary;
 mod explain;
 mod grant;
 mod job;
+mod judgement;
 mod leases;
 mod look_over;
+mod machines;
 #[cfg(test)]
 mod model_tests;
 mod outbox;
 mod pace;
 mod plan;
 mod progress;
+mod seal;
 mod shared;
 #[cfg(test)]
 mod tests;
@@ -34,7 +37,7 @@ use farm_proto::lease::Lease;
 use farm_proto::status::DictionaryStatus;
 use optics_model::Walks;
 
-use crate::stored::{DesiredState, Origin};
+use crate::stored::{DesiredState, OpenCheck, Origin, Secret};
 pub use arrivals::{Admission, Arrived, Next};
 use checks::Checks;
 pub use dictionary::Dictionary;
@@ -44,6 +47,7 @@ pub use leases::{PartId, Purpose};
 pub use outbox::{Count, Effect, Event, EventKind, Outbox};
 use pace::Pace;
 pub use plan::Plan;
+use seal::Seal;
 pub use shared::JobRef;
 pub use workers::Registration;
 use workers::Workers;
@@ -56,6 +60,8 @@ pub struct Settings {
     pub max_attempts: u32,
     /// Share of the results that a second worker computes too, for comparison.
     pub check_share: f64,
+    /// What decides which these are, and marks leases as given by this coordinator.
+    pub secret: Secret,
 }
 
 /// Where tokens of leases come from.
@@ -95,9 +101,13 @@ pub struct Dispatcher {
     checks: Checks,
     /// Jobs whose next result is checked in any case.
     suspects: BTreeSet<(DictionaryId, u32)>,
+    /// Who has found the same as is stored of a job, besides who computed it.
+    confirmed: BTreeMap<JobRef, Vec<Origin>>,
     pace: Pace,
     /// Parts that take too long, found at the last look.
     late: Vec<PartId>,
+    /// Some part was kept for other machines than the one that asked.
+    kept_for_others: bool,
     /// Dictionaries that were begun before the coordinator's start.
     taken_up: BTreeSet<DictionaryId>,
     last_look: Option<Duration>,
@@ -117,8 +127,10 @@ impl Dispatcher {
             leases: Leases::default(),
             checks: Checks::default(),
             suspects: BTreeSet::new(),
+            confirmed: BTreeMap::new(),
             pace: Pace::default(),
             late: Vec::new(),
+            kept_for_others: false,
             taken_up: BTreeSet::new(),
             last_look: None,
             outbox: Outbox::default(),
@@ -131,8 +143,14 @@ impl Dispatcher {
         self.settings
     }
 
-    pub fn add_dictionary(&mut self, dictionary: Dictionary) {
+    fn seal(&self) -> Seal {
+        Seal(self.settings.secret)
+    }
+
+    pub fn add_dictionary(&mut self, mut dictionary: Dictionary) {
         let id = dictionary.id();
+        let confirmed = std::mem::take(&mut dictionary.confirmed).into_iter();
+        self.confirmed.extend(confirmed.map(|(job, by)| ((id, job), by)));
         self.order.insert((std::cmp::Reverse(dictionary.priority()), id));
         self.dictionaries.entry(id).or_insert(dictionary);
         self.want_checks(id);
@@ -151,6 +169,7 @@ impl Dispatcher {
             self.order.remove(&(std::cmp::Reverse(dictionary.priority()), id));
             self.leases.remove_dictionary(id);
             self.checks.retain(|part| part.dictionary != id);
+            self.confirmed.retain(|(dictionary, _), _| *dictionary != id);
             self.suspects.retain(|(dictionary, _)| *dictionary != id);
             self.late.retain(|part| part.dictionary != id);
             self.taken_up.remove(&id);
@@ -178,7 +197,8 @@ impl Dispatcher {
         let goes_first =
             || self.served_before(dictionary).find(|d| d.pending() > 0).map(|d| d.name().clone());
         let waits = dictionary.pending() > 0 && dictionary.leased == 0 && dictionary.is_active();
-        dictionary.status(self.eta_s(now, dictionary), waits.then(goes_first).flatten())
+        let disputed = self.disputed(dictionary.id());
+        dictionary.status(self.eta_s(now, dictionary), waits.then(goes_first).flatten(), disputed)
     }
 
     /// Active dictionaries that are served before this one, the first first.
@@ -215,7 +235,13 @@ impl Dispatcher {
 
     /// All that came of the changes since the last call.
     pub fn take_outbox(&mut self) -> Outbox {
-        std::mem::take(&mut self.outbox)
+        let mut outbox = std::mem::take(&mut self.outbox);
+        for (PartId { dictionary, job, part }, votes) in self.checks.take_changed() {
+            let check = OpenCheck { dictionary, job, block: part, votes };
+            outbox.effects.push(Effect::NoteCheck(check));
+            outbox.changed = true;
+        }
+        outbox
     }
 
     /// There may be work for a worker that waits, and people may see something new.
@@ -286,6 +312,9 @@ impl Dispatcher {
             dictionary.reopen(jobs);
         }
         self.checks.retain(|part| part.dictionary != id || !jobs.contains(&part.job));
+        for job in jobs {
+            self.confirmed.remove(&(id, *job));
+        }
         self.work_came();
     }
 
@@ -312,24 +341,24 @@ impl Dispatcher {
             let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
             if stored.contains(&part) {
                 self.outbox.changed |= dictionary.part_stored(job, part);
-            } else if dictionary.part_missing(job, part, held) {
-                self.work_came();
+            } else {
+                let waits = dictionary.part_missing(job, part, held);
+                self.checks.settle(whole);
+                if waits {
+                    self.work_came();
+                }
             }
         }
-    }
-
-    fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<(), DispatchError> {
-        let origin = self.workers.seen(now, id)?;
-        self.forgive(origin);
-        Ok(())
     }
 
     /// A worker has been heard of: nothing failed for its silence.
-    fn forgive(&mut self, origin: Origin) {
-        for (dictionary, job) in self.workers.returned(origin) {
+    fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<(), DispatchError> {
+        let (process, blamed) = self.workers.seen(now, id)?;
+        for (dictionary, job) in blamed {
             if let Some(dictionary) = self.dictionaries.get_mut(&dictionary) {
-                dictionary.forgive(job, origin);
+                dictionary.forgive(job, &process);
             }
         }
+        Ok(())
     }
 }

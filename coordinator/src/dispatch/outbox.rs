@@ -5,7 +5,7 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 
 use super::Purpose;
-use crate::stored::Origin;
+use crate::stored::{OpenCheck, Origin};
 
 /// All that came of the changes since it was last taken.
 #[derive(Debug, Default)]
@@ -44,21 +44,27 @@ pub enum Effect {
         reason: String,
         quarantined: bool,
     },
-    /// Forget a job's records.
+    /// Set a job's records aside, until it has been computed again.
     Recompute {
         dictionary: DictionaryId,
         job: u32,
     },
-    /// Note that a worker has found a job's records to be right: after a restart they need no other check.
+    /// Note that a machine has found a job's records to be right: after a restart they need no other check.
     Agreed {
         dictionary: DictionaryId,
         job: u32,
-        worker: Origin,
+        machine: Origin,
     },
-    /// Forget all that a worker has computed.
+    /// Note how a check stands; it is over if it has no votes.
+    NoteCheck(OpenCheck),
+    /// Set all aside that a machine alone stands for.
     Fence {
-        worker: Origin,
+        machine: Origin,
         reason: String,
+    },
+    /// Let a machine in again, and take back what was set aside with it.
+    LiftFence {
+        machine: Origin,
     },
 }
 
@@ -84,6 +90,8 @@ pub enum EventKind {
     WorkerGone,
     WorkerDraining,
     WorkerFenced,
+    WorkerReadmitted,
+    WorkerSuspended,
     BackupMade,
 }
 
@@ -111,6 +119,8 @@ impl EventKind {
             Self::WorkerGone => "WORKER_GONE",
             Self::WorkerDraining => "WORKER_DRAINING",
             Self::WorkerFenced => "WORKER_FENCED",
+            Self::WorkerReadmitted => "WORKER_READMITTED",
+            Self::WorkerSuspended => "WORKER_SUSPENDED",
             Self::BackupMade => "BACKUP_MADE",
         }
     }

@@ -14,6 +14,12 @@ const FORGOTTEN: Duration = Duration::from_mins(10);
 const NEWEST: f64 = 0.05;
 /// A part is a straggler after this many times what is typical for its cost.
 const PATIENCE: f64 = 3.0;
+/// A part that takes this many times as long as is usual is not computed any more, however slow the machine.
+const ENDLESS: f64 = 30.0;
+/// But not before this: machines are put to sleep, and programs stopped for a while.
+const LEAST_ENDLESS: Duration = Duration::from_hours(1);
+/// While it is not known what is usual.
+const LONGEST_UNKNOWN: Duration = Duration::from_hours(24);
 /// No part is a straggler before.
 const LEAST: Duration = Duration::from_secs(2);
 
@@ -83,6 +89,12 @@ impl Pace {
     pub fn is_late(&self, cost: f64, age: Duration) -> bool {
         let typical = self.seconds_per_cost.map(|s| s * cost);
         age > LEAST && typical.is_some_and(|typical| age.as_secs_f64() > PATIENCE * typical)
+    }
+
+    /// Whether a part of this cost has been out for so long that its worker will never end it, however slow it is.
+    pub fn is_endless(&self, cost: f64, age: Duration) -> bool {
+        let typical = self.seconds_per_cost.map(|s| ENDLESS * s * cost);
+        age > typical.map_or(LONGEST_UNKNOWN, |s| Duration::from_secs_f64(s).max(LEAST_ENDLESS))
     }
 }
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use farm_proto::DictionaryName;
-use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
+use farm_proto::status::{DictionaryState, DictionaryStatus, FAILED_JOBS, FailedJob};
 use optics_model::Digest;
 
 use super::Dictionary;
@@ -47,7 +47,12 @@ impl Dictionary {
         if self.counts.done == self.jobs.len() { 1.0 } else { self.counts.cost_done / self.counts.cost }
     }
 
-    pub fn status(&self, eta_s: Option<f64>, goes_first: Option<DictionaryName>) -> DictionaryStatus {
+    pub fn status(
+        &self,
+        eta_s: Option<f64>,
+        goes_first: Option<DictionaryName>,
+        jobs_disputed: usize,
+    ) -> DictionaryStatus {
         DictionaryStatus {
             name: self.stored.name.clone(),
             grid: (*self.stored.grid).clone(),
@@ -57,7 +62,9 @@ impl Dictionary {
             state: self.state(),
             jobs_done: self.counts.done,
             jobs_leased: self.leased,
-            failed: self.given_up(),
+            jobs_disputed,
+            jobs_failed: self.counts.given_up,
+            failed: self.given_up(0, FAILED_JOBS),
             work_done: self.work_done(),
             priority: self.stored.priority,
             reason: self.stored.reason.clone(),
@@ -79,7 +86,8 @@ impl Dictionary {
         self.jobs.iter().map(digest).collect::<Option<Vec<_>>>().map(Digest::of_jobs)
     }
 
-    fn given_up(&self) -> Vec<FailedJob> {
+    /// Jobs that were given up, from one on, so many at most.
+    pub fn given_up(&self, from: u32, most: usize) -> Vec<FailedJob> {
         if self.counts.given_up == 0 {
             return Vec::new();
         }
@@ -89,6 +97,7 @@ impl Dictionary {
             }
             _ => None,
         };
-        self.jobs.iter().zip(0..).filter_map(failed).collect()
+        let rest = self.jobs.iter().zip(0..).skip(from as usize);
+        rest.filter_map(failed).take(most).collect()
     }
 }

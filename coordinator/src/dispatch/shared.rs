@@ -4,17 +4,31 @@
 //! moment: when one is paused, cancelled or deleted, or its job given up, the others compute for themselves.
 
 use std::cmp::Reverse;
+use std::time::Duration;
 
 use farm_proto::ids::DictionaryId;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, TransportPoint, Walks};
 
-use super::checks::{self, Vote};
 use super::{Dictionary, Dispatcher, PartId};
-use crate::stored::Origin;
+use crate::stored::{Origin, Vote};
 
 /// A job of a dictionary.
 pub type JobRef = (DictionaryId, u32);
+
+/// A machine that asks for work.
+#[derive(Debug)]
+pub(super) struct Taker {
+    pub machine: Origin,
+    /// Something was kept for others.
+    pub kept: bool,
+}
+
+impl Taker {
+    pub fn new(machine: Origin) -> Self {
+        Self { machine, kept: false }
+    }
+}
 
 /// What the walks of a grid depend on besides the transport point. None if it asks for a target error: then it is not
 /// known before with how many walks a job ends.
@@ -71,13 +85,42 @@ impl Dispatcher {
     /// The next part to be given out for a dictionary, the costliest or the cheapest first: one of its own, or of a job
     /// that will serve it too.
     pub(super) fn next_part(&self, id: DictionaryId, cheapest: bool) -> Option<PartId> {
+        self.next_part_that(id, cheapest, |_| true)
+    }
+
+    /// The same for a machine: what it has failed at goes to others first.
+    pub(super) fn next_part_for(
+        &self,
+        now: Duration,
+        taker: &mut Taker,
+        id: DictionaryId,
+        cheapest: bool,
+    ) -> Option<PartId> {
+        self.next_part_that(id, cheapest, |part| {
+            let others = self.dictionaries[&part.dictionary].job(part).is_some_and(|job| {
+                job.is_struck_by(taker.machine) && self.able(now).any(|other| !job.is_struck_by(other))
+            });
+            taker.kept |= others;
+            !others
+        })
+    }
+
+    fn next_part_that(
+        &self,
+        id: DictionaryId,
+        cheapest: bool,
+        mut suits: impl FnMut(PartId) -> bool,
+    ) -> Option<PartId> {
         let dictionary = self.dictionaries.get(&id).filter(|dictionary| dictionary.is_active())?;
-        dictionary.waiting(cheapest).find_map(|(job, part)| match self.computed_by((id, job)) {
-            None => Some(PartId { dictionary: id, job, part }),
-            Some((dictionary, job)) => {
-                let part = self.dictionaries[&dictionary].waiting_part(job)?;
-                Some(PartId { dictionary, job, part })
-            }
+        dictionary.waiting(cheapest).find_map(|(job, part)| {
+            let part = match self.computed_by((id, job)) {
+                None => PartId { dictionary: id, job, part },
+                Some((dictionary, job)) => {
+                    let part = self.dictionaries[&dictionary].waiting_part(job)?;
+                    PartId { dictionary, job, part }
+                }
+            };
+            suits(part).then_some(part)
         })
     }
 
@@ -110,21 +153,29 @@ impl Dispatcher {
     pub(super) fn want_checks(&mut self, id: DictionaryId) {
         let Some(own) = self.dictionaries.get(&id) else { return };
         let elsewhere = |job: u32| self.kin((id, job)).any(|(other, job)| other.is_done(job));
-        let wanted: Vec<(u32, Vote)> = own
+        let (seal, share) = (self.seal(), self.settings.check_share);
+        let wanted: Vec<(PartId, Vote)> = own
             .unchecked()
-            .filter(|(job, first, reused)| {
-                checks::is_drawn(first.digest, self.settings.check_share) && !(*reused && elsewhere(*job))
+            .map(|(job, first, reused)| (PartId { dictionary: id, job, part: 0 }, first, reused))
+            .filter(|(part, first, reused)| {
+                seal.draws(*part, first.digest, share)
+                    && !self.confirmed.contains_key(&(id, part.job))
+                    && !(*reused && elsewhere(part.job))
             })
-            .map(|(job, first, _)| (job, first))
+            .map(|(part, first, _)| (part, first))
             .collect();
-        for (job, first) in wanted {
-            self.checks.want(PartId { dictionary: id, job, part: 0 }, first);
+        for (part, first) in wanted {
+            self.checks.want(part, vec![first], false);
         }
     }
 
-    /// A dictionary goes: whoever shares the records of its jobs takes over the open checks.
+    /// A dictionary goes: whoever shares the records of its jobs takes over the open checks, and what was confirmed.
     pub(super) fn hand_over_checks(&mut self, id: DictionaryId) {
-        for (part, votes) in self.checks.of_dictionary(id) {
+        let Some(own) = self.dictionaries.get(&id) else { return };
+        let open: Vec<_> =
+            self.checks.of_dictionary(id).map(|(part, votes)| (part, votes.to_vec())).collect();
+        let undivided = |part: &PartId| own.job(*part).is_some_and(|job| !job.is_divided());
+        for (part, votes) in open.into_iter().filter(|(part, _)| undivided(part)) {
             let heir = self.kin((id, part.job)).find_map(|(other, job)| {
                 let records = other.records_of(job)?;
                 Some((PartId { dictionary: other.id(), job, part: 0 }, records))
@@ -132,10 +183,10 @@ impl Dispatcher {
             let Some((heir, records)) = heir else { continue };
             let first = votes[0];
             if first.digest == records {
-                self.checks.take_over(heir, votes);
+                self.checks.want(heir, votes, true);
             } else {
                 // It holds other albedos of the same walks: what others said of those is of no use.
-                self.checks.want(heir, Vote { by: first.by, digest: records });
+                self.checks.want(heir, vec![Vote { by: first.by, digest: records }], true);
             }
             self.outbox.work = true;
         }

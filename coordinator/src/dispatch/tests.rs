@@ -1,7 +1,9 @@
+mod bad_machines;
 mod blame;
 mod blocks;
 mod shared;
 mod trust;
+mod votes;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,8 +15,10 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
 
-use super::{Admission, Arrived, Dictionary, DispatchError, Dispatcher, Registration, Settings, TokenSource};
-use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary};
+use super::{
+    Admission, Arrived, Dictionary, DispatchError, Dispatcher, Effect, Registration, Settings, TokenSource,
+};
+use crate::stored::{DesiredState, EndedJob, Machine, Origin, Secret, StoredDictionary};
 
 pub(super) const DIGEST: Digest = Digest::from_bytes([7; 32]);
 
@@ -74,13 +78,21 @@ fn origin(name: &str) -> Origin {
 }
 
 /// Lets a result of a worker reach the store.
-fn arrive(name: &str, lease: &Lease, note: impl FnOnce(&Arrived)) {
+fn arrive<T>(name: &str, lease: &Lease, note: impl FnOnce(&Arrived) -> T) -> T {
     let (worker, walks) = (worker(name), lease.job.walks());
-    note(&Arrived { worker: &worker, by: origin(name), key: &lease.key, walks });
+    note(&Arrived { worker: &worker, by: origin(name), key: &lease.key, walks, digest: DIGEST })
 }
 
+/// A process of this name, on a machine of its own.
 fn about(label: &str) -> Registration {
-    Registration { label: label.to_owned(), threads: 2, version: String::new() }
+    on(label, label)
+}
+
+/// A process of this name on a machine.
+fn on(address: &str, label: &str) -> Registration {
+    let machine = Machine { address: address.to_owned(), ..Machine::default() };
+    let (label, instance) = (label.to_owned(), label.to_owned());
+    Registration { instance, machine, label, threads: 2, version: String::new() }
 }
 
 impl Bench {
@@ -90,7 +102,12 @@ impl Bench {
 
     /// Workers a, b, c; every result is checked if the share is 1.
     fn with_checks(ended: &[EndedJob], check_share: f64) -> Self {
-        let mut farm = Dispatcher::new(Settings { lease: seconds(30), max_attempts: 2, check_share });
+        let mut farm = Dispatcher::new(Settings {
+            lease: seconds(30),
+            max_attempts: 2,
+            check_share,
+            secret: Secret([3; 32]),
+        });
         farm.add_dictionary(Dictionary::new(stored(), ended));
         for (name, origin) in [("a", 1), ("b", 2), ("c", 3)] {
             farm.register(seconds(0), worker(name), Origin(origin), about(name)).unwrap();
@@ -110,6 +127,17 @@ impl Bench {
         arrive(name, lease, |arrived| {
             self.farm.finished(seconds(at), arrived, records);
         });
+    }
+
+    /// Compares a result with what is stored.
+    fn compare(&mut self, name: &str, lease: &Lease, stored: Digest, new: Digest) -> bool {
+        arrive(name, lease, |arrived| self.farm.compared(arrived, stored, new))
+    }
+
+    /// Effects but for notes of how checks stand.
+    fn effects(&mut self) -> Vec<Effect> {
+        let effects = self.farm.take_outbox().effects.into_iter();
+        effects.filter(|effect| !matches!(effect, Effect::NoteCheck(_))).collect()
     }
 
     fn admit(&mut self, name: &str, lease: &Lease) -> Result<Admission, DispatchError> {
@@ -159,7 +187,14 @@ fn the_longest_job_goes_first_and_none_twice() {
 #[test]
 fn after_a_restart_only_what_has_not_ended_is_left() {
     let mut bench = Bench::new(&[
-        EndedJob::Done { job: 2, walks: Walks::PAPER, records: DIGEST, by: None, reused: false },
+        EndedJob::Done {
+            job: 2,
+            walks: Walks::PAPER,
+            records: DIGEST,
+            by: None,
+            confirmed: vec![],
+            reused: false,
+        },
         EndedJob::GivenUp { job: 1, reason: "r".to_owned(), quarantined: true },
     ]);
     let lease = bench.acquire(0, "a", 10);

@@ -6,15 +6,22 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{WorkerState, WorkerStatus};
 
-use super::{DispatchError, Dispatcher, Event, EventKind};
-use crate::stored::Origin;
+use super::machines::Machines;
+use super::{DispatchError, Dispatcher, Effect, Event, EventKind};
+use crate::stored::{KnownMachine, Machine, Origin};
 
 /// Workers that hold no lease are forgotten after this long.
 const FORGET: Duration = Duration::from_mins(10);
 
-/// What a worker tells of itself.
+/// A process, by what it chose itself when it started.
+pub(super) type Process = String;
+
+/// What a worker tells of itself, and where it comes from.
 #[derive(Debug, Clone)]
 pub struct Registration {
+    /// Tells the same process when it registers again.
+    pub instance: Process,
+    pub machine: Machine,
     pub label: String,
     pub threads: u32,
     pub version: String,
@@ -23,7 +30,7 @@ pub struct Registration {
 #[derive(Debug)]
 pub(super) struct Worker {
     pub about: Registration,
-    /// The process, which stays the same when it registers again.
+    /// The machine.
     pub origin: Origin,
     pub last_seen: Duration,
     pub jobs_done: u64,
@@ -33,42 +40,45 @@ pub(super) struct Worker {
 #[derive(Debug, Default)]
 pub(super) struct Workers {
     known: BTreeMap<WorkerId, Worker>,
-    by_origin: BTreeMap<Origin, WorkerId>,
-    /// Processes that computed wrongly, with the reasons.
-    fenced: BTreeMap<Origin, String>,
+    by_process: BTreeMap<(Origin, Process), WorkerId>,
+    pub machines: Machines,
     /// Jobs that were blamed for the silence of a process, which may come back even when it was forgotten.
-    blamed: BTreeMap<Origin, Vec<(DictionaryId, u32)>>,
+    blamed: BTreeMap<(Origin, Process), Vec<(DictionaryId, u32)>>,
 }
 
 impl Workers {
     pub fn get(&self, id: &WorkerId) -> Result<&Worker, DispatchError> {
         let worker = self.known.get(id).ok_or_else(|| DispatchError::UnknownWorker(id.clone()))?;
-        match self.fenced.get(&worker.origin) {
-            Some(reason) => Err(DispatchError::Fenced(reason.clone())),
+        match self.machines.reason(worker.origin) {
+            Some(reason) => Err(DispatchError::Fenced(reason.to_owned())),
             None => Ok(worker),
         }
     }
 
-    /// Notes a sign of life.
-    pub fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<Origin, DispatchError> {
+    /// Notes a sign of life; jobs that were blamed for the silence of the process, and what it is.
+    pub fn seen(
+        &mut self,
+        now: Duration,
+        id: &WorkerId,
+    ) -> Result<(Process, Vec<(DictionaryId, u32)>), DispatchError> {
         self.get(id)?;
         let worker = self.known.get_mut(id).ok_or_else(|| DispatchError::UnknownWorker(id.clone()))?;
         worker.last_seen = now;
-        Ok(worker.origin)
-    }
-
-    /// Jobs that were blamed for the silence of a process that is silent no more.
-    pub fn returned(&mut self, origin: Origin) -> Vec<(DictionaryId, u32)> {
-        self.blamed.remove(&origin).unwrap_or_default()
+        let process = (worker.origin, worker.about.instance.clone());
+        let blamed = self.blamed.remove(&process).unwrap_or_default();
+        Ok((process.1, blamed))
     }
 
     pub fn label_of(&self, origin: Origin) -> String {
-        let worker = self.by_origin.get(&origin).and_then(|id| self.known.get(id));
-        worker.map(|w| w.about.label.clone()).unwrap_or_default()
+        self.machines.label(origin).to_owned()
     }
 
-    pub fn silent(&mut self, origin: Origin, job: (DictionaryId, u32)) {
-        self.blamed.entry(origin).or_default().push(job);
+    /// Notes that a job was blamed for a worker's silence.
+    pub fn silent(&mut self, id: &WorkerId, job: (DictionaryId, u32)) {
+        if let Some(worker) = self.known.get(id) {
+            let process = (worker.origin, worker.about.instance.clone());
+            self.blamed.entry(process).or_default().push(job);
+        }
     }
 
     pub fn job_done(&mut self, id: &WorkerId) {
@@ -77,20 +87,13 @@ impl Workers {
         }
     }
 
-    pub fn fence(&mut self, origin: Origin, reason: String) {
-        self.fenced.insert(origin, reason);
-    }
-
-    pub fn is_fenced(&self, origin: Origin) -> bool {
-        self.fenced.contains_key(&origin)
-    }
-
+    /// Workers of a machine.
     pub fn ids_of(&self, origin: Origin) -> Vec<WorkerId> {
-        self.by_origin.get(&origin).cloned().into_iter().collect()
+        self.known.iter().filter(|(_, w)| w.origin == origin).map(|(id, _)| id.clone()).collect()
     }
 
     pub fn active(&self) -> impl Iterator<Item = (&WorkerId, &Worker)> {
-        self.known.iter().filter(|(_, w)| !w.draining && !self.fenced.contains_key(&w.origin))
+        self.known.iter().filter(|(_, w)| !w.draining && !self.machines.is_fenced(w.origin))
     }
 
     pub fn len(&self) -> usize {
@@ -110,8 +113,9 @@ impl Workers {
 
     fn remove(&mut self, id: &WorkerId) -> Option<Worker> {
         let worker = self.known.remove(id)?;
-        if self.by_origin.get(&worker.origin) == Some(id) {
-            self.by_origin.remove(&worker.origin);
+        let process = (worker.origin, worker.about.instance.clone());
+        if self.by_process.get(&process) == Some(id) {
+            self.by_process.remove(&process);
         }
         Some(worker)
     }
@@ -126,11 +130,13 @@ impl Dispatcher {
         origin: Origin,
         about: Registration,
     ) -> Result<(), DispatchError> {
-        if let Some(reason) = self.workers.fenced.get(&origin) {
-            return Err(DispatchError::Fenced(reason.clone()));
+        let fence = self.workers.machines.fence_of(&about.machine);
+        if let Some(reason) = fence.or_else(|| self.workers.machines.reason(origin)) {
+            return Err(DispatchError::Fenced(reason.to_owned()));
         }
         let (mut jobs_done, mut draining) = (0, false);
-        if let Some(before) = self.workers.by_origin.get(&origin).cloned()
+        let process = (origin, about.instance.clone());
+        if let Some(before) = self.workers.by_process.get(&process).cloned()
             && let Some(worker) = self.workers.remove(&before)
         {
             (jobs_done, draining) = (worker.jobs_done, worker.draining);
@@ -142,19 +148,58 @@ impl Dispatcher {
             let message = format!("{} threads, version {}", about.threads, about.version);
             self.outbox.events.push(Event::of_worker(EventKind::WorkerJoined, about.label.clone(), message));
         }
-        self.workers.by_origin.insert(origin, id.clone());
+        self.workers.machines.met(origin, about.machine.clone(), &about.label);
+        self.workers.by_process.insert(process, id.clone());
         self.workers.known.insert(id, Worker { about, origin, last_seen: now, jobs_done, draining });
         Ok(())
     }
 
-    /// Takes up a fence that the store remembers.
-    pub fn remember_fence(&mut self, origin: Origin, reason: String) {
-        self.workers.fence(origin, reason);
+    /// Takes up a machine that the store remembers.
+    pub fn remember_machine(&mut self, known: KnownMachine) {
+        self.workers.machines.remember(known);
     }
 
-    /// The process behind a worker's id.
+    /// Whether each token has one vote, or each machine: tokens, if there are several for workers.
+    pub fn set_votes_by_token(&mut self, by_token: bool) {
+        self.workers.machines.set_votes_by_token(by_token);
+    }
+
+    /// The machine of a worker.
     pub fn origin_of(&self, id: &WorkerId) -> Result<Origin, DispatchError> {
         self.workers.get(id).map(|w| w.origin)
+    }
+
+    /// Lets a machine in again that was fenced off, found by what its worker was called, or by token and address. What was
+    /// set aside comes back as far as it was not computed again.
+    pub fn lift_fence(&mut self, which: &str) -> Result<Origin, String> {
+        let named = |known: &&KnownMachine| known.label == which || known.machine.identity() == which;
+        let found: Vec<Origin> =
+            self.workers.machines.fenced().filter(named).map(|known| known.origin).collect();
+        match found[..] {
+            [origin] => {
+                self.workers.machines.lift(origin);
+                let label = self.workers.label_of(origin);
+                let message = "an admin lets it in again";
+                self.outbox.events.push(Event::of_worker(EventKind::WorkerReadmitted, label, message));
+                self.outbox.effects.push(Effect::LiftFence { machine: origin });
+                self.work_came();
+                Ok(origin)
+            }
+            _ => Err(self.fenced_by_name(found.len())),
+        }
+    }
+
+    fn fenced_by_name(&self, found: usize) -> String {
+        let name = |known: &KnownMachine| format!("{} ({})", known.machine.identity(), known.label);
+        let fenced: Vec<String> = self.workers.machines.fenced().map(name).collect();
+        match (found, fenced.is_empty()) {
+            (_, true) => "no machine is fenced off".to_owned(),
+            (0, _) => format!("no machine of this name is fenced off: there are {}", fenced.join(", ")),
+            _ => format!(
+                "several machines have this label: name one as TOKEN@ADDRESS of {}",
+                fenced.join(", ")
+            ),
+        }
     }
 
     /// Forgets a worker and frees all its leases, without blame.
@@ -162,8 +207,12 @@ impl Dispatcher {
         for token in self.leases.of_worker(id) {
             self.free(token);
         }
+        if let Some(worker) = self.workers.known.get(id) {
+            let now = worker.last_seen;
+            // It was heard of once more. One that is fenced off brings nothing.
+            let _ = self.seen(now, id);
+        }
         if let Some(worker) = self.workers.remove(id) {
-            self.forgive(worker.origin);
             let message = format!("{} jobs done", worker.jobs_done);
             self.outbox.changed = true;
             self.outbox.events.push(Event::of_worker(EventKind::WorkerLeft, worker.about.label, message));
@@ -212,9 +261,11 @@ impl Dispatcher {
 
     fn worker_status(&self, now: Duration, id: &WorkerId, worker: &Worker) -> WorkerStatus {
         let leases = self.leases.count_of(id);
+        let suspended = self.workers.machines.pause_left(now, worker.origin);
         let state = match leases {
-            _ if self.workers.is_fenced(worker.origin) => WorkerState::Fenced,
+            _ if self.workers.machines.is_fenced(worker.origin) => WorkerState::Fenced,
             _ if self.is_silent(now, worker) => WorkerState::Silent,
+            _ if suspended.is_some() => WorkerState::Suspended,
             _ if worker.draining => WorkerState::Draining,
             0 => WorkerState::Idle,
             _ => WorkerState::Working,
@@ -227,6 +278,7 @@ impl Dispatcher {
             jobs_done: worker.jobs_done,
             silent_ms: now.saturating_sub(worker.last_seen).as_millis() as u64,
             state,
+            suspended_ms: suspended.map_or(0, |left| left.as_millis() as u64),
             version: worker.about.version.clone(),
         }
     }

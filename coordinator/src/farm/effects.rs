@@ -1,5 +1,6 @@
 //! Makes durable what the dispatcher has decided, one effect after the other.
 
+use std::collections::BTreeSet;
 use std::sync::Weak;
 
 use farm_proto::ids::DictionaryId;
@@ -9,6 +10,7 @@ use super::Farm;
 use super::door::Order;
 use crate::dispatch::{Dictionary, Effect};
 use crate::store::StoreError;
+use crate::stored::{EndedJob, Origin};
 
 /// Performs orders as long as there is a farm. What cannot be stored now is tried again at the next look.
 pub(super) async fn perform(farm: Weak<Farm>, mut orders: mpsc::UnboundedReceiver<Order>) {
@@ -42,17 +44,18 @@ impl Farm {
             Effect::GiveUp { dictionary, job, reason, quarantined } => {
                 self.store.give_up_job(*dictionary, *job, reason, *quarantined).await
             }
-            Effect::Agreed { dictionary, job, worker } => {
-                self.store.note_agreement(*dictionary, *job, *worker).await
+            Effect::Agreed { dictionary, job, machine } => {
+                self.store.note_agreement(*dictionary, *job, *machine).await
             }
+            Effect::NoteCheck(check) => self.store.note_check(check).await,
             Effect::Recompute { dictionary, job } => {
                 let _no_result_on_its_way = self.records.write().await;
-                self.begin_again(self.store.forget_job(*dictionary, *job).await?);
+                self.begin_again(self.store.set_job_aside(*dictionary, *job).await?);
                 Ok(())
             }
-            Effect::Fence { worker, reason } => {
+            Effect::Fence { machine, reason } => {
                 let _no_result_on_its_way = self.records.write().await;
-                self.begin_again(self.store.fence(*worker, reason).await?);
+                self.begin_again(self.store.fence(*machine, reason).await?);
                 // Blocks of jobs that had not ended are gone too.
                 let all = self.door.query(|d, _| d.dictionaries().map(Dictionary::id).collect::<Vec<_>>());
                 for id in all {
@@ -60,7 +63,27 @@ impl Farm {
                 }
                 Ok(())
             }
+            Effect::LiftFence { machine } => self.take_back(*machine).await,
         }
+    }
+
+    /// Lets a machine in again, and ends jobs with its records that were set aside.
+    async fn take_back(&self, machine: Origin) -> Result<(), StoreError> {
+        let _no_result_on_its_way = self.records.write().await;
+        let restored = self.store.lift_fence(machine).await?;
+        let ids: BTreeSet<DictionaryId> = restored.iter().map(|(id, _)| *id).collect();
+        self.door.transition(|dispatcher, _| {
+            for (id, ended) in restored {
+                if let EndedJob::Done { job, walks, records, by, .. } = ended {
+                    dispatcher.restored((id, job), walks, records, by);
+                }
+            }
+        });
+        for id in ids {
+            self.fits.forget(id);
+            self.take_over_done(id).await?;
+        }
+        Ok(())
     }
 
     /// Begins jobs again whose records the store has forgotten.

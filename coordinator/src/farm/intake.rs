@@ -101,6 +101,13 @@ impl Farm {
                     let room = self.room.take(result_bytes(admission.job())).await;
                     let result;
                     (result, next) = pieces.result(admission.job()).await?;
+                    let result = match result {
+                        Ok(result) => result,
+                        Err(invalid) => {
+                            self.cannot_be(&worker, &key, &invalid);
+                            return Err(FarmError::from(invalid).into());
+                        }
+                    };
                     let farm = self.clone();
                     tasks.push(Task::Storing(tokio::spawn(async move {
                         let _room = room;
@@ -122,6 +129,13 @@ impl Farm {
             delivered.push(task.ended().await?);
         }
         Ok(delivered)
+    }
+
+    /// A result that no job has, such as one that is not a number: an attempt that failed.
+    fn cannot_be(&self, worker: &WorkerId, key: &LeaseKey, why: &Invalid) {
+        let reason = format!("its result cannot be: {why}");
+        // Without a lease it counts for nothing.
+        let _ = self.door.transition(|dispatcher, now| dispatcher.failed(now, worker, key, &reason));
     }
 }
 
@@ -157,7 +171,10 @@ where
     }
 
     /// One result, checked, and what comes after it.
-    async fn result(&mut self, job: &JobSpec) -> Result<(JobResult, Option<Piece>), E> {
+    async fn result(
+        &mut self,
+        job: &JobSpec,
+    ) -> Result<(std::result::Result<JobResult, Invalid>, Option<Piece>), E> {
         let (bytes, after) = self.gather(job).await?;
         let checked = if job.block().is_some() {
             // Refused here rather than when they are merged.
@@ -165,7 +182,7 @@ where
         } else {
             PackedRecords::new(job, bytes).map(JobResult::Records)
         };
-        Ok((checked.map_err(FarmError::from)?, after))
+        Ok((checked, after))
     }
 
     /// The pieces of one result as a whole, not longer than it may be, and what comes after it. They are copied to a place

@@ -33,16 +33,18 @@ impl Versions {
 }
 
 impl Farm {
+    /// Lets a worker in. `votes_by_token`: each token has one vote about results, or else each machine.
     pub(crate) async fn register(
         &self,
-        instance: &str,
         about: Registration,
         versions: Versions,
+        votes_by_token: bool,
     ) -> Result<(WorkerId, Settings)> {
         versions.check()?;
-        let origin = self.store.register_worker(instance, &about.label).await?;
+        let origin = self.store.register_worker(&about.machine, &about.label).await?;
         let id = WorkerId(random_token());
         let settings = self.door.transition(|dispatcher, now| {
+            dispatcher.set_votes_by_token(votes_by_token);
             dispatcher.register(now, id.clone(), origin, about).map(|()| dispatcher.settings())
         })?;
         Ok((id, settings))

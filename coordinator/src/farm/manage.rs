@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::status::{DictionaryState, DictionaryStatus};
+use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
 use optics_model::{Digest, Grid};
 
 use super::{Farm, FarmError, Result, blocking, not_found};
@@ -198,6 +198,26 @@ impl Farm {
     pub(crate) fn drain(&self, which: &str) -> Result<WorkerId> {
         let drained = self.door.transition(|dispatcher, _| dispatcher.drain(which));
         drained.map_err(|why| FarmError::Worker { which: which.to_owned(), why })
+    }
+
+    /// Lets a machine in again that was fenced off.
+    pub(crate) async fn readmit(&self, which: &str) -> Result<()> {
+        let lifted = self.door.transition(|dispatcher, _| dispatcher.lift_fence(which));
+        self.door.settled().await;
+        lifted.map(drop).map_err(|why| FarmError::Worker { which: which.to_owned(), why })
+    }
+
+    /// Jobs of a dictionary that were given up, from one on.
+    pub(crate) fn failed_jobs(
+        &self,
+        name: &DictionaryName,
+        from: u32,
+        most: usize,
+    ) -> Result<Vec<FailedJob>> {
+        self.door.query(|d, _| {
+            let dictionary = d.by_name(name).ok_or_else(|| not_found(d, name))?;
+            Ok(dictionary.given_up(from, most))
+        })
     }
 
     pub(crate) async fn events(&self, after: i64, dictionary: &str, most: u32) -> Result<Vec<StoredEvent>> {

@@ -64,7 +64,7 @@ impl Farm {
     ) -> Result<Option<String>, StoreError> {
         let no_result_on_its_way = self.records.write().await;
         let Some(what) = self.damage_of(id, grid, job).await? else { return Ok(None) };
-        let mut again = self.store.forget_job(id, job).await?;
+        let mut again = self.store.set_job_aside(id, job).await?;
         // One that has lost its end has no records to be forgotten.
         again.push((id, job));
         self.begin_again(again);

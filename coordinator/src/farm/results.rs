@@ -24,12 +24,14 @@ impl Farm {
     ) -> Result<Outcome> {
         let outcome = match admission {
             Admission::Store { job, by } => {
-                let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
+                let (walks, digest) = (job.walks(), result.digest());
+                let arrived = Arrived { worker: &worker, by, key: &key, walks, digest };
                 self.store_result(&arrived, job, result).await
             }
             Admission::Compare { job, by, stored } => {
-                let outcome = Outcome::Before { records: stored, new: result.digest() };
-                let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
+                let (walks, digest) = (job.walks(), result.digest());
+                let outcome = Outcome::Before { records: stored, new: digest };
+                let arrived = Arrived { worker: &worker, by, key: &key, walks, digest };
                 self.door.transition(|dispatcher, now| dispatcher.arrived(now, &arrived, outcome));
                 Ok(outcome)
             }
@@ -82,14 +84,21 @@ impl Farm {
         Ok(stored?)
     }
 
-    /// Other records are stored for the same walks, by a job of another dictionary: one of two workers has computed
-    /// wrongly. Both jobs are done again, and then checked by others.
+    /// Other records are stored for the same walks, by a job of another dictionary: one of two machines has computed
+    /// wrongly. Both jobs are done again, and then checked by others; but what several have found alike one does not
+    /// undo.
     async fn distrust(&self, arrived: &Arrived<'_>, job: &JobSpec) -> Result<(), StoreError> {
         let _no_result_on_its_way = self.records.write().await;
-        let forgotten = self.store.forget_point(job.identity()).await?;
+        // Blocks that were merged with this one are gone anyway.
         self.store.forget_point(job.sums_identity()).await?;
-        self.door.transition(|dispatcher, _| dispatcher.distrust(arrived, &forgotten));
-        self.begin_again(forgotten);
+        let others = self.store.jobs_of_point(job.identity()).await?;
+        if self.door.query(|dispatcher, _| dispatcher.is_confirmed(&others)) {
+            self.door.transition(|dispatcher, now| dispatcher.contradict(now, arrived));
+        } else {
+            let again = self.store.set_point_aside(job.identity()).await?;
+            self.door.transition(|dispatcher, now| dispatcher.distrust(now, arrived, &again));
+            self.begin_again(again);
+        }
         self.find_blocks_of(arrived.key).await
     }
 

@@ -46,10 +46,11 @@ fn snapshot(dispatcher: &Dispatcher, now: Duration) -> Snapshot {
     snapshot.work_done.reverse();
     snapshot.work_done.sort_by_key(|(_, done)| *done >= 1.0);
     for worker in dispatcher.workers(now, &farm_proto::ids::WorkerId(String::new()), usize::MAX) {
-        let WorkerCounts { working, idle, draining, silent } = &mut snapshot.workers;
+        let WorkerCounts { working, idle, draining, silent, suspended } = &mut snapshot.workers;
         *match worker.state {
             WorkerState::Fenced => continue,
             WorkerState::Silent => silent,
+            WorkerState::Suspended => suspended,
             WorkerState::Draining => draining,
             WorkerState::Working => working,
             WorkerState::Idle => idle,

@@ -23,7 +23,7 @@ use crate::dispatch::Registration;
 use crate::metrics::{BuildInfo, Metrics};
 use crate::rpc;
 use crate::store::{DataDir, Store};
-use crate::stored::{Completion, DesiredState, JobResult, Origin, Outcome};
+use crate::stored::{Completion, DesiredState, JobResult, Machine, Origin, Outcome};
 
 const JOBS: u32 = 40;
 
@@ -78,7 +78,7 @@ async fn load_with(store: Store, check_share: f64) -> Arc<Farm> {
 async fn done() -> (Arc<Farm>, tempfile::TempDir) {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let worker = store.register_worker("instance", "label").await.unwrap();
+    let worker = store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let dictionary = store.create_dictionary(name(), grid(), 0, 7).await.unwrap();
     for job in 0..JOBS {
         store.complete(completion(dictionary.id, worker, job)).await.unwrap();
@@ -220,9 +220,11 @@ async fn a_dictionary_that_is_too_large_stops_no_start_and_can_be_deleted() {
 }
 
 async fn worker(farm: &Farm, label: &str) -> WorkerId {
-    let about = Registration { label: label.to_owned(), threads: 1, version: String::new() };
+    let (instance, machine) = (label.to_owned(), Machine::at(label));
+    let about =
+        Registration { instance, machine, label: label.to_owned(), threads: 1, version: String::new() };
     let versions = Versions { physics: PHYSICS_VERSION, protocol: PROTOCOL_VERSION };
-    farm.register(label, about, versions).await.unwrap().0
+    farm.register(about, versions, false).await.unwrap().0
 }
 
 /// Gives a worker one job, and takes records whose numbers are all the same.

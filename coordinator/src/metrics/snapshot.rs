@@ -38,6 +38,7 @@ pub struct WorkerCounts {
     pub idle: u64,
     pub draining: u64,
     pub silent: u64,
+    pub suspended: u64,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -83,8 +84,14 @@ fn states(encoder: &mut DescriptorEncoder<'_>, snapshot: &Snapshot) -> fmt::Resu
     let JobCounts { pending, leased, done, failed } = snapshot.jobs;
     let jobs = [("pending", pending), ("leased", leased), ("done", done), ("failed", failed)];
     labelled(encoder, ("farm_jobs", "Jobs of all dictionaries by state."), "state", jobs)?;
-    let WorkerCounts { working, idle, draining, silent } = snapshot.workers;
-    let workers = [("working", working), ("idle", idle), ("draining", draining), ("silent", silent)];
+    let WorkerCounts { working, idle, draining, silent, suspended } = snapshot.workers;
+    let workers = [
+        ("working", working),
+        ("idle", idle),
+        ("draining", draining),
+        ("silent", silent),
+        ("suspended", suspended),
+    ];
     labelled(encoder, ("farm_workers", "Registered workers by state."), "state", workers)?;
     let DictionaryCounts { running, paused, done, failed, cancelled } = snapshot.dictionaries;
     let dictionaries = [

@@ -4,8 +4,8 @@ use farm_proto::ids::DictionaryId;
 use farm_proto::wire::dictionaries_server::Dictionaries;
 use farm_proto::wire::{
     CancelRequest, DeleteRequest, DeleteResponse, Dictionary, ExplainRequest, ExplainResponse, ExportRequest,
-    GetRequest, ListRequest, ListResponse, PauseRequest, Reason, Record, ResumeRequest, RetryRequest,
-    SetPriorityRequest, SubmitRequest, WatchRequest,
+    GetRequest, ListFailedRequest, ListFailedResponse, ListRequest, ListResponse, PauseRequest, Reason,
+    Record, ResumeRequest, RetryRequest, SetPriorityRequest, SubmitRequest, WatchRequest,
 };
 use farm_proto::{DictionaryName, RECORDS_PROMISED, RequestLimits, to_status};
 use optics_model::{Grid, Invalid};
@@ -19,6 +19,8 @@ use crate::farm::detached;
 
 /// Most dictionaries of one page.
 const DICTIONARIES: u32 = 100;
+/// Most jobs that were given up of one page.
+const FAILED: u32 = 1000;
 /// Records on their way to a client that exports.
 const EXPORT_QUEUE: usize = 4;
 
@@ -48,6 +50,24 @@ impl Dictionaries for Context {
         Ok(Response::new(ListResponse {
             dictionaries: page.iter().map(Into::into).collect(),
             next_page_token: last.map(|id| id.0.to_string()).unwrap_or_default(),
+        }))
+    }
+
+    async fn list_failed(
+        &self,
+        request: Request<ListFailedRequest>,
+    ) -> Result<Response<ListFailedResponse>, Status> {
+        let request = request.into_inner();
+        let name = DictionaryName::new(request.name).or_status()?;
+        let most = page_size(request.page_size, 100, FAILED);
+        let from = u32::try_from(page_token(&request.page_token).or_status()?).unwrap_or(u32::MAX);
+        // One more tells whether there are others.
+        let mut failed = self.farm.failed_jobs(&name, from, most + 1)?;
+        let next = failed.get(most).map(|failed| failed.job.to_string());
+        failed.truncate(most);
+        Ok(Response::new(ListFailedResponse {
+            failed: failed.iter().map(Into::into).collect(),
+            next_page_token: next.unwrap_or_default(),
         }))
     }
 

@@ -18,12 +18,15 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::Context;
 use super::status::{OrStatus, required};
+use crate::authorisation::{Caller, machine_address};
 use crate::dispatch::{Grant, Registration};
 use crate::farm::{Delivered, Header, Piece, Versions};
-use crate::stored::Outcome;
+use crate::stored::{Machine, Outcome};
 
 /// Longest instance that a worker may choose.
 const INSTANCE_BYTES: usize = 64;
+/// Longest text by which a worker's machine is told from others.
+const HOST_BYTES: usize = 64;
 
 #[tonic::async_trait]
 impl Leases for Context {
@@ -31,19 +34,27 @@ impl Leases for Context {
         &self,
         request: Request<RegisterRequest>,
     ) -> Result<Response<RegisterResponse>, Status> {
+        let token = request.extensions().get::<Caller>().map(Caller::name).unwrap_or_default().to_owned();
+        let address = machine_address(request.extensions());
         let request = request.into_inner();
+        if request.host.len() > HOST_BYTES {
+            let given = format!("{} bytes", request.host.len());
+            return Err(to_status(&Invalid::new("host", given, format!("at most {HOST_BYTES} are allowed"))));
+        }
         if !(1..=INSTANCE_BYTES).contains(&request.instance.len()) {
             let given = format!("{} bytes", request.instance.len());
             let allowed = format!("1 to {INSTANCE_BYTES} are allowed");
             return Err(to_status(&Invalid::new("instance", given, allowed)));
         }
         let about = Registration {
+            instance: request.instance,
+            machine: Machine { token, address, host: request.host },
             label: shortened(request.label),
             threads: request.threads,
             version: shortened(request.version),
         };
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
-        let (id, settings) = self.farm.register(&request.instance, about, versions).await?;
+        let (id, settings) = self.farm.register(about, versions, self.votes_by_token()).await?;
         Ok(Response::new(RegisterResponse { worker_id: id.0, lease_ms: settings.lease.as_millis() as u64 }))
     }
 

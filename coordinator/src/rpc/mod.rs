@@ -13,6 +13,7 @@ mod status;
 use std::sync::Arc;
 use std::time::Duration;
 
+use farm_link::{CoordinatorAccess, Role};
 use farm_proto::wire::admin_server::AdminServer;
 use farm_proto::wire::dictionaries_server::DictionariesServer;
 use farm_proto::wire::farm_server::FarmServer;
@@ -54,9 +55,15 @@ struct Context {
     farm: Arc<Farm>,
     shutdown: CancellationToken,
     limits: Limits,
+    access: Option<Arc<CoordinatorAccess>>,
 }
 
 impl Context {
+    /// Whether each worker's token has one vote about results: with one token for all, each machine has.
+    fn votes_by_token(&self) -> bool {
+        self.access.as_ref().is_some_and(|access| access.tokens_of(Role::Worker) > 1)
+    }
+
     /// A stream of what a source gives, of which so many items are on their way at a time.
     fn stream<S: Source, T: Send + 'static>(
         &self,
@@ -81,7 +88,12 @@ pub(crate) async fn serve(
     shutdown: CancellationToken,
 ) -> Result<(), tonic::transport::Error> {
     let metrics = farm.metrics().clone();
-    let context = Context { farm, shutdown: shutdown.clone(), limits: Limits::default() };
+    let context = Context {
+        farm,
+        shutdown: shutdown.clone(),
+        limits: Limits::default(),
+        access: config.access.clone(),
+    };
     let limit = RequestLimits::MESSAGE_BYTES;
     let connections = Incoming::new(listener, connections::Limits::new(config.max_connections));
     tokio::spawn(count_refused(connections.connections(), metrics.clone(), shutdown.clone()));
@@ -147,16 +159,18 @@ async fn count_refused(connections: Connections, metrics: Metrics, shutdown: Can
 }
 
 /// Methods that figures tell by their names.
-pub(crate) const METHODS: [&str; 30] = [
+pub(crate) const METHODS: [&str; 32] = [
     "/farm.v1.Admin/Backup",
     "/farm.v1.Admin/DrainWorker",
     "/farm.v1.Admin/Inspect",
+    "/farm.v1.Admin/ReadmitWorker",
     "/farm.v1.Dictionaries/Cancel",
     "/farm.v1.Dictionaries/Delete",
     "/farm.v1.Dictionaries/Explain",
     "/farm.v1.Dictionaries/Export",
     "/farm.v1.Dictionaries/Get",
     "/farm.v1.Dictionaries/List",
+    "/farm.v1.Dictionaries/ListFailed",
     "/farm.v1.Dictionaries/Pause",
     "/farm.v1.Dictionaries/Resume",
     "/farm.v1.Dictionaries/Retry",

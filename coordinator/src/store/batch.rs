@@ -15,7 +15,7 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use self::facts::{Ended, Facts};
 use self::script::Script;
-use super::{Result, deletion, doing, points, sums};
+use super::{Result, Store, aside, deletion, doing, points, sums};
 use crate::stored::{Completion, JobResult, Outcome};
 
 /// Most values of one query that are looked up or written.
@@ -77,6 +77,12 @@ pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion])
     known.points.write(&mut script).await?;
     write_ends(&mut script, &ends, &known.points).await?;
     script.finish().await?;
+    if !ends.is_empty() && Store::has_set_aside(tx).await? {
+        let jobs = ends.iter().map(|end| (end.completion.dictionary, end.completion.job_number));
+        let gathered = ends.iter().filter(|end| end.gathered.is_some());
+        let gathered = gathered.map(|end| end.completion.job.sums_identity());
+        aside::done_again(tx, jobs, gathered).await?;
+    }
     Ok(outcomes)
 }
 

@@ -15,6 +15,8 @@ struct JobRow {
     failure: Option<String>,
     quarantined: bool,
     worker: Option<i64>,
+    /// Numbers of machines, with commas.
+    confirmed: Option<String>,
 }
 
 impl JobRow {
@@ -27,7 +29,10 @@ impl JobRow {
                     Walks::new(walks as u64).map_err(|e| corrupt(self.job, "walks", e.to_string()))
                 })?;
                 let records = decode_digest(self.job, &digest)?;
-                Ok(EndedJob::Done { job, walks, records, by: self.worker.map(Origin), reused: self.reused })
+                let confirmed = self.confirmed.iter().flat_map(|numbers| numbers.split(','));
+                let confirmed = confirmed.filter_map(|number| number.parse().ok()).map(Origin).collect();
+                let (by, reused) = (self.worker.map(Origin), self.reused);
+                Ok(EndedJob::Done { job, walks, records, by, confirmed, reused })
             }
             (None, Some(reason)) => Ok(EndedJob::GivenUp { job, reason, quarantined: self.quarantined }),
             _ => Err(corrupt(self.job, "records_digest", "neither done nor failed".to_owned())),
@@ -51,7 +56,9 @@ impl Store {
         let rows: Vec<JobRow> = sqlx::query_as(
             "SELECT job, walks, records_digest, reused, failure, quarantined, \
              (SELECT CASE count(*) WHEN 1 THEN min(worker_id) END FROM contributions \
-              WHERE contributions.point_id = jobs.point_id) AS worker \
+              WHERE contributions.point_id = jobs.point_id AND confirmed = 0) AS worker, \
+             (SELECT group_concat(worker_id) FROM contributions \
+              WHERE contributions.point_id = jobs.point_id AND confirmed = 1) AS confirmed \
              FROM jobs WHERE dictionary_id = ? ORDER BY job",
         )
         .bind(dictionary.0)

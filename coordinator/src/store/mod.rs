@@ -3,8 +3,10 @@
 //! One connection writes, a read-only pool reads. A job's records and its end are committed together, with
 //! `synchronous=FULL`, before anyone is told.
 
+mod aside;
 pub mod backup;
 mod batch;
+mod checks;
 mod data_dir;
 mod deletion;
 mod dictionaries;

@@ -1,7 +1,10 @@
+mod aside;
 mod blocks;
+mod checks;
 mod damage;
 
 use farm_proto::DictionaryName;
+use farm_proto::ids::DictionaryId;
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::scene::{Scene, Sensor};
@@ -9,7 +12,10 @@ use optics_model::{Digest, Estimate, Grid, PackedRecords, Profile, Quality, Reco
 use prost::Message;
 
 use super::{Commit, DataDir, Store, StoreError, StoredEvent};
-use crate::stored::{Completion, DesiredState, EndedJob, JobResult, Origin, Outcome, StoredDictionary};
+use crate::stored::{
+    Completion, DesiredState, EndedJob, JobResult, Machine, OpenCheck, Origin, Outcome, Secret,
+    StoredDictionary, Vote,
+};
 
 fn grid() -> Grid {
     let axes = Axes {
@@ -68,7 +74,14 @@ async fn all_records(store: &Store, dictionary: &StoredDictionary) -> Vec<Record
 }
 
 fn done(job: u32, records: Digest) -> EndedJob {
-    EndedJob::Done { job, walks: Walks::new(5000).unwrap(), records, by: Some(Origin(1)), reused: false }
+    EndedJob::Done {
+        job,
+        walks: Walks::new(5000).unwrap(),
+        records,
+        by: Some(Origin(1)),
+        confirmed: vec![],
+        reused: false,
+    }
 }
 
 #[tokio::test]
@@ -76,7 +89,7 @@ async fn what_was_committed_is_there_after_reopening() {
     let dir = tempfile::tempdir().unwrap();
     let name = DictionaryName::new("d").unwrap();
     let store = open(dir.path()).await;
-    assert_eq!(store.register_worker("instance", "label").await.unwrap(), Origin(1));
+    assert_eq!(store.register_worker(&Machine::at("instance"), "label").await.unwrap(), Origin(1));
     let created = dictionary(&store).await;
     let records_of = records(2, 0.25);
     let digest = Digest::of_records(&records_of);
@@ -108,7 +121,7 @@ async fn what_was_committed_is_there_after_reopening() {
 async fn a_second_completion_tells_the_first_and_changes_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     let digest = Digest::of_records(&records(0, 0.25));
     assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { records: digest });
@@ -127,7 +140,7 @@ async fn results_that_come_together_are_committed_together_and_a_bad_one_stops_n
     let store =
         Store::open(DataDir::lock(dir.path()).unwrap(), move |c: Commit| sender.send(c.results).unwrap());
     let store = store.await.unwrap();
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     let nobodys = Completion { worker: Origin(99), ..completion(&d, 1, 0.5) };
     // Polled in turn before the writer runs: all wait when it wakes up.
@@ -146,7 +159,7 @@ async fn results_that_come_together_are_committed_together_and_a_bad_one_stops_n
 async fn a_result_of_a_deleted_dictionary_is_no_fault_and_leaves_nothing_behind() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     store.delete_dictionary(d.id, &[]).await.unwrap();
     assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Unwanted);
@@ -179,7 +192,7 @@ async fn reuse(store: &Store, dictionary: &StoredDictionary) -> usize {
 async fn a_dictionary_that_overlaps_uses_the_records_that_are_there() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     complete(&store, &d, 0, 0.25).await;
     complete(&store, &d, 1, 0.5).await;
@@ -198,52 +211,10 @@ async fn a_dictionary_that_overlaps_uses_the_records_that_are_there() {
 }
 
 #[tokio::test]
-async fn a_fenced_workers_records_are_forgotten_and_no_others() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.register_worker("good", "label").await.unwrap();
-    let bad = store.register_worker("bad", "label").await.unwrap();
-    assert_eq!(store.register_worker("bad", "renamed").await.unwrap(), bad, "one row a process");
-    let d = dictionary(&store).await;
-    complete(&store, &d, 0, 0.25).await;
-    store.complete(Completion { worker: bad, ..completion(&d, 1, 0.5) }).await.unwrap();
-    assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.id, 1)]);
-    assert_eq!(store.fenced_workers().await.unwrap(), [(bad, "wrong".to_owned())]);
-    assert_eq!(all_records(&store, &d).await, records(0, 0.25));
-    assert!(matches!(complete(&store, &d, 1, 0.25).await, Outcome::Finished { .. }), "it can be done again");
-}
-
-#[tokio::test]
-async fn what_two_have_computed_is_nobodys_alone_and_workers_of_no_use_are_forgotten() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    for instance in ["first", "useless", "second", "bad"] {
-        store.register_worker(instance, "label").await.unwrap();
-    }
-    store.fence(Origin(4), "wrong").await.unwrap();
-    let d = dictionary(&store).await;
-    complete(&store, &d, 0, 0.25).await;
-    let by = async |store: &Store| match &store.ended_jobs(d.id, d.grid.walks()).await.unwrap()[..] {
-        [EndedJob::Done { by, .. }] => *by,
-        other => panic!("{other:?}"),
-    };
-    assert_eq!(by(&store).await, Some(Origin(1)));
-    store.note_agreement(d.id, 0, Origin(3)).await.unwrap();
-    store.note_agreement(d.id, 1, Origin(2)).await.unwrap();
-    store.close().await;
-    drop(store);
-    let store = open(dir.path()).await;
-    assert_eq!(by(&store).await, None);
-    let left: Vec<(i64,)> =
-        sqlx::query_as("SELECT id FROM workers ORDER BY id").fetch_all(&store.read).await.unwrap();
-    assert_eq!(left, [(1,), (3,), (4,)]);
-}
-
-#[tokio::test]
 async fn more_walks_are_asked_for_until_the_noise_is_low_enough() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     // Values 0.25 with errors 0.1: 40 % of noise.
     let quality = |target| Some(Quality::new(target, Walks::new(50_000).unwrap()).unwrap());

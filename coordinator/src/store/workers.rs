@@ -1,42 +1,64 @@
-//! Table `workers`: processes that have registered, and those that are fenced off.
+//! Table `workers`: machines that workers came from, and those that are fenced off.
 
 use farm_proto::ids::DictionaryId;
 
 use super::{Result, Store, doing};
-use crate::stored::Origin;
+use crate::stored::{KnownMachine, Machine, Origin};
+
+#[derive(sqlx::FromRow)]
+struct MachineRow {
+    id: i64,
+    label: String,
+    token: String,
+    address: String,
+    host: String,
+    fenced: Option<String>,
+}
+
+impl From<MachineRow> for KnownMachine {
+    fn from(row: MachineRow) -> Self {
+        let MachineRow { id, label, token, address, host, fenced } = row;
+        Self { origin: Origin(id), machine: Machine { token, address, host }, label, fenced }
+    }
+}
 
 impl Store {
-    /// Row of a worker's process, made if it is the first time.
-    pub async fn register_worker(&self, instance: &str, label: &str) -> Result<Origin> {
+    /// Row of a machine, made if it is the first time. One that is fenced off is still known as it was.
+    pub async fn register_worker(&self, machine: &Machine, label: &str) -> Result<Origin> {
         let (id,): (i64,) = sqlx::query_as(
-            "INSERT INTO workers (instance, label) VALUES (?, ?) \
-             ON CONFLICT (instance) DO UPDATE SET label = excluded.label RETURNING id",
+            "INSERT INTO workers (identity, label, token, address, host) VALUES (?, ?, ?, ?, ?) \
+             ON CONFLICT (identity) DO UPDATE SET \
+             label = CASE WHEN fenced IS NULL THEN excluded.label ELSE label END, \
+             host = CASE WHEN fenced IS NULL THEN excluded.host ELSE host END RETURNING id",
         )
-        .bind(instance)
+        .bind(machine.identity())
         .bind(label)
+        .bind(&machine.token)
+        .bind(&machine.address)
+        .bind(&machine.host)
         .fetch_one(&self.write)
         .await
         .map_err(doing("storing a worker"))?;
         Ok(Origin(id))
     }
 
-    /// Workers that are fenced off, with the reasons.
-    pub async fn fenced_workers(&self) -> Result<Vec<(Origin, String)>> {
-        let rows: Vec<(i64, String)> =
-            sqlx::query_as("SELECT id, fenced FROM workers WHERE fenced IS NOT NULL")
+    /// All machines that something is known of.
+    pub async fn machines(&self) -> Result<Vec<KnownMachine>> {
+        let rows: Vec<MachineRow> =
+            sqlx::query_as("SELECT id, label, token, address, host, fenced FROM workers ORDER BY id")
                 .fetch_all(&self.read)
                 .await
                 .map_err(doing("reading the workers"))?;
-        Ok(rows.into_iter().map(|(id, reason)| (Origin(id), reason)).collect())
+        Ok(rows.into_iter().map(Into::into).collect())
     }
 
-    /// Notes that a worker, too, has computed the records that a job has.
-    pub async fn note_agreement(&self, dictionary: DictionaryId, job: u32, worker: Origin) -> Result<()> {
+    /// Notes that a machine, too, has computed the records that a job has.
+    pub async fn note_agreement(&self, dictionary: DictionaryId, job: u32, machine: Origin) -> Result<()> {
         sqlx::query(
-            "INSERT OR IGNORE INTO contributions (point_id, worker_id) \
-             SELECT point_id, ? FROM jobs WHERE dictionary_id = ? AND job = ? AND point_id IS NOT NULL",
+            "INSERT OR IGNORE INTO contributions (point_id, worker_id, confirmed) \
+             SELECT point_id, ?, 1 FROM jobs WHERE dictionary_id = ? AND job = ? AND point_id IS NOT NULL",
         )
-        .bind(worker.0)
+        .bind(machine.0)
         .bind(dictionary.0)
         .bind(job)
         .execute(&self.write)
@@ -45,10 +67,12 @@ impl Store {
         Ok(())
     }
 
-    /// Forgets workers of which nothing is left. One that is still there registers again under a new number.
+    /// Forgets machines of which nothing is left. One that is still there registers again under a new number.
     pub(super) async fn forget_useless_workers(&self) -> Result<()> {
         sqlx::query(
-            "DELETE FROM workers WHERE fenced IS NULL AND id NOT IN (SELECT worker_id FROM contributions)",
+            "DELETE FROM workers WHERE fenced IS NULL AND id NOT IN (SELECT worker_id FROM contributions) \
+             AND id NOT IN (SELECT worker_id FROM votes WHERE worker_id IS NOT NULL) \
+             AND id NOT IN (SELECT worker_id FROM set_aside WHERE worker_id IS NOT NULL)",
         )
         .execute(&self.write)
         .await

@@ -122,6 +122,11 @@ impl CoordinatorAccess {
         Some((token.role, &token.name))
     }
 
+    /// How many tokens there are of a role.
+    pub fn tokens_of(&self, role: Role) -> usize {
+        self.tokens.iter().filter(|token| token.role == role).count()
+    }
+
     fn check_tls(&self) -> Result<(), AccessError> {
         let tried = Server::builder().tls_config(self.server_tls());
         tried.map(drop).map_err(|error| AccessError::Content {

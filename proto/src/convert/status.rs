@@ -2,14 +2,11 @@
 
 use super::required;
 use crate::ids::{DictionaryName, WorkerId};
-use crate::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerState, WorkerStatus};
+use crate::status::{DictionaryState, DictionaryStatus, FAILED_JOBS, FailedJob, WorkerState, WorkerStatus};
 use crate::wire;
 use optics_model::digest::Digest;
 use optics_model::grid::Grid;
 use optics_model::invalid::{Invalid, Result};
-
-/// Most jobs given up that one message tells.
-const FAILED_JOBS: usize = 1000;
 
 impl From<DictionaryState> for wire::DictionaryState {
     fn from(state: DictionaryState) -> Self {
@@ -38,13 +35,20 @@ fn state(number: i32) -> Result<DictionaryState> {
     }
 }
 
+impl From<&FailedJob> for wire::FailedJob {
+    fn from(failed: &FailedJob) -> Self {
+        Self { job: failed.job, reason: failed.reason.clone(), quarantined: failed.quarantined }
+    }
+}
+
+impl From<wire::FailedJob> for FailedJob {
+    fn from(failed: wire::FailedJob) -> Self {
+        Self { job: failed.job, reason: failed.reason, quarantined: failed.quarantined }
+    }
+}
+
 impl From<&DictionaryStatus> for wire::Dictionary {
     fn from(status: &DictionaryStatus) -> Self {
-        let failed = |f: &FailedJob| wire::FailedJob {
-            job: f.job,
-            reason: f.reason.clone(),
-            quarantined: f.quarantined,
-        };
         Self {
             name: status.name.to_string(),
             grid: Some((&status.grid).into()),
@@ -57,7 +61,7 @@ impl From<&DictionaryStatus> for wire::Dictionary {
             jobs_total: status.jobs_total() as u64,
             jobs_done: status.jobs_done as u64,
             jobs_leased: status.jobs_leased as u64,
-            failed: status.failed.iter().take(FAILED_JOBS).map(failed).collect(),
+            failed: status.failed.iter().take(FAILED_JOBS).map(Into::into).collect(),
             work_done: status.work_done,
             priority: status.priority,
             reason: status.reason.clone(),
@@ -66,6 +70,8 @@ impl From<&DictionaryStatus> for wire::Dictionary {
             records_reused: status.records_reused as u64,
             walks_min: status.walks.0,
             walks_max: status.walks.1,
+            jobs_disputed: status.jobs_disputed as u64,
+            jobs_failed: status.jobs_failed as u64,
         }
     }
 }
@@ -77,8 +83,6 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
         let digest = |field: &str, hex: &str| {
             Digest::from_hex(hex).ok_or_else(|| Invalid::new(field, hex, "64 hexadecimal digits are needed"))
         };
-        let failed =
-            |f: wire::FailedJob| FailedJob { job: f.job, reason: f.reason, quarantined: f.quarantined };
         Ok(Self {
             name: DictionaryName::new(d.name)?,
             grid: Grid::try_from(required("grid", d.grid)?).map_err(|e| e.within("grid"))?,
@@ -91,7 +95,10 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
             state: state(d.state)?,
             jobs_done: d.jobs_done as usize,
             jobs_leased: d.jobs_leased as usize,
-            failed: d.failed.into_iter().map(failed).collect(),
+            jobs_disputed: d.jobs_disputed as usize,
+            // One of before tells the jobs alone.
+            jobs_failed: d.failed.len().max(d.jobs_failed as usize),
+            failed: d.failed.into_iter().map(Into::into).collect(),
             work_done: d.work_done,
             priority: d.priority,
             reason: d.reason,
@@ -114,6 +121,7 @@ impl From<WorkerState> for wire::WorkerState {
             WorkerState::Draining => Self::Draining,
             WorkerState::Fenced => Self::Fenced,
             WorkerState::Silent => Self::Silent,
+            WorkerState::Suspended => Self::Suspended,
         }
     }
 }
@@ -129,6 +137,7 @@ impl From<WorkerStatus> for wire::Worker {
             silent_ms: w.silent_ms,
             state: wire::WorkerState::from(w.state).into(),
             version: w.version,
+            suspended_ms: w.suspended_ms,
         }
     }
 }
@@ -143,6 +152,7 @@ impl TryFrom<wire::Worker> for WorkerStatus {
             Ok(wire::WorkerState::Draining) => WorkerState::Draining,
             Ok(wire::WorkerState::Fenced) => WorkerState::Fenced,
             Ok(wire::WorkerState::Silent) => WorkerState::Silent,
+            Ok(wire::WorkerState::Suspended) => WorkerState::Suspended,
             Ok(wire::WorkerState::Unspecified) | Err(_) => {
                 return Err(Invalid::new("state", w.state, "a state that this version knows is needed"));
             }
@@ -155,6 +165,7 @@ impl TryFrom<wire::Worker> for WorkerStatus {
             jobs_done: w.jobs_done,
             silent_ms: w.silent_ms,
             state,
+            suspended_ms: w.suspended_ms,
             version: w.version,
         })
     }

@@ -70,6 +70,7 @@ impl Crew {
                     protocol_version: PROTOCOL_VERSION,
                     instance: format!("load-{number}"),
                     version: "by hand".to_owned(),
+                    host: String::new(),
                 };
                 let id = client.register(request).await.unwrap().into_inner().worker_id;
                 Worker { client, id }

@@ -18,6 +18,7 @@ mod poison;
 mod refused;
 mod slow;
 mod trust;
+mod votes;
 
 use std::time::Duration;
 

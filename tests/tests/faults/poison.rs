@@ -6,7 +6,7 @@ use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
 use farm_tests::process::{SOON, wait_for};
 
-use super::{GRID, JOBS};
+use super::{GRID, JOBS, LONG_JOBS};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_whose_workers_die_is_quarantined_with_reasons_and_the_others_are_done() {
@@ -57,4 +57,19 @@ async fn a_worker_that_dies_with_jobs_it_has_not_begun_brings_no_blame_on_them()
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     assert!(farm.events("ATTEMPT_FAILED").is_empty());
     drop(worker);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_kills_its_worker_at_once_is_blamed_before_the_first_heartbeat() {
+    // Heartbeats come every five seconds.
+    let farm = Farm::start(&["--lease", "20", "--max-attempts", "1"]);
+    farm.submit("long", LONG_JOBS);
+    let mut victim = farm.worker("victim", &[]);
+    farm.leased("long", 1);
+    std::thread::sleep(Duration::from_millis(500));
+    victim.kill();
+    let quarantined =
+        wait_for("its death is noticed", Duration::from_secs(60), || farm.events("JOB_QUARANTINED").pop());
+    assert!(quarantined["message"].as_str().unwrap().contains("victim fell silent"), "{quarantined}");
+    assert_eq!(farm.events("ATTEMPT_FAILED").len(), 1, "the one that waited for a thread is not to blame");
 }

@@ -11,22 +11,25 @@ use super::{GRID, JOBS};
 async fn refused(farm: &Farm, liar: &mut HandWorker) {
     let acquired = liar.acquire(1).await.unwrap_err();
     assert!(matches!(acquired.code(), Code::PermissionDenied | Code::Aborted), "{acquired}");
-    let registered = farm.hand("liar").await.map(drop).unwrap_err();
-    assert_eq!(registered.code(), Code::PermissionDenied, "{registered}");
-    assert!(registered.message().contains("two other results agree"), "{registered}");
+    // Nor does another process of it get in.
+    for name in ["liar", "another"] {
+        let registered = farm.hand_of("liar", name).await.map(drop).unwrap_err();
+        assert_eq!(registered.code(), Code::PermissionDenied, "{registered}");
+        assert!(registered.message().contains("others agree against it"), "{registered}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_with_wrong_records_is_found_and_fenced_off_and_its_jobs_are_computed_again() {
-    let mut farm = Farm::start(&["--lease", "2", "--verify-share", "1"]);
+    let mut farm = Farm::with_tokens(&["liar", "a", "b"], &["--lease", "2", "--verify-share", "1"]);
     farm.submit("grid", GRID);
     let grid = grid_of(GRID);
-    let mut liar = farm.hand("liar").await.unwrap();
+    let mut liar = farm.hand_of("liar", "liar").await.unwrap();
     for lease in liar.acquire(3).await.unwrap() {
         let records = falsified(&traced(&grid, lease.key.job as usize));
         liar.complete(&lease, records).await.unwrap();
     }
-    let honest = [farm.worker("a", &[]), farm.worker("b", &[])];
+    let honest = [farm.worker_of("a"), farm.worker_of("b")];
     let fenced = wait_for("the liar is fenced off", LONG, || farm.events("WORKER_FENCED").pop());
     assert_eq!(fenced["worker"], "liar");
     assert_eq!(liar.acquire(1).await.unwrap_err().code(), Code::PermissionDenied);
@@ -46,5 +49,11 @@ async fn a_worker_with_wrong_records_is_found_and_fenced_off_and_its_jobs_are_co
     });
     refused(&farm, &mut liar).await;
     assert_eq!(farm.done("grid"), undisturbed(GRID));
+    let unknown = farm.farmctl(&["workers", "readmit", "nobody"]);
+    assert_eq!(unknown.code, 1, "{}", unknown.stdout);
+    assert!(unknown.stderr.contains("liar@127.0.0.1 (liar)"), "{}", unknown.stderr);
+    farm.ask(&["workers", "readmit", "liar@127.0.0.1"]);
+    farm.hand_of("liar", "liar").await.unwrap();
+    assert_eq!(farm.done("grid"), undisturbed(GRID), "what was computed again stays");
     drop(honest);
 }

@@ -14,25 +14,30 @@ impl World {
             match effect {
                 Effect::GiveUp { dictionary, job, reason, quarantined } => {
                     let strikes = self.strikes.remove(&(dictionary, job)).unwrap_or_default();
-                    let silent = strikes.iter().any(|s| s.1);
-                    self.insist(strikes.len() == MAX_ATTEMPTS as usize && silent == quarantined, || {
+                    let silent = strikes.iter().any(|s| s.1.is_some());
+                    self.insist(strikes.len() >= MAX_ATTEMPTS as usize && silent == quarantined, || {
                         format!("job {job} is given up for {strikes:?}")
                     });
                     self.walks.insert((dictionary, job), self.store.dictionaries[&dictionary].grid.walks());
                     self.store.given_up.insert((dictionary, job), (reason, quarantined));
                 }
                 Effect::Recompute { dictionary, job } => self.recompute(dictionary, job),
-                Effect::Agreed { dictionary, job, worker } => {
-                    if let Some(done) = self.store.done.get_mut(&(dictionary, job)) {
-                        done.by.insert(worker);
+                Effect::Agreed { dictionary, job, machine } => {
+                    for place in self.same_walks(dictionary, job) {
+                        let done = self.store.done.get_mut(&place).expect("it was just found");
+                        if !done.by.contains(&machine) {
+                            done.confirmed.insert(machine);
+                        }
                     }
                 }
-                Effect::Fence { worker, reason } => {
-                    for (id, job) in self.store.fence(worker, reason) {
+                Effect::NoteCheck(check) => self.store.note_check(check),
+                Effect::Fence { machine, reason } => {
+                    for (id, job) in self.store.fence(machine, reason) {
                         self.reopen(id, job);
                     }
                     self.find_blocks();
                 }
+                Effect::LiftFence { .. } => unreachable!("nobody asks for that"),
             }
             // What the effect has brought about.
             self.settle();
@@ -41,17 +46,21 @@ impl World {
 
     /// Forgets a job's records. They lie at the walks that they are of, so that other jobs for these lose them too.
     pub fn recompute(&mut self, id: DictionaryId, job: u32) {
-        let Some(walks) = self.store.done.get(&(id, job)).map(|done| done.walks) else { return };
-        let kind = self.store.kind(id);
-        let same = |(of, done): &(&(DictionaryId, u32), &DoneJob)| {
-            of.1 == job && done.walks == walks && self.store.kind(of.0) == kind
-        };
-        let forgotten: Vec<_> = self.store.done.iter().filter(same).map(|(of, _)| *of).collect();
-        for (id, job) in forgotten {
+        for (id, job) in self.same_walks(id, job) {
             self.store.done.remove(&(id, job));
             self.reopen(id, job);
         }
         self.find_blocks();
+    }
+
+    /// Jobs that are done with the same walks as one that is.
+    fn same_walks(&self, id: DictionaryId, job: u32) -> Vec<(DictionaryId, u32)> {
+        let Some(walks) = self.store.done.get(&(id, job)).map(|done| done.walks) else { return Vec::new() };
+        let kind = self.store.kind(id);
+        let same = |(of, done): &(&(DictionaryId, u32), &DoneJob)| {
+            of.1 == job && done.walks == walks && self.store.kind(of.0) == kind
+        };
+        self.store.done.iter().filter(same).map(|(of, _)| *of).collect()
     }
 
     pub fn reopen(&mut self, id: DictionaryId, job: u32) {

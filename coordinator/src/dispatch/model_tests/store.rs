@@ -10,7 +10,7 @@ use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::super::Origin;
-use crate::stored::{DesiredState, EndedJob, Outcome, StoredDictionary};
+use crate::stored::{DesiredState, EndedJob, KnownMachine, Machine, OpenCheck, Outcome, StoredDictionary};
 
 /// Blocks of a job with so many walks, and who computed them.
 type Blocks = BTreeMap<u32, Origin>;
@@ -20,6 +20,8 @@ pub struct DoneJob {
     pub walks: Walks,
     pub records: Digest,
     pub by: BTreeSet<Origin>,
+    /// Who has found the same.
+    pub confirmed: BTreeSet<Origin>,
 }
 
 #[derive(Debug, Default)]
@@ -30,6 +32,8 @@ pub struct ModelStore {
     pub blocks: BTreeMap<(DictionaryId, u32, u64), Blocks>,
     pub fenced: BTreeMap<Origin, String>,
     pub wrong: BTreeSet<Origin>,
+    pub met: BTreeMap<Origin, Machine>,
+    pub checks: BTreeMap<(DictionaryId, u32, u32), OpenCheck>,
     last_id: i64,
 }
 
@@ -78,6 +82,26 @@ impl ModelStore {
         self.done.retain(|(of, _), _| *of != id);
         self.given_up.retain(|(of, _), _| *of != id);
         self.blocks.retain(|(of, ..), _| *of != id);
+        self.checks.retain(|(of, ..), _| *of != id);
+    }
+
+    pub fn note_check(&mut self, check: OpenCheck) {
+        let place = (check.dictionary, check.job, check.block);
+        if check.votes.is_empty() || !self.dictionaries.contains_key(&check.dictionary) {
+            self.checks.remove(&place);
+        } else {
+            self.checks.insert(place, check);
+        }
+    }
+
+    /// What is known of the machines.
+    pub fn machines(&self) -> impl Iterator<Item = KnownMachine> {
+        self.met.iter().map(|(origin, machine)| KnownMachine {
+            origin: *origin,
+            machine: machine.clone(),
+            label: String::new(),
+            fenced: self.fenced.get(origin).cloned(),
+        })
     }
 
     pub fn ended(&self, id: DictionaryId) -> Vec<EndedJob> {
@@ -87,6 +111,7 @@ impl ModelStore {
             walks: done.walks,
             records: done.records,
             by: if done.by.len() == 1 { done.by.first().copied() } else { None },
+            confirmed: done.confirmed.iter().copied().collect(),
             reused: false,
         });
         let given_up =
@@ -154,16 +179,24 @@ impl ModelStore {
         }
         let records = self.digest(id, job, spec, &by);
         self.given_up.remove(&(id, job));
-        self.done.insert((id, job), DoneJob { walks: spec.walks(), records, by });
+        self.done.insert((id, job), DoneJob { walks: spec.walks(), records, by, confirmed: BTreeSet::new() });
         Some(Outcome::Finished { records })
     }
 
-    /// Forgets a worker's part in everything: the jobs to be computed again.
-    pub fn fence(&mut self, worker: Origin, reason: String) -> Vec<(DictionaryId, u32)> {
-        self.fenced.insert(worker, reason);
-        self.blocks.retain(|_, blocks| !blocks.values().any(|by| *by == worker));
-        let its = |(_, done): &(&(DictionaryId, u32), &DoneJob)| done.by.contains(&worker);
-        let forgotten: Vec<_> = self.done.iter().filter(its).map(|(job, _)| *job).collect();
+    /// Forgets a machine's part in everything, but for what others have confirmed: the jobs to be computed again.
+    pub fn fence(&mut self, machine: Origin, reason: String) -> Vec<(DictionaryId, u32)> {
+        self.fenced.insert(machine, reason);
+        self.blocks.retain(|_, blocks| !blocks.values().any(|by| *by == machine));
+        let mut forgotten = Vec::new();
+        for (job, done) in &mut self.done {
+            done.confirmed.remove(&machine);
+            if done.by.contains(&machine) {
+                match done.confirmed.pop_first() {
+                    Some(other) => done.by = BTreeSet::from([other]),
+                    None => forgotten.push(*job),
+                }
+            }
+        }
         for job in &forgotten {
             self.done.remove(job);
         }

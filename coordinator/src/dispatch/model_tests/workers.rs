@@ -5,26 +5,29 @@ use std::collections::BTreeSet;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::{Lease, LeaseKey};
 use optics_model::Digest;
-use optics_model::job::JobSpec;
 
-use super::super::{Admission, DispatchError, Dispatcher, Origin, Purpose, Registration};
+use super::super::{Admission, Arrived, DispatchError, Dispatcher, Origin, PartId, Purpose, Registration};
 use super::world::{Arriving, LEASE, Process, WORKERS, World};
 
 impl World {
     pub fn register(&mut self, worker: usize) {
         self.numbers += 1;
         let (id, origin) = (WorkerId(format!("w{}", self.numbers)), self.processes[worker].origin);
-        let about = Registration { label: "label".to_owned(), threads: 1, version: String::new() };
+        let Process { instance, machine, .. } = self.processes[worker].clone();
+        let label = "label".to_owned();
+        let about = Registration { instance, machine, label, threads: 1, version: String::new() };
         let answer = self.farm.register(self.now, id.clone(), origin, about);
         let fenced = self.store.fenced.contains_key(&origin);
         self.insist(answer.is_err() == fenced, || format!("{origin:?} registers: {answer:?}"));
         if fenced {
             return self.replace(worker, false);
         }
+        self.store.met.insert(origin, self.processes[worker].machine.clone());
         let before = std::mem::replace(&mut self.processes[worker].id, id.clone());
         if self.draining.contains(&before) && self.farm.workers.get(&id).is_ok_and(|w| w.draining) {
             self.draining.insert(id.clone());
         }
+        self.instances.insert(id.clone(), self.processes[worker].instance.clone());
         self.origins.insert(id, origin);
     }
 
@@ -42,17 +45,23 @@ impl World {
                 None
             }
             answer => {
-                let origin = self.processes[worker].origin;
-                for strikes in self.strikes.values_mut() {
-                    strikes.retain(|(by, silent)| !(*silent && *by == origin));
-                }
+                self.forgive(worker);
                 answer.ok()
             }
         }
     }
 
+    /// A process has been heard of: nothing is blamed on its silence any more.
+    fn forgive(&mut self, worker: usize) {
+        let instance = &self.processes[worker].instance;
+        for strikes in self.strikes.values_mut() {
+            strikes.retain(|(_, silent)| silent.as_ref() != Some(instance));
+        }
+    }
+
     pub fn acquire(&mut self, worker: usize, max: usize) {
-        let id = self.processes[worker].id.clone();
+        let Process { id, origin, .. } = self.processes[worker].clone();
+        let paused = self.farm.workers.machines.pause_left(self.now, origin).is_some();
         // Of a divided job that was under way before another one was, the rest may be given out.
         let place = |key: &LeaseKey| (key.dictionary, key.job);
         let held = self.farm.leases.iter().filter(|held| held.purpose != Purpose::Check);
@@ -60,6 +69,7 @@ impl World {
         let answer = self.farm.acquire(self.now, &id, max, &mut self.chance);
         let Some(grant) = self.answer(worker, answer) else { return };
         self.insist(grant.leases.len() <= max, || "too many leases".to_owned());
+        self.insist(!paused || grant.leases.is_empty(), || format!("{id} is suspended, but got {grant:?}"));
         let drains = self.draining.contains(&id);
         self.insist(grant.drain == drains && (grant.leases.is_empty() || !drains), || {
             format!("{id} drains: {drains}, but got {grant:?}")
@@ -74,9 +84,13 @@ impl World {
                 dictionary.is_some_and(|d| d.is_active() || purpose == Purpose::Check && d.is_complete());
             self.insist(serves, || format!("{key:?} is of a dictionary that is not served"));
             if purpose == Purpose::Check {
-                let done = self.store.done.get(&(key.dictionary, key.job));
-                let own = done.is_none_or(|d| d.by.contains(&self.processes[worker].origin));
-                self.insist(!own, || format!("{key:?} lets a worker check itself, or nothing"));
+                let part = PartId::from(&key);
+                let votes = self.farm.checks.of_dictionary(key.dictionary).find(|(of, _)| *of == part);
+                let own = votes.is_none_or(|(_, votes)| votes.iter().any(|vote| vote.by == Some(origin)));
+                self.insist(!own, || format!("{key:?} lets a machine check itself, or nothing"));
+            }
+            if matches!(purpose, Purpose::First | Purpose::Retry) {
+                self.check_struck(&key, origin);
             }
             if matches!(purpose, Purpose::First | Purpose::Retry) {
                 let twice = self.computed_elsewhere(&key).filter(|_| !under_way.contains(&place(&key)));
@@ -86,6 +100,16 @@ impl World {
             }
             self.processes[worker].held.push(lease);
         }
+    }
+
+    /// What a machine has failed at goes to others first, as long as there are any.
+    fn check_struck(&mut self, key: &LeaseKey, origin: Origin) {
+        let strikes = self.strikes.get(&(key.dictionary, key.job)).cloned().unwrap_or_default();
+        let struck = |machine: Origin| strikes.iter().any(|(by, _)| *by == machine);
+        let other = self.farm.able(self.now).find(|machine| !struck(*machine));
+        self.insist(!struck(origin) || other.is_none(), || {
+            format!("{key:?} goes to {origin:?}, which has failed at it, rather than to {other:?}")
+        });
     }
 
     pub fn take_lease(&mut self, worker: usize, lease: usize) -> Option<Lease> {
@@ -141,14 +165,19 @@ impl World {
         let id = self.processes[worker].id.clone();
         let answer = self.farm.renew(self.now, &id, vec![(key, true, job.identity())]);
         if let Some((lost, _)) = self.answer(worker, answer) {
-            // A key with a token of its own may be right, for all that the coordinator knows after a restart.
-            let kept = before.is_some_and(|held| held.worker != id) || how >= 2 && in_use;
+            // Another's lease may be right, for all that the coordinator knows after a restart.
+            let kept = before.is_some_and(|held| held.worker != id) || in_use || how > 0;
             self.insist(!kept || !lost.is_empty(), || format!("{key:?} was forged and is renewed"));
             if lost.is_empty() {
                 self.tokens.insert(key.token);
                 self.farm.hand_back(&[key]);
             }
         }
+        let answer = self.farm.admit(self.now, &id, &key, job.identity());
+        self.insist(answer.is_err() || how == 0, || format!("{key:?} was forged and its result is taken"));
+        self.answer(worker, answer);
+        // It may be another process by now.
+        let id = self.processes[worker].id.clone();
         let answer = self.farm.failed(self.now, &id, &key, "sabotage");
         self.insist(answer.is_err(), || format!("{key:?} was forged and has failed"));
         self.answer(worker, answer);
@@ -189,15 +218,18 @@ impl World {
                 self.insist(by == origin, || format!("{key:?} came from {origin:?}, not {by:?}"));
                 self.arriving.push(Arriving { worker: id, by, key, job });
             }
-            Some(Admission::Compare { job, by, stored }) => self.compare(by, &key, &job, stored),
+            Some(Admission::Compare { job, by, stored }) => {
+                let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
+                let arrived = Arrived { worker: &id, by, key: &key, walks: job.walks(), digest };
+                self.compare(&arrived, stored);
+            }
             Some(Admission::Repeated { .. }) | None => {}
         }
     }
 
-    pub fn compare(&mut self, by: Origin, key: &LeaseKey, job: &JobSpec, stored: Digest) {
-        let new = self.store.digest(key.dictionary, key.job, job, &BTreeSet::from([by]));
-        let equal = self.farm.compared(by, key, stored, new);
-        self.insist(equal == (stored == new), || format!("{key:?} is compared wrongly"));
+    pub fn compare(&mut self, arrived: &Arrived, stored: Digest) {
+        let equal = self.farm.compared(arrived, stored, arrived.digest);
+        self.insist(equal == (stored == arrived.digest), || format!("{:?} is compared wrongly", arrived.key));
     }
 
     pub fn fail(&mut self, worker: usize, lease: usize) {
@@ -207,24 +239,22 @@ impl World {
         let answer = self.farm.failed(self.now, &id, &key, "boom");
         self.insist(answer.is_err() || held.is_some(), || format!("{key:?} fails and is not held"));
         if self.answer(worker, answer).is_some() && held != Some(Purpose::Check) {
-            self.strike(key.dictionary, key.job, origin, false);
+            self.strike(key.dictionary, key.job, origin, None);
         }
     }
 
-    pub fn strike(&mut self, id: DictionaryId, job: u32, by: Origin, silent: bool) {
+    pub fn strike(&mut self, id: DictionaryId, job: u32, by: Origin, silent: Option<String>) {
         self.strikes.entry((id, job)).or_default().push((by, silent));
     }
 
     pub fn leave(&mut self, worker: usize) {
-        let Process { id, origin, wrong, .. } = self.processes[worker].clone();
+        let id = self.processes[worker].id.clone();
         if self.farm.workers.get(&id).is_ok() {
-            for strikes in self.strikes.values_mut() {
-                strikes.retain(|(by, silent)| !(*silent && *by == origin));
-            }
+            self.forgive(worker);
         }
         self.farm.leave(&id);
         let left = !self.farm.leases.iter().any(|held| held.worker == id);
         self.insist(left, || format!("{id} has left and holds leases"));
-        self.replace(worker, wrong);
+        self.begin_anew(worker);
     }
 }

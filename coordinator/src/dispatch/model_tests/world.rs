@@ -14,16 +14,21 @@ use super::super::tests::Counted;
 use super::super::{Arrived, Dictionary, Dispatcher, Origin, Purpose, Settings};
 use super::ops::Op;
 use super::store::ModelStore;
-use crate::stored::{DesiredState, Outcome};
+use crate::stored::{DesiredState, Machine, Outcome, Secret};
 
 pub const LEASE: Duration = Duration::from_secs(8);
 pub const MAX_ATTEMPTS: u32 = 2;
 pub const WORKERS: usize = 5;
 const DICTIONARIES: usize = 4;
 
+/// The machine of a failed attempt, and the process if it was for its silence.
+pub type Struck = (Origin, Option<String>);
+
 /// A worker's process.
 #[derive(Debug, Clone)]
 pub struct Process {
+    pub instance: String,
+    pub machine: Machine,
     pub origin: Origin,
     pub id: WorkerId,
     pub held: Vec<Lease>,
@@ -47,14 +52,15 @@ pub struct World {
     pub processes: Vec<Process>,
     pub now: Duration,
     pub settings: Settings,
-    /// Failed attempts of open jobs: by whom, and whether for silence.
-    pub strikes: BTreeMap<(DictionaryId, u32), Vec<(Origin, bool)>>,
+    /// Failed attempts of open jobs.
+    pub strikes: BTreeMap<(DictionaryId, u32), Vec<Struck>>,
     /// Walks of jobs that were begun again with more.
     pub walks: BTreeMap<(DictionaryId, u32), Walks>,
     pub arriving: Vec<Arriving>,
     pub chance: Counted,
     pub tokens: BTreeSet<Token>,
     pub origins: BTreeMap<WorkerId, Origin>,
+    pub instances: BTreeMap<WorkerId, String>,
     pub draining: BTreeSet<WorkerId>,
     last_look: Option<Duration>,
     pub numbers: i64,
@@ -66,7 +72,8 @@ pub struct World {
 
 impl World {
     pub fn new(wrong: usize, check_share: f64) -> Self {
-        let settings = Settings { lease: LEASE, max_attempts: MAX_ATTEMPTS, check_share };
+        let secret = Secret([5; 32]);
+        let settings = Settings { lease: LEASE, max_attempts: MAX_ATTEMPTS, check_share, secret };
         let mut world = Self {
             farm: Dispatcher::new(settings),
             store: ModelStore::default(),
@@ -79,6 +86,7 @@ impl World {
             chance: Counted { tokens: 0 },
             tokens: BTreeSet::new(),
             origins: BTreeMap::new(),
+            instances: BTreeMap::new(),
             draining: BTreeSet::new(),
             last_look: None,
             numbers: 0,
@@ -86,7 +94,9 @@ impl World {
             complaint: None,
         };
         for i in 0..WORKERS {
-            let process = world.process(i < wrong);
+            // The last two are on one machine.
+            let together = (i == WORKERS - 1).then(|| world.processes[i - 1].origin);
+            let process = world.process(i < wrong, together);
             world.processes.push(process);
             world.register(i);
         }
@@ -95,13 +105,16 @@ impl World {
         world
     }
 
-    pub fn process(&mut self, wrong: bool) -> Process {
+    /// A new process, on a machine that is there or on a new one.
+    pub fn process(&mut self, wrong: bool, on: Option<Origin>) -> Process {
         self.numbers += 1;
-        let origin = Origin(self.numbers);
+        let origin = on.unwrap_or(Origin(self.numbers));
         if wrong {
             self.store.wrong.insert(origin);
         }
-        Process { origin, id: WorkerId(String::new()), held: Vec::new(), old: Vec::new(), wrong }
+        let machine = Machine { address: format!("{}", origin.0), ..Machine::default() };
+        let (instance, id) = (format!("p{}", self.numbers), WorkerId(String::new()));
+        Process { instance, machine, origin, id, held: Vec::new(), old: Vec::new(), wrong }
     }
 
     pub fn insist(&mut self, holds: bool, what: impl FnOnce() -> String) {
@@ -112,7 +125,7 @@ impl World {
 
     /// What a worker that waits could get: parts, and checks.
     fn offers(&self) -> (usize, usize) {
-        let checks = self.farm.checks.open_to(Origin(-1)).filter(|part| self.farm.may_check(*part));
+        let checks = self.farm.checks.open_to(|_| false).filter(|part| self.farm.may_check(*part));
         (self.farm.load().0, checks.count())
     }
 
@@ -163,7 +176,7 @@ impl World {
                     self.draining.insert(id);
                 }
             }
-            Op::Die(worker) => self.replace(worker, self.processes[worker].wrong),
+            Op::Die(worker) => self.begin_anew(worker),
             Op::Expire(tenths) => self.expire(Duration::from_millis(100 * tenths)),
             Op::Stall(seconds) => self.expire(Duration::from_secs(seconds)),
             Op::Restart => self.restart(),
@@ -199,10 +212,15 @@ impl World {
         self.origins.get(id).copied()
     }
 
-    /// Takes a process's place with a new one; its leases are left as they are.
+    /// Takes a process's place with a new one on another machine; its leases are left as they are.
     pub fn replace(&mut self, worker: usize, wrong: bool) {
-        let process = self.process(wrong);
-        self.processes[worker] = process;
+        self.processes[worker] = self.process(wrong, None);
+    }
+
+    /// The same on the same machine.
+    pub fn begin_anew(&mut self, worker: usize) {
+        let Process { origin, wrong, .. } = self.processes[worker];
+        self.processes[worker] = self.process(wrong, Some(origin));
     }
 
     /// A result reaches the store.
@@ -213,7 +231,8 @@ impl World {
         }
         let Arriving { worker, by, key, job } = self.arriving.remove(which.min(last));
         let place = (key.dictionary, key.job);
-        let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
+        let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
+        let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks(), digest };
         match self.store.complete(key.dictionary, key.job, &job, by) {
             None | Some(Outcome::Unwanted) => {}
             Some(Outcome::Finished { records }) => {
@@ -236,7 +255,7 @@ impl World {
                 }
                 self.find_blocks();
             }
-            Some(Outcome::Before { records, .. }) => self.compare(by, &key, &job, records),
+            Some(Outcome::Before { records, .. }) => self.compare(&arrived, records),
             Some(Outcome::Differs | Outcome::Repeated) => {
                 unreachable!("the model's store compares neither points nor blocks")
             }
@@ -254,11 +273,16 @@ impl World {
         if self.farm.by_id(key.dictionary).is_none() || (key.dictionary, key.job) == other {
             return;
         }
-        let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks() };
+        let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
+        let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks(), digest };
         if self.farm.by_id(key.dictionary).unwrap().is_open(key.job) {
-            self.strike(key.dictionary, key.job, by, false);
+            self.strike(key.dictionary, key.job, by, None);
         }
-        self.farm.distrust(&arrived, &[other]);
+        if self.farm.is_confirmed(&[other]) {
+            self.farm.contradict(self.now, &arrived);
+            return;
+        }
+        self.farm.distrust(self.now, &arrived, &[other]);
         self.recompute(other.0, other.1);
     }
 
@@ -279,10 +303,8 @@ impl World {
         self.insist(freed == due.len(), || format!("{freed} leases are freed, not {}", due.len()));
         for held in due.iter().filter(|h| h.running && h.purpose != Purpose::Check) {
             let (id, job) = (held.key.dictionary, held.key.job);
-            let given_up = self.strikes.get(&(id, job)).is_some_and(|s| s.len() >= MAX_ATTEMPTS as usize);
-            if !given_up {
-                self.strike(id, job, self.origins[&held.worker], true);
-            }
+            let (origin, instance) = (self.origins[&held.worker], self.instances[&held.worker].clone());
+            self.strike(id, job, origin, Some(instance));
         }
     }
 
@@ -324,11 +346,14 @@ impl World {
     /// A new coordinator on the same store.
     fn restart(&mut self) {
         self.farm = Dispatcher::new(self.settings);
-        for (worker, reason) in &self.store.fenced {
-            self.farm.remember_fence(*worker, reason.clone());
+        for known in self.store.machines() {
+            self.farm.remember_machine(known);
         }
         for (id, stored) in &self.store.dictionaries {
             self.farm.add_dictionary(Dictionary::new(stored.clone(), &self.store.ended(*id)));
+        }
+        for check in self.store.checks.values() {
+            self.farm.remember_check(check.clone());
         }
         self.arriving.clear();
         self.strikes.clear();

@@ -12,7 +12,7 @@ use super::{Bench, arrive, job_of, seconds, stored};
 use crate::dispatch::{Admission, Dictionary};
 
 /// Of one job in three blocks.
-fn divided() -> Bench {
+pub(super) fn divided(check_share: f64) -> Bench {
     let mut divided = stored();
     let axes = Axes {
         sigma_t_per_mm: vec![1.0],
@@ -24,7 +24,7 @@ fn divided() -> Bench {
     let grid = Grid::new(Scene::paper(), axes, Walks::new(2_500_000).unwrap(), 1, false).unwrap();
     divided.grid_digest = Digest::of_grid(&grid);
     divided.grid = Arc::new(grid);
-    let mut bench = Bench::new(&[]);
+    let mut bench = Bench::with_checks(&[], check_share);
     bench.farm.remove_dictionary(DictionaryId(1));
     bench.farm.add_dictionary(Dictionary::new(divided, &[]));
     bench
@@ -32,7 +32,7 @@ fn divided() -> Bench {
 
 #[test]
 fn a_divided_job_is_given_out_block_by_block() {
-    let mut bench = divided();
+    let mut bench = divided(0.0);
     let leases = bench.acquire(0, "a", 2);
     assert_eq!(leases.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1)]);
     let last = bench.acquire(0, "b", 5);
@@ -71,7 +71,7 @@ fn of_two_copies_that_ask_for_more_walks_the_second_changes_nothing() {
 
 #[test]
 fn blocks_that_the_store_has_forgotten_are_computed_again() {
-    let mut bench = divided();
+    let mut bench = divided(0.0);
     let leases = bench.acquire(0, "a", 2);
     arrive("a", &leases[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
     bench.farm.parts_stored(DictionaryId(1), 0, leases[0].job.walks(), &[2].into());
@@ -81,7 +81,7 @@ fn blocks_that_the_store_has_forgotten_are_computed_again() {
 
 #[test]
 fn a_job_whose_blocks_another_dictionary_has_merged_computes_them_again() {
-    let mut bench = divided();
+    let mut bench = divided(0.0);
     let blocks = |left: &[Lease]| left.iter().map(|l| l.key.part).collect::<Vec<_>>();
     // Blocks 0 and 1 were there, from the other one; then it ended, and they are gone with it.
     let walks = bench.farm.by_id(DictionaryId(1)).unwrap().spec(0, 0).walks();

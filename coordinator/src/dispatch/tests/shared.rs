@@ -114,7 +114,7 @@ fn a_check_goes_on_where_the_records_are_when_its_dictionary_is_deleted() {
         bench.farm.remove_dictionary(FIRST);
         let check = bench.acquire(2, "b", 1).remove(0);
         assert_eq!((check.key.dictionary, check.key.job), (SECOND, 2));
-        assert!(bench.farm.compared(origin("b"), &check.key, of_heir, of_heir));
+        assert!(bench.compare("b", &check, of_heir, of_heir));
         assert_eq!(bench.farm.checks(), (1, 0, 0));
     }
 }

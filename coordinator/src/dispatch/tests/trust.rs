@@ -3,8 +3,7 @@
 use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Walks};
 
-use super::{Bench, DIGEST, about, arrive, job_of, origin, seconds, worker};
-use crate::dispatch::checks::is_drawn;
+use super::{Bench, DIGEST, about, arrive, job_of, seconds, worker};
 use crate::dispatch::{DispatchError, Effect};
 use crate::stored::{EndedJob, Origin};
 
@@ -17,14 +16,14 @@ fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
     assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not its own result");
     let check = bench.acquire(2, "b", 1);
     assert_eq!(check[0].key.job, lease[0].key.job);
-    assert!(!bench.farm.compared(origin("b"), &check[0].key, wrong, DIGEST));
+    assert!(!bench.compare("b", &check[0], wrong, DIGEST));
     assert!(bench.reasons(2).contains(&"DISPUTED"));
-    assert!(bench.farm.take_outbox().effects.is_empty(), "one against one decides nothing");
+    assert!(bench.effects().is_empty(), "one against one decides nothing");
     let third = bench.acquire(3, "c", 1);
     assert_eq!(third[0].key.job, lease[0].key.job);
-    bench.farm.compared(origin("c"), &third[0].key, wrong, DIGEST);
-    let effects = bench.farm.take_outbox().effects;
-    assert!(matches!(&effects[..], [Effect::Fence { worker: Origin(1), .. }]), "{effects:?}");
+    bench.compare("c", &third[0], wrong, DIGEST);
+    let effects = bench.effects();
+    assert!(matches!(&effects[..], [Effect::Fence { machine: Origin(1), .. }]), "{effects:?}");
     let fenced = bench.farm.acquire(seconds(4), &worker("a"), 1, &mut bench.chance).unwrap_err();
     assert!(matches!(fenced, DispatchError::Fenced(_)));
     let again = bench.farm.register(seconds(5), worker("z"), Origin(1), about("z"));
@@ -38,15 +37,15 @@ fn equal_results_agree_and_a_worker_that_contradicts_itself_is_fenced_off() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let lease = bench.acquire(0, "a", 1);
     bench.finish(1, "a", &lease[0]);
-    assert!(bench.farm.compared(origin("a"), &lease[0].key, DIGEST, DIGEST), "its own repetition");
+    assert!(bench.compare("a", &lease[0], DIGEST, DIGEST), "its own repetition");
     let check = bench.acquire(2, "b", 1);
     assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still wanted");
-    assert!(bench.farm.compared(origin("b"), &check[0].key, DIGEST, DIGEST));
+    assert!(bench.compare("b", &check[0], DIGEST, DIGEST));
     assert_eq!(bench.farm.checks(), (1, 0, 0));
-    let agreed = bench.farm.take_outbox().effects;
-    assert!(matches!(&agreed[..], [Effect::Agreed { job: 2, worker: Origin(2), .. }]), "{agreed:?}");
-    bench.farm.compared(origin("a"), &lease[0].key, DIGEST, Digest::from_bytes([1; 32]));
-    assert!(matches!(&bench.farm.take_outbox().effects[..], [Effect::Fence { worker: Origin(1), .. }]));
+    let agreed = bench.effects();
+    assert!(matches!(&agreed[..], [Effect::Agreed { job: 2, machine: Origin(2), .. }]), "{agreed:?}");
+    bench.compare("a", &lease[0], DIGEST, Digest::from_bytes([1; 32]));
+    assert!(matches!(&bench.effects()[..], [Effect::Fence { machine: Origin(1), .. }]));
 }
 
 #[test]
@@ -65,7 +64,14 @@ fn a_part_whose_result_is_being_checked_is_not_late() {
 
 #[test]
 fn checks_that_nobody_has_made_are_wanted_after_a_restart_too() {
-    let done = |job, by, reused| EndedJob::Done { job, walks: Walks::PAPER, records: DIGEST, by, reused };
+    let done = |job, by, reused| EndedJob::Done {
+        job,
+        walks: Walks::PAPER,
+        records: DIGEST,
+        by,
+        confirmed: vec![],
+        reused,
+    };
     // One computed it alone; two agreed; it came for a dictionary that is gone.
     let ended = [done(0, Some(Origin(1)), false), done(1, None, false), done(2, Some(Origin(1)), true)];
     let mut bench = Bench::with_checks(&ended, 1.0);
@@ -75,19 +81,10 @@ fn checks_that_nobody_has_made_are_wanted_after_a_restart_too() {
 }
 
 #[test]
-fn the_share_that_is_checked_is_as_large_as_it_should_be() {
-    let drawn =
-        |share| (0..20_000_u32).filter(|i| is_drawn(Digest::of_bytes(&i.to_le_bytes()), share)).count();
-    assert_eq!((drawn(0.0), drawn(1.0)), (0, 20_000));
-    // Three standard deviations.
-    assert!(drawn(0.01).abs_diff(200) < 43, "{}", drawn(0.01));
-}
-
-#[test]
 fn jobs_whose_records_differ_for_the_same_walks_are_checked_in_any_case() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let lease = bench.acquire(0, "a", 1);
-    arrive("a", &lease[0], |arrived| bench.farm.distrust(arrived, &[(DictionaryId(1), 0)]));
+    arrive("a", &lease[0], |arrived| bench.farm.distrust(seconds(0), arrived, &[(DictionaryId(1), 0)]));
     let again = bench.acquire(1, "b", 1);
     assert_eq!(again[0].key.job, lease[0].key.job, "it waits again");
     bench.finish(2, "b", &again[0]);
@@ -105,10 +102,10 @@ fn a_result_is_not_compared_with_records_that_are_not_there_any_more() {
     bench.finish_with(1, "a", &lease[0], right);
     // Another result was admitted while the job had other records.
     for _ in 0..3 {
-        assert!(!bench.farm.compared(origin("b"), &lease[0].key, wrong, right));
+        assert!(!bench.compare("b", &lease[0], wrong, right));
     }
     assert_eq!(bench.farm.checks(), (0, 0, 0), "nobody is accused");
-    assert!(bench.farm.take_outbox().effects.is_empty());
+    assert!(bench.effects().is_empty());
 }
 
 #[test]
@@ -116,7 +113,7 @@ fn of_two_results_that_come_together_and_differ_the_second_asks_for_a_check() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let wrong = Digest::from_bytes([9; 32]);
     let lease = bench.acquire(0, "a", 1);
-    assert!(!bench.farm.compared(origin("b"), &lease[0].key, wrong, DIGEST), "before the first is noted");
+    assert!(!bench.compare("b", &lease[0], wrong, DIGEST), "before the first is noted");
     bench.finish_with(1, "a", &lease[0], wrong);
     assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not by itself");
     assert_eq!(job_of(&bench.acquire(2, "b", 1)), job_of(&lease));

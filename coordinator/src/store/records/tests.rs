@@ -3,12 +3,12 @@ use optics_model::Digest;
 use super::{Damaged, Found};
 use crate::store::tests::{complete, dictionary, open, overlapping, records};
 use crate::store::{Store, StoreError};
-use crate::stored::{Outcome, StoredDictionary};
+use crate::stored::{Machine, Outcome, StoredDictionary};
 
 /// A store with a dictionary whose two jobs are done: rows 1 and 2 of the records are the first one's.
 async fn finished(dir: &tempfile::TempDir) -> (Store, StoredDictionary) {
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     complete(&store, &d, 0, 0.25).await;
     complete(&store, &d, 1, 0.5).await;
@@ -83,7 +83,7 @@ async fn one_changed_bit_is_damage() {
     )
     .await;
     assert_eq!(damage(&store, &d).await, "its records differ from what was stored");
-    assert_eq!(store.forget_job(d.id, 0).await.unwrap(), [(d.id, 0)]);
+    assert_eq!(store.set_job_aside(d.id, 0).await.unwrap(), [(d.id, 0)]);
     assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }), "it can be done again");
 }
 
@@ -99,7 +99,7 @@ async fn a_changed_digest_is_damage() {
 async fn records_that_are_swapped_are_damage() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     complete(&store, &d, 0, 0.25).await;
     complete(&store, &d, 1, 0.5).await;

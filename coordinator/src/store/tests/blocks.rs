@@ -8,7 +8,7 @@ use optics_model::{Digest, Grid, Walks};
 
 use super::{completion, dictionary, grid, open};
 use crate::store::{Store, StoreError};
-use crate::stored::{Completion, JobResult, Origin, Outcome, StoredDictionary};
+use crate::stored::{Completion, JobResult, Machine, Origin, Outcome, StoredDictionary};
 
 /// Sums that stand for a block: numbers with rounding errors, so that the order of additions shows.
 fn block_sums(job: &JobSpec, block: u32) -> Sums {
@@ -39,7 +39,7 @@ async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
     for (i, order) in [[0, 1, 2, 3, 4], [4, 3, 2, 1, 0], [2, 0, 4, 1, 3]].into_iter().enumerate() {
         let dir = tempfile::tempdir().unwrap();
         let mut store = open(dir.path()).await;
-        store.register_worker("instance", "label").await.unwrap();
+        store.register_worker(&Machine::at("instance"), "label").await.unwrap();
         let name = DictionaryName::new("d").unwrap();
         let d = store.create_dictionary(name, large.clone(), 0, 7).await.unwrap();
         for (n, block) in order.into_iter().enumerate() {
@@ -99,7 +99,7 @@ async fn complete_block(
 async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
     assert_eq!(complete_block(&store, &a, 0, Origin(1)).await, Outcome::Part);
     assert!(store.stored_blocks(&b.1).await.unwrap().is_empty());
@@ -113,7 +113,7 @@ async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
 async fn a_late_block_of_a_job_that_is_done_is_not_compared_with_its_records() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = divided(&store, "d", vec![0.5]).await;
     complete_block(&store, &d, 0, Origin(1)).await;
     assert!(matches!(complete_block(&store, &d, 1, Origin(1)).await, Outcome::Finished { .. }));
@@ -124,8 +124,8 @@ async fn a_late_block_of_a_job_that_is_done_is_not_compared_with_its_records() {
 async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("good", "label").await.unwrap();
-    let bad = store.register_worker("bad", "label").await.unwrap();
+    store.register_worker(&Machine::at("good"), "label").await.unwrap();
+    let bad = store.register_worker(&Machine::at("bad"), "label").await.unwrap();
     let d = divided(&store, "divided", vec![0.5]).await;
     assert_eq!(complete_block(&store, &d, 0, bad).await, Outcome::Part);
     assert_eq!(store.fence(bad, "wrong").await.unwrap(), []);
@@ -142,8 +142,8 @@ async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
 async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("good", "label").await.unwrap();
-    let bad = store.register_worker("bad", "label").await.unwrap();
+    store.register_worker(&Machine::at("good"), "label").await.unwrap();
+    let bad = store.register_worker(&Machine::at("bad"), "label").await.unwrap();
     let d = divided(&store, "divided", vec![0.5]).await;
     complete_block(&store, &d, 0, bad).await;
     assert!(matches!(complete_block(&store, &d, 1, Origin(1)).await, Outcome::Finished { .. }));
@@ -154,7 +154,7 @@ async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
 async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
     complete_block(&store, &a, 0, Origin(1)).await;
     complete_block(&store, &b, 1, Origin(1)).await;
@@ -169,7 +169,7 @@ async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
 async fn a_damaged_block_is_noticed_before_it_is_merged() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = divided(&store, "d", vec![0.5]).await;
     for (first, second) in [(0, 1), (1, 0)] {
         assert_eq!(complete_block(&store, &d, first, Origin(1)).await, Outcome::Part);

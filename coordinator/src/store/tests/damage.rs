@@ -6,7 +6,7 @@ use optics_model::scene::{Scene, Sensor};
 
 use super::{all_records, complete, completion, defect, dictionary, open, overlapping, records, reuse};
 use crate::store::{Commit, DataDir, Store, StoreError};
-use crate::stored::{Completion, JobResult, Origin, Outcome};
+use crate::stored::{Completion, JobResult, Machine, Origin, Outcome};
 
 /// A full disk, played by SQLite's own limit: the error tells it, nothing of the job is stored, and once there is room
 /// the same store works on.
@@ -14,7 +14,7 @@ use crate::stored::{Completion, JobResult, Origin, Outcome};
 async fn after_a_full_disk_the_store_works_on() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     sqlx::query("PRAGMA max_page_count = 1").execute(&store.write).await.unwrap();
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, 4096, 0.0).unwrap());
@@ -35,7 +35,7 @@ async fn after_a_full_disk_the_store_works_on() {
 async fn damaged_records_are_not_used_for_another_dictionary() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     complete(&store, &d, 1, 0.5).await;
     let flip =
@@ -54,7 +54,7 @@ async fn damaged_records_are_not_used_for_another_dictionary() {
 async fn other_records_for_the_same_walks_are_refused_and_both_can_be_done_again() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let (d, e) = (dictionary(&store).await, overlapping(&store, "e", vec![0.9, 0.95]).await);
     let result = |value| {
         let job = JobSpec::of(&e.grid, 0);
@@ -90,7 +90,7 @@ async fn a_database_that_is_held_fails_all_results_at_once() {
     let store =
         Store::open(DataDir::lock(dir.path()).unwrap(), move |c: Commit| sender.send(c.took).unwrap());
     let store = store.await.unwrap();
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     sqlx::query("PRAGMA busy_timeout = 200").execute(&store.write).await.unwrap();
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(dir.path().join("farm.db"));
@@ -116,7 +116,7 @@ async fn a_database_that_is_held_fails_all_results_at_once() {
 async fn a_panic_while_writing_is_an_error_and_leaves_nothing_behind() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
-    store.register_worker("instance", "label").await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
     let bad = Completion { quality: Some(defect()), ..completion(&d, 0, 0.25) };
     let (bad, good) = tokio::join!(store.complete(bad), store.complete(completion(&d, 1, 0.5)));

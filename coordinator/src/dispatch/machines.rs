@@ -1,0 +1,223 @@
+//! The machines that workers run on: who has one vote, who is fenced off, and who gets nothing for a while since it
+//! fails at whatever it is given.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use super::shared::JobRef;
+use crate::stored::{KnownMachine, Machine, Origin};
+
+/// Different jobs that a machine may fail one after the other before it gets a pause.
+const IN_A_ROW: usize = 3;
+/// The first pause; each is twice as long as the one before.
+const FIRST_PAUSE: Duration = Duration::from_secs(10);
+const LONGEST_PAUSE: Duration = Duration::from_mins(10);
+
+/// What a machine has failed at since it last did something well.
+#[derive(Debug, Default)]
+struct Failures {
+    jobs: BTreeSet<JobRef>,
+    pauses: u32,
+    until: Duration,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Machines {
+    known: BTreeMap<Origin, KnownMachine>,
+    failures: BTreeMap<Origin, Failures>,
+    /// Each token has one vote, however many machines show it.
+    votes_by_token: bool,
+}
+
+impl Machines {
+    /// Takes up a machine as the store knows it.
+    pub fn remember(&mut self, known: KnownMachine) {
+        self.known.insert(known.origin, known);
+    }
+
+    /// Notes that a machine is there. Its fence stays.
+    pub fn met(&mut self, origin: Origin, machine: Machine, label: &str) {
+        let fenced = self.known.remove(&origin).and_then(|known| known.fenced);
+        self.known.insert(origin, KnownMachine { origin, machine, label: label.to_owned(), fenced });
+    }
+
+    pub fn set_votes_by_token(&mut self, by_token: bool) {
+        self.votes_by_token = by_token;
+    }
+
+    /// Whether two machines have one vote together.
+    pub fn share_a_vote(&self, a: Origin, b: Origin) -> bool {
+        if a == b {
+            return true;
+        }
+        let (Some(a), Some(b)) = (self.known.get(&a), self.known.get(&b)) else { return false };
+        let (a, b) = (&a.machine, &b.machine);
+        if self.votes_by_token && !a.token.is_empty() { a.token == b.token } else { a.is_same(b) }
+    }
+
+    pub fn label(&self, origin: Origin) -> &str {
+        self.known.get(&origin).map_or("", |known| &known.label)
+    }
+
+    /// Name of the token that a machine has shown.
+    pub fn token(&self, origin: Origin) -> &str {
+        self.known.get(&origin).map_or("", |known| &known.machine.token)
+    }
+
+    pub fn fence(&mut self, origin: Origin, reason: String) {
+        if let Some(known) = self.known.get_mut(&origin) {
+            known.fenced = Some(reason);
+        }
+    }
+
+    pub fn lift(&mut self, origin: Origin) {
+        if let Some(known) = self.known.get_mut(&origin) {
+            known.fenced = None;
+        }
+    }
+
+    pub fn fenced(&self) -> impl Iterator<Item = &KnownMachine> {
+        self.known.values().filter(|known| known.fenced.is_some())
+    }
+
+    /// Why a machine is fenced off, if it is, itself or under another address.
+    pub fn fence_of(&self, machine: &Machine) -> Option<&str> {
+        let fenced = self.fenced().find(|known| known.machine.is_same(machine))?;
+        fenced.fenced.as_deref()
+    }
+
+    pub fn is_fenced(&self, origin: Origin) -> bool {
+        self.reason(origin).is_some()
+    }
+
+    pub fn reason(&self, origin: Origin) -> Option<&str> {
+        self.known.get(&origin)?.fenced.as_deref()
+    }
+
+    /// Notes that a job came to nothing on a machine. The length of its pause, if it gets one now; `alone`: no other
+    /// machine could do its work meanwhile, so that a long pause would only cost time.
+    pub fn failed(&mut self, now: Duration, origin: Origin, job: JobRef, alone: bool) -> Option<Duration> {
+        let failures = self.failures.entry(origin).or_default();
+        failures.jobs.insert(job);
+        if failures.jobs.len() < IN_A_ROW || failures.until > now {
+            return None;
+        }
+        let longest = if alone { FIRST_PAUSE } else { LONGEST_PAUSE };
+        let pause = FIRST_PAUSE.saturating_mul(1 << failures.pauses.min(16)).min(longest);
+        failures.pauses += 1;
+        failures.until = now + pause;
+        Some(pause)
+    }
+
+    /// Others fail at a job, too: it is the job's fault. True if that ends a pause.
+    pub fn exonerate(&mut self, now: Duration, job: JobRef) -> bool {
+        let mut ended = false;
+        for failures in self.failures.values_mut() {
+            if failures.jobs.remove(&job) && failures.jobs.len() < IN_A_ROW && failures.until > now {
+                failures.until = now;
+                ended = true;
+            }
+        }
+        ended
+    }
+
+    /// Notes that a machine has done something well.
+    pub fn succeeded(&mut self, origin: Origin) {
+        self.failures.remove(&origin);
+    }
+
+    /// How long a machine gets no jobs.
+    pub fn pause_left(&self, now: Duration, origin: Origin) -> Option<Duration> {
+        let until = self.failures.get(&origin)?.until;
+        until.checked_sub(now).filter(|left| !left.is_zero())
+    }
+
+    /// Whether a machine has had a pause and not done anything well since: it is tried with one job at a time.
+    pub fn is_on_trial(&self, origin: Origin) -> bool {
+        self.failures.get(&origin).is_some_and(|failures| failures.pauses > 0)
+    }
+
+    /// Whether a pause has ended between two times.
+    pub fn pause_ended(&self, after: Duration, now: Duration) -> bool {
+        self.failures.values().any(|failures| failures.until > after && failures.until <= now)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use farm_proto::ids::DictionaryId;
+
+    use super::*;
+
+    const A: Origin = Origin(1);
+
+    fn job(number: u32) -> JobRef {
+        (DictionaryId(1), number)
+    }
+
+    fn machine(token: &str, address: &str, host: &str) -> Machine {
+        Machine { token: token.to_owned(), address: address.to_owned(), host: host.to_owned() }
+    }
+
+    #[test]
+    fn pauses_come_after_several_jobs_and_grow() {
+        let mut machines = Machines::default();
+        let at = Duration::from_secs;
+        assert_eq!(machines.failed(at(0), A, job(0), false), None);
+        assert_eq!(machines.failed(at(0), A, job(0), false), None, "one job may be bad");
+        assert_eq!(machines.failed(at(0), A, job(1), false), None);
+        assert_eq!(machines.failed(at(0), A, job(2), false), Some(at(10)));
+        assert_eq!(machines.failed(at(1), A, job(3), false), None, "it has its pause");
+        assert!(!machines.pause_ended(at(0), at(9)) && machines.pause_ended(at(9), at(10)));
+        assert_eq!(machines.failed(at(10), A, job(4), false), Some(at(20)));
+        for round in 1..20 {
+            machines.failed(at(10_000 * round), A, job(4), false);
+        }
+        assert_eq!(machines.failed(at(1_000_000), A, job(4), false), Some(at(600)));
+        assert_eq!(machines.failed(at(2_000_000), A, job(4), true), Some(at(10)), "nobody else is there");
+        machines.succeeded(A);
+        assert_eq!((machines.is_on_trial(A), machines.pause_left(at(2_000_000), A)), (false, None));
+    }
+
+    #[test]
+    fn what_others_fail_at_too_is_the_jobs_fault() {
+        let mut machines = Machines::default();
+        for number in 0..3 {
+            machines.failed(Duration::ZERO, A, job(number), false);
+        }
+        assert!(machines.pause_left(Duration::ZERO, A).is_some());
+        assert!(machines.exonerate(Duration::ZERO, job(1)));
+        assert_eq!(machines.pause_left(Duration::ZERO, A), None);
+    }
+
+    #[test]
+    fn a_vote_is_a_tokens_or_a_machines() {
+        let mut machines = Machines::default();
+        let places =
+            [("t", "::1", ""), ("t", "::2", ""), ("t", "::3", "h"), ("t", "::4", "h"), ("u", "::1", "")];
+        for (origin, (token, address, host)) in (1..).zip(places) {
+            machines.met(Origin(origin), machine(token, address, host), "");
+        }
+        let shared = |machines: &Machines| {
+            (2..=5).map(|other| machines.share_a_vote(Origin(other), Origin(3))).collect::<Vec<_>>()
+        };
+        assert_eq!(shared(&machines), [false, true, true, false]);
+        machines.set_votes_by_token(true);
+        assert_eq!(shared(&machines), [true, true, true, false]);
+    }
+
+    #[test]
+    fn a_fence_holds_for_the_machine_and_is_lifted() {
+        let mut machines = Machines::default();
+        machines.met(A, machine("t", "::1", "h"), "a");
+        machines.fence(A, "wrong".to_owned());
+        assert_eq!(machines.fence_of(&machine("t", "::1", "")), Some("wrong"), "the same address");
+        assert_eq!(machines.fence_of(&machine("t", "::2", "h")), Some("wrong"), "the same host");
+        assert_eq!(machines.fence_of(&machine("u", "::1", "h")), None, "another token");
+        assert_eq!(machines.fence_of(&machine("t", "::2", "")), None);
+        machines.met(A, machine("t", "::1", "h"), "b");
+        assert!(machines.is_fenced(A), "another process is the same machine");
+        machines.lift(A);
+        assert_eq!(machines.fence_of(&machine("t", "::1", "h")), None);
+    }
+}

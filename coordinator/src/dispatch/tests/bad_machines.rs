@@ -1,0 +1,116 @@
+//! Machines that fail at whatever they are given, and workers that never end.
+
+use farm_proto::ids::WorkerId;
+use farm_proto::status::WorkerState;
+
+use super::{Bench, about, job_of, on, seconds, worker};
+use crate::stored::Origin;
+
+impl Bench {
+    /// Fails at all that a worker is given at a moment; how many jobs.
+    fn fail_all(&mut self, at: u64, name: &str) -> usize {
+        let mut failed = 0;
+        loop {
+            let leases = self.acquire(at, name, 1);
+            if leases.is_empty() {
+                return failed;
+            }
+            failed += leases.len();
+            for lease in &leases {
+                self.fail(at, name, lease);
+            }
+        }
+    }
+
+    fn state_of(&self, at: u64, name: &str) -> (WorkerState, u64) {
+        let all = self.farm.workers(seconds(at), &WorkerId(String::new()), 9);
+        let of_it = all.iter().find(|w| w.id == worker(name)).unwrap();
+        (of_it.state, of_it.suspended_ms)
+    }
+}
+
+#[test]
+fn a_machine_that_fails_at_once_gives_up_no_job_beside_others_and_gets_growing_pauses() {
+    let mut bench = Bench::new(&[]);
+    assert_eq!(bench.fail_all(0, "a"), 3, "each of the jobs once");
+    assert_eq!(bench.status().jobs_failed, 0);
+    assert_eq!(bench.state_of(0, "a"), (WorkerState::Suspended, 10_000));
+    assert!(bench.reasons(0).contains(&"WORKERS_SUSPENDED"));
+    for lease in bench.acquire(1, "b", 9) {
+        bench.finish(2, "b", &lease);
+    }
+    assert_eq!(bench.status().jobs_done, 3);
+}
+
+#[test]
+fn after_a_pause_a_machine_is_tried_with_one_job_and_what_it_does_well_clears_it() {
+    let mut bench = Bench::new(&[]);
+    bench.fail_all(0, "a");
+    // Nobody else is heard of any more.
+    bench.farm.take_outbox();
+    for second in (0..=40).step_by(4) {
+        bench.farm.look_over(seconds(second));
+    }
+    assert!(bench.farm.take_outbox().work, "it is told that its pause is over");
+    let lease = bench.acquire(40, "a", 9);
+    assert_eq!(lease.len(), 1);
+    bench.farm.register(seconds(40), worker("d"), Origin(1), on("a", "d")).unwrap();
+    assert!(bench.acquire(40, "d", 9).is_empty(), "another process is the same machine");
+    bench.finish(41, "a", &lease[0]);
+    assert_eq!(bench.acquire(41, "a", 9).len(), 2);
+}
+
+#[test]
+fn several_failures_on_one_machine_count_once_as_long_as_others_are_there() {
+    let mut bench = Bench::new(&[]);
+    let mut grant = bench.acquire(0, "a", 1);
+    let job = grant[0].key.job;
+    bench.fail(0, "a", &grant[0]);
+    bench.farm.register(seconds(0), worker("d"), Origin(1), on("a", "d")).unwrap();
+    assert!(!job_of(&bench.acquire(0, "d", 9)).contains(&job), "b or c are to try it");
+    grant = bench.acquire(1, "b", 1);
+    assert_eq!(grant[0].key.job, job);
+    bench.fail(1, "b", &grant[0]);
+    assert_eq!(bench.status().jobs_failed, 1, "two machines are as many as are allowed");
+}
+
+#[test]
+fn a_job_that_fails_everywhere_suspends_nobody() {
+    let mut bench = Bench::new(&[]);
+    bench.farm.leave(&worker("c"));
+    bench.fail_all(0, "a");
+    bench.fail_all(0, "b");
+    assert_eq!(bench.status().jobs_failed, 3);
+    for name in ["a", "b"] {
+        assert_eq!(bench.state_of(0, name), (WorkerState::Idle, 0), "{name}");
+    }
+}
+
+#[test]
+fn alone_a_machine_gives_a_job_up_after_the_allowed_attempts() {
+    let mut bench = Bench::new(&[]);
+    for name in ["b", "c"] {
+        bench.farm.leave(&worker(name));
+    }
+    for second in 0..2 {
+        let lease = bench.acquire(second, "a", 1);
+        assert_eq!(job_of(&lease), [2]);
+        bench.fail(second, "a", &lease[0]);
+    }
+    assert_eq!(bench.status().jobs_failed, 1);
+}
+
+#[test]
+fn a_worker_that_renews_for_ever_loses_its_lease_in_the_end() {
+    let mut bench = Bench::new(&[]);
+    let lease = bench.acquire(0, "a", 1);
+    let day = 24 * 3600;
+    for second in (0..=day).step_by(4) {
+        bench.farm.look_over(seconds(second));
+        assert!(second % 20 != 0 || bench.renew(second, "a", &lease[0], true), "{second}");
+    }
+    assert_eq!(bench.farm.look_over(seconds(day + 4)), 1);
+    bench.farm.register(seconds(day + 4), worker("b"), Origin(2), about("b")).unwrap();
+    assert_eq!(bench.acquire(day + 4, "b", 1)[0].key.job, lease[0].key.job);
+    assert!(bench.reasons(day + 4).contains(&"RETRYING"), "it counts as a failure");
+}

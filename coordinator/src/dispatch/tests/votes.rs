@@ -1,0 +1,195 @@
+//! Who is heard about results, and what lasts of it.
+
+use farm_proto::ids::{DictionaryId, Token};
+use farm_proto::lease::{Lease, LeaseKey};
+use optics_model::Digest;
+
+use super::blocks::divided;
+use super::{Bench, DIGEST, arrive, job_of, on, origin, seconds, worker};
+use crate::dispatch::{Admission, Arrived, Effect};
+use crate::stored::{EndedJob, OpenCheck, Origin, Vote};
+
+const WRONG: Digest = Digest::from_bytes([9; 32]);
+
+/// Machine a has computed a job rightly.
+fn computed() -> (Bench, Lease) {
+    let mut bench = Bench::with_checks(&[], 1.0);
+    let lease = bench.acquire(0, "a", 1).remove(0);
+    bench.finish(1, "a", &lease);
+    (bench, lease)
+}
+
+fn notes(bench: &mut Bench) -> Vec<OpenCheck> {
+    let effects = bench.farm.take_outbox().effects.into_iter();
+    effects
+        .filter_map(|effect| match effect {
+            Effect::NoteCheck(check) => Some(check),
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn however_many_processes_a_machine_has_it_has_one_vote() {
+    let (mut bench, lease) = computed();
+    for name in ["d", "e", "f"] {
+        bench.farm.register(seconds(1), worker(name), origin("b"), on("b", name)).unwrap();
+    }
+    let check = bench.acquire(2, "b", 1).remove(0);
+    assert_eq!(check.key.job, lease.key.job);
+    assert!(!bench.compare("b", &check, DIGEST, WRONG));
+    for name in ["d", "e", "f"] {
+        assert!(!job_of(&bench.acquire(3, name, 9)).contains(&lease.key.job), "{name} would be heard");
+    }
+    // Nor is it heard with the lease of before.
+    bench.compare("b", &check, DIGEST, WRONG);
+    assert!(bench.effects().is_empty(), "nobody is fenced off");
+    let third = bench.acquire(4, "c", 1).remove(0);
+    bench.compare("c", &third, DIGEST, DIGEST);
+    assert!(matches!(
+        &bench.effects()[..],
+        [Effect::Agreed { machine: Origin(3), .. }, Effect::Fence { machine: Origin(2), .. }]
+    ));
+}
+
+#[test]
+fn a_result_that_nobody_asked_for_decides_nothing_and_brings_about_a_check() {
+    let mut bench = Bench::with_checks(&[], 0.0);
+    let lease = bench.acquire(0, "a", 1).remove(0);
+    bench.finish(1, "a", &lease);
+    for name in ["b", "c", "b"] {
+        bench.compare(name, &lease, DIGEST, WRONG);
+    }
+    assert!(bench.effects().is_empty());
+    assert_eq!((bench.farm.checks(), bench.status().jobs_disputed), ((0, 0, 1), 0));
+    let check = bench.acquire(2, "c", 1).remove(0);
+    bench.compare("c", &check, DIGEST, DIGEST);
+    assert_eq!(bench.farm.checks(), (1, 0, 0));
+}
+
+#[test]
+fn only_leases_that_were_given_bring_results_before_and_after_a_restart() {
+    let mut bench = Bench::new(&[]);
+    let lease = bench.acquire(0, "a", 1).remove(0);
+    let forged = |key: LeaseKey| Lease { key, ..lease.clone() };
+    let keys = [
+        LeaseKey { token: Token(lease.key.token.0 ^ 1), ..lease.key },
+        LeaseKey { attempt: 2, ..lease.key },
+        LeaseKey { token: Token(0), ..lease.key },
+    ];
+    let mut after = Bench::new(&[]);
+    for key in keys {
+        assert!(bench.admit("a", &forged(key)).is_err(), "{key:?}");
+        assert!(after.admit("a", &forged(key)).is_err(), "{key:?}");
+        assert!(!after.renew(0, "a", &forged(key), true), "{key:?}");
+    }
+    assert!(matches!(after.admit("a", &lease), Ok(Admission::Store { .. })));
+    assert!(after.renew(0, "a", &lease, true));
+}
+
+#[test]
+fn what_several_have_found_is_not_undone_by_fewer() {
+    let (mut bench, lease) = computed();
+    let check = bench.acquire(2, "b", 1).remove(0);
+    bench.compare("b", &check, DIGEST, DIGEST);
+    assert!(matches!(&bench.effects()[..], [Effect::Agreed { machine: Origin(2), .. }]));
+    bench.compare("c", &lease, DIGEST, WRONG);
+    let again = bench.acquire(3, "c", 1).remove(0);
+    assert_eq!(again.key.job, lease.key.job);
+    bench.compare("c", &again, DIGEST, WRONG);
+    assert!(matches!(&bench.effects()[..], [Effect::Fence { machine: Origin(3), .. }]), "two against one");
+    arrive("c", &lease, |arrived| bench.farm.contradict(seconds(4), arrived));
+    assert!(bench.farm.is_confirmed(&[(DictionaryId(1), lease.key.job)]));
+}
+
+#[test]
+fn what_others_confirmed_outlives_the_fence_of_who_computed_it_and_is_checked_again() {
+    let (mut bench, lease) = computed();
+    let check = bench.acquire(2, "b", 1).remove(0);
+    bench.compare("b", &check, DIGEST, DIGEST);
+    bench.compare("a", &lease, DIGEST, WRONG);
+    assert!(
+        matches!(&bench.effects()[..], [.., Effect::Fence { machine: Origin(1), .. }]),
+        "it contradicts itself"
+    );
+    assert_eq!(bench.status().jobs_done, 1);
+    assert!(!job_of(&bench.acquire(3, "b", 9)).contains(&lease.key.job), "b stands for it now");
+    assert_eq!(bench.acquire(3, "c", 1)[0].key.job, lease.key.job);
+}
+
+#[test]
+fn a_dispute_outlives_a_restart_and_is_told_of_a_dictionary_that_is_done() {
+    let (mut bench, lease) = computed();
+    let check = bench.acquire(2, "b", 1).remove(0);
+    bench.compare("b", &check, DIGEST, WRONG);
+    let noted = notes(&mut bench);
+    let votes = [("a", DIGEST), ("b", WRONG)].map(|(name, digest)| Vote { by: Some(origin(name)), digest });
+    assert_eq!(noted[0].votes, votes);
+    let done = |job| EndedJob::Done {
+        job,
+        walks: lease.job.walks(),
+        records: DIGEST,
+        by: Some(origin("a")),
+        confirmed: vec![],
+        reused: false,
+    };
+    let mut after = Bench::new(&[done(0), done(1), done(2)]);
+    after.farm.remember_check(noted[0].clone());
+    assert_eq!(after.status().jobs_disputed, 1);
+    assert_eq!(after.reasons(0), ["DISPUTED", "DONE"]);
+    assert!(after.acquire(0, "b", 9).is_empty() && after.acquire(0, "a", 9).is_empty());
+    let third = after.acquire(1, "c", 1).remove(0);
+    after.compare("c", &third, DIGEST, WRONG);
+    let fenced = after.farm.take_outbox().effects;
+    assert!(fenced.iter().any(|e| matches!(e, Effect::Fence { machine: Origin(1), .. })), "{fenced:?}");
+    let over = OpenCheck { votes: vec![], ..noted[0].clone() };
+    assert!(fenced.contains(&Effect::NoteCheck(over)), "{fenced:?}");
+    // It is about records that are not there any more.
+    let mut later = Bench::new(&[]);
+    later.farm.remember_check(noted[0].clone());
+    assert_eq!((later.status().jobs_disputed, notes(&mut later).len()), (0, 1));
+}
+
+/// A block reaches the store with these sums.
+fn block(bench: &mut Bench, name: &str, lease: &Lease, digest: Digest) {
+    let (worker, walks) = (worker(name), lease.job.walks());
+    let arrived = Arrived { worker: &worker, by: origin(name), key: &lease.key, walks, digest };
+    bench.farm.part_finished(seconds(1), &arrived);
+}
+
+#[test]
+fn blocks_of_divided_jobs_are_checked_one_by_one_also_when_the_job_is_done() {
+    let mut bench = divided(1.0);
+    let leases = bench.acquire(0, "a", 3);
+    block(&mut bench, "a", &leases[0], WRONG);
+    block(&mut bench, "a", &leases[1], DIGEST);
+    let noted = notes(&mut bench);
+    assert_eq!(
+        noted.iter().map(|check| check.block).collect::<Vec<_>>(),
+        [0, 1],
+        "they could not be drawn again"
+    );
+    bench.finish(2, "a", &leases[2]);
+    let checks = bench.acquire(3, "b", 9);
+    assert_eq!(checks.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1), Some(2)]);
+    let Ok(Admission::Compare { stored, .. }) = bench.admit("b", &checks[0]) else { panic!("not compared") };
+    assert!(!bench.compare("b", &checks[0], stored, DIGEST));
+    assert_eq!(bench.status().jobs_disputed, 1);
+    let Ok(Admission::Compare { stored, .. }) = bench.admit("b", &checks[1]) else { panic!("not compared") };
+    assert!(bench.compare("b", &checks[1], stored, DIGEST));
+    let third = bench.acquire(4, "c", 1).remove(0);
+    assert_eq!(third.job.block(), Some(0));
+    bench.compare("c", &third, WRONG, DIGEST);
+    assert!(matches!(&bench.effects()[..], [Effect::Fence { machine: Origin(1), .. }]));
+}
+
+#[test]
+fn more_walks_end_the_checks_of_the_blocks_of_fewer() {
+    let mut bench = divided(1.0);
+    let leases = bench.acquire(0, "a", 2);
+    block(&mut bench, "a", &leases[0], DIGEST);
+    assert_eq!(bench.farm.checks(), (0, 0, 1));
+    let more = optics_model::Walks::new(3_500_000).unwrap();
+    arrive("a", &leases[1], |arrived| bench.farm.prolong(seconds(2), arrived, more));
+    assert_eq!(bench.farm.checks(), (0, 0, 0));
+}

@@ -1,0 +1,152 @@
+//! Tables `set_aside` and `jobs_set_aside`: what is not believed any more, until it has been computed again.
+//!
+//! Whoever is accused may be right. So nothing is deleted on suspicion: the points of a machine that is fenced off get a
+//! random identity, by which nobody finds them, and their jobs begin again. A job's records go when it has been done
+//! anew; if the fence is lifted before, they come back.
+
+use farm_proto::ids::DictionaryId;
+use optics_model::Digest;
+use sqlx::SqliteConnection;
+
+use super::deletion::{self, rows_of};
+use super::{Result, Store, doing, jobs};
+use crate::stored::{EndedJob, Origin};
+use optics_model::Walks;
+
+/// Sets points aside, by their rows, for the sake of a machine: the jobs that they had ended.
+pub(super) async fn set_aside(
+    tx: &mut SqliteConnection,
+    points: &[i64],
+    of: Option<Origin>,
+) -> Result<Vec<(DictionaryId, u32)>> {
+    let what = "setting records aside";
+    if points.is_empty() {
+        return Ok(Vec::new());
+    }
+    let rows = rows_of(points);
+    sqlx::query(
+        "INSERT INTO set_aside (point_id, identity, worker_id) \
+         SELECT id, identity, ? FROM points WHERE id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(of.map(|origin| origin.0))
+    .bind(&rows)
+    .execute(&mut *tx)
+    .await
+    .map_err(doing(what))?;
+    for statement in [
+        "UPDATE points SET identity = randomblob(32) WHERE id IN (SELECT value FROM json_each(?))",
+        "INSERT INTO jobs_set_aside (point_id, dictionary_id, job, walks, records_digest) \
+         SELECT point_id, dictionary_id, job, walks, records_digest FROM jobs \
+         WHERE point_id IN (SELECT value FROM json_each(?)) AND records_digest IS NOT NULL",
+    ] {
+        sqlx::query(statement).bind(&rows).execute(&mut *tx).await.map_err(doing(what))?;
+    }
+    let jobs: Vec<(i64, i64)> = sqlx::query_as(
+        "DELETE FROM jobs WHERE point_id IN (SELECT value FROM json_each(?)) RETURNING dictionary_id, job",
+    )
+    .bind(&rows)
+    .fetch_all(&mut *tx)
+    .await
+    .map_err(doing(what))?;
+    Ok(jobs.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect())
+}
+
+/// Jobs have been done anew: what was set aside of them goes, and blocks that were gathered for them.
+pub(super) async fn done_again(
+    tx: &mut SqliteConnection,
+    jobs: impl Iterator<Item = (DictionaryId, u32)>,
+    gathered: impl Iterator<Item = Digest>,
+) -> Result<()> {
+    let what = "deleting what was set aside";
+    for (dictionary, job) in jobs {
+        sqlx::query("DELETE FROM jobs_set_aside WHERE dictionary_id = ? AND job = ?")
+            .bind(dictionary.0)
+            .bind(job)
+            .execute(&mut *tx)
+            .await
+            .map_err(doing(what))?;
+    }
+    let mut useless: Vec<i64> = sqlx::query_scalar(
+        "SELECT point_id FROM set_aside WHERE point_id NOT IN (SELECT point_id FROM jobs_set_aside) \
+         AND point_id NOT IN (SELECT point_id FROM sums)",
+    )
+    .fetch_all(&mut *tx)
+    .await
+    .map_err(doing(what))?;
+    for identity in gathered {
+        let of_blocks: Vec<i64> = sqlx::query_scalar("SELECT point_id FROM set_aside WHERE identity = ?")
+            .bind(&identity.as_bytes()[..])
+            .fetch_all(&mut *tx)
+            .await
+            .map_err(doing(what))?;
+        useless.extend(of_blocks);
+    }
+    deletion::delete_points(tx, &useless).await?;
+    Ok(())
+}
+
+#[derive(sqlx::FromRow)]
+struct AsideRow {
+    dictionary_id: i64,
+    job: i64,
+    walks: Option<i64>,
+    records_digest: Vec<u8>,
+}
+
+impl Store {
+    /// Whether anything is set aside.
+    pub(super) async fn has_set_aside(tx: &mut SqliteConnection) -> Result<bool> {
+        let found = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM set_aside)").fetch_one(tx).await;
+        found.map_err(doing("looking for what is set aside"))
+    }
+
+    /// Lets a machine in again, and takes back what was set aside for its sake, as far as it has not been computed
+    /// again meanwhile: the jobs that are done by that.
+    pub async fn lift_fence(&self, machine: Origin) -> Result<Vec<(DictionaryId, EndedJob)>> {
+        let what = "letting a machine in again";
+        let mut tx = self.begin().await?;
+        sqlx::query("UPDATE workers SET fenced = NULL WHERE id = ?")
+            .bind(machine.0)
+            .execute(&mut *tx)
+            .await
+            .map_err(doing(what))?;
+        let points: Vec<i64> = sqlx::query_scalar(
+            "SELECT point_id FROM set_aside WHERE worker_id = ? AND identity NOT IN (SELECT identity FROM points)",
+        )
+        .bind(machine.0)
+        .fetch_all(&mut *tx)
+        .await
+        .map_err(doing(what))?;
+        let rows = rows_of(&points);
+        let taken: Vec<AsideRow> = sqlx::query_as(
+            "INSERT INTO jobs (dictionary_id, job, point_id, walks, records_digest) \
+             SELECT dictionary_id, job, point_id, walks, records_digest FROM jobs_set_aside \
+             WHERE point_id IN (SELECT value FROM json_each(?)) \
+             ON CONFLICT DO NOTHING RETURNING dictionary_id, job, walks, records_digest",
+        )
+        .bind(&rows)
+        .fetch_all(&mut *tx)
+        .await
+        .map_err(doing(what))?;
+        for statement in [
+            "UPDATE points SET identity = (SELECT identity FROM set_aside WHERE point_id = points.id) \
+             WHERE id IN (SELECT value FROM json_each(?))",
+            "DELETE FROM jobs_set_aside WHERE point_id IN (SELECT value FROM json_each(?))",
+            "DELETE FROM set_aside WHERE point_id IN (SELECT value FROM json_each(?))",
+        ] {
+            sqlx::query(statement).bind(&rows).execute(&mut *tx).await.map_err(doing(what))?;
+        }
+        tx.commit().await.map_err(doing(what))?;
+        let ended = |row: AsideRow| {
+            let (job, records) = (row.job as u32, jobs::decode_digest(row.job, &row.records_digest)?);
+            let walks = row.walks.and_then(|walks| Walks::new(walks as u64).ok());
+            Ok(walks.map(|walks| {
+                let confirmed = Vec::new();
+                let done =
+                    EndedJob::Done { job, walks, records, by: Some(machine), confirmed, reused: false };
+                (DictionaryId(row.dictionary_id), done)
+            }))
+        };
+        taken.into_iter().map(ended).filter_map(Result::transpose).collect()
+    }
+}

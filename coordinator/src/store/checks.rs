@@ -1,0 +1,96 @@
+//! Table `votes`: checks that are not settled. Table `secrets`: what decides which results are checked.
+
+use farm_proto::ids::DictionaryId;
+use optics_model::Digest;
+
+use super::{Result, Store, StoreError, doing};
+use crate::stored::{OpenCheck, Origin, Secret, Vote};
+
+#[derive(sqlx::FromRow)]
+struct VoteRow {
+    dictionary_id: i64,
+    job: i64,
+    block: i64,
+    worker_id: Option<i64>,
+    digest: Vec<u8>,
+}
+
+impl VoteRow {
+    fn vote(&self) -> Result<Vote> {
+        let digest = self.digest[..].try_into().map_err(|_| StoreError::Corrupt {
+            table: "votes",
+            row: self.job,
+            column: "digest",
+            why: format!("{} bytes", self.digest.len()),
+        })?;
+        Ok(Vote { by: self.worker_id.map(Origin), digest: Digest::from_bytes(digest) })
+    }
+}
+
+impl Store {
+    /// Notes how a check stands. It is forgotten if it has no votes, or if its dictionary is gone.
+    pub async fn note_check(&self, check: &OpenCheck) -> Result<()> {
+        let what = "noting how a check stands";
+        let mut tx = self.begin().await?;
+        sqlx::query("DELETE FROM votes WHERE dictionary_id = ? AND job = ? AND block = ?")
+            .bind(check.dictionary.0)
+            .bind(check.job)
+            .bind(check.block)
+            .execute(&mut *tx)
+            .await
+            .map_err(doing(what))?;
+        for (place, vote) in (0_i64..).zip(&check.votes) {
+            sqlx::query(
+                "INSERT INTO votes (dictionary_id, job, block, place, worker_id, digest) \
+                 SELECT id, ?, ?, ?, ?, ? FROM dictionaries WHERE id = ?",
+            )
+            .bind(check.job)
+            .bind(check.block)
+            .bind(place)
+            .bind(vote.by.map(|by| by.0))
+            .bind(&vote.digest.as_bytes()[..])
+            .bind(check.dictionary.0)
+            .execute(&mut *tx)
+            .await
+            .map_err(doing(what))?;
+        }
+        tx.commit().await.map_err(doing(what))
+    }
+
+    /// Checks that were not settled when the coordinator ended.
+    pub async fn open_checks(&self) -> Result<Vec<OpenCheck>> {
+        let rows: Vec<VoteRow> = sqlx::query_as(
+            "SELECT dictionary_id, job, block, worker_id, digest FROM votes \
+             ORDER BY dictionary_id, job, block, place",
+        )
+        .fetch_all(&self.read)
+        .await
+        .map_err(doing("reading open checks"))?;
+        let same =
+            |a: &VoteRow, b: &VoteRow| (a.dictionary_id, a.job, a.block) == (b.dictionary_id, b.job, b.block);
+        let check = |rows: &[VoteRow]| {
+            let VoteRow { dictionary_id, job, block, .. } = rows[0];
+            let votes = rows.iter().map(VoteRow::vote).collect::<Result<_>>()?;
+            let dictionary = DictionaryId(dictionary_id);
+            Ok(OpenCheck { dictionary, job: job as u32, block: block as u32, votes })
+        };
+        rows.chunk_by(same).map(check).collect()
+    }
+
+    /// The secret of this database; `fresh` becomes it if there is none yet.
+    pub async fn secret(&self, fresh: Secret) -> Result<Secret> {
+        let what = "reading the secret of the database";
+        sqlx::query("INSERT OR IGNORE INTO secrets (name, value) VALUES ('checks', ?)")
+            .bind(&fresh.0[..])
+            .execute(&self.write)
+            .await
+            .map_err(doing(what))?;
+        let value: Vec<u8> = sqlx::query_scalar("SELECT value FROM secrets WHERE name = 'checks'")
+            .fetch_one(&self.write)
+            .await
+            .map_err(doing(what))?;
+        let why = format!("{} bytes", value.len());
+        let corrupt = |_| StoreError::Corrupt { table: "secrets", row: 0, column: "value", why };
+        value.try_into().map(Secret).map_err(corrupt)
+    }
+}

@@ -1,0 +1,131 @@
+//! What is not believed any more, and what becomes of it.
+
+use optics_model::Walks;
+
+use super::*;
+use crate::stored::KnownMachine;
+
+/// A store in which the first machine has computed job 0 of a dictionary, and the second, which is bad, job 1.
+async fn good_and_bad(dir: &tempfile::TempDir) -> (Store, StoredDictionary) {
+    let store = open(dir.path()).await;
+    for name in ["good", "bad", "third"] {
+        store.register_worker(&Machine::at(name), name).await.unwrap();
+    }
+    let d = dictionary(&store).await;
+    complete(&store, &d, 0, 0.25).await;
+    store.complete(Completion { worker: BAD, ..completion(&d, 1, 0.5) }).await.unwrap();
+    (store, d)
+}
+
+const GOOD: Origin = Origin(1);
+const BAD: Origin = Origin(2);
+const THIRD: Origin = Origin(3);
+
+async fn count(store: &Store, table: &str) -> i64 {
+    let query = format!("SELECT count(*) FROM {table}");
+    sqlx::query_scalar(sqlx::AssertSqlSafe(query)).fetch_one(&store.read).await.unwrap()
+}
+
+/// Who stands for each job that is done.
+async fn behind(store: &Store, d: &StoredDictionary) -> Vec<(u32, Option<Origin>, Vec<Origin>)> {
+    let ended = store.ended_jobs(d.id, d.grid.walks()).await.unwrap().into_iter();
+    ended
+        .map(|end| match end {
+            EndedJob::Done { job, by, confirmed, .. } => (job, by, confirmed),
+            EndedJob::GivenUp { .. } => panic!("{end:?}"),
+        })
+        .collect()
+}
+
+#[tokio::test]
+async fn a_machine_is_one_row_whatever_it_is_called_and_its_fence_stays() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    let machine = Machine { token: "t".to_owned(), host: "h".to_owned(), ..Machine::at("10.0.0.1") };
+    let bad = store.register_worker(&machine, "first").await.unwrap();
+    store.fence(bad, "wrong").await.unwrap();
+    let liar = Machine { host: "another".to_owned(), ..machine.clone() };
+    assert_eq!(store.register_worker(&liar, "second").await.unwrap(), bad);
+    let other_token = Machine { token: "u".to_owned(), ..machine.clone() };
+    assert_ne!(store.register_worker(&other_token, "third").await.unwrap(), bad);
+    let known = store.machines().await.unwrap().remove(0);
+    let (label, fenced) = ("first".to_owned(), Some("wrong".to_owned()));
+    assert_eq!(known, KnownMachine { origin: bad, machine, label, fenced }, "it is still known as it was");
+}
+
+#[tokio::test]
+async fn records_of_a_fenced_machine_are_kept_until_they_are_computed_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = good_and_bad(&dir).await;
+    assert_eq!(store.fence(BAD, "wrong").await.unwrap(), [(d.id, 1)]);
+    assert_eq!(all_records(&store, &d).await, records(0, 0.25), "no others");
+    assert_eq!((count(&store, "set_aside").await, count(&store, "records").await), (1, 4));
+    assert!(matches!(complete(&store, &d, 1, 0.25).await, Outcome::Finished { .. }));
+    assert_eq!((count(&store, "set_aside").await, count(&store, "records").await), (0, 4));
+    assert_eq!(behind(&store, &d).await, [(0, Some(GOOD), vec![]), (1, Some(GOOD), vec![])]);
+    assert!(store.faults().await.unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn a_machine_that_is_let_in_again_brings_its_records_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = good_and_bad(&dir).await;
+    let before = all_records(&store, &d).await;
+    store.fence(BAD, "wrong").await.unwrap();
+    // A restart forgets neither.
+    store.close().await;
+    drop(store);
+    let store = open(dir.path()).await;
+    let restored = store.lift_fence(BAD).await.unwrap();
+    let [(id, EndedJob::Done { job: 1, walks, by: Some(BAD), .. })] = &restored[..] else {
+        panic!("{restored:?}")
+    };
+    assert_eq!((*id, *walks), (d.id, Walks::new(5000).unwrap()));
+    assert_eq!(all_records(&store, &d).await, before);
+    assert!(store.machines().await.unwrap().iter().all(|known| known.fenced.is_none()));
+    assert_eq!(count(&store, "set_aside").await + count(&store, "jobs_set_aside").await, 0);
+    assert_eq!(store.delete_dictionary(d.id, &[]).await.unwrap(), 4);
+    assert!(store.faults().await.unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn what_others_have_confirmed_stays_in_their_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = good_and_bad(&dir).await;
+    store.note_agreement(d.id, 0, BAD).await.unwrap();
+    store.note_agreement(d.id, 1, THIRD).await.unwrap();
+    assert_eq!(behind(&store, &d).await, [(0, Some(GOOD), vec![BAD]), (1, Some(BAD), vec![THIRD])]);
+    assert_eq!(store.fence(BAD, "wrong").await.unwrap(), []);
+    assert_eq!(behind(&store, &d).await, [(0, Some(GOOD), vec![]), (1, Some(THIRD), vec![])]);
+    assert_eq!(store.fence(THIRD, "wrong, too").await.unwrap(), [(d.id, 1)], "nobody is left");
+}
+
+#[tokio::test]
+async fn a_dictionary_that_is_deleted_takes_what_was_set_aside_of_it_along() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = good_and_bad(&dir).await;
+    store.fence(BAD, "wrong").await.unwrap();
+    store.delete_dictionary(d.id, &[]).await.unwrap();
+    for table in ["records", "points", "set_aside", "jobs_set_aside", "contributions"] {
+        assert_eq!(count(&store, table).await, 0, "{table}");
+    }
+    assert!(store.faults().await.unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn machines_of_no_use_are_forgotten_and_no_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let (store, d) = good_and_bad(&dir).await;
+    for name in ["useless", "fenced", "voter"] {
+        store.register_worker(&Machine::at(name), name).await.unwrap();
+    }
+    store.fence(Origin(5), "wrong").await.unwrap();
+    store.note_agreement(d.id, 0, THIRD).await.unwrap();
+    let votes = vec![Vote { by: Some(Origin(6)), digest: Digest::from_bytes([1; 32]) }];
+    store.note_check(&OpenCheck { dictionary: d.id, job: 0, block: 0, votes }).await.unwrap();
+    store.close().await;
+    drop(store);
+    let store = open(dir.path()).await;
+    let left: Vec<i64> = store.machines().await.unwrap().iter().map(|known| known.origin.0).collect();
+    assert_eq!(left, [1, 2, 3, 5, 6]);
+}

@@ -1,0 +1,44 @@
+//! What a restart must not forget of checks.
+
+use super::*;
+
+fn vote(by: Option<i64>, byte: u8) -> Vote {
+    Vote { by: by.map(Origin), digest: Digest::from_bytes([byte; 32]) }
+}
+
+#[tokio::test]
+async fn open_checks_outlive_a_restart_as_they_stand() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    for name in ["a", "b"] {
+        store.register_worker(&Machine::at(name), name).await.unwrap();
+    }
+    let d = dictionary(&store).await;
+    let check =
+        |job, block, votes: &[Vote]| OpenCheck { dictionary: d.id, job, block, votes: votes.to_vec() };
+    let disputed = check(1, 0, &[vote(None, 1), vote(Some(2), 2)]);
+    let of_block = check(1, 7, &[vote(Some(1), 3)]);
+    for noted in [&check(1, 0, &[vote(None, 1)]), &disputed, &of_block, &check(0, 0, &[vote(Some(1), 4)])] {
+        store.note_check(noted).await.unwrap();
+    }
+    store.note_check(&check(0, 0, &[])).await.unwrap();
+    let gone = OpenCheck { dictionary: DictionaryId(99), ..disputed.clone() };
+    store.note_check(&gone).await.unwrap();
+    store.close().await;
+    drop(store);
+    let store = open(dir.path()).await;
+    assert_eq!(store.open_checks().await.unwrap(), [disputed, of_block]);
+    store.delete_dictionary(d.id, &[]).await.unwrap();
+    assert!(store.open_checks().await.unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn the_secret_is_made_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    assert_eq!(store.secret(Secret([1; 32])).await.unwrap().0, [1; 32]);
+    store.close().await;
+    drop(store);
+    let store = open(dir.path()).await;
+    assert_eq!(store.secret(Secret([2; 32])).await.unwrap().0, [1; 32]);
+}

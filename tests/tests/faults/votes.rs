@@ -1,0 +1,117 @@
+//! Somebody with a worker's token who wants to harm.
+
+use farm_proto::ids::Token;
+use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::wire::CompletionKind;
+use farm_tests::farm::Farm;
+use farm_tests::grids::{grid_of, traced, undisturbed};
+use farm_tests::hand::{HandWorker, falsified, on_wire, with_number};
+use farm_tests::process::{LONG, SOON, wait_for};
+
+use super::{GRID, JOBS, RECORDS};
+
+/// Takes all checks that are to be had, and tells something else than was computed.
+async fn contradict(liar: &mut HandWorker) -> usize {
+    let grid = grid_of(GRID);
+    let mut told = 0;
+    for lease in liar.acquire(JOBS as u32).await.unwrap() {
+        let records = falsified(&traced(&grid, lease.key.job as usize));
+        let outcome = liar.complete(&lease, records).await.unwrap();
+        assert_eq!(outcome, CompletionKind::Conflict);
+        told += 1;
+    }
+    told
+}
+
+fn state(farm: &Farm) -> (Option<i64>, i32, String) {
+    let disputed = farm.listed("grid").and_then(|d| d["jobs_disputed"].as_i64());
+    let waited = farm.farmctl(&["wait", "grid", "--timeout", "60"]);
+    (disputed, waited.code, farm.farmctl(&["explain", "grid"]).stdout)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_token_erases_nothing_under_however_many_names_and_its_disputes_are_told_until_they_are_settled()
+{
+    let mut farm = Farm::with_tokens(&["honest", "liar", "third"], &["--lease", "2", "--verify-share", "1"]);
+    farm.submit("grid", GRID);
+    let honest = farm.worker_of("honest");
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    let mut first = farm.hand_of("liar", "first").await.unwrap();
+    assert_eq!(contradict(&mut first).await, JOBS as usize);
+    for name in ["second", "other", "more"] {
+        let mut again = farm.hand_of("liar", name).await.unwrap();
+        assert_eq!(contradict(&mut again).await, 0, "{name} is heard, too");
+    }
+    for restarted in [false, true] {
+        if restarted {
+            farm.kill_coordinator();
+            farm.start_coordinator();
+        }
+        let (disputed, code, explained) = state(&farm);
+        assert_eq!((disputed, code), (Some(JOBS as i64), 7), "{explained}");
+        assert!(explained.contains("machines disagree about 12 jobs"), "{explained}");
+        assert_eq!(farm.record_rows().await, (RECORDS, 0), "all are there");
+    }
+    assert!(farm.events("WORKER_FENCED").is_empty(), "one against one");
+    let third = farm.worker_of("third");
+    let fenced = wait_for("it is found out", LONG, || farm.events("WORKER_FENCED").pop());
+    assert!(["first", "second", "other", "more"].contains(&fenced["worker"].as_str().unwrap()), "{fenced}");
+    wait_for("no dispute is left", LONG, || (farm.listed("grid")?["jobs_disputed"] == 0).then_some(()));
+    let (_, code, explained) = state(&farm);
+    assert_eq!(code, 0, "{explained}");
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    drop((honest, third));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn results_without_a_lease_that_was_given_are_not_taken() {
+    let farm = Farm::with_tokens(&["liar", "honest"], &["--lease", "2"]);
+    farm.submit("grid", GRID);
+    let mut liar = farm.hand_of("liar", "liar").await.unwrap();
+    let lease = liar.acquire(1).await.unwrap().remove(0);
+    let grid = grid_of(GRID);
+    let records = on_wire(&traced(&grid, lease.key.job as usize));
+    for key in [
+        LeaseKey { token: Token(lease.key.token.0 ^ 1), ..lease.key },
+        LeaseKey { token: Token(1 << 64), attempt: 7, ..lease.key },
+    ] {
+        let forged = Lease { key, ..lease.clone() };
+        assert_eq!(liar.complete(&forged, records.clone()).await.unwrap(), CompletionKind::Refused);
+        assert!(!liar.renew(&forged, true).await.unwrap(), "nor is it taken up");
+    }
+    // Somebody else's is not his, either.
+    let mut other = farm.hand_of("honest", "honest").await.unwrap();
+    assert_eq!(other.complete(&lease, records.clone()).await.unwrap(), CompletionKind::Refused);
+    assert_eq!(liar.complete(&lease, records).await.unwrap(), CompletionKind::Stored);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_machine_that_fails_at_once_or_computes_no_numbers_costs_no_job_beside_a_healthy_one() {
+    let farm = Farm::with_tokens(&["hole", "healthy"], &["--lease", "20", "--verify-share", "0"]);
+    farm.submit("grid", GRID);
+    let mut hole = farm.hand_of("hole", "hole").await.unwrap();
+    let healthy = farm.hand_of("healthy", "healthy").await.unwrap();
+    let grid = grid_of(GRID);
+    let mut failed = 0;
+    for lease in hole.acquire(1).await.unwrap() {
+        let records = with_number(&on_wire(&traced(&grid, lease.key.job as usize)), 0, f32::NAN);
+        assert!(hole.complete(&lease, records).await.is_err());
+        failed += 1;
+    }
+    while let Some(lease) = hole.acquire(1).await.unwrap().pop() {
+        hole.fail(&lease, "no such file or directory").await.unwrap();
+        failed += 1;
+    }
+    assert_eq!(failed, 3, "it is not fed the whole dictionary");
+    let workers = farm.ask(&["workers"])["workers"].take();
+    let of_it = workers.as_array().unwrap().iter().find(|w| w["label"] == "hole").unwrap();
+    assert_eq!(of_it["state"], "suspended", "{of_it}");
+    assert!(farm.farmctl(&["workers"]).stdout.contains("suspended for "));
+    let suspended = wait_for("that is told", SOON, || farm.events("WORKER_SUSPENDED").pop());
+    assert!(suspended["message"].as_str().unwrap().contains("no such file"), "{suspended}");
+    healthy.leave().await.unwrap();
+    let worker = farm.worker_of("healthy");
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    assert!(farm.events("JOB_FAILED").is_empty());
+    drop(worker);
+}
