@@ -132,7 +132,7 @@ mod tests {
         let during = Arc::<JobSwitches>::default();
         let traced = tokio::spawn({
             let (pool, switches) = (pool.clone(), during.clone());
-            async move { pool.trace(endless_job(), switches).await }
+            async move { pool.trace(endless_job(), switches, unheard()).await }
         });
         while !during.is_running() {
             tokio::task::yield_now().await;

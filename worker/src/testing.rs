@@ -50,7 +50,7 @@ pub(crate) fn lease_of(n: u32, job: JobSpec) -> Lease {
 }
 
 pub(crate) fn introduction() -> Introduction {
-    Introduction { label: "test".to_owned(), threads: 2 }
+    Introduction { label: "test".to_owned(), host: String::new(), threads: 2 }
 }
 
 /// A session with a coordinator, and the leases that it announces.

@@ -96,7 +96,7 @@ mod tests {
     fn numbers_that_follow_each_other_are_read_at_once() {
         let grid = Grid::paper();
         assert_eq!(ranges(&grid, 0, &[5, 6, 7, 3, 3, 4]).unwrap(), [5..8, 3..4, 3..5]);
-        assert_eq!(ranges(&grid, 6, &[5, 6, 7]).unwrap(), [6..8]);
+        assert_eq!(ranges(&grid, 6, &[5, 6, 7, 9]).unwrap(), [6..8, 9..10]);
     }
 
     #[test]

@@ -57,6 +57,15 @@ fn interpolation(nodes: &[f64], x: f64) -> Weights {
 /// Share of walks that go on to another scattering, q. Assumed: slabs thin and thick lie on either side of it.
 const SCATTERED_ON: f64 = 0.9;
 
+/// The records' noise in a prediction, as far as the records about show it.
+#[derive(Debug)]
+pub(super) struct NoiseFactors {
+    /// Profiles f_k: Σ f_k f_kᵀ is the covariance.
+    pub factors: Vec<Vec<f64>>,
+    /// Of how many independent profiles it was estimated.
+    pub degrees: f64,
+}
+
 /// Where a prediction's noise comes from.
 #[derive(Debug)]
 pub(super) struct NoisePlace {
@@ -178,7 +187,7 @@ impl<'a> Surrogate<'a> {
     }
 
     /// The same at any thickness near one of the dictionary's.
-    pub(super) fn noise_factors_at(&self, thickness_mm: f64, x: Coordinates) -> Vec<Vec<f64>> {
+    pub(super) fn noise_factors_at(&self, thickness_mm: f64, x: Coordinates) -> NoiseFactors {
         let (index, ratio) = self.nearest_thickness(thickness_mm);
         self.noise_factors(index, [x[SIGMA_T] + ratio.ln(), x[ALBEDO], x[G]])
     }
@@ -229,7 +238,7 @@ impl<'a> Surrogate<'a> {
 
     /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the records' noise gives to the model at `x`, over all
     /// pixels: what the local polynomial leaves of the records about.
-    pub(super) fn noise_factors(&self, thickness: usize, x: Coordinates) -> Vec<Vec<f64>> {
+    fn noise_factors(&self, thickness: usize, x: Coordinates) -> NoiseFactors {
         let a = interpolation(&self.albedo, x[ALBEDO]);
         let (first_s, window_s, hat_s) = self.sigma_t.hat(x[SIGMA_T]);
         let (first_g, window_g, hat_g) = self.g.hat(x[G]);
@@ -258,6 +267,8 @@ impl<'a> Surrogate<'a> {
         let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
         let leverage = square(&self.sigma_t.weights(x[SIGMA_T])) * square(&self.g.weights(x[G]));
         let (mut factors, mut total) = (Vec::new(), 0.0);
+        // Of the weights: sum of squares; of the rests: sum of variances.
+        let (mut squared, mut free) = (0.0, 0.0);
         for (n, image) in images.iter().enumerate() {
             let (i, k) = (n / ng, n % ng);
             let mut rest = image.clone();
@@ -271,6 +282,8 @@ impl<'a> Surrogate<'a> {
             }
             let weight = window_s[i] * window_g[k];
             total += weight;
+            squared += weight * weight;
+            free += left;
             let size = (weight * leverage / left).sqrt();
             for v in &mut rest {
                 *v *= size;
@@ -279,7 +292,9 @@ impl<'a> Surrogate<'a> {
         }
         let size = if total > 0.0 { total.sqrt().recip() } else { 0.0 };
         factors.iter_mut().flatten().for_each(|v| *v *= size);
-        factors
+        let records = if squared > 0.0 { total * total / squared } else { 0.0 };
+        let degrees = records * free / factors.len().max(1) as f64;
+        NoiseFactors { factors, degrees }
     }
 
     /// What the records' noise does to `N` functionals of the model's profile at `x`: their covariance.

@@ -69,7 +69,7 @@ async fn a_job_that_kills_its_worker_at_once_is_blamed_before_the_first_heartbea
     std::thread::sleep(Duration::from_millis(500));
     victim.kill();
     let quarantined =
-        wait_for("its death is noticed", Duration::from_secs(60), || farm.events("JOB_QUARANTINED").pop());
+        wait_for("its death is noticed", Duration::from_mins(1), || farm.events("JOB_QUARANTINED").pop());
     assert!(quarantined["message"].as_str().unwrap().contains("victim fell silent"), "{quarantined}");
     assert_eq!(farm.events("ATTEMPT_FAILED").len(), 1, "the one that waited for a thread is not to blame");
 }

@@ -115,10 +115,10 @@ fn add_modes(system: &mut System, state: &mut State) {
     use rayon::prelude::*;
     let modes = |i: usize| {
         let (term, point) = (&system.terms[i], system.point(i, &state.x));
-        let factors = system.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
+        let noise = system.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
         let origin = term.origin_mm(&state.own[i]);
         let near = system.surrogates[i].near(term.thickness_mm, point.medium());
-        (Modes::new(&factors, &term.camera, origin, &term.std_errors), near)
+        (Modes::new(&noise, &term.camera, origin, &term.std_errors), near)
     };
     let found: Vec<(Modes, Option<NearThickness>)> =
         (0..system.terms.len()).into_par_iter().map(modes).collect();

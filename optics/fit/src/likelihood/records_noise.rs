@@ -3,12 +3,15 @@
 use super::Line;
 use super::camera::Camera;
 use crate::sum::dot;
+use crate::surrogate::NoiseFactors;
 
 /// Most modes that are kept.
 const MODES: usize = 20;
 /// The modes that are kept leave less than this, as a sum over pixels of variances over the pixels' own: what is left
 /// could be seen by no functional of the pixels better than with this χ².
 const LEFT: f64 = 0.2;
+/// Most by which variances are multiplied since few profiles show them.
+const MOST: f64 = 10.0;
 
 /// A low-rank part of a covariance, and the variances that it leaves.
 #[derive(Debug, Default)]
@@ -20,8 +23,12 @@ pub(super) struct Modes {
 impl Modes {
     /// Of the covariance Σ f fᵀ on the pixels of a camera, beside pixels of these standard errors: a Cholesky
     /// decomposition that takes the pixel with most to tell first, and stops when little is left.
-    pub(super) fn new(factors: &[Line], camera: &Camera, origin_mm: f64, std_errors: &[f64]) -> Self {
-        let seen: Vec<Line> = factors.iter().map(|f| camera.sharp(f, origin_mm)).collect();
+    ///
+    /// The covariance is estimated from a number of profiles n, and its inverse is then too large by (n − 1)/(n − p − 2) on
+    /// average, p being the number of directions in which it counts (Hartlap et al. 2007, "Why your model parameter
+    /// confidences might be too optimistic"). All variances are multiplied by that.
+    pub(super) fn new(noise: &NoiseFactors, camera: &Camera, origin_mm: f64, std_errors: &[f64]) -> Self {
+        let seen: Vec<Line> = noise.factors.iter().map(|f| camera.sharp(f, origin_mm)).collect();
         let n = std_errors.len();
         let at_pixel: Vec<Line> = (0..n).map(|i| seen.iter().map(|f| f[i]).collect()).collect();
         let mut rest_variances: Line = at_pixel.iter().map(|f| dot(f, f)).collect();
@@ -41,8 +48,21 @@ impl Modes {
             rest_variances.iter_mut().zip(&mode).for_each(|(v, m)| *v = (*v - m * m).max(0.0));
             modes.push(mode);
         }
+        let factor = too_small_by(noise.degrees, modes.len());
+        for v in modes.iter_mut().flatten() {
+            *v *= factor.sqrt();
+        }
+        for v in &mut rest_variances {
+            *v *= factor;
+        }
         Self { modes, rest_variances }
     }
+}
+
+/// By what a covariance of `degrees` profiles is too small in the directions that count.
+fn too_small_by(degrees: f64, directions: usize) -> f64 {
+    let left = degrees - directions as f64 - 2.0;
+    if directions == 0 { 1.0 } else { ((degrees - 1.0) / left.max(1.0)).clamp(1.0, MOST) }
 }
 
 #[cfg(test)]
@@ -60,9 +80,12 @@ mod tests {
         let pitch = 10.0 / n as f64;
         let x: Line = (0..n).map(|i| (i as f64 + 0.5) * pitch - 5.0).collect();
         let camera = Camera::new(&x, pitch, 10.0, n);
-        let found = Modes::new(&factors, &camera, 0.0, &vec![0.1; n]);
-        assert!(found.modes.len() < 20, "{}", found.modes.len());
-        let whole = |i: usize, k: usize| factors.iter().map(|f| f[i] * f[k]).sum::<f64>();
+        let degrees = 30.0;
+        let noise = NoiseFactors { factors, degrees };
+        let found = Modes::new(&noise, &camera, 0.0, &vec![0.1; n]);
+        assert!((1..20).contains(&found.modes.len()), "{}", found.modes.len());
+        let factor = 29.0 / (28.0 - found.modes.len() as f64);
+        let whole = |i: usize, k: usize| factor * noise.factors.iter().map(|f| f[i] * f[k]).sum::<f64>();
         let kept = |i: usize, k: usize| found.modes.iter().map(|m| m[i] * m[k]).sum::<f64>();
         for i in 0..n {
             assert!((kept(i, i) + found.rest_variances[i] - whole(i, i)).abs() < 1e-9);
