@@ -8,7 +8,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 use sqlx::SqliteConnection;
 
-use super::deletion::{self, rows_of};
+use super::points::{self, delete_points, rows_of};
 use super::{Result, Store, doing, jobs};
 use crate::stored::{EndedJob, Origin};
 use optics_model::Walks;
@@ -81,7 +81,7 @@ pub(super) async fn done_again(
             .map_err(doing(what))?;
         useless.extend(of_blocks);
     }
-    deletion::delete_points(tx, &useless).await?;
+    delete_points(tx, &useless).await?;
     Ok(())
 }
 
@@ -98,6 +98,74 @@ impl Store {
     pub(super) async fn has_set_aside(tx: &mut SqliteConnection) -> Result<bool> {
         let found = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM set_aside)").fetch_one(tx).await;
         found.map_err(doing("looking for what is set aside"))
+    }
+
+    /// Sets the records of a point aside: the jobs to be computed again.
+    pub async fn set_point_aside(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
+        let mut tx = self.begin().await?;
+        let point: Vec<i64> =
+            points::find(&mut tx, &[identity]).await?.into_iter().map(|(_, id)| id).collect();
+        let jobs = set_aside(&mut tx, &point, None).await?;
+        tx.commit().await.map_err(doing("setting a point's records aside"))?;
+        Ok(jobs)
+    }
+
+    /// Sets the records of a job aside, in all dictionaries that share them: the jobs to be computed again.
+    pub async fn set_job_aside(
+        &self,
+        dictionary: DictionaryId,
+        job: u32,
+    ) -> Result<Vec<(DictionaryId, u32)>> {
+        let what = "setting a job's records aside";
+        let mut tx = self.begin().await?;
+        let point: Vec<i64> = sqlx::query_scalar(
+            "SELECT point_id FROM jobs WHERE dictionary_id = ? AND job = ? AND point_id IS NOT NULL",
+        )
+        .bind(dictionary.0)
+        .bind(job)
+        .fetch_all(&mut *tx)
+        .await
+        .map_err(doing(what))?;
+        let jobs = set_aside(&mut tx, &point, None).await?;
+        tx.commit().await.map_err(doing(what))?;
+        Ok(jobs)
+    }
+
+    /// Fences a machine off, and sets all aside that it has computed: the jobs to be computed again. What others have
+    /// confirmed stays, in their name.
+    pub async fn fence(&self, worker: Origin, reason: &str) -> Result<Vec<(DictionaryId, u32)>> {
+        let what = "fencing a worker off";
+        let mut tx = self.begin().await?;
+        sqlx::query("UPDATE workers SET fenced = ? WHERE id = ?")
+            .bind(reason)
+            .bind(worker.0)
+            .execute(&mut *tx)
+            .await
+            .map_err(doing(what))?;
+        for statement in [
+            // One of those who have confirmed it takes its place.
+            "UPDATE contributions SET confirmed = 0 WHERE confirmed = 1 AND worker_id <> ?1 \
+             AND point_id IN (SELECT point_id FROM contributions WHERE worker_id = ?1 AND confirmed = 0) \
+             AND worker_id = (SELECT min(worker_id) FROM contributions AS others \
+                              WHERE others.point_id = contributions.point_id AND confirmed = 1 AND worker_id <> ?1 \
+                              AND worker_id NOT IN (SELECT id FROM workers WHERE fenced IS NOT NULL))",
+            "DELETE FROM contributions WHERE worker_id = ?1 AND (confirmed = 1 OR point_id IN \
+             (SELECT jobs.point_id FROM jobs JOIN contributions AS others ON others.point_id = jobs.point_id \
+              WHERE walks <= 1000000 AND others.worker_id <> ?1 AND others.confirmed = 0))",
+        ] {
+            sqlx::query(statement).bind(worker.0).execute(&mut *tx).await.map_err(doing(what))?;
+        }
+        let its: Vec<i64> = sqlx::query_scalar(
+            "SELECT point_id FROM contributions WHERE worker_id = ? \
+             AND point_id NOT IN (SELECT point_id FROM set_aside)",
+        )
+        .bind(worker.0)
+        .fetch_all(&mut *tx)
+        .await
+        .map_err(doing(what))?;
+        let jobs = set_aside(&mut tx, &its, Some(worker)).await?;
+        tx.commit().await.map_err(doing(what))?;
+        Ok(jobs)
     }
 
     /// Lets a machine in again, and takes back what was set aside for its sake, as far as it has not been computed

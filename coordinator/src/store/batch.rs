@@ -15,7 +15,7 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use self::facts::{Ended, Facts};
 use self::script::Script;
-use super::{Result, Store, aside, deletion, doing, points, sums};
+use super::{Result, Store, aside, doing, points, sums};
 use crate::stored::{Completion, JobResult, Outcome};
 
 /// Most values of one query that are looked up or written.
@@ -70,7 +70,7 @@ pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion])
     for End { gathered, point, .. } in &ends {
         if let Some(gathered) = gathered {
             points::credit(tx, *gathered, known.points.id(*point)).await?;
-            deletion::delete_points(tx, &[*gathered]).await?;
+            points::delete_points(tx, &[*gathered]).await?;
         }
     }
     let mut script = Script::new(tx);
@@ -142,7 +142,7 @@ impl Known {
             quality.and_then(|q| q.more_walks(job.walks(), Quality::noise_of(&records.unpack())))
         {
             if let Some(gathered) = gathered {
-                deletion::delete_points(tx, &[gathered]).await?;
+                points::delete_points(tx, &[gathered]).await?;
             }
             return Ok(Outcome::MoreWalks(more));
         }

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
@@ -101,4 +102,51 @@ impl Store {
         let mut connection = self.read.acquire().await.map_err(doing("looking for points"))?;
         Ok(find(&mut connection, identities).await?.into_iter().collect())
     }
+}
+
+/// What went with some points.
+#[derive(Debug, Default)]
+pub(super) struct Deleted {
+    /// Jobs that had ended with their records, in all dictionaries that share them.
+    pub jobs: Vec<(DictionaryId, u32)>,
+    pub records: u64,
+}
+
+/// Rows as one text, however many there are: a statement takes a limited number of values.
+pub(super) fn rows_of(points: &[i64]) -> String {
+    format!("[{}]", points.iter().map(ToString::to_string).collect::<Vec<_>>().join(","))
+}
+
+/// Deletes points by their rows, with their records and sums, who computed them, and the jobs that they ended.
+pub(super) async fn delete_points(tx: &mut SqliteConnection, points: &[i64]) -> Result<Deleted> {
+    let what = "deleting points";
+    if points.is_empty() {
+        return Ok(Deleted::default());
+    }
+    let rows = rows_of(points);
+    let jobs: Vec<(i64, i64)> = sqlx::query_as(
+        "DELETE FROM jobs WHERE point_id IN (SELECT value FROM json_each(?)) RETURNING dictionary_id, job",
+    )
+    .bind(&rows)
+    .fetch_all(&mut *tx)
+    .await
+    .map_err(doing(what))?;
+    let records = sqlx::query("DELETE FROM records WHERE point_id IN (SELECT value FROM json_each(?))")
+        .bind(&rows)
+        .execute(&mut *tx)
+        .await
+        .map_err(doing(what))?
+        .rows_affected();
+    // Last the points: the others refer to them.
+    for delete in [
+        "DELETE FROM jobs_set_aside WHERE point_id IN (SELECT value FROM json_each(?))",
+        "DELETE FROM set_aside WHERE point_id IN (SELECT value FROM json_each(?))",
+        "DELETE FROM sums WHERE point_id IN (SELECT value FROM json_each(?))",
+        "DELETE FROM contributions WHERE point_id IN (SELECT value FROM json_each(?))",
+        "DELETE FROM points WHERE id IN (SELECT value FROM json_each(?))",
+    ] {
+        sqlx::query(delete).bind(&rows).execute(&mut *tx).await.map_err(doing(what))?;
+    }
+    let jobs = jobs.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect();
+    Ok(Deleted { jobs, records })
 }
