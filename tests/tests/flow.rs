@@ -113,13 +113,13 @@ async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_job_of_a_silent_worker_goes_to_another_and_its_late_result_is_a_duplicate() -> Result<()> {
-    let mut farm = Farm::with_tokens(&["silent", "worker"], &["--lease", "1"]);
+    let mut farm = Farm::with_tokens(&["silent", "healthy"], &["--lease", "1"]);
     let grid = small_grid();
     farm.submit_grid("small", &grid).await?;
     let mut silent = farm.hand_of("silent", "silent").await?;
     let lease = silent.acquire(1).await?.remove(0);
     let records = traced(&grid, lease.key.job as usize);
-    let mut worker = farm.worker_of("worker");
+    let mut worker = farm.worker_of("healthy");
     farm.watched("small").await?;
     assert_eq!(silent.complete(&lease, on_wire(&records)).await?, CompletionKind::Duplicate);
     assert_eq!(silent.complete(&lease, falsified(&records)).await?, CompletionKind::Conflict);
