@@ -66,16 +66,21 @@ impl<'a> Records<'a> {
                     let early = anyhow::anyhow!("the coordinator ended the stream without a reason");
                     return Err(early.context(self.incomplete()));
                 }
-                Ok(None) if self.asked < self.indices.len() => {
-                    self.next = self.indices[self.asked];
-                    self.asked = self.indices.len().min(self.asked + RequestLimits::INDICES);
-                    if let Err(error) = self.ask_for_rest().await {
-                        self.go_on_after(error.downcast::<Status>()?).await?;
-                    }
-                }
+                Ok(None) if self.asked < self.indices.len() => self.ask_for_more().await?,
                 Ok(None) => return Ok(None),
                 Err(status) => self.go_on_after(status).await?,
             }
+        }
+    }
+
+    /// Asks for the next piece of the indices.
+    async fn ask_for_more(&mut self) -> Result<()> {
+        self.next = self.indices[self.asked];
+        self.asked = self.indices.len().min(self.asked + RequestLimits::INDICES);
+        match self.ask_for_rest().await.map_err(anyhow::Error::downcast) {
+            Ok(()) => Ok(()),
+            Err(Ok(status)) => self.go_on_after(status).await,
+            Err(Err(error)) => Err(error.context(self.incomplete())),
         }
     }
 

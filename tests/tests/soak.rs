@@ -59,19 +59,23 @@ fn a_farm_that_is_maltreated_keeps_its_records_and_does_not_grow() {
     let whole = seconds();
     let mut farm = Maltreated::start(WORKERS, LEASE_S);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    // Links are made within it.
+    let _within = runtime.enter();
     let (start, tally) = (Instant::now(), Arc::new(Tally::default()));
     let clients: Vec<_> = (0..CLIENTS)
         .map(|number| {
-            let client = Client::new(&farm.url(), number, seed(), tally.clone(), runtime.handle());
+            let client = Client::new(farm.link(), number, seed(), tally.clone());
             runtime.spawn(client.run(start + whole))
         })
         .collect();
     let mut samples = Vec::new();
     maltreat(&mut farm, start, whole, &tally, &mut samples);
     let live: Vec<_> = clients.into_iter().flat_map(|client| runtime.block_on(client).unwrap()).collect();
+    let check = Client::new(farm.link(), CLIENTS, seed(), tally.clone());
+    let (agreed, disputed) = runtime.block_on(check.checks());
+    assert!(agreed > 0 && disputed == 0, "{agreed} checks agreed since the last start, {disputed} did not");
     // What was told to be done is on the disk.
     farm.inflict(Fault::KillCoordinator, &mut Normal::new(0));
-    let check = Client::new(&farm.url(), CLIENTS, seed(), tally.clone(), runtime.handle());
     runtime.block_on(check.assert_exactly(&live));
     let events = runtime.block_on(check.last_event());
     farm.assert_all_run();

@@ -1,6 +1,8 @@
 //! One job on its way from lease to result.
 
+use std::pin::pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use farm_proto::lease::{Lease, LeaseKey};
 use optics_model::Digest;
@@ -11,6 +13,9 @@ use crate::delivery::{PendingResult, ResultBuffer};
 use crate::leases::{HeldLeases, JobSwitches};
 use crate::pool::{Pool, Start, TraceEnd};
 use crate::session::Session;
+
+/// By then a message has left this machine, wherever the coordinator is.
+const ON_ITS_WAY: Duration = Duration::from_millis(50);
 
 /// What all jobs of a worker share. The delivery ends when the last of these is dropped.
 #[derive(Debug, Clone)]
@@ -50,12 +55,16 @@ impl Workshop {
         }
     }
 
-    /// Tells the coordinator when a thread is about to begin, which waits for that.
+    /// Tells the coordinator when a thread is about to begin, which waits until that is on its way: the answer of a
+    /// coordinator far away would cost small jobs more time than it is worth.
     async fn announce(&self, key: LeaseKey, identity: Digest, begins: oneshot::Receiver<Start>) {
         // Otherwise the job was stopped before.
-        if let Ok(start) = begins.await {
-            self.session.begins(key, identity).await;
-            let _ = start.send(());
+        let Ok(start) = begins.await else { return };
+        let mut told = pin!(self.session.begins(key, identity));
+        let answered = tokio::time::timeout(ON_ITS_WAY, &mut told).await.is_ok();
+        let _ = start.send(());
+        if !answered {
+            told.await;
         }
     }
 

@@ -22,7 +22,7 @@ use crate::retry::repeat;
 
 /// Longest time a call may take that neither carries records nor holds leases.
 const CALL: Duration = Duration::from_mins(1);
-/// Longest time that a job waits until it is known that it begins.
+/// Longest time that it is tried to tell that a job begins.
 const TELL: Duration = Duration::from_millis(500);
 /// Longest time that leaving may take: whoever stops a worker waits for it.
 const LEAVE: Duration = Duration::from_secs(5);
@@ -142,8 +142,7 @@ impl Session {
         }
     }
 
-    /// Tells that a job begins, so that it can be blamed if it makes this process die at once. If that cannot be told soon
-    /// the job begins all the same.
+    /// Tells that a job begins, so that it can be blamed if it makes this process die at once.
     pub(crate) async fn begins(&self, key: LeaseKey, identity: Digest) {
         let request =
             RenewRequest { worker_id: self.worker_id(), leases: vec![on_wire((key, true, identity))] };

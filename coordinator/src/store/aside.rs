@@ -8,7 +8,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 use sqlx::SqliteConnection;
 
-use super::points::{self, delete_points, rows_of};
+use super::points::{self, begin_jobs_again, delete_points, rows_of};
 use super::{Result, Store, doing, jobs};
 use crate::stored::{EndedJob, Origin};
 use optics_model::Walks;
@@ -41,14 +41,7 @@ pub(super) async fn set_aside(
     ] {
         sqlx::query(statement).bind(&rows).execute(&mut *tx).await.map_err(doing(what))?;
     }
-    let jobs: Vec<(i64, i64)> = sqlx::query_as(
-        "DELETE FROM jobs WHERE point_id IN (SELECT value FROM json_each(?)) RETURNING dictionary_id, job",
-    )
-    .bind(&rows)
-    .fetch_all(&mut *tx)
-    .await
-    .map_err(doing(what))?;
-    Ok(jobs.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect())
+    begin_jobs_again(tx, &rows).await
 }
 
 /// Jobs have been done anew: what was set aside of them goes, and blocks that were gathered for them.

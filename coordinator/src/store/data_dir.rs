@@ -24,7 +24,7 @@ impl DataDir {
             tracing::warn!("{warning}");
         }
         DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(fault("cannot be created"))?;
-        close_to_others(path, 0o700);
+        close_folder(path);
         let lock = File::options()
             .create(true)
             .truncate(false)
@@ -44,7 +44,7 @@ impl DataDir {
         dir.forget_address();
         dir.remove_leftovers();
         for name in ["farm.db", "farm.db-wal", "farm.db-shm", "lock"] {
-            close_to_others(&path.join(name), 0o600);
+            let _ = close_to_others(&path.join(name), 0o600);
         }
         Ok(dir)
     }
@@ -100,18 +100,34 @@ impl DataDir {
     }
 }
 
-/// Takes from other users what they may do with a file or folder that is there; its owner keeps what he may.
-fn close_to_others(path: &Path, most: u32) {
-    let Ok(now) = std::fs::metadata(path).map(|m| m.permissions().mode() & 0o777) else { return };
-    if now & !most == 0 {
-        return;
+/// Closes the folder to other users if it is the farm's alone. One with other things in it, such as a home or `/tmp`, is
+/// others' business: there the farm's files are closed, and it is told if others can put theirs in their place.
+fn close_folder(path: &Path) {
+    let own = ["farm.db", "lock", ADDRESS_FILE, DataDir::BACKUP_PREFIX];
+    let is_own = |name: &str| own.iter().any(|own| name.starts_with(own));
+    let Ok(mut entries) = std::fs::read_dir(path) else { return };
+    let only_own = entries.all(|entry| entry.is_ok_and(|entry| is_own(&entry.file_name().to_string_lossy())));
+    let closed = only_own && close_to_others(path, 0o700);
+    if !closed && mode_of(path).is_some_and(|mode| mode & 0o022 != 0) {
+        let dir = path.display();
+        tracing::warn!(%dir, "other users of this machine can put files in here: give the farm a folder of its own");
     }
-    match std::fs::set_permissions(path, Permissions::from_mode(now & most)) {
-        Ok(()) => tracing::info!(path = %path.display(), "closed to other users of this machine"),
-        Err(error) => {
-            tracing::warn!(path = %path.display(), %error, "other users of this machine may read or change this");
-        }
+}
+
+/// Takes from other users what they may do with a file or folder that is there; its owner keeps what he may. False if that
+/// is not ours to do.
+fn close_to_others(path: &Path, most: u32) -> bool {
+    let Some(now) = mode_of(path) else { return true };
+    let closed =
+        now & !most == 0 || std::fs::set_permissions(path, Permissions::from_mode(now & most)).is_ok();
+    if !closed {
+        tracing::warn!(path = %path.display(), "other users of this machine may read or change this");
     }
+    closed
+}
+
+fn mode_of(path: &Path) -> Option<u32> {
+    std::fs::metadata(path).ok().map(|about| about.permissions().mode() & 0o777)
 }
 
 #[cfg(test)]
@@ -119,7 +135,7 @@ mod tests {
     use super::*;
 
     fn mode(path: &Path) -> u32 {
-        std::fs::metadata(path).unwrap().permissions().mode() & 0o777
+        mode_of(path).unwrap()
     }
 
     #[test]
@@ -145,5 +161,18 @@ mod tests {
         let _dir = DataDir::lock(&path).unwrap();
         assert_eq!(mode(&path), 0o700);
         assert_eq!(["farm.db", "farm.db-wal", "lock"].map(|name| mode(&path.join(name))), [0o600; 3]);
+    }
+
+    /// Whoever names his home or `/tmp` does not want it closed.
+    #[test]
+    fn a_folder_with_other_things_in_it_is_left_as_it_is() {
+        let home = tempfile::tempdir().unwrap();
+        std::fs::set_permissions(home.path(), Permissions::from_mode(0o755)).unwrap();
+        std::fs::write(home.path().join("thesis.tex"), "").unwrap();
+        for _ in 0..2 {
+            let dir = DataDir::lock(home.path()).unwrap();
+            dir.create_database().unwrap();
+            assert_eq!([mode(home.path()), mode(&dir.database_file())], [0o755, 0o600]);
+        }
     }
 }

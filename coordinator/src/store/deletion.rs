@@ -7,18 +7,6 @@ use super::points::{self, delete_points};
 use super::{Result, Store, aside, doing};
 
 impl Store {
-    /// Jobs that have ended with the records of a point.
-    pub async fn jobs_of_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
-        let rows: Vec<(i64, i64)> = sqlx::query_as(
-            "SELECT dictionary_id, job FROM jobs JOIN points ON points.id = point_id WHERE identity = ?",
-        )
-        .bind(&identity.as_bytes()[..])
-        .fetch_all(&self.read)
-        .await
-        .map_err(doing("looking for jobs of a point"))?;
-        Ok(rows.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect())
-    }
-
     /// Forgets the records of a point: the jobs to be computed again.
     pub async fn forget_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
         let mut tx = self.begin().await?;

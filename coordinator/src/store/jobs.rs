@@ -51,6 +51,18 @@ pub(super) fn decode_digest(job: i64, bytes: &[u8]) -> Result<Digest> {
 }
 
 impl Store {
+    /// Jobs that have ended with the records of a point.
+    pub async fn jobs_of_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
+        let rows: Vec<(i64, i64)> = sqlx::query_as(
+            "SELECT dictionary_id, job FROM jobs JOIN points ON points.id = point_id WHERE identity = ?",
+        )
+        .bind(&identity.as_bytes()[..])
+        .fetch_all(&self.read)
+        .await
+        .map_err(doing("looking for jobs of a point"))?;
+        Ok(rows.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect())
+    }
+
     /// Jobs of a dictionary that have ended; `of_grid` is the number of walks that its grid asks for.
     pub async fn ended_jobs(&self, dictionary: DictionaryId, of_grid: Walks) -> Result<Vec<EndedJob>> {
         let rows: Vec<JobRow> = sqlx::query_as(

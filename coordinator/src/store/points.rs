@@ -124,13 +124,7 @@ pub(super) async fn delete_points(tx: &mut SqliteConnection, points: &[i64]) -> 
         return Ok(Deleted::default());
     }
     let rows = rows_of(points);
-    let jobs: Vec<(i64, i64)> = sqlx::query_as(
-        "DELETE FROM jobs WHERE point_id IN (SELECT value FROM json_each(?)) RETURNING dictionary_id, job",
-    )
-    .bind(&rows)
-    .fetch_all(&mut *tx)
-    .await
-    .map_err(doing(what))?;
+    let jobs = begin_jobs_again(tx, &rows).await?;
     let records = sqlx::query("DELETE FROM records WHERE point_id IN (SELECT value FROM json_each(?))")
         .bind(&rows)
         .execute(&mut *tx)
@@ -147,6 +141,20 @@ pub(super) async fn delete_points(tx: &mut SqliteConnection, points: &[i64]) -> 
     ] {
         sqlx::query(delete).bind(&rows).execute(&mut *tx).await.map_err(doing(what))?;
     }
-    let jobs = jobs.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect();
     Ok(Deleted { jobs, records })
+}
+
+/// Jobs that points have ended are open again, and returned.
+pub(super) async fn begin_jobs_again(
+    tx: &mut SqliteConnection,
+    rows: &str,
+) -> Result<Vec<(DictionaryId, u32)>> {
+    let jobs: Vec<(i64, i64)> = sqlx::query_as(
+        "DELETE FROM jobs WHERE point_id IN (SELECT value FROM json_each(?)) RETURNING dictionary_id, job",
+    )
+    .bind(rows)
+    .fetch_all(tx)
+    .await
+    .map_err(doing("beginning jobs again"))?;
+    Ok(jobs.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect())
 }

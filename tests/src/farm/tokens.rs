@@ -8,13 +8,14 @@ impl Farm {
     /// Starts a coordinator with a token of its own for each of these workers, in `keys/NAME.toml`.
     ///
     /// # Panics
-    /// If it does not answer.
+    /// If it does not answer, or a name is that of a file which is there for all.
     pub fn with_tokens(workers: &[&str], options: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a folder can be made");
         let data = folder.path().join("data");
         let mut farm = Self::new(folder, data, options);
         farm.create_access("keys", &[]);
         for name in workers {
+            assert!(!farm.path(&format!("keys/{name}.toml")).exists(), "{name}.toml is there already");
             farm.add_token(name);
         }
         farm.closed = true;

@@ -4,8 +4,8 @@ use std::convert::Infallible;
 use std::time::Duration;
 
 use bytes::Bytes;
-use farm_proto::wire::GetRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
+use farm_proto::wire::{GetRequest, ListFailedRequest};
 use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
 use farm_tests::process::{SOON, wait_for};
@@ -147,4 +147,29 @@ async fn ten_thousand_idle_connections_keep_nobody_from_work_who_was_there_befor
     }
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     drop((idle, worker));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn jobs_that_were_given_up_come_in_pages() {
+    let farm = Farm::start(&["--max-attempts", "1"]);
+    farm.submit("grid", GRID);
+    let mut hand = farm.hand("hand").await.unwrap();
+    let leases = hand.acquire(2).await.unwrap();
+    for lease in &leases {
+        hand.fail(lease, "no space left").await.unwrap();
+    }
+    let (mut failed, mut page_token) = (Vec::new(), String::new());
+    for _ in 0..leases.len() {
+        let request = ListFailedRequest { name: "grid".to_owned(), page_size: 1, page_token };
+        let page = farm.dictionaries().list_failed(request).await.unwrap().into_inner();
+        assert_eq!(page.failed.len(), 1);
+        failed.extend(page.failed.into_iter().map(|failed| failed.job));
+        page_token = page.next_page_token;
+    }
+    assert_eq!(page_token, "", "the last page says that it is");
+    let mut expected: Vec<u32> = leases.iter().map(|lease| lease.key.job).collect();
+    expected.sort_unstable();
+    assert_eq!(failed, expected);
+    let bad = ListFailedRequest { name: "grid".to_owned(), page_size: 1, page_token: "x".to_owned() };
+    assert_eq!(farm.dictionaries().list_failed(bad).await.unwrap_err().code(), Code::InvalidArgument);
 }

@@ -5,20 +5,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use farm_link::Link;
 use farm_proto::wire;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
 use farm_proto::wire::fits_client::FitsClient;
 use farm_proto::wire::{
     CancelRequest, DeleteRequest, DictionaryState, FitRequest, ListEventsRequest, ListRequest, ResumeRequest,
-    SubmitRequest, WatchRequest,
+    StatusRequest, SubmitRequest, WatchRequest,
 };
 use farm_tests::grids::traced;
 use farm_tests::statistics::Normal;
 use optics_model::grid::Axes;
 use optics_model::scene::Scene;
 use optics_model::{Digest, Grid, MeasuredProfile, Measurement, Walks};
-use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Request, Status};
 
 /// Of one dictionary.
@@ -65,9 +65,9 @@ pub struct Client {
     number: u64,
     chance: Normal,
     tally: Arc<Tally>,
-    dictionaries: DictionariesClient<Channel>,
-    fits: FitsClient<Channel>,
-    farm: FarmClient<Channel>,
+    dictionaries: DictionariesClient<Link>,
+    fits: FitsClient<Link>,
+    farm: FarmClient<Link>,
     live: VecDeque<Live>,
 }
 
@@ -83,15 +83,7 @@ fn grid(seed: u64) -> Grid {
 }
 
 impl Client {
-    pub fn new(
-        url: &str,
-        number: u64,
-        seed: u64,
-        tally: Arc<Tally>,
-        runtime: &tokio::runtime::Handle,
-    ) -> Self {
-        let _within = runtime.enter();
-        let link = Endpoint::from_shared(url.to_owned()).unwrap().connect_lazy();
+    pub fn new(link: Link, number: u64, seed: u64, tally: Arc<Tally>) -> Self {
         Self {
             number,
             chance: Normal::new(1000 * seed + number),
@@ -232,6 +224,16 @@ impl Client {
             .await
             .unwrap();
         answer.into_inner().events.last().map_or(0, |event| event.id)
+    }
+
+    /// Results that a second machine has found alike since the coordinator's start, and that it has not.
+    pub async fn checks(&self) -> (u64, u64) {
+        let answer = self
+            .answered(|| async { self.farm.clone().status(timed(StatusRequest {})).await })
+            .await
+            .unwrap()
+            .into_inner();
+        (answer.checks_agreed, answer.checks_disputed)
     }
 
     /// These dictionaries are there, complete, and no others.

@@ -5,6 +5,7 @@ use std::net::TcpStream;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use farm_link::Link;
 use farm_tests::farm::Farm;
 use farm_tests::process::{Process, Signal};
 use farm_tests::statistics::Normal;
@@ -56,13 +57,16 @@ impl Maltreated {
     pub fn start(workers: usize, lease_s: u64) -> Self {
         // Kills are many here, and jobs few: none is to be given up.
         let options = ["--lease", &lease_s.to_string(), "--verify-share", "0.1", "--max-attempts", "100"];
-        let farm = Farm::start(&options);
-        let workers = (0..workers).map(|_| worker(&farm)).collect();
+        // A token for each, so that they check each other's results.
+        let names: Vec<String> = (0..workers).map(|n| format!("machine-{n}")).collect();
+        let tokens: Vec<&str> = names.iter().map(String::as_str).collect();
+        let farm = Farm::with_tokens(&tokens, &options);
+        let workers = (0..workers).map(|n| worker(&farm, n)).collect();
         Self { farm, lease_s, workers, silent: Vec::new() }
     }
 
-    pub fn url(&self) -> String {
-        self.farm.url()
+    pub fn link(&self) -> Link {
+        self.farm.link()
     }
 
     /// Of the coordinator.
@@ -92,7 +96,7 @@ impl Maltreated {
             }
             Fault::KillWorker => {
                 self.workers[victim].kill();
-                self.workers[victim] = worker(&self.farm);
+                self.workers[victim] = worker(&self.farm, victim);
             }
             Fault::StopWorker => {
                 let pause = Duration::from_secs(self.lease_s).mul_f64(1.0 + chance.uniform());
@@ -103,7 +107,7 @@ impl Maltreated {
             }
             Fault::TerminateWorker => {
                 assert_eq!(self.workers[victim].terminate(END), 0, "a worker that was asked to leave");
-                self.workers[victim] = worker(&self.farm);
+                self.workers[victim] = worker(&self.farm, victim);
             }
             Fault::HalfOpen => self.say_half_a_word(chance),
             Fault::Garbage => self.send_garbage(chance),
@@ -140,8 +144,9 @@ impl Maltreated {
     }
 }
 
-fn worker(farm: &Farm) -> Process {
-    farm.worker("worker", &["--grace", "2s"])
+fn worker(farm: &Farm, number: usize) -> Process {
+    let name = format!("machine-{number}");
+    farm.worker_with(&format!("keys/{name}.toml"), &name, &["--grace", "2s"])
 }
 
 fn pause_for(process: &Process, pause: Duration) {

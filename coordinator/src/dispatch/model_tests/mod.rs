@@ -6,6 +6,7 @@
 mod check;
 mod effects;
 mod ops;
+mod results;
 mod shared;
 mod store;
 mod workers;

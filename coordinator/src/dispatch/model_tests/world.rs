@@ -11,10 +11,10 @@ use optics_model::job::JobSpec;
 
 use super::super::look_over::STALL;
 use super::super::tests::Counted;
-use super::super::{Arrived, Dictionary, Dispatcher, Origin, Purpose, Settings};
+use super::super::{Dictionary, Dispatcher, Origin, Purpose, Settings};
 use super::ops::Op;
 use super::store::ModelStore;
-use crate::stored::{DesiredState, Machine, Outcome, Secret};
+use crate::stored::{DesiredState, Machine, Secret};
 
 pub const LEASE: Duration = Duration::from_secs(8);
 pub const MAX_ATTEMPTS: u32 = 2;
@@ -221,69 +221,6 @@ impl World {
     pub fn begin_anew(&mut self, worker: usize) {
         let Process { origin, wrong, .. } = self.processes[worker];
         self.processes[worker] = self.process(wrong, Some(origin));
-    }
-
-    /// A result reaches the store.
-    pub fn end(&mut self, which: usize) {
-        let last = self.arriving.len().saturating_sub(1);
-        if self.arriving.is_empty() {
-            return;
-        }
-        let Arriving { worker, by, key, job } = self.arriving.remove(which.min(last));
-        let place = (key.dictionary, key.job);
-        let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
-        let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks(), digest };
-        match self.store.complete(key.dictionary, key.job, &job, by) {
-            None | Some(Outcome::Unwanted) => {}
-            Some(Outcome::Finished { records }) => {
-                self.strikes.remove(&place);
-                self.walks.insert(place, job.walks());
-                self.farm.finished(self.now, &arrived, records);
-                // Now and then the store fails: then the others compute for themselves.
-                if !self.chance.tokens.is_multiple_of(4) {
-                    for served in self.farm.served_by(place) {
-                        self.take_over(served, place, Some(by));
-                    }
-                }
-            }
-            Some(Outcome::Part) => self.farm.part_finished(self.now, &arrived),
-            Some(Outcome::MoreWalks(walks)) => {
-                self.farm.prolong(self.now, &arrived, walks);
-                if !self.store.given_up.contains_key(&place) && self.walks_of(place) == job.walks().get() {
-                    self.walks.insert(place, walks);
-                    self.strikes.remove(&place);
-                }
-                self.find_blocks();
-            }
-            Some(Outcome::Before { records, .. }) => self.compare(&arrived, records),
-            Some(Outcome::Differs | Outcome::Repeated) => {
-                unreachable!("the model's store compares neither points nor blocks")
-            }
-        }
-    }
-
-    /// A result that reaches the store differs from the records of a job that asked for the same walks.
-    fn clash(&mut self, which: usize, with: usize) {
-        let last = self.arriving.len().saturating_sub(1);
-        let Some(other) = self.store.done.keys().nth(with).copied() else { return };
-        if self.arriving.is_empty() {
-            return;
-        }
-        let Arriving { worker, by, key, job } = self.arriving.remove(which.min(last));
-        if self.farm.by_id(key.dictionary).is_none() || (key.dictionary, key.job) == other {
-            return;
-        }
-        let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
-        let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks(), digest };
-        if self.farm.by_id(key.dictionary).unwrap().is_open(key.job) {
-            self.strike(key.dictionary, key.job, by, None);
-        }
-        if self.farm.is_confirmed(&[other]) {
-            self.farm.contradict(self.now, &arrived);
-            return;
-        }
-        self.farm.distrust(self.now, &arrived, &[other]);
-        self.recompute(other.0, other.1);
     }
 
     pub fn walks_of(&self, place: (DictionaryId, u32)) -> u64 {

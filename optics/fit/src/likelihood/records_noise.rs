@@ -62,12 +62,26 @@ impl Modes {
 /// By what a covariance of `degrees` profiles is too small in the directions that count.
 fn too_small_by(degrees: f64, directions: usize) -> f64 {
     let left = degrees - directions as f64 - 2.0;
-    if directions == 0 { 1.0 } else { ((degrees - 1.0) / left.max(1.0)).clamp(1.0, MOST) }
+    match directions {
+        0 => 1.0,
+        _ if left > 0.0 => ((degrees - 1.0) / left).min(MOST),
+        _ => MOST,
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_fewer_profiles_show_a_covariance_the_larger_it_may_be() {
+        assert_eq!(
+            [too_small_by(0.0, 0), too_small_by(30.0, 8), too_small_by(1e9, 8).round()],
+            [1.0, 1.45, 1.0]
+        );
+        // As many directions as profiles, or more: nothing is known of it.
+        assert_eq!([too_small_by(10.5, 8), too_small_by(8.0, 8), too_small_by(1.2, 1)], [MOST; 3]);
+    }
 
     /// Smooth noise is kept nearly whole by a few modes, and what they leave is on the diagonal.
     #[test]
