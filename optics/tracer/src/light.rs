@@ -57,7 +57,7 @@ pub struct Light {
     thickness_mm: f32,
     inverse_reach: f32,
     steps: usize,
-    /// C: `[depth][cosine]`, at depths (i/DEPTHS)² of the reach.
+    /// C: `[depth][cosine]`, at steps of both that lie close at the ends.
     table: Vec<f64>,
     /// C times the mean length of its light in the sample, if derivatives are wanted.
     lengths: Option<Vec<f64>>,
@@ -85,7 +85,6 @@ impl Light {
         let scale = PI * measure / (n * n);
         let reach = thickness.min(DARK / sigma_t);
         let steps = ((32.0 / (1.0 - g.abs())) as usize).clamp(COSINES.0, COSINES.1);
-        let cosine = |k: usize, steps: usize| -1.0 + 2.0 * k as f64 / steps as f64;
         let mut table = vec![0.0; (DEPTHS + 1) * (steps + 1)];
         let mut lengths = derivatives.then(|| table.clone());
         let mut about = [[0.0; CELLS]; 2];
@@ -94,10 +93,11 @@ impl Light {
             let flux = scale * beam.flux / beam.cosine;
             // For light that goes up the same, with the cosines' signs changed.
             let mirrored = |k: usize, steps: usize| if beam.down { k } else { steps - k };
-            let phase: Vec<f64> =
-                (0..=steps).map(|k| mean_phase(g, cosine(mirrored(k, steps), steps), beam.cosine)).collect();
+            let phase: Vec<f64> = (0..=steps)
+                .map(|k| mean_phase(g, number_at(mirrored(k, steps), steps), beam.cosine))
+                .collect();
             for (i, row) in table.chunks_exact_mut(steps + 1).enumerate() {
-                let depth = reach * (i as f64 / DEPTHS as f64).powi(2);
+                let depth = 0.5 * reach * (1.0 + number_at(i, DEPTHS));
                 let length = if beam.down { depth } else { thickness - depth } / beam.cosine;
                 let factor = flux * exp_f64(-sigma_t * length);
                 row.iter_mut().zip(&phase).for_each(|(c, p)| *c += factor * p);
@@ -109,7 +109,8 @@ impl Light {
             }
             // In the middle of each cell, and between the middle and the ends.
             for k in (1..8 * CELLS).step_by(2) {
-                let phase = mean_phase(g, cosine(mirrored(k, 8 * CELLS), 8 * CELLS), beam.cosine);
+                let u = mirrored(k, 8 * CELLS) as f64 / (4 * CELLS) as f64 - 1.0;
+                let phase = mean_phase(g, u, beam.cosine);
                 about[usize::from(!beam.down)][k / 8] += 0.25 * flux * phase;
             }
             if beam.down {
@@ -159,8 +160,8 @@ impl Light {
             let first = (x as usize).clamp(1, steps - 2) - 1;
             (first, cubic(f64::from(x - first as f32) - 1.0))
         };
-        let (row, by_depth) = place(depth.sqrt() * DEPTHS as f32, DEPTHS);
-        let (column, by_cosine) = place((u + 1.0).clamp(0.0, 2.0) * (0.5 * self.steps as f32), self.steps);
+        let (row, by_depth) = place((place_of(2.0 * depth - 1.0) + 1.0) * (0.5 * DEPTHS as f32), DEPTHS);
+        let (column, by_cosine) = place((place_of(u) + 1.0) * (0.5 * self.steps as f32), self.steps);
         let first = row * (self.steps + 1) + column;
         let value = |table: &[f64]| -> f64 {
             let row = |i: usize| {
@@ -180,6 +181,18 @@ impl Light {
     pub fn at_base(&self) -> (f64, f32) {
         (f64::from(self.base), if self.lengths.is_some() { self.base_length_mm as f32 } else { 0.0 })
     }
+}
+
+/// Number in (−1, 1) at a step of the table. Steps lie close at the ends, where light changes fast with depth and cosine:
+/// x = ±(1 − √(1 − |u|)).
+fn number_at(k: usize, steps: usize) -> f64 {
+    let x = 2.0 * k as f64 / steps as f64 - 1.0;
+    (1.0 - (1.0 - x.abs()).powi(2)).copysign(x)
+}
+
+/// Its inverse: x.
+fn place_of(u: f32) -> f32 {
+    (1.0 - (1.0 - u.abs()).max(0.0).sqrt()).copysign(u)
 }
 
 /// Weights of four nodes at −1, 0, 1 and 2: the cubic through them.

@@ -43,8 +43,8 @@ fn the_table_gives_what_the_rays_add_up_to() {
                 let (z, u) = (point[2] - depth, -1.0 + 2.0 * (f64::from(k) + 0.41) / 200.0);
                 let c = exact(&stack, &arrivals, z, u);
                 let found = light.at(z as f32, u as f32).0;
-                // Grazing light at the lower face is too faint to matter, and narrow.
-                worst = worst.max((found - c).abs() / (c + 1e-2 * brightest));
+                // Grazing light at the lower face is too faint to matter.
+                worst = worst.max((found - c).abs() / (c + 1e-3 * brightest));
                 if c > 1e-6 * brightest {
                     near = near.max((f64::from(light.about(z as f32, u as f32)) / c).ln().abs());
                 }
