@@ -4,10 +4,13 @@ use crate::invalid::{Invalid, Result};
 use crate::profile::{Estimate, Record};
 
 /// Walks of one batch: the unit of the random streams and of the standard errors.
-pub const BATCH_WALKS: u64 = 2500;
+pub const BATCH_WALKS: u64 = 500;
+/// Batches of one chunk: what is traced in one go, and shows by its batches how they spread. Part of the physics version.
+pub const CHUNK_BATCHES: u64 = 25;
 /// Batches of one block: what a divided job's parts trace, each on its own. Part of the physics version, since sums are
 /// added up within blocks first.
-pub const BLOCK_BATCHES: u64 = 400;
+pub const BLOCK_BATCHES: u64 = 2000;
+const _: () = assert!(BLOCK_BATCHES.is_multiple_of(CHUNK_BATCHES), "a block holds whole chunks");
 const MAX_WALKS: u64 = 1_000_000_000_000;
 
 /// Number of random walks per transport point: a multiple of [`BATCH_WALKS`], at least two batches,
