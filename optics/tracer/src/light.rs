@@ -102,7 +102,7 @@ impl Light {
                 let factor = flux * exp_f64(-sigma_t * length);
                 row.iter_mut().zip(&phase).for_each(|(c, p)| *c += factor * p);
                 if let Some(lengths) = &mut lengths {
-                    let row = &mut lengths[i * (steps + 1)..][..steps + 1];
+                    let row = &mut lengths[i * (steps + 1)..][..=steps];
                     let length = thickness * beam.passed + length;
                     row.iter_mut().zip(&phase).for_each(|(c, p)| *c += factor * length * p);
                 }

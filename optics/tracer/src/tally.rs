@@ -15,7 +15,7 @@
     reason = "what is not inlined is not compiled for the instruction set that was chosen at run time"
 )]
 
-use fearless_simd::{ExtractToken, Simd, SimdBase, f32x8};
+use fearless_simd::{ExtractToken, Simd, SimdBase, f64x8};
 use optics_model::grid::BATCH_WALKS;
 use optics_model::job::JobSpec;
 use optics_model::scene::Sensor;
@@ -39,7 +39,7 @@ pub struct Tally<'a> {
     /// What steps are weighted with: 1, and the length in the sample if derivatives are wanted.
     moments: usize,
     /// `[cell][channel][moment][node]`, with one cell more than pixels.
-    steps: Vec<f32>,
+    steps: Vec<f64>,
     /// Positions of a walk's steps in pixels from the left end.
     positions: Vec<f64>,
     /// Pixels that show the spread of batches, see [`observed`].
@@ -102,8 +102,8 @@ impl<'a> Tally<'a> {
         let step = f64::from(STEP * self.light.measure);
         let weight = 0.5 * f64::from(pick.cuts) * step * receives / f64::from(pick.worth);
         let (first, shares) = shares(pick.scatterings);
-        let weights: [f32; WINDOW] = shares.map(|share| single(share * weight));
-        let weights = f32x8::from_slice(simd, &weights);
+        let weights = shares.map(|share| share * weight);
+        let weights = f64x8::from_slice(simd, &weights);
         let length_mm = pick.length_mm + light_mm;
         let (pitch, half) = (self.sensor.pitch_mm(), 0.5 * self.sensor.width_mm());
         self.positions.clear();
@@ -118,14 +118,14 @@ impl<'a> Tally<'a> {
     }
 
     #[inline(always)]
-    fn add_staircase<S: Simd>(&mut self, first: usize, weights: f32x8<S>, length_mm: f32) {
+    fn add_staircase<S: Simd>(&mut self, first: usize, weights: f64x8<S>, length_mm: f32) {
         let pixels = self.sensor.pixels() as f64;
         let hits = self.positions.len();
         let left = self.positions.iter().take_while(|&&p| p <= 0.0).count();
         for channel in 0..self.reflectances.len() {
             let (light, dark, _) = &mut self.reflectances[channel];
             let value = light.get(left) * dark.get(hits - left);
-            self.add_step(0, channel, single(value), first, weights, length_mm);
+            self.add_step(0, channel, value, first, weights, length_mm);
         }
         for k in left..hits {
             let position = self.positions[k];
@@ -138,8 +138,8 @@ impl<'a> Tally<'a> {
                 let (light, dark, contrast) = &mut self.reflectances[channel];
                 // ρ_light^(k+1) ρ_dark^(m−k−1) − ρ_light^k ρ_dark^(m−k), exactly 0 without contrast.
                 let step = light.get(k) * dark.get(hits - k - 1) * *contrast;
-                self.add_step(cell, channel, single(step * (1.0 - fraction)), first, weights, length_mm);
-                self.add_step(cell + 1, channel, single(step * fraction), first, weights, length_mm);
+                self.add_step(cell, channel, step * (1.0 - fraction), first, weights, length_mm);
+                self.add_step(cell + 1, channel, step * fraction, first, weights, length_mm);
             }
         }
     }
@@ -149,9 +149,9 @@ impl<'a> Tally<'a> {
         &mut self,
         cell: usize,
         channel: usize,
-        step: f32,
+        step: f64,
         first: usize,
-        weights: f32x8<S>,
+        weights: f64x8<S>,
         length_mm: f32,
     ) {
         if step == 0.0 {
@@ -162,8 +162,8 @@ impl<'a> Tally<'a> {
         for moment in 0..self.moments {
             let at = (row + moment) * self.nodes + first;
             let sums = &mut self.steps[at..at + WINDOW];
-            (f32x8::from_slice(weights.token(), sums) + weights * step).store_slice(sums);
-            step *= length_mm;
+            (f64x8::from_slice(weights.token(), sums) + weights * step).store_slice(sums);
+            step *= f64::from(length_mm);
         }
     }
 
@@ -209,7 +209,7 @@ impl<'a> Tally<'a> {
         let mut shown = vec![0.0; columns];
         let mut at = 0;
         for (cell, steps) in self.steps.chunks_exact(row).enumerate() {
-            level.iter_mut().zip(steps).for_each(|(level, step)| *level += f64::from(*step));
+            level.iter_mut().zip(steps).for_each(|(level, step)| *level += step);
             if self.observed.get(at) != Some(&cell) {
                 continue;
             }
@@ -236,7 +236,7 @@ impl<'a> Tally<'a> {
         let mut shown = vec![0.0; columns];
         let straight = self.straight();
         for (steps, sums) in self.steps.chunks_exact(row).zip(total.sums.chunks_exact_mut(columns)) {
-            level.iter_mut().zip(steps).for_each(|(level, step)| *level += f64::from(*step));
+            level.iter_mut().zip(steps).for_each(|(level, step)| *level += step);
             self.tell(simd, &level, &mut shown);
             for ((sum, shown), straight) in sums.iter_mut().zip(&shown).zip(&straight) {
                 *sum += f64::from(*shown) + straight;
@@ -283,13 +283,14 @@ fn observed(pixels: usize) -> Vec<usize> {
         observed.push(pixel);
         let from_edge = (2 * pixel + 1).abs_diff(pixels) / 2;
         let step = match from_edge {
-            0..12 => 1,
-            12..40 => 2,
-            _ => 8,
+            0..6 => 1,
+            6..20 => 2,
+            20..60 => 4,
+            _ => 12,
         };
         // Not over the fine ones near the edge.
         let next = pixel + step;
-        let fine = (pixels / 2).saturating_sub(12);
+        let fine = (pixels / 2).saturating_sub(6);
         pixel = if pixel < fine && next > fine { fine } else { next };
     }
     observed.push(pixels - 1);
