@@ -31,7 +31,7 @@ const THICK: f64 = 8.0;
 /// Steps of the table over the depth.
 const DEPTHS: usize = 96;
 /// Least and greatest steps of the table over the cosine.
-const COSINES: (usize, usize) = (96, 1024);
+const COSINES: (usize, usize) = (96, 1 << 15);
 /// Optical depth below which nothing comes straight from the ring: e⁻⁴⁰.
 const DARK: f64 = 40.0;
 
@@ -107,11 +107,12 @@ impl Light {
                     row.iter_mut().zip(&phase).for_each(|(c, p)| *c += factor * length * p);
                 }
             }
-            // In the middle of each cell, and between the middle and the ends.
-            for k in (1..8 * CELLS).step_by(2) {
-                let u = mirrored(k, 8 * CELLS) as f64 / (4 * CELLS) as f64 - 1.0;
-                let phase = mean_phase(g, u, beam.cosine);
-                about[usize::from(!beam.down)][k / 8] += 0.25 * flux * phase;
+            // Many in each cell, so that the peak of a narrow phase function is met.
+            let each = steps.div_ceil(CELLS).max(4);
+            for k in 0..each * CELLS {
+                let u = (2 * k + 1) as f64 / (each * CELLS) as f64 - 1.0;
+                let phase = mean_phase(g, if beam.down { u } else { -u }, beam.cosine);
+                about[usize::from(!beam.down)][k / each] += flux * phase / each as f64;
             }
             if beam.down {
                 entering = [entering[0] + flux, entering[1] + flux * beam.cosine];
