@@ -205,6 +205,12 @@ fn a_worker_of_an_older_protocol_can_be_told_from_one_of_this() {
 
 #[test]
 fn a_lease_is_understood() {
+    // Of the physics version of the program that wrote the message.
+    let identity = messages::<wire::AcquireResponse>(NEWEST, "acquire_response")[0].leases[0]
+        .job
+        .as_ref()
+        .map(|job| job.identity.clone())
+        .unwrap();
     let lease = message(
         NEWEST,
         "acquire_response",
@@ -213,7 +219,11 @@ fn a_lease_is_understood() {
             assert_eq!(lease.job.as_ref().unwrap().identity.len(), 32);
             Lease::try_from(lease).unwrap()
         },
-        |lease| wire::AcquireResponse { leases: vec![lease.clone().into()], drain: false },
+        |lease| {
+            let mut lease = wire::Lease::from(lease.clone());
+            lease.job.as_mut().unwrap().identity.clone_from(&identity);
+            wire::AcquireResponse { leases: vec![lease], drain: false }
+        },
     );
     assert_eq!((lease.key.attempt, lease.key.part), (1, lease.job.block().unwrap()));
     let of_grid = JobSpec::of(&grid(NEWEST), lease.key.job as usize);

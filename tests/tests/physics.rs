@@ -149,16 +149,16 @@ fn exchanging_the_sides_mirrors_the_profile() {
 }
 
 /// Conservation: α = 1 over a white base returns all light, whatever the roughness, if nothing is lost on the
-/// microsurface.
+/// microsurface. Exact but for the rounding of the sums.
 #[test]
 fn without_absorption_all_light_returns() {
     let everywhere = RingLight::new(0.0, 90.0).unwrap();
     for scene in [Scene::smooth(), Scene::paper().with_multiple_scattering(true)] {
-        let scene = channels(pixels(scene, 10.0, 1), &[(1.0, 1.0)]).with_light(everywhere);
-        let profile = Run::new(scene, [3.0, 0.6, 1.0, 1.53], &[1.0], 2_000_000).profile(1);
-        let all = at(&profile, 0);
-        println!("returned: {all:?}");
-        assert!(all.std_error < 1e-3 && ((all.mean - 1.0) / all.std_error).abs() < 3.0, "{all:?}");
+        let scene = channels(pixels(scene, 10.0, 4), &[(1.0, 1.0)]).with_light(everywhere);
+        let profile = Run::new(scene, [3.0, 0.6, 1.0, 1.53], &[1.0], 25_000).profile(1);
+        for value in profile.radiance_factor.values() {
+            assert!((value - 1.0).abs() < 1e-6, "{value}");
+        }
     }
 }
 

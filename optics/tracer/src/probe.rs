@@ -2,19 +2,18 @@
 
 use std::sync::atomic::AtomicBool;
 
-use optics_model::grid::{BATCH_WALKS, CHUNK_BATCHES};
+use optics_model::grid::BATCH_WALKS;
 use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
 use optics_model::sums::Sums;
 
 use super::exits::{Chunk, Exits};
 use super::kernel::Kernel;
-use super::light::Light;
-use super::scatterings::NodePowers;
+use super::powers::AlbedoPowers;
 use super::stack::Stack;
 use super::tally::Tally;
 use super::walk::{self, Events};
-use super::{MOST_SCATTERINGS, Stopped};
+use super::{CHUNK_BATCHES, Stopped};
 
 /// The first walks of a job, at most a chunk of them.
 fn first_chunk(job: &JobSpec) -> Chunk {
@@ -27,14 +26,13 @@ pub fn count_events(job: &JobSpec) -> Events {
     walk::count_events(&Stack::new(job.scene(), &job.point()), first_chunk(job))
 }
 
-/// The walks of the first chunk alone, without scoring; returns how many vertices they pick.
+/// The walks of the first chunk alone, without scoring; returns how many left into the ring.
 pub fn run_walks(kernel: Kernel, job: &JobSpec) -> Result<usize, Stopped> {
     let chunk = first_chunk(job);
-    let mut exits = Exits::new(chunk.walks);
+    let mut exits = Exits::default();
     let stack = Stack::new(job.scene(), &job.point());
-    let light = Light::new(&stack, false);
-    kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
-    Ok(exits.in_order().count())
+    kernel.run_chunk(&stack, chunk, &AtomicBool::new(false), &mut exits)?;
+    Ok(exits.in_order(chunk.walks).count())
 }
 
 /// The walks of the first chunk, ready to be scored again and again.
@@ -42,34 +40,24 @@ pub fn run_walks(kernel: Kernel, job: &JobSpec) -> Result<usize, Stopped> {
 pub struct Scoring<'a> {
     job: &'a JobSpec,
     kernel: Kernel,
-    light: Light,
-    powers: NodePowers,
+    powers: AlbedoPowers,
     exits: Exits,
 }
 
 impl<'a> Scoring<'a> {
     pub fn new(kernel: Kernel, job: &'a JobSpec) -> Result<Self, Stopped> {
-        let chunk = first_chunk(job);
-        let mut exits = Exits::new(chunk.walks);
+        let mut exits = Exits::default();
         let stack = Stack::new(job.scene(), &job.point());
-        let light = Light::new(&stack, job.derivatives());
-        kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
-        let powers = NodePowers::new(job.albedo(), MOST_SCATTERINGS);
-        Ok(Self { job, kernel, light, powers, exits })
+        kernel.run_chunk(&stack, first_chunk(job), &AtomicBool::new(false), &mut exits)?;
+        Ok(Self { job, kernel, powers: AlbedoPowers::new(job.albedo()), exits })
     }
 
     /// Scores the walks as one batch; returns the memory that the sums take.
     pub fn score(&mut self) -> usize {
-        let mut sums = Sums::new(self.job);
-        let most = self.exits.most_scatterings();
-        let mut tally = Tally::new(self.job, &self.light, &self.powers, most);
-        self.kernel.score(&mut tally, self.exits.in_order());
-        self.kernel.end(&mut tally, &mut sums);
+        let mut partial = Sums::new(self.job);
+        let mut tally = Tally::new(self.job, &self.powers);
+        let exits = self.exits.in_order(first_chunk(self.job).walks);
+        self.kernel.score(&mut tally, exits, &mut partial);
         Sums::bytes(self.job)
     }
-}
-
-/// Prepares the light of a job.
-pub fn prepare(job: &JobSpec) {
-    Light::new(&Stack::new(job.scene(), &job.point()), job.derivatives());
 }

@@ -32,7 +32,7 @@ fn state(farm: &Farm) -> (Option<i64>, i32, String) {
 #[tokio::test(flavor = "multi_thread")]
 async fn one_token_erases_nothing_under_however_many_names_and_its_disputes_are_told_until_they_are_settled()
 {
-    let mut farm = Farm::with_tokens(&["honest", "liar", "third"], &["--lease", "2", "--verify-share", "1"]);
+    let mut farm = Farm::with_tokens(&["honest", "liar", "third"], &["--lease", "10", "--verify-share", "1"]);
     farm.submit("grid", GRID);
     let honest = farm.worker_of("honest");
     assert_eq!(farm.done("grid"), undisturbed(GRID));
