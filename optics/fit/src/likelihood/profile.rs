@@ -207,8 +207,8 @@ fn outwards(
     }
 }
 
-/// At which distance the root of the rise is the wanted one; none if it is not up to the furthest. At `deviation` it is
-/// one if all is linear.
+/// At which distance the root of the rise is the wanted one; none if it is not up to the furthest, or if the least step
+/// rises more: from there nothing can be told, since it is no minimum. At `deviation` it is one if all is linear.
 pub(super) fn reach(
     wanted: f64,
     deviation: f64,
@@ -239,12 +239,33 @@ pub(super) fn reach(
             None => (distance * (wanted / rise.max(0.2 * wanted)).min(3.0) * 1.02).min(furthest),
         };
     }
-    // What never rose enough has no end that was found.
-    outside.map(|_| distance)
+    // What never rose enough, or always too much, has no end that was found.
+    outside.filter(|_| inside.0 > 0.0).map(|_| distance)
 }
 
 /// The interval of a parameter from the ends of its coordinate.
 pub(super) fn interval([low, high]: [End; 2], forward: impl Fn(f64) -> f64, falls: bool) -> Interval {
     let (low, high) = if falls { (high, low) } else { (low, high) };
     Interval { low: forward(low.value), high: forward(high.value), open_low: low.open, open_high: high.open }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_is_where_the_rise_is_the_wanted_one() {
+        let curved = |distance: f64| distance + 0.3 * distance * distance;
+        let found = reach(1.96, 1.0, 100.0, curved).unwrap();
+        assert!((curved(found) / 1.96 - 1.0).abs() < CLOSE, "{found}");
+        // Far less than the deviation promised.
+        let found = reach(1.96, 1e6, 1e9, |distance| 1e3 * distance).unwrap();
+        assert!((1e3 * found / 1.96 - 1.0).abs() < CLOSE, "{found}");
+    }
+
+    #[test]
+    fn what_does_not_rise_enough_or_rises_at_once_has_no_end() {
+        assert_eq!(reach(1.96, 1.0, 100.0, |_| 0.5), None);
+        assert_eq!(reach(1.96, 1.0, 100.0, |_| 40.0), None);
+    }
 }
