@@ -118,12 +118,18 @@ fn close_folder(path: &Path) {
 /// is not ours to do.
 fn close_to_others(path: &Path, most: u32) -> bool {
     let Some(now) = mode_of(path) else { return true };
-    let closed =
-        now & !most == 0 || std::fs::set_permissions(path, Permissions::from_mode(now & most)).is_ok();
-    if !closed {
-        tracing::warn!(path = %path.display(), "other users of this machine may read or change this");
+    if now & !most == 0 {
+        return true;
     }
-    closed
+    let shown = path.display();
+    match std::fs::set_permissions(path, Permissions::from_mode(now & most)) {
+        Ok(()) => tracing::info!(path = %shown, "closed to other users of this machine"),
+        Err(error) => {
+            tracing::warn!(path = %shown, %error, "other users of this machine may read or change this");
+            return false;
+        }
+    }
+    true
 }
 
 fn mode_of(path: &Path) -> Option<u32> {

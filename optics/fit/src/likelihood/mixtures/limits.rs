@@ -1,0 +1,46 @@
+//! Which media the dictionary predicts for a slab, and what to compute where it does not.
+
+use super::system::Member;
+use crate::likelihood::system::State;
+use crate::likelihood::{LN_SIGMA_T, ROOT_CO_ALBEDO};
+use crate::question::list;
+use crate::surrogate::{Surrogate, albedo, sigma_t};
+
+/// Media that are predicted at a thickness. Albedos go on below the least by as much as the least two differ, where
+/// profiles are smooth and nearly dark.
+pub(super) fn predicted(surrogate: &Surrogate, thickness_mm: f64) -> [(f64, f64); 3] {
+    let [_, (bright, dark), g] = surrogate.limits();
+    let axis = surrogate.grid().albedo();
+    let root = |i: usize| axis.get(i).map_or(dark, |albedo| (1.0 - albedo).sqrt());
+    let further = (dark + (root(0) - root(1)).max(0.0)).min(1.0);
+    // Thicknesses were checked when the slabs were read.
+    let along = surrogate.supported(thickness_mm).unwrap_or(surrogate.limits()[LN_SIGMA_T]);
+    [along, (bright, further), g]
+}
+
+/// Why the dictionary does not predict a profile, if it does not.
+pub(super) fn outside(member: &Member, state: &State) -> Option<String> {
+    let medium = member.blend.at(&state.x).medium;
+    let [along, (_, dark), _] = member.limits;
+    let grid = member.surrogate.grid();
+    let told = |name: &str, value: f64, axis: &[f64], range: String| {
+        let value = (value * 1e4).round() / 1e4;
+        format!(
+            "{name} = {value} at {} mm lies outside of the dictionary's {range}: `farmctl submit GRID.toml` computes one \
+             that reaches it if the grid file adds {value} to {name} = [{}]",
+            member.term.thickness_mm,
+            list(axis)
+        )
+    };
+    if !(along.0 - 1e-9..=along.1 + 1e-9).contains(&medium[LN_SIGMA_T]) {
+        let range = format!("{:.4} to {:.4} per mm", sigma_t(along.0), sigma_t(along.1));
+        let axis = grid.sigma_t_per_mm();
+        return Some(told("sigma_t_per_mm", sigma_t(medium[LN_SIGMA_T]), axis, range));
+    }
+    if medium[ROOT_CO_ALBEDO] > dark {
+        let axis = grid.albedo();
+        let range = format!("{} to {}", axis[0], axis[axis.len() - 1]);
+        return Some(told("albedo", albedo(medium[ROOT_CO_ALBEDO]), axis, range));
+    }
+    None
+}
