@@ -58,7 +58,7 @@ fn bad_parameters_are_refused_with_field_value_and_range() {
         (&["--sigma-t", "NaN"], "sigma_t_per_mm = NaN is not valid"),
         (&["--albedo", "1.5"], "albedo = 1.5 is not valid: allowed are 0 to 1"),
         (&["--sample-ior", "0.5"], "sample_ior = 0.5 is not valid"),
-        (&["--walks", "1000"], "walks = 1000 is not valid: allowed are multiples of 2500"),
+        (&["--walks", "1200"], "walks = 1200 is not valid: allowed are multiples of 500"),
         (&["--pixels", "0"], "pixels = 0 is not valid"),
         (&["--width", "inf"], "width_mm = inf is not valid"),
         (&["--rho-light", "2", "--rho-dark", "0"], "rho_light = 2 is not valid"),
@@ -236,7 +236,7 @@ fn values_of_files_are_refused_with_their_line_and_their_key() {
         ("axis.toml", "grid file axis.toml, line 3: albedo[1] = 1.5 is not valid"),
         ("walks.toml", "grid file walks.toml, line 3: thickness_mm[0] = 0 is not valid"),
         ("few.toml", "grid file few.toml, line 2: walks = 1234 is not valid"),
-        ("few.toml", "; the nearest is 5000"),
+        ("few.toml", "; the nearest is 1000"),
     ] {
         fails(dir.path(), &["submit", file], &[told]);
     }

@@ -149,16 +149,16 @@ fn exchanging_the_sides_mirrors_the_profile() {
 }
 
 /// Conservation: α = 1 over a white base returns all light, whatever the roughness, if nothing is lost on the
-/// microsurface. Exact but for the rounding of the sums.
+/// microsurface.
 #[test]
 fn without_absorption_all_light_returns() {
     let everywhere = RingLight::new(0.0, 90.0).unwrap();
     for scene in [Scene::smooth(), Scene::paper().with_multiple_scattering(true)] {
-        let scene = channels(pixels(scene, 10.0, 4), &[(1.0, 1.0)]).with_light(everywhere);
-        let profile = Run::new(scene, [3.0, 0.6, 1.0, 1.53], &[1.0], 25_000).profile(1);
-        for value in profile.radiance_factor.values() {
-            assert!((value - 1.0).abs() < 1e-6, "{value}");
-        }
+        let scene = channels(pixels(scene, 10.0, 1), &[(1.0, 1.0)]).with_light(everywhere);
+        let profile = Run::new(scene, [3.0, 0.6, 1.0, 1.53], &[1.0], 2_000_000).profile(1);
+        let all = at(&profile, 0);
+        println!("returned: {all:?}");
+        assert!(all.std_error < 1e-3 && ((all.mean - 1.0) / all.std_error).abs() < 3.0, "{all:?}");
     }
 }
 
@@ -264,11 +264,11 @@ fn sigma_t_derivative_agrees_with_difference_quotients() {
 #[test]
 fn results_are_the_same_bits_for_any_number_of_threads_and_every_kernel() {
     let cases = [
-        (Scene::paper(), "613719e7d171b27c31d9c5a3b884464ea54d8d5d06ad24cb26c47e7f88e91d55"),
-        (Scene::smooth(), "d2835f1369e7326998ebfe6aabf019a98dc2e67405acefc09d81c755e5d2ad9d"),
+        (Scene::paper(), "6da8c32b0b10c36cce999ba5dceda6cad473ce31f1d425aa6846844058639451"),
+        (Scene::smooth(), "9727f79394621d85fc8abe4611bba9eeec49524638bf14e8df687a8e982a2d95"),
         (
             Scene::paper().with_multiple_scattering(true),
-            "d1bae4beb8e2c5c9626366cb0a8f036fe4a977dec8736ab003788e04811b32d7",
+            "c53a644b4cbafc4377211ff97ca18918a0107309e818aece3fa0d98892d7009c",
         ),
     ];
     for (scene, expected) in cases {

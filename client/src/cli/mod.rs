@@ -232,8 +232,8 @@ pub struct SimulateArgs {
     /// Number of pixels [default: the scene's].
     #[arg(long, value_name = "N")]
     pub pixels: Option<u32>,
-    /// Random walks: a multiple of 2500, at least 5000.
-    #[arg(long, value_name = "N", default_value_t = 250_000, value_parser = whole_number)]
+    /// Random walks: a multiple of 500, at least 1000.
+    #[arg(long, value_name = "N", default_value_t = 50_000, value_parser = whole_number)]
     pub walks: u64,
     /// Seed of the random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]

@@ -15,7 +15,7 @@ use crate::medium::{
 use crate::profile::RecordShape;
 use crate::scene::Scene;
 pub use parts::MAX_PARTS;
-pub use walks::{BATCH_WALKS, BLOCK_BATCHES, Quality, Walks};
+pub use walks::{BATCH_WALKS, BLOCK_BATCHES, CHUNK_BATCHES, Quality, Walks};
 
 /// Most records of one dictionary.
 pub const MAX_RECORDS: u64 = 4_000_000;

@@ -1,6 +1,6 @@
 //! Sums over batches of walks: what tallies add up to, and what records are made of.
 
-use crate::grid::BATCH_WALKS;
+use crate::grid::{BATCH_WALKS, CHUNK_BATCHES};
 use crate::invalid::{Invalid, Result};
 use crate::job::JobSpec;
 use crate::packed::PackedRecords;
@@ -14,14 +14,15 @@ pub fn result_bytes(job: &JobSpec) -> usize {
     }
 }
 
-/// Sums of a profile's numbers over batches, and of their squares: `[pixel][channel][quantity][albedo]`.
+/// Sums of a profile's numbers over batches, and of the squares of the batches' deviations from the mean of their chunk:
+/// `[pixel][channel][quantity][albedo]`.
 ///
 /// Addition of floating-point numbers depends on the order, so sums are merged in the order of their batches,
 /// wherever they were computed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sums {
     pub sums: Vec<f64>,
-    pub squares: Vec<f64>,
+    pub deviations: Vec<f64>,
     batches: u64,
 }
 
@@ -32,7 +33,7 @@ impl Sums {
     /// Sums over no batch.
     pub fn new(job: &JobSpec) -> Self {
         let len = Self::len(job);
-        Self { sums: vec![0.0; len], squares: vec![0.0; len], batches: 0 }
+        Self { sums: vec![0.0; len], deviations: vec![0.0; len], batches: 0 }
     }
 
     fn len(job: &JobSpec) -> usize {
@@ -45,9 +46,9 @@ impl Sums {
         2 * Self::len(job) * size_of::<f64>()
     }
 
-    /// Counts one more batch, whose numbers have been added.
-    pub fn batch_added(&mut self) {
-        self.batches += 1;
+    /// Counts batches whose numbers have been added: a chunk, or what is left for the last one.
+    pub fn add_batches(&mut self, batches: u64) {
+        self.batches += batches;
     }
 
     /// Adds the batches that follow these.
@@ -59,15 +60,15 @@ impl Sums {
         for (a, b) in self.sums.iter_mut().zip(&next.sums) {
             *a += b;
         }
-        for (a, b) in self.squares.iter_mut().zip(&next.squares) {
+        for (a, b) in self.deviations.iter_mut().zip(&next.deviations) {
             *a += b;
         }
         self.batches += next.batches;
     }
 
-    /// Sums, then squares: 64-bit floats, little endian.
+    /// Sums, then deviations: 64-bit floats, little endian.
     pub fn to_le_bytes(&self) -> Vec<u8> {
-        self.sums.iter().chain(&self.squares).flat_map(|v| v.to_le_bytes()).collect()
+        self.sums.iter().chain(&self.deviations).flat_map(|v| v.to_le_bytes()).collect()
     }
 
     /// The sums of a job over a number of batches, as [`Self::to_le_bytes`] wrote them.
@@ -83,13 +84,13 @@ impl Sums {
             let allowed = format!("at most {:e} is allowed", Self::LARGEST);
             return Err(Invalid::new(format!("sums[{i}]"), sums[i], allowed));
         }
-        let squares = sums.split_off(sums.len() / 2);
-        Ok(Self { sums, squares, batches })
+        let deviations = sums.split_off(sums.len() / 2);
+        Ok(Self { sums, deviations, batches })
     }
 
     /// Mean and standard error per pixel, one record per albedo.
     ///
-    /// The mean over n batches is Σb / n; its standard error √((Σb² − (Σb)²/n) / (n (n − 1))).
+    /// The mean over n batches in c chunks is Σb / n; its standard error √(Σ(b − mean of its chunk)² / (n (n − c))).
     pub fn into_records(self, job: &JobSpec) -> Vec<Record> {
         let scene = job.scene();
         let (pixels, channels, albedos) =
@@ -97,14 +98,15 @@ impl Sums {
         let quantities = quantities(job);
         let row = channels * quantities * albedos;
         let batches = self.batches as f64;
+        let degrees = batches - self.batches.div_ceil(CHUNK_BATCHES) as f64;
         let scale = 1.0 / (BATCH_WALKS as f64 * scene.light().measure());
         let estimate = |channel: usize, quantity: usize, albedo: usize| {
             let column = (channel * quantities + quantity) * albedos + albedo;
             let (values, std_errors) = (0..pixels)
                 .map(|pixel| {
-                    let (sum, square) = (self.sums[pixel * row + column], self.squares[pixel * row + column]);
-                    let mean = sum / batches;
-                    let variance = ((square - sum * mean) / (batches - 1.0)).max(0.0);
+                    let at = pixel * row + column;
+                    let variance = self.deviations[at] / degrees;
+                    let mean = self.sums[at] / batches;
                     ((mean * scale) as f32, ((variance / batches).sqrt() * scale) as f32)
                 })
                 .unzip();

@@ -1,4 +1,6 @@
-//! What the kernels hand to the tally: the walks of a chunk that have left into the light's ring.
+//! What the kernels hand to the tally: the vertices that the walks of a chunk have picked.
+
+use super::pick::Pick;
 
 /// A run of walks with streams of their own; the unit in which walks are traced and their sums merged.
 #[derive(Debug, Clone, Copy)]
@@ -9,74 +11,80 @@ pub struct Chunk {
     pub walks: u32,
 }
 
-/// A walk that has left through the top into the ring.
+/// A vertex with the hits on the base that led to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exit<'a> {
-    /// Place in the chunk.
-    pub walk: u32,
-    pub weight: f32,
-    pub scatterings: u32,
-    pub length_mm: f32,
-    /// Lateral offsets of the hits on the base, in their order.
+    pub pick: Pick,
+    /// Lateral offsets, in the order of the hits.
     pub hits_mm: &'a [f32],
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Row {
-    walk: u32,
-    weight: f32,
-    scatterings: u32,
-    length_mm: f32,
-    hits: usize,
-    hits_end: usize,
+/// Picks of a walk, and where its hits begin.
+#[derive(Debug, Clone, Copy, Default)]
+struct Walk {
+    picks: u32,
+    hits: u32,
 }
 
-/// The exits of a chunk, in any order.
-#[derive(Debug, Default)]
+/// The exits of a chunk.
+#[derive(Debug)]
 pub struct Exits {
-    rows: Vec<Row>,
+    picks: Vec<Pick>,
     hits_mm: Vec<f32>,
-    /// For `in_order`: one more than the row of each walk, or 0.
-    places: Vec<u32>,
+    walks: Vec<Walk>,
+    /// For `in_order`: places of picks, walk by walk.
+    order: Vec<u32>,
 }
 
 impl Exits {
-    /// Starts a list of hits and returns its place.
-    pub fn begin(&mut self) -> usize {
-        self.hits_mm.len()
+    /// For so many walks.
+    pub fn new(walks: u32) -> Self {
+        let walks = vec![Walk::default(); walks as usize];
+        Self { picks: Vec::new(), hits_mm: Vec::new(), walks, order: Vec::new() }
     }
 
-    pub fn hit(&mut self, x_mm: f32) {
-        self.hits_mm.push(x_mm);
+    /// Adds a vertex. Those of one walk come in their order, walks in any.
+    pub fn pick(&mut self, pick: Pick) {
+        self.walks[pick.walk as usize].picks += 1;
+        self.picks.push(pick);
     }
 
-    /// The hits since `begin` belong to no exit.
-    pub fn forget(&mut self, hits: usize) {
-        self.hits_mm.truncate(hits);
+    /// Whether somebody will ask for the hits of a walk.
+    pub fn needs_hits(&self, walk: u32) -> bool {
+        self.walks[walk as usize].picks > 0
     }
 
-    /// Hits since `begin`, for one who has them in another order.
-    pub fn hits_since(&mut self, hits: usize) -> &mut [f32] {
-        &mut self.hits_mm[hits..]
+    /// Adds the hits of a walk that has ended.
+    pub fn add_hits(&mut self, walk: u32, hits_mm: &[f32]) {
+        self.walks[walk as usize].hits = self.hits_mm.len() as u32;
+        self.hits_mm.extend_from_slice(hits_mm);
     }
 
-    /// Adds an exit with the hits since `begin`.
-    pub fn end(&mut self, hits: usize, walk: u32, weight: f32, scatterings: u32, length_mm: f32) {
-        let hits_end = self.hits_mm.len();
-        self.rows.push(Row { walk, weight, scatterings, length_mm, hits, hits_end });
+    /// The most scatterings of a vertex.
+    pub fn most_scatterings(&self) -> u32 {
+        self.picks.iter().map(|pick| pick.scatterings).max().unwrap_or(0)
     }
 
     /// The exits by walk, whatever the order in which they came.
-    pub fn in_order(&mut self, walks: u32) -> impl Iterator<Item = Exit<'_>> {
-        self.places.clear();
-        self.places.resize(walks as usize, 0);
-        for (row, place) in self.rows.iter().zip(1..) {
-            self.places[row.walk as usize] = place;
+    pub fn in_order(&mut self) -> impl Iterator<Item = Exit<'_>> {
+        let mut first = 0;
+        let mut places: Vec<u32> = Vec::with_capacity(self.walks.len());
+        for walk in &self.walks {
+            places.push(first);
+            first += walk.picks;
         }
-        let (rows, hits_mm) = (&self.rows, &self.hits_mm);
-        self.places.iter().filter(|&&place| place > 0).map(move |&place| {
-            let Row { walk, weight, scatterings, length_mm, hits, hits_end } = rows[place as usize - 1];
-            Exit { walk, weight, scatterings, length_mm, hits_mm: &hits_mm[hits..hits_end] }
+        self.order.clear();
+        self.order.resize(self.picks.len(), 0);
+        for (place, pick) in (0..).zip(&self.picks) {
+            let next = &mut places[pick.walk as usize];
+            self.order[*next as usize] = place;
+            *next += 1;
+        }
+        let (picks, hits_mm, walks) = (&self.picks, &self.hits_mm, &self.walks);
+        self.order.iter().map(move |&place| {
+            let pick = picks[place as usize];
+            let begin = walks[pick.walk as usize].hits as usize;
+            Exit { pick, hits_mm: &hits_mm[begin..begin + pick.hits as usize] }
         })
     }
 }

@@ -7,6 +7,7 @@ use fearless_simd::{Level, dispatch};
 use optics_model::sums::Sums;
 
 use super::exits::{Chunk, Exit, Exits};
+use super::light::Light;
 use super::stack::Stack;
 use super::tally::Tally;
 use super::{Stopped, walk, wavefront};
@@ -77,29 +78,32 @@ impl Kernel {
     pub(super) fn run_chunk(
         self,
         stack: &Stack,
+        light: &Light,
         chunk: Chunk,
         stop: &AtomicBool,
         exits: &mut Exits,
     ) -> Result<(), Stopped> {
         match self.0 {
-            Way::Scalar => walk::run_chunk(stack, chunk, stop, exits),
-            Way::Vector(level) => wavefront::run_chunk(level, stack, chunk, stop, exits),
+            Way::Scalar => walk::run_chunk(stack, light, chunk, stop, exits),
+            Way::Vector(level) => wavefront::run_chunk(level, stack, light, chunk, stop, exits),
         }
     }
 
-    /// Adds the exits of one batch to the tally and the batch to the sums. The loops over albedos are plain; here the
-    /// compiler may use this machine's vectors for them.
-    pub(super) fn score<'a>(
-        self,
-        tally: &mut Tally<'_>,
-        exits: impl Iterator<Item = Exit<'a>>,
-        partial: &mut Sums,
-    ) {
-        let level = match self.0 {
+    /// Adds the exits of one batch to the tally. The loops are plain; here the compiler may use this machine's vectors.
+    pub(super) fn score<'a>(self, tally: &mut Tally<'_>, exits: impl Iterator<Item = Exit<'a>>) {
+        dispatch!(self.level(), simd => tally.add_batch(simd, exits));
+    }
+
+    /// What the tally's batches add up to.
+    pub(super) fn end(self, tally: &mut Tally<'_>, sums: &mut Sums) {
+        dispatch!(self.level(), simd => tally.end(simd, sums));
+    }
+
+    fn level(self) -> Level {
+        match self.0 {
             Way::Scalar => Level::baseline(),
             Way::Vector(level) => level,
-        };
-        dispatch!(level, _simd => tally.add_batch(exits, partial));
+        }
     }
 }
 

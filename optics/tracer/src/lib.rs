@@ -12,13 +12,15 @@ mod bare_board;
 mod exits;
 mod fresnel;
 mod kernel;
+mod light;
 mod math;
 mod microfacet;
 mod phase;
-mod powers;
+mod pick;
 #[doc(hidden)]
 pub mod probe;
 mod rng;
+mod scatterings;
 mod stack;
 mod tally;
 #[cfg(test)]
@@ -28,7 +30,7 @@ mod wavefront;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use optics_model::grid::{BATCH_WALKS, BLOCK_BATCHES};
+use optics_model::grid::{BATCH_WALKS, BLOCK_BATCHES, CHUNK_BATCHES};
 use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
 use optics_model::profile::Record;
@@ -38,15 +40,13 @@ use rayon::prelude::*;
 pub use bare_board::BareBoard;
 use exits::{Chunk, Exits};
 pub use kernel::Kernel;
-use powers::AlbedoPowers;
+use light::Light;
+use scatterings::NodePowers;
 use stack::Stack;
 use tally::Tally;
 
-/// Batches whose walks share a chunk: a unit of parallel work, whose sums are added up one after the other. Part of
-/// the physics version, since it fixes the streams and the order of sums.
-const CHUNK_BATCHES: u64 = 10;
-
-const _: () = assert!(BLOCK_BATCHES.is_multiple_of(CHUNK_BATCHES), "a block holds whole chunks");
+/// More scatterings than walks can have: roulette ends them long before.
+const MOST_SCATTERINGS: u32 = 1 << 24;
 
 /// Memory of the sums that may wait to be merged, per job.
 const WAVE_BYTES: usize = 64 << 20;
@@ -85,18 +85,21 @@ struct Tracer<'a> {
     kernel: Kernel,
     job: &'a JobSpec,
     stack: Stack,
-    powers: AlbedoPowers,
+    light: Light,
+    powers: NodePowers,
     key: [u32; 2],
     stop: &'a AtomicBool,
 }
 
 impl<'a> Tracer<'a> {
     fn new(kernel: Kernel, job: &'a JobSpec, stop: &'a AtomicBool) -> Self {
+        let stack = Stack::new(job.scene(), &job.point());
         Self {
             kernel,
             job,
-            stack: Stack::new(job.scene(), &job.point()),
-            powers: AlbedoPowers::new(job.albedo()),
+            light: Light::new(&stack, job.derivatives()),
+            stack,
+            powers: NodePowers::new(job.albedo(), MOST_SCATTERINGS),
             key: stream_key(job.seed(), &job.point()),
             stop,
         }
@@ -128,19 +131,20 @@ impl<'a> Tracer<'a> {
     fn chunk(&self, index: u64, batches: u64) -> Result<Sums, Stopped> {
         let walks = (batches * BATCH_WALKS) as u32;
         let chunk = Chunk { key: self.key, index, walks };
-        let mut exits = Exits::default();
-        self.kernel.run_chunk(&self.stack, chunk, self.stop, &mut exits)?;
-        let mut partial = Sums::new(self.job);
-        let mut tally = Tally::new(self.job, &self.powers);
-        let mut exits = exits.in_order(walks).peekable();
+        let mut exits = Exits::new(walks);
+        self.kernel.run_chunk(&self.stack, &self.light, chunk, self.stop, &mut exits)?;
+        let mut tally = Tally::new(self.job, &self.light, &self.powers, exits.most_scatterings());
+        let mut exits = exits.in_order().peekable();
         for batch in 1..=batches {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(Stopped);
             }
             let end = (batch * BATCH_WALKS) as u32;
-            let exits = std::iter::from_fn(|| exits.next_if(|exit| exit.walk < end));
-            self.kernel.score(&mut tally, exits, &mut partial);
+            let exits = std::iter::from_fn(|| exits.next_if(|exit| exit.pick.walk < end));
+            self.kernel.score(&mut tally, exits);
         }
-        Ok(partial)
+        let mut sums = Sums::new(self.job);
+        self.kernel.end(&mut tally, &mut sums);
+        Ok(sums)
     }
 }

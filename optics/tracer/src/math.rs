@@ -49,6 +49,24 @@ pub fn exp(x: f32) -> f32 {
     y * f32::from_bits(((n as i32 + 127) << 23) as u32)
 }
 
+/// Near 2^x for −100 ≤ x < 128, at most 6 % above it: the bits of a float are nearly its logarithm. What is smaller counts
+/// as −100.
+pub fn power_of_two(x: f32) -> f32 {
+    f32::from_bits(((x.max(-100.0) + 127.0) * 8_388_608.0) as u32)
+}
+
+/// Exponential of a number that is not above 0, in double precision; relative error below 1e-14.
+pub fn exp_f64(x: f64) -> f64 {
+    if x < -700.0 {
+        return 0.0;
+    }
+    let n = (x * std::f64::consts::LOG2_E).round();
+    // LN_2 in two parts, the first with trailing zeros, so that n times it is exact.
+    let r = (x - n * 0.693_147_180_369_123_8) - n * 1.908_214_929_270_587_7e-10;
+    let series = (1..=13).rev().fold(1.0, |p, k| 1.0 + p * r / f64::from(k));
+    series * f64::from_bits(((n as i64 + 1023) as u64) << 52)
+}
+
 /// x^y for 0 < x ≤ 1 and y ≥ 0; relative error below 3e-7 (1 + |y ln x|).
 pub fn pow(x: f32, y: f32) -> f32 {
     exp(y * ln(x))
@@ -105,6 +123,26 @@ mod tests {
         assert!(worst < 3e-7, "{worst:e}");
         assert_eq!((exp(0.0), exp(-100.0)), (1.0, 0.0));
         assert!(relative(pow(0.25, 1.5), 0.125) < 1e-6);
+    }
+
+    #[test]
+    fn exponentials_in_double_precision_are_accurate() {
+        for i in 0..70_000 {
+            let x = -0.01 * f64::from(i);
+            assert!((exp_f64(x) / x.exp() - 1.0).abs() < 1e-14, "{x}");
+        }
+        assert_eq!((exp_f64(0.0), exp_f64(-1e6)), (1.0, 0.0));
+    }
+
+    #[test]
+    fn powers_of_two_are_near() {
+        for i in -99_000..1000 {
+            let x = i as f32 * 1e-3;
+            let ratio = f64::from(power_of_two(x)) / f64::from(x).exp2();
+            assert!((0.9999..1.0615).contains(&ratio), "{x}: {ratio}");
+        }
+        assert_eq!((power_of_two(0.0), power_of_two(-3.0)), (1.0, 0.125));
+        assert_eq!(power_of_two(-1e9), power_of_two(-100.0));
     }
 
     #[test]

@@ -2,18 +2,19 @@
 
 use std::sync::atomic::AtomicBool;
 
-use optics_model::grid::BATCH_WALKS;
+use optics_model::grid::{BATCH_WALKS, CHUNK_BATCHES};
 use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
 use optics_model::sums::Sums;
 
 use super::exits::{Chunk, Exits};
 use super::kernel::Kernel;
-use super::powers::AlbedoPowers;
+use super::light::Light;
+use super::scatterings::NodePowers;
 use super::stack::Stack;
 use super::tally::Tally;
 use super::walk::{self, Events};
-use super::{CHUNK_BATCHES, Stopped};
+use super::{MOST_SCATTERINGS, Stopped};
 
 /// The first walks of a job, at most a chunk of them.
 fn first_chunk(job: &JobSpec) -> Chunk {
@@ -26,13 +27,14 @@ pub fn count_events(job: &JobSpec) -> Events {
     walk::count_events(&Stack::new(job.scene(), &job.point()), first_chunk(job))
 }
 
-/// The walks of the first chunk alone, without scoring; returns how many left into the ring.
+/// The walks of the first chunk alone, without scoring; returns how many vertices they pick.
 pub fn run_walks(kernel: Kernel, job: &JobSpec) -> Result<usize, Stopped> {
     let chunk = first_chunk(job);
-    let mut exits = Exits::default();
+    let mut exits = Exits::new(chunk.walks);
     let stack = Stack::new(job.scene(), &job.point());
-    kernel.run_chunk(&stack, chunk, &AtomicBool::new(false), &mut exits)?;
-    Ok(exits.in_order(chunk.walks).count())
+    let light = Light::new(&stack, false);
+    kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
+    Ok(exits.in_order().count())
 }
 
 /// The walks of the first chunk, ready to be scored again and again.
@@ -40,24 +42,34 @@ pub fn run_walks(kernel: Kernel, job: &JobSpec) -> Result<usize, Stopped> {
 pub struct Scoring<'a> {
     job: &'a JobSpec,
     kernel: Kernel,
-    powers: AlbedoPowers,
+    light: Light,
+    powers: NodePowers,
     exits: Exits,
 }
 
 impl<'a> Scoring<'a> {
     pub fn new(kernel: Kernel, job: &'a JobSpec) -> Result<Self, Stopped> {
-        let mut exits = Exits::default();
+        let chunk = first_chunk(job);
+        let mut exits = Exits::new(chunk.walks);
         let stack = Stack::new(job.scene(), &job.point());
-        kernel.run_chunk(&stack, first_chunk(job), &AtomicBool::new(false), &mut exits)?;
-        Ok(Self { job, kernel, powers: AlbedoPowers::new(job.albedo()), exits })
+        let light = Light::new(&stack, job.derivatives());
+        kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
+        let powers = NodePowers::new(job.albedo(), MOST_SCATTERINGS);
+        Ok(Self { job, kernel, light, powers, exits })
     }
 
     /// Scores the walks as one batch; returns the memory that the sums take.
     pub fn score(&mut self) -> usize {
-        let mut partial = Sums::new(self.job);
-        let mut tally = Tally::new(self.job, &self.powers);
-        let exits = self.exits.in_order(first_chunk(self.job).walks);
-        self.kernel.score(&mut tally, exits, &mut partial);
+        let mut sums = Sums::new(self.job);
+        let most = self.exits.most_scatterings();
+        let mut tally = Tally::new(self.job, &self.light, &self.powers, most);
+        self.kernel.score(&mut tally, self.exits.in_order());
+        self.kernel.end(&mut tally, &mut sums);
         Sums::bytes(self.job)
     }
+}
+
+/// Prepares the light of a job.
+pub fn prepare(job: &JobSpec) {
+    Light::new(&Stack::new(job.scene(), &job.point()), job.derivatives());
 }

@@ -22,6 +22,8 @@ pub struct Interface {
 pub struct Stack {
     /// Thickness in mm of each slab from top to bottom; slab 0 is the air above, the base lies under the last.
     pub thickness_mm: Vec<f32>,
+    /// Refractive index of each slab.
+    pub iors: Vec<f64>,
     /// `interfaces[i]` lies between slab i and slab i + 1.
     pub interfaces: Vec<Interface>,
     /// The slab that scatters.
@@ -65,6 +67,7 @@ impl Stack {
         Self {
             interfaces: (0..scene.layers().len()).map(interface).collect(),
             thickness_mm,
+            iors,
             sample,
             mean_free_path_mm: (1.0 / point.sigma_t_per_mm()) as f32,
             phase: HenyeyGreenstein::new(point.g()),

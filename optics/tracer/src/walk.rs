@@ -10,8 +10,10 @@ use glam::Vec3;
 use super::Stopped;
 use super::exits::{Chunk, Exits};
 use super::fresnel::{Facet, RelativeIndex};
+use super::light::Light;
 use super::math::{ln, unit_vector};
 use super::microfacet::{Scattered, scatter_once, scatter_until_out};
+use super::pick::{AT_BASE, PICK_BLOCK, Pick, STEP, cut, importance};
 use super::rng::{Stream, uniform};
 use super::stack::Stack;
 
@@ -75,12 +77,6 @@ impl<'a> Walk<'a> {
         };
         let event = walk.cross_below();
         (walk, event)
-    }
-
-    /// sin² of the polar angle.
-    pub fn sin2(&self) -> f32 {
-        let d = self.direction;
-        d.x * d.x + d.y * d.y
     }
 
     /// Advances to the next event. Not to be called after [`Event::Left`] or [`Event::Lost`].
@@ -227,29 +223,45 @@ fn scatter_smoothly(wi: Vec3, index: RelativeIndex, u: f32) -> Scattered {
     Scattered { direction, weight: 1.0 }
 }
 
-/// Runs the walks of a chunk one after the other and collects those that leave into the ring. This is the tracer in
-/// its plainest form, and what the vector kernel must agree with to the last bit.
-pub fn run_chunk(stack: &Stack, chunk: Chunk, stop: &AtomicBool, exits: &mut Exits) -> Result<(), Stopped> {
-    let [inner, outer] = stack.ring_sin2;
+/// Runs the walks of a chunk one after the other and picks vertices. This is the tracer in its plainest form, and what
+/// the vector kernel must agree with to the last bit.
+pub fn run_chunk(
+    stack: &Stack,
+    light: &Light,
+    chunk: Chunk,
+    stop: &AtomicBool,
+    exits: &mut Exits,
+) -> Result<(), Stopped> {
+    let step = STEP * light.measure;
+    let mut hits_mm = Vec::new();
     for index in 0..chunk.walks {
         if stop.load(Ordering::Relaxed) {
             return Err(Stopped);
         }
-        let hits = exits.begin();
+        hits_mm.clear();
         let stream = Stream::new(chunk.key, chunk.index, index);
+        let mut left = uniform(stream.clone().at_block(PICK_BLOCK).words()[0]) * step;
         let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream);
         while event != Event::Left && event != Event::Lost {
+            let u = walk.direction.z;
             event = walk.step();
-            if event == Event::Base {
-                exits.hit(walk.x_mm);
+            let (z_mm, receives) = match event {
+                Event::Scattered => (walk.z_mm, light.about(walk.z_mm, u)),
+                Event::Base => {
+                    hits_mm.push(walk.x_mm);
+                    (AT_BASE, light.base)
+                }
+                _ => continue,
+            };
+            let worth = receives * importance(walk.scatterings);
+            left -= worth * walk.weight;
+            if left < 0.0 {
+                let (cuts, hits) = (cut(&mut left, step), hits_mm.len() as u32);
+                let Walk { scatterings, length_mm, .. } = walk;
+                exits.pick(Pick { walk: index, z_mm, u, worth, cuts, scatterings, hits, length_mm });
             }
         }
-        if event == Event::Left && (inner..=outer).contains(&walk.sin2()) {
-            let Walk { weight, scatterings, length_mm, .. } = walk;
-            exits.end(hits, index, weight, scatterings, length_mm);
-        } else {
-            exits.forget(hits);
-        }
+        exits.add_hits(index, &hits_mm);
     }
     Ok(())
 }

@@ -35,12 +35,14 @@ impl Working {
         timeout(Duration::from_mins(1), self.worker).await.expect("the worker ends").unwrap()
     }
 
-    /// Waits until a renewal says of exactly these jobs that they are being traced.
+    /// Waits until a renewal says of these jobs that they are being traced. Others may be, too: a thread that waits for
+    /// another's part of its job begins the next one meanwhile.
     async fn runs(&self, jobs: &[u32]) {
         let running = |call: &Call| {
             let leases = call.renew()?.leases;
-            let running = leases.iter().filter(|l| l.running).map(|l| l.key.as_ref().unwrap().job);
-            (running.collect::<BTreeSet<_>>() == jobs.iter().copied().collect()).then_some(())
+            let running: BTreeSet<_> =
+                leases.iter().filter(|l| l.running).map(|l| l.key.as_ref().unwrap().job).collect();
+            jobs.iter().all(|job| running.contains(job)).then_some(())
         };
         self.coordinator.wait_for(1, running).await;
     }

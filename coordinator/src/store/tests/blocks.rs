@@ -16,7 +16,7 @@ fn block_sums(job: &JobSpec, block: u32) -> Sums {
     for (i, sum) in sums.sums.iter_mut().enumerate() {
         *sum = 1.0 / (3.0 + i as f64 + 7.0 * f64::from(block));
     }
-    for (i, square) in sums.squares.iter_mut().enumerate() {
+    for (i, square) in sums.deviations.iter_mut().enumerate() {
         *square = 1.0 / (0.3 + i as f64 * f64::from(block + 1));
     }
     Sums::from_le_bytes(job, job.walks().batches_of_block(block), &sums.to_le_bytes()).unwrap()

@@ -25,7 +25,7 @@ use optics_model::{Invalid, Measurement};
 use super::channel::{leave_out_specks_by_neighbours, settle};
 use super::joint::all_channels;
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
-use super::system::{State, Unknown};
+use super::system::{State, Unknown, inverse_over_free};
 use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::common::scales;
 use crate::dictionary::FitDictionary;
@@ -41,6 +41,8 @@ use system::{Chart, Member};
 /// Costs by which the first descent, and the last one, may miss their minimum.
 const ROUGHLY: f64 = 0.5;
 const WELL: f64 = 0.003;
+/// Information added to every unknown when the errors of slabs' own media are sought.
+const HARDLY: f64 = 1e-9;
 /// Least σ_s in 1/mm and √σ_a that an ink has, instead of nothing.
 const LEAST: (f64, f64) = (1e-6, 1e-4);
 /// Greatest σ_s and σ_a of an ink over the greatest σ_t of the dictionary: inks may lie beyond it, if mixtures do not.
@@ -143,7 +145,9 @@ fn slabs<'a>(
 ) -> Vec<Slab<'a>> {
     let system = &assembly.system;
     let linear = system.linear(&state.x, &state.own);
-    let covariance = system.covariance(&system.normal(&state.x, &state.own, &linear).information);
+    let information = system.normal(&state.x, &state.own, &linear).information;
+    // Slabs that leave their own media open, as dark patches do, must not hide what the others tell.
+    let covariance = inverse_over_free(&system.unknowns, &information, HARDLY);
     let inks = mixtures.inks();
     let slab = |(data, terms): (ChannelData<'a>, Range<usize>)| {
         let parts = mixtures.parts_of(materials[data.material].material()).unwrap_or_default();
@@ -207,7 +211,8 @@ impl<'a> Unmixing<'a, '_> {
     /// The chart of all slabs whose media the dictionary has, at its minimum.
     fn solve(mut self, from: &State) -> Result<(Solved<'a>, Vec<Slab<'a>>), Invalid> {
         loop {
-            let (mut chart, state, inks) = self.lowest(from);
+            let (mut chart, state, inks) = self.chart(from);
+            let state = chart.descend(state, None, ROUGHLY);
             chart.move_near(&state.x);
             if !self.leave_out(&chart, &state)? {
                 let state = chart.descend(state, None, WELL);
@@ -216,25 +221,8 @@ impl<'a> Unmixing<'a, '_> {
         }
     }
 
-    /// The chart at the lowest of the places to which descents lead. Where slabs by themselves determine nothing, their
-    /// own media are another start: from one an ink may come to the end of its range, where nothing leads back.
-    fn lowest(&self, from: &State) -> (Chart<'a>, State, Inks) {
-        let descent = |undetermined: Option<f64>| {
-            let (chart, state, inks) = self.chart(from, undetermined);
-            let state = chart.descend(state, None, ROUGHLY);
-            (chart, state, inks)
-        };
-        let plain = descent(None);
-        if self.slabs.iter().all(|slab| slab.std_errors.iter().all(|error| error.is_finite())) {
-            return plain;
-        }
-        let other = descent(Some(1.0));
-        if other.1.cost < plain.1.cost { other } else { plain }
-    }
-
-    /// Profiles and unknowns where the inks' own equations lead; with the relative error of what is undetermined, or
-    /// without it.
-    fn chart(&self, from: &State, undetermined: Option<f64>) -> (Chart<'a>, State, Inks) {
+    /// Profiles and unknowns where the inks' own equations lead.
+    fn chart(&self, from: &State) -> (Chart<'a>, State, Inks) {
         let system = &self.assembly.system;
         let (mut unknowns, mut x) = (system.unknowns.clone(), from.x.clone());
         // A medium of a slab follows from its inks.
@@ -243,7 +231,7 @@ impl<'a> Unmixing<'a, '_> {
                 unknowns[slots[i]].held = true;
             }
         }
-        let inks = self.ink_unknowns(&mut unknowns, &mut x, undetermined);
+        let inks = self.ink_unknowns(&mut unknowns, &mut x);
         let (mut members, mut own) = (Vec::new(), Vec::new());
         for slab in self.slabs.iter().filter(|s| s.left_out.is_none()) {
             let of_channel =
@@ -268,12 +256,7 @@ impl<'a> Unmixing<'a, '_> {
     }
 
     /// Adds every ink in every channel.
-    fn ink_unknowns(
-        &self,
-        unknowns: &mut Vec<Unknown>,
-        x: &mut DVector<f64>,
-        undetermined: Option<f64>,
-    ) -> Inks {
+    fn ink_unknowns(&self, unknowns: &mut Vec<Unknown>, x: &mut DVector<f64>) -> Inks {
         let system = &self.assembly.system;
         let mut inks: Inks = Vec::new();
         let mut common: Option<usize> = None;
@@ -292,7 +275,7 @@ impl<'a> Unmixing<'a, '_> {
                 *x = x.clone().push(at.clamp(unknown.limits.0, unknown.limits.1));
                 unknowns.len() - 1
             };
-            let starts = self.starts(channel, undetermined);
+            let starts = self.starts(channel);
             let of_channel = starts.into_iter().map(|[scattering, root, ln_one_minus_g]| {
                 let s = add(Unknown { limits: (LEAST.0, greatest), ..free }, scattering);
                 let a = add(Unknown { limits: (LEAST.1, greatest.sqrt()), ..free }, root);
@@ -314,7 +297,7 @@ impl<'a> Unmixing<'a, '_> {
     }
 
     /// σ_s, √σ_a and ln(1 − g) of every ink in a channel, as the media of the slabs by themselves tell them.
-    fn starts(&self, channel: usize, undetermined: Option<f64>) -> Vec<[f64; 3]> {
+    fn starts(&self, channel: usize) -> Vec<[f64; 3]> {
         let of_channel =
             || self.slabs.iter().filter(move |s| s.data.channel == channel && s.left_out.is_none());
         let count = of_channel().count() as f64;
@@ -323,11 +306,7 @@ impl<'a> Unmixing<'a, '_> {
             let equation = |slab: &Slab| {
                 let [s, a, g] = slab.medium;
                 let value = if which == 0 { sigma_t(s) * albedo(a) * g.exp() } else { sigma_t(s) * a * a };
-                let std_error = match undetermined {
-                    Some(share) if !slab.std_errors[which].is_finite() => share * value,
-                    _ => slab.std_errors[which],
-                };
-                Equation { fractions: slab.fractions.clone(), value, std_error }
+                Equation { fractions: slab.fractions.clone(), value, std_error: slab.std_errors[which] }
             };
             of_channel().map(equation).filter(|e| e.std_error.is_finite() && e.std_error > 0.0).collect()
         };

@@ -4,10 +4,13 @@ use crate::invalid::{Invalid, Result};
 use crate::profile::{Estimate, Record};
 
 /// Walks of one batch: the unit of the random streams and of the standard errors.
-pub const BATCH_WALKS: u64 = 2500;
+pub const BATCH_WALKS: u64 = 500;
+/// Batches of one chunk: what is traced in one go, and shows by its batches how they spread. Part of the physics version.
+pub const CHUNK_BATCHES: u64 = 25;
 /// Batches of one block: what a divided job's parts trace, each on its own. Part of the physics version, since sums are
 /// added up within blocks first.
-pub const BLOCK_BATCHES: u64 = 400;
+pub const BLOCK_BATCHES: u64 = 2000;
+const _: () = assert!(BLOCK_BATCHES.is_multiple_of(CHUNK_BATCHES), "a block holds whole chunks");
 const MAX_WALKS: u64 = 1_000_000_000_000;
 
 /// Number of random walks per transport point: a multiple of [`BATCH_WALKS`], at least two batches,
@@ -16,8 +19,8 @@ const MAX_WALKS: u64 = 1_000_000_000_000;
 pub struct Walks(u64);
 
 impl Walks {
-    /// As many as match the noise of the paper's 250,000 samples per pixel.
-    pub const PAPER: Self = Self(250_000);
+    /// As many as are at least as quiet as the paper's 250,000 samples per pixel, bright media and dark ones.
+    pub const PAPER: Self = Self(50_000);
 
     pub fn new(walks: u64) -> Result<Self> {
         if (2 * BATCH_WALKS..=MAX_WALKS).contains(&walks) && walks.is_multiple_of(BATCH_WALKS) {
@@ -110,10 +113,10 @@ mod tests {
     #[test]
     fn a_refused_number_of_walks_is_told_the_nearest_that_is_allowed() {
         for (given, nearest) in [
-            (0, 5000),
-            (3749, 5000),
-            (6249, 5000),
-            (6250, 7500),
+            (0, 1000),
+            (749, 1000),
+            (1249, 1000),
+            (1250, 1500),
             (1_000_001, 1_000_000),
             (MAX_WALKS + 1, MAX_WALKS),
             (u64::MAX, MAX_WALKS),
@@ -126,9 +129,9 @@ mod tests {
 
     #[test]
     fn walks_are_whole_batches_and_enough_for_an_error() {
-        assert!(Walks::new(5_000).is_ok());
-        for bad in [0, 2_500, 6_000] {
-            assert!(Walks::new(bad).unwrap_err().to_string().contains("multiples of 2500"));
+        assert!(Walks::new(1_000).is_ok());
+        for bad in [0, 500, 1_200] {
+            assert!(Walks::new(bad).unwrap_err().to_string().contains("multiples of 500"));
         }
     }
 }

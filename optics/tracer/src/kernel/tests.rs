@@ -7,18 +7,35 @@ use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
 
 use super::Kernel;
 use crate::exits::{Chunk, Exit, Exits};
+use crate::light::Light;
 use crate::stack::Stack;
+use crate::walk::ROULETTE_BLOCKS;
 
-/// Everything about the exits of a chunk, in order.
-fn exits(kernel: Kernel, stack: &Stack, walks: u32) -> Vec<(u32, u32, u32, u32, Vec<u32>)> {
+/// Everything about an exit, in bits.
+#[derive(Debug, PartialEq)]
+struct Bits {
+    place: [u32; 3],
+    counts: [u32; 3],
+    length: u32,
+    walk: u32,
+    hits: Vec<u32>,
+}
+
+/// The exits of a chunk, in order.
+fn exits(kernel: Kernel, stack: &Stack, walks: u32) -> Vec<Bits> {
     let chunk = Chunk { key: [0x1234_5678, 0x9abc_def0], index: (7 << 32) + 5, walks };
-    let mut exits = Exits::default();
-    kernel.run_chunk(stack, chunk, &AtomicBool::new(false), &mut exits).expect("nobody stops it");
-    let bits = |exit: Exit<'_>| {
-        let hits = exit.hits_mm.iter().map(|x| x.to_bits()).collect();
-        (exit.walk, exit.weight.to_bits(), exit.scatterings, exit.length_mm.to_bits(), hits)
+    let mut exits = Exits::new(walks);
+    kernel
+        .run_chunk(stack, &Light::new(stack, true), chunk, &AtomicBool::new(false), &mut exits)
+        .expect("nobody stops it");
+    let bits = |Exit { pick, hits_mm }: Exit<'_>| Bits {
+        place: [pick.z_mm, pick.u, pick.worth].map(f32::to_bits),
+        counts: [pick.cuts, pick.scatterings, pick.hits],
+        length: pick.length_mm.to_bits(),
+        walk: pick.walk,
+        hits: hits_mm.iter().map(|x| x.to_bits()).collect(),
     };
-    exits.in_order(walks).map(bits).collect()
+    exits.in_order().map(bits).collect()
 }
 
 fn scene(layers: Vec<Layer>, ring: [f64; 2], polar_deg: f64) -> Scene {
@@ -84,11 +101,16 @@ fn all_kernels_run_the_same_walks_to_the_last_bit() {
 fn chunks_smaller_than_a_vector_are_run_in_full() {
     let point = TransportPoint::new(2.0, 0.0, 0.5, 1.53).expect("valid");
     let stack = Stack::new(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), &point);
+    let picked =
+        |exits: &[Bits]| exits.iter().map(|exit| exit.walk).collect::<std::collections::BTreeSet<_>>();
+    let walks_of_many = picked(&exits(Kernel::SCALAR, &stack, 17));
     for walks in [1, 15, 16, 17] {
+        let expected = walks_of_many.iter().copied().filter(|walk| *walk < walks).collect();
         for kernel in Kernel::all() {
-            assert_eq!(exits(kernel, &stack, walks).len(), walks as usize, "{kernel}");
+            assert_eq!(picked(&exits(kernel, &stack, walks)), expected, "{kernel}");
         }
     }
+    assert!(walks_of_many.len() > 8, "{walks_of_many:?}");
 }
 
 /// A slab of 300 mean free paths, so that walks come to roulette.
@@ -97,8 +119,9 @@ fn kernels_agree_about_roulette() {
     let point = TransportPoint::new(600.0, 0.0, 0.5, 1.5).expect("valid");
     let stack = Stack::new(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), &point);
     let expected = exits(Kernel::SCALAR, &stack, 2_000);
-    assert!(expected.iter().any(|exit| f32::from_bits(exit.1) > 1.0), "no walk has survived roulette");
-    assert!(expected.len() < 2_000, "no walk has been lost to roulette");
+    // Two scatterings a block at most.
+    let survived = expected.iter().any(|exit| exit.counts[1] > 2 * ROULETTE_BLOCKS);
+    assert!(survived, "no walk has met the light after roulette");
     for kernel in Kernel::all() {
         assert!(exits(kernel, &stack, 2_000) == expected, "{kernel}");
     }
@@ -133,7 +156,10 @@ fn every_kernel_can_be_stopped() {
     let point = TransportPoint::new(2.0, 0.0, 0.5, 1.53).expect("valid");
     let stack = Stack::new(&Scene::paper(), &point);
     let chunk = Chunk { key: [1, 2], index: 0, walks: 25_000 };
+    let light = Light::new(&stack, false);
     for kernel in Kernel::all() {
-        assert!(kernel.run_chunk(&stack, chunk, &AtomicBool::new(true), &mut Exits::default()).is_err());
+        assert!(
+            kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(true), &mut Exits::new(25_000)).is_err()
+        );
     }
 }

@@ -2,6 +2,8 @@
 
 use fearless_simd::{Bytes, Simd, SimdBase, SimdMask, i32x16};
 
+use super::hits::Hits;
+use super::keep::Keep;
 use super::lanes::{Floats, Mask, Walks, Words};
 use super::numbers::{Philox, choose, constant, flip, ln, root, symmetric, uniform, unit_vector};
 use crate::stack::Stack;
@@ -28,11 +30,23 @@ impl Sample {
     /// Two flights of the chosen lanes. A walk that would pass a face stays where the flight began; returned are the
     /// lanes that have scattered twice.
     #[inline(always)]
-    pub fn fly_twice<S: Simd>(&self, random: &Philox<S>, walks: &mut Walks<S>, lanes: Mask<S>) -> Mask<S> {
+    pub fn fly_twice<S: Simd>(
+        &self,
+        random: &Philox<S>,
+        walks: &mut Walks<S>,
+        lanes: Mask<S>,
+        keep: &mut Keep<'_, S>,
+        hits: &Hits,
+    ) -> Mask<S> {
         let [path, angles, next_path, next_angles] = random.words(walks.block, walks.walk);
         walks.block += 1;
+        let u = walks.dz;
         let inside = self.fly(walks, lanes, path, angles);
-        self.fly(walks, inside, next_path, next_angles)
+        keep.scattered(walks, u, inside, hits);
+        let u = walks.dz;
+        let inside = self.fly(walks, inside, next_path, next_angles);
+        keep.scattered(walks, u, inside, hits);
+        inside
     }
 
     #[inline(always)]

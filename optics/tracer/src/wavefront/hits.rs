@@ -1,7 +1,5 @@
 //! Hits on the base of the walks that are under way: one linked list a walk, in an arena that is used again.
 
-use crate::exits::Exits;
-
 const NONE: u32 = u32::MAX;
 
 #[derive(Debug, Clone, Copy)]
@@ -16,16 +14,22 @@ struct Node {
 pub struct Hits {
     nodes: Vec<Node>,
     free: u32,
-    heads: Vec<u32>,
+    /// Newest node of each walk, and how many it has.
+    heads: Vec<(u32, u32)>,
 }
 
 impl Hits {
     pub fn new(walks: u32) -> Self {
-        Self { nodes: Vec::new(), free: NONE, heads: vec![NONE; walks as usize] }
+        Self { nodes: Vec::new(), free: NONE, heads: vec![(NONE, 0); walks as usize] }
+    }
+
+    pub fn count(&self, walk: u32) -> u32 {
+        self.heads[walk as usize].1
     }
 
     pub fn push(&mut self, walk: u32, x_mm: f32) {
-        let head = &mut self.heads[walk as usize];
+        let (head, count) = &mut self.heads[walk as usize];
+        *count += 1;
         let node = Node { x_mm, next: *head };
         if self.free == NONE {
             *head = self.nodes.len() as u32;
@@ -38,21 +42,16 @@ impl Hits {
         }
     }
 
-    /// Moves a walk's hits to the end of `exits`, oldest first, and forgets them here.
-    pub fn move_to(&mut self, walk: u32, exits: &mut Exits) {
-        let begin = exits.begin();
-        self.end(walk, |x_mm| exits.hit(x_mm));
-        exits.hits_since(begin).reverse();
-    }
-
-    /// Forgets a walk's hits.
-    pub fn forget(&mut self, walk: u32) {
-        self.end(walk, |_| {});
+    /// Takes a walk's hits away, oldest first.
+    pub fn take(&mut self, walk: u32, hits_mm: &mut Vec<f32>) {
+        hits_mm.clear();
+        self.end(walk, |x_mm| hits_mm.push(x_mm));
+        hits_mm.reverse();
     }
 
     /// Shows a walk's hits, newest first, and puts their nodes back.
     fn end(&mut self, walk: u32, mut each: impl FnMut(f32)) {
-        let head = std::mem::replace(&mut self.heads[walk as usize], NONE);
+        let (head, _) = std::mem::replace(&mut self.heads[walk as usize], (NONE, 0));
         let (mut at, mut last) = (head, NONE);
         while at != NONE {
             let node = self.nodes[at as usize];

@@ -13,7 +13,7 @@ pub const POOL: usize = 1024;
 const ROOM: usize = POOL + 2 * WIDTH;
 
 /// Words that make up the state of a walk.
-const STATE: usize = 10;
+const STATE: usize = 11;
 
 /// The first `n` lanes.
 #[inline(always)]
@@ -45,12 +45,14 @@ pub struct Walks<S: Simd> {
     pub block: Words<S>,
     /// Place in the chunk.
     pub walk: Words<S>,
+    /// What is left until the next vertex is picked, see [`crate::pick`].
+    pub left: Floats<S>,
 }
 
 impl<S: Simd> Walks<S> {
     #[inline(always)]
     fn from_words(words: [Words<S>; STATE]) -> Self {
-        let [x, z, dx, dy, dz, length, weight, scatterings, block, walk] = words;
+        let [x, z, dx, dy, dz, length, weight, scatterings, block, walk, left] = words;
         Self {
             x: x.bitcast(),
             z: z.bitcast(),
@@ -62,6 +64,7 @@ impl<S: Simd> Walks<S> {
             scatterings,
             block,
             walk,
+            left: left.bitcast(),
         }
     }
 
@@ -78,6 +81,7 @@ impl<S: Simd> Walks<S> {
             self.scatterings,
             self.block,
             self.walk,
+            self.left.bitcast(),
         ]
     }
 }

@@ -16,9 +16,12 @@
 mod flight;
 mod gate;
 mod hits;
+mod keep;
 mod lanes;
 mod numbers;
 mod order;
+mod permute;
+mod table;
 mod vector;
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -27,25 +30,28 @@ use fearless_simd::{Level, Simd, SimdBase, SimdInto, SimdMask, dispatch, u32x16}
 
 use super::Stopped;
 use super::exits::{Chunk, Exits};
+use super::light::Light;
 use super::rng::{FIRST_BLOCK, Stream, uniform};
 use super::stack::Stack;
 use super::walk::ROULETTE_BLOCKS;
 use flight::Sample;
 use gate::{Fates, Gate, Kind, Route, gate_at_end, gates, reflect_diffusely};
 use hits::Hits;
+use keep::Keep;
 use lanes::{Floats, Mask, POOL, Queue, WIDTH, Walks, Words, count, first_lanes};
 use numbers::Philox;
 use order::Order;
 
-/// Runs the walks of a chunk with the instructions of `level` and collects those that leave into the ring.
+/// Runs the walks of a chunk with the instructions of `level` and connects them with the light.
 pub fn run_chunk(
     level: Level,
     stack: &Stack,
+    light: &Light,
     chunk: Chunk,
     stop: &AtomicBool,
     exits: &mut Exits,
 ) -> Result<(), Stopped> {
-    dispatch!(level, simd => Wavefront::new(simd, stack, chunk, exits).run(stop))
+    dispatch!(level, simd => Wavefront::new(simd, stack, light, chunk, exits).run(stop))
 }
 
 struct Wavefront<'a, S: Simd> {
@@ -67,12 +73,14 @@ struct Wavefront<'a, S: Simd> {
     begun: u32,
     ended: u32,
     hits: Hits,
-    exits: &'a mut Exits,
+    keep: Keep<'a, S>,
+    /// Hits of a walk that ends.
+    hits_mm: Vec<f32>,
 }
 
 impl<'a, S: Simd> Wavefront<'a, S> {
     #[inline(always)]
-    fn new(simd: S, stack: &'a Stack, chunk: Chunk, exits: &'a mut Exits) -> Self {
+    fn new(simd: S, stack: &'a Stack, light: &'a Light, chunk: Chunk, exits: &'a mut Exits) -> Self {
         let gates = gates(stack);
         Self {
             simd,
@@ -88,7 +96,8 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             begun: 0,
             ended: 0,
             hits: Hits::new(chunk.walks),
-            exits,
+            keep: Keep::new(simd, light, exits),
+            hits_mm: Vec::new(),
         }
     }
 
@@ -130,6 +139,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             let n = (self.chunk.walks - self.begun).min(WIDTH as u32);
             let float = |value| Floats::splat(self.simd, value);
             let d = self.stack.sensor_direction;
+            let walk = u32x16::from_fn(self.simd, |lane| self.begun + lane as u32);
             let walks = Walks {
                 x: float(0.0),
                 z: float(0.0),
@@ -140,7 +150,8 @@ impl<'a, S: Simd> Wavefront<'a, S> {
                 weight: float(1.0),
                 scatterings: Words::splat(self.simd, 0),
                 block: Words::splat(self.simd, FIRST_BLOCK),
-                walk: u32x16::from_fn(self.simd, |lane| self.begun + lane as u32),
+                walk,
+                left: self.keep.first_step(self.simd, &self.random, walk),
             };
             self.waiting[0].push(self.simd, &walks, first_lanes(self.simd, n as usize));
             self.begun += n;
@@ -171,7 +182,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             }
             at += WIDTH;
             let lanes = self.play_roulette(&mut walks, all);
-            let stay = self.sample.fly_twice(&self.random, &mut walks, lanes);
+            let stay = self.sample.fly_twice(&self.random, &mut walks, lanes, &mut self.keep, &self.hits);
             let order = Order::new(self.simd, stay);
             self.inside.place(&walks, &order, kept);
             kept += order.chosen();
@@ -210,14 +221,15 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             let mut stream = Stream::new(self.chunk.key, self.chunk.index, walk[lane]).at_block(block[lane]);
             if uniform(stream.words()[0]) < 0.5 {
                 alive &= !(1 << lane);
-                self.end(walk[lane]);
             }
             weight[lane] *= 2.0;
             block[lane] += 1;
         }
         walks.weight = weight.simd_into(self.simd);
         walks.block = block.simd_into(self.simd);
-        Mask::from_bitmask(self.simd, alive)
+        let alive = Mask::from_bitmask(self.simd, alive);
+        self.end(walks, lanes & !alive);
+        alive
     }
 
     /// Takes the walks that wait at a gate through it, in vectors of at least `least` walks.
@@ -253,15 +265,13 @@ impl<'a, S: Simd> Wavefront<'a, S> {
                 for lane in bits(lanes) {
                     self.hits.push(walk[lane], x[lane]);
                 }
+                self.keep.hit(&mut walks, lanes, &self.hits);
                 reflect_diffusely(&self.random, &mut walks);
                 let none = Mask::splat(self.simd, false);
                 Fates { reflected: lanes, transmitted: none, lost: none }
             }
         };
-        let walk = walks.walk.to_array();
-        for lane in bits(fates.lost) {
-            self.end(walk[lane]);
-        }
+        self.end(&walks, fates.lost);
         self.go_on(&mut walks, fates.reflected, gate.reflected);
         self.go_on(&mut walks, fates.transmitted, gate.transmitted);
     }
@@ -298,32 +308,25 @@ impl<'a, S: Simd> Wavefront<'a, S> {
                 walks.z = Floats::splat(self.simd, if route == Route::SampleTop { top } else { 0.0 });
                 self.inside.push(self.simd, walks, lanes);
             }
-            Route::Out => self.leave(walks, lanes),
+            Route::Out => self.end(walks, lanes),
         }
     }
 
-    /// Ends walks that have left the stack; those in the ring are kept for the tally.
+    /// Ends walks.
     #[inline(always)]
-    fn leave(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
-        let sin2 = walks.dx * walks.dx + walks.dy * walks.dy;
-        let [inner, outer] = self.stack.ring_sin2;
-        let scores = lanes & sin2.simd_ge(inner) & sin2.simd_le(outer);
-        let (walk, weight) = (walks.walk.to_array(), walks.weight.to_array());
-        let (scatterings, length) = (walks.scatterings.to_array(), walks.length.to_array());
-        for lane in bits(scores) {
-            let begin = self.exits.begin();
-            self.hits.move_to(walk[lane], self.exits);
-            self.exits.end(begin, walk[lane], weight[lane], scatterings[lane], length[lane]);
+    fn end(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
+        if !lanes.any_true() {
+            return;
         }
-        for lane in bits(lanes & !scores) {
-            self.hits.forget(walk[lane]);
+        let walk = walks.walk.to_array();
+        for lane in bits(lanes) {
+            let walk = walk[lane];
+            self.hits.take(walk, &mut self.hits_mm);
+            if self.keep.exits.needs_hits(walk) {
+                self.keep.exits.add_hits(walk, &self.hits_mm);
+            }
         }
         self.ended += count(lanes) as u32;
-    }
-
-    fn end(&mut self, walk: u32) {
-        self.hits.forget(walk);
-        self.ended += 1;
     }
 }
 

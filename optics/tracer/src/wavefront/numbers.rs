@@ -127,6 +127,13 @@ pub fn ln<S: Simd>(x: Floats<S>) -> Floats<S> {
     e.to_float::<Floats<S>>() * LN_2 + (f + (ff * f * p - ff * 0.5))
 }
 
+/// [`crate::math::power_of_two`].
+#[inline(always)]
+pub fn power_of_two<S: Simd>(x: Floats<S>) -> Floats<S> {
+    let bits: i32x16<S> = ((x.max(-100.0) + 127.0) * 8_388_608.0).to_int();
+    from_bits(bits.bitcast())
+}
+
 /// A value in all lanes.
 #[inline(always)]
 pub fn constant<S: Simd>(like: Floats<S>, value: f32) -> Floats<S> {

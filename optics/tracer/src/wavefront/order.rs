@@ -1,9 +1,8 @@
 //! Moving chosen lanes to the front of a vector and the others behind them.
 
-use fearless_simd::{
-    ExtractToken, Simd, SimdBase, SimdInto, SimdMask, SimdSplit, mask32x8, mask32x16, u32x8, u32x16,
-};
+use fearless_simd::{ExtractToken, Simd, SimdBase, SimdMask, SimdSplit, mask32x8, mask32x16, u32x8, u32x16};
 
+use super::permute::{permute8, permute16};
 use super::vector::{Mask, WIDTH, Words};
 
 /// For every choice of eight lanes: the chosen ones, then the others, each in order.
@@ -114,51 +113,4 @@ impl<S: Simd> Order<S> {
         let (low_lanes, high_lanes): (mask32x8<S>, mask32x8<S>) = lanes.token().split_mask32x16(lanes);
         (low.compress(low_lanes), high.compress(high_lanes))
     }
-}
-
-#[cfg(target_arch = "x86_64")]
-mod x86 {
-    use std::arch::x86_64::{__m256i, __m512i, _mm256_permutevar8x32_epi32, _mm512_permutexvar_epi32};
-
-    fearless_simd::kernel!(
-        #[inline(always)]
-        pub fn permute8(token: Avx2, words: __m256i, order: __m256i) -> __m256i {
-            _mm256_permutevar8x32_epi32(words, order)
-        }
-    );
-
-    fearless_simd::kernel!(
-        #[inline(always)]
-        pub fn permute16(token: Avx512, words: __m512i, order: __m512i) -> __m512i {
-            _mm512_permutexvar_epi32(order, words)
-        }
-    );
-}
-
-/// `words[order]` for machines whose registers have eight lanes.
-#[inline(always)]
-fn permute8<S: Simd>(words: u32x8<S>, order: u32x8<S>) -> u32x8<S> {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(token) = words.token().level().as_avx2() {
-        return x86::permute8(token, words.into(), order.into()).simd_into(words.token());
-    }
-    let mut permuted = [0; 8];
-    for (place, lane) in permuted.iter_mut().zip(order.to_array()) {
-        *place = words.to_array()[lane as usize];
-    }
-    permuted.simd_into(words.token())
-}
-
-/// `words[order]` for machines whose registers have sixteen lanes.
-#[inline(always)]
-fn permute16<S: Simd>(words: Words<S>, order: Words<S>) -> Words<S> {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(token) = words.token().level().as_avx512() {
-        return x86::permute16(token, words.into(), order.into()).simd_into(words.token());
-    }
-    let mut permuted = [0; WIDTH];
-    for (place, lane) in permuted.iter_mut().zip(order.to_array()) {
-        *place = words.to_array()[lane as usize];
-    }
-    permuted.simd_into(words.token())
 }

@@ -25,13 +25,16 @@ use farm_tests::statistics::{Share, effort, quantile};
 use answer::{Answer, QUANTITIES, table};
 use laboratory::{DEFECTS, Laboratory};
 
-/// Largest median error of σ_t, and least share of intervals that hold the truth.
+/// Largest median error of σ_t.
 const MEDIAN_ERROR: f64 = 0.01;
+/// Least share of intervals that hold the truth. Of the six of one session, one misses by chance in one run of four, and
+/// misses of a session go together; that more than two miss by chance alone happens once in 450 runs.
 const HELD: f64 = 0.9;
+const HELD_OF_SIX: f64 = 0.6;
 
 /// Walks of a truth. What they leave of noise is common to all pixels, like an error of the profile's gain, of which the
-/// session knows 0.04 to 0.12 %: 4 million leave 0.15 % of it, these 0.04 %.
-const TRUTH_WALKS: u64 = 64_000_000;
+/// session knows 0.04 to 0.12 %. A million leave about 0.11 % of it, these 0.03 %.
+const TRUTH_WALKS: u64 = 16_000_000;
 
 /// How much is done.
 struct Trial {
@@ -118,5 +121,6 @@ fn photographs_become_media_and_intervals_hold_the_truth() {
     let median = quantile(answers.iter().map(|a| a.error(0).abs()).collect(), 0.5);
     assert!(median <= MEDIAN_ERROR, "the median error of σ_t is {median}");
     let held = Share::of([0, 1].into_iter().flat_map(|q| answers.iter().map(move |a| a.holds(q)))).unwrap();
-    assert!(held.share >= HELD, "{held} % of the intervals of σ_t and α hold");
+    let least = if answers.len() <= 3 { HELD_OF_SIX } else { HELD };
+    assert!(held.share >= least, "{held} % of the intervals of σ_t and α hold");
 }

@@ -5,6 +5,8 @@ use super::{Kind, Seen};
 
 /// Standard deviations at which a difference of two levels is taken to be there.
 pub(super) const SURE: f64 = 5.0 * std::f64::consts::SQRT_2;
+/// The same where the greatest of hundreds of differences is looked at.
+const SURE_OF_THE_GREATEST: f64 = 7.0 * std::f64::consts::SQRT_2;
 
 /// Half the width over which the rise is looked for.
 const WINDOW_MM: f64 = 0.5;
@@ -51,7 +53,7 @@ fn elsewhere(trace: &Trace) -> Option<Seen> {
     let light = trace.level(n - n / 4..n);
     // The difference of two rises has √2 times the noise of one.
     let noise = std::f64::consts::SQRT_2 * trace.noise(width);
-    if most - here < SURE * noise || most < 0.1 * light || here > 0.85 * most {
+    if most - here < SURE_OF_THE_GREATEST * noise || most < 0.1 * light || here > 0.85 * most {
         return None;
     }
     let steep: Vec<usize> = (0..rises.len()).filter(|i| rises[*i] > 0.95 * most).collect();

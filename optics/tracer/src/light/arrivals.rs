@@ -1,0 +1,381 @@
+//! Light that meets interfaces only: from the ring to the sample and to the base, and from the sensor straight back into
+//! the ring.
+//!
+//! It does not depend on the medium but for what the sample lets through, e^(−τ L), L being the length in the sample in
+//! thicknesses. So it is followed once for a stack of interfaces and told as beams: light of about one direction that has
+//! come about as far. What they weaken on the way follows for every medium.
+//!
+//! At every interface light goes both ways, with the shares that Fresnel gives; what is faint ends or goes on by chance.
+//! The ring's angles and the first three rough faces' normals come from a Kronecker sequence (Roberts 2018, "The unreasonable
+//! effectiveness of quasirandom sequences"), others from streams with a key of their own. Rays carry flux, and the
+//! interfaces are reciprocal, so that each is crossed as walks cross it.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use glam::Vec3;
+
+use crate::fresnel::{Facet, reflect, refract};
+use crate::math::exp_f64;
+use crate::microfacet::{masking, sample_visible_normal, scatter_until_out};
+use crate::rng::{Stream, uniform};
+use crate::stack::Stack;
+
+/// Cells of the cosine into which beams are gathered.
+const CELLS: usize = 128;
+/// Cells that are taken together where they hold less than a share of all light.
+const NEAR: usize = 16;
+const BEAMS: f64 = 512.0;
+/// Anisotropy up to which directions in cells taken together are alike to the phase function.
+const WIDE: f64 = 0.9;
+/// Passes through the sample that beams tell apart; the last two stand for all that come later.
+const PASSES: usize = 4;
+/// Rays that set out where all interfaces are smooth, where some are rough, and where rays are followed on the
+/// microsurface, one way at a time and by chance alone.
+const RAYS: [u32; 3] = [256, 1 << 15, 1 << 18];
+/// Share of a ray's flux at which it becomes a matter of chance whether it goes on.
+const FAINT: f64 = 2e-3;
+/// Interfaces after which light is let go. Only a ray that rounding has caught between two faces that reflect totally meets
+/// so many.
+const MOST_INTERFACES: u32 = 1000;
+/// Steps of the sequence at the first three rough faces: g⁻¹ … g⁻⁶, g⁷ = g + 1.
+const STEPS: [[f64; 2]; 3] = [
+    [0.898_653_712_628_699_2, 0.807_578_495_221_344_7],
+    [0.725_733_412_969_759_7, 0.652_183_025_943_971_5],
+    [0.586_086_697_577_969_3, 0.526_688_986_700_735_7],
+];
+/// Of streams from the ring, and from the sensor.
+const KEYS: [[u32; 2]; 2] = [[0x9d1f_3c55, 0x27d4_eb2f], [0x4b7a_91d3, 0x6c8e_52a7]];
+/// Stacks whose arrivals are remembered.
+const REMEMBERED: usize = 8;
+
+/// Light of about one direction that has passed about the same length of the sample.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Beam {
+    /// Whether it goes down.
+    pub down: bool,
+    /// |cos θ| in the sample, a mean.
+    pub cosine: f64,
+    /// Share of the light that sets out, if the sample were clear.
+    pub flux: f64,
+    /// Length in the sample before, in thicknesses, a mean.
+    pub passed: f64,
+}
+
+/// Where light arrives that meets interfaces only.
+#[derive(Debug, Default)]
+pub struct Arrivals {
+    /// From the ring, where it enters the sample or is reflected in it.
+    pub sample: Vec<Beam>,
+    /// From the ring, where it meets the base.
+    pub base: Vec<Beam>,
+    /// From the sensor, where it leaves into the ring.
+    pub ring: Vec<Beam>,
+}
+
+impl Arrivals {
+    /// Of a stack; those of the last few stacks are remembered.
+    pub fn of(stack: &Stack) -> Arc<Self> {
+        static KNOWN: Mutex<VecDeque<(Vec<u64>, Arc<Arrivals>)>> = Mutex::new(VecDeque::new());
+        let key = key_of(stack);
+        // Held while it is found, so that it is found once.
+        let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, arrivals)) = known.iter().find(|(of, _)| *of == key) {
+            return Arc::clone(arrivals);
+        }
+        let rough = stack.interfaces.iter().any(|i| i.alpha > 0.0);
+        let rays = RAYS[usize::from(rough) * (1 + usize::from(stack.multiple_scattering))];
+        let arrivals = Arc::new(Self::follow(stack, rays));
+        known.truncate(REMEMBERED - 1);
+        known.push_front((key, Arc::clone(&arrivals)));
+        arrivals
+    }
+
+    fn follow(stack: &Stack, rays: u32) -> Self {
+        let [inner, outer] = stack.ring_sin2.map(|s| f64::from(s).clamp(0.0, 1.0));
+        let share = 1.0 / f64::from(rays);
+        let mut from_ring = Gathered::default();
+        for ray in 0..rays {
+            let sin2 = inner + (outer - inner) * (f64::from(ray) + 0.5) * share;
+            let direction = Vec3::new(sin2.sqrt() as f32, 0.0, -((1.0 - sin2).sqrt() as f32));
+            from_ring.follow(stack, direction, ray, share, &mut Stream::new(KEYS[0], 0, ray));
+        }
+        let mut from_sensor = Gathered::default();
+        for ray in 0..rays {
+            from_sensor.follow(stack, stack.sensor_direction, ray, share, &mut Stream::new(KEYS[1], 0, ray));
+        }
+        Self {
+            sample: from_ring.sample.beams(),
+            base: from_ring.base.beams(),
+            ring: from_sensor.ring.beams(),
+        }
+    }
+}
+
+impl Arrivals {
+    /// Beams in a sample of an optical thickness: what they have passed has weakened them, and those of nearly one direction are
+    /// one, unless the phase function is so narrow that it tells them apart. Their `passed` is a mean.
+    pub fn in_sample(&self, optical_thickness: f64, g: f64) -> Vec<Beam> {
+        let mut cells = vec![[0.0; 3]; 2 * CELLS];
+        for beam in &self.sample {
+            let flux = beam.flux * exp_f64(-optical_thickness * beam.passed);
+            let cell = ((beam.cosine * CELLS as f64) as usize).min(CELLS - 1);
+            let sums = &mut cells[usize::from(beam.down) * CELLS + cell];
+            for (sum, factor) in sums.iter_mut().zip([1.0, beam.cosine, beam.passed]) {
+                *sum += flux * factor;
+            }
+        }
+        let faint =
+            if g.abs() > WIDE { 0.0 } else { cells.iter().map(|[flux, ..]| flux).sum::<f64>() / BEAMS };
+        let mut beams = Vec::new();
+        for (side, cells) in cells.chunks_exact(CELLS).enumerate() {
+            for near in cells.chunks_exact(NEAR) {
+                // Faint ones together, others alone.
+                let mut rest = [0.0; 3];
+                for cell in near {
+                    if cell[0] > faint {
+                        beams.push(beam(side == 1, *cell));
+                    } else {
+                        rest.iter_mut().zip(cell).for_each(|(rest, sum)| *rest += sum);
+                    }
+                }
+                if rest[0] > 0.0 {
+                    beams.push(beam(side == 1, rest));
+                }
+            }
+        }
+        beams
+    }
+}
+
+fn beam(down: bool, [flux, cosines, lengths]: [f64; 3]) -> Beam {
+    Beam { down, cosine: cosines / flux, flux, passed: lengths / flux }
+}
+
+/// All of a stack that light which meets interfaces only depends on.
+fn key_of(stack: &Stack) -> Vec<u64> {
+    let d = stack.sensor_direction;
+    let floats = [stack.ring_sin2[0], stack.ring_sin2[1], d.x, d.y, d.z];
+    let interfaces = stack.interfaces.iter().map(|i| u64::from(i.alpha.to_bits()));
+    let complements =
+        stack.interfaces.iter().flat_map(|i| [i.from_above.complement, i.from_below.complement]);
+    let mut key = vec![stack.sample as u64, u64::from(stack.multiple_scattering)];
+    key.extend(stack.iors.iter().map(|ior| ior.to_bits()));
+    key.extend(interfaces);
+    key.extend(floats.into_iter().chain(complements).map(|f| u64::from(f.to_bits())));
+    key
+}
+
+/// Flux by direction, cosine and passes, with the sums of flux times cosine and of flux times length.
+#[derive(Debug)]
+struct Cells(Vec<[f64; 3]>);
+
+impl Default for Cells {
+    fn default() -> Self {
+        Self(vec![[0.0; 3]; 2 * PASSES * CELLS])
+    }
+}
+
+impl Cells {
+    fn add(&mut self, way: &Way, cosine: f64) {
+        let cell = ((cosine * CELLS as f64) as usize).min(CELLS - 1);
+        // Even and odd numbers apart: they have come from different sides.
+        let passes = if way.passes < PASSES { way.passes } else { PASSES - 2 + way.passes % 2 };
+        let down = usize::from(way.direction.z < 0.0);
+        let sums = &mut self.0[(down * PASSES + passes) * CELLS + cell];
+        for (sum, factor) in sums.iter_mut().zip([1.0, cosine, way.passed]) {
+            *sum += way.flux * factor;
+        }
+    }
+
+    fn beams(self) -> Vec<Beam> {
+        let some = self.0.into_iter().enumerate().filter(|(_, [flux, ..])| *flux > 0.0);
+        some.map(|(cell, sums)| beam(cell >= PASSES * CELLS, sums)).collect()
+    }
+}
+
+/// What rays have added up to.
+#[derive(Debug, Default)]
+struct Gathered {
+    sample: Cells,
+    base: Cells,
+    ring: Cells,
+}
+
+/// Light on its way, at the beginning of a slab.
+struct Way {
+    slab: usize,
+    direction: Vec3,
+    flux: f64,
+    /// Length in the sample so far, in thicknesses, the number of passes, and the last one's cosine.
+    passed: f64,
+    passes: usize,
+    cosine: f64,
+    /// Interfaces met so far, and rough ones.
+    interfaces: u32,
+    rough: u32,
+}
+
+impl Gathered {
+    fn follow(&mut self, stack: &Stack, direction: Vec3, ray: u32, flux: f64, stream: &mut Stream) {
+        let mut ways = vec![Way {
+            slab: 0,
+            direction,
+            flux,
+            passed: 0.0,
+            passes: 0,
+            cosine: 1.0,
+            interfaces: 0,
+            rough: 0,
+        }];
+        while let Some(way) = ways.pop() {
+            if let Some(way) = self.cross_slab(stack, way, FAINT * flux, stream) {
+                meet_interface(stack, &way, ray, stream, &mut ways);
+            }
+        }
+    }
+
+    /// Takes light to the end of its slab. None if it ends there.
+    fn cross_slab(&mut self, stack: &Stack, mut way: Way, faint: f64, stream: &mut Stream) -> Option<Way> {
+        let down = way.direction.z < 0.0;
+        if way.slab == 0 && !down {
+            let d = way.direction;
+            let [inner, outer] = stack.ring_sin2;
+            if (inner..=outer).contains(&(d.x * d.x + d.y * d.y)) {
+                self.ring.add(&way, way.cosine);
+            }
+            return None;
+        }
+        if way.slab == stack.sample {
+            way.cosine = f64::from(way.direction.z.abs()).max(1e-6);
+            self.sample.add(&way, way.cosine);
+            way.passed += 1.0 / way.cosine;
+            way.passes += 1;
+        }
+        if down && way.slab == stack.interfaces.len() {
+            self.base.add(&way, way.cosine);
+            return None;
+        }
+        if way.flux < faint {
+            if f64::from(uniform(stream.words()[0])) * faint >= way.flux {
+                return None;
+            }
+            way.flux = faint;
+        }
+        Some(way)
+    }
+}
+
+/// Sends light on from the interface at the end of its slab.
+fn meet_interface(stack: &Stack, way: &Way, ray: u32, stream: &mut Stream, ways: &mut Vec<Way>) {
+    let d = way.direction;
+    let down = d.z < 0.0;
+    let interface = stack.interfaces[if down { way.slab } else { way.slab - 1 }];
+    let (above, below) = (interface.from_above, interface.from_below);
+    let indices = if down { [above, below] } else { [below, above] };
+    let (alpha, up) = (interface.alpha, if down { 1.0 } else { -1.0 });
+    let wi = Vec3::new(-d.x, -d.y, -up * d.z);
+    let mut go = |wo: Vec3, share: f64| {
+        let slab = match (wo.z < 0.0, down) {
+            (false, _) => way.slab,
+            (true, true) => way.slab + 1,
+            (true, false) => way.slab - 1,
+        };
+        if share > 0.0 && way.interfaces < MOST_INTERFACES {
+            let direction = Vec3::new(wo.x, wo.y, up * wo.z);
+            let (flux, interfaces) = (way.flux * share, way.interfaces + 1);
+            let rough = way.rough + u32::from(alpha > 0.0);
+            ways.push(Way { slab, direction, flux, interfaces, rough, ..*way });
+        }
+    };
+    if alpha > 0.0 && stack.multiple_scattering {
+        go(scatter_until_out(wi, alpha, indices, stream).direction, 1.0);
+        return;
+    }
+    let m = normal(wi, alpha, way.rough, ray, stream);
+    let cos_i = wi.dot(m);
+    let facet = Facet::new(cos_i, indices[0]);
+    let reflectance = if facet.cos_t <= 0.0 { 1.0 } else { f64::from(facet.reflectance()) };
+    let kept = |wo: Vec3, cos: f32| match alpha {
+        0.0 => 1.0,
+        _ if cos > 0.0 => f64::from(masking(cos, wo.x * wo.x + wo.y * wo.y, alpha)),
+        _ => 0.0,
+    };
+    let reflected = reflect(wi, m, cos_i);
+    go(reflected, reflectance * kept(reflected, reflected.z));
+    let refracted = refract(wi, m, cos_i, facet.cos_t, indices[0].eta);
+    go(refracted, (1.0 - reflectance) * kept(refracted, -refracted.z));
+}
+
+/// A normal visible from `wi` at the given rough face of the way.
+fn normal(wi: Vec3, alpha: f32, rough: u32, ray: u32, stream: &mut Stream) -> Vec3 {
+    if alpha == 0.0 {
+        return Vec3::Z;
+    }
+    let Some([first, second]) = STEPS.get(rough as usize) else {
+        let words = stream.words();
+        return sample_visible_normal(wi, alpha, uniform(words[1]), words[2]);
+    };
+    let shifted = |step: f64| (0.5 + f64::from(ray) * step).fract();
+    sample_visible_normal(wi, alpha, shifted(*first) as f32, (65_536.0 * shifted(*second)) as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::{Scene, TransportPoint};
+
+    use super::*;
+
+    fn stack(scene: &Scene) -> Stack {
+        Stack::new(scene, &TransportPoint::new(1.0, 0.0, 0.5, 1.53).unwrap())
+    }
+
+    /// Flux behind a sample of an optical thickness.
+    fn flux(beams: &[Beam], tau: f64) -> f64 {
+        beams.iter().map(|beam| beam.flux * (-tau * beam.passed).exp()).sum()
+    }
+
+    /// Four times as many rays tell the same.
+    #[test]
+    fn rays_are_many_enough() {
+        let stack = stack(&Scene::paper());
+        let [few, many] = [1, 4].map(|times| Arrivals::follow(&stack, times * RAYS[1]));
+        for tau in [0.5, 2.0, 10.0] {
+            let ratio = |of: &dyn Fn(&Arrivals) -> f64| (of(&few) / of(&many) - 1.0).abs();
+            let base = ratio(&|a| flux(&a.base, tau));
+            let sample =
+                ratio(&|a| a.sample.iter().map(|b| b.flux * (-tau * b.passed).exp() / b.cosine).sum());
+            let ring = ratio(&|a| flux(&a.ring, tau));
+            println!("τ {tau}: base {base:.1e}, sample {sample:.1e}, ring {ring:.1e}");
+            assert!(base < 2e-4 && sample < 1e-4 && ring < 2e-2, "τ {tau}: {base}, {sample}, {ring}");
+        }
+    }
+
+    /// Through smooth faces everything follows from Fresnel's formulas. Between two media of one index under air, light passes
+    /// the upper face once, and no other reflects.
+    #[test]
+    fn smooth_faces_let_through_what_fresnel_says() {
+        let layers = vec![optics_model::scene::Layer::sample("sample", 0.0).unwrap()];
+        let paper = Scene::paper();
+        let scene =
+            Scene::new(layers, paper.channels().to_vec(), paper.light(), paper.sensor(), false).unwrap();
+        let arrivals = Arrivals::of(&stack(&scene));
+        let (n, steps) = (1.53_f64, 20_000);
+        let [inner, outer] = [40.0_f64, 50.0].map(|deg| deg.to_radians().sin().powi(2));
+        let (mut transmitted, mut lengths) = (0.0, 0.0);
+        for i in 0..steps {
+            let sin2 = inner + (outer - inner) * (f64::from(i) + 0.5) / f64::from(steps);
+            let (cos_i, cos_t) = ((1.0 - sin2).sqrt(), (1.0 - sin2 / (n * n)).sqrt());
+            let rs = ((cos_i - n * cos_t) / (cos_i + n * cos_t)).powi(2);
+            let rp = ((n * cos_i - cos_t) / (n * cos_i + cos_t)).powi(2);
+            let t = (1.0 - 0.5 * (rs + rp)) / f64::from(steps);
+            transmitted += t;
+            lengths += t / cos_t;
+        }
+        let base = flux(&arrivals.base, 0.0);
+        assert!((base - transmitted).abs() < 1e-5, "{base}, not {transmitted}");
+        let length = arrivals.base.iter().map(|b| b.flux * b.passed).sum::<f64>();
+        assert!((length - lengths).abs() < 1e-5, "{length}, not {lengths}");
+        assert_eq!(flux(&arrivals.ring, 0.0), 0.0, "the sensor looks straight down");
+    }
+}

@@ -1,0 +1,56 @@
+//! The light against sums over its rays, and against exact cases.
+
+use optics_model::{Scene, TransportPoint};
+
+use super::phase::mean_phase;
+use super::*;
+
+fn stack(scene: &Scene, [sigma_t, g, thickness, ior]: [f64; 4]) -> Stack {
+    Stack::new(scene, &TransportPoint::new(sigma_t, g, thickness, ior).unwrap())
+}
+
+/// C by its definition.
+fn exact(stack: &Stack, arrivals: &Arrivals, z_mm: f64, u: f64) -> f64 {
+    let thickness = f64::from(stack.thickness_mm[stack.sample]);
+    let (sigma_t, g) = (1.0 / f64::from(stack.mean_free_path_mm), f64::from(stack.phase.g));
+    let term = |beam: &Beam| {
+        let (d, u) = if beam.down { (thickness - z_mm, u) } else { (z_mm, -u) };
+        let length = d / beam.cosine + thickness * beam.passed;
+        beam.flux / beam.cosine * mean_phase(g, u, beam.cosine) * (-sigma_t * length).exp()
+    };
+    let n2 = stack.iors[stack.sample].powi(2);
+    let [inner, outer] = stack.ring_sin2.map(f64::from);
+    PI * (outer - inner) / n2 * arrivals.sample.iter().map(term).sum::<f64>()
+}
+
+#[test]
+fn the_table_gives_what_the_rays_add_up_to() {
+    for point in [
+        [1.0, 0.0, 0.25, 1.53],
+        [6.0, 0.4, 0.5, 1.53],
+        [20.0, 0.9, 1.0, 1.48],
+        [600.0, -0.5, 0.5, 1.53],
+        [2.0, 0.97, 0.5, 1.53],
+    ] {
+        let stack = stack(&Scene::paper(), point);
+        let (light, arrivals) = (Light::new(&stack, false), Arrivals::of(&stack));
+        let brightest = exact(&stack, &arrivals, point[2], 1.0);
+        let (mut worst, mut near) = (0.0_f64, 0.0_f64);
+        for i in 0..200 {
+            for k in 0..200 {
+                // Even in the square root of the depth, where light is.
+                let depth = point[2] * ((f64::from(i) + 0.37) / 200.0).powi(2);
+                let (z, u) = (point[2] - depth, -1.0 + 2.0 * (f64::from(k) + 0.41) / 200.0);
+                let c = exact(&stack, &arrivals, z, u);
+                let found = light.at(z as f32, u as f32).0;
+                // Grazing light at the lower face is too faint to matter.
+                worst = worst.max((found - c).abs() / (c + 1e-3 * brightest));
+                if c > 1e-6 * brightest {
+                    near = near.max((f64::from(light.about(z as f32, u as f32)) / c).ln().abs());
+                }
+            }
+        }
+        println!("{point:?}: table {worst:.1e}, about within a factor of {:.2}", near.exp());
+        assert!(worst < 1e-3, "{point:?}: {worst}");
+    }
+}
