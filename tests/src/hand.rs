@@ -60,7 +60,8 @@ impl HandWorker {
     }
 
     pub async fn acquire(&mut self, max_leases: u32) -> Result<Vec<Lease>, Status> {
-        let request = AcquireRequest { worker_id: self.id.clone(), max_leases, wait_ms: 0 };
+        let request =
+            AcquireRequest { worker_id: self.id.clone(), max_leases, whole_sets: false, wait_ms: 0 };
         let leases = self.client.acquire(request).await?.into_inner().leases;
         leases
             .into_iter()

@@ -16,7 +16,7 @@ use crate::delivery::{ResultBuffer, deliver};
 use crate::heartbeat::beat;
 use crate::idle::IdleTime;
 use crate::job::Workshop;
-use crate::leases::HeldLeases;
+use crate::leases::{HeldLeases, SetSwitch};
 use crate::pool::Pool;
 use crate::retry::{Pauses, is_refusal, log_failure};
 use crate::session::{Error, Introduction, Session};
@@ -143,9 +143,20 @@ impl Agent {
             let Some((leases, slots)) = self.next_leases().await? else {
                 return Ok(if self.drain.is_cancelled() { Ended::Drained } else { Ended::Idle });
             };
-            for (lease, slot) in leases.into_iter().zip(slots) {
-                let switches = self.held.add(lease.key, lease.job.identity());
-                jobs.spawn(workshop.clone().run(lease, switches, slot));
+            let mut slots = slots.into_iter();
+            for leases in sets(leases) {
+                let set = SetSwitch::new(leases.len());
+                let add = |lease: &Lease| self.held.add(lease.key, lease.job.identity(), set.clone());
+                let switches = leases.iter().map(add).collect();
+                // There is one for each, unless the coordinator has another notion of what sets are.
+                let slot = match slots.next() {
+                    Some(slot) => slot,
+                    None => match self.slots.clone().acquire_owned().await {
+                        Ok(slot) => slot,
+                        Err(_) => break,
+                    },
+                };
+                jobs.spawn(workshop.clone().run(leases, switches, slot));
             }
             while jobs.try_join_next().is_some() {}
         }
@@ -229,6 +240,18 @@ impl Agent {
             }
         }
     }
+}
+
+/// Leases by the walks that their jobs share; those of a set follow one another.
+fn sets(leases: Vec<Lease>) -> Vec<Vec<Lease>> {
+    let mut sets: Vec<Vec<Lease>> = Vec::new();
+    for lease in leases {
+        match sets.last_mut().filter(|set| set[0].job.shares_walks_with(&lease.job)) {
+            Some(set) => set.push(lease),
+            None => sets.push(vec![lease]),
+        }
+    }
+    sets
 }
 
 async fn all_ended(jobs: &mut JoinSet<()>) {

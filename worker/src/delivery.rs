@@ -46,10 +46,17 @@ impl ResultBuffer {
         Self { room: Arc::new(Semaphore::new(kib as usize)), kib }
     }
 
-    /// Waits until there is room for a job's result. One that is larger than the whole buffer gets all of it.
-    pub(crate) async fn take(&self, bytes: usize) -> Option<OwnedSemaphorePermit> {
-        let kib = (bytes.div_ceil(1024) as u32).min(self.kib);
-        self.room.clone().acquire_many_owned(kib).await.ok()
+    /// Waits until there is room for all results of a set. What is larger than the whole buffer gets all of it.
+    pub(crate) async fn take(&self, bytes: &[usize]) -> Option<Vec<OwnedSemaphorePermit>> {
+        let kib = |bytes: usize| u32::try_from(bytes.div_ceil(1024)).unwrap_or(u32::MAX).min(self.kib);
+        let all = kib(bytes.iter().sum());
+        // At once: two that hold a part each and wait for the rest would wait for ever.
+        let mut room = self.room.clone().acquire_many_owned(all).await.ok()?;
+        let share = |bytes: &usize| {
+            let kib = (kib(*bytes) as usize).min(room.num_permits());
+            room.split(kib)
+        };
+        bytes.iter().map(share).collect()
     }
 }
 

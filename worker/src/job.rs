@@ -1,4 +1,4 @@
-//! One job on its way from lease to result.
+//! Jobs that share their walks, on their way from lease to result.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -27,40 +27,64 @@ pub(crate) struct Workshop {
     pub finished: mpsc::UnboundedSender<PendingResult>,
 }
 
+/// What of a job's lease is needed when it has been traced.
+struct About {
+    key: LeaseKey,
+    identity: Digest,
+    bytes: usize,
+}
+
+impl About {
+    fn of(lease: &Lease) -> Self {
+        Self { key: lease.key, identity: lease.job.identity(), bytes: result_bytes(&lease.job) }
+    }
+}
+
 impl Workshop {
-    /// Traces a job and passes its result on; gives its slot back as soon as another job may begin.
+    /// Traces jobs that share their walks and passes their results on; gives their slot back as soon as others may begin.
     ///
-    /// The lease of a job that is stopped with the worker stays held, to be handed back.
+    /// The leases of jobs that are stopped with the worker stay held, to be handed back.
     pub(crate) async fn run(
         self,
-        Lease { key, job }: Lease,
-        switches: Arc<JobSwitches>,
+        leases: Vec<Lease>,
+        switches: Vec<Arc<JobSwitches>>,
         slot: OwnedSemaphorePermit,
     ) {
-        let (bytes, identity) = (result_bytes(&job), job.identity());
+        let about: Vec<About> = leases.iter().map(About::of).collect();
+        let bytes: Vec<usize> = about.iter().map(|job| job.bytes).collect();
         // If results cannot be delivered, tracing waits here.
-        let Some(room) = self.buffer.take(bytes).await else { return };
+        let Some(room) = self.buffer.take(&bytes).await else { return };
         let (begun, begins) = oneshot::channel();
-        let announced = self.announce(key, identity, begins);
-        let (end, ()) = tokio::join!(self.pool.trace(job, switches, begun), announced);
+        let announced = self.announce(about.iter().map(|job| (job.key, job.identity)).collect(), begins);
+        let jobs = leases.into_iter().map(|lease| lease.job).collect();
+        let (end, ()) = tokio::join!(self.pool.trace(jobs, switches.clone(), begun), announced);
         match end {
-            TraceEnd::Finished(result) => {
-                self.held.mark_traced(&key);
-                // The next job may begin while this result is on its way.
+            TraceEnd::Finished(results) => {
+                let all = about.into_iter().zip(results).zip(room).zip(switches);
+                let wanted = all.filter(|(_, switches)| !switches.is_stopped()).map(|(result, _)| result);
+                let wanted: Vec<_> = wanted.collect();
+                wanted.iter().for_each(|((job, _), _)| self.held.mark_traced(&job.key));
+                // The next jobs may begin while these results are on their way.
                 drop(slot);
-                let _ = self.finished.send(PendingResult { key, identity, result, bytes, _room: room });
+                for ((About { key, identity, bytes }, result), room) in wanted {
+                    let _ = self.finished.send(PendingResult { key, identity, result, bytes, _room: room });
+                }
             }
-            TraceEnd::Panicked(reason) => self.report_failure(&key, &reason).await,
+            TraceEnd::Panicked(reason) => {
+                for job in about {
+                    self.report_failure(&job.key, &reason).await;
+                }
+            }
             TraceEnd::Stopped => {}
         }
     }
 
     /// Tells the coordinator when a thread is about to begin, which waits until that is on its way: the answer of a
     /// coordinator far away would cost small jobs more time than it is worth.
-    async fn announce(&self, key: LeaseKey, identity: Digest, begins: oneshot::Receiver<Start>) {
-        // Otherwise the job was stopped before.
+    async fn announce(&self, jobs: Vec<(LeaseKey, Digest)>, begins: oneshot::Receiver<Start>) {
+        // Otherwise the jobs were stopped before.
         let Ok(start) = begins.await else { return };
-        let mut told = pin!(self.session.begins(key, identity));
+        let mut told = pin!(self.session.begin(jobs));
         let answered = tokio::time::timeout(ON_ITS_WAY, &mut told).await.is_ok();
         let _ = start.send(());
         if !answered {
@@ -81,6 +105,7 @@ impl Workshop {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::leases::SetSwitch;
     use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
 
     #[tokio::test(start_paused = true)]
@@ -91,7 +116,7 @@ mod tests {
         let (pool, buffer) = (Pool::new(1).unwrap(), ResultBuffer::new(1));
         let workshop = Workshop { session, held: held.clone(), pool, buffer, finished };
         let key = lease(4).key;
-        held.add(key, job(4).identity());
+        held.add(key, job(4).identity(), SetSwitch::new(1));
         coordinator.answer(Method::Fail, Answer::Lost);
         workshop.report_failure(&key, "the tracer panicked: no message").await;
         let failures = coordinator.calls(Call::fail);

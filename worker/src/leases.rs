@@ -1,24 +1,62 @@
 //! The leases that this worker holds, and the switches of their jobs.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use farm_proto::lease::LeaseKey;
 use optics_model::Digest;
 
-/// What connects a job's lease with its tracing, which happens on another thread.
-#[derive(Debug, Default)]
-pub(crate) struct JobSwitches {
-    /// Ends the tracing, or keeps it from beginning.
+/// Ends the tracing of jobs that share their walks when all of them are stopped.
+#[derive(Debug)]
+pub(crate) struct SetSwitch {
+    going: AtomicUsize,
     pub stop: AtomicBool,
+}
+
+impl SetSwitch {
+    /// For so many jobs.
+    pub(crate) fn new(jobs: usize) -> Arc<Self> {
+        Arc::new(Self { going: AtomicUsize::new(jobs), stop: AtomicBool::new(false) })
+    }
+}
+
+/// What connects a job's lease with its tracing, which happens on another thread.
+#[derive(Debug)]
+pub(crate) struct JobSwitches {
+    /// The job's result is not wanted.
+    stop: AtomicBool,
     /// The job is being traced.
-    pub running: AtomicBool,
+    running: AtomicBool,
+    set: Arc<SetSwitch>,
+}
+
+impl Default for JobSwitches {
+    /// For a job by itself.
+    fn default() -> Self {
+        Self::of(SetSwitch::new(1))
+    }
 }
 
 impl JobSwitches {
+    fn of(set: Arc<SetSwitch>) -> Self {
+        Self { stop: AtomicBool::new(false), running: AtomicBool::new(false), set }
+    }
+
+    /// Keeps the job from beginning, or ends it as soon as nobody else needs its walks.
     pub(crate) fn stop(&self) {
-        self.stop.store(true, Ordering::SeqCst);
+        if !self.stop.swap(true, Ordering::SeqCst) && self.set.going.fetch_sub(1, Ordering::SeqCst) == 1 {
+            self.set.stop.store(true, Ordering::SeqCst);
+        }
+    }
+
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::SeqCst)
+    }
+
+    /// Ends the tracing.
+    pub(crate) fn all_stopped(&self) -> &AtomicBool {
+        &self.set.stop
     }
 
     pub(crate) fn is_running(&self) -> bool {
@@ -29,7 +67,7 @@ impl JobSwitches {
     pub(crate) fn start(&self) -> bool {
         // In this order: whoever finds the job not running and stops it can be sure that it will not be traced.
         self.running.store(true, Ordering::SeqCst);
-        !self.stop.load(Ordering::SeqCst)
+        !self.is_stopped()
     }
 }
 
@@ -46,8 +84,9 @@ struct Entry {
 pub(crate) struct HeldLeases(Mutex<HashMap<LeaseKey, Entry>>);
 
 impl HeldLeases {
-    pub(crate) fn add(&self, key: LeaseKey, identity: Digest) -> Arc<JobSwitches> {
-        let switches = Arc::new(JobSwitches::default());
+    /// Adds the lease of a job of a set.
+    pub(crate) fn add(&self, key: LeaseKey, identity: Digest, set: Arc<SetSwitch>) -> Arc<JobSwitches> {
+        let switches = Arc::new(JobSwitches::of(set));
         self.map().insert(key, Entry { switches: switches.clone(), identity, traced: false });
         switches
     }
@@ -124,14 +163,14 @@ mod tests {
     fn one_of_each() -> (HeldLeases, [Arc<JobSwitches>; 3], [LeaseKey; 3]) {
         let held = HeldLeases::default();
         let keys = [0, 1, 2].map(|n| lease(n).key);
-        let switches = keys.map(|key| held.add(key, job(1).identity()));
+        let switches = keys.map(|key| held.add(key, job(1).identity(), SetSwitch::new(1)));
         assert!(switches[1].start() && switches[2].start());
         held.mark_traced(&keys[2]);
         (held, switches, keys)
     }
 
     fn stopped(switches: &[Arc<JobSwitches>; 3]) -> [bool; 3] {
-        [0, 1, 2].map(|n: usize| switches[n].stop.load(Ordering::SeqCst))
+        [0, 1, 2].map(|n: usize| switches[n].is_stopped())
     }
 
     #[test]
@@ -168,6 +207,19 @@ mod tests {
         assert!(!switches[0].start(), "what was given up does not begin");
         assert_eq!(held.untraced(), [keys[1]]);
         assert_eq!(held.all().len(), 2);
+    }
+
+    /// As long as one of them is wanted, the walks go on.
+    #[test]
+    fn a_set_is_stopped_with_its_last_job() {
+        let (held, set) = (HeldLeases::default(), SetSwitch::new(2));
+        let keys = [0, 1].map(|n| lease(n).key);
+        let switches = keys.map(|key| held.add(key, job(1).identity(), set.clone()));
+        assert!(held.lose(&keys[0]));
+        switches[0].stop();
+        assert!(switches[0].is_stopped() && !set.stop.load(Ordering::SeqCst));
+        assert!(held.lose(&keys[1]));
+        assert!(set.stop.load(Ordering::SeqCst));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use optics_model::PackedRecords;
 use optics_model::job::JobSpec;
 use optics_model::sums::Sums;
-use optics_tracer::{Stopped, trace, trace_block};
+use optics_tracer::{Stopped, trace_set, trace_set_block};
 use tokio::sync::oneshot;
 
 use crate::leases::JobSwitches;
@@ -23,10 +23,11 @@ pub(crate) enum JobResult {
 /// Lets a thread begin that has said that it is about to.
 pub(crate) type Start = oneshot::Sender<()>;
 
-/// How the tracing of a job ended.
+/// How the tracing of jobs that share their walks ended.
 #[derive(Debug)]
 pub(crate) enum TraceEnd {
-    Finished(JobResult),
+    /// What every job yields.
+    Finished(Vec<JobResult>),
     Stopped,
     /// The tracer panicked, which is a defect. The coordinator is given this text.
     Panicked(String),
@@ -41,42 +42,46 @@ impl Pool {
         Ok(Self(Arc::new(rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build()?)))
     }
 
-    /// Traces a job; its switch ends it early. When a thread is about to begin, it says so through `begun`, and waits for
-    /// the start.
+    /// Traces jobs that share their walks; their switches end it early. When a thread is about to begin, it says so through
+    /// `begun`, and waits for the start.
     pub(crate) async fn trace(
         &self,
-        job: JobSpec,
-        switches: Arc<JobSwitches>,
+        jobs: Vec<JobSpec>,
+        switches: Vec<Arc<JobSwitches>>,
         begun: oneshot::Sender<Start>,
     ) -> TraceEnd {
         let (sender, receiver) = oneshot::channel();
         self.0.spawn(move || {
             // Nobody listens any more if the agent was dropped.
-            let _ = sender.send(trace_now(&job, &switches, begun));
+            let _ = sender.send(trace_now(&jobs, &switches, begun));
         });
         receiver.await.unwrap_or(TraceEnd::Stopped)
     }
 }
 
-fn trace_now(job: &JobSpec, switches: &JobSwitches, begun: oneshot::Sender<Start>) -> TraceEnd {
-    if !switches.start() {
+fn trace_now(jobs: &[JobSpec], switches: &[Arc<JobSwitches>], begun: oneshot::Sender<Start>) -> TraceEnd {
+    // All of them are to be marked.
+    let wanted = switches.iter().filter(|switches| switches.start()).count();
+    let Some(stop) = switches.first().filter(|_| wanted > 0).map(|switches| switches.all_stopped()) else {
         return TraceEnd::Stopped;
-    }
+    };
     let (start, started) = oneshot::channel();
     // Nobody waits to be told, or is there to give the start: it begins at once.
     if begun.send(start).is_ok() {
         let _ = started.blocking_recv();
     }
-    guarded(|| match job.block() {
-        Some(block) => trace_block(job, block, &switches.stop).map(JobResult::Sums),
+    guarded(|| match jobs[0].block() {
+        Some(block) => Ok(trace_set_block(jobs, block, stop)?.into_iter().map(JobResult::Sums).collect()),
         None => {
-            trace(job, &switches.stop).map(|records| JobResult::Records(PackedRecords::pack(job, &records)))
+            let records = trace_set(jobs, stop)?;
+            let packed = jobs.iter().zip(&records).map(|(job, records)| PackedRecords::pack(job, records));
+            Ok(packed.map(JobResult::Records).collect())
         }
     })
 }
 
 /// A panic ends the job and not the thread.
-fn guarded(trace: impl FnOnce() -> Result<JobResult, Stopped>) -> TraceEnd {
+fn guarded(trace: impl FnOnce() -> Result<Vec<JobResult>, Stopped>) -> TraceEnd {
     match catch_unwind(AssertUnwindSafe(trace)) {
         Ok(Ok(result)) => TraceEnd::Finished(result),
         Ok(Err(Stopped)) => TraceEnd::Stopped,
@@ -92,8 +97,12 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use optics_tracer::trace;
+
     use super::*;
-    use crate::testing::{endless_job, job};
+    use crate::testing::{as_thick_as, endless_job, job};
 
     /// Nobody waits to be told that the job begins.
     fn unheard() -> oneshot::Sender<Start> {
@@ -104,7 +113,7 @@ mod tests {
     async fn a_thread_says_that_it_is_about_to_begin_and_waits_for_the_start() {
         let pool = Pool::new(1).unwrap();
         let (begun, begins) = oneshot::channel();
-        let traced = tokio::spawn(async move { pool.trace(job(1), Arc::default(), begun).await });
+        let traced = tokio::spawn(async move { pool.trace(vec![job(1)], vec![Arc::default()], begun).await });
         let start = begins.await.unwrap();
         // A second, of which such a job needs a small part.
         tokio::time::sleep(std::time::Duration::from_secs(1)).await;
@@ -114,13 +123,17 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_has_the_records_that_the_tracer_yields() {
+    async fn jobs_have_the_records_that_the_tracer_yields() {
         let pool = Pool::new(1).unwrap();
-        let switches = Arc::<JobSwitches>::default();
-        let end = pool.trace(job(1), switches.clone(), unheard()).await;
-        let TraceEnd::Finished(JobResult::Records(records)) = end else { panic!("{end:?}") };
-        let expected = trace(&job(1), &switches.stop).unwrap();
-        assert_eq!(records, PackedRecords::pack(&job(1), &expected));
+        let jobs = [job(1), as_thick_as(1)];
+        let end = pool.trace(jobs.to_vec(), vec![Arc::default(), Arc::default()], unheard()).await;
+        let TraceEnd::Finished(results) = end else { panic!("{end:?}") };
+        assert_eq!(results.len(), 2);
+        for (result, job) in results.iter().zip(&jobs) {
+            let JobResult::Records(records) = result else { panic!("{result:?}") };
+            let expected = trace(job, &AtomicBool::new(false)).unwrap();
+            assert_eq!(*records, PackedRecords::pack(job, &expected));
+        }
     }
 
     #[tokio::test]
@@ -128,11 +141,11 @@ mod tests {
         let pool = Pool::new(1).unwrap();
         let before = Arc::<JobSwitches>::default();
         before.stop();
-        assert!(matches!(pool.trace(endless_job(), before, unheard()).await, TraceEnd::Stopped));
+        assert!(matches!(pool.trace(vec![endless_job()], vec![before], unheard()).await, TraceEnd::Stopped));
         let during = Arc::<JobSwitches>::default();
         let traced = tokio::spawn({
             let (pool, switches) = (pool.clone(), during.clone());
-            async move { pool.trace(endless_job(), switches, unheard()).await }
+            async move { pool.trace(vec![endless_job()], vec![switches], unheard()).await }
         });
         while !during.is_running() {
             tokio::task::yield_now().await;

@@ -101,7 +101,7 @@ impl Session {
         self.reachability.url()
     }
 
-    /// Waits up to `wait` for jobs; tells also whether the worker is to leave.
+    /// Waits up to `wait` for jobs, and with each those that share its walks; tells also whether the worker is to leave.
     pub(crate) async fn acquire(&self, max: usize, wait: Duration) -> Result<(Vec<Lease>, bool), Status> {
         // Between a registration and the announcement that follows, it could be given its own jobs.
         drop(self.registering.lock().await);
@@ -110,6 +110,7 @@ impl Session {
             worker_id: worker_id.clone(),
             max_leases: max.min(RequestLimits::LEASES as usize) as u32,
             wait_ms: wait.as_millis() as u64,
+            whole_sets: true,
         };
         let answer = self.call(self.client.clone().acquire(timed(request, CALL))).await;
         let answer = self.known(&worker_id, answer).await?;
@@ -142,14 +143,15 @@ impl Session {
         }
     }
 
-    /// Tells that a job begins, so that it can be blamed if it makes this process die at once.
-    pub(crate) async fn begins(&self, key: LeaseKey, identity: Digest) {
-        let request =
-            RenewRequest { worker_id: self.worker_id(), leases: vec![on_wire((key, true, identity))] };
+    /// Tells that jobs begin, so that they can be blamed if they make this process die at once.
+    pub(crate) async fn begin(&self, jobs: Vec<(LeaseKey, Digest)>) {
+        let Some(job) = jobs.first().map(|(key, _)| key.job) else { return };
+        let leases = jobs.into_iter().map(|(key, identity)| on_wire((key, true, identity))).collect();
+        let request = RenewRequest { worker_id: self.worker_id(), leases };
         let mut client = self.client.clone();
         let told = client.renew(timed(request, TELL));
         if let Ok(Err(status)) = tokio::time::timeout(TELL, told).await {
-            tracing::debug!(job = key.job, message = status.message(), "that a job begins could not be told");
+            tracing::debug!(job, message = status.message(), "that a job begins could not be told");
         }
     }
 

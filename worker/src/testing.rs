@@ -23,6 +23,13 @@ pub(crate) fn job(seed: u64) -> JobSpec {
     job_of_walks(seed, 2 * BATCH_WALKS)
 }
 
+/// Another job that shares the walks of [`job`].
+pub(crate) fn as_thick_as(seed: u64) -> JobSpec {
+    let one = job(seed);
+    let point = TransportPoint::new(0.5, 0.0, 1.0, 1.53).unwrap();
+    JobSpec::new(one.scene().clone(), point, one.albedo().to_vec(), one.walks(), seed, false).unwrap()
+}
+
 /// A job of a good part of a second.
 pub(crate) fn long_job() -> JobSpec {
     job_of_walks(0, 400 * BATCH_WALKS)
@@ -30,7 +37,12 @@ pub(crate) fn long_job() -> JobSpec {
 
 /// A job that ends only when it is stopped.
 pub(crate) fn endless_job() -> JobSpec {
-    job_of_walks(0, 1_000_000 * BATCH_WALKS)
+    endless_job_of(0)
+}
+
+/// The same with walks of its own.
+pub(crate) fn endless_job_of(seed: u64) -> JobSpec {
+    job_of_walks(seed, 1_000_000 * BATCH_WALKS)
 }
 
 fn job_of_walks(seed: u64, walks: u64) -> JobSpec {

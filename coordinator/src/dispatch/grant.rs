@@ -10,16 +10,36 @@ use super::leases::{Held, Leases};
 use super::shared::Taker;
 use super::{Count, Dictionary, DispatchError, Dispatcher, Grant, PartId, Purpose, TokenSource};
 
+/// Most parts that come with another because they share its walks.
+const MOST_COMPANIONS: usize = 15;
+
+/// What a worker asks for.
+#[derive(Debug, Clone, Copy)]
+pub struct Wish {
+    pub parts: usize,
+    /// It traces parts that share their walks together.
+    pub whole_sets: bool,
+}
+
+impl From<usize> for Wish {
+    /// Each part by itself.
+    fn from(parts: usize) -> Self {
+        Self { parts, whole_sets: false }
+    }
+}
+
 impl Dispatcher {
-    /// Gives out up to `max` parts: checks first, then the costliest of the dictionary that is served first, and when
-    /// nothing waits any more, second copies of those that take too long.
+    /// Gives out as many parts as are wished: checks first, then the costliest of the dictionary that is served first, and
+    /// when nothing waits any more, second copies of those that take too long. With whole sets, those that share their
+    /// walks with one that was given out come on top of that.
     pub fn acquire(
         &mut self,
         now: Duration,
         worker: &WorkerId,
-        max: usize,
+        wish: impl Into<Wish>,
         tokens: &mut impl TokenSource,
     ) -> Result<Grant, DispatchError> {
+        let Wish { parts: max, whole_sets } = wish.into();
         self.seen(now, worker)?;
         let known = self.workers.get(worker)?;
         let origin = known.origin;
@@ -42,29 +62,59 @@ impl Dispatcher {
         for part in checks {
             self.grant(now, worker, part, Purpose::Check, tokens, &mut grant);
         }
+        // Those that come with others do not count.
+        let mut companions = 0;
         let order: Vec<DictionaryId> = self.order.iter().map(|(_, id)| *id).collect();
         let mut taker = Taker::new(origin);
         for id in order {
             // Workers that outlived a restart may have the costliest of these in hand, and have not said so yet.
             let returning = now < self.settings.lease && self.taken_up.contains(&id);
-            while grant.leases.len() < max
+            while grant.leases.len() - companions < max
                 && let Some(part) = self.next_part_for(now, &mut taker, id, returning)
-                && let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary)
             {
-                let attempt = dictionary.begin(part.job, part.part);
-                let purpose = if dictionary.is_retry(part.job) { Purpose::Retry } else { Purpose::First };
-                dictionary.leased += 1;
-                self.lease(now, worker, part, attempt, purpose, tokens, &mut grant);
+                let others = if whole_sets { self.companions(part) } else { Vec::new() };
+                companions += others.len();
+                for part in std::iter::once(part).chain(others) {
+                    self.begin(now, worker, part, tokens, &mut grant);
+                }
             }
         }
         self.kept_for_others |= taker.kept;
-        while grant.leases.len() < max
+        while grant.leases.len() - companions < max
             && let Some(part) = self.next_late(worker)
         {
             self.grant(now, worker, part, Purpose::Copy, tokens, &mut grant);
         }
         self.pace.working(now, self.leases.len() > 0);
         Ok(grant)
+    }
+
+    /// Parts that are to be given out together with one: they share its walks, and nobody has tried any of them before, so
+    /// that none is blamed for another.
+    fn companions(&self, part: PartId) -> Vec<PartId> {
+        let Some(dictionary) = self.dictionaries.get(&part.dictionary) else { return Vec::new() };
+        if dictionary.job(part).is_none_or(|job| job.attempts >= job.walks.blocks()) {
+            return Vec::new();
+        }
+        let others = dictionary.companions(part.job, part.part).into_iter();
+        let own = others.filter(|job| self.computed_by((part.dictionary, *job)).is_none());
+        own.map(|job| PartId { job, ..part }).take(MOST_COMPANIONS).collect()
+    }
+
+    /// Gives out a part that waits.
+    fn begin(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        part: PartId,
+        tokens: &mut impl TokenSource,
+        grant: &mut Grant,
+    ) {
+        let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary) else { return };
+        let attempt = dictionary.begin(part.job, part.part);
+        let purpose = if dictionary.is_retry(part.job) { Purpose::Retry } else { Purpose::First };
+        dictionary.leased += 1;
+        self.lease(now, worker, part, attempt, purpose, tokens, grant);
     }
 
     pub(super) fn may_check(&self, part: PartId) -> bool {

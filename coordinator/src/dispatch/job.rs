@@ -34,8 +34,10 @@ pub(super) struct Job {
     /// Leases given out so far.
     pub attempts: u32,
     pub strikes: Vec<Strike>,
-    /// JobRef in the order of work.
+    /// Place in the order of work.
     pub rank: u32,
+    /// First place of the jobs that share its walks, and the one behind their last.
+    pub set: [u32; 2],
     /// Expected time of the whole job, in scatterings.
     pub cost: f64,
 }
@@ -49,6 +51,7 @@ impl Job {
             attempts: 0,
             strikes: Vec::new(),
             rank: 0,
+            set: [0; 2],
             cost: cost_per_walk * walks.get() as f64,
         }
     }

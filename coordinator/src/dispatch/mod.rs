@@ -42,6 +42,7 @@ pub use arrivals::{Admission, Arrived, Next};
 use checks::Checks;
 pub use dictionary::Dictionary;
 pub use explain::Reason;
+pub use grant::Wish;
 use leases::Leases;
 pub use leases::{PartId, Purpose};
 pub use outbox::{Count, Effect, Event, EventKind, Outbox};

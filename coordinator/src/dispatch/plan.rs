@@ -24,8 +24,13 @@ impl Plan {
         let mut jobs: Vec<Job> = (0..grid.job_count())
             .map(|job| Job::new(grid.walks(), parts, cost_per_walk(&grid.point(job))))
             .collect();
-        for (rank, job) in longest_first(grid).into_iter().enumerate() {
-            jobs[job as usize].rank = rank as u32;
+        let mut rank = 0;
+        for set in sets_longest_first(grid) {
+            let places = [rank, rank + set.len() as u32];
+            for (job, rank) in set.into_iter().zip(rank..) {
+                (jobs[job as usize].rank, jobs[job as usize].set) = (rank, places);
+            }
+            rank = places[1];
         }
         let each = jobs.iter().zip(0..);
         let pending = each.flat_map(|(job, index)| job.open_parts().map(move |part| (job.rank, index, part)));
@@ -42,15 +47,23 @@ pub(super) fn parts_of(walks: Walks, too_large: Option<&Invalid>) -> u32 {
 ///
 /// The mean length of a walk in the slab is proportional to its thickness, whatever σ_t and g, so the number of
 /// scatterings is proportional to the optical thickness: about 4 n² = 9.4 per unit over a bright base. To that come
-/// some 18 interface crossings, which take the vector kernel as long as 80 scatterings.
+/// some 18 interface crossings and the scoring, which take as long as 80 scatterings.
 pub(super) fn cost_per_walk(point: &TransportPoint) -> f64 {
     80.0 + 9.4 * point.optical_thickness()
 }
 
-/// Jobs of a grid, the costliest first, so that none of the long ones is left over at the end.
-pub(super) fn longest_first(grid: &Grid) -> Vec<u32> {
-    let mut jobs: Vec<(f64, u32)> =
-        (0..grid.job_count() as u32).map(|job| (cost_per_walk(&grid.point(job as usize)), job)).collect();
-    jobs.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    jobs.into_iter().map(|(_, job)| job).collect()
+/// Jobs of a grid by the walks that they share, the costliest first, so that none of the long ones is left over at the
+/// end.
+pub(super) fn sets_longest_first(grid: &Grid) -> Vec<Vec<u32>> {
+    let walks = |job: u32| {
+        let point = grid.point(job as usize);
+        (point.walked_thickness(), point.g(), point.sample_ior())
+    };
+    let order = |a: &(f32, f64, f64), b: &(f32, f64, f64)| {
+        b.0.total_cmp(&a.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
+    };
+    let mut jobs: Vec<_> = (0..grid.job_count() as u32).map(|job| (walks(job), job)).collect();
+    jobs.sort_by(|a, b| order(&a.0, &b.0).then(a.1.cmp(&b.1)));
+    let sets = jobs.chunk_by(|a, b| a.0 == b.0);
+    sets.map(|set| set.iter().map(|(_, job)| *job).collect()).collect()
 }

@@ -69,7 +69,7 @@ impl Dispatcher {
     ///
     /// It is the one for the most albedos; of equals one that is held goes first, then the oldest dictionary's. So all
     /// jobs for the same walks find the same, and it finds none.
-    fn computed_by(&self, (id, job): JobRef) -> Option<JobRef> {
+    pub(super) fn computed_by(&self, (id, job): JobRef) -> Option<JobRef> {
         let own = &self.dictionaries[&id];
         let rank = |dictionary: &Dictionary, job| {
             let (id, albedos) = (dictionary.id(), dictionary.grid().albedo().len());

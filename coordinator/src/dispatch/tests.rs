@@ -1,6 +1,7 @@
 mod bad_machines;
 mod blame;
 mod blocks;
+mod sets;
 mod shared;
 mod trust;
 mod votes;

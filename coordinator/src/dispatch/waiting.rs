@@ -1,7 +1,7 @@
 //! The parts of a dictionary that wait for a worker.
 
 use super::Dictionary;
-use super::job::{Part, Stage};
+use super::job::{Job, Part, Stage};
 
 impl Dictionary {
     /// Parts that wait for a worker.
@@ -29,6 +29,16 @@ impl Dictionary {
             last = Some(rank);
             Some((job, self.waiting_part(job)?))
         })
+    }
+
+    /// Other jobs of which the same part waits and is given out for the first time, and that share their walks with a job.
+    pub(super) fn companions(&self, index: u32, part: u32) -> Vec<u32> {
+        let job = &self.jobs[index as usize];
+        let [first, end] = job.set;
+        let set = self.pending.range((first, 0, 0)..(end, 0, 0));
+        let others = set.filter(|(_, other, of_other)| *other != index && *of_other == part);
+        let untried = |other: &Job| other.walks == job.walks && other.attempts < other.walks.blocks();
+        others.map(|(_, other, _)| *other).filter(|other| untried(&self.jobs[*other as usize])).collect()
     }
 
     /// The first part of a job that waits.

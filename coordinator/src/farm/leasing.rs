@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Farm, FarmError, Result};
 use crate::clock::{Random, random_token};
-use crate::dispatch::{Admission, Dispatcher, Grant, Registration, Settings};
+use crate::dispatch::{Admission, Dispatcher, Grant, Registration, Settings, Wish};
 
 /// What a worker and the coordinator must agree on.
 #[derive(Debug, Clone, Copy)]
@@ -54,16 +54,17 @@ impl Farm {
     pub(crate) async fn acquire(
         &self,
         worker: &WorkerId,
-        max: usize,
+        wish: impl Into<Wish>,
         patience: Duration,
         stop: &CancellationToken,
     ) -> Result<Option<Grant>> {
+        let wish = wish.into();
         let patience = tokio::time::sleep(patience);
         tokio::pin!(patience);
         // Before the first look, so that no work comes between the two.
         let mut work = self.door.work();
         loop {
-            let grant = self.acquire_now(worker, max)?;
+            let grant = self.acquire_now(worker, wish)?;
             if !grant.leases.is_empty() || grant.drain {
                 return Ok(Some(grant));
             }
@@ -75,8 +76,8 @@ impl Farm {
         }
     }
 
-    pub(super) fn acquire_now(&self, worker: &WorkerId, max: usize) -> Result<Grant> {
-        let acquire = self.door.transition(|d, now| d.acquire(now, worker, max, &mut Random));
+    pub(super) fn acquire_now(&self, worker: &WorkerId, wish: impl Into<Wish>) -> Result<Grant> {
+        let acquire = self.door.transition(|d, now| d.acquire(now, worker, wish, &mut Random));
         Ok(acquire?)
     }
 

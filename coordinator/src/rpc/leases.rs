@@ -19,7 +19,7 @@ use tonic::{Request, Response, Status, Streaming};
 use super::Context;
 use super::status::{OrStatus, required};
 use crate::authorisation::{Caller, machine_address};
-use crate::dispatch::{Grant, Registration};
+use crate::dispatch::{Grant, Registration, Wish};
 use crate::farm::{Delivered, Header, Piece, Versions};
 use crate::stored::{Machine, Outcome};
 
@@ -67,7 +67,8 @@ impl Leases for Context {
             return Err(to_status(&Invalid::new("max_leases", max, allowed)));
         }
         let patience = Duration::from_millis(request.wait_ms.min(RequestLimits::WAIT_MS));
-        let grant = self.farm.acquire(&worker, max as usize, patience, &self.shutdown).await?;
+        let wish = Wish { parts: max as usize, whole_sets: request.whole_sets };
+        let grant = self.farm.acquire(&worker, wish, patience, &self.shutdown).await?;
         let Grant { leases, drain } = grant.unwrap_or_default();
         Ok(Response::new(AcquireResponse { leases: leases.into_iter().map(Into::into).collect(), drain }))
     }

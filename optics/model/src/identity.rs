@@ -46,13 +46,14 @@ impl Digest {
     }
 }
 
-/// Philox key of a transport point: depends on the dictionary's seed and on the point's parameters,
-/// not on its place in a grid, so that the same point in another grid gets the same walks.
+/// Philox key of a transport point: depends on the dictionary's seed and on what of the point its walks depend on, the
+/// optical thickness, g and the index. Points that have these in common have the same walks, in whatever grid.
 pub fn stream_key(seed: u64, point: &TransportPoint) -> [u32; 2] {
     let mut hasher = blake3::Hasher::new_derive_key("farm.v1 random streams");
     hasher.update(&seed.to_le_bytes());
-    for number in numbers_of(point) {
-        hasher.update(&number.to_le_bytes());
+    hasher.update(&point.walked_thickness().to_le_bytes());
+    for number in [point.g(), point.sample_ior()] {
+        hasher.update(&unsigned_zero(number).to_le_bytes());
     }
     let hash = hasher.finalize();
     let word = |i: usize| u32::from_le_bytes(hash.as_bytes()[4 * i..][..4].try_into().expect("4 bytes"));
@@ -60,8 +61,12 @@ pub fn stream_key(seed: u64, point: &TransportPoint) -> [u32; 2] {
 }
 
 fn numbers_of(point: &TransportPoint) -> [f64; 4] {
-    // Adding 0 turns -0 into 0, which is the same anisotropy.
-    [point.sigma_t_per_mm(), point.g(), point.thickness_mm(), point.sample_ior()].map(|v| v + 0.0)
+    [point.sigma_t_per_mm(), point.g(), point.thickness_mm(), point.sample_ior()].map(unsigned_zero)
+}
+
+/// Adding 0 turns −0 into 0, which is the same anisotropy.
+fn unsigned_zero(number: f64) -> f64 {
+    number + 0.0
 }
 
 #[cfg(test)]
@@ -92,8 +97,12 @@ mod tests {
     }
 
     #[test]
-    fn streams_depend_on_seed_and_point() {
+    fn streams_depend_on_seed_and_on_what_of_the_point_walks_depend_on() {
         let point = |g| TransportPoint::new(1.0, g, 0.5, 1.53).unwrap();
+        let [as_thick, thicker] =
+            [0.25, 1.0].map(|thickness| TransportPoint::new(2.0, 0.0, thickness, 1.53).unwrap());
+        assert_eq!(stream_key(1, &point(0.0)), stream_key(1, &as_thick));
+        assert_ne!(stream_key(1, &point(0.0)), stream_key(1, &thicker));
         assert_eq!(stream_key(1, &point(0.0)), stream_key(1, &point(-0.0)));
         assert_ne!(stream_key(1, &point(0.0)), stream_key(2, &point(0.0)));
         assert_ne!(stream_key(1, &point(0.0)), stream_key(1, &point(0.1)));

@@ -96,6 +96,16 @@ impl JobSpec {
         Digest::of_weighted(self.identity, &self.albedo)
     }
 
+    /// Whether one set of walks serves both jobs: what differs is at most how long a mean free path is.
+    pub fn shares_walks_with(&self, other: &Self) -> bool {
+        let walks = |job: &Self| (job.point.walked_thickness(), job.point.g(), job.point.sample_ior());
+        let effort = |job: &Self| (job.walks, job.seed, job.derivatives, job.block);
+        walks(self) == walks(other)
+            && effort(self) == effort(other)
+            && self.albedo == other.albedo
+            && (Arc::ptr_eq(&self.scene, &other.scene) || self.scene == other.scene)
+    }
+
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
@@ -143,6 +153,21 @@ impl RecordShape {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn jobs_share_walks_if_only_the_mean_free_path_differs() {
+        let job = |[sigma_t, g, thickness]: [f64; 3], seed| {
+            let point = TransportPoint::new(sigma_t, g, thickness, 1.53).unwrap();
+            JobSpec::new(Scene::paper(), point, vec![0.5], Walks::PAPER, seed, false).unwrap()
+        };
+        let one = job([2.0, 0.4, 0.5], 1);
+        assert!(one.shares_walks_with(&job([1.0, 0.4, 1.0], 1)));
+        // 0.3 and 0.30000000000000004.
+        assert!(job([0.3, 0.4, 1.0], 1).shares_walks_with(&job([3.0, 0.4, 0.1], 1)));
+        for other in [job([2.0, 0.4, 1.0], 1), job([2.0, 0.5, 0.5], 1), job([2.0, 0.4, 0.5], 2)] {
+            assert!(!one.shares_walks_with(&other), "{other:?}");
+        }
+    }
 
     #[test]
     fn a_job_without_albedos_is_refused() {

@@ -32,4 +32,4 @@ pub use scene::Scene;
 
 /// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
 /// Workers and coordinator must agree on it.
-pub const PHYSICS_VERSION: u32 = 4;
+pub const PHYSICS_VERSION: u32 = 5;

@@ -124,6 +124,12 @@ impl TransportPoint {
     pub fn optical_thickness(&self) -> f64 {
         self.sigma_t_per_mm * self.thickness_mm
     }
+
+    /// The optical thickness as walks know it. Points that have it, g and the index in common share their walks: only
+    /// lengths in mm differ.
+    pub fn walked_thickness(&self) -> f32 {
+        self.optical_thickness() as f32
+    }
 }
 
 #[cfg(test)]

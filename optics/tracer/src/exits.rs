@@ -1,5 +1,7 @@
 //! What the kernels hand to the tally: the vertices that the walks of a chunk have picked.
 
+use std::ops::Range;
+
 use super::pick::Pick;
 
 /// A run of walks with streams of their own; the unit in which walks are traced and their sums merged.
@@ -11,12 +13,21 @@ pub struct Chunk {
     pub walks: u32,
 }
 
+/// Lateral distance from where a walk began.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Offset {
+    /// Gathered in the sample, in mean free paths.
+    pub free_paths: f32,
+    /// Gathered in clear slabs.
+    pub mm: f32,
+}
+
 /// A vertex with the hits on the base that led to it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Exit<'a> {
+#[derive(Debug, Clone, PartialEq)]
+pub struct Exit {
     pub pick: Pick,
-    /// Lateral offsets, in the order of the hits.
-    pub hits_mm: &'a [f32],
+    /// Lateral offsets among [`Exits::hits`], in the order of the hits.
+    pub hits: Range<u32>,
 }
 
 /// Picks of a walk, and where its hits begin.
@@ -27,20 +38,23 @@ struct Walk {
 }
 
 /// The exits of a chunk.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Exits {
     picks: Vec<Pick>,
-    hits_mm: Vec<f32>,
+    hits: Vec<Offset>,
     walks: Vec<Walk>,
-    /// For `in_order`: places of picks, walk by walk.
+    /// For `in_order`: places of picks, walk by walk, and where the next of each walk goes.
     order: Vec<u32>,
+    next: Vec<u32>,
 }
 
 impl Exits {
-    /// For so many walks.
-    pub fn new(walks: u32) -> Self {
-        let walks = vec![Walk::default(); walks as usize];
-        Self { picks: Vec::new(), hits_mm: Vec::new(), walks, order: Vec::new() }
+    /// Begins anew, for so many walks.
+    pub fn reset(&mut self, walks: u32) {
+        self.picks.clear();
+        self.hits.clear();
+        self.walks.clear();
+        self.walks.resize(walks as usize, Walk::default());
     }
 
     /// Adds a vertex. Those of one walk come in their order, walks in any.
@@ -55,9 +69,9 @@ impl Exits {
     }
 
     /// Adds the hits of a walk that has ended.
-    pub fn add_hits(&mut self, walk: u32, hits_mm: &[f32]) {
-        self.walks[walk as usize].hits = self.hits_mm.len() as u32;
-        self.hits_mm.extend_from_slice(hits_mm);
+    pub fn add_hits(&mut self, walk: u32, hits: &[Offset]) {
+        self.walks[walk as usize].hits = self.hits.len() as u32;
+        self.hits.extend_from_slice(hits);
     }
 
     /// The most scatterings of a vertex.
@@ -65,26 +79,31 @@ impl Exits {
         self.picks.iter().map(|pick| pick.scatterings).max().unwrap_or(0)
     }
 
+    /// All hits, of which each exit has a range.
+    pub fn hits(&self) -> &[Offset] {
+        &self.hits
+    }
+
     /// The exits by walk, whatever the order in which they came.
-    pub fn in_order(&mut self) -> impl Iterator<Item = Exit<'_>> {
+    pub fn in_order(&mut self) -> impl Iterator<Item = Exit> {
         let mut first = 0;
-        let mut places: Vec<u32> = Vec::with_capacity(self.walks.len());
+        self.next.clear();
         for walk in &self.walks {
-            places.push(first);
+            self.next.push(first);
             first += walk.picks;
         }
         self.order.clear();
         self.order.resize(self.picks.len(), 0);
         for (place, pick) in (0..).zip(&self.picks) {
-            let next = &mut places[pick.walk as usize];
+            let next = &mut self.next[pick.walk as usize];
             self.order[*next as usize] = place;
             *next += 1;
         }
-        let (picks, hits_mm, walks) = (&self.picks, &self.hits_mm, &self.walks);
+        let (picks, walks) = (&self.picks, &self.walks);
         self.order.iter().map(move |&place| {
             let pick = picks[place as usize];
-            let begin = walks[pick.walk as usize].hits as usize;
-            Exit { pick, hits_mm: &hits_mm[begin..begin + pick.hits as usize] }
+            let begin = walks[pick.walk as usize].hits;
+            Exit { pick, hits: begin..begin + pick.hits }
         })
     }
 }

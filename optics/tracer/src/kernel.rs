@@ -6,10 +6,12 @@ use std::sync::atomic::AtomicBool;
 use fearless_simd::{Level, dispatch};
 use optics_model::sums::Sums;
 
-use super::exits::{Chunk, Exit, Exits};
+use super::exits::{Chunk, Exits};
 use super::light::Light;
 use super::stack::Stack;
 use super::tally::Tally;
+use super::vertex::Vertex;
+use super::wavefront::Places;
 use super::{Stopped, walk, wavefront};
 
 /// How walks are run. All kernels give the same bits.
@@ -81,17 +83,19 @@ impl Kernel {
         light: &Light,
         chunk: Chunk,
         stop: &AtomicBool,
+        places: &mut Places,
         exits: &mut Exits,
     ) -> Result<(), Stopped> {
+        exits.reset(chunk.walks);
         match self.0 {
             Way::Scalar => walk::run_chunk(stack, light, chunk, stop, exits),
-            Way::Vector(level) => wavefront::run_chunk(level, stack, light, chunk, stop, exits),
+            Way::Vector(level) => wavefront::run_chunk(level, stack, light, chunk, stop, places, exits),
         }
     }
 
-    /// Adds the exits of one batch to the tally. The loops are plain; here the compiler may use this machine's vectors.
-    pub(super) fn score<'a>(self, tally: &mut Tally<'_>, exits: impl Iterator<Item = Exit<'a>>) {
-        dispatch!(self.level(), simd => tally.add_batch(simd, exits));
+    /// Adds the vertices of one batch to the tally. The loops are plain; here the compiler may use this machine's vectors.
+    pub(super) fn score(self, tally: &mut Tally<'_>, vertices: &[Vertex]) {
+        dispatch!(self.level(), simd => tally.add_batch(simd, vertices));
     }
 
     /// What the tally's batches add up to.

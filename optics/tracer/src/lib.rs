@@ -25,9 +25,11 @@ mod stack;
 mod tally;
 #[cfg(test)]
 mod testing;
+mod vertex;
 mod walk;
 mod wavefront;
 
+use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use optics_model::grid::{BATCH_WALKS, BLOCK_BATCHES, CHUNK_BATCHES};
@@ -38,12 +40,14 @@ use optics_model::sums::Sums;
 use rayon::prelude::*;
 
 pub use bare_board::BareBoard;
-use exits::{Chunk, Exits};
+use exits::{Chunk, Exits, Offset};
 pub use kernel::Kernel;
 use light::Light;
 use scatterings::NodePowers;
 use stack::Stack;
 use tally::Tally;
+use vertex::Vertices;
+use wavefront::Places;
 
 /// More scatterings than walks can have: roulette ends them long before.
 const MOST_SCATTERINGS: u32 = 1 << 24;
@@ -64,12 +68,24 @@ pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
 
 /// Traces a job with a kernel of one's choice: the records are the same to the last bit, whichever it is.
 pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
-    let tracer = Tracer::new(kernel, job, stop);
-    let mut total = Sums::new(job);
-    for block in 0..job.walks().blocks() {
-        total.merge(&tracer.block(block)?);
+    Ok(trace_set_with(kernel, std::slice::from_ref(job), stop)?.pop().unwrap_or_default())
+}
+
+/// Traces jobs that share their walks in the time of one and their scoring: for each the records that [`trace`] returns.
+///
+/// # Panics
+/// If two of the jobs do not share their walks ([`JobSpec::shares_walks_with`]).
+pub fn trace_set(jobs: &[JobSpec], stop: &AtomicBool) -> Result<Vec<Vec<Record>>, Stopped> {
+    trace_set_with(Kernel::fastest(), jobs, stop)
+}
+
+fn trace_set_with(kernel: Kernel, jobs: &[JobSpec], stop: &AtomicBool) -> Result<Vec<Vec<Record>>, Stopped> {
+    let Some(tracer) = Tracer::new(kernel, jobs, stop) else { return Ok(Vec::new()) };
+    let mut totals: Vec<_> = jobs.iter().map(Sums::new).collect();
+    for block in 0..jobs[0].walks().blocks() {
+        merge(&mut totals, &tracer.block(block)?);
     }
-    Ok(total.into_records(job))
+    Ok(totals.into_iter().zip(jobs).map(|(total, job)| total.into_records(job)).collect())
 }
 
 /// Traces one block of a job's walks. The sums of all blocks, merged in their order, make the job's records.
@@ -77,13 +93,35 @@ pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Ve
 /// # Panics
 /// If the job has no such block.
 pub fn trace_block(job: &JobSpec, block: u32, stop: &AtomicBool) -> Result<Sums, Stopped> {
-    assert!(block < job.walks().blocks(), "block {block} is not of this job");
-    Tracer::new(Kernel::fastest(), job, stop).block(block)
+    let mut sums = trace_set_block(std::slice::from_ref(job), block, stop)?;
+    Ok(sums.pop().expect("one job has sums"))
 }
 
+/// Traces one block of jobs that share their walks.
+///
+/// # Panics
+/// If the jobs have no such block, or do not share their walks.
+pub fn trace_set_block(jobs: &[JobSpec], block: u32, stop: &AtomicBool) -> Result<Vec<Sums>, Stopped> {
+    assert!(jobs.iter().all(|job| block < job.walks().blocks()), "block {block} is not of these jobs");
+    Tracer::new(Kernel::fastest(), jobs, stop).map_or_else(|| Ok(Vec::new()), |tracer| tracer.block(block))
+}
+
+fn merge(totals: &mut [Sums], sums: &[Sums]) {
+    totals.iter_mut().zip(sums).for_each(|(total, sum)| total.merge(sum));
+}
+
+/// What the walks of a chunk and their vertices take.
+#[derive(Debug, Default)]
+struct Memory {
+    places: Places,
+    exits: Exits,
+    vertices: Vertices,
+}
+
+/// Walks, and the jobs that share them.
 struct Tracer<'a> {
     kernel: Kernel,
-    job: &'a JobSpec,
+    jobs: &'a [JobSpec],
     stack: Stack,
     light: Light,
     powers: NodePowers,
@@ -92,59 +130,89 @@ struct Tracer<'a> {
 }
 
 impl<'a> Tracer<'a> {
-    fn new(kernel: Kernel, job: &'a JobSpec, stop: &'a AtomicBool) -> Self {
+    /// None without jobs.
+    fn new(kernel: Kernel, jobs: &'a [JobSpec], stop: &'a AtomicBool) -> Option<Self> {
+        let job = jobs.first()?;
+        for other in jobs {
+            assert!(job.shares_walks_with(other), "{:?} has walks of its own", other.point());
+        }
         let stack = Stack::new(job.scene(), &job.point());
-        Self {
+        Some(Self {
             kernel,
-            job,
+            jobs,
             light: Light::new(&stack, job.derivatives()),
             stack,
             powers: NodePowers::new(job.albedo(), MOST_SCATTERINGS),
             key: stream_key(job.seed(), &job.point()),
             stop,
-        }
+        })
     }
 
-    /// Sums of a block, chunk after chunk.
-    fn block(&self, block: u32) -> Result<Sums, Stopped> {
+    /// Every job's sums of a block, chunk after chunk.
+    fn block(&self, block: u32) -> Result<Vec<Sums>, Stopped> {
         const CHUNKS: u64 = BLOCK_BATCHES / CHUNK_BATCHES;
-        let batches = self.job.walks().batches();
+        let batches = self.jobs[0].walks().batches();
         let chunks =
             u64::from(block) * CHUNKS..((u64::from(block) + 1) * CHUNKS).min(batches.div_ceil(CHUNK_BATCHES));
-        let mut total = Sums::new(self.job);
+        let mut totals: Vec<_> = self.jobs.iter().map(Sums::new).collect();
+        let bytes: usize = self.jobs.iter().map(Sums::bytes).sum();
         // Waves bound the memory: sums of one wave at a time wait for their turn.
         let most = 2 * rayon::current_num_threads().max(1);
-        let wave = (WAVE_BYTES / Sums::bytes(self.job)).clamp(1, most) as u64;
+        let wave = (WAVE_BYTES / bytes).clamp(1, most) as u64;
         for first in chunks.clone().step_by(wave as usize) {
             let wave = first..(first + wave).min(chunks.end);
-            let sums: Vec<Result<Sums, Stopped>> = wave
+            let sums: Vec<Result<Vec<Sums>, Stopped>> = wave
                 .into_par_iter()
                 .map(|chunk| self.chunk(chunk, CHUNK_BATCHES.min(batches - chunk * CHUNK_BATCHES)))
                 .collect();
-            for sum in sums {
-                total.merge(&sum?);
+            for sums in sums {
+                merge(&mut totals, &sums?);
             }
         }
-        Ok(total)
+        Ok(totals)
     }
 
-    fn chunk(&self, index: u64, batches: u64) -> Result<Sums, Stopped> {
-        let walks = (batches * BATCH_WALKS) as u32;
-        let chunk = Chunk { key: self.key, index, walks };
-        let mut exits = Exits::new(walks);
-        self.kernel.run_chunk(&self.stack, &self.light, chunk, self.stop, &mut exits)?;
-        let mut tally = Tally::new(self.job, &self.light, &self.powers, exits.most_scatterings());
-        let mut exits = exits.in_order().peekable();
+    fn chunk(&self, index: u64, batches: u64) -> Result<Vec<Sums>, Stopped> {
+        // A thread has one after another: memory that is given back and asked for again costs more than filling it.
+        thread_local!(static MEMORY: Cell<Memory> = Cell::default());
+        let mut memory = MEMORY.take();
+        let sums = self.chunk_in(&mut memory, index, batches);
+        MEMORY.set(memory);
+        sums
+    }
+
+    fn chunk_in(&self, memory: &mut Memory, index: u64, batches: u64) -> Result<Vec<Sums>, Stopped> {
+        let Memory { places, exits, vertices } = memory;
+        let chunk = Chunk { key: self.key, index, walks: (batches * BATCH_WALKS) as u32 };
+        self.kernel.run_chunk(&self.stack, &self.light, chunk, self.stop, places, exits)?;
+        vertices.set(exits, &self.light);
+        self.jobs.iter().map(|job| self.score(job, exits.hits(), vertices, batches)).collect()
+    }
+
+    /// A job's sums of a chunk's vertices.
+    fn score(
+        &self,
+        job: &JobSpec,
+        hits: &[Offset],
+        vertices: &Vertices,
+        batches: u64,
+    ) -> Result<Sums, Stopped> {
+        let mut tally = Tally::new(job, &self.light, &self.powers, hits, vertices);
+        let mut rest = &vertices.all[..];
         for batch in 1..=batches {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(Stopped);
             }
             let end = (batch * BATCH_WALKS) as u32;
-            let exits = std::iter::from_fn(|| exits.next_if(|exit| exit.pick.walk < end));
-            self.kernel.score(&mut tally, exits);
+            let of_batch;
+            (of_batch, rest) = rest.split_at(rest.partition_point(|vertex| vertex.walk < end));
+            self.kernel.score(&mut tally, of_batch);
         }
-        let mut sums = Sums::new(self.job);
+        let mut sums = Sums::new(job);
         self.kernel.end(&mut tally, &mut sums);
         Ok(sums)
     }
 }
+
+#[cfg(test)]
+mod tests;

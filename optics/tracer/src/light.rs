@@ -2,13 +2,13 @@
 //!
 //! Between the ring and the first diffuse vertex – a scattering, or a hit on the base – light meets interfaces only.
 //! Followed from the ring ([`Arrivals`]), it crosses the sample in beams: a polar cosine μ, a face at which the beam
-//! begins, and a flux w, the share of the ring's light. Nothing tells azimuths apart, so a scattering at the depth d of a
-//! walk that flies with the cosine u receives the radiance factor
+//! begins, and a flux w, the share of the ring's light. Nothing tells azimuths apart, so a scattering at the optical depth d
+//! of a walk that flies with the cosine u receives the radiance factor
 //!
-//! C(d, u) = π/n² Σ w/μ · p̄(u, μ) · e^(−σ_t d/μ),
+//! C(d, u) = π/n² Σ w/μ · p̄(u, μ) · e^(−d/μ),
 //!
 //! n being the sample's index and p̄ the phase function averaged over the azimuth; for beams that begin at the lower
-//! face, d is the height above it. A hit on the base receives w_b/n_c², w_b being the flux that comes to the base and n_c
+//! face, d is the height above it. Lengths in the sample are in mean free paths. A hit on the base receives w_b/n_c², w_b being the flux that comes to the base and n_c
 //! the index above it. Values are multiplied by the ring's measure.
 //!
 //! [`Light::about`] is cheap and near C; vertices are chosen by it. [`Light::at`] is C itself, by cubics between nodes, and
@@ -42,19 +42,19 @@ pub struct Light {
     pub down: [f32; CELLS],
     pub up: [f32; CELLS],
     pub thick: bool,
-    /// Logarithms to base 2 by which light fades: a mm, and through the whole sample.
+    /// Logarithms to base 2 by which light fades: a mean free path, and through the whole sample.
     pub fading: f32,
     pub faded: f32,
     /// What a hit on the base receives.
     pub base: f32,
     /// What comes from the ring to the sensor by way of interfaces alone, and the same times its length in the sample.
     pub straight: f64,
-    pub straight_mm: f64,
+    pub straight_length: f64,
     /// The ring's measure, see [`optics_model::scene::RingLight`].
     pub measure: f32,
-    /// Mean length in the sample of the light that comes to the base.
-    base_length_mm: f64,
-    thickness_mm: f32,
+    /// Mean length in the sample of the light that comes to the base, in mean free paths.
+    base_length: f64,
+    thickness: f32,
     inverse_reach: f32,
     steps: usize,
     /// C: `[depth][cosine]`, at steps of both that lie close at the ends.
@@ -64,10 +64,10 @@ pub struct Light {
 }
 
 /// Flux of beams behind what of the sample they have passed, and the same times its length.
-fn total(beams: &[Beam], sigma_t: f64, thickness: f64) -> [f64; 2] {
+fn total(beams: &[Beam], thickness: f64) -> [f64; 2] {
     beams.iter().fold([0.0; 2], |[sum, lengths], beam| {
         let length = thickness * beam.passed;
-        let flux = beam.flux * exp_f64(-sigma_t * length);
+        let flux = beam.flux * exp_f64(-length);
         [sum + flux, lengths + flux * length]
     })
 }
@@ -79,17 +79,16 @@ impl Light {
         let [inner, outer] = stack.ring_sin2.map(|s| f64::from(s).clamp(0.0, 1.0));
         let measure = outer - inner;
         let (n, n_c) = (stack.iors[stack.sample], stack.iors[stack.iors.len() - 1]);
-        let thickness = f64::from(stack.thickness_mm[stack.sample]);
-        let sigma_t = 1.0 / f64::from(stack.mean_free_path_mm);
+        let thickness = f64::from(stack.thickness[stack.sample]);
         let g = f64::from(stack.phase.g);
         let scale = PI * measure / (n * n);
-        let reach = thickness.min(DARK / sigma_t);
+        let reach = thickness.min(DARK);
         let steps = ((32.0 / (1.0 - g.abs())) as usize).clamp(COSINES.0, COSINES.1);
         let mut table = vec![0.0; (DEPTHS + 1) * (steps + 1)];
         let mut lengths = derivatives.then(|| table.clone());
         let mut about = [[0.0; CELLS]; 2];
         let mut entering = [0.0; 2];
-        for beam in &arrivals.in_sample(sigma_t * thickness, g) {
+        for beam in &arrivals.in_sample(thickness, g) {
             let flux = scale * beam.flux / beam.cosine;
             // For light that goes up the same, with the cosines' signs changed.
             let mirrored = |k: usize, steps: usize| if beam.down { k } else { steps - k };
@@ -99,7 +98,7 @@ impl Light {
             for (i, row) in table.chunks_exact_mut(steps + 1).enumerate() {
                 let depth = 0.5 * reach * (1.0 + number_at(i, DEPTHS));
                 let length = if beam.down { depth } else { thickness - depth } / beam.cosine;
-                let factor = flux * exp_f64(-sigma_t * length);
+                let factor = flux * exp_f64(-length);
                 row.iter_mut().zip(&phase).for_each(|(c, p)| *c += factor * p);
                 if let Some(lengths) = &mut lengths {
                     let row = &mut lengths[i * (steps + 1)..][..=steps];
@@ -119,10 +118,10 @@ impl Light {
             }
         }
         let mean_cosine = if entering[0] > 0.0 { entering[1] / entering[0] } else { 1.0 };
-        let fading = sigma_t / (LN_2 * mean_cosine);
+        let fading = 1.0 / (LN_2 * mean_cosine);
         let [down, up] = about.map(|values| values.map(|v| v as f32));
-        let [base, base_lengths] = total(&arrivals.base, sigma_t, thickness);
-        let [straight, straight_mm] = total(&arrivals.ring, sigma_t, thickness);
+        let [base, base_lengths] = total(&arrivals.base, thickness);
+        let [straight, straight_length] = total(&arrivals.ring, thickness);
         Self {
             down,
             up,
@@ -131,10 +130,10 @@ impl Light {
             faded: (fading * thickness) as f32,
             base: (base * measure / (n_c * n_c)) as f32,
             straight,
-            straight_mm,
+            straight_length,
             measure: measure as f32,
-            base_length_mm: if base > 0.0 { base_lengths / base } else { 0.0 },
-            thickness_mm: thickness as f32,
+            base_length: if base > 0.0 { base_lengths / base } else { 0.0 },
+            thickness: thickness as f32,
             inverse_reach: (1.0 / reach) as f32,
             steps,
             table,
@@ -143,16 +142,16 @@ impl Light {
     }
 
     /// Near what a scattering at a height receives, for a walk that comes with the cosine `u`.
-    pub fn about(&self, z_mm: f32, u: f32) -> f32 {
+    pub fn about(&self, z: f32, u: f32) -> f32 {
         let cell = (((u + 1.0) * (0.5 * CELLS as f32)).max(0.0) as usize).min(CELLS - 1);
-        let height = z_mm * self.fading;
+        let height = z * self.fading;
         let down = self.down[cell] * power_of_two(height - self.faded);
         if self.thick { down } else { down + self.up[cell] * power_of_two(-height) }
     }
 
     /// C at a height, and the mean length of its light in the sample (0 unless derivatives are wanted).
-    pub fn at(&self, z_mm: f32, u: f32) -> (f64, f32) {
-        let depth = ((self.thickness_mm - z_mm) * self.inverse_reach).max(0.0);
+    pub fn at(&self, z: f32, u: f32) -> (f64, f32) {
+        let depth = ((self.thickness - z) * self.inverse_reach).max(0.0);
         if depth > 1.0 {
             return (0.0, 0.0);
         }
@@ -180,7 +179,7 @@ impl Light {
 
     /// The same for a hit on the base.
     pub fn at_base(&self) -> (f64, f32) {
-        (f64::from(self.base), if self.lengths.is_some() { self.base_length_mm as f32 } else { 0.0 })
+        (f64::from(self.base), if self.lengths.is_some() { self.base_length as f32 } else { 0.0 })
     }
 }
 

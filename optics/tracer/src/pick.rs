@@ -25,8 +25,8 @@ pub const AT_BASE: f32 = -1.0;
 pub struct Pick {
     /// Place of the walk in its chunk.
     pub walk: u32,
-    /// Height and cosine of a scattering; see [`AT_BASE`].
-    pub z_mm: f32,
+    /// Height, in mean free paths, and cosine of a scattering; see [`AT_BASE`].
+    pub z: f32,
     pub u: f32,
     /// What the vertex was taken to be worth, without the walk's weight.
     pub worth: f32,
@@ -35,8 +35,8 @@ pub struct Pick {
     pub scatterings: u32,
     /// Hits on the base so far.
     pub hits: u32,
-    /// Length travelled in the sample so far.
-    pub length_mm: f32,
+    /// Length travelled in the sample so far, in mean free paths.
+    pub length: f32,
 }
 
 /// h(n).

@@ -13,7 +13,9 @@ use super::light::Light;
 use super::scatterings::NodePowers;
 use super::stack::Stack;
 use super::tally::Tally;
+use super::vertex::Vertices;
 use super::walk::{self, Events};
+use super::wavefront::Places;
 use super::{MOST_SCATTERINGS, Stopped};
 
 /// The first walks of a job, at most a chunk of them.
@@ -30,10 +32,10 @@ pub fn count_events(job: &JobSpec) -> Events {
 /// The walks of the first chunk alone, without scoring; returns how many vertices they pick.
 pub fn run_walks(kernel: Kernel, job: &JobSpec) -> Result<usize, Stopped> {
     let chunk = first_chunk(job);
-    let mut exits = Exits::new(chunk.walks);
+    let (mut places, mut exits) = (Places::default(), Exits::default());
     let stack = Stack::new(job.scene(), &job.point());
     let light = Light::new(&stack, false);
-    kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
+    kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut places, &mut exits)?;
     Ok(exits.in_order().count())
 }
 
@@ -45,25 +47,26 @@ pub struct Scoring<'a> {
     light: Light,
     powers: NodePowers,
     exits: Exits,
+    vertices: Vertices,
 }
 
 impl<'a> Scoring<'a> {
     pub fn new(kernel: Kernel, job: &'a JobSpec) -> Result<Self, Stopped> {
         let chunk = first_chunk(job);
-        let mut exits = Exits::new(chunk.walks);
+        let (mut places, mut exits) = (Places::default(), Exits::default());
         let stack = Stack::new(job.scene(), &job.point());
         let light = Light::new(&stack, job.derivatives());
-        kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut exits)?;
+        kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut places, &mut exits)?;
         let powers = NodePowers::new(job.albedo(), MOST_SCATTERINGS);
-        Ok(Self { job, kernel, light, powers, exits })
+        Ok(Self { job, kernel, light, powers, exits, vertices: Vertices::default() })
     }
 
     /// Scores the walks as one batch; returns the memory that the sums take.
     pub fn score(&mut self) -> usize {
         let mut sums = Sums::new(self.job);
-        let most = self.exits.most_scatterings();
-        let mut tally = Tally::new(self.job, &self.light, &self.powers, most);
-        self.kernel.score(&mut tally, self.exits.in_order());
+        self.vertices.set(&mut self.exits, &self.light);
+        let mut tally = Tally::new(self.job, &self.light, &self.powers, self.exits.hits(), &self.vertices);
+        self.kernel.score(&mut tally, &self.vertices.all);
         self.kernel.end(&mut tally, &mut sums);
         Sums::bytes(self.job)
     }

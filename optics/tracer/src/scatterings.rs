@@ -181,24 +181,6 @@ fn power(x: f64, mut n: u64) -> f64 {
     result
 }
 
-/// ρ^k, the table growing as needed.
-#[derive(Debug)]
-pub struct GrowingPowers(Vec<f64>);
-
-impl GrowingPowers {
-    pub fn new(base: f64) -> Self {
-        Self(vec![1.0, base])
-    }
-
-    pub fn get(&mut self, k: usize) -> f64 {
-        while self.0.len() <= k {
-            let next = flush(self.0[self.0.len() - 1] * self.0[1]);
-            self.0.push(next);
-        }
-        self.0[k]
-    }
-}
-
 /// In single precision; what is so small that its products would be slow is 0.
 pub fn single(x: f64) -> f32 {
     if x.abs() < 1e-18 { 0.0 } else { x as f32 }
@@ -246,8 +228,5 @@ mod tests {
                 assert!((power(albedo, n) - expected).abs() <= 1e-9 * expected + 1e-99, "{albedo}^{n}");
             }
         }
-        let mut growing = GrowingPowers::new(0.972);
-        assert!((growing.get(20) - 0.972_f64.powi(20)).abs() < 1e-14);
-        assert_eq!(growing.get(0), 1.0);
     }
 }

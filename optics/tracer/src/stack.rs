@@ -17,19 +17,19 @@ pub struct Interface {
     pub alpha: f32,
 }
 
-/// What the walk needs to know of a scene at one transport point.
+/// What the walk needs to know of a scene at one transport point. Lengths in the sample are in mean free paths: points that
+/// are optically as thick have one stack.
 #[derive(Debug, Clone)]
 pub struct Stack {
-    /// Thickness in mm of each slab from top to bottom; slab 0 is the air above, the base lies under the last.
-    pub thickness_mm: Vec<f32>,
+    /// Thickness in mm of each slab from top to bottom; slab 0 is the air above, the base lies under the last. The sample's
+    /// is in mean free paths.
+    pub thickness: Vec<f32>,
     /// Refractive index of each slab.
     pub iors: Vec<f64>,
     /// `interfaces[i]` lies between slab i and slab i + 1.
     pub interfaces: Vec<Interface>,
     /// The slab that scatters.
     pub sample: usize,
-    /// Mean free path in mm.
-    pub mean_free_path_mm: f32,
     pub phase: HenyeyGreenstein,
     /// Direction in which walks leave the sensor, in air.
     pub sensor_direction: Vec3,
@@ -41,18 +41,18 @@ pub struct Stack {
 impl Stack {
     pub fn new(scene: &Scene, point: &TransportPoint) -> Self {
         let mut iors = vec![1.0];
-        let mut thickness_mm = vec![0.0];
+        let mut thickness = vec![0.0];
         let mut sample = 0;
         for layer in scene.layers() {
-            let (ior, thickness) = match layer.medium() {
-                LayerMedium::Clear { ior, thickness_mm } => (ior, thickness_mm),
+            let (ior, slab) = match layer.medium() {
+                LayerMedium::Clear { ior, thickness_mm } => (ior, thickness_mm as f32),
                 LayerMedium::Sample => {
-                    sample = thickness_mm.len();
-                    (point.sample_ior(), point.thickness_mm())
+                    sample = thickness.len();
+                    (point.sample_ior(), point.walked_thickness())
                 }
             };
             iors.push(ior);
-            thickness_mm.push(thickness as f32);
+            thickness.push(slab);
         }
         let interface = |i: usize| Interface {
             from_above: RelativeIndex::new(iors[i], iors[i + 1]),
@@ -66,10 +66,9 @@ impl Stack {
         let (sin_polar, cos_polar) = (sin2(polar).sqrt(), (1.0 - sin2(polar)).sqrt());
         Self {
             interfaces: (0..scene.layers().len()).map(interface).collect(),
-            thickness_mm,
+            thickness,
             iors,
             sample,
-            mean_free_path_mm: (1.0 / point.sigma_t_per_mm()) as f32,
             phase: HenyeyGreenstein::new(point.g()),
             sensor_direction: Vec3::new(0.0, sin_polar as f32, -cos_polar as f32),
             ring_sin2: [inner, outer],
@@ -89,6 +88,6 @@ mod tests {
         assert_eq!((stack.interfaces.len(), stack.sample), (5, 3));
         let alphas: Vec<f32> = stack.interfaces.iter().map(|i| i.alpha).collect();
         assert_eq!(alphas, [0.0, 0.0, 0.05, 0.05, 0.15]);
-        assert_eq!(stack.thickness_mm, [0.0, 0.17, 0.02, 0.5, 0.02, 0.0]);
+        assert_eq!(stack.thickness, [0.0, 0.17, 0.02, 3.0, 0.02, 0.0]);
     }
 }

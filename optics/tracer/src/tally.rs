@@ -15,16 +15,16 @@
     reason = "what is not inlined is not compiled for the instruction set that was chosen at run time"
 )]
 
-use fearless_simd::{ExtractToken, Simd, SimdBase, f64x8};
+use fearless_simd::{ExtractToken, Simd, SimdBase, f32x8};
 use optics_model::grid::BATCH_WALKS;
 use optics_model::job::JobSpec;
 use optics_model::scene::Sensor;
 use optics_model::sums::{Sums, quantities};
 
-use super::exits::Exit;
+use super::exits::Offset;
 use super::light::Light;
-use super::pick::{AT_BASE, STEP};
-use super::scatterings::{GrowingPowers, NodePowers, WINDOW, count, shares, single};
+use super::scatterings::{NodePowers, WINDOW, count, single};
+use super::vertex::{Vertex, Vertices};
 
 /// Steps of a chunk of walks.
 #[derive(Debug)]
@@ -33,15 +33,19 @@ pub struct Tally<'a> {
     light: &'a Light,
     sensor: Sensor,
     powers: &'a NodePowers,
+    /// Of all vertices.
+    hits: &'a [Offset],
     nodes: usize,
-    /// Per channel: powers of ρ_light and ρ_dark, and their difference.
-    reflectances: Vec<(GrowingPowers, GrowingPowers, f64)>,
-    /// What steps are weighted with: 1, and the length in the sample if derivatives are wanted.
+    base: Vec<Base>,
+    /// What steps are weighted with: 1, and the length in the sample, in mean free paths, if derivatives are wanted.
     moments: usize,
     /// `[cell][channel][moment][node]`, with one cell more than pixels.
-    steps: Vec<f64>,
+    steps: Vec<f32>,
+    /// Of walks whose hits are all in view, by their number: `[hits][moment][node]`. Beyond the view all of them are dark,
+    /// whatever the channel.
+    dark: Vec<f32>,
     /// Positions of a walk's steps in pixels from the left end.
-    positions: Vec<f64>,
+    positions: Vec<f32>,
     /// Pixels that show the spread of batches, see [`observed`].
     observed: Vec<usize>,
     /// What they showed up to the last batch, what batches added up to, and their squares: `[pixel][column]`.
@@ -51,30 +55,66 @@ pub struct Tally<'a> {
     batches: u64,
 }
 
+/// How a channel sees the base: powers of its reflectances for numbers of hits, and what they differ by.
+#[derive(Debug)]
+struct Base {
+    light: Vec<f32>,
+    dark: Vec<f32>,
+    contrast: f32,
+}
+
+impl Base {
+    fn new(rho_light: f64, rho_dark: f64, most_hits: usize) -> Self {
+        let powers = |rho: f64| {
+            let next = move |power: &f64| Some(power * rho);
+            std::iter::successors(Some(1.0), next).take(most_hits + 1).map(single).collect()
+        };
+        Self { light: powers(rho_light), dark: powers(rho_dark), contrast: (rho_light - rho_dark) as f32 }
+    }
+
+    /// ρ_light^a ρ_dark^b.
+    fn weight(&self, a: usize, b: usize) -> f32 {
+        flush(self.light[a] * self.dark[b])
+    }
+
+    /// What a hit that turns light changes where a others are light and b dark: exactly 0 without contrast.
+    fn step(&self, a: usize, b: usize) -> f32 {
+        flush(self.light[a] * self.dark[b] * self.contrast)
+    }
+}
+
+/// Products with what is so small would be slow.
+fn flush(x: f32) -> f32 {
+    if x.abs() < 1e-18 { 0.0 } else { x }
+}
+
 impl<'a> Tally<'a> {
-    /// For vertices of at most so many scatterings.
-    pub fn new(job: &'a JobSpec, light: &'a Light, powers: &'a NodePowers, most: u32) -> Self {
+    /// For these vertices.
+    pub fn new(
+        job: &'a JobSpec,
+        light: &'a Light,
+        powers: &'a NodePowers,
+        hits: &'a [Offset],
+        vertices: &Vertices,
+    ) -> Self {
         let sensor = job.scene().sensor();
         let channels = job.scene().channels();
-        let nodes = count(most);
+        let nodes = count(vertices.most_scatterings);
         let moments = if job.derivatives() { 2 } else { 1 };
         let observed = observed(sensor.pixels());
         let shown = observed.len() * channels.len() * quantities(job) * job.albedo().len();
+        let most_hits = vertices.most_hits as usize;
         Self {
             job,
             light,
             sensor,
             powers,
+            hits,
             nodes,
-            reflectances: channels
-                .iter()
-                .map(|c| {
-                    let powers = (GrowingPowers::new(c.rho_light()), GrowingPowers::new(c.rho_dark()));
-                    (powers.0, powers.1, c.rho_light() - c.rho_dark())
-                })
-                .collect(),
+            base: channels.iter().map(|c| Base::new(c.rho_light(), c.rho_dark(), most_hits)).collect(),
             moments,
             steps: vec![0.0; (sensor.pixels() + 1) * channels.len() * moments * nodes],
+            dark: vec![0.0; (most_hits + 1) * moments * nodes],
             positions: Vec::new(),
             observed,
             before: vec![0.0; shown],
@@ -84,117 +124,117 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Adds the exits of a batch's walks.
+    /// Adds the vertices of a batch's walks.
     #[inline(always)]
-    pub fn add_batch<'b, S: Simd>(&mut self, simd: S, exits: impl Iterator<Item = Exit<'b>>) {
-        for exit in exits {
-            self.add(simd, &exit);
+    pub fn add_batch<S: Simd>(&mut self, simd: S, vertices: &[Vertex]) {
+        for vertex in vertices {
+            self.add(simd, vertex);
         }
         self.end_batch(simd);
     }
 
-    /// Adds an exit and its mirror image, which is just as likely, with half the weight each.
+    /// Adds a vertex and its mirror image, which is just as likely, with half the weight each.
     #[inline(always)]
-    fn add<S: Simd>(&mut self, simd: S, exit: &Exit<'_>) {
-        let pick = &exit.pick;
-        let (receives, light_mm) =
-            if pick.z_mm == AT_BASE { self.light.at_base() } else { self.light.at(pick.z_mm, pick.u) };
-        let step = f64::from(STEP * self.light.measure);
-        let weight = 0.5 * f64::from(pick.cuts) * step * receives / f64::from(pick.worth);
-        let (first, shares) = shares(pick.scatterings);
-        let weights = shares.map(|share| share * weight);
-        let weights = f64x8::from_slice(simd, &weights);
-        let length_mm = pick.length_mm + light_mm;
-        let (pitch, half) = (self.sensor.pitch_mm(), 0.5 * self.sensor.width_mm());
-        self.positions.clear();
-        self.positions.extend(exit.hits_mm.iter().map(|&d| (half - f64::from(d)) / pitch));
-        self.positions.sort_unstable_by(f64::total_cmp);
-        self.add_staircase(first, weights, length_mm);
-        // The mirror image: from the right end, the last first.
-        let pixels = self.sensor.pixels() as f64;
-        self.positions.reverse();
-        self.positions.iter_mut().for_each(|p| *p = pixels - *p);
-        self.add_staircase(first, weights, length_mm);
-    }
-
-    #[inline(always)]
-    fn add_staircase<S: Simd>(&mut self, first: usize, weights: f64x8<S>, length_mm: f32) {
-        let pixels = self.sensor.pixels() as f64;
+    fn add<S: Simd>(&mut self, simd: S, vertex: &Vertex) {
+        self.find_positions(vertex.hits(self.hits));
+        let pixels = self.sensor.pixels() as f32;
         let hits = self.positions.len();
         let left = self.positions.iter().take_while(|&&p| p <= 0.0).count();
-        for channel in 0..self.reflectances.len() {
-            let (light, dark, _) = &mut self.reflectances[channel];
-            let value = light.get(left) * dark.get(hits - left);
-            self.add_step(0, channel, value, first, weights, length_mm);
-        }
-        for k in left..hits {
-            let position = self.positions[k];
-            if position >= pixels {
-                break;
+        let right = self.positions.iter().rev().take_while(|&&p| p >= pixels).count();
+        let weights = f32x8::from_slice(simd, &vertex.weights);
+        if left + right == 0 {
+            let at = hits * self.moments * self.nodes + vertex.first_node as usize;
+            add(&mut self.dark, at, self.nodes, self.moments, weights, vertex.length);
+        } else {
+            for channel in 0..self.base.len() {
+                let base = &self.base[channel];
+                let value = base.weight(left, hits - left) + base.weight(right, hits - right);
+                self.add_step(0, channel, weights * value, vertex);
             }
+        }
+        for k in left..hits - right {
+            let position = self.positions[k];
             let cell = position as usize;
-            let fraction = position - cell as f64;
-            for channel in 0..self.reflectances.len() {
-                let (light, dark, contrast) = &mut self.reflectances[channel];
-                // ρ_light^(k+1) ρ_dark^(m−k−1) − ρ_light^k ρ_dark^(m−k), exactly 0 without contrast.
-                let step = light.get(k) * dark.get(hits - k - 1) * *contrast;
-                self.add_step(cell, channel, step * (1.0 - fraction), first, weights, length_mm);
-                self.add_step(cell + 1, channel, step * fraction, first, weights, length_mm);
+            let fraction = position - cell as f32;
+            // The mirror image has as many hits to its right, and its steps at the other side.
+            let mirrored = self.sensor.pixels() - cell;
+            for channel in 0..self.base.len() {
+                let base = &self.base[channel];
+                let (up, down) = (base.step(k, hits - k - 1), base.step(hits - k - 1, k));
+                if base.contrast == 0.0 {
+                    continue;
+                }
+                self.add_step(cell, channel, weights * (up * (1.0 - fraction)), vertex);
+                self.add_step(cell + 1, channel, weights * (up * fraction), vertex);
+                self.add_step(mirrored - 1, channel, weights * (down * fraction), vertex);
+                self.add_step(mirrored, channel, weights * (down * (1.0 - fraction)), vertex);
             }
         }
     }
 
+    /// Where hits make steps, from left to right.
     #[inline(always)]
-    fn add_step<S: Simd>(
-        &mut self,
-        cell: usize,
-        channel: usize,
-        step: f64,
-        first: usize,
-        weights: f64x8<S>,
-        length_mm: f32,
-    ) {
-        if step == 0.0 {
-            return;
+    fn find_positions(&mut self, hits: &[Offset]) {
+        let (pixels_a_mm, half) = (1.0 / self.sensor.pitch_mm(), 0.5 * self.sensor.width_mm());
+        let (free_path, mm) = ((pixels_a_mm / self.job.point().sigma_t_per_mm()) as f32, pixels_a_mm as f32);
+        let middle = (half * pixels_a_mm) as f32;
+        self.positions.clear();
+        for hit in hits {
+            let position = middle - (hit.free_paths * free_path + hit.mm * mm);
+            // There are few, most of them near the last.
+            let place = self.positions.iter().rposition(|p| *p <= position).map_or(0, |last| last + 1);
+            self.positions.insert(place, position);
         }
-        let row = (cell * self.reflectances.len() + channel) * self.moments;
-        let mut step = step;
-        for moment in 0..self.moments {
-            let at = (row + moment) * self.nodes + first;
-            let sums = &mut self.steps[at..at + WINDOW];
-            (f64x8::from_slice(weights.token(), sums) + weights * step).store_slice(sums);
-            step *= f64::from(length_mm);
+    }
+
+    #[inline(always)]
+    fn add_step<S: Simd>(&mut self, cell: usize, channel: usize, weights: f32x8<S>, vertex: &Vertex) {
+        let row = (cell * self.base.len() + channel) * self.moments;
+        let at = row * self.nodes + vertex.first_node as usize;
+        add(&mut self.steps, at, self.nodes, self.moments, weights, vertex.length);
+    }
+
+    fn mean_free_path_mm(&self) -> f64 {
+        1.0 / self.job.point().sigma_t_per_mm()
+    }
+
+    /// What all walks that are dark in the first pixel, and their mirror images, add up to: `[channel][moment][node]`.
+    fn beyond(&self) -> Vec<f32> {
+        let of_one = self.moments * self.nodes;
+        let mut level = vec![0.0; self.base.len() * of_one];
+        for (base, level) in self.base.iter().zip(level.chunks_exact_mut(of_one)) {
+            for (hits, dark) in self.dark.chunks_exact(of_one).enumerate() {
+                let weight = 2.0 * base.weight(0, hits);
+                level.iter_mut().zip(dark).for_each(|(level, dark)| *level += weight * dark);
+            }
         }
+        level
     }
 
     /// Numbers of a pixel: every channel's quantities for every albedo.
     fn columns(&self) -> usize {
-        self.reflectances.len() * quantities(self.job) * self.job.albedo().len()
+        self.base.len() * quantities(self.job) * self.job.albedo().len()
     }
 
     /// What nodes hold, turned into a pixel's columns.
     #[inline(always)]
-    fn tell<S: Simd>(&self, simd: S, level: &[f64], out: &mut [f32]) {
+    fn tell<S: Simd>(&self, simd: S, level: &[f32], out: &mut [f32]) {
         let (nodes, albedos) = (self.nodes, self.job.albedo().len());
         let rows = level
             .chunks_exact(nodes * self.moments)
             .zip(out.chunks_exact_mut(quantities(self.job) * albedos));
-        let mut held = vec![0.0; nodes];
         for (level, row) in rows {
-            held.iter_mut().zip(level).for_each(|(held, level)| *held = single(*level));
             let (values, derivatives) = row.split_at_mut(albedos);
-            self.powers.sum(simd, &held, values);
+            self.powers.sum(simd, &level[..nodes], values);
             if !derivatives.is_empty() {
                 let (d_albedo, d_sigma_t) = derivatives.split_at_mut(albedos);
-                self.powers.sum_derivatives(simd, &held, d_albedo);
-                // n/σ_t − L.
                 let (sums, lengths) = level.split_at(nodes);
-                let sigma_t = self.job.point().sigma_t_per_mm();
-                for (((held, sum), length), n) in
-                    held.iter_mut().zip(sums).zip(lengths).zip(self.powers.numbers())
-                {
-                    *held = single(sum * n / sigma_t - length);
-                }
+                self.powers.sum_derivatives(simd, sums, d_albedo);
+                // n/σ_t − L, L being a length in mm.
+                let free_path = self.mean_free_path_mm() as f32;
+                let numbers = sums.iter().zip(lengths).zip(self.powers.numbers());
+                let held: Vec<f32> =
+                    numbers.map(|((sum, length), n)| flush((sum * *n as f32 - length) * free_path)).collect();
                 self.powers.sum(simd, &held, d_sigma_t);
             }
         }
@@ -204,8 +244,8 @@ impl<'a> Tally<'a> {
     #[inline(always)]
     fn end_batch<S: Simd>(&mut self, simd: S) {
         let columns = self.columns();
-        let row = self.reflectances.len() * self.moments * self.nodes;
-        let mut level = vec![0.0; row];
+        let mut level = self.beyond();
+        let row = level.len();
         let mut shown = vec![0.0; columns];
         let mut at = 0;
         for (cell, steps) in self.steps.chunks_exact(row).enumerate() {
@@ -231,8 +271,8 @@ impl<'a> Tally<'a> {
     #[inline(always)]
     pub fn end<S: Simd>(&mut self, simd: S, total: &mut Sums) {
         let columns = self.columns();
-        let row = self.reflectances.len() * self.moments * self.nodes;
-        let mut level = vec![0.0; row];
+        let mut level = self.beyond();
+        let row = level.len();
         let mut shown = vec![0.0; columns];
         let straight = self.straight();
         for (steps, sums) in self.steps.chunks_exact(row).zip(total.sums.chunks_exact_mut(columns)) {
@@ -268,9 +308,21 @@ impl<'a> Tally<'a> {
         let mut quantity = vec![self.light.straight * walks; albedos];
         if self.job.derivatives() {
             quantity.extend(std::iter::repeat_n(0.0, albedos));
-            quantity.extend(std::iter::repeat_n(-self.light.straight_mm * walks, albedos));
+            let length_mm = self.light.straight_length * self.mean_free_path_mm();
+            quantity.extend(std::iter::repeat_n(-length_mm * walks, albedos));
         }
-        quantity.repeat(self.reflectances.len())
+        quantity.repeat(self.base.len())
+    }
+}
+
+/// Adds weights to a window of nodes, and to that of the lengths behind it if there is one.
+#[inline(always)]
+fn add<S: Simd>(sums: &mut [f32], at: usize, nodes: usize, moments: usize, weights: f32x8<S>, length: f32) {
+    let window = &mut sums[at..at + WINDOW];
+    (f32x8::from_slice(weights.token(), window) + weights).store_slice(window);
+    if moments == 2 {
+        let window = &mut sums[at + nodes..at + nodes + WINDOW];
+        (f32x8::from_slice(weights.token(), window) + weights * length).store_slice(window);
     }
 }
 
@@ -283,14 +335,14 @@ fn observed(pixels: usize) -> Vec<usize> {
         observed.push(pixel);
         let from_edge = (2 * pixel + 1).abs_diff(pixels) / 2;
         let step = match from_edge {
-            0..6 => 1,
-            6..20 => 2,
-            20..60 => 4,
-            _ => 12,
+            0..4 => 1,
+            4..12 => 2,
+            12..36 => 6,
+            _ => 24,
         };
         // Not over the fine ones near the edge.
         let next = pixel + step;
-        let fine = (pixels / 2).saturating_sub(6);
+        let fine = (pixels / 2).saturating_sub(4);
         pixel = if pixel < fine && next > fine { fine } else { next };
     }
     observed.push(pixels - 1);

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::Vec3;
 
 use super::Stopped;
-use super::exits::{Chunk, Exits};
+use super::exits::{Chunk, Exits, Offset};
 use super::fresnel::{Facet, RelativeIndex};
 use super::light::Light;
 use super::math::{ln, unit_vector};
@@ -46,17 +46,17 @@ pub struct Walk<'a> {
     /// The second half of the last block, for the next flight.
     spare: Option<[u32; 2]>,
     slab: usize,
-    /// Height above the lower face of the sample; meaningful inside it.
-    z_mm: f32,
+    /// Height above the lower face of the sample in mean free paths; meaningful inside it.
+    z: f32,
     direction: Vec3,
     /// Lateral distance from the entry point.
-    pub x_mm: f32,
+    pub offset: Offset,
     /// Product of the microfacets' weights and of roulette's.
     pub weight: f32,
     /// Scattering events so far.
     pub scatterings: u32,
-    /// Length travelled in the sample.
-    pub length_mm: f32,
+    /// Length travelled in the sample, in mean free paths.
+    pub length: f32,
 }
 
 impl<'a> Walk<'a> {
@@ -68,12 +68,12 @@ impl<'a> Walk<'a> {
             stream,
             spare: None,
             slab: 0,
-            z_mm: 0.0,
+            z: 0.0,
             direction,
-            x_mm: 0.0,
+            offset: Offset::default(),
             weight: 1.0,
             scatterings: 0,
-            length_mm: 0.0,
+            length: 0.0,
         };
         let event = walk.cross_below();
         (walk, event)
@@ -110,32 +110,32 @@ impl<'a> Walk<'a> {
     /// Flies freely in the sample, to a scattering or to a face, whichever comes first.
     fn fly(&mut self) -> Event {
         let Some([path, angles]) = self.draw_for_flight() else { return Event::Lost };
-        let free_mm = ln(uniform(path)) * -self.stack.mean_free_path_mm;
-        let thickness_mm = self.stack.thickness_mm[self.slab];
-        let z_mm = self.z_mm + self.direction.z * free_mm;
+        let free = -ln(uniform(path));
+        let thickness = self.stack.thickness[self.slab];
+        let z = self.z + self.direction.z * free;
         // Only the face ahead counts: a step too short to change z must not pass for a crossing of the other.
         let down = self.direction.z < 0.0;
-        let reaches_face = if down { z_mm <= 0.0 } else { z_mm >= thickness_mm && self.direction.z > 0.0 };
+        let reaches_face = if down { z <= 0.0 } else { z >= thickness && self.direction.z > 0.0 };
         if !reaches_face {
-            self.z_mm = z_mm;
-            self.x_mm += self.direction.x * free_mm;
-            self.length_mm += free_mm;
+            self.z = z;
+            self.offset.free_paths += self.direction.x * free;
+            self.length += free;
             self.scatterings += 1;
             self.direction = self.stack.phase.scatter(self.direction, angles);
             return Event::Scattered;
         }
-        let face_mm = if down { 0.0 } else { thickness_mm };
-        let flown_mm = (face_mm - self.z_mm) / self.direction.z;
-        self.x_mm += self.direction.x * flown_mm;
-        self.length_mm += flown_mm;
+        let face = if down { 0.0 } else { thickness };
+        let flown = (face - self.z) / self.direction.z;
+        self.offset.free_paths += self.direction.x * flown;
+        self.length += flown;
         self.spare = None;
         self.leave_slab(down)
     }
 
     /// Crosses a clear slab to its other face.
     fn traverse(&mut self) -> Event {
-        let thickness_mm = self.stack.thickness_mm[self.slab];
-        self.x_mm += self.direction.x * (thickness_mm / self.direction.z.abs());
+        let thickness_mm = self.stack.thickness[self.slab];
+        self.offset.mm += self.direction.x * (thickness_mm / self.direction.z.abs());
         self.leave_slab(self.direction.z < 0.0)
     }
 
@@ -156,7 +156,7 @@ impl<'a> Walk<'a> {
         let (x, y) = unit_vector(words[2]);
         let sin = u.sqrt();
         self.direction = Vec3::new(sin * x, sin * y, (1.0 - u).sqrt());
-        self.z_mm = 0.0;
+        self.z = 0.0;
         Event::Base
     }
 
@@ -166,9 +166,9 @@ impl<'a> Walk<'a> {
         let Some(transmitted) = self.cross(1.0, indices, interface.alpha) else { return Event::Lost };
         if transmitted {
             self.slab += 1;
-            self.z_mm = self.stack.thickness_mm[self.slab];
+            self.z = self.stack.thickness[self.slab];
         } else {
-            self.z_mm = 0.0;
+            self.z = 0.0;
             if self.slab == 0 {
                 return Event::Left;
             }
@@ -182,12 +182,12 @@ impl<'a> Walk<'a> {
         let Some(transmitted) = self.cross(-1.0, indices, interface.alpha) else { return Event::Lost };
         if transmitted {
             self.slab -= 1;
-            self.z_mm = 0.0;
+            self.z = 0.0;
             if self.slab == 0 {
                 return Event::Left;
             }
         } else {
-            self.z_mm = self.stack.thickness_mm[self.slab];
+            self.z = self.stack.thickness[self.slab];
         }
         Event::Crossed
     }
@@ -233,22 +233,22 @@ pub fn run_chunk(
     exits: &mut Exits,
 ) -> Result<(), Stopped> {
     let step = STEP * light.measure;
-    let mut hits_mm = Vec::new();
+    let mut hits = Vec::new();
     for index in 0..chunk.walks {
         if stop.load(Ordering::Relaxed) {
             return Err(Stopped);
         }
-        hits_mm.clear();
+        hits.clear();
         let stream = Stream::new(chunk.key, chunk.index, index);
         let mut left = uniform(stream.clone().at_block(PICK_BLOCK).words()[0]) * step;
         let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream);
         while event != Event::Left && event != Event::Lost {
             let u = walk.direction.z;
             event = walk.step();
-            let (z_mm, receives) = match event {
-                Event::Scattered => (walk.z_mm, light.about(walk.z_mm, u)),
+            let (z, receives) = match event {
+                Event::Scattered => (walk.z, light.about(walk.z, u)),
                 Event::Base => {
-                    hits_mm.push(walk.x_mm);
+                    hits.push(walk.offset);
                     (AT_BASE, light.base)
                 }
                 _ => continue,
@@ -256,12 +256,12 @@ pub fn run_chunk(
             let worth = receives * importance(walk.scatterings);
             left -= worth * walk.weight;
             if left < 0.0 {
-                let (cuts, hits) = (cut(&mut left, step), hits_mm.len() as u32);
-                let Walk { scatterings, length_mm, .. } = walk;
-                exits.pick(Pick { walk: index, z_mm, u, worth, cuts, scatterings, hits, length_mm });
+                let (cuts, hits) = (cut(&mut left, step), hits.len() as u32);
+                let Walk { scatterings, length, .. } = walk;
+                exits.pick(Pick { walk: index, z, u, worth, cuts, scatterings, hits, length });
             }
         }
-        exits.add_hits(index, &hits_mm);
+        exits.add_hits(index, &hits);
     }
     Ok(())
 }

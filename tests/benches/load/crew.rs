@@ -138,8 +138,12 @@ impl Crew {
 
 impl Worker {
     async fn acquire(&mut self, max_leases: u32) -> Vec<Lease> {
-        let request =
-            AcquireRequest { worker_id: self.id.clone(), max_leases, wait_ms: WAIT.as_millis() as u64 };
+        let request = AcquireRequest {
+            worker_id: self.id.clone(),
+            max_leases,
+            whole_sets: false,
+            wait_ms: WAIT.as_millis() as u64,
+        };
         self.client.acquire(request).await.unwrap().into_inner().leases
     }
 

@@ -8,7 +8,8 @@ use tonic::Status;
 
 use super::*;
 use crate::testing::{
-    Answer, Call, Coordinator, DeliveredResult, Method, endless_job, job, lease, lease_of, long_job, session,
+    Answer, Call, Coordinator, DeliveredResult, Method, as_thick_as, endless_job, endless_job_of, job, lease,
+    lease_of, long_job, session,
 };
 
 /// Heartbeats come every 50 ms.
@@ -98,7 +99,7 @@ async fn every_job_is_traced_and_delivered_before_an_idle_worker_leaves() {
 #[tokio::test]
 async fn a_worker_holds_one_job_more_than_it_has_threads() {
     let coordinator = coordinator();
-    coordinator.offer((0..9).map(|n| lease_of(n, endless_job())));
+    coordinator.offer((0..9).map(|n| lease_of(n, endless_job_of(n.into()))));
     let working =
         Working::start(&coordinator, |config| Config { threads: 2, grace: Duration::ZERO, ..config });
     working.runs(&[0, 1]).await;
@@ -226,7 +227,7 @@ async fn what_does_not_end_is_given_up_in_time() {
     let target = Target::new(None, Some("http://test")).unwrap();
     let agent = Agent::new(session, held.clone(), &Config::new(target));
     coordinator.set_down(true);
-    let switches = held.add(lease(0).key, job(0).identity());
+    let switches = held.add(lease(0).key, job(0).identity(), SetSwitch::new(1));
     assert!(switches.start());
     let (dropped, gone) = tokio::sync::oneshot::channel::<()>();
     let mut jobs = JoinSet::new();
@@ -237,6 +238,24 @@ async fn what_does_not_end_is_given_up_in_time() {
     let (start, grace) = (Instant::now(), Duration::from_secs(30));
     agent.wind_up(jobs, tokio::spawn(std::future::pending()), grace).await;
     assert_eq!(start.elapsed().as_secs(), (grace + STOPPING + DELIVERY).as_secs());
-    assert!(switches.stop.load(std::sync::atomic::Ordering::SeqCst));
+    assert!(switches.is_stopped());
     gone.await.unwrap_err();
+}
+
+/// They are traced together, and each has its own result.
+#[tokio::test]
+async fn jobs_that_share_their_walks_take_one_slot() {
+    let coordinator = coordinator();
+    let set = [lease(0), lease_of(1, as_thick_as(0)), lease(2)];
+    assert_eq!(sets(set.to_vec()).iter().map(Vec::len).collect::<Vec<_>>(), [2, 1]);
+    coordinator.offer(set.clone());
+    let idle_exit = Some(Duration::from_millis(50));
+    let working = Working::start(&coordinator, |config| Config { idle_exit, ..config });
+    assert_eq!(working.ended().await.unwrap(), Ended::Idle);
+    let mut results = delivered(&coordinator);
+    results.sort_unstable_by_key(|result| result.key.job);
+    for (result, lease) in results.iter().zip(&set) {
+        assert_eq!((result.key, &result.identity[..]), (lease.key, &lease.job.identity().as_bytes()[..]));
+    }
+    assert_eq!(results.len(), 3);
 }

@@ -7,6 +7,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep};
 
 use super::*;
+use crate::leases::SetSwitch;
 use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
 
 /// A worker that delivers what the test gives it.
@@ -36,7 +37,7 @@ impl Worker {
     /// The same with a result that is said to have so many bytes.
     fn finish_large(&self, n: u32, bytes: usize) {
         let result = pending(n, bytes);
-        assert!(self.held.add(result.key, result.identity).start());
+        assert!(self.held.add(result.key, result.identity, SetSwitch::new(1)).start());
         self.held.mark_traced(&result.key);
         self.finished.send(result).unwrap();
     }
@@ -229,10 +230,11 @@ fn a_call_takes_no_more_results_once_it_has_its_bytes() {
 #[tokio::test(start_paused = true)]
 async fn tracing_waits_for_room_until_a_result_is_acknowledged() {
     let buffer = ResultBuffer::new(10 << 10);
-    let room = buffer.take(6 << 10).await.unwrap();
-    let waits = tokio::time::timeout(Duration::from_hours(1), buffer.take(5 << 10)).await;
+    let room = buffer.take(&[4 << 10, 2 << 10]).await.unwrap();
+    let waits = tokio::time::timeout(Duration::from_hours(1), buffer.take(&[5 << 10])).await;
     assert!(waits.is_err(), "6 and 5 KiB do not fit into 10");
     drop(room);
-    let whole = buffer.take(1 << 30).await.unwrap();
-    assert_eq!(whole.num_permits(), 10, "a result that is too large has the buffer for itself");
+    let whole = buffer.take(&[1 << 30, 1 << 30]).await.unwrap();
+    let rooms: Vec<_> = whole.iter().map(OwnedSemaphorePermit::num_permits).collect();
+    assert_eq!(rooms, [10, 0], "a result that is too large has the buffer for itself");
 }

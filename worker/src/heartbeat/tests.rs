@@ -1,11 +1,10 @@
 //! Leases that are renewed, lost and handed over. The clock is paused: time passes when all wait.
 
-use std::sync::atomic::Ordering;
-
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
 use super::*;
+use crate::leases::SetSwitch;
 use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
 
 const LEASE: Duration = Duration::from_secs(30);
@@ -43,8 +42,8 @@ impl Beating {
 async fn leases_are_renewed_four_times_while_they_hold() {
     let beating = Beating::start().await;
     let identity = job(1).identity();
-    beating.held.add(lease(0).key, identity);
-    assert!(beating.held.add(lease(1).key, identity).start());
+    beating.held.add(lease(0).key, identity, SetSwitch::new(1));
+    assert!(beating.held.add(lease(1).key, identity, SetSwitch::new(1)).start());
     assert!((39..=41).contains(&beating.beats_within(10 * LEASE).await));
     let renewal = beating.coordinator.calls(Call::renew).pop().unwrap();
     let mut told: Vec<_> = renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
@@ -55,11 +54,11 @@ async fn leases_are_renewed_four_times_while_they_hold() {
 #[tokio::test(start_paused = true)]
 async fn a_lost_lease_stops_its_job_and_is_renewed_no_more() {
     let beating = Beating::start().await;
-    let [kept, lost] = [0, 1].map(|n| beating.held.add(lease(n).key, job(1).identity()));
+    let [kept, lost] = [0, 1].map(|n| beating.held.add(lease(n).key, job(1).identity(), SetSwitch::new(1)));
     beating.coordinator.lose(lease(1).key);
     sleep(LEASE).await;
-    assert!(lost.stop.load(Ordering::SeqCst));
-    assert!(!kept.stop.load(Ordering::SeqCst));
+    assert!(lost.is_stopped());
+    assert!(!kept.is_stopped());
     let renewal = beating.coordinator.calls(Call::renew).pop().unwrap();
     assert_eq!(renewal.leases.len(), 1);
     assert_eq!(renewal.leases[0].key.clone().unwrap().job, 0);

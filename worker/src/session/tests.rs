@@ -4,6 +4,7 @@ use farm_proto::wire::LeaseKey as WireKey;
 use tonic::Code;
 
 use super::*;
+use crate::leases::SetSwitch;
 use crate::testing::{Answer, Call, Coordinator, Method, introduction, job, lease, session};
 
 const LEASE: Duration = Duration::from_secs(30);
@@ -16,7 +17,10 @@ async fn open(coordinator: &Coordinator, shutdown: &CancellationToken) -> Result
 fn hold(held: &HeldLeases, count: u32) -> Vec<LeaseKey> {
     let identity = job(1).identity();
     let key = lease(0).key;
-    (0..count).map(|n| LeaseKey { job: n, ..key }).inspect(|key| drop(held.add(*key, identity))).collect()
+    (0..count)
+        .map(|n| LeaseKey { job: n, ..key })
+        .inspect(|key| drop(held.add(*key, identity, SetSwitch::new(1))))
+        .collect()
 }
 
 #[tokio::test(start_paused = true)]
@@ -62,8 +66,8 @@ async fn an_unknown_worker_registers_again_and_tells_what_it_holds_before_it_ask
     let (session, held) = session(&coordinator).await;
     let identity = job(1).identity();
     let [waiting, running] = [lease(0).key, lease(1).key];
-    held.add(waiting, identity);
-    assert!(held.add(running, identity).start());
+    held.add(waiting, identity, SetSwitch::new(1));
+    assert!(held.add(running, identity, SetSwitch::new(1)).start());
     coordinator.restart(LEASE);
     let refused = session.acquire(1, Duration::ZERO).await.unwrap_err();
     assert_eq!(refused.code(), Code::Aborted);

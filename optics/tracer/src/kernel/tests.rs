@@ -10,6 +10,7 @@ use crate::exits::{Chunk, Exit, Exits};
 use crate::light::Light;
 use crate::stack::Stack;
 use crate::walk::ROULETTE_BLOCKS;
+use crate::wavefront::Places;
 
 /// Everything about an exit, in bits.
 #[derive(Debug, PartialEq)]
@@ -18,22 +19,26 @@ struct Bits {
     counts: [u32; 3],
     length: u32,
     walk: u32,
-    hits: Vec<u32>,
+    hits: Vec<[u32; 2]>,
 }
 
 /// The exits of a chunk, in order.
 fn exits(kernel: Kernel, stack: &Stack, walks: u32) -> Vec<Bits> {
     let chunk = Chunk { key: [0x1234_5678, 0x9abc_def0], index: (7 << 32) + 5, walks };
-    let mut exits = Exits::new(walks);
+    let (mut places, mut exits) = (Places::default(), Exits::default());
     kernel
-        .run_chunk(stack, &Light::new(stack, true), chunk, &AtomicBool::new(false), &mut exits)
+        .run_chunk(stack, &Light::new(stack, true), chunk, &AtomicBool::new(false), &mut places, &mut exits)
         .expect("nobody stops it");
-    let bits = |Exit { pick, hits_mm }: Exit<'_>| Bits {
-        place: [pick.z_mm, pick.u, pick.worth].map(f32::to_bits),
+    let all_hits = exits.hits().to_vec();
+    let bits = |Exit { pick, hits }: Exit| Bits {
+        place: [pick.z, pick.u, pick.worth].map(f32::to_bits),
         counts: [pick.cuts, pick.scatterings, pick.hits],
-        length: pick.length_mm.to_bits(),
+        length: pick.length.to_bits(),
         walk: pick.walk,
-        hits: hits_mm.iter().map(|x| x.to_bits()).collect(),
+        hits: all_hits[hits.start as usize..hits.end as usize]
+            .iter()
+            .map(|hit| [hit.free_paths, hit.mm].map(f32::to_bits))
+            .collect(),
     };
     exits.in_order().map(bits).collect()
 }
@@ -158,8 +163,8 @@ fn every_kernel_can_be_stopped() {
     let chunk = Chunk { key: [1, 2], index: 0, walks: 25_000 };
     let light = Light::new(&stack, false);
     for kernel in Kernel::all() {
-        assert!(
-            kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(true), &mut Exits::new(25_000)).is_err()
-        );
+        let (mut places, mut exits) = (Places::default(), Exits::default());
+        let stopped = AtomicBool::new(true);
+        assert!(kernel.run_chunk(&stack, &light, chunk, &stopped, &mut places, &mut exits).is_err());
     }
 }

@@ -10,13 +10,12 @@ fn stack(scene: &Scene, [sigma_t, g, thickness, ior]: [f64; 4]) -> Stack {
 }
 
 /// C by its definition.
-fn exact(stack: &Stack, arrivals: &Arrivals, z_mm: f64, u: f64) -> f64 {
-    let thickness = f64::from(stack.thickness_mm[stack.sample]);
-    let (sigma_t, g) = (1.0 / f64::from(stack.mean_free_path_mm), f64::from(stack.phase.g));
+fn exact(stack: &Stack, arrivals: &Arrivals, z: f64, u: f64) -> f64 {
+    let (thickness, g) = (f64::from(stack.thickness[stack.sample]), f64::from(stack.phase.g));
     let term = |beam: &Beam| {
-        let (d, u) = if beam.down { (thickness - z_mm, u) } else { (z_mm, -u) };
+        let (d, u) = if beam.down { (thickness - z, u) } else { (z, -u) };
         let length = d / beam.cosine + thickness * beam.passed;
-        beam.flux / beam.cosine * mean_phase(g, u, beam.cosine) * (-sigma_t * length).exp()
+        beam.flux / beam.cosine * mean_phase(g, u, beam.cosine) * (-length).exp()
     };
     let n2 = stack.iors[stack.sample].powi(2);
     let [inner, outer] = stack.ring_sin2.map(f64::from);
@@ -34,13 +33,14 @@ fn the_table_gives_what_the_rays_add_up_to() {
     ] {
         let stack = stack(&Scene::paper(), point);
         let (light, arrivals) = (Light::new(&stack, false), Arrivals::of(&stack));
-        let brightest = exact(&stack, &arrivals, point[2], 1.0);
+        let thickness = point[0] * point[2];
+        let brightest = exact(&stack, &arrivals, thickness, 1.0);
         let (mut worst, mut near) = (0.0_f64, 0.0_f64);
         for i in 0..200 {
             for k in 0..200 {
                 // Even in the square root of the depth, where light is.
-                let depth = point[2] * ((f64::from(i) + 0.37) / 200.0).powi(2);
-                let (z, u) = (point[2] - depth, -1.0 + 2.0 * (f64::from(k) + 0.41) / 200.0);
+                let depth = thickness * ((f64::from(i) + 0.37) / 200.0).powi(2);
+                let (z, u) = (thickness - depth, -1.0 + 2.0 * (f64::from(k) + 0.41) / 200.0);
                 let c = exact(&stack, &arrivals, z, u);
                 let found = light.at(z as f32, u as f32).0;
                 // Grazing light at the lower face is too faint to matter.

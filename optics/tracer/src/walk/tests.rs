@@ -110,10 +110,11 @@ fn mean_length_in_the_slab_depends_on_thickness_and_index_alone() {
         let point = TransportPoint::new(sigma_t, g, 0.5, 1.5).unwrap();
         let open = Stack::new(&scene(sample_over_air(0.0)), &point);
         let lengths =
-            walks(&open, 300_000, 3, lambertian, left_or_through).map(|(w, _)| f64::from(w.length_mm));
+            walks(&open, 300_000, 3, lambertian, left_or_through).map(|(w, _)| f64::from(w.length) / sigma_t);
         assert_close(statistics(lengths), 2.0 * 0.5 * 2.25, 0.0, 0.02);
         let closed = Stack::new(&scene(vec![Layer::sample("sample", 0.0).unwrap()]), &point);
-        let lengths = walks(&closed, 300_000, 4, lambertian, left).map(|(w, _)| f64::from(w.length_mm));
+        let lengths =
+            walks(&closed, 300_000, 4, lambertian, left).map(|(w, _)| f64::from(w.length) / sigma_t);
         assert_close(statistics(lengths), 4.0 * 0.5 * 2.25, 0.0, 0.05);
     }
 }

@@ -11,20 +11,15 @@ use crate::stack::Stack;
 /// What a flight needs to know of the sample.
 #[derive(Debug, Clone, Copy)]
 pub struct Sample {
-    mean_free_path_mm: f32,
-    thickness_mm: f32,
+    /// In mean free paths.
+    thickness: f32,
     g: f32,
     numerator: [f32; 3],
 }
 
 impl Sample {
     pub fn new(stack: &Stack) -> Self {
-        Self {
-            mean_free_path_mm: stack.mean_free_path_mm,
-            thickness_mm: stack.thickness_mm[stack.sample],
-            g: stack.phase.g,
-            numerator: stack.phase.numerator,
-        }
+        Self { thickness: stack.thickness[stack.sample], g: stack.phase.g, numerator: stack.phase.numerator }
     }
 
     /// Two flights of the chosen lanes. A walk that would pass a face stays where the flight began; returned are the
@@ -57,11 +52,11 @@ impl Sample {
         path: Words<S>,
         angles: Words<S>,
     ) -> Mask<S> {
-        let free = ln(uniform(path)) * -self.mean_free_path_mm;
+        let free = -ln(uniform(path));
         let z = walks.z + walks.dz * free;
         let down = walks.dz.simd_lt(0.0);
         let up = walks.dz.simd_gt(0.0);
-        let reaches_face = (down & z.simd_le(0.0)) | (up & z.simd_ge(self.thickness_mm));
+        let reaches_face = (down & z.simd_le(0.0)) | (up & z.simd_ge(self.thickness));
         let scatters = lanes & !reaches_face;
         let free = choose(scatters, free, constant(free, 0.0));
         walks.z = choose(scatters, z, walks.z);

@@ -41,8 +41,8 @@ pub enum Kind {
 #[derive(Debug, Clone, Copy)]
 pub struct Gate {
     pub kind: Kind,
-    /// Thickness of the slab that ends here.
-    thickness_mm: f32,
+    /// Thickness of the slab that ends here, see [`Stack::thickness`].
+    thickness: f32,
     /// The slab is the sample: walks come from anywhere in it, and its length counts.
     from_sample: bool,
     /// Whether walks come down to the gate.
@@ -68,7 +68,7 @@ pub fn gates(stack: &Stack) -> Vec<Gate> {
             let slab = if down { i } else { i + 1 };
             gates.push(Gate {
                 kind,
-                thickness_mm: stack.thickness_mm[slab],
+                thickness: stack.thickness[slab],
                 from_sample: slab == stack.sample,
                 down,
                 indices: if down { [above, below] } else { [below, above] },
@@ -79,7 +79,7 @@ pub fn gates(stack: &Stack) -> Vec<Gate> {
     }
     gates.push(Gate {
         kind: Kind::Base,
-        thickness_mm: stack.thickness_mm[last],
+        thickness: stack.thickness[last],
         from_sample: last == stack.sample,
         down: true,
         // Unused: nothing passes the base.
@@ -119,12 +119,12 @@ impl Gate {
     #[inline(always)]
     pub fn approach<S: Simd>(&self, walks: &mut Walks<S>) {
         if self.from_sample {
-            let face = if self.down { 0.0 } else { self.thickness_mm };
+            let face = if self.down { 0.0 } else { self.thickness };
             let flown = (constant(walks.z, face) - walks.z) / walks.dz;
             walks.x += walks.dx * flown;
             walks.length += flown;
         } else {
-            walks.x += walks.dx * (constant(walks.z, self.thickness_mm) / walks.dz.abs());
+            walks.clear_x += walks.dx * (constant(walks.z, self.thickness) / walks.dz.abs());
         }
     }
 

@@ -1,10 +1,12 @@
 //! Hits on the base of the walks that are under way: one linked list a walk, in an arena that is used again.
 
+use crate::exits::Offset;
+
 const NONE: u32 = u32::MAX;
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
-    x_mm: f32,
+    hit: Offset,
     next: u32,
 }
 
@@ -19,18 +21,26 @@ pub struct Hits {
 }
 
 impl Hits {
-    pub fn new(walks: u32) -> Self {
-        Self { nodes: Vec::new(), free: NONE, heads: vec![(NONE, 0); walks as usize] }
+    pub fn new() -> Self {
+        Self { nodes: Vec::new(), free: NONE, heads: Vec::new() }
+    }
+
+    /// Begins anew, for so many walks.
+    pub fn reset(&mut self, walks: u32) {
+        self.nodes.clear();
+        self.free = NONE;
+        self.heads.clear();
+        self.heads.resize(walks as usize, (NONE, 0));
     }
 
     pub fn count(&self, walk: u32) -> u32 {
         self.heads[walk as usize].1
     }
 
-    pub fn push(&mut self, walk: u32, x_mm: f32) {
+    pub fn push(&mut self, walk: u32, hit: Offset) {
         let (head, count) = &mut self.heads[walk as usize];
         *count += 1;
-        let node = Node { x_mm, next: *head };
+        let node = Node { hit, next: *head };
         if self.free == NONE {
             *head = self.nodes.len() as u32;
             self.nodes.push(node);
@@ -43,19 +53,19 @@ impl Hits {
     }
 
     /// Takes a walk's hits away, oldest first.
-    pub fn take(&mut self, walk: u32, hits_mm: &mut Vec<f32>) {
-        hits_mm.clear();
-        self.end(walk, |x_mm| hits_mm.push(x_mm));
-        hits_mm.reverse();
+    pub fn take(&mut self, walk: u32, hits: &mut Vec<Offset>) {
+        hits.clear();
+        self.end(walk, |hit| hits.push(hit));
+        hits.reverse();
     }
 
     /// Shows a walk's hits, newest first, and puts their nodes back.
-    fn end(&mut self, walk: u32, mut each: impl FnMut(f32)) {
+    fn end(&mut self, walk: u32, mut each: impl FnMut(Offset)) {
         let (head, _) = std::mem::replace(&mut self.heads[walk as usize], (NONE, 0));
         let (mut at, mut last) = (head, NONE);
         while at != NONE {
             let node = self.nodes[at as usize];
-            each(node.x_mm);
+            each(node.hit);
             (at, last) = (node.next, at);
         }
         if last != NONE {

@@ -99,13 +99,13 @@ impl<'a, S: Simd> Keep<'a, S> {
         for lane in bits(picked) {
             self.exits.pick(Pick {
                 walk: walk[lane],
-                z_mm: z[lane],
+                z: z[lane],
                 u: u[lane],
                 worth: worth[lane],
                 cuts: cut(&mut left[lane], self.step),
                 scatterings: scatterings[lane],
                 hits: hits.count(walk[lane]),
-                length_mm: length[lane],
+                length: length[lane],
             });
         }
         walks.left = left.simd_into(walks.x.token());

@@ -13,7 +13,7 @@ pub const POOL: usize = 1024;
 const ROOM: usize = POOL + 2 * WIDTH;
 
 /// Words that make up the state of a walk.
-const STATE: usize = 11;
+const STATE: usize = 12;
 
 /// The first `n` lanes.
 #[inline(always)]
@@ -26,11 +26,12 @@ pub fn count<S: Simd>(mask: Mask<S>) -> usize {
     mask.to_bitmask().count_ones() as usize
 }
 
-/// Sixteen walks, one a lane. Lengths in mm.
+/// Sixteen walks, one a lane. Lengths in the sample are in mean free paths.
 #[derive(Debug, Clone, Copy)]
 pub struct Walks<S: Simd> {
-    /// Lateral distance from the entry point.
+    /// Lateral distance from the entry point: what was gathered in the sample, and in clear slabs in mm.
     pub x: Floats<S>,
+    pub clear_x: Floats<S>,
     /// Height above the lower face of the sample; meaningful inside it.
     pub z: Floats<S>,
     /// Direction of flight.
@@ -52,9 +53,10 @@ pub struct Walks<S: Simd> {
 impl<S: Simd> Walks<S> {
     #[inline(always)]
     fn from_words(words: [Words<S>; STATE]) -> Self {
-        let [x, z, dx, dy, dz, length, weight, scatterings, block, walk, left] = words;
+        let [x, clear_x, z, dx, dy, dz, length, weight, scatterings, block, walk, left] = words;
         Self {
             x: x.bitcast(),
+            clear_x: clear_x.bitcast(),
             z: z.bitcast(),
             dx: dx.bitcast(),
             dy: dy.bitcast(),
@@ -72,6 +74,7 @@ impl<S: Simd> Walks<S> {
     fn to_words(self) -> [Words<S>; STATE] {
         [
             self.x.bitcast(),
+            self.clear_x.bitcast(),
             self.z.bitcast(),
             self.dx.bitcast(),
             self.dy.bitcast(),
@@ -100,15 +103,18 @@ pub struct Queue {
 }
 
 impl Queue {
-    /// A queue that grows at its end.
     pub fn new() -> Self {
         Self { begin: WIDTH, end: WIDTH, state: vec![Array([0; ROOM]); STATE].into() }
     }
 
-    /// A queue that grows at its beginning.
-    pub fn backwards() -> Self {
-        let end = WIDTH + POOL;
-        Self { begin: end, end, ..Self::new() }
+    /// Empties the queue, to grow at its end.
+    pub fn reset(&mut self) {
+        (self.begin, self.end) = (WIDTH, WIDTH);
+    }
+
+    /// Empties the queue, to grow at its beginning.
+    pub fn reset_backwards(&mut self) {
+        (self.begin, self.end) = (WIDTH + POOL, WIDTH + POOL);
     }
 
     pub fn len(&self) -> usize {

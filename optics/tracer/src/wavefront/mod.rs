@@ -29,7 +29,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use fearless_simd::{Level, Simd, SimdBase, SimdInto, SimdMask, dispatch, u32x16};
 
 use super::Stopped;
-use super::exits::{Chunk, Exits};
+use super::exits::{Chunk, Exits, Offset};
 use super::light::Light;
 use super::rng::{FIRST_BLOCK, Stream, uniform};
 use super::stack::Stack;
@@ -42,6 +42,34 @@ use lanes::{Floats, Mask, POOL, Queue, WIDTH, Walks, Words, count, first_lanes};
 use numbers::Philox;
 use order::Order;
 
+/// Where walks wait, and their hits.
+#[derive(Debug)]
+pub struct Places {
+    /// Walks in the sample.
+    inside: Queue,
+    /// Walks that have come to a face of the sample from inside, not yet told apart.
+    leaving: Queue,
+    /// Walks on their way to each gate.
+    waiting: Vec<Queue>,
+    hits: Hits,
+}
+
+impl Default for Places {
+    fn default() -> Self {
+        Self { inside: Queue::new(), leaving: Queue::new(), waiting: Vec::new(), hits: Hits::new() }
+    }
+}
+
+impl Places {
+    fn reset(&mut self, gates: usize, walks: u32) {
+        self.inside.reset();
+        self.leaving.reset_backwards();
+        self.waiting.resize_with(gates, Queue::new);
+        self.waiting.iter_mut().for_each(Queue::reset);
+        self.hits.reset(walks);
+    }
+}
+
 /// Runs the walks of a chunk with the instructions of `level` and connects them with the light.
 pub fn run_chunk(
     level: Level,
@@ -49,9 +77,10 @@ pub fn run_chunk(
     light: &Light,
     chunk: Chunk,
     stop: &AtomicBool,
+    places: &mut Places,
     exits: &mut Exits,
 ) -> Result<(), Stopped> {
-    dispatch!(level, simd => Wavefront::new(simd, stack, light, chunk, exits).run(stop))
+    dispatch!(level, simd => Wavefront::new(simd, stack, light, chunk, places, exits).run(stop))
 }
 
 struct Wavefront<'a, S: Simd> {
@@ -61,43 +90,42 @@ struct Wavefront<'a, S: Simd> {
     random: Philox<S>,
     sample: Sample,
     gates: Vec<Gate>,
-    /// Walks in the sample.
-    inside: Queue,
-    /// Walks that have come to a face of the sample from inside, not yet told apart.
-    leaving: Queue,
-    /// Walks on their way to each gate.
-    waiting: Vec<Queue>,
+    at: &'a mut Places,
     /// Gates below and above the sample.
     faces: [usize; 2],
     /// Walks that have been begun, and that have ended.
     begun: u32,
     ended: u32,
-    hits: Hits,
     keep: Keep<'a, S>,
     /// Hits of a walk that ends.
-    hits_mm: Vec<f32>,
+    hits_of_one: Vec<Offset>,
 }
 
 impl<'a, S: Simd> Wavefront<'a, S> {
     #[inline(always)]
-    fn new(simd: S, stack: &'a Stack, light: &'a Light, chunk: Chunk, exits: &'a mut Exits) -> Self {
+    fn new(
+        simd: S,
+        stack: &'a Stack,
+        light: &'a Light,
+        chunk: Chunk,
+        at: &'a mut Places,
+        exits: &'a mut Exits,
+    ) -> Self {
         let gates = gates(stack);
+        at.reset(gates.len(), chunk.walks);
         Self {
             simd,
             stack,
             chunk,
             random: Philox::new(simd, chunk),
             sample: Sample::new(stack),
-            inside: Queue::new(),
-            leaving: Queue::backwards(),
-            waiting: gates.iter().map(|_| Queue::new()).collect(),
+            at,
             faces: [gate_at_end(stack, stack.sample, true), gate_at_end(stack, stack.sample, false)],
             gates,
             begun: 0,
             ended: 0,
-            hits: Hits::new(chunk.walks),
             keep: Keep::new(simd, light, exits),
-            hits_mm: Vec::new(),
+            hits_of_one: Vec::new(),
         }
     }
 
@@ -110,12 +138,12 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             }
             self.begin_walks();
             let mut idle = true;
-            if self.inside.len() + self.leaving.len() >= least {
-                idle = self.inside.len() < least;
+            if self.at.inside.len() + self.at.leaving.len() >= least {
+                idle = self.at.inside.len() < least;
                 self.advance_inside(least);
             }
             for gate in 0..self.gates.len() {
-                if self.waiting[gate].len() >= least {
+                if self.at.waiting[gate].len() >= least {
                     idle = false;
                     self.pass(gate, least);
                 }
@@ -142,6 +170,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             let walk = u32x16::from_fn(self.simd, |lane| self.begun + lane as u32);
             let walks = Walks {
                 x: float(0.0),
+                clear_x: float(0.0),
                 z: float(0.0),
                 dx: float(d.x),
                 dy: float(d.y),
@@ -153,7 +182,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
                 walk,
                 left: self.keep.first_step(self.simd, &self.random, walk),
             };
-            self.waiting[0].push(self.simd, &walks, first_lanes(self.simd, n as usize));
+            self.at.waiting[0].push(self.simd, &walks, first_lanes(self.simd, n as usize));
             self.begun += n;
         }
     }
@@ -169,32 +198,32 @@ impl<'a, S: Simd> Wavefront<'a, S> {
 
     #[inline(always)]
     fn advance_vectors(&mut self, least: usize) {
-        let len = self.inside.len();
+        let len = self.at.inside.len();
         let (mut at, mut kept) = (0, 0);
         while at < len {
             let all = first_lanes(self.simd, len - at);
-            let mut walks = self.inside.load(self.simd, at);
+            let mut walks = self.at.inside.load(self.simd, at);
             if len - at < least {
                 let order = Order::new(self.simd, all);
-                self.inside.place(&walks, &order, kept);
+                self.at.inside.place(&walks, &order, kept);
                 kept += order.chosen();
                 break;
             }
             at += WIDTH;
             let lanes = self.play_roulette(&mut walks, all);
-            let stay = self.sample.fly_twice(&self.random, &mut walks, lanes, &mut self.keep, &self.hits);
+            let stay = self.sample.fly_twice(&self.random, &mut walks, lanes, &mut self.keep, &self.at.hits);
             let order = Order::new(self.simd, stay);
-            self.inside.place(&walks, &order, kept);
+            self.at.inside.place(&walks, &order, kept);
             kept += order.chosen();
             if lanes.all_true() {
-                self.leaving.push_others_first(&walks, &order);
+                self.at.leaving.push_others_first(&walks, &order);
             } else {
                 self.part(&walks, lanes & !stay);
             }
         }
-        self.inside.truncate(kept);
-        while self.leaving.len() >= WIDTH || (least < WIDTH && self.leaving.len() > 0) {
-            let (walks, n) = self.leaving.pop_first(self.simd);
+        self.at.inside.truncate(kept);
+        while self.at.leaving.len() >= WIDTH || (least < WIDTH && self.at.leaving.len() > 0) {
+            let (walks, n) = self.at.leaving.pop_first(self.simd);
             self.part(&walks, first_lanes(self.simd, n));
         }
     }
@@ -203,8 +232,8 @@ impl<'a, S: Simd> Wavefront<'a, S> {
     #[inline(always)]
     fn part(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
         let down = walks.dz.simd_lt(0.0);
-        self.waiting[self.faces[0]].push(self.simd, walks, lanes & down);
-        self.waiting[self.faces[1]].push(self.simd, walks, lanes & !down);
+        self.at.waiting[self.faces[0]].push(self.simd, walks, lanes & down);
+        self.at.waiting[self.faces[1]].push(self.simd, walks, lanes & !down);
     }
 
     /// Roulette for the walks whose block is due; returns the lanes that go on.
@@ -239,13 +268,13 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         self.simd.vectorize(
             #[inline(always)]
             || {
-                let len = self.waiting[gate].len();
+                let len = self.at.waiting[gate].len();
                 let mut at = 0;
                 while at < len && len - at >= least {
                     self.pass_vector(gate, at, first_lanes(self.simd, len - at));
                     at += WIDTH;
                 }
-                self.waiting[gate].drop_first(self.simd, at.min(len));
+                self.at.waiting[gate].drop_first(self.simd, at.min(len));
             },
         );
     }
@@ -253,7 +282,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
     #[inline(always)]
     fn pass_vector(&mut self, index: usize, at: usize, lanes: Mask<S>) {
         let gate = self.gates[index];
-        let mut walks = self.waiting[index].load(self.simd, at);
+        let mut walks = self.at.waiting[index].load(self.simd, at);
         let lanes = self.play_roulette(&mut walks, lanes);
         gate.approach(&mut walks);
         let fates = match gate.kind {
@@ -261,11 +290,12 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             Kind::Rough { alpha } => gate.cross_rough(alpha, &self.random, &mut walks, lanes),
             Kind::Multiple { alpha } => self.cross_singly(gate, alpha, &mut walks, lanes),
             Kind::Base => {
-                let (walk, x) = (walks.walk.to_array(), walks.x.to_array());
+                let walk = walks.walk.to_array();
+                let (x, clear_x) = (walks.x.to_array(), walks.clear_x.to_array());
                 for lane in bits(lanes) {
-                    self.hits.push(walk[lane], x[lane]);
+                    self.at.hits.push(walk[lane], Offset { free_paths: x[lane], mm: clear_x[lane] });
                 }
-                self.keep.hit(&mut walks, lanes, &self.hits);
+                self.keep.hit(&mut walks, lanes, &self.at.hits);
                 reflect_diffusely(&self.random, &mut walks);
                 let none = Mask::splat(self.simd, false);
                 Fates { reflected: lanes, transmitted: none, lost: none }
@@ -302,11 +332,11 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             return;
         }
         match route {
-            Route::Gate(gate) => self.waiting[gate].push(self.simd, walks, lanes),
+            Route::Gate(gate) => self.at.waiting[gate].push(self.simd, walks, lanes),
             Route::SampleTop | Route::SampleBottom => {
-                let top = self.stack.thickness_mm[self.stack.sample];
+                let top = self.stack.thickness[self.stack.sample];
                 walks.z = Floats::splat(self.simd, if route == Route::SampleTop { top } else { 0.0 });
-                self.inside.push(self.simd, walks, lanes);
+                self.at.inside.push(self.simd, walks, lanes);
             }
             Route::Out => self.end(walks, lanes),
         }
@@ -321,9 +351,9 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         let walk = walks.walk.to_array();
         for lane in bits(lanes) {
             let walk = walk[lane];
-            self.hits.take(walk, &mut self.hits_mm);
+            self.at.hits.take(walk, &mut self.hits_of_one);
             if self.keep.exits.needs_hits(walk) {
-                self.keep.exits.add_hits(walk, &self.hits_mm);
+                self.keep.exits.add_hits(walk, &self.hits_of_one);
             }
         }
         self.ended += count(lanes) as u32;

@@ -1,0 +1,75 @@
+//! Jobs that share their walks, given out together.
+
+use std::sync::Arc;
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::lease::Lease;
+use optics_model::grid::Axes;
+use optics_model::{Digest, Grid, Scene, Walks};
+
+use super::{Bench, job_of, seconds, stored, worker};
+use crate::dispatch::{Dictionary, Wish};
+
+/// Optical thicknesses 2 (twice), 4 and 1; with the jobs' numbers: 2, 0 and 3, 1.
+fn bench(walks: u64) -> Bench {
+    let mut two_thick = stored();
+    let axes = Axes {
+        sigma_t_per_mm: vec![2.0, 4.0],
+        albedo: vec![0.5],
+        g: vec![0.0],
+        thickness_mm: vec![0.5, 1.0],
+        sample_ior: vec![1.5],
+    };
+    let grid = Grid::new(Scene::paper(), axes, Walks::new(walks).unwrap(), 1, false).unwrap();
+    two_thick.grid_digest = Digest::of_grid(&grid);
+    two_thick.grid = Arc::new(grid);
+    let mut bench = Bench::new(&[]);
+    bench.farm.remove_dictionary(DictionaryId(1));
+    bench.farm.add_dictionary(Dictionary::new(two_thick, &[]));
+    bench
+}
+
+fn sets(bench: &mut Bench, at: u64, name: &str, parts: usize) -> Vec<Lease> {
+    let wish = Wish { parts, whole_sets: true };
+    bench.farm.acquire(seconds(at), &worker(name), wish, &mut bench.chance).unwrap().leases
+}
+
+#[test]
+fn what_shares_its_walks_comes_on_top_of_what_was_asked_for() {
+    let mut bench = bench(5000);
+    assert_eq!(job_of(&sets(&mut bench, 0, "a", 1)), [3]);
+    assert_eq!(job_of(&sets(&mut bench, 0, "a", 1)), [1, 2], "both are 2 thick");
+    assert_eq!(job_of(&sets(&mut bench, 0, "b", 9)), [0]);
+    assert!(sets(&mut bench, 0, "c", 9).is_empty());
+}
+
+#[test]
+fn who_does_not_ask_for_sets_gets_what_it_asks_for() {
+    let mut bench = bench(5000);
+    assert_eq!(job_of(&bench.acquire(0, "a", 2)), [3, 1]);
+    assert_eq!(job_of(&sets(&mut bench, 0, "b", 1)), [2], "the other of its set is out");
+}
+
+/// One that kills its worker must not drag others down a second time.
+#[test]
+fn what_has_failed_is_tried_again_by_itself() {
+    let mut bench = bench(5000);
+    sets(&mut bench, 0, "b", 1);
+    let both = sets(&mut bench, 0, "a", 1);
+    for lease in &both {
+        bench.fail(1, "a", lease);
+    }
+    assert_eq!(job_of(&sets(&mut bench, 2, "c", 1)), [1]);
+    assert_eq!(job_of(&sets(&mut bench, 2, "c", 1)), [2]);
+}
+
+/// Of divided jobs the same block goes together.
+#[test]
+fn blocks_of_a_set_are_given_out_one_by_one() {
+    let mut bench = bench(2_000_000);
+    let of = |leases: Vec<Lease>| leases.iter().map(|l| (l.key.job, l.key.part)).collect::<Vec<_>>();
+    sets(&mut bench, 0, "b", 2);
+    assert_eq!(of(sets(&mut bench, 0, "a", 1)), [(1, 0), (2, 0)]);
+    assert_eq!(of(sets(&mut bench, 0, "a", 1)), [(1, 1), (2, 1)]);
+    assert_eq!(of(sets(&mut bench, 0, "a", 1)), [(0, 0)]);
+}

@@ -1,0 +1,52 @@
+//! Sets of jobs.
+
+use std::sync::atomic::AtomicBool;
+
+use optics_model::job::JobSpec;
+use optics_model::profile::Record;
+use optics_model::scene::Sensor;
+use optics_model::{Scene, TransportPoint, Walks};
+
+use super::{Kernel, Sums, trace, trace_block, trace_set, trace_set_block, trace_set_with, trace_with};
+
+static RUN: AtomicBool = AtomicBool::new(false);
+
+/// Three jobs, 3 mean free paths thick.
+fn set(walks: u64, derivatives: bool) -> Vec<JobSpec> {
+    let scene = std::sync::Arc::new(Scene::paper().with_sensor(Sensor::new(10.0, 40, 0.0).unwrap()));
+    let job = |[sigma_t, thickness]: [f64; 2]| {
+        let point = TransportPoint::new(sigma_t, 0.4, thickness, 1.53).unwrap();
+        JobSpec::new(scene.clone(), point, vec![0.5, 0.99], Walks::new(walks).unwrap(), 1, derivatives)
+            .unwrap()
+    };
+    [[3.0, 1.0], [6.0, 0.5], [12.0, 0.25]].map(job).to_vec()
+}
+
+/// Nothing of a record tells who else has used its walks.
+#[test]
+fn jobs_of_a_set_have_the_records_that_each_has_alone() {
+    for derivatives in [false, true] {
+        let jobs = set(15_000, derivatives);
+        let alone: Vec<Vec<Record>> = jobs.iter().map(|job| trace(job, &RUN).unwrap()).collect();
+        assert_ne!(alone[0], alone[1], "lengths count");
+        assert_eq!(trace_set(&jobs, &RUN).unwrap(), alone);
+        assert_eq!(trace_set_with(Kernel::SCALAR, &jobs, &RUN).unwrap(), alone);
+        assert_eq!(trace_with(Kernel::SCALAR, &jobs[2], &RUN).unwrap(), alone[2]);
+    }
+    assert_eq!(trace_set(&[], &RUN), Ok(vec![]));
+}
+
+#[test]
+fn blocks_of_a_set_are_those_of_its_jobs() {
+    let jobs = set(1_005_000, false);
+    let alone: Vec<Sums> = jobs.iter().map(|job| trace_block(job, 1, &RUN).unwrap()).collect();
+    assert_eq!(trace_set_block(&jobs, 1, &RUN).unwrap(), alone);
+}
+
+#[test]
+#[should_panic(expected = "has walks of its own")]
+fn jobs_that_do_not_share_their_walks_are_no_set() {
+    let mut jobs = set(5000, false);
+    jobs.push(set(5500, false).remove(0));
+    let _ = trace_set(&jobs, &RUN);
+}
