@@ -238,7 +238,7 @@ async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, Sto
         dispatcher.remember_machine(machine);
     }
     for stored in store.dictionaries().await? {
-        let ended = store.ended_jobs(stored.id, stored.grid.walks()).await?;
+        let ended = store.ended_jobs(stored.id, &stored.grid).await?;
         let dictionary = Dictionary::new(stored, &ended);
         if !dictionary.is_active() && dictionary.open_jobs() > 0 {
             let (name, state) = (dictionary.name(), dictionary.state().as_str());

@@ -56,7 +56,7 @@ async fn dictionary(store: &Store, name: &str) -> StoredDictionary {
 
 /// Ends of a dictionary's jobs, and the digest of all of its records.
 async fn ended(store: &Store, dictionary: &StoredDictionary) -> (Vec<EndedJob>, String) {
-    let ended = store.ended_jobs(dictionary.id, dictionary.grid.walks()).await.unwrap();
+    let ended = store.ended_jobs(dictionary.id, &dictionary.grid).await.unwrap();
     let digest = |job: &EndedJob| match job {
         EndedJob::Done { records, .. } => *records,
         EndedJob::GivenUp { .. } => panic!("{job:?}"),

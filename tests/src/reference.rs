@@ -51,6 +51,8 @@ pub struct MitsubaProfile {
     pub rho_light: f64,
     pub rho_dark: f64,
     pub width_mm: f64,
+    /// Samples a pixel.
+    pub samples: f64,
     pub values: Vec<f64>,
     pub std_errors: Vec<f64>,
 }
@@ -85,6 +87,7 @@ fn read_mitsuba(file: &Path) -> Result<MitsubaProfile> {
         rho_light: header("rho_light")?,
         rho_dark: header("rho_dark")?,
         width_mm: header("width_mm")?,
+        samples: header("spp")?,
         values,
         std_errors,
     })

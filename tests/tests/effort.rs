@@ -69,8 +69,8 @@ async fn points_are_traced_until_the_target_error_and_have_the_bytes_of_as_many_
     farm.submit_grid("quality", &grid).await?;
     let status = farm.watched("quality").await?;
     let (fewest, most) = status.walks;
-    assert_eq!(fewest, plain.walks().get(), "some points are quiet enough at once");
-    assert!(most > 2 * plain.walks().get(), "the noisiest need (1/0.6)² times as many: {most}");
+    assert_eq!(fewest, plain.walks_of(0).get(), "some points are quiet enough at once");
+    assert!(most > 2 * plain.walks_of(0).get(), "the noisiest need (1/0.6)² times as many: {most}");
 
     let mut digests = Vec::new();
     for (job, first) in first.iter().enumerate() {
@@ -107,7 +107,7 @@ async fn a_finer_grid_computes_only_what_is_missing_and_has_the_same_bytes() -> 
             thickness_mm: coarse.thickness_mm().to_vec(),
             sample_ior: coarse.sample_ior().to_vec(),
         };
-        Grid::new(coarse.scene().clone(), axes, coarse.walks(), coarse.seed(), false)
+        Grid::new(coarse.scene().clone(), axes, coarse.effort(), coarse.seed(), false)
     };
     // One extinction is new, and one albedo is left out, which changes nothing for the others.
     let fine = finer(vec![1.0, 4.0, 6.0, 8.0], vec![0.5, 0.99])?;

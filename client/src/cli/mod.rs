@@ -14,6 +14,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
+use optics_model::grid::NoiseLevel;
 
 pub use bounds::BoundsArg;
 pub use capture::CaptureArgs;
@@ -186,12 +187,20 @@ pub struct SubmitArgs {
     /// Name of the dictionary [default: the file's name, or "paper"].
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
+    /// How quiet the records are to be: draft, paper or fine, for about a tenth of the paper's work, the paper's noise, and ten
+    /// times the work; instead of what the grid file says.
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    pub quality: Option<NoiseLevel>,
     /// Wait until the dictionary is finished; without a server, submit always waits.
     #[arg(long)]
     pub wait: bool,
     /// Priority from -1000 to 1000; higher goes first.
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     pub priority: i32,
+}
+
+fn level(name: &str) -> Result<NoiseLevel, String> {
+    NoiseLevel::from_name(name).map_err(|invalid| invalid.allowed().to_owned())
 }
 
 #[derive(Debug, Args)]

@@ -6,8 +6,8 @@ use anyhow::{Result, bail};
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryStatus, FailedJob};
 use farm_proto::wire::{GetRequest, ListFailedRequest};
-use optics_model::SceneFile;
-use optics_model::grid::Axes;
+use optics_model::grid::{Axes, Effort};
+use optics_model::{Grid, SceneFile, Walks};
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
@@ -59,15 +59,27 @@ pub(super) fn data(status: &DictionaryStatus) -> impl Serialize {
     struct GridData<'a> {
         #[serde(flatten)]
         axes: &'a Axes,
+        /// The most that a point begins with.
         walks: u64,
+        /// The level of noise, if the walks follow from one.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        noise: Option<&'static str>,
         seed: u64,
         derivatives: bool,
         scene: SceneFile,
     }
     let grid = &status.grid;
-    let (walks, seed, derivatives) = (grid.walks().get(), grid.seed(), grid.derivatives());
+    let (seed, derivatives) = (grid.seed(), grid.derivatives());
+    let [_, walks] = grid.least_and_most_walks().map(Walks::get);
+    let noise = match grid.effort() {
+        Effort::Noise(level) => Some(level.name()),
+        Effort::Walks(_) => None,
+    };
     let scene = SceneFile::from(grid.scene());
-    Data { dictionary: status.into(), grid: GridData { axes: grid.axes(), walks, seed, derivatives, scene } }
+    Data {
+        dictionary: status.into(),
+        grid: GridData { axes: grid.axes(), walks, noise, seed, derivatives, scene },
+    }
 }
 
 async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {
@@ -108,7 +120,7 @@ fn text(status: &DictionaryStatus) -> String {
         ("sample index", axis(grid.sample_ior())),
         ("channels", channels.join(", ")),
         ("profile", format!("{} pixels over {} mm", sensor.pixels(), sensor.width_mm())),
-        ("walks", format!("{} per transport point, seed {}", grouped(grid.walks().get()), grid.seed())),
+        ("walks", walks(grid)),
         ("derivatives", if grid.derivatives() { "by albedo and sigma_t" } else { "none" }.to_owned()),
         ("grid digest", status.grid_digest.to_string()),
         ("records digest", digest),
@@ -139,6 +151,17 @@ fn text(status: &DictionaryStatus) -> String {
     };
     lines.extend(status.failed.iter().map(failed));
     lines.iter().map(|(name, value)| format!("{name:<15} {value}\n")).collect()
+}
+
+fn walks(grid: &Grid) -> String {
+    let [least, most] = grid.least_and_most_walks().map(|walks| grouped(walks.get()));
+    match grid.effort() {
+        Effort::Walks(_) => format!("{most} per transport point, seed {}", grid.seed()),
+        Effort::Noise(level) => {
+            let quality = level.name();
+            format!("{least} to {most} per transport point (quality {quality}), seed {}", grid.seed())
+        }
+    }
 }
 
 fn axis(values: &[f64]) -> String {

@@ -20,6 +20,10 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
         Some(file) => (read_grid(file)?, stem(file)?),
         None => (Grid::paper(), "paper".to_owned()),
     };
+    let grid = match args.quality {
+        Some(level) => grid.with_effort(level)?,
+        None => grid,
+    };
     let name = DictionaryName::new(args.name.clone().unwrap_or(default_name))?;
     let (status, end) = with_farm(global, Purpose::Compute, async |connection| {
         submit(connection, &name, &grid, &args, global.quiet).await
@@ -59,7 +63,7 @@ pub(super) async fn ensure(
     grid: &Grid,
     quiet: bool,
 ) -> Result<()> {
-    let args = SubmitArgs { grid: None, name: None, wait: true, priority: 0 };
+    let args = SubmitArgs { grid: None, name: None, quality: None, wait: true, priority: 0 };
     let (status, end) = submit(connection, name, grid, &args, quiet).await?;
     match (&end, status.state()) {
         (End::Followed(watch::End::Ended(_)), DictionaryState::Done) => Ok(()),

@@ -228,9 +228,9 @@ impl Dictionary {
 
     /// Begins jobs again.
     pub(super) fn reopen(&mut self, jobs: &[u32]) {
-        let walks = self.stored.grid.walks();
         for index in jobs {
             if (*index as usize) < self.jobs.len() {
+                let walks = self.grid().walks_of(*index as usize);
                 self.begin_again(*index, walks);
             }
         }

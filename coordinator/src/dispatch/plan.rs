@@ -20,9 +20,11 @@ impl Plan {
     /// Of a grid that is too large only the jobs are held, and none of their parts.
     pub fn new(grid: &Grid) -> Self {
         let too_large = grid.check_parts().err();
-        let parts = parts_of(grid.walks(), too_large.as_ref());
         let mut jobs: Vec<Job> = (0..grid.job_count())
-            .map(|job| Job::new(grid.walks(), parts, cost_per_walk(&grid.point(job))))
+            .map(|job| {
+                let walks = grid.walks_of(job);
+                Job::new(walks, parts_of(walks, too_large.as_ref()), cost_per_walk(&grid.point(job)))
+            })
             .collect();
         let mut rank = 0;
         for set in sets_longest_first(grid) {

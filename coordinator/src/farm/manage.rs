@@ -60,7 +60,7 @@ impl Farm {
                 self.door.query(|d, _| d.dictionaries().map(|d| (d.id(), d.grid().clone())).collect());
             self.store.reuse(id, &grid, &jobs, &grids).await?.len()
         };
-        let ended = self.store.ended_jobs(id, grid.walks()).await?;
+        let ended = self.store.ended_jobs(id, &grid).await?;
         let dictionary = Dictionary::planned(plan, stored, &ended);
         self.door.transition(|dispatcher, _| dispatcher.add_dictionary(dictionary));
         self.find_blocks(id).await?;

@@ -42,7 +42,7 @@ impl Farm {
         let taken = self.store.reuse(id, &grid, &identities, &grids).await?;
         self.door.transition(|dispatcher, _| {
             for (job, records) in &taken {
-                dispatcher.taken_over((id, *job), grid.walks(), *records, by);
+                dispatcher.taken_over((id, *job), grid.walks_of(*job as usize), *records, by);
             }
         });
         let is_taken = |job: u32| taken.iter().any(|(taken, _)| *taken == job);

@@ -1,7 +1,7 @@
 //! Table `jobs`: those that have ended.
 
 use farm_proto::ids::DictionaryId;
-use optics_model::{Digest, Walks};
+use optics_model::{Digest, Grid, Walks};
 
 use super::{Result, Store, StoreError, doing};
 use crate::stored::{EndedJob, Origin};
@@ -20,14 +20,15 @@ struct JobRow {
 }
 
 impl JobRow {
-    fn decode(self, of_grid: Walks) -> Result<EndedJob> {
+    fn decode(self, grid: &Grid) -> Result<EndedJob> {
         let job = self.job as u32;
         match (self.records_digest, self.failure) {
             (Some(digest), None) => {
                 // The first schema did not note the walks: all jobs had those of the grid.
-                let walks = self.walks.map_or(Ok(of_grid), |walks| {
-                    Walks::new(walks as u64).map_err(|e| corrupt(self.job, "walks", e.to_string()))
-                })?;
+                let walks = self.walks.map_or_else(
+                    || Ok(grid.walks_of(job as usize)),
+                    |walks| Walks::new(walks as u64).map_err(|e| corrupt(self.job, "walks", e.to_string())),
+                )?;
                 let records = decode_digest(self.job, &digest)?;
                 let confirmed = self.confirmed.iter().flat_map(|numbers| numbers.split(','));
                 let confirmed = confirmed.filter_map(|number| number.parse().ok()).map(Origin).collect();
@@ -63,8 +64,8 @@ impl Store {
         Ok(rows.into_iter().map(|(dictionary, job)| (DictionaryId(dictionary), job as u32)).collect())
     }
 
-    /// Jobs of a dictionary that have ended; `of_grid` is the number of walks that its grid asks for.
-    pub async fn ended_jobs(&self, dictionary: DictionaryId, of_grid: Walks) -> Result<Vec<EndedJob>> {
+    /// Jobs of a dictionary that have ended.
+    pub async fn ended_jobs(&self, dictionary: DictionaryId, grid: &Grid) -> Result<Vec<EndedJob>> {
         let rows: Vec<JobRow> = sqlx::query_as(
             "SELECT job, walks, records_digest, reused, failure, quarantined, \
              (SELECT CASE count(*) WHEN 1 THEN min(worker_id) END FROM contributions \
@@ -77,7 +78,7 @@ impl Store {
         .fetch_all(&self.read)
         .await
         .map_err(doing("reading the jobs"))?;
-        rows.into_iter().map(|row| row.decode(of_grid)).collect()
+        rows.into_iter().map(|row| row.decode(grid)).collect()
     }
 
     pub async fn give_up_job(

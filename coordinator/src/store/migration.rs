@@ -60,7 +60,7 @@ async fn move_dictionary(tx: &mut SqliteConnection, id: DictionaryId, grid: &Arc
         }
         sqlx::query("UPDATE jobs SET point_id = ?, walks = ? WHERE dictionary_id = ? AND job = ?")
             .bind(point)
-            .bind(grid.walks().get() as i64)
+            .bind(grid.walks_of(job as usize).get() as i64)
             .bind(id.0)
             .bind(job)
             .execute(&mut *tx)

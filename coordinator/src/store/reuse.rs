@@ -106,7 +106,7 @@ async fn end(
     .bind(dictionary.0)
     .bind(*job)
     .bind(*point)
-    .bind(grid.walks().get() as i64)
+    .bind(grid.walks_of(*job as usize).get() as i64)
     .bind(&digest.as_bytes()[..])
     .execute(tx)
     .await

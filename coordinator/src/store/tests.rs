@@ -109,7 +109,7 @@ async fn what_was_committed_is_there_after_reopening() {
     };
     assert_eq!(store.dictionaries().await.unwrap(), [expected]);
     assert_eq!(
-        store.ended_jobs(created.id, created.grid.walks()).await.unwrap(),
+        store.ended_jobs(created.id, &created.grid).await.unwrap(),
         [EndedJob::GivenUp { job: 0, reason: "no luck".to_owned(), quarantined: true }, done(1, digest)]
     );
     assert_eq!(all_records(&store, &created).await, records_of);
@@ -129,7 +129,7 @@ async fn a_second_completion_tells_the_first_and_changes_nothing() {
     let new = Digest::of_records(&records(0, 0.5));
     assert_eq!(complete(&store, &d, 0, 0.5).await, Outcome::Before { records: digest, new });
     store.give_up_job(d.id, 0, "too late", false).await.unwrap();
-    assert_eq!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap(), [done(0, digest)]);
+    assert_eq!(store.ended_jobs(d.id, &d.grid).await.unwrap(), [done(0, digest)]);
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
 }
 
@@ -222,7 +222,7 @@ async fn more_walks_are_asked_for_until_the_noise_is_low_enough() {
     // (0.4 / 0.2)² · 1.1 = 4.4 times 5000 walks, rounded up to batches.
     let more = Outcome::MoreWalks(Walks::new(22_500).unwrap());
     assert_eq!(store.complete(result(0.2)).await.unwrap(), more);
-    assert!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap().is_empty());
+    assert!(store.ended_jobs(d.id, &d.grid).await.unwrap().is_empty());
     let most = Outcome::MoreWalks(Walks::new(50_000).unwrap());
     assert_eq!(store.complete(result(0.01)).await.unwrap(), most, "but no more than allowed");
     assert!(matches!(store.complete(result(0.41)).await.unwrap(), Outcome::Finished { .. }));
@@ -295,7 +295,7 @@ async fn a_database_of_the_first_schema_keeps_its_records() {
         let store = open(dir.path()).await;
         let d = store.dictionaries().await.unwrap().remove(0);
         assert_eq!(all_records(&store, &d).await, records(2, 0.25));
-        assert_eq!(store.ended_jobs(d.id, d.grid.walks()).await.unwrap().len(), 2);
+        assert_eq!(store.ended_jobs(d.id, &d.grid).await.unwrap().len(), 2);
         store.close().await;
     }
 }

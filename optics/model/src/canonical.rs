@@ -5,7 +5,7 @@
 //! encoding: fields in the order of their numbers, numbers that are zero and texts that are empty left out, repeated
 //! numbers packed. `proto` has a test that holds them against the messages of today.
 
-use crate::grid::Grid;
+use crate::grid::{Effort, Grid, NoiseLevel};
 use crate::scene::{Layer, LayerMedium, Scene};
 
 /// Protobuf's wire types.
@@ -63,7 +63,13 @@ pub(crate) fn grid(grid: &Grid) -> Vec<u8> {
         let packed: Vec<u8> = axis.iter().flat_map(|v| v.to_le_bytes()).collect();
         message(&mut bytes, field, &packed);
     }
-    whole(&mut bytes, 7, grid.walks().get());
+    let (walks, level) = match grid.effort() {
+        Effort::Walks(walks) => (walks.get(), 0),
+        Effort::Noise(NoiseLevel::Draft) => (0, 1),
+        Effort::Noise(NoiseLevel::Paper) => (0, 2),
+        Effort::Noise(NoiseLevel::Fine) => (0, 3),
+    };
+    whole(&mut bytes, 7, walks);
     whole(&mut bytes, 8, grid.seed());
     whole(&mut bytes, 9, u64::from(grid.derivatives()));
     if let Some(target) = grid.quality() {
@@ -72,6 +78,7 @@ pub(crate) fn grid(grid: &Grid) -> Vec<u8> {
         whole(&mut quality, 2, target.max_walks().get());
         message(&mut bytes, 10, &quality);
     }
+    whole(&mut bytes, 11, level);
     bytes
 }
 

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::grid::{Axes, Grid, Quality, Walks};
+use crate::grid::{Axes, Effort, Grid, NoiseLevel, Quality, Walks};
 use crate::invalid::{Invalid, Result};
 use crate::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
 
@@ -25,7 +25,42 @@ pub struct GridFile {
     pub seed: Option<u64>,
     #[serde(default)]
     pub derivatives: bool,
-    pub quality: Option<QualityTable>,
+    /// `"draft"`, `"paper"` (the default) or `"fine"`; or a table, with a target.
+    pub quality: Option<QualityRef>,
+}
+
+/// A level of noise by its name, or a target.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum QualityRef {
+    Level(String),
+    Target(QualityTable),
+}
+
+/// By hand, as for [`SceneRef`].
+impl<'de> Deserialize<'de> for QualityRef {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct NameOrTable;
+
+        impl<'de> serde::de::Visitor<'de> for NameOrTable {
+            type Value = QualityRef;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("draft, paper, fine, or a table")
+            }
+
+            fn visit_str<E>(self, name: &str) -> Result<QualityRef, E> {
+                Ok(QualityRef::Level(name.to_owned()))
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<QualityRef, A::Error> {
+                let table = serde::de::value::MapAccessDeserializer::new(map);
+                QualityTable::deserialize(table).map(QualityRef::Target)
+            }
+        }
+
+        deserializer.deserialize_any(NameOrTable)
+    }
 }
 
 /// Trace more walks where the noise is above a target.
@@ -90,10 +125,23 @@ impl GridFile {
             thickness_mm: or(self.thickness_mm, paper.thickness_mm()),
             sample_ior: or(self.sample_ior, paper.sample_ior()),
         };
-        let walks = self.walks.map_or(Ok(Walks::PAPER), Walks::new)?;
-        let grid = Grid::new(scene, axes, walks, self.seed.unwrap_or(paper.seed()), self.derivatives)?;
-        let Some(table) = self.quality else { return Ok(grid) };
-        let max_walks = Walks::new(table.max_walks.unwrap_or(MAX_WALKS.max(walks.get())));
+        let level = match &self.quality {
+            Some(QualityRef::Level(name)) => Some(NoiseLevel::from_name(name)?),
+            _ => None,
+        };
+        let effort = match (self.walks.map(Walks::new).transpose()?, level) {
+            (Some(walks), None) => Effort::Walks(walks),
+            (None, level) => Effort::Noise(level.unwrap_or(NoiseLevel::Paper)),
+            (Some(walks), Some(level)) => {
+                let allowed =
+                    format!("quality = {:?} says how many already; leave out one of the two", level.name());
+                return Err(Invalid::new("walks", walks.get(), allowed));
+            }
+        };
+        let grid = Grid::new(scene, axes, effort, self.seed.unwrap_or(paper.seed()), self.derivatives)?;
+        let Some(QualityRef::Target(table)) = self.quality else { return Ok(grid) };
+        let [_, first] = grid.least_and_most_walks();
+        let max_walks = Walks::new(table.max_walks.unwrap_or(MAX_WALKS.max(first.get())));
         let max_walks = max_walks.map_err(|e| e.renamed("quality.max_walks"))?;
         grid.with_quality(Quality::new(table.relative_std_error, max_walks).map_err(|e| e.within("quality"))?)
     }
@@ -307,6 +355,25 @@ mod tests {
             let error = toml::from_str::<GridFile>(&format!("walks = {text}")).unwrap_err().to_string();
             assert!(error.contains("is not a whole number"), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn quality_is_a_level_or_a_table() {
+        let grid = |text: &str| toml::from_str::<GridFile>(text).unwrap().into_grid(Scene::paper());
+        assert_eq!(grid("").unwrap().effort(), Effort::Noise(NoiseLevel::Paper));
+        assert_eq!(grid("quality = 'fine'").unwrap().effort(), Effort::Noise(NoiseLevel::Fine));
+        assert_eq!(grid("walks = 5000").unwrap().effort(), Effort::Walks(Walks::new(5000).unwrap()));
+        let target = grid("[quality]\nrelative_std_error = 0.01").unwrap();
+        assert_eq!((target.effort(), target.quality().is_some()), (NoiseLevel::Paper.into(), true));
+        for (text, field) in [
+            ("quality = 'best'", "quality"),
+            ("walks = 5000\nquality = 'draft'", "walks"),
+            ("[quality]\nrelative_std_error = 0.01\nmax_walks = 5000", "quality.max_walks"),
+        ] {
+            assert_eq!(grid(text).unwrap_err().field(), field, "{text}");
+        }
+        let error = toml::from_str::<GridFile>("quality = 3").unwrap_err().to_string();
+        assert!(error.contains("draft, paper, fine, or a table"), "{error}");
     }
 
     #[test]

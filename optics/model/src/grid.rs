@@ -1,5 +1,6 @@
 //! The parameter grid of a dictionary and the numbering of its records.
 
+mod effort;
 mod parts;
 mod walks;
 
@@ -14,6 +15,7 @@ use crate::medium::{
 };
 use crate::profile::RecordShape;
 use crate::scene::Scene;
+pub use effort::{Effort, NoiseLevel};
 pub use parts::MAX_PARTS;
 pub use walks::{BATCH_WALKS, BLOCK_BATCHES, CHUNK_BATCHES, Quality, Walks};
 
@@ -30,7 +32,7 @@ pub const MAX_JOB_BYTES: u64 = 64 << 20;
 pub struct Grid {
     scene: Arc<Scene>,
     axes: Axes,
-    walks: Walks,
+    effort: Effort,
     seed: u64,
     derivatives: bool,
     quality: Option<Quality>,
@@ -50,7 +52,7 @@ impl Grid {
     pub fn new(
         scene: impl Into<Arc<Scene>>,
         axes: Axes,
-        walks: Walks,
+        effort: impl Into<Effort>,
         seed: u64,
         derivatives: bool,
     ) -> Result<Self> {
@@ -64,7 +66,8 @@ impl Grid {
         };
         let last = |axis: &[f64]| axis[axis.len() - 1];
         check_optical_thickness(last(&axes.sigma_t_per_mm), last(&axes.thickness_mm))?;
-        let grid = Self { scene, axes, walks, seed, derivatives, quality: None };
+        let effort = effort.into();
+        let grid = Self { scene, axes, effort, seed, derivatives, quality: None };
         let records = grid.job_count() as u128 * grid.albedo().len() as u128;
         if records > u128::from(MAX_RECORDS) {
             return Err(Invalid::new("records", records, format!("a grid may have at most {MAX_RECORDS}")));
@@ -105,13 +108,14 @@ impl Grid {
             thickness_mm: vec![0.5, 1.0],
             sample_ior: vec![1.53],
         };
-        Self::new(Scene::paper(), axes, Walks::PAPER, 1, false).expect("the paper's grid is valid")
+        Self::new(Scene::paper(), axes, NoiseLevel::Paper, 1, false).expect("the paper's grid is valid")
     }
 
     /// The same grid with more walks where the noise is above a target.
     pub fn with_quality(self, quality: Quality) -> Result<Self> {
-        if quality.max_walks().get() < self.walks.get() {
-            let allowed = format!("at least `walks`, {}, are needed", self.walks.get());
+        let [_, first] = self.least_and_most_walks().map(Walks::get);
+        if quality.max_walks().get() < first {
+            let allowed = format!("points begin with up to {first}");
             return Err(Invalid::new("quality.max_walks", quality.max_walks().get(), allowed));
         }
         Ok(Self { quality: Some(quality), ..self })
@@ -154,8 +158,34 @@ impl Grid {
         &self.axes.sample_ior
     }
 
-    pub fn walks(&self) -> Walks {
-        self.walks
+    /// The same grid with another effort.
+    pub fn with_effort(self, effort: impl Into<Effort>) -> Result<Self> {
+        let quality = self.quality;
+        let grid = Self { effort: effort.into(), quality: None, ..self };
+        quality.map_or(Ok(grid.clone()), |quality| grid.with_quality(quality))
+    }
+
+    pub fn effort(&self) -> Effort {
+        self.effort
+    }
+
+    /// Walks that a job begins with.
+    pub fn walks_of(&self, job: usize) -> Walks {
+        self.effort.walks(&self.point(job))
+    }
+
+    /// The fewest and the most walks that a job begins with.
+    pub fn least_and_most_walks(&self) -> [Walks; 2] {
+        let last = |axis: &[f64]| axis[axis.len() - 1];
+        let of = |sigma_t, thickness| {
+            let point = TransportPoint::new(sigma_t, self.g()[0], thickness, self.sample_ior()[0]);
+            self.effort.walks(&point.expect("axes hold checked values"))
+        };
+        // The most where the sample is thickest.
+        [
+            of(self.sigma_t_per_mm()[0], self.thickness_mm()[0]),
+            of(last(self.sigma_t_per_mm()), last(self.thickness_mm())),
+        ]
     }
 
     pub fn seed(&self) -> u64 {

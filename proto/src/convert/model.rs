@@ -2,7 +2,7 @@
 
 use super::required;
 use crate::wire;
-use optics_model::grid::{Axes, Grid, Quality, Walks};
+use optics_model::grid::{Axes, Effort, Grid, NoiseLevel, Quality, Walks};
 use optics_model::invalid::{Invalid, Result, each};
 use optics_model::medium::{Medium, TransportPoint};
 use optics_model::profile::{Derivatives, Estimate, Profile, Record};
@@ -69,13 +69,23 @@ impl From<&Grid> for wire::Grid {
             g: grid.g().to_vec(),
             thickness_mm: grid.thickness_mm().to_vec(),
             sample_ior: grid.sample_ior().to_vec(),
-            walks: grid.walks().get(),
+            walks: match grid.effort() {
+                Effort::Walks(walks) => walks.get(),
+                Effort::Noise(_) => 0,
+            },
             seed: grid.seed(),
             derivatives: grid.derivatives(),
             quality: grid.quality().map(|q| wire::Quality {
                 relative_std_error: q.relative_std_error(),
                 max_walks: q.max_walks().get(),
             }),
+            noise: match grid.effort() {
+                Effort::Walks(_) => wire::NoiseLevel::Unspecified,
+                Effort::Noise(NoiseLevel::Draft) => wire::NoiseLevel::Draft,
+                Effort::Noise(NoiseLevel::Paper) => wire::NoiseLevel::Paper,
+                Effort::Noise(NoiseLevel::Fine) => wire::NoiseLevel::Fine,
+            }
+            .into(),
         }
     }
 }
@@ -84,6 +94,7 @@ impl TryFrom<wire::Grid> for Grid {
     type Error = Invalid;
 
     fn try_from(grid: wire::Grid) -> Result<Self> {
+        let effort = effort(grid.walks, grid.noise)?;
         let scene = Scene::try_from(required("scene", grid.scene)?).map_err(|e| e.within("scene"))?;
         let axes = Axes {
             sigma_t_per_mm: grid.sigma_t_per_mm,
@@ -97,9 +108,23 @@ impl TryFrom<wire::Grid> for Grid {
             Quality::new(q.relative_std_error, max_walks).map_err(|e| e.within("quality"))
         });
         let quality = quality.transpose()?;
-        let grid = Grid::new(scene, axes, Walks::new(grid.walks)?, grid.seed, grid.derivatives)?;
+        let grid = Grid::new(scene, axes, effort, grid.seed, grid.derivatives)?;
         quality.map_or(Ok(grid.clone()), |q| grid.with_quality(q))
     }
+}
+
+fn effort(walks: u64, noise: i32) -> Result<Effort> {
+    let level = match wire::NoiseLevel::try_from(noise) {
+        Ok(wire::NoiseLevel::Unspecified) => return Ok(Walks::new(walks)?.into()),
+        Ok(wire::NoiseLevel::Draft) => NoiseLevel::Draft,
+        Ok(wire::NoiseLevel::Paper) => NoiseLevel::Paper,
+        Ok(wire::NoiseLevel::Fine) => NoiseLevel::Fine,
+        Err(_) => return Err(Invalid::new("noise", noise, "allowed are the levels 1 to 3")),
+    };
+    if walks != 0 {
+        return Err(Invalid::new("walks", walks, "a level of noise says how many already"));
+    }
+    Ok(level.into())
 }
 
 impl From<TransportPoint> for wire::TransportPoint {

@@ -224,7 +224,7 @@ impl World {
     }
 
     pub fn walks_of(&self, place: (DictionaryId, u32)) -> u64 {
-        let of_grid = self.store.dictionaries[&place.0].grid.walks();
+        let of_grid = self.store.dictionaries[&place.0].grid.walks_of(0);
         self.walks.get(&place).copied().unwrap_or(of_grid).get()
     }
 

@@ -125,9 +125,9 @@ async fn what_could_not_be_made_durable_is_tried_again_at_the_next_look() {
     }
     assert_eq!(farm.status(&name()).unwrap().failed.len(), 1, "it is given up");
     change(&dir, "ALTER TABLE elsewhere RENAME TO jobs").await;
-    assert!(farm.store.ended_jobs(id, grid().walks()).await.unwrap().is_empty(), "and it is not stored");
+    assert!(farm.store.ended_jobs(id, &grid()).await.unwrap().is_empty(), "and it is not stored");
     farm.look_over();
     farm.door.settled().await;
-    let ended = farm.store.ended_jobs(id, grid().walks()).await.unwrap();
+    let ended = farm.store.ended_jobs(id, &grid()).await.unwrap();
     assert_eq!(ended.iter().map(crate::stored::EndedJob::job).collect::<Vec<_>>(), [job]);
 }

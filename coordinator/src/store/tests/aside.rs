@@ -28,7 +28,7 @@ async fn count(store: &Store, table: &str) -> i64 {
 
 /// Who stands for each job that is done.
 async fn behind(store: &Store, d: &StoredDictionary) -> Vec<(u32, Option<Origin>, Vec<Origin>)> {
-    let ended = store.ended_jobs(d.id, d.grid.walks()).await.unwrap().into_iter();
+    let ended = store.ended_jobs(d.id, &d.grid).await.unwrap().into_iter();
     ended
         .map(|end| match end {
             EndedJob::Done { job, by, confirmed, .. } => (job, by, confirmed),

@@ -21,7 +21,8 @@ impl Grid {
         };
         let fits = |walks: Walks| u64::from(walks.blocks()) <= blocks.get();
         let most = self.quality.map(|q| ("quality.max_walks", q.max_walks()));
-        match [Some(("walks", self.walks)), most].into_iter().flatten().find(|(_, walks)| !fits(*walks)) {
+        let [_, first] = self.least_and_most_walks();
+        match [Some(("walks", first)), most].into_iter().flatten().find(|(_, walks)| !fits(*walks)) {
             None => Ok(()),
             Some((field, walks)) => {
                 let block = BLOCK_BATCHES * BATCH_WALKS;

@@ -19,7 +19,7 @@ const MAX_WALKS: u64 = 1_000_000_000_000;
 pub struct Walks(u64);
 
 impl Walks {
-    /// As many as are at least as quiet as the paper's 250,000 samples per pixel, bright media and dark ones.
+    /// Near the most that any point of the paper needs for its noise, see [`super::NoiseLevel`].
     pub const PAPER: Self = Self(50_000);
 
     pub fn new(walks: u64) -> Result<Self> {
