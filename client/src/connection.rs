@@ -163,13 +163,19 @@ impl Connection {
         }
     }
 
+    /// A worker on all cores, with the kernel that FARM_KERNEL names as for `farm-worker`.
+    fn worker(coordinator: Target) -> farm_worker::Config {
+        let kernel = std::env::var("FARM_KERNEL").ok();
+        farm_worker::Config { kernel, ..farm_worker::Config::new(coordinator) }
+    }
+
     async fn embed(coordinator: Coordinator, purpose: Purpose) -> Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0").await.context("opening a port on loopback")?;
         let target = loopback(&listener.local_addr()?.to_string())?;
         let (stop_coordinator, stop_worker) = (CancellationToken::new(), CancellationToken::new());
         let coordinator = tokio::spawn(coordinator.serve(listener, None, stop_coordinator.clone()));
         let worker = (purpose == Purpose::Compute).then(|| {
-            let work = farm_worker::run(farm_worker::Config::new(target.clone()), stop_worker.clone());
+            let work = farm_worker::run(Self::worker(target.clone()), stop_worker.clone());
             let stop_coordinator = stop_coordinator.clone();
             tokio::spawn(async move {
                 let ended = work.await;

@@ -16,6 +16,7 @@ use crate::delivery::{ResultBuffer, deliver};
 use crate::heartbeat::beat;
 use crate::idle::IdleTime;
 use crate::job::Workshop;
+use crate::kernels;
 use crate::leases::{HeldLeases, SetSwitch};
 use crate::pool::Pool;
 use crate::retry::{Pauses, is_refusal, log_failure};
@@ -60,6 +61,8 @@ pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, E
 }
 
 async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> Result<Ended, Error> {
+    let kernel = kernels::choose(config.kernel.as_deref())?;
+    tracing::debug!(%kernel, threads = config.threads, "tracing");
     let limit = Instant::now() + working_time(&config);
     let pool = Pool::new(config.threads)?;
     let held: Arc<HeldLeases> = Arc::default();

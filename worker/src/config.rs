@@ -23,6 +23,8 @@ pub struct Config {
     pub time_limit: Option<Duration>,
     /// Stop when there was no work for so long.
     pub idle_exit: Option<Duration>,
+    /// Kernel to trace with; the fastest if none is told.
+    pub kernel: Option<String>,
 }
 
 impl Config {
@@ -38,6 +40,7 @@ impl Config {
             grace: Duration::ZERO,
             time_limit: None,
             idle_exit: None,
+            kernel: None,
         }
     }
 }

@@ -10,6 +10,7 @@ mod delivery;
 mod heartbeat;
 mod idle;
 mod job;
+mod kernels;
 mod leases;
 mod pool;
 mod reachability;
@@ -20,4 +21,5 @@ mod testing;
 
 pub use agent::{Ended, run};
 pub use config::Config;
+pub use kernels::{Speed, UnknownKernel, measure};
 pub use session::Error;

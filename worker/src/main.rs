@@ -30,6 +30,9 @@ struct Args {
     /// Threads to trace with [default: all cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     threads: Option<u16>,
+    /// Instructions to trace with: avx512, avx2, sse4.2, sse2, neon or scalar [default: the fastest]. All give the same bits.
+    #[arg(long, value_name = "NAME", env = "FARM_KERNEL")]
+    kernel: Option<String>,
     /// Name shown to people [default: machine and process].
     #[arg(long, value_name = "TEXT")]
     label: Option<String>,
@@ -88,6 +91,7 @@ fn config(args: Args) -> Result<Config, AccessError> {
         threads: args.threads.map_or(config.threads, usize::from),
         label: args.label.unwrap_or(config.label),
         host: config.host,
+        kernel: args.kernel,
         time_limit: args.time_limit,
         grace: args.grace,
         idle_exit: args.idle_exit,

@@ -16,6 +16,7 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Response, Status};
 
+use crate::kernels::UnknownKernel;
 use crate::leases::HeldLeases;
 use crate::reachability::Reachability;
 use crate::retry::repeat;
@@ -31,6 +32,8 @@ const LEAVE: Duration = Duration::from_secs(5);
 pub enum Error {
     #[error("the coordinator refused this worker: {}", .0.message())]
     Refused(Status),
+    #[error(transparent)]
+    Kernel(#[from] UnknownKernel),
     #[error("starting the tracing threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
 }

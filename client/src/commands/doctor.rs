@@ -5,7 +5,9 @@ use std::process::ExitCode;
 use anyhow::Result;
 use farm_proto::status::WorkerState;
 use farm_proto::wire::{InspectRequest, InspectResponse, StatusRequest, StatusResponse, UnreadableJobs};
+use farm_worker::Speed;
 use optics_model::PHYSICS_VERSION;
+use optics_tracer::Kernel;
 use serde::Serialize;
 
 use super::workers;
@@ -68,6 +70,7 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
         Ok(findings)
     })
     .await?;
+    let findings: Vec<_> = findings.into_iter().chain([about_this_machine()]).collect();
     let healthy = findings.iter().all(|f| f.ok);
     let data = DoctorJson { healthy, findings };
     output.print("doctor", &data, || {
@@ -76,6 +79,18 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
         data.findings.iter().map(line).collect()
     })?;
     Ok(if healthy { ExitCode::SUCCESS } else { ExitCode::from(exit::FAILED) })
+}
+
+/// How fast this machine traces, and with what.
+fn about_this_machine() -> Finding {
+    let Speed { kernel, scatterings_per_s } = farm_worker::measure(Kernel::chosen());
+    let cores = std::thread::available_parallelism().map_or(1, Into::into);
+    let millions = scatterings_per_s / 1e6;
+    finding(
+        "this machine",
+        true,
+        format!("{cores} cores; {kernel}: {millions:.0} million scatterings a second and core"),
+    )
 }
 
 fn about_coordinator(status: &StatusResponse) -> Vec<Finding> {

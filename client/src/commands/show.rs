@@ -63,7 +63,7 @@ pub(super) fn data(status: &DictionaryStatus) -> impl Serialize {
         walks: u64,
         /// The level of noise, if the walks follow from one.
         #[serde(skip_serializing_if = "Option::is_none")]
-        noise: Option<&'static str>,
+        quality: Option<&'static str>,
         seed: u64,
         derivatives: bool,
         scene: SceneFile,
@@ -71,14 +71,14 @@ pub(super) fn data(status: &DictionaryStatus) -> impl Serialize {
     let grid = &status.grid;
     let (seed, derivatives) = (grid.seed(), grid.derivatives());
     let [_, walks] = grid.least_and_most_walks().map(Walks::get);
-    let noise = match grid.effort() {
+    let quality = match grid.effort() {
         Effort::Noise(level) => Some(level.name()),
         Effort::Walks(_) => None,
     };
     let scene = SceneFile::from(grid.scene());
     Data {
         dictionary: status.into(),
-        grid: GridData { axes: grid.axes(), walks, noise, seed, derivatives, scene },
+        grid: GridData { axes: grid.axes(), walks, quality, seed, derivatives, scene },
     }
 }
 

@@ -18,11 +18,22 @@ pub(super) struct Direction {
 impl Direction {
     /// 1 for the same weights, 0 for weights that share no node.
     pub(super) fn cosine(&self, other: &Self) -> f64 {
-        let at = |i: usize| i.checked_sub(other.first).and_then(|i| other.values.get(i)).copied();
-        let product = |(i, a): (usize, &f64)| a * at(self.first + i).unwrap_or(0.0);
-        let product: f64 = self.values.iter().enumerate().map(product).sum();
+        self.cosine_where(other, |node, of_other| node == of_other)
+    }
+
+    /// The same between two axes, whose nodes are told to be the same or not.
+    pub(super) fn cosine_where(&self, other: &Self, same: impl Fn(usize, usize) -> bool) -> f64 {
+        let products = self.nodes().flat_map(|(node, a)| {
+            let alike = other.nodes().filter(|(of_other, _)| same(node, *of_other)).map(|(_, b)| b);
+            alike.map(move |b| a * b).collect::<Vec<_>>()
+        });
+        let product: f64 = products.sum();
         let square = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>();
         (product / (square(&self.values) * square(&other.values)).sqrt()).max(0.0)
+    }
+
+    fn nodes(&self) -> impl Iterator<Item = (usize, f64)> {
+        self.values.iter().enumerate().map(|(i, value)| (self.first + i, *value))
     }
 }
 

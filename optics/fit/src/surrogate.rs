@@ -1,7 +1,7 @@
 //! Profiles between the records: a smooth model of the dictionary that also averages its noise.
 //!
 //! The coordinates are those in which profiles change most evenly: ln σ_t; √(1 − α), to which diffusion is linear; and
-//! ln(1 − g), in which similar media lie on straight lines. Across σ_t and g, where every record has walks of its own,
+//! ln(1 − g), in which similar media lie on straight lines. Across σ_t and g, where every record of a thickness has walks of its own,
 //! a local polynomial is fitted by weighted least squares, which averages the noise of the records about; across
 //! albedos, which share their walks, the four nearest are interpolated.
 
@@ -70,25 +70,27 @@ pub(super) struct NoiseFactors {
 #[derive(Debug)]
 pub(super) struct NoisePlace {
     ior: usize,
-    thickness: usize,
     albedo: f64,
+    /// Optical thickness at every σ_t: records that have it in common have the same walks.
+    depths: Vec<f32>,
     sigma_t: Direction,
     g: Direction,
 }
 
 impl NoisePlace {
-    /// How alike the records' noise is in two predictions, as a correlation: which records they share, and how alike the
-    /// same walks are with both albedos. Every record at a thickness has walks of its own; channels share them. Where
+    /// How alike the records' noise is in two predictions, as a correlation: which walks they share, and how alike the
+    /// same walks are with both albedos. Records that are optically as thick share their walks, and so do channels. Where
     /// numbers of scatterings n are distributed like qⁿ, the correlation of Σ αⁿ over walks is
     /// √((1 − qα²)(1 − qα′²))/(1 − qαα′).
     pub(super) fn in_common(&self, other: &Self) -> f64 {
-        if (self.ior, self.thickness) != (other.ior, other.thickness) {
+        if self.ior != other.ior {
             return 0.0;
         }
         let (a, b) = (self.albedo, other.albedo);
         let left = |product: f64| 1.0 - SCATTERED_ON * product;
         let of_walks = (left(a * a) * left(b * b)).sqrt() / left(a * b);
-        of_walks * self.sigma_t.cosine(&other.sigma_t) * self.g.cosine(&other.g)
+        let same_walks = |node: usize, of_other: usize| self.depths[node] == other.depths[of_other];
+        of_walks * self.sigma_t.cosine_where(&other.sigma_t, same_walks) * self.g.cosine(&other.g)
     }
 }
 
@@ -203,9 +205,11 @@ impl<'a> Surrogate<'a> {
     /// What the records' noise in a prediction is made of.
     pub(super) fn noise_at(&self, thickness_mm: f64, x: Coordinates) -> NoisePlace {
         let (thickness, ratio) = self.nearest_thickness(thickness_mm);
+        let thickness_mm = self.grid().thickness_mm()[thickness];
+        let depth = |sigma_t: &f64| (sigma_t * thickness_mm) as f32;
         NoisePlace {
             ior: self.ior,
-            thickness,
+            depths: self.grid().sigma_t_per_mm().iter().map(depth).collect(),
             albedo: albedo(x[ALBEDO]).clamp(0.0, 1.0),
             sigma_t: self.sigma_t.direction(x[SIGMA_T] + ratio.ln()),
             g: self.g.direction(x[G]),

@@ -1,6 +1,7 @@
 //! The ways to run walks: one after the other, or in vectors with the instructions of this machine.
 
 use std::fmt;
+use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
 use fearless_simd::{Level, dispatch};
@@ -18,6 +19,8 @@ use super::{Stopped, walk, wavefront};
 #[derive(Debug, Clone, Copy)]
 pub struct Kernel(Way);
 
+static CHOSEN: OnceLock<Kernel> = OnceLock::new();
+
 #[derive(Debug, Clone, Copy)]
 enum Way {
     Scalar,
@@ -28,8 +31,23 @@ impl Kernel {
     /// One walk after the other: slow, and plain enough to be checked by eye.
     pub const SCALAR: Self = Self(Way::Scalar);
 
-    /// What runs fastest here: the vector kernel with the best instructions of this machine, or the scalar one where
-    /// vectors have to be pieced together.
+    /// What this process runs walks with: what it was told ([`Self::choose`]), or what is fastest by the rule.
+    pub fn chosen() -> Self {
+        CHOSEN.get().copied().unwrap_or_else(Self::fastest)
+    }
+
+    /// Lets this process run walks with this kernel from now on. The first choice holds.
+    pub fn choose(self) {
+        let _ = CHOSEN.set(self);
+    }
+
+    /// The kernel of a name, if this machine can run it.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::all().into_iter().find(|kernel| kernel.name() == name)
+    }
+
+    /// What by the rule runs fastest here: the vector kernel with the best instructions of this machine, or the scalar one
+    /// where vectors have to be pieced together.
     pub fn fastest() -> Self {
         match Level::new() {
             #[cfg(target_arch = "x86_64")]

@@ -60,10 +60,10 @@ const WAVE_BYTES: usize = 64 << 20;
 #[error("tracing was stopped before the end")]
 pub struct Stopped;
 
-/// Traces a job on the current rayon pool with the fastest kernel of this machine and returns one record per albedo.
+/// Traces a job on the current rayon pool with the kernel of this process ([`Kernel::chosen`]) and returns one record per albedo.
 /// Looks at `stop` all the time.
 pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
-    trace_with(Kernel::fastest(), job, stop)
+    trace_with(Kernel::chosen(), job, stop)
 }
 
 /// Traces a job with a kernel of one's choice: the records are the same to the last bit, whichever it is.
@@ -76,7 +76,7 @@ pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Ve
 /// # Panics
 /// If two of the jobs do not share their walks ([`JobSpec::shares_walks_with`]).
 pub fn trace_set(jobs: &[JobSpec], stop: &AtomicBool) -> Result<Vec<Vec<Record>>, Stopped> {
-    trace_set_with(Kernel::fastest(), jobs, stop)
+    trace_set_with(Kernel::chosen(), jobs, stop)
 }
 
 fn trace_set_with(kernel: Kernel, jobs: &[JobSpec], stop: &AtomicBool) -> Result<Vec<Vec<Record>>, Stopped> {
@@ -103,7 +103,7 @@ pub fn trace_block(job: &JobSpec, block: u32, stop: &AtomicBool) -> Result<Sums,
 /// If the jobs have no such block, or do not share their walks.
 pub fn trace_set_block(jobs: &[JobSpec], block: u32, stop: &AtomicBool) -> Result<Vec<Sums>, Stopped> {
     assert!(jobs.iter().all(|job| block < job.walks().blocks()), "block {block} is not of these jobs");
-    Tracer::new(Kernel::fastest(), jobs, stop).map_or_else(|| Ok(Vec::new()), |tracer| tracer.block(block))
+    Tracer::new(Kernel::chosen(), jobs, stop).map_or_else(|| Ok(Vec::new()), |tracer| tracer.block(block))
 }
 
 fn merge(totals: &mut [Sums], sums: &[Sums]) {

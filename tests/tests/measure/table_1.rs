@@ -72,19 +72,18 @@ fn table_1_is_measured_with_a_hidden_factor() {
                     if r.resolved { "" } else { "unresolved" }
                 );
                 assert!(either || r.resolved != unresolved, "{name}, channel {i}: {r:?}");
-                if !r.resolved {
-                    assert!(r.sigma_t_per_mm.contains(*sigma_t) && r.albedo.contains(*albedo), "{r:?}");
-                    continue;
+                if r.resolved {
+                    let off = (r.best.medium.sigma_t_per_mm() / sigma_t - 1.0).abs();
+                    assert!(off < 0.1, "{name}, channel {i}: {r:?}");
                 }
-                let off = (r.best.medium.sigma_t_per_mm() / sigma_t - 1.0).abs();
-                assert!(off < 0.1, "{name}, channel {i}: {r:?}");
                 let holds = [r.sigma_t_per_mm.contains(*sigma_t), r.albedo.contains(*albedo)];
                 held += holds.into_iter().filter(|holds| *holds).count();
                 count += holds.len();
             }
         }
     }
-    // 72 intervals of 95 %, those of a factor with what was chosen in common.
+    // Some 90 intervals of 95 %, those of a factor with what was chosen in common; where a medium is left open they are to hold
+    // as often as elsewhere.
     println!("{held} of {count} intervals hold");
     assert!(held * 10 >= count * 9, "{held} of {count}");
 }

@@ -149,6 +149,8 @@ fn caught_rays_end_by_roulette() {
 fn kernels_have_names_of_their_own() {
     let mut names: Vec<_> = Kernel::all().into_iter().map(Kernel::name).collect();
     assert!(names.contains(&Kernel::fastest().name()) && names.len() > 1);
+    assert!(names.iter().all(|name| Kernel::named(name).is_some_and(|kernel| kernel.name() == *name)));
+    assert!(Kernel::named("abacus").is_none());
     let count = names.len();
     names.sort_unstable();
     names.dedup();

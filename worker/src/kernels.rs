@@ -1,0 +1,91 @@
+//! Which kernel this machine traces with, and how fast.
+
+use std::time::Duration;
+
+use optics_model::job::JobSpec;
+use optics_model::{Scene, TransportPoint, Walks};
+use optics_tracer::Kernel;
+use optics_tracer::probe::{count_events, run_walks};
+use tokio::time::Instant;
+
+/// Walks of a trial: some milliseconds.
+const WALKS: u64 = 2000;
+/// The quickest of so many counts.
+const TRIALS: u32 = 3;
+
+/// How fast a kernel is on this machine.
+#[derive(Debug, Clone, Copy)]
+pub struct Speed {
+    pub kernel: Kernel,
+    /// Scatterings a second and core, with all else that walks do, in a medium of the paper's grid.
+    pub scatterings_per_s: f64,
+}
+
+/// Measures a kernel; takes some hundredths of a second.
+pub fn measure(kernel: Kernel) -> Speed {
+    let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).expect("a point of the paper's grid");
+    let walks = Walks::new(WALKS).expect("whole batches");
+    let job = JobSpec::new(Scene::paper(), point, vec![0.9], walks, 1, false).expect("a job of one albedo");
+    let trial = || {
+        let began = Instant::now();
+        let _ = run_walks(kernel, &job);
+        began.elapsed()
+    };
+    let quickest = (0..TRIALS).map(|_| trial()).min().unwrap_or(Duration::MAX);
+    let scatterings = count_events(&job).scatterings as f64;
+    Speed { kernel, scatterings_per_s: scatterings / quickest.as_secs_f64().max(1e-9) }
+}
+
+/// Chooses the kernel that this process traces with: the one of the name, or by the rule. Where the rule takes the widest
+/// registers, they are measured against the next: some machines slow down when they use them.
+pub(crate) fn choose(name: Option<&str>) -> Result<Kernel, UnknownKernel> {
+    let kernel = match name {
+        Some(name) => Kernel::named(name).ok_or_else(|| UnknownKernel::new(name))?,
+        None => match (Kernel::fastest(), Kernel::named("avx2")) {
+            (wide, Some(narrow)) if wide.name() == "avx512" => faster(wide, narrow),
+            (kernel, _) => kernel,
+        },
+    };
+    kernel.choose();
+    Ok(kernel)
+}
+
+fn faster(wide: Kernel, narrow: Kernel) -> Kernel {
+    let [wide, narrow] = [wide, narrow].map(measure);
+    // Not for a difference that a busy machine makes by chance.
+    if narrow.scatterings_per_s > 1.1 * wide.scatterings_per_s { narrow.kernel } else { wide.kernel }
+}
+
+/// No kernel of this machine has that name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("kernel {name:?} is none of this machine: it has {known}")]
+pub struct UnknownKernel {
+    name: String,
+    known: String,
+}
+
+impl UnknownKernel {
+    fn new(name: &str) -> Self {
+        let known: Vec<_> = Kernel::all().into_iter().map(Kernel::name).collect();
+        Self { name: name.to_owned(), known: known.join(", ") }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kernel_that_is_not_there_is_refused_with_those_that_are() {
+        let error = choose(Some("abacus")).unwrap_err().to_string();
+        assert!(error.starts_with("kernel \"abacus\" is none of this machine: it has "), "{error}");
+        assert!(error.ends_with("scalar"), "{error}");
+    }
+
+    #[test]
+    fn a_kernel_tells_its_speed() {
+        let speed = measure(Kernel::fastest());
+        assert_eq!(speed.kernel.name(), Kernel::fastest().name());
+        assert!((1e4..1e12).contains(&speed.scatterings_per_s), "{speed:?}");
+    }
+}
