@@ -63,7 +63,9 @@ impl Workshop {
                 let all = about.into_iter().zip(results).zip(room).zip(switches);
                 let wanted = all.filter(|(_, switches)| !switches.is_stopped()).map(|(result, _)| result);
                 let wanted: Vec<_> = wanted.collect();
-                wanted.iter().for_each(|((job, _), _)| self.held.mark_traced(&job.key));
+                for ((job, _), _) in &wanted {
+                    self.held.mark_traced(&job.key);
+                }
                 // The next jobs may begin while these results are on their way.
                 drop(slot);
                 for ((About { key, identity, bytes }, result), room) in wanted {

@@ -70,13 +70,14 @@ fn trace_now(jobs: &[JobSpec], switches: &[Arc<JobSwitches>], begun: oneshot::Se
     if begun.send(start).is_ok() {
         let _ = started.blocking_recv();
     }
-    guarded(|| match jobs[0].block() {
-        Some(block) => Ok(trace_set_block(jobs, block, stop)?.into_iter().map(JobResult::Sums).collect()),
-        None => {
-            let records = trace_set(jobs, stop)?;
-            let packed = jobs.iter().zip(&records).map(|(job, records)| PackedRecords::pack(job, records));
-            Ok(packed.map(JobResult::Records).collect())
+    guarded(|| {
+        if let Some(block) = jobs[0].block() {
+            let sums = trace_set_block(jobs, block, stop)?;
+            return Ok(sums.into_iter().map(JobResult::Sums).collect());
         }
+        let records = trace_set(jobs, stop)?;
+        let packed = jobs.iter().zip(&records).map(|(job, records)| PackedRecords::pack(job, records));
+        Ok(packed.map(JobResult::Records).collect())
     })
 }
 
