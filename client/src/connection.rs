@@ -109,6 +109,11 @@ struct Embedded {
     stop_worker: CancellationToken,
 }
 
+/// The kernel that FARM_KERNEL names, as for `farm-worker`.
+pub(crate) fn kernel_name() -> Option<String> {
+    std::env::var("FARM_KERNEL").ok().filter(|name| !name.is_empty())
+}
+
 impl Connection {
     pub(crate) async fn open(global: &Global, purpose: Purpose) -> Result<Self> {
         if global.local || (global.server.is_none() && global.access.is_none()) {
@@ -163,10 +168,9 @@ impl Connection {
         }
     }
 
-    /// A worker on all cores, with the kernel that FARM_KERNEL names as for `farm-worker`.
+    /// A worker on all cores.
     fn worker(coordinator: Target) -> farm_worker::Config {
-        let kernel = std::env::var("FARM_KERNEL").ok();
-        farm_worker::Config { kernel, ..farm_worker::Config::new(coordinator) }
+        farm_worker::Config { kernel: kernel_name(), ..farm_worker::Config::new(coordinator) }
     }
 
     async fn embed(coordinator: Coordinator, purpose: Purpose) -> Result<Self> {

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use farm_link::Link;
 use farm_proto::lease::Lease;
+use optics_model::sums::Sums;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{Instant, sleep_until, timeout};
@@ -30,6 +31,10 @@ const DELIVERY: Duration = Duration::from_secs(10);
 const STOPPING: Duration = Duration::from_secs(2);
 /// Time before the limit at which everything is to be handed back, besides the grace.
 const MARGIN: Duration = Duration::from_secs(5);
+
+/// Most jobs that are traced together, and the memory that their sums may take.
+const MOST_JOBS: usize = 16;
+const MOST_BYTES: usize = 64 << 20;
 
 /// Why a worker ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -245,11 +250,20 @@ impl Agent {
     }
 }
 
-/// Leases by the walks that their jobs share; those of a set follow one another.
+/// Leases by the walks that their jobs share; those of a set follow one another. What was given out before and came to
+/// nothing is traced by itself, so that nobody is blamed for it but itself.
 fn sets(leases: Vec<Lease>) -> Vec<Vec<Lease>> {
+    let is_retry = |lease: &Lease| lease.key.attempt > lease.job.walks().blocks();
+    let fits = |set: &[Lease], lease: &Lease| {
+        set[0].job.shares_walks_with(&lease.job)
+            && set.len() < MOST_JOBS
+            && (set.len() + 1) * Sums::bytes(&lease.job) <= MOST_BYTES
+            && !is_retry(&set[0])
+            && !is_retry(lease)
+    };
     let mut sets: Vec<Vec<Lease>> = Vec::new();
     for lease in leases {
-        match sets.last_mut().filter(|set| set[0].job.shares_walks_with(&lease.job)) {
+        match sets.last_mut().filter(|set| fits(set, &lease)) {
             Some(set) => set.push(lease),
             None => sets.push(vec![lease]),
         }

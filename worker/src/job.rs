@@ -6,12 +6,13 @@ use std::time::Duration;
 
 use farm_proto::lease::{Lease, LeaseKey};
 use optics_model::Digest;
+use optics_model::job::JobSpec;
 use optics_model::sums::result_bytes;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
 use crate::delivery::{PendingResult, ResultBuffer};
 use crate::leases::{HeldLeases, JobSwitches};
-use crate::pool::{Pool, Start, TraceEnd};
+use crate::pool::{JobResult, Pool, Start, TraceEnd};
 use crate::session::Session;
 
 /// By then a message has left this machine, wherever the coordinator is.
@@ -56,29 +57,50 @@ impl Workshop {
         let Some(room) = self.buffer.take(&bytes).await else { return };
         let (begun, begins) = oneshot::channel();
         let announced = self.announce(about.iter().map(|job| (job.key, job.identity)).collect(), begins);
-        let jobs = leases.into_iter().map(|lease| lease.job).collect();
-        let (end, ()) = tokio::join!(self.pool.trace(jobs, switches.clone(), begun), announced);
-        match end {
-            TraceEnd::Finished(results) => {
-                let all = about.into_iter().zip(results).zip(room).zip(switches);
-                let wanted = all.filter(|(_, switches)| !switches.is_stopped()).map(|(result, _)| result);
-                let wanted: Vec<_> = wanted.collect();
-                for ((job, _), _) in &wanted {
-                    self.held.mark_traced(&job.key);
-                }
-                // The next jobs may begin while these results are on their way.
-                drop(slot);
-                for ((About { key, identity, bytes }, result), room) in wanted {
+        let jobs: Vec<JobSpec> = leases.into_iter().map(|lease| lease.job).collect();
+        let (end, ()) = tokio::join!(self.pool.trace(jobs.clone(), switches.clone(), begun), announced);
+        let ends = match end {
+            TraceEnd::Finished(results) => results.into_iter().map(Ok).collect(),
+            TraceEnd::Panicked(reason) if jobs.len() == 1 => vec![Err(reason)],
+            // One of them is to blame, and not the others.
+            TraceEnd::Panicked(_) => self.trace_one_by_one(jobs, &switches).await,
+            TraceEnd::Stopped => return,
+        };
+        let all = about.into_iter().zip(ends).zip(room).zip(switches);
+        let wanted: Vec<_> = all.filter(|(_, switches)| !switches.is_stopped()).map(|(end, _)| end).collect();
+        for ((job, end), _) in &wanted {
+            if end.is_ok() {
+                self.held.mark_traced(&job.key);
+            }
+        }
+        // The next jobs may begin while these results are on their way.
+        drop(slot);
+        for ((About { key, identity, bytes }, end), room) in wanted {
+            match end {
+                Ok(result) => {
                     let _ = self.finished.send(PendingResult { key, identity, result, bytes, _room: room });
                 }
+                Err(reason) => self.report_failure(&key, &reason).await,
             }
-            TraceEnd::Panicked(reason) => {
-                for job in about {
-                    self.report_failure(&job.key, &reason).await;
-                }
-            }
-            TraceEnd::Stopped => {}
         }
+    }
+
+    /// What each job yields by itself, or why it does not; of one that is stopped, anything.
+    async fn trace_one_by_one(
+        &self,
+        jobs: Vec<JobSpec>,
+        switches: &[Arc<JobSwitches>],
+    ) -> Vec<Result<JobResult, String>> {
+        let mut ends = Vec::with_capacity(jobs.len());
+        for (job, switches) in jobs.into_iter().zip(switches) {
+            let (unheard, _) = oneshot::channel();
+            ends.push(match self.pool.trace(vec![job], vec![switches.clone()], unheard).await {
+                TraceEnd::Finished(results) => results.into_iter().next().ok_or_else(String::new),
+                TraceEnd::Panicked(reason) => Err(reason),
+                TraceEnd::Stopped => Err("stopped".to_owned()),
+            });
+        }
+        ends
     }
 
     /// Tells the coordinator when a thread is about to begin, which waits until that is on its way: the answer of a

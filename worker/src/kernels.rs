@@ -38,7 +38,7 @@ pub fn measure(kernel: Kernel) -> Speed {
 
 /// Chooses the kernel that this process traces with: the one of the name, or by the rule. Where the rule takes the widest
 /// registers, they are measured against the next: some machines slow down when they use them.
-pub(crate) fn choose(name: Option<&str>) -> Result<Kernel, UnknownKernel> {
+pub fn choose(name: Option<&str>) -> Result<Kernel, UnknownKernel> {
     let kernel = match name {
         Some(name) => Kernel::named(name).ok_or_else(|| UnknownKernel::new(name))?,
         None => match (Kernel::fastest(), Kernel::named("avx2")) {

@@ -21,5 +21,5 @@ mod testing;
 
 pub use agent::{Ended, run};
 pub use config::Config;
-pub use kernels::{Speed, UnknownKernel, measure};
+pub use kernels::{Speed, UnknownKernel, choose as choose_kernel, measure};
 pub use session::Error;

@@ -7,12 +7,11 @@ use farm_proto::status::WorkerState;
 use farm_proto::wire::{InspectRequest, InspectResponse, StatusRequest, StatusResponse, UnreadableJobs};
 use farm_worker::Speed;
 use optics_model::PHYSICS_VERSION;
-use optics_tracer::Kernel;
 use serde::Serialize;
 
 use super::workers;
 use crate::cli::{DoctorArgs, Global};
-use crate::connection::{Purpose, patient, with_farm};
+use crate::connection::{Purpose, kernel_name, patient, with_farm};
 use crate::exit;
 use crate::output::{Output, grouped};
 
@@ -83,11 +82,16 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
 
 /// How fast this machine traces, and with what.
 fn about_this_machine() -> Finding {
-    let Speed { kernel, scatterings_per_s } = farm_worker::measure(Kernel::chosen());
+    const WHAT: &str = "this machine";
+    let kernel = match farm_worker::choose_kernel(kernel_name().as_deref()) {
+        Ok(kernel) => kernel,
+        Err(unknown) => return finding(WHAT, false, format!("FARM_KERNEL: {unknown}")),
+    };
+    let Speed { kernel, scatterings_per_s } = farm_worker::measure(kernel);
     let cores = std::thread::available_parallelism().map_or(1, Into::into);
     let millions = scatterings_per_s / 1e6;
     finding(
-        "this machine",
+        WHAT,
         true,
         format!("{cores} cores; {kernel}: {millions:.0} million scatterings a second and core"),
     )

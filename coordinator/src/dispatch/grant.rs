@@ -10,8 +10,11 @@ use super::leases::{Held, Leases};
 use super::shared::Taker;
 use super::{Count, Dictionary, DispatchError, Dispatcher, Grant, PartId, Purpose, TokenSource};
 
-/// Most parts that come with another because they share its walks.
+/// Most parts that come with another because they share its walks, and how much their records may take.
 const MOST_COMPANIONS: usize = 15;
+const MOST_BYTES: usize = 32 << 20;
+/// Leases of a grant from which on none come on top.
+const MOST_LEASES: usize = 256;
 
 /// What a worker asks for.
 #[derive(Debug, Clone, Copy)]
@@ -72,7 +75,8 @@ impl Dispatcher {
             while grant.leases.len() - companions < max
                 && let Some(part) = self.next_part_for(now, &mut taker, id, returning)
             {
-                let others = if whole_sets { self.companions(part) } else { Vec::new() };
+                let with_others = whole_sets && !trial && grant.leases.len() < MOST_LEASES;
+                let others = if with_others { self.companions(part) } else { Vec::new() };
                 companions += others.len();
                 for part in std::iter::once(part).chain(others) {
                     self.begin(now, worker, part, tokens, &mut grant);
@@ -93,12 +97,11 @@ impl Dispatcher {
     /// that none is blamed for another.
     fn companions(&self, part: PartId) -> Vec<PartId> {
         let Some(dictionary) = self.dictionaries.get(&part.dictionary) else { return Vec::new() };
-        if dictionary.job(part).is_none_or(|job| job.attempts >= job.walks.blocks()) {
-            return Vec::new();
-        }
+        let bytes = dictionary.grid().albedo().len() * dictionary.grid().record_bytes();
+        let most = MOST_COMPANIONS.min(MOST_BYTES / bytes.max(1));
         let others = dictionary.companions(part.job, part.part).into_iter();
         let own = others.filter(|job| self.computed_by((part.dictionary, *job)).is_none());
-        own.map(|job| PartId { job, ..part }).take(MOST_COMPANIONS).collect()
+        own.map(|job| PartId { job, ..part }).take(most).collect()
     }
 
     /// Gives out a part that waits.

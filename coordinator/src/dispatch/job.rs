@@ -78,6 +78,11 @@ impl Job {
         self.cost / f64::from(self.walks.blocks())
     }
 
+    /// Whether nothing of it was given out a second time, and nobody has failed at it.
+    pub fn is_untried(&self) -> bool {
+        self.strikes.is_empty() && self.attempts < self.walks.blocks()
+    }
+
     /// Whether a machine has failed at it.
     pub fn is_struck_by(&self, machine: Origin) -> bool {
         self.strikes.iter().any(|strike| strike.machine == machine)

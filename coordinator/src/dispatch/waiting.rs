@@ -34,11 +34,17 @@ impl Dictionary {
     /// Other jobs of which the same part waits and is given out for the first time, and that share their walks with a job.
     pub(super) fn companions(&self, index: u32, part: u32) -> Vec<u32> {
         let job = &self.jobs[index as usize];
+        if !job.is_untried() {
+            return Vec::new();
+        }
         let [first, end] = job.set;
-        let set = self.pending.range((first, 0, 0)..(end, 0, 0));
-        let others = set.filter(|(_, other, of_other)| *other != index && *of_other == part);
-        let untried = |other: &Job| other.walks == job.walks && other.attempts < other.walks.blocks();
-        others.map(|(_, other, _)| *other).filter(|other| untried(&self.jobs[*other as usize])).collect()
+        // From job to job: a divided one may have very many parts.
+        let at_rank = |rank| self.pending.range((rank, 0, 0)..(rank + 1, 0, 0)).next();
+        let others = (first..end)
+            .filter_map(at_rank)
+            .filter(|(rank, other, _)| *other != index && self.pending.contains(&(*rank, *other, part)));
+        let alike = |other: &Job| other.walks == job.walks && other.is_untried();
+        others.map(|(_, other, _)| *other).filter(|other| alike(&self.jobs[*other as usize])).collect()
     }
 
     /// The first part of a job that waits.

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use farm_link::Target;
+use farm_proto::lease::LeaseKey;
 use optics_model::sums::result_bytes;
 use tonic::Status;
 
@@ -258,4 +259,18 @@ async fn jobs_that_share_their_walks_take_one_slot() {
         assert_eq!((result.key, &result.identity[..]), (lease.key, &lease.job.identity().as_bytes()[..]));
     }
     assert_eq!(results.len(), 3);
+}
+
+/// The coordinator gives it out by itself, beside others that have come to nothing.
+#[test]
+fn what_came_to_nothing_before_is_traced_by_itself() {
+    let again = |lease: Lease| Lease { key: LeaseKey { attempt: 2, ..lease.key }, ..lease };
+    let retries = [lease(0), lease_of(1, as_thick_as(0))].map(again);
+    assert_eq!(sets(retries.to_vec()).len(), 2);
+}
+
+#[test]
+fn no_set_is_larger_than_its_memory() {
+    let many: Vec<Lease> = (0..40).map(|n| lease_of(n, job(0))).collect();
+    assert_eq!(sets(many).iter().map(Vec::len).collect::<Vec<_>>(), [16, 16, 8]);
 }

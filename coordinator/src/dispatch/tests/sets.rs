@@ -60,7 +60,20 @@ fn what_has_failed_is_tried_again_by_itself() {
         bench.fail(1, "a", lease);
     }
     assert_eq!(job_of(&sets(&mut bench, 2, "c", 1)), [1]);
-    assert_eq!(job_of(&sets(&mut bench, 2, "c", 1)), [2]);
+    let other = sets(&mut bench, 2, "c", 1);
+    assert_eq!((job_of(&other), other[0].key.attempt), (vec![2], 2), "by which a worker knows");
+}
+
+/// One job at a time, to see whether it does any better.
+#[test]
+fn a_machine_on_trial_gets_no_set() {
+    let mut bench = bench(5000);
+    for at in 0..3 {
+        let lease = bench.acquire(at, "a", 1);
+        bench.fail(at, "a", &lease[0]);
+    }
+    assert!(sets(&mut bench, 4, "a", 1).is_empty(), "it has a pause");
+    assert_eq!(sets(&mut bench, 14, "a", 1).len(), 1);
 }
 
 /// Of divided jobs the same block goes together.

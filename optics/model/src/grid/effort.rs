@@ -39,6 +39,7 @@ impl NoiseLevel {
     /// Found by tracing: in units of the paper's variance, that of a walk depends on nothing but the optical thickness to
     /// speak of, as (τ + 1.3)/(τ + 3).
     pub fn walks(self, point: &TransportPoint) -> Walks {
+        // Part of the physics version: what a level means is not in a grid's digest.
         const OF_THICK: f64 = 53_000.0;
         let share = match self {
             Self::Draft => 0.1,
