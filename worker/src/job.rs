@@ -67,7 +67,10 @@ impl Workshop {
             TraceEnd::Stopped => return,
         };
         let all = about.into_iter().zip(ends).zip(room).zip(switches);
-        let wanted: Vec<_> = all.filter(|(_, switches)| !switches.is_stopped()).map(|(end, _)| end).collect();
+        // A result counts whatever became of its lease meanwhile; a failure only of what is still wanted.
+        let counts = |end: &Result<_, _>, switches: &JobSwitches| end.is_ok() || !switches.is_stopped();
+        let wanted: Vec<_> =
+            all.filter(|(((_, end), _), switches)| counts(end, switches)).map(|(end, _)| end).collect();
         for ((job, end), _) in &wanted {
             if end.is_ok() {
                 self.held.mark_traced(&job.key);

@@ -49,7 +49,8 @@ pub(super) fn parts_of(walks: Walks, too_large: Option<&Invalid>) -> u32 {
 ///
 /// The mean length of a walk in the slab is proportional to its thickness, whatever σ_t and g, so the number of
 /// scatterings is proportional to the optical thickness: about 4 n² = 9.4 per unit over a bright base. To that come
-/// some 18 interface crossings and the scoring, which take as long as 80 scatterings.
+/// some 18 interface crossings and the scoring, which take as long as 50 (g 0.8) to 150 (g 0) scatterings: from the times
+/// of whole points in `docs/measured.md`.
 pub(super) fn cost_per_walk(point: &TransportPoint) -> f64 {
     80.0 + 9.4 * point.optical_thickness()
 }

@@ -37,29 +37,9 @@ pub enum QualityRef {
     Target(QualityTable),
 }
 
-/// By hand, as for [`SceneRef`].
 impl<'de> Deserialize<'de> for QualityRef {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct NameOrTable;
-
-        impl<'de> serde::de::Visitor<'de> for NameOrTable {
-            type Value = QualityRef;
-
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("draft, paper, fine, or a table")
-            }
-
-            fn visit_str<E>(self, name: &str) -> Result<QualityRef, E> {
-                Ok(QualityRef::Level(name.to_owned()))
-            }
-
-            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<QualityRef, A::Error> {
-                let table = serde::de::value::MapAccessDeserializer::new(map);
-                QualityTable::deserialize(table).map(QualityRef::Target)
-            }
-        }
-
-        deserializer.deserialize_any(NameOrTable)
+        name_or_table(deserializer, "draft, paper, fine, or a table", Self::Level, Self::Target)
     }
 }
 
@@ -82,30 +62,44 @@ pub enum SceneRef {
     Inline(SceneFile),
 }
 
-/// By hand, since serde's untagged enums do not tell which key of a table is wrong.
 impl<'de> Deserialize<'de> for SceneRef {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct NameOrTable;
+        let expected = "a scene's name, the path of its file, or a table";
+        name_or_table(deserializer, expected, Self::Named, Self::Inline)
+    }
+}
 
-        impl<'de> serde::de::Visitor<'de> for NameOrTable {
-            type Value = SceneRef;
+/// What a file tells by a name or by a table. By hand, since serde's untagged enums do not tell which key of a table is
+/// wrong.
+fn name_or_table<'de, D: serde::Deserializer<'de>, Table: Deserialize<'de>, Told>(
+    deserializer: D,
+    expected: &'static str,
+    named: fn(String) -> Told,
+    in_full: fn(Table) -> Told,
+) -> Result<Told, D::Error> {
+    struct NameOrTable<Table, Told> {
+        expected: &'static str,
+        named: fn(String) -> Told,
+        in_full: fn(Table) -> Told,
+    }
 
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("a scene's name, the path of its file, or a table")
-            }
+    impl<'de, Table: Deserialize<'de>, Told> serde::de::Visitor<'de> for NameOrTable<Table, Told> {
+        type Value = Told;
 
-            fn visit_str<E>(self, name: &str) -> Result<SceneRef, E> {
-                Ok(SceneRef::Named(name.to_owned()))
-            }
-
-            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<SceneRef, A::Error> {
-                let table = serde::de::value::MapAccessDeserializer::new(map);
-                SceneFile::deserialize(table).map(SceneRef::Inline)
-            }
+        fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            f.write_str(self.expected)
         }
 
-        deserializer.deserialize_any(NameOrTable)
+        fn visit_str<E>(self, name: &str) -> Result<Told, E> {
+            Ok((self.named)(name.to_owned()))
+        }
+
+        fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<Told, A::Error> {
+            Table::deserialize(serde::de::value::MapAccessDeserializer::new(map)).map(self.in_full)
+        }
     }
+
+    deserializer.deserialize_any(NameOrTable { expected, named, in_full })
 }
 
 impl Default for SceneRef {

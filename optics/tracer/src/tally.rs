@@ -26,12 +26,19 @@ use super::light::Light;
 use super::scatterings::{NodePowers, WINDOW, count, single};
 use super::vertex::{Vertex, Vertices};
 
+/// Hits on the base that most walks stay below. Behind very thick samples there may be thousands.
+const FEW_HITS: usize = 64;
+
 /// Steps of a chunk of walks.
 #[derive(Debug)]
 pub struct Tally<'a> {
     job: &'a JobSpec,
     light: &'a Light,
     sensor: Sensor,
+    /// Pixels to a mean free path and to a mm, and the place of the edge.
+    free_path_px: f32,
+    mm_px: f32,
+    edge_px: f32,
     powers: &'a NodePowers,
     /// Of all vertices.
     hits: &'a [Offset],
@@ -41,7 +48,7 @@ pub struct Tally<'a> {
     moments: usize,
     /// `[cell][channel][moment][node]`, with one cell more than pixels.
     steps: Vec<f32>,
-    /// Of walks whose hits are all in view, by their number: `[hits][moment][node]`. Beyond the view all of them are dark,
+    /// Of walks whose hits are few and all in view, by their number: `[hits][moment][node]`. Beyond the view all of them are dark,
     /// whatever the channel.
     dark: Vec<f32>,
     /// Positions of a walk's steps in pixels from the left end.
@@ -104,17 +111,21 @@ impl<'a> Tally<'a> {
         let observed = observed(sensor.pixels());
         let shown = observed.len() * channels.len() * quantities(job) * job.albedo().len();
         let most_hits = vertices.most_hits as usize;
+        let px_a_mm = 1.0 / sensor.pitch_mm();
         Self {
             job,
             light,
             sensor,
+            free_path_px: (px_a_mm / job.point().sigma_t_per_mm()) as f32,
+            mm_px: px_a_mm as f32,
+            edge_px: (0.5 * sensor.width_mm() * px_a_mm) as f32,
             powers,
             hits,
             nodes,
             base: channels.iter().map(|c| Base::new(c.rho_light(), c.rho_dark(), most_hits)).collect(),
             moments,
             steps: vec![0.0; (sensor.pixels() + 1) * channels.len() * moments * nodes],
-            dark: vec![0.0; (most_hits + 1) * moments * nodes],
+            dark: vec![0.0; (most_hits.min(FEW_HITS) + 1) * moments * nodes],
             positions: Vec::new(),
             observed,
             before: vec![0.0; shown],
@@ -142,7 +153,7 @@ impl<'a> Tally<'a> {
         let left = self.positions.iter().take_while(|&&p| p <= 0.0).count();
         let right = self.positions.iter().rev().take_while(|&&p| p >= pixels).count();
         let weights = f32x8::from_slice(simd, &vertex.weights);
-        if left + right == 0 {
+        if left + right == 0 && hits <= FEW_HITS {
             let at = hits * self.moments * self.nodes + vertex.first_node as usize;
             add(&mut self.dark, at, self.nodes, self.moments, weights, vertex.length);
         } else {
@@ -160,10 +171,10 @@ impl<'a> Tally<'a> {
             let mirrored = self.sensor.pixels() - cell;
             for channel in 0..self.base.len() {
                 let base = &self.base[channel];
-                let (up, down) = (base.step(k, hits - k - 1), base.step(hits - k - 1, k));
                 if base.contrast == 0.0 {
                     continue;
                 }
+                let (up, down) = (base.step(k, hits - k - 1), base.step(hits - k - 1, k));
                 self.add_step(cell, channel, weights * (up * (1.0 - fraction)), vertex);
                 self.add_step(cell + 1, channel, weights * (up * fraction), vertex);
                 self.add_step(mirrored - 1, channel, weights * (down * fraction), vertex);
@@ -175,13 +186,16 @@ impl<'a> Tally<'a> {
     /// Where hits make steps, from left to right.
     #[inline(always)]
     fn find_positions(&mut self, hits: &[Offset]) {
-        let (pixels_a_mm, half) = (1.0 / self.sensor.pitch_mm(), 0.5 * self.sensor.width_mm());
-        let (free_path, mm) = ((pixels_a_mm / self.job.point().sigma_t_per_mm()) as f32, pixels_a_mm as f32);
-        let middle = (half * pixels_a_mm) as f32;
+        let (free_path, mm, edge) = (self.free_path_px, self.mm_px, self.edge_px);
+        let position = |hit: &Offset| edge - (hit.free_paths * free_path + hit.mm * mm);
         self.positions.clear();
-        for hit in hits {
-            let position = middle - (hit.free_paths * free_path + hit.mm * mm);
-            // There are few, most of them near the last.
+        if hits.len() > FEW_HITS {
+            self.positions.extend(hits.iter().map(position));
+            self.positions.sort_unstable_by(f32::total_cmp);
+            return;
+        }
+        for position in hits.iter().map(position) {
+            // Most of them are near the last.
             let place = self.positions.iter().rposition(|p| *p <= position).map_or(0, |last| last + 1);
             self.positions.insert(place, position);
         }
