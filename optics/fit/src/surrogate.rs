@@ -8,7 +8,7 @@
 use optics_model::{Grid, Medium};
 
 use super::dictionary::FitDictionary;
-use super::local_axis::{Direction, LocalAxis, Weights};
+use super::local_axis::{BACKSCATTERED, Direction, LocalAxis, Weights};
 use super::wide::wide;
 
 /// Position in (ln σ_t, √(1 − α), ln(1 − g)).
@@ -123,8 +123,8 @@ impl<'a> Surrogate<'a> {
             dictionary,
             channel,
             ior,
-            sigma_t: LocalAxis::new(sigma_t, 0.6),
-            g: LocalAxis::new(g, 0.8),
+            sigma_t: LocalAxis::new(sigma_t, 0.75),
+            g: LocalAxis::with_shapes(g, 1.0, &BACKSCATTERED),
             albedo,
         }
     }
@@ -394,3 +394,6 @@ fn accumulate(rows: [&[f32]; 4], albedos: &AlbedoWeights, g: (f64, f64), out: &m
 pub(super) fn add_scaled(sum: &mut [f64], factor: f64, v: &[f64]) {
     sum.iter_mut().zip(v).for_each(|(s, v)| *s += factor * v);
 }
+
+#[cfg(test)]
+mod tests;

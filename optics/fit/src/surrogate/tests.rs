@@ -1,0 +1,49 @@
+use optics_model::grid::Axes;
+use optics_model::scene::{Scene, Sensor};
+use optics_model::{Estimate, Grid, Medium, Profile, Record, Walks};
+
+use super::*;
+use crate::testing::dictionary_of;
+
+/// Reflectances of the base's halves, less what is lost on the way.
+const BASE: [f64; 2] = [0.02, 0.8];
+
+/// What a slab sends up straight if light is scattered once at most, on its way down or up: what comes from the sample,
+/// and what comes from the base.
+fn scattered_once(medium: &Medium, thickness_mm: f64, base: f64) -> f64 {
+    let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
+    let (cosine_in, cosine) = (0.887_f64, -0.887);
+    let both_ways = 1.0 + 1.0 / cosine_in;
+    let through = (-s * thickness_mm * both_ways).exp();
+    let phase = (1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine).powf(1.5);
+    a * phase / (4.0 * both_ways) * (1.0 - through) + base * through
+}
+
+/// Dark media at the paper's σ_t and g: no record's error, but that of the model between them.
+#[test]
+fn dark_media_are_predicted_between_the_records() {
+    let paper = Grid::paper().axes().clone();
+    let axes = Axes { albedo: vec![0.05, 0.1, 0.15, 0.2, 0.25, 0.3], ..paper };
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, 2, 0.0).unwrap());
+    let channels = scene.channels().len();
+    let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
+    let dictionary = dictionary_of(&grid, |index| {
+        let (point, medium) = grid.parameters(index);
+        let value = |base| scattered_once(&medium, point.thickness_mm(), base) as f32;
+        let radiance_factor = Estimate::new(BASE.map(value).to_vec(), vec![0.0; 2]).unwrap();
+        Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; channels] }
+    });
+    let surrogate = Surrogate::new(&dictionary, 0, 0);
+    for sigma_t in [1.1, 1.6, 2.9, 3.6, 5.1, 7.3, 9.2, 13.3, 19.4, 26.0] {
+        for g in [0.03, 0.13, 0.25, 0.4, 0.52, 0.65, 0.75] {
+            let medium = Medium::new(sigma_t, 0.12, g).unwrap();
+            for (thickness, thickness_mm) in [0.5, 1.0].into_iter().enumerate() {
+                let found = surrogate.predict(thickness, 0..2, coordinates(&medium)).values;
+                for (found, base) in found.iter().zip(BASE) {
+                    let off = found / scattered_once(&medium, thickness_mm, base) - 1.0;
+                    assert!(off.abs() < 0.01, "σ_t {sigma_t}, g {g}, {thickness_mm} mm, base {base}: {off}");
+                }
+            }
+        }
+    }
+}
