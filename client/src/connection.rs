@@ -114,6 +114,18 @@ pub(crate) fn kernel_name() -> Option<String> {
     std::env::var("FARM_KERNEL").ok().filter(|name| !name.is_empty())
 }
 
+/// Settings of the coordinator that `farmctl` runs itself.
+fn coordinator(data: &Path) -> Result<Config> {
+    let mut config = Config::new(data);
+    if let Some(told) = std::env::var_os("FARM_FIT_MEMORY").filter(|told| !told.is_empty()) {
+        let mib = told.to_str().and_then(|told| told.parse::<usize>().ok());
+        let mib =
+            mib.with_context(|| format!("FARM_FIT_MEMORY is {}: a number of MiB is needed", told.display()))?;
+        config.fit_memory_bytes = mib.saturating_mul(1 << 20);
+    }
+    Ok(config)
+}
+
 impl Connection {
     pub(crate) async fn open(global: &Global, purpose: Purpose) -> Result<Self> {
         if global.local || (global.server.is_none() && global.access.is_none()) {
@@ -151,9 +163,10 @@ impl Connection {
                 data.display()
             );
         }
+        let config = coordinator(data)?;
         let start = tokio::time::Instant::now();
         loop {
-            match Coordinator::open(&Config::new(data)).await {
+            match Coordinator::open(&config).await {
                 Ok(coordinator) => return Self::embed(coordinator, purpose).await,
                 Err(Error::Store(StoreError::InUse { .. })) if start.elapsed() < HELD => {}
                 Err(error) => return Err(error.into()),

@@ -20,9 +20,14 @@ pub struct Config {
     pub access: Option<Arc<CoordinatorAccess>>,
     /// Connections beyond this many are refused.
     pub max_connections: usize,
+    /// Memory for the dictionaries that are fitted with, in bytes.
+    pub fit_memory_bytes: usize,
 }
 
 impl Config {
+    /// Memory for the dictionaries that are fitted with if nothing is told, in MiB.
+    pub const FIT_MEMORY_MIB: usize = 4096;
+
     pub fn new(data_dir: impl Into<PathBuf>) -> Self {
         Self {
             data_dir: data_dir.into(),
@@ -31,6 +36,7 @@ impl Config {
             check_share: 0.01,
             access: None,
             max_connections: 4096,
+            fit_memory_bytes: Self::FIT_MEMORY_MIB << 20,
         }
     }
 }

@@ -55,8 +55,11 @@ pub enum FarmError {
     NameTaken { name: DictionaryName },
     #[error("dictionary {name} is not complete: {done} of {total} records are done")]
     NotComplete { name: DictionaryName, done: usize, total: usize },
-    #[error("dictionary {name} is too large to fit with: {bytes} bytes, {limit} are allowed")]
-    TooLarge { name: DictionaryName, bytes: usize, limit: usize },
+    #[error(
+        "dictionary {name} is too large to fit with: {channels} of its channels take {mib} MiB of memory, {limit_mib} are \
+         allowed (fewer channels in one question take less; --fit-memory of farm-coordinator or FARM_FIT_MEMORY allow more)"
+    )]
+    TooLarge { name: DictionaryName, channels: usize, mib: usize, limit_mib: usize },
     #[error("this worker {does} version {found}, the coordinator version {own}: install the same")]
     OtherVersion { does: &'static str, found: u32, own: u32 },
     #[error("dictionary {name} is {state}: {allowed}")]
@@ -137,7 +140,7 @@ impl Farm {
             door,
             records: tokio::sync::RwLock::new(()),
             managing: tokio::sync::Mutex::new(()),
-            fits: FitCache::default(),
+            fits: FitCache::new(config.fit_memory_bytes),
             room: Room::default(),
             store_fault: Mutex::default(),
         });

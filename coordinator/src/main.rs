@@ -38,6 +38,9 @@ struct Args {
     /// Largest number of connections; further ones are refused.
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     max_connections: u32,
+    /// Memory for the dictionaries that are fitted with, in MiB. What was not asked for longest makes room.
+    #[arg(long, value_name = "MIB", default_value_t = Config::FIT_MEMORY_MIB, env = "FARM_FIT_MEMORY")]
+    fit_memory: usize,
     /// The coordinator's access file, with its certificate and tokens; created by `farmctl access create`.
     #[arg(long, value_name = "FILE", env = "FARM_ACCESS")]
     access: Option<PathBuf>,
@@ -80,6 +83,7 @@ async fn run(args: Args) -> anyhow::Result<()> {
         check_share: args.verify_share,
         access: args.access.as_deref().map(CoordinatorAccess::read).transpose()?.map(Arc::new),
         max_connections: args.max_connections as usize,
+        fit_memory_bytes: args.fit_memory.saturating_mul(1 << 20),
     };
     let coordinator = Coordinator::open(&config).await?;
     let listener = TcpListener::bind(args.listen)

@@ -1,64 +1,142 @@
-//! Dictionaries in memory, loaded at the first question and kept for the next.
+//! Channels of dictionaries in memory, loaded at the first question and kept for the next.
+//!
+//! All that is loaded together stays below a limit: what was not asked for longest makes room. A dictionary that fits as
+//! a whole is read as a whole, so that its next question waits for nothing; of a larger one a question reads its own
+//! channels.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use optics_fit::{DictionaryBuilder, FitDictionary};
+use optics_fit::{DictionaryBuilder, FitChannel, FitDictionary};
 use optics_model::Grid;
-use tokio::sync::OnceCell;
 
 use super::{FarmError, Result, blocking};
 use crate::store::{Damaged, Store};
 
-/// Dictionaries kept at a time.
-const KEPT: usize = 2;
-/// Largest dictionary that is loaded: values of all records, and gradients for two ranges of pixels.
-const LARGEST_BYTES: usize = 4 << 30;
+#[derive(Debug)]
+pub(super) struct FitCache {
+    /// Bytes of all channels together.
+    limit: usize,
+    kept: Mutex<Kept>,
+    /// Held while a dictionary is read: two at a time would not be read sooner, but need room for both.
+    reading: tokio::sync::Mutex<()>,
+}
 
-type Slot = Arc<OnceCell<Arc<FitDictionary>>>;
-
-/// Most recently used last.
 #[derive(Debug, Default)]
-pub(super) struct FitCache(Mutex<Vec<(DictionaryId, Slot)>>);
+struct Kept {
+    /// Most recently used last.
+    channels: Vec<Channel>,
+    /// How often records have been forgotten: what was read meanwhile may be of before.
+    forgotten: u64,
+}
+
+#[derive(Debug)]
+struct Channel {
+    of: DictionaryId,
+    index: usize,
+    bytes: usize,
+    loaded: FitChannel,
+}
 
 impl FitCache {
+    /// A cache of at most so many bytes.
+    pub(super) fn new(limit: usize) -> Self {
+        Self { limit, kept: Mutex::default(), reading: tokio::sync::Mutex::default() }
+    }
+
+    /// A dictionary with at least the channels told.
     pub(super) async fn get(
         &self,
         store: &Store,
-        name: &DictionaryName,
-        id: DictionaryId,
-        grid: Arc<Grid>,
-    ) -> Result<Arc<FitDictionary>> {
-        let pixels = grid.scene().channels().len() * grid.scene().sensor().pixels();
-        let bytes = grid.record_count().saturating_mul(pixels).saturating_mul(3 * size_of::<f32>());
-        if bytes > LARGEST_BYTES {
-            return Err(FarmError::TooLarge { name: name.clone(), bytes, limit: LARGEST_BYTES });
+        (name, id): (&DictionaryName, DictionaryId),
+        grid: &Arc<Grid>,
+        channels: &[usize],
+    ) -> Result<FitDictionary> {
+        if let Some(found) = self.find(id, grid, channels) {
+            return Ok(found);
         }
-        let slot = self.slot(id);
-        let loaded =
-            slot.get_or_try_init(async || load_dictionary(store, name, id, &grid).await.map(Arc::new));
-        Ok(loaded.await?.clone())
+        let each = FitChannel::bytes_of(grid);
+        let needed = each.saturating_mul(channels.len());
+        if needed > self.limit {
+            return Err(FarmError::TooLarge {
+                name: name.clone(),
+                channels: channels.len(),
+                mib: needed.div_ceil(MIB),
+                limit_mib: self.limit / MIB,
+            });
+        }
+        let one_reader = self.reading.lock().await;
+        if let Some(found) = self.find(id, grid, channels) {
+            return Ok(found);
+        }
+        let all: Vec<usize> = (0..grid.scene().channels().len()).collect();
+        let wanted = if each.saturating_mul(all.len()) <= self.limit { &all } else { channels };
+        let (here, forgotten) = self.make_room(id, wanted, each);
+        let is_here = |index: &usize| here.iter().any(|(other, _)| other == index);
+        let lacking: Vec<usize> = wanted.iter().filter(|index| !is_here(index)).copied().collect();
+        let read = load_channels(store, name, id, grid, &lacking).await?;
+        self.keep(id, each, &read, forgotten);
+        drop(one_reader);
+        let read = read.channels().map(|(index, channel)| (index, channel.clone()));
+        Ok(FitDictionary::of_channels(grid.clone(), here.into_iter().chain(read)))
     }
 
     /// Drops a dictionary whose records have changed.
     pub(super) fn forget(&self, id: DictionaryId) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|(other, _)| *other != id);
+        let mut kept = self.lock();
+        kept.forgotten += 1;
+        kept.channels.retain(|channel| channel.of != id);
     }
 
-    fn slot(&self, id: DictionaryId) -> Slot {
-        let mut slots = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let slot = match slots.iter().position(|(other, _)| *other == id) {
-            Some(i) => slots.remove(i).1,
-            None => Slot::default(),
-        };
-        slots.push((id, slot.clone()));
-        if slots.len() > KEPT {
-            slots.remove(0);
+    /// The dictionary, if these channels are here.
+    fn find(&self, id: DictionaryId, grid: &Arc<Grid>, channels: &[usize]) -> Option<FitDictionary> {
+        let mut kept = self.lock();
+        let is_asked = |channel: &Channel| channel.of == id && channels.contains(&channel.index);
+        let (asked, mut others): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut kept.channels).into_iter().partition(is_asked);
+        let found = (asked.len() == channels.len()).then(|| {
+            let asked = asked.iter().map(|channel| (channel.index, channel.loaded.clone()));
+            FitDictionary::of_channels(grid.clone(), asked)
+        });
+        others.extend(asked);
+        kept.channels = others;
+        found
+    }
+
+    /// Lets others go until there is room for the wanted channels. Tells which of these are here, and how often records
+    /// have been forgotten.
+    fn make_room(&self, id: DictionaryId, wanted: &[usize], each: usize) -> (Vec<(usize, FitChannel)>, u64) {
+        let mut kept = self.lock();
+        let is_wanted = |channel: &Channel| channel.of == id && wanted.contains(&channel.index);
+        let (wanted_here, mut others): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut kept.channels).into_iter().partition(is_wanted);
+        let needed = each * wanted.len();
+        while others.iter().map(|channel| channel.bytes).sum::<usize>() + needed > self.limit {
+            others.remove(0);
         }
-        slot
+        let here = wanted_here.iter().map(|channel| (channel.index, channel.loaded.clone())).collect();
+        others.extend(wanted_here);
+        kept.channels = others;
+        (here, kept.forgotten)
+    }
+
+    /// Keeps what was read, unless records were forgotten since.
+    fn keep(&self, of: DictionaryId, bytes: usize, read: &FitDictionary, forgotten: u64) {
+        let mut kept = self.lock();
+        if kept.forgotten == forgotten {
+            let channel =
+                |(index, loaded): (usize, &FitChannel)| Channel { of, index, bytes, loaded: loaded.clone() };
+            kept.channels.extend(read.channels().map(channel));
+        }
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, Kept> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+const MIB: usize = 1 << 20;
 
 /// Reads a complete dictionary into memory, and compares its records with their digests.
 pub async fn load_dictionary(
@@ -67,9 +145,21 @@ pub async fn load_dictionary(
     id: DictionaryId,
     grid: &Arc<Grid>,
 ) -> Result<FitDictionary> {
+    let all: Vec<usize> = (0..grid.scene().channels().len()).collect();
+    load_channels(store, name, id, grid, &all).await
+}
+
+/// The same with some of its channels.
+async fn load_channels(
+    store: &Store,
+    name: &DictionaryName,
+    id: DictionaryId,
+    grid: &Arc<Grid>,
+    channels: &[usize],
+) -> Result<FitDictionary> {
     let jobs = grid.job_count();
     let chunk = ((8 << 20) / (grid.albedo().len() * grid.record_bytes())).clamp(1, 1024);
-    let mut builder = DictionaryBuilder::new((**grid).clone());
+    let mut builder = DictionaryBuilder::of_channels(grid.clone(), channels.iter().copied());
     for first in (0..jobs).step_by(chunk) {
         for found in store.all_jobs(id, grid, first..(first + chunk).min(jobs)).await? {
             let damaged = |Damaged { job, what }| FarmError::Damaged { name: name.clone(), job, what };

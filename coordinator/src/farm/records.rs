@@ -73,10 +73,12 @@ impl Farm {
         Ok(Some(what))
     }
 
-    /// Answers a question to a complete dictionary, off the async threads.
+    /// Answers a question to a complete dictionary, off the async threads. It is about the channels of
+    /// these names, or the first if none is told.
     pub(crate) async fn ask<T: Send + 'static>(
         &self,
         name: &DictionaryName,
+        channels: &[String],
         question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
     ) -> Result<T> {
         let (id, grid) = self.found(name)?;
@@ -85,7 +87,8 @@ impl Farm {
             let (done, total) = (status.records_done(), status.records_total());
             return Err(FarmError::NotComplete { name: name.clone(), done, total });
         }
-        let dictionary = match self.fits.get(&self.store, name, id, grid.clone()).await {
+        let channels = optics_fit::channels_called(&grid, channels.iter().map(String::as_str));
+        let dictionary = match self.fits.get(&self.store, (name, id), &grid, &channels).await {
             Err(FarmError::Damaged { job, .. }) => return Err(self.doubted(name, id, &grid, job).await),
             dictionary => dictionary?,
         };

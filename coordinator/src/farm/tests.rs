@@ -1,6 +1,7 @@
 //! A farm on a store of its own, without network: what it does when the disk does not give back what it was given, and
 //! how dictionaries share records.
 
+mod fitting;
 mod intake;
 mod waiting;
 
@@ -169,7 +170,7 @@ async fn a_fit_forgets_the_very_job_that_is_damaged_and_no_other() {
     ] {
         let (farm, dir) = done().await;
         change(&dir, damage).await;
-        let refused = farm.ask(&name(), |_| Ok(())).await;
+        let refused = farm.ask(&name(), &[], |_| Ok(())).await;
         assert!(matches!(refused, Err(FarmError::Damaged { job: 17, .. })), "{damage}: {refused:?}");
         assert_eq!(jobs_done(&farm), JOBS - 1, "{damage}");
         let found = farm.inspect(false).await;

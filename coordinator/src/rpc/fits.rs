@@ -23,7 +23,8 @@ impl Fits for Context {
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
         let measurement = measurement(request.measurement)?;
-        let answer = self.ask(&name, move |d| fit::fit(d, &measurement, &options)).await?;
+        let channels = channels([&measurement]);
+        let answer = self.ask(&name, &channels, move |d| fit::fit(d, &measurement, &options)).await?;
         Ok(Response::new(FitResponse { fit: Some(answer.into()) }))
     }
 
@@ -35,6 +36,7 @@ impl Fits for Context {
             MuRange::try_from(request.mu.unwrap_or_default()).map_err(|e| e.within("mu")).or_status()?;
         let materials = materials(request.materials).or_status()?;
         let plan = MeasurePlan { search_mu: Some(range), common_g: true };
+        let channels = channels(&materials);
         let question = move |d: &fit::FitDictionary| {
             let curve = fit::scale(d, &materials, &options, &range)?;
             let common = fit::measure_refined(d, &materials, &options, &plan)?.common;
@@ -42,7 +44,7 @@ impl Fits for Context {
             let fits: Result<Vec<_>, Invalid> = materials.iter().map(|m| fit::fit(d, m, &options)).collect();
             Ok((curve, fits?, common))
         };
-        let (curve, fits, common) = self.ask(&name, question).await?;
+        let (curve, fits, common) = self.ask(&name, &channels, question).await?;
         let (scale, materials) = (Some(curve.into()), encoded(fits));
         Ok(Response::new(ScaleResponse { scale, materials, common: Some(common.into()) }))
     }
@@ -67,7 +69,8 @@ impl Fits for Context {
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
         let measurement = measurement(request.measurement)?;
-        let maps = self.ask(&name, move |d| fit::distance_map(d, &measurement, &options)).await?;
+        let channels = channels([&measurement]);
+        let maps = self.ask(&name, &channels, move |d| fit::distance_map(d, &measurement, &options)).await?;
         Ok(Response::new(MapResponse { maps: maps.into_iter().map(Into::into).collect() }))
     }
 
@@ -80,6 +83,7 @@ impl Fits for Context {
         let plan = MeasurePlan { search_mu, common_g: request.common_g };
         let materials = materials(request.materials).or_status()?;
         let mixtures = farm_proto::mixtures(request.mixtures).or_status()?;
+        let channels = channels(&materials);
         let question = move |d: &fit::FitDictionary| {
             let mut measured = fit::measure(d, &materials, &options, &plan)?;
             let unmixed =
@@ -89,7 +93,7 @@ impl Fits for Context {
             }
             Ok((measured, unmixed))
         };
-        let (answer, unmixed) = self.ask(&name, question).await?;
+        let (answer, unmixed) = self.ask(&name, &channels, question).await?;
         Ok(Response::new(MeasureResponse {
             scale: answer.scale.map(Into::into),
             mu: answer.common.mu,
@@ -105,21 +109,23 @@ impl Fits for Context {
         let mut request = request.into_inner();
         let name = dictionary_name(std::mem::take(&mut request.dictionary)).or_status()?;
         let question = DesignQuestion::try_from(request).or_status()?;
-        let answer = self.ask(&name, move |d| fit::design(d, &question)).await?;
+        let channels = Vec::from_iter(question.settings().channel.clone());
+        let answer = self.ask(&name, &channels, move |d| fit::design(d, &question)).await?;
         Ok(Response::new(answer.into()))
     }
 }
 
 impl Context {
-    /// Asks a dictionary when a core is free.
+    /// Asks a dictionary about channels when a core is free.
     async fn ask<T: Send + 'static>(
         &self,
         name: &DictionaryName,
+        channels: &[String],
         question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
     ) -> Result<T, Status> {
         let _core = self.limits.fit().await?;
         let start = tokio::time::Instant::now();
-        let answer = self.farm.ask(name, question).await?;
+        let answer = self.farm.ask(name, channels, question).await?;
         self.farm.metrics().fitted(start.elapsed());
         Ok(answer)
     }
@@ -148,6 +154,13 @@ fn materials(materials: Vec<wire::Measurement>) -> Result<Vec<Measurement>, Inva
         Measurement::try_from(m).map_err(|e| e.within(format_args!("materials[{i}]")))
     };
     materials.into_iter().enumerate().map(decode).collect()
+}
+
+/// The channels that were measured.
+fn channels<'a>(materials: impl IntoIterator<Item = &'a Measurement>) -> Vec<String> {
+    let names = materials.into_iter().flat_map(Measurement::channels);
+    let names: std::collections::BTreeSet<&str> = names.collect();
+    names.into_iter().map(str::to_owned).collect()
 }
 
 fn encoded(fits: Vec<MaterialFit>) -> Vec<wire::MaterialFit> {

@@ -26,7 +26,7 @@ pub(super) fn curves(
             .map(|record| {
                 let (values, gradient) = question.profile(term, record);
                 let wide = |f: &[f32]| f.iter().copied().map(f64::from).collect();
-                Curve { values: wide(values), gradient: wide(gradient) }
+                Curve { values: wide(values), gradient: wide(&gradient) }
             })
             .collect(),
         refined: objective.as_ref().map(|(objective, x)| {

@@ -1,43 +1,49 @@
-//! A dictionary in memory, laid out for comparison.
+//! A dictionary in memory, laid out for comparison: channel by channel, so that a question loads what it needs.
 
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::Arc;
 
 use optics_model::profile::RecordShape;
 use optics_model::{Grid, PackedRecords};
+use rayon::prelude::*;
 
-use super::records::Records;
-use super::view::{View, ViewKey};
-
-/// Views kept besides the one over all pixels with the default wavelet.
-const OTHER_VIEWS: usize = 1;
+use super::channel::ChannelRecords;
+use super::question::find_channel;
+use super::view::{self, View, ViewKey};
 
 /// Collects the records of jobs, which may come in any order.
 #[derive(Debug)]
 pub struct DictionaryBuilder {
-    all: Records,
+    grid: Arc<Grid>,
+    /// Those that are collected, by their index among the scene's.
+    channels: Vec<(usize, ChannelRecords)>,
     /// Which records have come.
     present: Vec<bool>,
 }
 
 impl DictionaryBuilder {
+    /// For all channels of the grid's scene.
     pub fn new(grid: Grid) -> Self {
+        let channels = 0..grid.scene().channels().len();
+        Self::of_channels(Arc::new(grid), channels)
+    }
+
+    /// For some channels of the grid's scene, told by their indices.
+    pub fn of_channels(grid: Arc<Grid>, channels: impl IntoIterator<Item = usize>) -> Self {
+        let channels = channels.into_iter().map(|index| (index, ChannelRecords::new(grid.clone()))).collect();
         let present = vec![false; grid.record_count()];
-        Self { all: Records::new(grid), present }
+        Self { grid, channels, present }
     }
 
     /// # Panics
     /// If a record is not of the grid's shape or number, or has come before.
     pub fn add(&mut self, records: &PackedRecords) {
-        let shape = RecordShape::of(self.all.grid());
-        assert_eq!(records.shape(), shape, "the records have the grid's shape");
+        assert_eq!(records.shape(), RecordShape::of(&self.grid), "the records have the grid's shape");
         for number in records.numbers() {
             let before = std::mem::replace(&mut self.present[number], true);
             assert!(!before, "record {number} comes once");
-            for channel in 0..shape.channels {
-                let values = self.all.values_mut(number, channel);
-                for (value, read) in values.iter_mut().zip(records.radiance_factors(number, channel)) {
-                    *value = read;
-                }
+            for (index, channel) in &mut self.channels {
+                let read = records.radiance_factors(number, *index);
+                channel.values_mut(number).iter_mut().zip(read).for_each(|(value, read)| *value = read);
             }
         }
     }
@@ -48,59 +54,86 @@ impl DictionaryBuilder {
     /// If records are missing.
     pub fn build(self) -> FitDictionary {
         assert!(self.present.iter().all(|present| *present), "every record has come");
-        let dictionary = FitDictionary { all: self.all, views: Mutex::default() };
-        let key = dictionary.default_view();
-        dictionary.view(&key);
-        dictionary
+        let described = |(index, records): (usize, ChannelRecords)| {
+            records.whole_view();
+            (index, FitChannel(Arc::new(records)))
+        };
+        let channels = self.channels.into_par_iter().map(described).collect::<Vec<_>>();
+        FitDictionary::of_channels(self.grid, channels)
     }
 }
 
-type Slot = Arc<OnceLock<Arc<View>>>;
+/// One channel of a dictionary in memory; cheap to copy.
+#[derive(Debug, Clone)]
+pub struct FitChannel(Arc<ChannelRecords>);
 
-/// Values of all records, and views on them.
+impl FitChannel {
+    /// Bytes that a channel of a grid takes: values, descriptions and, of smaller dictionaries, gradients, for the
+    /// whole profiles and for one other range of pixels.
+    pub fn bytes_of(grid: &Grid) -> usize {
+        let values = grid.record_count().saturating_mul(grid.scene().sensor().pixels()) * size_of::<f32>();
+        values.saturating_add(2 * view::bytes_of(grid))
+    }
+}
+
+/// Channels of a dictionary: all, or those that a question is about.
 #[derive(Debug)]
 pub struct FitDictionary {
-    all: Records,
-    /// The default first, then the last other one.
-    views: Mutex<Vec<(ViewKey, Slot)>>,
+    grid: Arc<Grid>,
+    channels: Vec<Option<FitChannel>>,
 }
 
 impl FitDictionary {
+    /// Those channels of a grid's scene that are told with their indices.
+    pub fn of_channels(grid: Arc<Grid>, given: impl IntoIterator<Item = (usize, FitChannel)>) -> Self {
+        let mut channels = vec![None; grid.scene().channels().len()];
+        for (index, channel) in given {
+            channels[index] = Some(channel);
+        }
+        Self { grid, channels }
+    }
+
     pub fn grid(&self) -> &Grid {
-        self.all.grid()
+        &self.grid
+    }
+
+    /// The channels that are there, with their indices.
+    pub fn channels(&self) -> impl Iterator<Item = (usize, &FitChannel)> {
+        self.channels.iter().enumerate().filter_map(|(index, channel)| Some((index, channel.as_ref()?)))
     }
 
     /// Radiance factors of a record in one channel.
+    ///
+    /// # Panics
+    /// If the channel is not there.
     pub fn values(&self, record: usize, channel: usize) -> &[f32] {
-        self.all.values(record, channel)
+        self.channel(channel).values(record)
     }
 
     /// The view over all pixels, which is always at hand.
-    pub(super) fn whole_view(&self) -> Arc<View> {
-        self.view(&self.default_view())
-    }
-
-    fn default_view(&self) -> ViewKey {
-        let pixels = 0..self.grid().scene().sensor().pixels();
-        let settings = optics_model::fit::FitSettings::default();
-        ViewKey { pixels, wavelet: settings.wavelet, level: settings.level }
+    pub(super) fn whole_view(&self, channel: usize) -> Arc<View> {
+        self.channel(channel).whole_view()
     }
 
     /// The view of a key, made if it is not at hand.
-    pub(super) fn view(&self, key: &ViewKey) -> Arc<View> {
-        let slot = {
-            let mut views = self.views.lock().unwrap_or_else(PoisonError::into_inner);
-            if let Some(i) = views.iter().position(|(other, _)| other == key) {
-                views[i].1.clone()
-            } else {
-                if views.len() > OTHER_VIEWS {
-                    views.remove(1);
-                }
-                let slot = Slot::default();
-                views.push((key.clone(), slot.clone()));
-                slot
-            }
-        };
-        slot.get_or_init(|| Arc::new(View::new(&self.all, key.clone()))).clone()
+    pub(super) fn view(&self, channel: usize, key: &ViewKey) -> Arc<View> {
+        self.channel(channel).view(key)
     }
+
+    fn channel(&self, index: usize) -> &ChannelRecords {
+        &self.channels[index].as_ref().expect("a question's channels are there").0
+    }
+}
+
+/// Indices of the channels of these names, rising; of the first if there are none. Names that a grid does not have are left
+/// out: the question itself refuses them.
+pub fn channels_called<'a>(grid: &Grid, names: impl IntoIterator<Item = &'a str>) -> Vec<usize> {
+    let mut names = names.into_iter().peekable();
+    if names.peek().is_none() {
+        return vec![0];
+    }
+    let mut indices: Vec<usize> = names.filter_map(|name| find_channel(grid, name).ok()).collect();
+    indices.sort_unstable();
+    indices.dedup();
+    indices
 }

@@ -3,6 +3,7 @@
 //! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and what goes beyond them: refinement
 //! between the records of the dictionary, and error bars.
 
+mod channel;
 mod common;
 mod curves;
 mod design;
@@ -15,7 +16,6 @@ mod map;
 mod measure;
 mod noise;
 mod question;
-mod records;
 mod refine;
 mod resample;
 mod scale;
@@ -38,7 +38,7 @@ use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
 pub use design::design;
-pub use dictionary::{DictionaryBuilder, FitDictionary};
+pub use dictionary::{DictionaryBuilder, FitChannel, FitDictionary, channels_called};
 pub use gradient::derivative;
 pub use map::distance_map;
 pub use measure::{MeasurePlan, Measured, measure, measure_refined, unmix};

@@ -1,5 +1,6 @@
 //! One channel of a measurement, made ready to be compared with a dictionary.
 
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -115,7 +116,7 @@ pub(super) struct Term<'a> {
 
 impl<'a> Term<'a> {
     fn new(
-        dictionary: &FitDictionary,
+        (dictionary, channel): (&FitDictionary, usize),
         profile: &'a MeasuredProfile,
         options: &FitOptions,
     ) -> Result<Self, Invalid> {
@@ -140,7 +141,7 @@ impl<'a> Term<'a> {
         let settings = options.settings();
         let key =
             ViewKey { pixels: resampled.pixels.clone(), wavelet: settings.wavelet, level: settings.level };
-        let view = dictionary.view(&key);
+        let view = dictionary.view(channel, &key);
         let values: Vec<f64> = resampled.values.iter().map(|v| settings.mu * v).collect();
         let gradient = view.slope().magnitude(&values);
         let description = view.describe(&values, &gradient);
@@ -177,7 +178,6 @@ pub(super) struct Question<'a> {
     pub admissible: Admissible,
 }
 
-/// One question per channel of a measurement.
 /// Most ranges of pixels that one request may compare: each takes a description of all records, some 150 MB for the
 /// paper's dictionary.
 const RANGES: usize = 4;
@@ -204,6 +204,7 @@ pub(super) fn check_ranges<'a>(
     Ok(())
 }
 
+/// One question per channel of a measurement.
 pub(super) fn questions<'a>(
     dictionary: &'a FitDictionary,
     measurement: &'a Measurement,
@@ -225,8 +226,8 @@ impl<'a> Question<'a> {
     ) -> Result<Self, Invalid> {
         let channel = find_channel(dictionary.grid(), name)?;
         let profiles = measurement.profiles().iter().filter(|p| p.channel() == name);
-        let terms =
-            profiles.map(|profile| Term::new(dictionary, profile, options)).collect::<Result<_, _>>()?;
+        let term = |profile| Term::new((dictionary, channel), profile, options);
+        let terms = profiles.map(term).collect::<Result<_, _>>()?;
         Ok(Self { dictionary, name, channel, terms, options: *options, admissible })
     }
 
@@ -285,15 +286,15 @@ impl<'a> Question<'a> {
     }
 
     /// The values and gradient magnitudes of a record on the term's pixels.
-    pub(super) fn profile(&self, term: &'a Term, record: usize) -> (&'a [f32], &'a [f32]) {
+    pub(super) fn profile(&self, term: &'a Term, record: usize) -> (&'a [f32], Cow<'a, [f32]>) {
         let values = &self.dictionary.values(record, self.channel)[term.view.pixels()];
-        (values, term.view.gradient(record, self.channel))
+        (values, term.view.gradient(record, values))
     }
 
     /// The two norms of Eq. 2: of the values' difference and of the gradients'.
     fn norms(&self, term: &Term, place: Place) -> (f64, f64) {
         let (values, gradient) = self.profile(term, self.record(term, place));
-        (rms_difference(&term.values, values), rms_difference(&term.gradient, gradient))
+        (rms_difference(&term.values, values), rms_difference(&term.gradient, &gradient))
     }
 
     /// The sum of Eq. 1.
@@ -328,7 +329,7 @@ impl<'a> Question<'a> {
     pub(super) fn outside(&self) -> Option<Outside> {
         self.terms.iter().find_map(|term| {
             let mean = term.values.iter().sum::<f64>() / term.values.len() as f64;
-            let (least, greatest) = term.view.sketch(self.channel, term.thickness).levels;
+            let (least, greatest) = term.view.sketch(term.thickness).levels;
             if mean > greatest * (1.0 + OUTSIDE) {
                 Some(Outside::Brighter)
             } else if mean < least * (1.0 - OUTSIDE) {

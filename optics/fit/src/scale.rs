@@ -96,7 +96,7 @@ fn least_errors(questions: &[Question], mu: &[f64]) -> LeastErrors {
                     for scalable in &terms[n] {
                         let record = question.record(scalable.term, Place { ior, sigma_t, g, albedo });
                         let (values, gradient) = question.profile(scalable.term, record);
-                        scalable.add_distances(values, gradient, lambda, mu, &mut errors);
+                        scalable.add_distances(values, &gradient, lambda, mu, &mut errors);
                     }
                     lower(least.row_mut(n, g - admissible.g.start), &errors);
                 }

@@ -87,7 +87,7 @@ fn bounds(question: &Question, g: &Range<usize>) -> Vec<(f32, u32)> {
         bounds.clear();
         bounds.resize(range.len(), 0.0_f32);
         for term in &question.terms {
-            let sketch = term.view.sketch(question.channel, term.thickness);
+            let sketch = term.view.sketch(term.thickness);
             sketch.add_bounds(&term.description, lambda, range.start, &mut bounds);
         }
         // A sum of many terms rounds by less than this.

@@ -125,6 +125,9 @@ pub(super) struct Sketch {
 }
 
 impl Sketch {
+    /// Bytes of a profile.
+    pub(super) const BYTES: usize = (DIRECTIONS + 1) * size_of::<f32>();
+
     pub(super) fn of(descriptions: &[Description]) -> Self {
         let coefficients = descriptions.first().map_or(0, |d| d.coefficients.len());
         let row = |k: usize| descriptions.iter().map(move |d| d.coefficients[k]);

@@ -1,15 +1,17 @@
-//! Gradients and descriptions of all records over some of the pixels.
+//! Gradients and descriptions of all records of a channel over some of the pixels.
 //!
 //! The wavelet derivative takes off the chord between the ends, so the gradients of a part are not a part of the
 //! whole's: every range of pixels needs its own.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
+use optics_model::Grid;
 use optics_model::fit::Wavelet;
 use rayon::prelude::*;
 
+use super::channel::ChannelRecords;
 use super::gradient::derivative;
-use super::records::Records;
 use super::sketch::{Basis, Description, Sketch};
 
 /// Pixel pitch that gradients are told per, in mm: 360 pixels over 10 mm.
@@ -17,6 +19,24 @@ pub(super) const REFERENCE_PITCH_MM: f64 = 10.0 / 360.0;
 
 /// Profiles that a basis is made from.
 const SAMPLES: usize = 2000;
+/// Largest dictionary, by the values of all channels, of which gradients are kept, in bytes. Of larger ones they are taken
+/// anew whenever a record is compared: most never are.
+const GRADIENTS_KEPT: usize = 512 << 20;
+
+/// Bytes of the values of a grid's records in one channel.
+fn bytes_of_values(grid: &Grid) -> usize {
+    grid.record_count().saturating_mul(grid.scene().sensor().pixels() * size_of::<f32>())
+}
+
+fn keeps_gradients(grid: &Grid) -> bool {
+    bytes_of_values(grid).saturating_mul(grid.scene().channels().len()) <= GRADIENTS_KEPT
+}
+
+/// Bytes that the view of a channel over all pixels takes.
+pub(super) fn bytes_of(grid: &Grid) -> usize {
+    let sketches = grid.record_count().saturating_mul(2 * Sketch::BYTES);
+    sketches + if keeps_gradients(grid) { bytes_of_values(grid) } else { 0 }
+}
 
 /// How gradients are taken: per sample of the reference pitch, whatever the pixels'.
 #[derive(Debug, Clone, Copy)]
@@ -59,14 +79,13 @@ pub(super) struct ViewKey {
 pub(super) struct View {
     key: ViewKey,
     slope: Slope,
-    records: usize,
     all_pixels: usize,
-    /// `[channel][record][pixel of the view]`.
-    gradients: Vec<f32>,
+    /// `[record][pixel of the view]`, if they are kept.
+    gradients: Option<Vec<f32>>,
     value_basis: Basis,
     gradient_basis: Basis,
-    /// `[channel][thickness]`.
-    sketches: Vec<Vec<PairSketch>>,
+    /// By thickness.
+    sketches: Vec<PairSketch>,
 }
 
 /// Descriptions of the values and gradients of all media at one thickness.
@@ -99,68 +118,56 @@ impl PairSketch {
 }
 
 impl View {
-    pub(super) fn new(all: &Records, key: ViewKey) -> Self {
-        let scene = all.grid().scene();
-        let slope = Slope { wavelet: key.wavelet, level: key.level, pitch_mm: scene.sensor().pitch_mm() };
-        let (records, pixels) = (all.grid().record_count(), key.pixels.len());
-        let (channels, all_pixels) = (scene.channels().len(), scene.sensor().pixels());
-        let mut gradients = vec![0.0_f32; channels * records * pixels];
-        gradients.par_chunks_exact_mut(pixels).enumerate().for_each(|(row, out)| {
-            let values = &all.values(row % records, row / records)[key.pixels.clone()];
-            let values: Vec<f64> = values.iter().copied().map(f64::from).collect();
-            for (out, d) in out.iter_mut().zip(slope.magnitude(&values)) {
-                *out = d as f32;
-            }
+    pub(super) fn new(all: &ChannelRecords, key: ViewKey) -> Self {
+        let grid = all.grid();
+        let sensor = grid.scene().sensor();
+        let slope = Slope { wavelet: key.wavelet, level: key.level, pitch_mm: sensor.pitch_mm() };
+        let (records, pixels) = (grid.record_count(), key.pixels.len());
+        let values = |record: usize| &all.values(record)[key.pixels.clone()];
+        let gradients = keeps_gradients(grid).then(|| {
+            let mut gradients = vec![0.0_f32; records * pixels];
+            let rows = gradients.par_chunks_exact_mut(pixels).enumerate();
+            rows.for_each(|(record, out)| out.copy_from_slice(&gradient_of(slope, values(record))));
+            gradients
         });
-        let step = (channels * records).div_ceil(SAMPLES);
-        let sampled = || (0..channels * records).step_by(step);
-        let values: Vec<&[f32]> =
-            sampled().map(|row| &all.values(row % records, row / records)[key.pixels.clone()]).collect();
-        let slopes: Vec<&[f32]> = sampled().map(|row| &gradients[row * pixels..][..pixels]).collect();
-        let (value_basis, gradient_basis) = rayon::join(|| Basis::of(&values), || Basis::of(&slopes));
-        let mut view = Self {
-            key,
-            slope,
-            records,
-            all_pixels,
-            gradients,
-            value_basis,
-            gradient_basis,
-            sketches: Vec::new(),
-        };
-        view.sketches = (0..channels).map(|channel| view.sketch_channel(all, channel)).collect();
+        let sampled: Vec<&[f32]> = (0..records).step_by(records.div_ceil(SAMPLES)).map(values).collect();
+        let slopes: Vec<Vec<f32>> = sampled.par_iter().map(|values| gradient_of(slope, values)).collect();
+        let slopes: Vec<&[f32]> = slopes.iter().map(Vec::as_slice).collect();
+        let (value_basis, gradient_basis) = rayon::join(|| Basis::of(&sampled), || Basis::of(&slopes));
+        let all_pixels = sensor.pixels();
+        let mut view =
+            Self { key, slope, all_pixels, gradients, value_basis, gradient_basis, sketches: Vec::new() };
+        view.sketches =
+            (0..grid.thickness_mm().len()).map(|thickness| view.sketch_of(all, thickness)).collect();
         view
     }
 
-    fn sketch_channel(&self, all: &Records, channel: usize) -> Vec<PairSketch> {
+    fn sketch_of(&self, all: &ChannelRecords, thickness: usize) -> PairSketch {
         let grid = all.grid();
         let (thicknesses, albedos) = (grid.thickness_mm().len(), grid.albedo().len());
-        let media = self.records / thicknesses;
-        let sketch = |thickness: usize| {
-            let described: Vec<(Description, Description, f64)> = (0..media)
-                .into_par_iter()
-                .map(|medium| {
-                    let record = (medium / albedos * thicknesses + thickness) * albedos + medium % albedos;
-                    let values = &all.values(record, channel)[self.key.pixels.clone()];
-                    let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64;
-                    let gradient = self.gradient(record, channel);
-                    (
-                        self.value_basis.describe_record(values),
-                        self.gradient_basis.describe_record(gradient),
-                        mean,
-                    )
-                })
-                .collect();
-            let mut levels = (f64::INFINITY, f64::NEG_INFINITY);
-            let (mut values, mut gradients) = (Vec::new(), Vec::new());
-            for (value, gradient, mean) in described {
-                levels = (levels.0.min(mean), levels.1.max(mean));
-                values.push(value);
-                gradients.push(gradient);
-            }
-            PairSketch { values: Sketch::of(&values), gradients: Sketch::of(&gradients), levels }
-        };
-        (0..thicknesses).map(sketch).collect()
+        let media = grid.record_count() / thicknesses;
+        let described: Vec<(Description, Description, f64)> = (0..media)
+            .into_par_iter()
+            .map(|medium| {
+                let record = (medium / albedos * thicknesses + thickness) * albedos + medium % albedos;
+                let values = &all.values(record)[self.key.pixels.clone()];
+                let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64;
+                let gradient = self.gradient(record, values);
+                (
+                    self.value_basis.describe_record(values),
+                    self.gradient_basis.describe_record(&gradient),
+                    mean,
+                )
+            })
+            .collect();
+        let mut levels = (f64::INFINITY, f64::NEG_INFINITY);
+        let (mut values, mut gradients) = (Vec::new(), Vec::new());
+        for (value, gradient, mean) in described {
+            levels = (levels.0.min(mean), levels.1.max(mean));
+            values.push(value);
+            gradients.push(gradient);
+        }
+        PairSketch { values: Sketch::of(&values), gradients: Sketch::of(&gradients), levels }
     }
 
     pub(super) fn slope(&self) -> Slope {
@@ -176,13 +183,17 @@ impl View {
         self.key.pixels.clone()
     }
 
-    pub(super) fn gradient(&self, record: usize, channel: usize) -> &[f32] {
+    /// The gradient magnitudes of a record, whose values on the view's pixels are given.
+    pub(super) fn gradient(&self, record: usize, values: &[f32]) -> Cow<'_, [f32]> {
         let pixels = self.key.pixels.len();
-        &self.gradients[(channel * self.records + record) * pixels..][..pixels]
+        match &self.gradients {
+            Some(kept) => Cow::Borrowed(&kept[record * pixels..][..pixels]),
+            None => Cow::Owned(gradient_of(self.slope, values)),
+        }
     }
 
-    pub(super) fn sketch(&self, channel: usize, thickness: usize) -> &PairSketch {
-        &self.sketches[channel][thickness]
+    pub(super) fn sketch(&self, thickness: usize) -> &PairSketch {
+        &self.sketches[thickness]
     }
 
     pub(super) fn value_basis(&self) -> &Basis {
@@ -200,4 +211,10 @@ impl View {
             gradient: self.gradient_basis.describe_target(gradient),
         }
     }
+}
+
+/// |∇f| in single precision, as records are compared.
+fn gradient_of(slope: Slope, values: &[f32]) -> Vec<f32> {
+    let values: Vec<f64> = values.iter().copied().map(f64::from).collect();
+    slope.magnitude(&values).into_iter().map(|d| d as f32).collect()
 }

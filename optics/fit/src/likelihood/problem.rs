@@ -183,7 +183,7 @@ impl<'a> ChannelData<'a> {
     /// Ready to be searched, with a standard deviation of the common factor beside the profiles' gains.
     pub(super) fn scan(&self, surrogates: &[Surrogate], scale_std_error: f64) -> Result<Scan<'a>, Invalid> {
         let settings = self.options.settings();
-        let view = self.dictionary.whole_view();
+        let view = self.dictionary.whole_view(self.channel);
         let compressed = |data: &ProfileData| {
             let loose = Loose {
                 gain: settings.gain_std_error.hypot(scale_std_error),
@@ -193,7 +193,6 @@ impl<'a> ChannelData<'a> {
                 blur_mm2: blur::variance_mm2(data.blur.0 + data.blur.1),
             };
             let source = Source {
-                channel: self.channel,
                 profile: data.profile,
                 origin_mm: data.origin_mm,
                 mu: settings.mu,

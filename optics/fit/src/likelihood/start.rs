@@ -31,7 +31,6 @@ const STEPS: usize = 12;
 /// A profile to be compressed; its values and errors are multiplied by μ.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Source<'a> {
-    pub channel: usize,
     pub profile: &'a MeasuredProfile,
     pub origin_mm: f64,
     pub mu: f64,
@@ -44,7 +43,6 @@ pub(super) struct Compressed {
     /// Index into the grid's thicknesses, and ln of the slab's thickness over it.
     thickness: usize,
     ln_ratio: f64,
-    channel: usize,
     /// Lᵀ of the form K = L Lᵀ, row by row.
     root: DMatrix<f64>,
     /// L⁻¹ of the measurement's part, and of the basis' mean profile's.
@@ -70,7 +68,7 @@ impl Compressed {
         source: &Source,
         loose: &Loose,
     ) -> Option<Self> {
-        let Source { channel, profile, origin_mm, mu, std_errors } = *source;
+        let Source { profile, origin_mm, mu, std_errors } = *source;
         let axis = dictionary.grid().thickness_mm();
         let off = |t: &f64| (profile.thickness_mm() / t).ln().abs();
         let (thickness, nominal) = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
@@ -116,7 +114,7 @@ impl Compressed {
             form.of(&mean, &mean) - mean_part.dot(&mean_part),
         ];
         let ln_ratio = ratio.ln();
-        Some(Self { thickness, ln_ratio, channel, root: root.l().transpose(), data, mean: mean_part, left })
+        Some(Self { thickness, ln_ratio, root: root.l().transpose(), data, mean: mean_part, left })
     }
 
     /// Index into the grid's thicknesses.
@@ -130,7 +128,7 @@ impl Compressed {
 
     /// Adds the cost of all media of the dictionary, with their profiles multiplied by a scale.
     fn add_costs(&self, view: &View, scale: f64, costs: &mut [f32]) {
-        let sketch = view.sketch(self.channel, self.thickness).value_coefficients();
+        let sketch = view.sketch(self.thickness).value_coefficients();
         let n = self.data.len();
         let left = self.left(scale) as f32;
         let (mut sums, mut z) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK]);
@@ -160,7 +158,7 @@ impl Compressed {
         x: [f64; 3],
         scale: f64,
     ) -> (DVector<f64>, DMatrix<f64>) {
-        let sketch = view.sketch(self.channel, self.thickness).value_coefficients();
+        let sketch = view.sketch(self.thickness).value_coefficients();
         let n = self.data.len();
         let mut all = DMatrix::zeros(n, 4);
         for (medium, weight, by) in surrogate.stencil([x[0] + self.ln_ratio, x[1], x[2]]) {

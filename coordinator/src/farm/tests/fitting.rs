@@ -1,0 +1,53 @@
+//! Memory for dictionaries that are fitted with.
+
+use optics_fit::FitChannel;
+
+use super::*;
+
+/// A farm with a dictionary that is done, and memory for so many of its channels.
+async fn with_room_for(channels: usize) -> (Arc<Farm>, tempfile::TempDir) {
+    let (farm, dir) = done().await;
+    let mut farm = Arc::into_inner(farm).expect("nobody else has the farm");
+    farm.fits = super::super::FitCache::new(channels * FitChannel::bytes_of(&grid()));
+    (Arc::new(farm), dir)
+}
+
+/// Which channels a question about some meets.
+async fn met(farm: &Farm, names: &[&str]) -> Result<Vec<usize>, FarmError> {
+    let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+    let question = |d: &optics_fit::FitDictionary| Ok(d.channels().map(|(index, _)| index).collect());
+    farm.ask(&name(), &names, question).await
+}
+
+#[tokio::test]
+async fn a_question_reads_its_channels_and_no_others_where_there_is_no_room_for_all() {
+    let (farm, dir) = with_room_for(2).await;
+    assert_eq!(met(&farm, &["G"]).await.unwrap(), [1]);
+    assert_eq!(met(&farm, &["R", "G"]).await.unwrap(), [0, 1]);
+    // The green channel was asked for last, so it is there; blue takes red's place.
+    assert_eq!(met(&farm, &["G"]).await.unwrap(), [1]);
+    assert_eq!(met(&farm, &["B"]).await.unwrap(), [2]);
+    change(&dir, "DELETE FROM records").await;
+    assert_eq!(met(&farm, &["G", "B"]).await.unwrap(), [1, 2], "both are in memory");
+    assert!(matches!(met(&farm, &["R"]).await, Err(FarmError::Damaged { .. })), "red is read again");
+}
+
+#[tokio::test]
+async fn a_dictionary_for_which_there_is_room_is_read_as_a_whole() {
+    let (farm, dir) = with_room_for(3).await;
+    assert_eq!(met(&farm, &["G"]).await.unwrap(), [0, 1, 2]);
+    change(&dir, "DELETE FROM records").await;
+    for channel in ["R", "G", "B"] {
+        assert!(!met(&farm, &[channel]).await.unwrap().is_empty());
+    }
+}
+
+#[tokio::test]
+async fn a_question_that_needs_more_memory_than_there_is_says_how_much() {
+    let (farm, _dir) = with_room_for(2).await;
+    let refused = met(&farm, &["R", "G", "B"]).await.unwrap_err();
+    assert!(matches!(refused, FarmError::TooLarge { channels: 3, .. }), "{refused:?}");
+    let text = refused.to_string();
+    assert!(text.contains("3 of its channels") && text.contains("--fit-memory"), "{text}");
+    assert_eq!(met(&farm, &["R", "B"]).await.unwrap(), [0, 2]);
+}

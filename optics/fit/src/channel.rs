@@ -1,0 +1,72 @@
+//! All records of a dictionary in one channel, and views on them.
+
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use optics_model::Grid;
+
+use super::view::{View, ViewKey};
+
+/// Views kept besides the one over all pixels with the default wavelet.
+const OTHER_VIEWS: usize = 1;
+
+type Slot = Arc<OnceLock<Arc<View>>>;
+
+#[derive(Debug)]
+pub(super) struct ChannelRecords {
+    grid: Arc<Grid>,
+    /// Radiance factors as `[record][pixel]`.
+    values: Vec<f32>,
+    /// The default first, then the last other one.
+    views: Mutex<Vec<(ViewKey, Slot)>>,
+}
+
+impl ChannelRecords {
+    /// All values are 0 at first.
+    pub(super) fn new(grid: Arc<Grid>) -> Self {
+        let numbers = grid.record_count() * grid.scene().sensor().pixels();
+        Self { grid, values: vec![0.0; numbers], views: Mutex::default() }
+    }
+
+    pub(super) fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    pub(super) fn values(&self, record: usize) -> &[f32] {
+        let pixels = self.pixels();
+        &self.values[record * pixels..][..pixels]
+    }
+
+    pub(super) fn values_mut(&mut self, record: usize) -> &mut [f32] {
+        let pixels = self.pixels();
+        &mut self.values[record * pixels..][..pixels]
+    }
+
+    fn pixels(&self) -> usize {
+        self.grid.scene().sensor().pixels()
+    }
+
+    /// The view over all pixels, which is always at hand once it was made.
+    pub(super) fn whole_view(&self) -> Arc<View> {
+        let settings = optics_model::fit::FitSettings::default();
+        let pixels = 0..self.pixels();
+        self.view(&ViewKey { pixels, wavelet: settings.wavelet, level: settings.level })
+    }
+
+    /// The view of a key, made if it is not at hand.
+    pub(super) fn view(&self, key: &ViewKey) -> Arc<View> {
+        let slot = {
+            let mut views = self.views.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(i) = views.iter().position(|(other, _)| other == key) {
+                views[i].1.clone()
+            } else {
+                if views.len() > OTHER_VIEWS {
+                    views.remove(1);
+                }
+                let slot = Slot::default();
+                views.push((key.clone(), slot.clone()));
+                slot
+            }
+        };
+        slot.get_or_init(|| Arc::new(View::new(self, key.clone()))).clone()
+    }
+}
