@@ -15,6 +15,22 @@ pub(super) fn unlikely(refined: &Refined) -> Option<bool> {
     refined.likelihood.as_ref().map(|l| l.probability < UNLIKELY)
 }
 
+/// Share of the degrees of freedom below which χ² shows that the told errors are no noise of single pixels, and from how
+/// many of these on.
+const QUIET: f64 = 0.5;
+const QUIET_FROM: f64 = 100.0;
+
+/// What is said of data that scatter far less than their errors allow: profiles that were smoothed or simulated have
+/// errors that neighbouring pixels share, and averaging over pixels does not make those smaller.
+pub(super) fn too_quiet(refined: &Refined) -> Option<String> {
+    let l = refined.likelihood.as_ref()?;
+    let quiet = l.degrees_of_freedom >= QUIET_FROM && l.chi2 < QUIET * l.degrees_of_freedom;
+    let warning = "χ² is too small: pixels scatter less than std_error says. If neighbouring pixels share their errors, as \
+                   in smoothed or simulated profiles, the intervals are too narrow; if std_error is too large, they are \
+                   too wide";
+    quiet.then(|| warning.to_owned())
+}
+
 /// `χ² 712 of 716, p = 0.53`.
 pub(super) fn goodness(l: &Likelihood) -> String {
     let p = if l.probability < UNLIKELY {
@@ -154,6 +170,16 @@ mod tests {
         assert!(origin(-0.041, 0.05), "beyond what was told");
         let held = |value| moved(&estimate(Nuisance::Thickness, value, 0.0, (0.5, 0.0)));
         assert!(!held(0.5) && held(0.51));
+    }
+
+    #[test]
+    fn data_that_scatter_less_than_their_errors_warn() {
+        let mut refined = crate::testing::channel("R", 6.21, 1.0).refined.unwrap();
+        assert_eq!(too_quiet(&refined), None, "the paper's distance knows no χ²");
+        for (chi2, warns) in [(300.0, true), (400.0, false), (716.0, false), (1130.0, false)] {
+            refined.likelihood = Some(likelihood(chi2, 1.0));
+            assert_eq!(too_quiet(&refined).is_some(), warns, "{chi2} of 716");
+        }
     }
 
     #[test]

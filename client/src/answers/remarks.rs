@@ -2,7 +2,7 @@
 
 use optics_model::fit::{ChannelFit, Interval, Outside};
 
-use super::likelihood::findings;
+use super::likelihood::{findings, too_quiet};
 use super::misfit::misfit;
 use super::numbers::significant;
 
@@ -19,6 +19,7 @@ pub(super) fn warnings(channel: &ChannelFit) -> Vec<String> {
     let mut warnings = Vec::new();
     if let Some(r) = &channel.refined {
         warnings.extend(misfit(r));
+        warnings.extend(too_quiet(r));
         if !r.resolved && channel.outside.is_none() {
             warnings.push(unresolved(&r.sigma_t_per_mm));
         }

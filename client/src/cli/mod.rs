@@ -271,6 +271,9 @@ pub struct ShowArgs {
     /// Draw profiles from all over the dictionary: FILE.svg or FILE.png.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
+    /// Read all records and tell how noisy they are: median, worst, and by albedo.
+    #[arg(long)]
+    pub noise: bool,
 }
 
 #[derive(Debug, Args)]

@@ -1,3 +1,4 @@
+mod noise;
 mod overview;
 
 use std::path::Path;
@@ -15,11 +16,12 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, grouped, state};
 use crate::plot::Picture;
 use crate::records::Records;
+use noise::Noise;
 
 pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name)?;
     args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let status = with_farm(global, Purpose::Ask, async |connection| {
+    let (status, noise) = with_farm(global, Purpose::Ask, async |connection| {
         let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
         let mut status = DictionaryStatus::try_from(answer.into_inner())?;
         if status.jobs_failed > status.failed.len() {
@@ -28,10 +30,20 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         if let Some(path) = &args.plot {
             draw(connection, &status, path).await?;
         }
-        Ok(status)
+        let noise = if args.noise { Some(Noise::read(connection, &status).await?) } else { None };
+        Ok((status, noise))
     })
     .await?;
-    output.print("show", &data(&status), || text(&status))
+    let told = || text(&status) + &noise.as_ref().map_or_else(String::new, Noise::text);
+    output.print("show", &Shown { dictionary: data(&status), noise: noise.as_ref() }, told)
+}
+
+#[derive(Serialize)]
+struct Shown<'a, D> {
+    #[serde(flatten)]
+    dictionary: D,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    noise: Option<&'a Noise>,
 }
 
 /// All jobs that were given up; a status has the first of them.

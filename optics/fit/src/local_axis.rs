@@ -212,7 +212,9 @@ fn orthonormal(terms: Vec<Vec<f64>>, window: &[f64]) -> Vec<Vec<f64>> {
         }
         let left = product(&values, &values).sqrt();
         if left > NOTHING * size {
-            values.iter_mut().for_each(|v| *v /= left);
+            for v in &mut values {
+                *v /= left;
+            }
             basis.push(values);
         }
     }

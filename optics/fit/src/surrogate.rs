@@ -2,7 +2,7 @@
 //!
 //! The coordinates are those in which profiles change most evenly: ln σ_t; √(1 − α), to which diffusion is linear; and
 //! ln(1 − g), in which similar media lie on straight lines. Across σ_t and g, where every record of a thickness has walks of its own,
-//! a local polynomial is fitted by weighted least squares, which averages the noise of the records about; across
+//! a local model is fitted by weighted least squares, which averages the noise of the records about; across
 //! albedos, which share their walks, the four nearest are interpolated.
 
 use optics_model::{Grid, Medium};
@@ -241,7 +241,7 @@ impl<'a> Surrogate<'a> {
     }
 
     /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the records' noise gives to the model at `x`, over all
-    /// pixels: what the local polynomial leaves of the records about.
+    /// pixels: what the local model leaves of the records about.
     fn noise_factors(&self, thickness: usize, x: Coordinates) -> NoiseFactors {
         let a = interpolation(&self.albedo, x[ALBEDO]);
         let (first_s, window_s, hat_s) = self.sigma_t.hat(x[SIGMA_T]);
@@ -260,7 +260,7 @@ impl<'a> Surrogate<'a> {
         let add = |into: &mut [f64], factor: f64, of: &[f64]| {
             into.iter_mut().zip(of).for_each(|(v, o)| *v += factor * o);
         };
-        // The polynomials along both axes, one after the other.
+        // The models along both axes, one after the other.
         let along_s: Vec<Vec<f64>> = (0..ns * ng)
             .map(|n| {
                 let mut smooth = vec![0.0; pixels];
@@ -303,8 +303,8 @@ impl<'a> Surrogate<'a> {
 
     /// What the records' noise does to `N` functionals of the model's profile at `x`: their covariance.
     ///
-    /// The noise is read off the records about: what the local polynomial leaves of them is noise, and a little of the
-    /// polynomial's own failure. `functionals` are weights of the pixels of `pixels`.
+    /// The noise is read off the records about: what the local model leaves of them is noise, and a little of the
+    /// model's own failure. `functionals` are weights of the pixels of `pixels`.
     pub(super) fn noise<const N: usize>(
         &self,
         thickness: usize,

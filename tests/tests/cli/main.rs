@@ -73,6 +73,12 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
     ];
     assert_eq!(keys(&show["grid"]), expected);
 
+    let noisy = json(&run(dir, &["show", "grid", "--noise", "--json"]), "show");
+    assert_eq!(keys(&noisy["noise"]), ["by_albedo", "median", "records", "worst"]);
+    let worst = noisy["noise"]["worst"]["relative_std_error"].as_f64().unwrap();
+    let median = noisy["noise"]["median"].as_f64().unwrap();
+    assert!(0.0 < median && median <= worst && worst < 1.0, "{noisy}");
+
     let medium = ["--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--thickness", "0.5"];
     let small = ["--walks", "5000", "--pixels", "12", "--json"];
     let simulate = json(&run(dir, &[&["simulate"][..], &medium, &small].concat()), "simulate");

@@ -1,0 +1,139 @@
+//! How noisy a dictionary's records are.
+//!
+//! The noise of a record is what `[quality]` measures it by: the root mean square of a profile's standard errors over its
+//! mean, in the channel where that is greatest.
+
+use anyhow::{Result, bail};
+use farm_proto::status::DictionaryStatus;
+use optics_model::grid::Quality;
+use serde::Serialize;
+
+use crate::connection::Connection;
+use crate::output::table;
+use crate::records::Records;
+
+/// Rows of the table by albedo.
+const ROWS: usize = 9;
+
+#[derive(Debug, Serialize)]
+pub(super) struct Noise {
+    /// Records that are done and were read.
+    records: usize,
+    median: f64,
+    worst: Worst,
+    by_albedo: Vec<OfAlbedo>,
+}
+
+#[derive(Debug, Serialize)]
+struct Worst {
+    relative_std_error: f64,
+    record: usize,
+    sigma_t_per_mm: f64,
+    albedo: f64,
+    g: f64,
+    thickness_mm: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct OfAlbedo {
+    albedo: f64,
+    median: f64,
+    worst: f64,
+}
+
+impl Noise {
+    /// Reads all records of a dictionary that are done.
+    pub(super) async fn read(connection: &Connection, status: &DictionaryStatus) -> Result<Self> {
+        let mut answers = Records::ask(connection, status, Vec::new()).await?;
+        let mut found = Vec::new();
+        while let Some(record) = answers.next().await? {
+            found.push((record.index, Quality::noise_of(std::slice::from_ref(&record))));
+        }
+        if found.is_empty() {
+            bail!("none of the records whose noise is asked for is done yet");
+        }
+        Ok(Self::of(&status.grid, &found))
+    }
+
+    /// Of the noise of each record, told with its number.
+    fn of(grid: &optics_model::Grid, found: &[(usize, f64)]) -> Self {
+        let albedos = grid.albedo();
+        let by_albedo = |(i, albedo): (usize, &f64)| {
+            let of_albedo = found.iter().filter(|(record, _)| record % albedos.len() == i);
+            let (median, worst) = median_and_worst(of_albedo.map(|(_, noise)| *noise).collect())?;
+            Some(OfAlbedo { albedo: *albedo, median, worst })
+        };
+        let by_albedo = albedos.iter().enumerate().filter_map(by_albedo).collect();
+        let median = median_and_worst(found.iter().map(|(_, noise)| *noise).collect()).map_or(0.0, |m| m.0);
+        let (record, relative_std_error) =
+            found.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default();
+        let (point, medium) = grid.parameters(record);
+        let worst = Worst {
+            relative_std_error,
+            record,
+            sigma_t_per_mm: medium.sigma_t_per_mm(),
+            albedo: medium.albedo(),
+            g: medium.g(),
+            thickness_mm: point.thickness_mm(),
+        };
+        Self { records: found.len(), median, worst, by_albedo }
+    }
+
+    pub(super) fn text(&self) -> String {
+        let w = &self.worst;
+        let mut text = format!(
+            "{:<15} median {}, worst {} (record {}: sigma_t {} /mm, albedo {}, g {}, {} mm)\n\n",
+            "noise",
+            percent(self.median),
+            percent(w.relative_std_error),
+            w.record,
+            w.sigma_t_per_mm,
+            w.albedo,
+            w.g,
+            w.thickness_mm
+        );
+        let count = self.by_albedo.len();
+        let rows = count.min(ROWS);
+        let chosen = (0..rows).map(|i| &self.by_albedo[i * (count - 1) / (rows - 1).max(1)]);
+        let row = |of: &OfAlbedo| vec![of.albedo.to_string(), percent(of.median), percent(of.worst)];
+        text += &table(&["albedo", "median noise", "worst"], &[0, 1, 2], chosen.map(row));
+        text
+    }
+}
+
+fn median_and_worst(mut noise: Vec<f64>) -> Option<(f64, f64)> {
+    noise.sort_by(f64::total_cmp);
+    Some((noise.get(noise.len() / 2).copied()?, *noise.last()?))
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.2} %", 100.0 * share)
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::Grid;
+
+    use super::*;
+
+    #[test]
+    fn medians_and_the_worst_are_told_with_their_media() {
+        let grid = Grid::paper();
+        let albedos = grid.albedo().len();
+        // Grows with the albedo's number, but for one record that is worse than all.
+        let noise = |record: usize| if record == 17 { 0.5 } else { 0.001 * (record % albedos + 1) as f64 };
+        let found: Vec<(usize, f64)> = (0..3 * albedos).map(|record| (record, noise(record))).collect();
+        let noise = Noise::of(&grid, &found);
+        assert_eq!((noise.records, noise.worst.record), (3 * albedos, 17));
+        assert_eq!(noise.worst.albedo, grid.albedo()[17]);
+        assert!((noise.median - 0.021).abs() < 1e-12, "{noise:?}");
+        let of = &noise.by_albedo[17];
+        assert!((of.median - 0.018).abs() < 1e-12 && of.worst == 0.5, "{of:?}");
+        let text = noise.text();
+        assert!(
+            text.contains("median 2.10 %, worst 50.00 % (record 17: sigma_t 1 /mm, albedo 0.875"),
+            "{text}"
+        );
+        assert_eq!(text.lines().count(), 2 + 4 + ROWS, "{text}");
+    }
+}
