@@ -246,8 +246,8 @@ mod tests {
     /// A local fit of degree k reproduces polynomials of degree k, and its slopes are their derivatives.
     #[test]
     fn polynomials_come_back_with_their_slopes() {
-        for (n, degree) in [(2, 1), (3, 2), (4, 3), (6, 2), (12, 2), (40, 4)] {
-            let axis = LocalAxis::new(nodes(n), 0.6);
+        for (n, degree) in [(2, 1), (3, 2), (4, 3), (6, 2), (12, 2), (40, 5)] {
+            let axis = LocalAxis::new(nodes(n), 0.75);
             let (low, high) = axis.range();
             for share in [0.0, 0.21, 0.5, 0.83, 1.0] {
                 let x = low + share * (high - low);
@@ -275,7 +275,7 @@ mod tests {
     fn light_scattered_once_and_light_scattered_often_come_back() {
         let g = [0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8];
         let nodes: Vec<f64> = g.iter().map(|g: &f64| (1.0 - g).ln()).collect();
-        let axis = LocalAxis::with_shapes(nodes, 0.8, &BACKSCATTERED);
+        let axis = LocalAxis::with_shapes(nodes, 1.0, &BACKSCATTERED);
         let diffuse = |y: f64, depth: f64| 1.0 / (1.0 + depth * y.exp());
         for g in [0.0, 0.03, 0.13, 0.25, 0.4, 0.52, 0.65, 0.75, 0.8] {
             let y = f64::ln(1.0 - g);
@@ -284,11 +284,11 @@ mod tests {
                 let sum: f64 = w.values.iter().zip(&axis.nodes[w.first..]).map(|(w, y)| w * f(*y)).sum();
                 (sum / f(y) - 1.0).abs()
             };
-            for cosine in [-1.0, -0.85, -0.7, -0.5] {
-                assert!(off(&|y| henyey_greenstein(y, cosine)) < 1e-3, "g {g}, cosine {cosine}");
+            for cosine in [-1.0, -0.85, -0.7, -0.6] {
+                assert!(off(&|y| henyey_greenstein(y, cosine)) < 2e-3, "g {g}, cosine {cosine}");
             }
             for depth in [0.5, 2.0, 8.0, 30.0] {
-                assert!(off(&|y| diffuse(y, depth)) < 1e-3, "g {g}, depth {depth}");
+                assert!(off(&|y| diffuse(y, depth)) < 2e-3, "g {g}, depth {depth}");
             }
         }
     }
@@ -320,9 +320,9 @@ mod tests {
     #[test]
     fn noise_is_averaged_where_nodes_are_dense() {
         let leverage = |n: usize| {
-            let axis = LocalAxis::new((0..n).map(|i| i as f64 * 0.09).collect(), 0.6);
+            let axis = LocalAxis::new((0..n).map(|i| i as f64 * 0.09).collect(), 0.75);
             axis.weights(0.09 * (n / 2) as f64).values.iter().map(|w| w * w).sum::<f64>()
         };
-        assert!(leverage(40) < 0.4 && leverage(4) > 0.9, "{} {}", leverage(40), leverage(4));
+        assert!(leverage(40) < 0.35 && leverage(4) > 0.9, "{} {}", leverage(40), leverage(4));
     }
 }
