@@ -25,9 +25,9 @@ const QUIET_FROM: f64 = 100.0;
 pub(super) fn too_quiet(refined: &Refined) -> Option<String> {
     let l = refined.likelihood.as_ref()?;
     let quiet = l.degrees_of_freedom >= QUIET_FROM && l.chi2 < QUIET * l.degrees_of_freedom;
-    let warning = "χ² is too small: pixels scatter less than std_error says. If neighbouring pixels share their errors, as \
-                   in smoothed or simulated profiles, the intervals are too narrow; if std_error is too large, they are \
-                   too wide";
+    let warning = "χ² is too small: pixels scatter less than their errors and the dictionary's noise would have them. If \
+                   neighbouring pixels share their errors, as in smoothed or simulated profiles, the intervals are too \
+                   narrow; if the errors are too large, they are too wide";
     quiet.then(|| warning.to_owned())
 }
 

@@ -1,6 +1,7 @@
 //! Channels of dictionaries in memory, loaded at the first question and kept for the next.
 //!
-//! All that is loaded together stays below a limit: what was not asked for longest makes room. A dictionary that fits as
+//! All that is kept together stays below a limit: what was not asked for longest makes room. Questions under way hold on
+//! to their channels meanwhile. A dictionary that fits as
 //! a whole is read as a whole, so that its next question waits for nothing; of a larger one a question reads its own
 //! channels.
 

@@ -67,6 +67,12 @@ impl ChannelRecords {
                 slot
             }
         };
-        slot.get_or_init(|| Arc::new(View::new(self, key.clone()))).clone()
+        if let Some(view) = slot.get() {
+            return view.clone();
+        }
+        // Made outside of the slot: a thread that waits for parts of it may begin another question that wants the same
+        // view, and would wait for itself. At worst it is made twice.
+        let view = Arc::new(View::new(self, key.clone()));
+        slot.get_or_init(|| view).clone()
     }
 }

@@ -293,24 +293,44 @@ mod tests {
         }
     }
 
+    /// Axes of powers alone, and along ln(1 − g) with shapes; the last has all its anisotropies near 0.7.
+    fn axes() -> Vec<LocalAxis> {
+        let anisotropies = |n: usize, from: f64, to: f64| {
+            let g = |i: usize| from + (to - from) * i as f64 / (n - 1) as f64;
+            LocalAxis::with_shapes((0..n).map(|i| (1.0 - g(i)).ln()).collect(), 1.0, &BACKSCATTERED)
+        };
+        let powers = [5, 9, 38].map(|n| LocalAxis::new(nodes(n), 0.75));
+        let shapes = [2, 4, 5, 6, 9, 11, 25].map(|n| anisotropies(n, 0.0, 0.8));
+        powers.into_iter().chain(shapes).chain([anisotropies(11, 0.68, 0.72)]).collect()
+    }
+
     #[test]
-    fn weights_change_without_jumps() {
-        for n in [5, 9, 38] {
-            let axis = LocalAxis::new(nodes(n), 0.6);
+    fn weights_change_without_jumps_and_as_their_slopes_say() {
+        for axis in axes() {
+            let n = axis.nodes.len();
             let (low, high) = axis.range();
-            let padded = |x: f64| {
-                let w = axis.weights(x);
+            let padded = |first: usize, values: &[f64]| {
                 let mut all = vec![0.0; n];
-                all[w.first..w.first + w.values.len()].copy_from_slice(&w.values);
+                all[first..first + values.len()].copy_from_slice(values);
                 all
             };
             let steps = 20_000;
-            let at = |i: i32| padded(low + f64::from(i) / f64::from(steps) * (high - low));
+            let step = (high - low) / f64::from(steps);
+            let at = |i: i32| axis.weights(low + f64::from(i) * step);
             let mut before = at(0);
             for i in 1..=steps {
                 let now = at(i);
-                let jump = now.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-                assert!(jump < 0.02, "{n} nodes, step {i}: {jump}");
+                let [a, b] = [&before, &now].map(|w| padded(w.first, &w.values));
+                let [from, to] = [&before, &now].map(|w| padded(w.first, &w.slopes));
+                for node in 0..n {
+                    let moved = b[node] - a[node];
+                    assert!(moved.abs() < 0.02, "{n} nodes, step {i}: {moved}");
+                    let told = 0.5 * step * (from[node] + to[node]);
+                    assert!(
+                        (moved - told).abs() < 1e-3,
+                        "{n} nodes, step {i}: {moved}, by its slopes {told}"
+                    );
+                }
                 before = now;
             }
         }

@@ -4,6 +4,9 @@
 //! per profile and record give the whole curve. They are in double precision; the difference loses some ten digits of
 //! sixteen where the fit is perfect, and none that matter elsewhere.
 
+use std::borrow::Cow;
+use std::sync::Arc;
+
 use optics_model::fit::{FitOptions, GError, MuRange, ScaleCurve, ScalePoint};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
@@ -11,6 +14,7 @@ use rayon::prelude::*;
 use super::dictionary::FitDictionary;
 use super::question::{Place, Question, Term, check_ranges, questions};
 use super::sum::{mean_product, mean_square};
+use super::view::View;
 
 /// Searches the scale factor that is common to all materials, with its options' bounds; their μ is not used.
 pub fn scale(
@@ -89,14 +93,21 @@ fn least_errors(questions: &[Question], mu: &[f64]) -> LeastErrors {
             let (rest, g) = (row / gs, row % gs);
             let (ior, sigma_t) = (rest / sigmas, rest % sigmas);
             let mut errors = vec![0.0; mu.len()];
-            for (n, question) in questions.iter().enumerate() {
-                for albedo in admissible.albedo.clone() {
-                    let (sigma_t, g) = (admissible.sigma_t.start + sigma_t, admissible.g.start + g);
+            for albedo in admissible.albedo.clone() {
+                let (sigma_t, g) = (admissible.sigma_t.start + sigma_t, admissible.g.start + g);
+                // Gradients that are not kept are taken once for all materials.
+                let mut seen: Vec<Seen> = Vec::new();
+                for (n, question) in questions.iter().enumerate() {
                     errors.fill(0.0);
                     for scalable in &terms[n] {
                         let record = question.record(scalable.term, Place { ior, sigma_t, g, albedo });
-                        let (values, gradient) = question.profile(scalable.term, record);
-                        scalable.add_distances(values, &gradient, lambda, mu, &mut errors);
+                        let place = seen.iter().position(|s| s.is(question, scalable.term, record));
+                        let place = place.unwrap_or_else(|| {
+                            seen.push(Seen::new(question, scalable.term, record));
+                            seen.len() - 1
+                        });
+                        let Seen { values, gradient, .. } = &seen[place];
+                        scalable.add_distances(values, gradient, lambda, mu, &mut errors);
                     }
                     lower(least.row_mut(n, g - admissible.g.start), &errors);
                 }
@@ -104,6 +115,28 @@ fn least_errors(questions: &[Question], mu: &[f64]) -> LeastErrors {
             least
         })
         .reduce(none, |a, b| a.merge(&b))
+}
+
+/// A record's values and gradient on the pixels of a view.
+struct Seen<'a> {
+    channel: usize,
+    record: usize,
+    view: &'a View,
+    values: &'a [f32],
+    gradient: Cow<'a, [f32]>,
+}
+
+impl<'a> Seen<'a> {
+    fn new(question: &Question<'a>, term: &'a Term<'a>, record: usize) -> Self {
+        let (values, gradient) = question.profile(term, record);
+        Self { channel: question.channel, record, view: &term.view, values, gradient }
+    }
+
+    fn is(&self, question: &Question, term: &Term, record: usize) -> bool {
+        self.channel == question.channel
+            && self.record == record
+            && std::ptr::eq(self.view, Arc::as_ptr(&term.view))
+    }
 }
 
 /// A measured profile and its gradient, with their mean squares.
