@@ -2,8 +2,7 @@
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use optics_model::Grid;
-
+use super::records::Records;
 use super::view::{View, ViewKey};
 
 /// Views kept besides the one over all pixels with the default wavelet.
@@ -13,42 +12,24 @@ type Slot = Arc<OnceLock<Arc<View>>>;
 
 #[derive(Debug)]
 pub(super) struct ChannelRecords {
-    grid: Arc<Grid>,
-    /// Radiance factors as `[record][pixel]`.
-    values: Vec<f32>,
+    records: Records,
     /// The default first, then the last other one.
     views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
 impl ChannelRecords {
-    /// All values are 0 at first.
-    pub(super) fn new(grid: Arc<Grid>) -> Self {
-        let numbers = grid.record_count() * grid.scene().sensor().pixels();
-        Self { grid, values: vec![0.0; numbers], views: Mutex::default() }
-    }
-
-    pub(super) fn grid(&self) -> &Grid {
-        &self.grid
+    pub(super) fn new(records: Records) -> Self {
+        Self { records, views: Mutex::default() }
     }
 
     pub(super) fn values(&self, record: usize) -> &[f32] {
-        let pixels = self.pixels();
-        &self.values[record * pixels..][..pixels]
-    }
-
-    pub(super) fn values_mut(&mut self, record: usize) -> &mut [f32] {
-        let pixels = self.pixels();
-        &mut self.values[record * pixels..][..pixels]
-    }
-
-    fn pixels(&self) -> usize {
-        self.grid.scene().sensor().pixels()
+        self.records.values(record)
     }
 
     /// The view over all pixels, which is always at hand once it was made.
     pub(super) fn whole_view(&self) -> Arc<View> {
         let settings = optics_model::fit::FitSettings::default();
-        let pixels = 0..self.pixels();
+        let pixels = 0..self.records.pixels();
         self.view(&ViewKey { pixels, wavelet: settings.wavelet, level: settings.level })
     }
 
@@ -72,7 +53,7 @@ impl ChannelRecords {
         }
         // Made outside of the slot: a thread that waits for parts of it may begin another question that wants the same
         // view, and would wait for itself. At worst it is made twice.
-        let view = Arc::new(View::new(self, key.clone()));
+        let view = Arc::new(View::new(&self.records, key.clone()));
         slot.get_or_init(|| view).clone()
     }
 }

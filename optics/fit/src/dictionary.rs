@@ -7,7 +7,7 @@ use optics_model::{Grid, PackedRecords};
 use rayon::prelude::*;
 
 use super::channel::ChannelRecords;
-use super::question::find_channel;
+use super::records::Records;
 use super::view::{self, View, ViewKey};
 
 /// Collects the records of jobs, which may come in any order.
@@ -15,7 +15,7 @@ use super::view::{self, View, ViewKey};
 pub struct DictionaryBuilder {
     grid: Arc<Grid>,
     /// Those that are collected, by their index among the scene's.
-    channels: Vec<(usize, ChannelRecords)>,
+    channels: Vec<(usize, Records)>,
     /// Which records have come.
     present: Vec<bool>,
 }
@@ -29,7 +29,7 @@ impl DictionaryBuilder {
 
     /// For some channels of the grid's scene, told by their indices.
     pub fn of_channels(grid: Arc<Grid>, channels: impl IntoIterator<Item = usize>) -> Self {
-        let channels = channels.into_iter().map(|index| (index, ChannelRecords::new(grid.clone()))).collect();
+        let channels = channels.into_iter().map(|index| (index, Records::new(grid.clone()))).collect();
         let present = vec![false; grid.record_count()];
         Self { grid, channels, present }
     }
@@ -54,9 +54,10 @@ impl DictionaryBuilder {
     /// If records are missing.
     pub fn build(self) -> FitDictionary {
         assert!(self.present.iter().all(|present| *present), "every record has come");
-        let described = |(index, records): (usize, ChannelRecords)| {
-            records.whole_view();
-            (index, FitChannel(Arc::new(records)))
+        let described = |(index, records): (usize, Records)| {
+            let channel = ChannelRecords::new(records);
+            channel.whole_view();
+            (index, FitChannel(Arc::new(channel)))
         };
         let channels = self.channels.into_par_iter().map(described).collect::<Vec<_>>();
         FitDictionary::of_channels(self.grid, channels)
@@ -123,17 +124,4 @@ impl FitDictionary {
     fn channel(&self, index: usize) -> &ChannelRecords {
         &self.channels[index].as_ref().expect("a question's channels are there").0
     }
-}
-
-/// Indices of the channels of these names, rising; of the first if there are none. Names that a grid does not have are left
-/// out: the question itself refuses them.
-pub fn channels_called<'a>(grid: &Grid, names: impl IntoIterator<Item = &'a str>) -> Vec<usize> {
-    let mut names = names.into_iter().peekable();
-    if names.peek().is_none() {
-        return vec![0];
-    }
-    let mut indices: Vec<usize> = names.filter_map(|name| find_channel(grid, name).ok()).collect();
-    indices.sort_unstable();
-    indices.dedup();
-    indices
 }

@@ -16,6 +16,7 @@ mod map;
 mod measure;
 mod noise;
 mod question;
+mod records;
 mod refine;
 mod resample;
 mod scale;
@@ -38,10 +39,11 @@ use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
 pub use design::design;
-pub use dictionary::{DictionaryBuilder, FitChannel, FitDictionary, channels_called};
+pub use dictionary::{DictionaryBuilder, FitChannel, FitDictionary};
 pub use gradient::derivative;
 pub use map::distance_map;
 pub use measure::{MeasurePlan, Measured, measure, measure_refined, unmix};
+pub use question::channels_called;
 pub use scale::scale;
 pub use similarity::similar;
 

@@ -101,6 +101,19 @@ pub(super) fn find_channel(grid: &Grid, name: &str) -> Result<usize, Invalid> {
     })
 }
 
+/// Indices of the channels of these names, rising; of the first if there are none. Names that a grid does not have are left
+/// out: the question itself refuses them.
+pub fn channels_called<'a>(grid: &Grid, names: impl IntoIterator<Item = &'a str>) -> Vec<usize> {
+    let mut names = names.into_iter().peekable();
+    if names.peek().is_none() {
+        return vec![0];
+    }
+    let mut indices: Vec<usize> = names.filter_map(|name| find_channel(grid, name).ok()).collect();
+    indices.sort_unstable();
+    indices.dedup();
+    indices
+}
+
 /// One thickness of one channel: μ F_A and |∇ μ F_A| on the pixels that the measurement covers.
 #[derive(Debug)]
 pub(super) struct Term<'a> {

@@ -10,8 +10,8 @@ use optics_model::Grid;
 use optics_model::fit::Wavelet;
 use rayon::prelude::*;
 
-use super::channel::ChannelRecords;
 use super::gradient::derivative;
+use super::records::Records;
 use super::sketch::{Basis, Description, Sketch};
 
 /// Pixel pitch that gradients are told per, in mm: 360 pixels over 10 mm.
@@ -118,7 +118,7 @@ impl PairSketch {
 }
 
 impl View {
-    pub(super) fn new(all: &ChannelRecords, key: ViewKey) -> Self {
+    pub(super) fn new(all: &Records, key: ViewKey) -> Self {
         let grid = all.grid();
         let sensor = grid.scene().sensor();
         let slope = Slope { wavelet: key.wavelet, level: key.level, pitch_mm: sensor.pitch_mm() };
@@ -142,7 +142,7 @@ impl View {
         view
     }
 
-    fn sketch_of(&self, all: &ChannelRecords, thickness: usize) -> PairSketch {
+    fn sketch_of(&self, all: &Records, thickness: usize) -> PairSketch {
         let grid = all.grid();
         let (thicknesses, albedos) = (grid.thickness_mm().len(), grid.albedo().len());
         let media = grid.record_count() / thicknesses;
