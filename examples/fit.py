@@ -10,6 +10,8 @@ The first argument is an access file or, for a coordinator without one, its URL,
 """
 
 import csv
+import os
+import pathlib
 import sys
 import tomllib
 
@@ -24,7 +26,15 @@ except ModuleNotFoundError as error:
 def connect(farm):
     """A channel to the coordinator of an access file, or to the one at a URL that begins with http://."""
     if farm.startswith("http://"):
-        return grpc.insecure_channel(farm.removeprefix("http://").rstrip("/"))
+        address = farm.removeprefix("http://").rstrip("/")
+        # A coordinator without an access file puts a key here, which its user's programs alone can read.
+        key = pathlib.Path(f"/tmp/resin-farm-{os.getuid()}", address.rpartition(":")[2])
+        if not key.exists():
+            return grpc.insecure_channel(address)
+        token = grpc.access_token_call_credentials(key.read_text())
+        return grpc.secure_channel(
+            address, grpc.composite_channel_credentials(grpc.local_channel_credentials(), token)
+        )
     if farm.startswith("https://"):
         sys.exit(f"{farm}: an access file is needed, which holds the certificate to know the coordinator by")
     with open(farm, "rb") as file:

@@ -2,7 +2,9 @@
 //!
 //! The authority's private key is forgotten as soon as it has signed. So nobody can steal it, and no certificate can be
 //! added later: for another host name, or when a member's certificate must go, a new set is made and handed out. Tokens
-//! are only entries in the coordinator's file, which can be removed and added by hand.
+//! are only entries in the coordinator's file, which [`members`] adds and removes.
+
+pub mod members;
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -29,8 +31,8 @@ const BACKDATED: Duration = Duration::days(1);
 const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
 /// Stands in the coordinator's file above the tokens.
 const TOKENS_HEAD: &str = "
-# Whom it lets in. To shut one out, remove its entry; to let in another, add an entry with the hash of a random token
-# (`printf %s TOKEN | b3sum`). Then start the coordinator anew.
+# Whom it lets in: `farmctl access add` and `farmctl access revoke`, or by hand, with the hash of a random token
+# (`printf %s TOKEN | b3sum`). A running coordinator reads it again.
 ";
 
 #[derive(Debug, thiserror::Error)]

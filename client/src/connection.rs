@@ -1,18 +1,18 @@
 //! A farm to talk to: a server's, or one that lives in this process.
 
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use farm_coordinator::store::DataDir;
-use farm_coordinator::{Config, Coordinator, Error, StoreError};
+use farm_coordinator::{Config, Coordinator, Error, Gate, StoreError};
 use farm_link::{ClientAccess, Link, Target, failure, refusal};
 use farm_proto::RequestLimits;
 use farm_proto::wire::admin_client::AdminClient;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
 use farm_proto::wire::fits_client::FitsClient;
-use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
@@ -187,10 +187,11 @@ impl Connection {
     }
 
     async fn embed(coordinator: Coordinator, purpose: Purpose) -> Result<Self> {
-        let listener = TcpListener::bind("127.0.0.1:0").await.context("opening a port on loopback")?;
+        let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+        let (listener, gate) = Gate::own_user(any_port).await.context("opening a port on loopback")?;
         let target = loopback(&listener.local_addr()?.to_string())?;
         let (stop_coordinator, stop_worker) = (CancellationToken::new(), CancellationToken::new());
-        let coordinator = tokio::spawn(coordinator.serve(listener, None, stop_coordinator.clone()));
+        let coordinator = tokio::spawn(coordinator.serve(listener, gate, None, stop_coordinator.clone()));
         let worker = (purpose == Purpose::Compute).then(|| {
             let work = farm_worker::run(Self::worker(target.clone()), stop_worker.clone());
             let stop_coordinator = stop_coordinator.clone();

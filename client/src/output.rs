@@ -224,6 +224,7 @@ pub(crate) struct DictionaryJson {
     eta_s: Option<f64>,
     goes_first: Option<String>,
     reason: String,
+    owner: Option<String>,
     walks_min: u64,
     walks_max: u64,
 }
@@ -262,6 +263,7 @@ impl From<&DictionaryStatus> for DictionaryJson {
             eta_s: d.eta_s,
             goes_first: d.goes_first.as_ref().map(ToString::to_string),
             reason: d.reason.clone(),
+            owner: (!d.owner.is_empty()).then(|| d.owner.clone()),
             walks_min: d.walks.0,
             walks_max: d.walks.1,
         }

@@ -111,6 +111,7 @@ mod tests {
             work_done: 0.3629,
             priority: 0,
             reason: String::new(),
+            owner: String::new(),
             eta_s: None,
             goes_first: Some(DictionaryName::new("coarse").unwrap()),
             records_reused: 0,

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use farm_coordinator::store::{DataDir, Store};
-use farm_coordinator::{Config, Coordinator, load_dictionary};
+use farm_coordinator::{Config, Coordinator, Gate, load_dictionary};
 use farm_proto::wire::FitRequest;
 use farm_proto::wire::fits_client::FitsClient;
 use optics_fit as fit;
@@ -194,7 +194,7 @@ fn grpc(c: &mut Criterion) {
         let coordinator = Coordinator::open(&Config::new(&data)).await.unwrap();
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let endpoint = Endpoint::from_shared(format!("http://{}", listener.local_addr().unwrap())).unwrap();
-        let server = tokio::spawn(coordinator.serve(listener, None, stop.clone()));
+        let server = tokio::spawn(coordinator.serve(listener, Gate::Everybody, None, stop.clone()));
         let mut clients = Vec::new();
         for _ in 0..CLIENTS {
             clients.push(FitsClient::new(endpoint.clone().tcp_nodelay(true).connect().await.unwrap()));

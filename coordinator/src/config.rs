@@ -1,10 +1,7 @@
 //! Settings of the coordinator.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Duration;
-
-use farm_link::CoordinatorAccess;
 
 #[derive(Debug, Clone)]
 pub struct Config {
@@ -16,8 +13,6 @@ pub struct Config {
     pub max_attempts: u32,
     /// Share of the results that a second worker computes too, for comparison; 0 to 1.
     pub check_share: f64,
-    /// Certificate and tokens; without, everybody who reaches the port may do everything.
-    pub access: Option<Arc<CoordinatorAccess>>,
     /// Connections beyond this many are refused.
     pub max_connections: usize,
     /// Memory for the dictionaries that are fitted with, in bytes.
@@ -34,7 +29,6 @@ impl Config {
             lease: Duration::from_secs(30),
             max_attempts: 3,
             check_share: 0.01,
-            access: None,
             max_connections: 4096,
             fit_memory_bytes: Self::FIT_MEMORY_MIB << 20,
         }

@@ -12,6 +12,7 @@ mod leasing;
 mod manage;
 mod records;
 mod results;
+mod room;
 mod shared;
 mod snapshot;
 #[cfg(test)]
@@ -25,6 +26,7 @@ use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use optics_model::{Grid, Invalid};
 
+use crate::actor::Actor;
 use crate::clock::random_secret;
 use crate::config::Config;
 use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Settings};
@@ -36,9 +38,9 @@ use events::Recorder;
 pub(crate) use export::Export;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
-use intake::Room;
 pub(crate) use intake::{Delivered, Header, Piece};
 pub(crate) use leasing::Versions;
+use room::Room;
 pub(crate) use watch::Watch;
 
 #[derive(Debug, thiserror::Error)]
@@ -51,6 +53,8 @@ pub enum FarmError {
     Store(#[from] StoreError),
     #[error("dictionary {name} does not exist{}", hint(known))]
     NotFound { name: String, known: Vec<String> },
+    #[error("dictionary {name} belongs to {}: only its owner and admins may change it", owner_of(owner))]
+    NotYours { name: DictionaryName, owner: String },
     #[error("dictionary {name} exists with another grid or physics version: choose another name")]
     NameTaken { name: DictionaryName },
     #[error("dictionary {name} is not complete: {done} of {total} records are done")]
@@ -72,6 +76,8 @@ pub enum FarmError {
     Stopping,
     #[error("the next piece of the result did not come within {0} s")]
     Overdue(u64),
+    #[error("the result did not come whole within {0} s")]
+    Slow(u64),
     #[error("worker {which:?}: {why}")]
     Worker { which: String, why: String },
     #[error(
@@ -90,6 +96,10 @@ fn hint(known: &[String]) -> String {
     } else {
         format!("; there are: {}", known.join(", "))
     }
+}
+
+fn owner_of(owner: &str) -> &str {
+    if owner.is_empty() { "nobody" } else { owner }
 }
 
 type Result<T, E = FarmError> = std::result::Result<T, E>;
@@ -121,7 +131,7 @@ pub(crate) struct Farm {
     managing: tokio::sync::Mutex<()>,
     fits: FitCache,
     /// Room in memory for results that come in.
-    room: Room,
+    room: Arc<Room>,
     /// Why the last result could not be stored.
     store_fault: Mutex<Option<String>>,
 }
@@ -141,7 +151,7 @@ impl Farm {
             records: tokio::sync::RwLock::new(()),
             managing: tokio::sync::Mutex::new(()),
             fits: FitCache::new(config.fit_memory_bytes),
-            room: Room::default(),
+            room: Arc::default(),
             store_fault: Mutex::default(),
         });
         tokio::spawn(effects::perform(Arc::downgrade(&farm), orders));
@@ -154,7 +164,11 @@ impl Farm {
 
     /// Notes that the farm can be reached from now on.
     pub(crate) fn started(&self) {
-        self.door.note(EventKind::CoordinatorStarted, format!("version {}", env!("CARGO_PKG_VERSION")));
+        self.door.note(
+            &Actor::default(),
+            EventKind::CoordinatorStarted,
+            format!("version {}", env!("CARGO_PKG_VERSION")),
+        );
     }
 
     pub(crate) fn metrics(&self) -> &Metrics {

@@ -3,12 +3,14 @@
 //! `rpc → farm → (dispatch, store, optics-fit)`, never back; dispatch and store do not know each other. The caller
 //! owns the port and the stop signal.
 
+mod actor;
 pub mod authorisation;
 pub mod clock;
 pub mod config;
 pub mod connections;
 pub mod dispatch;
 mod farm;
+mod gate;
 mod metrics;
 mod rpc;
 pub mod store;
@@ -24,6 +26,7 @@ use tokio_util::sync::CancellationToken;
 pub use config::Config;
 use farm::Farm;
 pub use farm::{FarmError, load_dictionary};
+pub use gate::Gate;
 use metrics::{BuildInfo, Metrics, MetricsServer};
 use optics_model::PHYSICS_VERSION;
 pub use store::StoreError;
@@ -66,11 +69,12 @@ impl Coordinator {
         Ok(Self { farm, config: config.clone() })
     }
 
-    /// Serves until `shutdown`, then closes the database. Metrics are served over HTTP on a listener of their own, if
-    /// there is one.
+    /// Serves those whom the gate lets in until `shutdown`, then closes the database. Metrics are served over HTTP on a
+    /// listener of their own, if there is one.
     pub async fn serve(
         self,
         listener: TcpListener,
+        gate: Gate,
         metrics: Option<TcpListener>,
         shutdown: CancellationToken,
     ) -> Result<(), Error> {
@@ -82,8 +86,8 @@ impl Coordinator {
         tracing::info!(%address, "coordinator is serving");
         let metrics = metrics
             .map(|listener| tokio::spawn(metrics::serve(listener, self.metrics_server(), shutdown.clone())));
-        let overseer = tokio::spawn(look_over(self.farm.clone(), shutdown.clone()));
-        let served = rpc::serve(self.farm.clone(), &self.config, listener, shutdown.clone()).await;
+        let overseer = tokio::spawn(look_over(self.farm.clone(), gate.clone(), shutdown.clone()));
+        let served = rpc::serve(self.farm.clone(), &self.config, gate, listener, shutdown.clone()).await;
         shutdown.cancel();
         let _ = overseer.await;
         if let Some(metrics) = metrics {
@@ -100,14 +104,15 @@ impl Coordinator {
     }
 }
 
-async fn look_over(farm: Arc<Farm>, shutdown: CancellationToken) {
+async fn look_over(farm: Arc<Farm>, gate: Gate, shutdown: CancellationToken) {
     let mut tick = tokio::time::interval(LOOK_OVER);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    loop {
+    for seconds in 1.. {
         tokio::select! {
             () = shutdown.cancelled() => return,
             _ = tick.tick() => {}
         }
+        gate.look_over(seconds);
         let freed = farm.look_over();
         if freed > 0 {
             tracing::warn!(freed, "leases have expired: their workers were silent too long");

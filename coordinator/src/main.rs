@@ -7,13 +7,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Parser;
-use farm_coordinator::{Config, Coordinator};
+use farm_coordinator::{Config, Coordinator, Gate};
 use farm_link::logs::LogFormat;
 use farm_link::{CoordinatorAccess, logs, signals};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 /// Splits parameter grids into jobs for workers, stores the records and answers fits.
+///
+/// Without --access it serves the user who starts it, on this machine: that user's farmctl and farm-worker get in by
+/// themselves, nobody else does.
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Args {
@@ -47,7 +50,8 @@ struct Args {
     /// Log format: text, or one JSON object per line. FARM_LOG sets how much is logged, as in FARM_LOG=debug.
     #[arg(long, value_name = "FORMAT", env = "FARM_LOG_FORMAT", default_value = "text")]
     log_format: LogFormat,
-    /// Let other machines connect without encryption or tokens; only for networks you trust.
+    /// Let everybody who reaches the address do everything, without encryption or tokens; only for networks, and users of
+    /// this machine, that you trust.
     #[arg(long)]
     insecure: bool,
 }
@@ -81,14 +85,20 @@ async fn run(args: Args) -> anyhow::Result<()> {
         lease: Duration::from_secs(args.lease),
         max_attempts: args.max_attempts,
         check_share: args.verify_share,
-        access: args.access.as_deref().map(CoordinatorAccess::read).transpose()?.map(Arc::new),
         max_connections: args.max_connections as usize,
         fit_memory_bytes: args.fit_memory.saturating_mul(1 << 20),
     };
+    let access = args.access.as_deref().map(CoordinatorAccess::read).transpose()?.map(Arc::new);
     let coordinator = Coordinator::open(&config).await?;
-    let listener = TcpListener::bind(args.listen)
-        .await
-        .map_err(|error| anyhow::anyhow!("listening on {}: {error}", args.listen))?;
+    let listening = match access {
+        None if !args.insecure => Gate::own_user(args.listen).await,
+        access => {
+            let gate = access.map_or(Gate::Everybody, Gate::File);
+            TcpListener::bind(args.listen).await.map(|listener| (listener, gate))
+        }
+    };
+    let (listener, gate) =
+        listening.map_err(|error| anyhow::anyhow!("listening on {}: {error}", args.listen))?;
     let figures = match args.metrics {
         Some(address) => {
             let listener = TcpListener::bind(address).await;
@@ -98,7 +108,7 @@ async fn run(args: Args) -> anyhow::Result<()> {
     };
     let shutdown = CancellationToken::new();
     tokio::spawn(stop_on_signal(shutdown.clone()));
-    Ok(coordinator.serve(listener, figures, shutdown).await?)
+    Ok(coordinator.serve(listener, gate, figures, shutdown).await?)
 }
 
 fn share(text: &str) -> Result<f64, String> {

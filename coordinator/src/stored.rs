@@ -38,6 +38,8 @@ pub struct StoredDictionary {
     pub desire: DesiredState,
     /// Why it was cancelled.
     pub reason: String,
+    /// Name of the token of the one who submitted it; empty where nobody showed one.
+    pub owner: String,
 }
 
 /// How a job ended.

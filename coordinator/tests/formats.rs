@@ -19,7 +19,7 @@ const TINY: &str = "489ae2e8843061d76675c4e449b2dcbc915686ec2e5af42c958c1c5c58a9
 const SLOPES: &str = "e055f3e4960318c9b5d568cdde3e97e0a16d22a2f871f97b8cf2ff86cebcb44f";
 
 /// Version of the physics of the program that wrote the fixture of each schema.
-const PHYSICS_VERSIONS: [u32; 4] = [2, 3, 3, 3];
+const PHYSICS_VERSIONS: [u32; 5] = [2, 3, 3, 3, 3];
 
 /// The digest that a grid had in the program that wrote a fixture.
 fn grid_digest(grid: &Grid, schema: i64) -> Digest {
@@ -140,6 +140,10 @@ async fn shared_points_and_what_is_wanted_are_read() {
         let events = store.events_after(0, "open", 10).await.unwrap();
         let kinds: Vec<&str> = events.iter().map(|event| &event.kind[..]).collect();
         assert_eq!(kinds, ["SUBMITTED", "PAUSED"], "schema {schema}");
+        // From the fifth on it is known whose they are, and who did what.
+        let known = |who: &str| if schema >= 5 { who.to_owned() } else { String::new() };
+        assert_eq!((tiny.owner, open.owner), (known("alice"), String::new()), "schema {schema}");
+        assert_eq!(events[1].actor, known("alice at 127.0.0.1"), "schema {schema}");
     }
 }
 

@@ -76,6 +76,8 @@ pub struct DictionaryStatus {
     pub priority: i32,
     /// Why it was cancelled; empty if it was not.
     pub reason: String,
+    /// Name of the token of the one who submitted it; empty where nobody showed one.
+    pub owner: String,
     /// Time that the rest takes at the present pace.
     pub eta_s: Option<f64>,
     /// The dictionary that is served before, while none of this one's jobs is being computed.

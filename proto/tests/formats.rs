@@ -16,9 +16,9 @@ use optics_model::{Digest, Grid, MeasuredProfile, Measurement, Record};
 use prost::Message;
 
 const VERSIONS: std::ops::RangeInclusive<u32> = 1..=NEWEST;
-const NEWEST: u32 = 4;
+const NEWEST: u32 = 5;
 /// Version of the physics in each.
-const PHYSICS_VERSIONS: [u32; 4] = [2, 3, 3, 3];
+const PHYSICS_VERSIONS: [u32; 5] = [2, 3, 3, 3, 3];
 
 /// The messages of a file, which empty lines part.
 fn encoded(version: u32, name: &str) -> Vec<Vec<u8>> {
@@ -86,7 +86,8 @@ fn the_status_of_a_dictionary_is_understood() {
         assert!(status.records_digest.is_some(), "version {version}");
         // What the first version did not know.
         assert_eq!((status.priority, status.eta_s, status.goes_first), (0, None, None), "version {version}");
-        assert_eq!(status.jobs_disputed, usize::from(version == NEWEST), "version {version}");
+        assert_eq!(status.jobs_disputed, usize::from(version >= 4), "version {version}");
+        assert_eq!(status.owner, if version >= 5 { "alice" } else { "" }, "version {version}");
     }
 }
 

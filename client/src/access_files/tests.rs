@@ -8,7 +8,7 @@ fn hosts(names: &[&str]) -> Vec<String> {
     names.iter().map(|&name| name.to_owned()).collect()
 }
 
-fn mode(path: &Path) -> u32 {
+pub(super) fn mode(path: &Path) -> u32 {
     fs::metadata(path).unwrap().permissions().mode() & 0o7777
 }
 
@@ -33,7 +33,7 @@ fn a_set_is_secret_whole_and_can_be_read_back() {
             let text = fs::read_to_string(&path).unwrap();
             let token = text.lines().find_map(|l| l.strip_prefix("token = \"")?.strip_suffix('"')).unwrap();
             assert_eq!(token.len(), 64);
-            assert_eq!(coordinator.role_of(token), Some((role, role.as_str())));
+            assert_eq!(coordinator.tokens().role_of(token), Some((role, role.as_str())));
             assert!(!fs::read_to_string(&created.coordinator).unwrap().contains(token));
             assert_eq!(text.contains("PRIVATE KEY"), mutual);
         }

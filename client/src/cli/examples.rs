@@ -147,6 +147,20 @@ Examples:
   farmctl access create access --host farm.example.org
   farmctl access create access --host farm.example.org --host 10.0.0.5 --mutual";
 
+pub const ACCESS_ADD: &str = "\
+Examples:
+  farmctl access add worker node7                      writes access/node7.toml for farm-worker --access
+  farmctl access add client alice --folder /etc/farm";
+
+pub const ACCESS_REVOKE: &str = "\
+Examples:
+  farmctl access revoke alice
+  farmctl access revoke node7 --folder /etc/farm";
+
+pub const ACCESS_LIST: &str = "\
+Example:
+  farmctl access list --folder /etc/farm";
+
 pub(super) const SHOW: &str = "\
 Examples:
   farmctl show paper

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use farm_link::Role;
 
 use super::examples;
 
@@ -11,6 +12,48 @@ pub enum AccessCommand {
     /// Create access files for the coordinator and for each role: worker, client and admin.
     #[command(after_help = examples::ACCESS_CREATE)]
     Create(AccessCreateArgs),
+    /// Let in one more, with a token and a file of its own; a running coordinator knows it within a second.
+    #[command(after_help = examples::ACCESS_ADD)]
+    Add(AccessAddArgs),
+    /// Shut somebody out by name; a running coordinator knows it within a second.
+    #[command(after_help = examples::ACCESS_REVOKE)]
+    Revoke(AccessRevokeArgs),
+    /// List the names that are let in, with their roles.
+    #[command(after_help = examples::ACCESS_LIST)]
+    List(AccessFolderArgs),
+}
+
+#[derive(Debug, Args)]
+pub struct AccessFolderArgs {
+    /// Folder with the access files.
+    #[arg(long, value_name = "DIR", default_value = "access")]
+    pub folder: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub struct AccessAddArgs {
+    /// worker, client or admin.
+    #[arg(value_parser = role)]
+    pub role: Role,
+    /// Who it is: the name in logs and events, of the file, and of the owner of dictionaries.
+    pub name: String,
+    #[command(flatten)]
+    pub set: AccessFolderArgs,
+}
+
+#[derive(Debug, Args)]
+pub struct AccessRevokeArgs {
+    /// As `farmctl access list` shows it.
+    pub name: String,
+    #[command(flatten)]
+    pub set: AccessFolderArgs,
+}
+
+fn role(text: &str) -> Result<Role, String> {
+    Role::ALL
+        .into_iter()
+        .find(|r| r.as_str() == text)
+        .ok_or_else(|| "worker, client or admin is needed".to_owned())
 }
 
 #[derive(Debug, Args)]

@@ -20,8 +20,9 @@ pub use bounds::BoundsArg;
 pub use capture::CaptureArgs;
 pub use design::{DesignArgs, PixelsArg, SlabList};
 pub use farm::{
-    AccessCommand, AccessCreateArgs, BackupArgs, CancelArgs, DeleteArgs, DoctorArgs, DrainArgs, EventsArgs,
-    NameArgs, PriorityArgs, ReadmitArgs, RestoreArgs, WaitArgs, WorkersArgs, WorkersCommand,
+    AccessAddArgs, AccessCommand, AccessCreateArgs, AccessRevokeArgs, BackupArgs, CancelArgs, DeleteArgs,
+    DoctorArgs, DrainArgs, EventsArgs, NameArgs, PriorityArgs, ReadmitArgs, RestoreArgs, WaitArgs,
+    WorkersArgs, WorkersCommand,
 };
 pub use fit::{
     FitArgs, MapArgs, MeasureArgs, MuArgs, ObjectiveArg, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg,

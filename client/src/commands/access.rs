@@ -1,8 +1,10 @@
+use std::path::Path;
+
 use anyhow::Result;
 use serde::Serialize;
 
-use crate::access_files;
-use crate::cli::{AccessCommand, AccessCreateArgs};
+use crate::access_files::{self, members};
+use crate::cli::{AccessAddArgs, AccessCommand, AccessCreateArgs, AccessRevokeArgs};
 use crate::output::{Output, now_unix_s, utc};
 
 #[derive(Debug, Serialize)]
@@ -14,6 +16,17 @@ struct AccessJson {
 }
 
 #[derive(Debug, Serialize)]
+struct RevokedJson {
+    name: String,
+}
+
+#[derive(Debug, Serialize)]
+struct LetInJson {
+    role: String,
+    name: String,
+}
+
+#[derive(Debug, Serialize)]
 struct MemberJson {
     role: &'static str,
     file: String,
@@ -22,7 +35,43 @@ struct MemberJson {
 pub(crate) fn run(command: AccessCommand, output: &Output) -> Result<()> {
     match command {
         AccessCommand::Create(args) => create(&args, output),
+        AccessCommand::Add(args) => add(&args, output),
+        AccessCommand::Revoke(args) => revoke(&args, output),
+        AccessCommand::List(args) => list(&args.folder, output),
     }
+}
+
+fn add(args: &AccessAddArgs, output: &Output) -> Result<()> {
+    let (folder, role, name) = (&args.set.folder, args.role, &args.name);
+    let file = members::add(folder, role, name)?;
+    let data = MemberJson { role: role.as_str(), file: file.display().to_string() };
+    output.print("access_added", &data, || {
+        let coordinator = folder.join("coordinator.toml");
+        format!(
+            "{name} is let in as {role}, with {}\na coordinator that reads {} knows it within a second; one that was given \
+             a copy needs it anew",
+            file.display(),
+            coordinator.display()
+        )
+    })
+}
+
+fn revoke(args: &AccessRevokeArgs, output: &Output) -> Result<()> {
+    let (folder, name) = (&args.set.folder, &args.name);
+    members::revoke(folder, name)?;
+    output.print("access_revoked", &RevokedJson { name: name.clone() }, || {
+        let coordinator = folder.join("coordinator.toml");
+        format!("{name} is shut out of what reads {}", coordinator.display())
+    })
+}
+
+fn list(folder: &Path, output: &Output) -> Result<()> {
+    let members: Vec<LetInJson> =
+        members::list(folder)?.into_iter().map(|(role, name)| LetInJson { role, name }).collect();
+    output.print("access_list", &members, || {
+        let rows = members.iter().map(|m| format!("{:<8}{}", m.role, m.name));
+        rows.collect::<Vec<_>>().join("\n")
+    })
 }
 
 fn create(args: &AccessCreateArgs, output: &Output) -> Result<()> {

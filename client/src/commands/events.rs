@@ -25,6 +25,7 @@ struct EventJson {
     job: Option<u32>,
     worker: Option<String>,
     message: String,
+    actor: Option<String>,
 }
 
 impl From<Event> for EventJson {
@@ -38,6 +39,7 @@ impl From<Event> for EventJson {
             job: event.job,
             worker: known(event.worker),
             message: event.message,
+            actor: known(event.actor),
         }
     }
 }
@@ -102,5 +104,6 @@ fn line(event: &EventJson) -> String {
         about += &format!(" worker {worker}");
     }
     let message = if event.message.is_empty() { String::new() } else { format!(": {}", event.message) };
-    format!("{}  {:<18}{about}{message}", utc(event.unix_ms), event.kind)
+    let actor = event.actor.as_ref().map_or_else(String::new, |actor| format!(" (by {actor})"));
+    format!("{}  {:<18}{about}{message}{actor}", utc(event.unix_ms), event.kind)
 }

@@ -154,6 +154,9 @@ fn text(status: &DictionaryStatus) -> String {
             ),
         ));
     }
+    if !status.owner.is_empty() {
+        lines.push(("owner", status.owner.clone()));
+    }
     if !status.reason.is_empty() {
         lines.push(("reason", status.reason.clone()));
     }

@@ -320,6 +320,7 @@ fn dictionary(done: bool) -> DictionaryStatus {
         work_done: if done { 1.0 } else { 0.362 },
         priority: -3,
         reason: if done { String::new() } else { "not needed".to_owned() },
+        owner: if done { "alice".to_owned() } else { String::new() },
         eta_s: (!done).then_some(75.5),
         goes_first: (!done).then(|| DictionaryName::new("paper").unwrap()),
         records_reused: 3,

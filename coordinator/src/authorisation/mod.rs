@@ -3,6 +3,7 @@
 //! [`AuthorisationLayer`] goes around all services (`Server::builder().layer(…)`), so that a service added later is guarded
 //! without a word: what is not known to be for others is for admins.
 
+mod open_call;
 mod permission;
 mod report;
 mod request_id;
@@ -13,22 +14,24 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use farm_link::CoordinatorAccess;
 use http::header::AUTHORIZATION;
 use http::{Request, Response};
+use tokio::sync::OwnedSemaphorePermit;
 use tonic::Status;
 use tonic::body::Body;
 use tower::{Layer, Service};
 use tracing::Instrument as _;
 
 use crate::clock::Clock;
+use crate::gate::Gate;
 use crate::throttle::Throttle;
 
 pub use permission::Caller;
-pub(crate) use permission::machine_address;
+pub(crate) use permission::{actor, machine_address};
 pub use report::ObservedBody;
 pub use request_id::RequestId;
 
+use permission::Admitted;
 use report::Report;
 
 /// The method that observers are told of calls which no service has answered: their paths are whatever callers like.
@@ -37,7 +40,7 @@ pub const OTHER_METHOD: &str = "other";
 /// Refused calls are told of in the log at most this often.
 const TELL_REFUSED: Duration = Duration::from_secs(10);
 
-/// Makes services [`Authorised`]. With an access file, calls need its tokens; without, everybody may do everything.
+/// Makes services [`Authorised`]: calls need the tokens that the gate knows, if it knows any.
 #[derive(Clone)]
 pub struct AuthorisationLayer {
     shared: Arc<Shared>,
@@ -47,7 +50,7 @@ type Observer = dyn Fn(&str, i32, Duration) + Send + Sync;
 
 /// What the services of all connections share.
 struct Shared {
-    access: Option<Arc<CoordinatorAccess>>,
+    gate: Gate,
     observer: Box<Observer>,
     clock: Clock,
     refused: Throttle,
@@ -56,19 +59,16 @@ struct Shared {
 impl AuthorisationLayer {
     /// `observer` is told of every call once, when it has ended: the method's path or [`OTHER_METHOD`], the gRPC code
     /// (1, cancelled, if the caller has gone before the end), and how long it took.
-    pub fn new(
-        access: Option<Arc<CoordinatorAccess>>,
-        observer: impl Fn(&str, i32, Duration) + Send + Sync + 'static,
-    ) -> Self {
+    pub fn new(gate: Gate, observer: impl Fn(&str, i32, Duration) + Send + Sync + 'static) -> Self {
         let observer = Box::new(observer);
-        let shared = Shared { access, observer, clock: Clock::start(), refused: Throttle::new(TELL_REFUSED) };
+        let shared = Shared { gate, observer, clock: Clock::start(), refused: Throttle::new(TELL_REFUSED) };
         Self { shared: Arc::new(shared) }
     }
 }
 
 impl fmt::Debug for AuthorisationLayer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("AuthorisationLayer").field("access", &self.shared.access).finish_non_exhaustive()
+        f.debug_struct("AuthorisationLayer").field("gate", &self.shared.gate).finish_non_exhaustive()
     }
 }
 
@@ -80,7 +80,7 @@ impl<S> Layer<S> for AuthorisationLayer {
     }
 }
 
-/// A service that only admitted calls reach. Handlers find [`RequestId`] and, with an access file, [`Caller`] in the extensions of
+/// A service that only admitted calls reach. Handlers find [`RequestId`] and, where tokens are needed, [`Caller`] in the extensions of
 /// their request.
 #[derive(Clone)]
 pub struct Authorised<S> {
@@ -94,9 +94,9 @@ impl<S: fmt::Debug> fmt::Debug for Authorised<S> {
     }
 }
 
-impl<S, B> Service<Request<B>> for Authorised<S>
+impl<S> Service<Request<Body>> for Authorised<S>
 where
-    S: Service<Request<B>, Response = Response<Body>>,
+    S: Service<Request<Body>, Response = Response<Body>>,
     S::Future: Send + 'static,
 {
     type Response = Response<ObservedBody>;
@@ -107,24 +107,23 @@ where
         self.inner.poll_ready(cx)
     }
 
-    fn call(&mut self, mut request: Request<B>) -> Self::Future {
+    fn call(&mut self, mut request: Request<Body>) -> Self::Future {
         let method = request.uri().path().to_owned();
         let id = RequestId::of(request.headers());
         let span = tracing::info_span!("call", %method, request_id = %id, caller = tracing::field::Empty);
-        let admitted = self.shared.admit(&request);
+        let admitted = self.shared.admit(&request).and_then(|admitted| let_in(admitted, &mut request));
         let report = Report::start(self.shared.clone(), method, span.clone());
         // Handlers need not see it, and what they do not see they cannot log.
         request.headers_mut().remove(AUTHORIZATION);
         match admitted {
-            Ok(caller) => {
-                if let Some(caller) = caller {
+            Ok(place) => {
+                if let Some(caller) = request.extensions().get::<Caller>() {
                     span.record("caller", caller.name());
-                    request.extensions_mut().insert(caller);
                 }
                 request.extensions_mut().insert(id.clone());
                 // The call itself may do work before it gives its future.
                 let answer = span.in_scope(|| self.inner.call(request));
-                Box::pin(async move { report.pass(answer.await, &id) }.instrument(span))
+                Box::pin(async move { report.pass(answer.await, &id, place) }.instrument(span))
             }
             Err(status) => {
                 span.in_scope(|| self.shared.tell_refused(&request, &status));
@@ -135,12 +134,36 @@ where
     }
 }
 
-impl Shared {
-    fn admit<B>(&self, request: &Request<B>) -> Result<Option<Caller>, Status> {
-        match &self.access {
-            Some(access) => permission::admit(access, request.uri().path(), request.headers()),
-            None => Ok(None),
+/// Prepares a call for its service: who calls, and what it may take. Gives its place among the open calls of its connection
+/// if it is one.
+fn let_in(admitted: Admitted, request: &mut Request<Body>) -> Result<Option<OwnedSemaphorePermit>, Status> {
+    let connection = permission::connection(request.extensions()).map(|peer| peer.admission.clone());
+    if let (Some(connection), Admitted::Caller(_) | Admitted::Anybody | Admitted::Open { known: true }) =
+        (&connection, &admitted)
+    {
+        connection.admit();
+    }
+    match admitted {
+        Admitted::Caller(caller) => {
+            request.extensions_mut().insert(caller);
+            Ok(None)
         }
+        Admitted::Anybody => Ok(None),
+        Admitted::Open { .. } => {
+            let body = std::mem::take(request.body_mut());
+            *request.body_mut() = open_call::limited(body);
+            let Some(connection) = connection else { return Ok(None) };
+            let place = connection.open_call().ok_or_else(|| {
+                Status::resource_exhausted("too many calls without a token are under way on this connection")
+            })?;
+            Ok(Some(place))
+        }
+    }
+}
+
+impl Shared {
+    fn admit<B>(&self, request: &Request<B>) -> Result<Admitted, Status> {
+        permission::admit(&self.gate, request.uri().path(), request.headers())
     }
 
     fn tell_refused<B>(&self, request: &Request<B>, status: &Status) {

@@ -1,12 +1,16 @@
 //! Which roles may call what.
 
-use std::net::{IpAddr, Ipv6Addr, SocketAddr};
+use std::net::SocketAddr;
 
-use farm_link::{CoordinatorAccess, Role};
+use farm_link::Role;
 use http::header::AUTHORIZATION;
 use http::{Extensions, HeaderMap};
 use tonic::Status;
-use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
+use tonic::transport::server::TlsConnectInfo;
+
+use crate::actor::Actor;
+use crate::connections::{Peer, network};
+use crate::gate::Gate;
 
 /// Who makes a call, by its token.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -24,6 +28,13 @@ impl Caller {
     pub fn role(&self) -> Role {
         self.role
     }
+}
+
+/// Who asks, by what has let the call in and where it came from.
+pub(crate) fn actor(extensions: &Extensions) -> Actor {
+    let token = extensions.get::<Caller>().map(|caller| (caller.role, caller.name.clone()));
+    let address = remote(extensions).map(|address| address.ip().to_canonical().to_string());
+    Actor { token, address: address.unwrap_or_default() }
 }
 
 /// Paths begin with these. The first that fits counts, and what fits none is for admins.
@@ -46,23 +57,35 @@ fn needed(path: &str) -> Needed {
     rule.map_or(Needed::OneOf(&[Role::Admin]), |&(_, needed)| needed)
 }
 
-/// Who the caller is, or why the call is refused. Calls that are open to all have no caller, whatever they carry.
-pub(super) fn admit(
-    access: &CoordinatorAccess,
-    path: &str,
-    headers: &HeaderMap,
-) -> Result<Option<Caller>, Status> {
-    let Needed::OneOf(roles) = needed(path) else { return Ok(None) };
+/// How a call is let in.
+#[derive(Debug)]
+pub(super) enum Admitted {
+    /// By a token.
+    Caller(Caller),
+    /// Where everybody is let in.
+    Anybody,
+    /// Because it is open to strangers. Whether it carries a valid token makes no difference to it.
+    Open { known: bool },
+}
+
+/// Who the caller is, or why the call is refused.
+pub(super) fn admit(gate: &Gate, path: &str, headers: &HeaderMap) -> Result<Admitted, Status> {
+    let Some(tokens) = gate.tokens() else { return Ok(Admitted::Anybody) };
+    let Needed::OneOf(roles) = needed(path) else {
+        let known = bearer_token(headers).is_some_and(|token| tokens.role_of(token).is_some());
+        return Ok(Admitted::Open { known });
+    };
     let wanted = roles.iter().map(|role| role.as_str()).collect::<Vec<_>>().join(" or ");
     let Some(token) = bearer_token(headers) else {
         return Err(Status::unauthenticated(format!(
-            "this call needs a token of role {wanted}, and there is none: use an access file (--access FILE)"
+            "this call needs a token of role {wanted}, and there is none: {}",
+            gate.advice()
         )));
     };
-    let Some((role, name)) = access.role_of(token) else {
+    let Some((role, name)) = tokens.role_of(token) else {
         return Err(Status::unauthenticated(format!(
-            "this call needs a token of role {wanted}, and this coordinator does not know the one given: \
-             ask for an access file that is valid"
+            "this call needs a token of role {wanted}, and this coordinator does not know the one given: {}",
+            gate.advice()
         )));
     };
     if !roles.contains(&role) {
@@ -70,7 +93,7 @@ pub(super) fn admit(
             "this call needs a token of role {wanted}, and the one given ({name}) has role {role}"
         )));
     }
-    Ok(Some(Caller { name: name.to_owned(), role }))
+    Ok(Admitted::Caller(Caller { name: name.to_owned(), role }))
 }
 
 /// The token in `authorization: Bearer TOKEN`.
@@ -85,28 +108,26 @@ pub(super) fn peer(extensions: &Extensions) -> Option<String> {
 }
 
 fn remote(extensions: &Extensions) -> Option<SocketAddr> {
-    let plain = extensions.get::<TcpConnectInfo>().map(TcpConnectInfo::remote_addr);
-    let encrypted =
-        || extensions.get::<TlsConnectInfo<TcpConnectInfo>>().map(|tls| tls.get_ref().remote_addr());
-    plain.or_else(encrypted).flatten()
+    connection(extensions)?.tcp.remote_addr()
 }
 
-/// The machine at the other end of a call's connection, as far as its address tells: a network of IPv6 counts as one,
-/// since a machine has as many addresses there as it likes. Empty if there is no address.
+/// The connection that a call came on.
+pub(super) fn connection(extensions: &Extensions) -> Option<&Peer> {
+    let encrypted = || extensions.get::<TlsConnectInfo<Peer>>().map(TlsConnectInfo::get_ref);
+    extensions.get::<Peer>().or_else(encrypted)
+}
+
+/// The machine at the other end of a call's connection, as far as its address tells. Empty if there is no address.
 pub(crate) fn machine_address(extensions: &Extensions) -> String {
-    match remote(extensions).map(|address| address.ip().to_canonical()) {
-        None => String::new(),
-        Some(IpAddr::V6(address)) if !address.is_loopback() => {
-            let [a, b, c, d, ..] = address.segments();
-            format!("{}/64", Ipv6Addr::new(a, b, c, d, 0, 0, 0, 0))
-        }
-        Some(address) => address.to_string(),
-    }
+    remote(extensions).map_or_else(String::new, |address| network(address.ip()))
 }
 
 #[cfg(test)]
 mod tests {
+    use tonic::transport::server::TcpConnectInfo;
+
     use super::*;
+    use crate::connections::Admission;
 
     #[test]
     fn paths_belong_to_their_roles_and_unknown_ones_to_admins() {
@@ -136,7 +157,8 @@ mod tests {
         let of = |address: &str| {
             let remote_addr = Some(address.parse().unwrap());
             let mut extensions = Extensions::new();
-            extensions.insert(TcpConnectInfo { local_addr: None, remote_addr });
+            let tcp = TcpConnectInfo { local_addr: None, remote_addr };
+            extensions.insert(Peer { tcp, admission: Admission::admitted() });
             machine_address(&extensions)
         };
         assert_eq!(of("10.0.0.7:1"), "10.0.0.7");

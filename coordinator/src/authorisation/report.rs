@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use http::{HeaderMap, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
+use tokio::sync::OwnedSemaphorePermit;
 use tonic::body::Body;
 use tonic::{Code, Status};
 use tracing::Span;
@@ -23,12 +24,14 @@ pub(super) struct Report {
     /// The code in the response's header, which an answer without messages has.
     code: Option<i32>,
     told: bool,
+    /// Given back when the call has ended.
+    place: Option<OwnedSemaphorePermit>,
 }
 
 impl Report {
     pub(super) fn start(shared: Arc<Shared>, method: String, span: Span) -> Self {
         let started = shared.clock.now();
-        Self { shared, method, span, started, code: None, told: false }
+        Self { shared, method, span, started, code: None, told: false, place: None }
     }
 
     /// Sends an answer on, to be watched until its end.
@@ -36,9 +39,13 @@ impl Report {
         mut self,
         answer: Result<Response<Body>, E>,
         id: &RequestId,
+        place: Option<OwnedSemaphorePermit>,
     ) -> Result<Response<ObservedBody>, E> {
         match answer {
-            Ok(response) => Ok(self.watch(response, id)),
+            Ok(response) => {
+                self.place = place;
+                Ok(self.watch(response, id))
+            }
             Err(error) => {
                 self.tell(Code::Unknown as i32);
                 Err(error)

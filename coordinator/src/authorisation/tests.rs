@@ -11,7 +11,7 @@ type Told = Arc<Mutex<Vec<(String, i32)>>>;
 fn guarded<S>(service: S) -> (Authorised<S>, Told) {
     let told = Told::default();
     let into = told.clone();
-    let layer = AuthorisationLayer::new(None, move |method, code, _| {
+    let layer = AuthorisationLayer::new(Gate::Everybody, move |method, code, _| {
         into.lock().unwrap().push((method.to_owned(), code));
     });
     (layer.layer(service), told)

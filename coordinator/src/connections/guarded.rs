@@ -1,4 +1,4 @@
-//! A connection that ends when its other end is silent for too long.
+//! A connection that ends when its other end is silent for too long, or stays a stranger.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
-use tonic::transport::server::Connected;
+use tonic::transport::server::{Connected, TcpConnectInfo};
+
+use super::{Admission, Limits, Peer};
 
 /// Length of the greeting that begins every HTTP/2 connection. That of TLS is longer. A first byte alone would not do: it
 /// costs nothing to send.
@@ -18,6 +20,7 @@ const GREETING_BYTES: usize = 24;
 pub struct Guarded<IO> {
     io: IO,
     watch: Watch,
+    admission: Admission,
 }
 
 #[derive(Debug)]
@@ -27,16 +30,20 @@ struct Watch {
     greeting_left: usize,
     hello: Duration,
     silence: Duration,
+    /// When it ends if nobody on it has shown a token by then.
+    strangers_end: Option<Instant>,
     /// Wakes the reader. May be early, since it is set anew only when it has rung: reads are many, deadlines few.
     alarm: Pin<Box<Sleep>>,
 }
 
 impl<IO> Guarded<IO> {
-    pub(super) fn new(io: IO, hello: Duration, silence: Duration) -> Self {
+    pub(super) fn new(io: IO, limits: Limits, admission: Admission) -> Self {
+        let Limits { hello, silence, strangers, .. } = limits;
         let alarm = Box::pin(tokio::time::sleep(hello.min(silence)));
         let heard = Instant::now();
-        let watch = Watch { heard, greeting_left: GREETING_BYTES, hello, silence, alarm };
-        Self { io, watch }
+        let strangers_end = strangers.map(|strangers| heard + strangers.patience);
+        let watch = Watch { heard, greeting_left: GREETING_BYTES, hello, silence, strangers_end, alarm };
+        Self { io, watch, admission }
     }
 }
 
@@ -49,12 +56,15 @@ impl Watch {
     }
 
     /// Ready when the other end has been silent for too long.
-    fn poll_overdue(&mut self, cx: &mut Context<'_>) -> Poll<io::Error> {
-        let (limit, what) = match self.greeting_left {
+    fn poll_overdue(&mut self, cx: &mut Context<'_>, admission: &Admission) -> Poll<io::Error> {
+        let (limit, mut what) = match self.greeting_left {
             0 => (self.silence, "the other end is silent"),
             _ => (self.hello, "the other end does not begin"),
         };
-        let deadline = self.heard + limit;
+        let mut deadline = self.heard + limit;
+        if let Some(end) = self.strangers_end.filter(|end| *end < deadline && !admission.is_admitted()) {
+            (deadline, what) = (end, "the other end has shown no token");
+        }
         loop {
             if Instant::now() >= deadline {
                 return Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, what));
@@ -75,7 +85,7 @@ impl<IO: AsyncRead + Unpin> AsyncRead for Guarded<IO> {
                 this.watch.hear(buf.filled().len() - before);
                 Poll::Ready(read)
             }
-            Poll::Pending => this.watch.poll_overdue(cx).map(Err),
+            Poll::Pending => this.watch.poll_overdue(cx, &this.admission).map(Err),
         }
     }
 }
@@ -106,11 +116,11 @@ impl<IO: AsyncWrite + Unpin> AsyncWrite for Guarded<IO> {
     }
 }
 
-impl<IO: Connected> Connected for Guarded<IO> {
-    type ConnectInfo = IO::ConnectInfo;
+impl<IO: Connected<ConnectInfo = TcpConnectInfo>> Connected for Guarded<IO> {
+    type ConnectInfo = Peer;
 
-    fn connect_info(&self) -> Self::ConnectInfo {
-        self.io.connect_info()
+    fn connect_info(&self) -> Peer {
+        Peer { tcp: self.io.connect_info(), admission: self.admission.clone() }
     }
 }
 
@@ -126,14 +136,22 @@ mod tests {
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, DuplexStream};
     use tokio::time::{advance, timeout};
 
+    use super::super::{StrangerLimits, Strangers};
     use super::*;
 
+    const LIMITS: Limits = Limits {
+        connections: 1,
+        hello: HELLO,
+        silence: SILENCE,
+        strangers: Some(StrangerLimits { connections: 1, patience: PATIENCE }),
+    };
     const HELLO: Duration = Duration::from_secs(10);
     const SILENCE: Duration = Duration::from_mins(1);
+    const PATIENCE: Duration = Duration::from_secs(30);
 
     fn pair() -> (Guarded<DuplexStream>, DuplexStream) {
         let (here, there) = tokio::io::duplex(1024);
-        (Guarded::new(here, HELLO, SILENCE), there)
+        (Guarded::new(here, LIMITS, Admission::admitted()), there)
     }
 
     /// How long it takes until a read fails, which it must by being overdue.
@@ -186,6 +204,31 @@ mod tests {
             guarded.read_u8().await.unwrap();
         }
         about(overdue_after(&mut guarded).await, SILENCE);
+    }
+
+    /// However much it says: without a token it ends. With one it goes on.
+    #[tokio::test(start_paused = true)]
+    async fn a_stranger_has_so_long_to_show_a_token() {
+        for admitted in [false, true] {
+            let (here, mut there) = tokio::io::duplex(1024);
+            let admission = Strangers::default().admission([10, 0, 0, 7].into(), 1).unwrap();
+            let mut guarded = Guarded::new(here, LIMITS, admission.clone());
+            there.write_all(&[0; GREETING_BYTES]).await.unwrap();
+            guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();
+            if admitted {
+                admission.admit();
+            }
+            let chatter = tokio::spawn(async move {
+                for _ in 0..20 {
+                    tokio::time::sleep(Duration::from_secs(2)).await;
+                    let _ = there.write_all(b".").await;
+                }
+                there
+            });
+            let end = if admitted { Duration::from_secs(40) + SILENCE } else { PATIENCE };
+            about(overdue_after(&mut guarded).await, end);
+            drop(chatter.await);
+        }
     }
 
     #[tokio::test(start_paused = true)]

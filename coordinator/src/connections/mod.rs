@@ -1,12 +1,15 @@
 //! Accepting connections, within bounds.
 //!
 //! Each connection holds memory and a file descriptor for as long as its other end likes. So there is a number of places;
-//! who comes when all are taken is sent away at once, and who takes one must show that he is alive.
+//! who comes when all are taken is sent away at once, and who takes one must show that he is alive, and before long that
+//! he is no stranger.
 
+mod admission;
 mod guarded;
 mod parting;
 
 use std::io;
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,6 +24,9 @@ use tokio_stream::Stream;
 use crate::clock::Clock;
 use crate::throttle::Throttle;
 
+use admission::Strangers;
+pub(crate) use admission::network;
+pub use admission::{Admission, Peer};
 pub use guarded::Guarded;
 pub use parting::Parting;
 
@@ -38,11 +44,28 @@ pub struct Limits {
     pub hello: Duration,
     /// Longest silence after that. The server's HTTP/2 pings, which every live peer answers, must come more often.
     pub silence: Duration,
+    /// What those may take who have not shown a token yet; None where nobody needs one.
+    pub strangers: Option<StrangerLimits>,
+}
+
+/// What connections may take on which nobody has shown a token.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StrangerLimits {
+    /// How many there may be of one address.
+    pub connections: usize,
+    /// How long they may last.
+    pub patience: Duration,
+}
+
+impl Default for StrangerLimits {
+    fn default() -> Self {
+        Self { connections: 128, patience: Duration::from_secs(30) }
+    }
 }
 
 impl Limits {
-    pub fn new(connections: usize) -> Self {
-        Self { connections, hello: Duration::from_secs(10), silence: Duration::from_mins(1) }
+    pub fn new(connections: usize, strangers: Option<StrangerLimits>) -> Self {
+        Self { connections, hello: Duration::from_secs(10), silence: Duration::from_mins(1), strangers }
     }
 }
 
@@ -64,7 +87,7 @@ impl Connections {
         self.counts.most - self.counts.places.available_permits()
     }
 
-    /// Connections sent away since the start because all places were taken.
+    /// Connections sent away since the start because all places were taken, or all of strangers at their address.
     pub fn refused(&self) -> u64 {
         self.counts.refused.load(Ordering::Relaxed)
     }
@@ -76,6 +99,7 @@ pub struct Incoming {
     listener: TcpListener,
     limits: Limits,
     counts: Arc<Counts>,
+    strangers: Strangers,
     pause: Option<Pin<Box<Sleep>>>,
     clock: Clock,
     refusals: Throttle,
@@ -91,6 +115,7 @@ impl Incoming {
             listener,
             limits,
             counts,
+            strangers: Strangers::default(),
             pause: None,
             clock: Clock::start(),
             refusals: Throttle::new(TELL),
@@ -106,18 +131,33 @@ impl Incoming {
     /// for what, and those behind it too.
     fn admit(&self, stream: TcpStream, peer: std::net::SocketAddr) -> Option<Guarded<Parting>> {
         let Ok(place) = self.counts.places.clone().try_acquire_owned() else {
-            self.counts.refused.fetch_add(1, Ordering::Relaxed);
-            if let Some(connections) = self.refusals.count(self.clock.now()) {
-                let limit = self.counts.most;
-                tracing::warn!(connections, limit, %peer, "connections have been refused: there are too many");
-            }
+            self.refuse(self.counts.most, peer, "there are too many");
+            return None;
+        };
+        let Some(admission) = self.admission(peer.ip()) else {
+            let most = self.limits.strangers.map_or(0, |strangers| strangers.connections);
+            self.refuse(most, peer, "there are too many of this address that have shown no token");
             return None;
         };
         if let Err(error) = stream.set_nodelay(true) {
             // It has most likely gone already, which its first read will tell.
             tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
         }
-        Some(Guarded::new(Parting::new(stream, place), self.limits.hello, self.limits.silence))
+        Some(Guarded::new(Parting::new(stream, place), self.limits, admission))
+    }
+
+    fn admission(&self, address: IpAddr) -> Option<Admission> {
+        match self.limits.strangers {
+            None => Some(Admission::admitted()),
+            Some(limits) => self.strangers.admission(address, limits.connections),
+        }
+    }
+
+    fn refuse(&self, limit: usize, peer: std::net::SocketAddr, why: &str) {
+        self.counts.refused.fetch_add(1, Ordering::Relaxed);
+        if let Some(connections) = self.refusals.count(self.clock.now()) {
+            tracing::warn!(connections, limit, %peer, "connections have been refused: {why}");
+        }
     }
 
     fn failed(&mut self, error: &io::Error) {

@@ -10,7 +10,7 @@ const SOON: Duration = Duration::from_secs(5);
 async fn listen(connections: usize) -> (Incoming, std::net::SocketAddr) {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
-    (Incoming::new(listener, Limits::new(connections)), address)
+    (Incoming::new(listener, Limits::new(connections, None)), address)
 }
 
 async fn next(incoming: &mut Incoming) -> Guarded<Parting> {
@@ -49,11 +49,29 @@ async fn one_too_many_is_closed_and_the_others_go_on() {
 }
 
 #[tokio::test]
+async fn strangers_of_one_address_have_so_many_places_until_one_shows_a_token() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let limits = StrangerLimits { connections: 1, patience: SOON };
+    let mut incoming = Incoming::new(listener, Limits::new(8, Some(limits)));
+    let connections = incoming.connections();
+    let _first = TcpStream::connect(address).await.unwrap();
+    let stranger = next(&mut incoming).await;
+    let waiting = tokio::spawn(async move { (next(&mut incoming).await, incoming) });
+    assert!(is_closed(&mut TcpStream::connect(address).await.unwrap()).await);
+    assert_eq!((connections.open(), connections.refused()), (1, 1));
+    stranger.connect_info().admission.admit();
+    let _second = TcpStream::connect(address).await.unwrap();
+    let (_place, _incoming) = timeout(SOON, waiting).await.unwrap().unwrap();
+    assert_eq!((connections.open(), connections.refused()), (2, 1));
+}
+
+#[tokio::test]
 async fn connections_know_their_ends_and_do_not_delay() {
     let (mut incoming, address) = listen(1).await;
     let client = TcpStream::connect(address).await.unwrap();
     let connection = next(&mut incoming).await;
-    assert_eq!(connection.connect_info().remote_addr(), client.local_addr().ok());
+    assert_eq!(connection.connect_info().tcp.remote_addr(), client.local_addr().ok());
     assert!(connection.nodelay());
 }
 

@@ -256,6 +256,11 @@ impl Dispatcher {
         self.put_off.push(effect);
     }
 
+    /// Says of all events since the last look into the outbox who has brought them about.
+    pub fn tell_who(&mut self, actor: &str) {
+        self.outbox.events.iter_mut().for_each(|event| actor.clone_into(&mut event.actor));
+    }
+
     /// Notes an event of a dictionary, if it is there.
     pub fn tell(&mut self, id: DictionaryId, kind: EventKind, message: impl Into<String>) {
         if let Some(dictionary) = self.dictionaries.get(&id) {

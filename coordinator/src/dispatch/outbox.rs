@@ -136,11 +136,20 @@ pub struct Event {
     /// Label of the worker; empty if it concerns none.
     pub worker: String,
     pub message: String,
+    /// Who brought it about, and from where; empty if the farm did. The dispatcher does not know it.
+    pub actor: String,
 }
 
 impl Event {
     pub fn of_farm(kind: EventKind, message: impl Into<String>) -> Self {
-        Self { kind, dictionary: String::new(), job: None, worker: String::new(), message: message.into() }
+        Self {
+            kind,
+            dictionary: String::new(),
+            job: None,
+            worker: String::new(),
+            message: message.into(),
+            actor: String::new(),
+        }
     }
 
     pub fn of_dictionary(kind: EventKind, name: &DictionaryName, message: impl Into<String>) -> Self {

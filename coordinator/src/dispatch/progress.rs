@@ -68,6 +68,7 @@ impl Dictionary {
             work_done: self.work_done(),
             priority: self.stored.priority,
             reason: self.stored.reason.clone(),
+            owner: self.stored.owner.clone(),
             eta_s: eta_s.filter(|_| self.state() == DictionaryState::Running),
             goes_first,
             records_reused: self.counts.reused * self.grid().albedo().len(),

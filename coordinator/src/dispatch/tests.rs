@@ -48,6 +48,7 @@ pub(super) fn stored() -> StoredDictionary {
         priority: 0,
         desire: DesiredState::Run,
         reason: String::new(),
+        owner: String::new(),
     }
 }
 

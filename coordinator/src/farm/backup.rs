@@ -4,6 +4,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::PathBuf;
 
 use super::{Farm, FarmError, Result, blocking};
+use crate::actor::Actor;
 use crate::clock::random_token;
 use crate::dispatch::EventKind;
 use crate::store::DataDir;
@@ -57,12 +58,12 @@ impl Backup {
 
 impl Farm {
     /// A copy of the database as it is now, verified.
-    pub(crate) async fn backup(&self) -> Result<Backup> {
+    pub(crate) async fn backup(&self, by: &Actor) -> Result<Backup> {
         let name = format!("{}{}.db", DataDir::BACKUP_PREFIX, &random_token()[..8]);
         let mut backup = Backup { file: self.store.dir().path().join(name), report: None, offset: 0 };
         let report = self.store.backup(&backup.file).await?;
         let message = format!("{} records, {} bytes", report.counts.records, report.bytes);
-        self.door.note(EventKind::BackupMade, message);
+        self.door.note(by, EventKind::BackupMade, message);
         backup.report = Some(report);
         Ok(backup)
     }

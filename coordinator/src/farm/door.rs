@@ -11,6 +11,7 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot, watch};
 
 use super::events::Recorder;
+use crate::actor::Actor;
 use crate::clock::Clock;
 use crate::dispatch::{Count, Dispatcher, Effect, Event, EventKind, Outbox, Purpose};
 use crate::metrics::{JobFailure, LeaseKind, Metrics, VerificationOutcome};
@@ -74,6 +75,16 @@ impl Door {
         value
     }
 
+    /// The same for somebody who asked for it: events tell who it was.
+    pub fn transition_by<T>(&self, actor: &Actor, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
+        let actor = actor.to_string();
+        self.transition(|dispatcher, now| {
+            let value = change(dispatcher, now);
+            dispatcher.tell_who(&actor);
+            value
+        })
+    }
+
     /// Looks at the state.
     pub fn query<T>(&self, look: impl FnOnce(&Dispatcher, Duration) -> T) -> T {
         look(&self.lock(), self.clock.now())
@@ -97,8 +108,8 @@ impl Door {
     }
 
     /// Notes an event that no change of the state has brought about.
-    pub fn note(&self, kind: EventKind, message: impl Into<String>) {
-        self.recorder.record(&Event::of_farm(kind, message));
+    pub fn note(&self, actor: &Actor, kind: EventKind, message: impl Into<String>) {
+        self.recorder.record(&Event { actor: actor.to_string(), ..Event::of_farm(kind, message) });
     }
 
     pub fn metrics(&self) -> &Metrics {

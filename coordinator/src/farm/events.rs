@@ -32,8 +32,8 @@ impl Recorder {
 
     /// Notes an event.
     pub(super) fn record(&self, event: &Event) {
-        let Event { kind, dictionary, job, worker, message } = event;
-        tracing::info!(kind = kind.as_str(), dictionary, job, worker, "{message}");
+        let Event { kind, dictionary, job, worker, message, actor } = event;
+        tracing::info!(kind = kind.as_str(), dictionary, job, worker, actor, "{message}");
         let stored = StoredEvent {
             id: 0,
             unix_ms: Clock::unix_ms() as i64,
@@ -42,6 +42,7 @@ impl Recorder {
             job: job.map(i64::from),
             worker: worker.clone(),
             message: message.clone(),
+            actor: actor.clone(),
         };
         let queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
         if queue.as_ref().is_some_and(|queue| queue.try_send(stored).is_err()) {

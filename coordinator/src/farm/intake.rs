@@ -10,10 +10,10 @@ use farm_proto::lease::LeaseKey;
 use optics_model::job::JobSpec;
 use optics_model::sums::{Sums, result_bytes};
 use optics_model::{Digest, Invalid, PackedRecords};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinHandle;
 use tokio_stream::{Stream, StreamExt};
 
+use super::room::{Guest, Taken};
 use super::{Farm, FarmError, Result};
 use crate::dispatch::DispatchError;
 use crate::store::StoreError;
@@ -21,8 +21,8 @@ use crate::stored::{JobResult, Outcome};
 
 /// How long a worker may take for the next piece of a result.
 const PATIENCE: Duration = Duration::from_mins(1);
-/// Memory of all results that are being received or stored, in KiB.
-const ROOM_KIB: usize = 512 << 10;
+/// Bytes that a result must bring in a second beyond that.
+const SLOWEST: usize = 64 << 10;
 
 /// A piece of a stream of results: each result is a header, and then its content.
 #[derive(Debug)]
@@ -51,24 +51,6 @@ pub(crate) enum Delivered {
     Refused(String),
 }
 
-/// Room in memory for results.
-#[derive(Debug)]
-pub(super) struct Room(Arc<Semaphore>);
-
-impl Default for Room {
-    fn default() -> Self {
-        Self(Arc::new(Semaphore::new(ROOM_KIB)))
-    }
-}
-
-impl Room {
-    /// Waits until there is room for so many bytes.
-    async fn take(&self, bytes: usize) -> OwnedSemaphorePermit {
-        let kib = bytes.div_ceil(1024).min(ROOM_KIB) as u32;
-        self.0.clone().acquire_many_owned(kib).await.expect("the semaphore is never closed")
-    }
-}
-
 /// A result on its way to the disk, or one that is not wanted.
 enum Task {
     Storing(JoinHandle<Result<Outcome>>),
@@ -76,13 +58,18 @@ enum Task {
 }
 
 impl Farm {
-    /// Receives all results of a stream, storing each while the next comes in; what became of them, in their order.
-    pub(crate) async fn receive<S, E>(self: &Arc<Self>, stream: S) -> Result<Vec<Delivered>, E>
+    /// Receives all results of a machine's stream, storing each while the next comes in; what became of them, in their
+    /// order.
+    pub(crate) async fn receive<S, E>(
+        self: &Arc<Self>,
+        machine: String,
+        stream: S,
+    ) -> Result<Vec<Delivered>, E>
     where
         S: Stream<Item = Result<Piece, E>> + Unpin,
         E: From<FarmError>,
     {
-        let mut pieces = Pieces(stream);
+        let mut pieces = Pieces { stream, guest: self.room.enter(machine) };
         let mut tasks = Vec::new();
         let mut next = pieces.next().await?;
         if next.is_none() {
@@ -98,9 +85,9 @@ impl Farm {
             }
             match self.admit(&worker, &key, identity) {
                 Ok(admission) => {
-                    let room = self.room.take(result_bytes(admission.job())).await;
                     let result;
-                    (result, next) = pieces.result(admission.job()).await?;
+                    let room;
+                    (result, room, next) = pieces.result(admission.job()).await?;
                     let result = match result {
                         Ok(result) => result,
                         Err(invalid) => {
@@ -158,7 +145,16 @@ fn refused<E: From<FarmError>>(field: &str, given: impl std::fmt::Display, allow
     FarmError::from(Invalid::new(field, given, allowed)).into()
 }
 
-struct Pieces<S>(S);
+/// The pieces of a machine's stream.
+struct Pieces<S> {
+    stream: S,
+    guest: Guest,
+}
+
+/// How long a result of so many bytes may take from its header to its end.
+fn longest(bytes: usize) -> Duration {
+    PATIENCE + Duration::from_secs((bytes / SLOWEST) as u64)
+}
 
 impl<S, E> Pieces<S>
 where
@@ -166,30 +162,33 @@ where
     E: From<FarmError>,
 {
     async fn next(&mut self) -> Result<Option<Piece>, E> {
-        let next = tokio::time::timeout(PATIENCE, self.0.next()).await;
+        let next = tokio::time::timeout(PATIENCE, self.stream.next()).await;
         next.map_err(|_| FarmError::Overdue(PATIENCE.as_secs()))?.transpose()
     }
 
-    /// One result, checked, and what comes after it.
+    /// One result, checked, with the room that it takes, and what comes after it.
     async fn result(
         &mut self,
         job: &JobSpec,
-    ) -> Result<(std::result::Result<JobResult, Invalid>, Option<Piece>), E> {
-        let (bytes, after) = self.gather(job).await?;
+    ) -> Result<(std::result::Result<JobResult, Invalid>, Taken, Option<Piece>), E> {
+        let mut room = Taken::default();
+        let time = longest(result_bytes(job));
+        let gathered = tokio::time::timeout(time, self.gather(job, &mut room)).await;
+        let (bytes, after) = gathered.map_err(|_| FarmError::Slow(time.as_secs()))??;
         let checked = if job.block().is_some() {
             // Refused here rather than when they are merged.
             Sums::from_le_bytes(job, 1, &bytes).map(|_| JobResult::Sums(bytes))
         } else {
             PackedRecords::new(job, bytes).map(JobResult::Records)
         };
-        Ok((checked, after))
+        Ok((checked, room, after))
     }
 
     /// The pieces of one result as a whole, not longer than it may be, and what comes after it. They are copied to a place
     /// of just their size: as they are, they hold on to the messages that they came in, however large these are.
-    async fn gather(&mut self, job: &JobSpec) -> Result<(Bytes, Option<Piece>), E> {
+    async fn gather(&mut self, job: &JobSpec, room: &mut Taken) -> Result<(Bytes, Option<Piece>), E> {
         let (wanted, what) = (result_bytes(job), if job.block().is_some() { "sums" } else { "records" });
-        let mut whole = BytesMut::with_capacity(wanted);
+        let mut whole = BytesMut::new();
         loop {
             let piece = match (self.next().await?, job.block()) {
                 (Some(Piece::Records(piece)), None) | (Some(Piece::Sums(piece)), Some(_)) => piece,
@@ -208,6 +207,9 @@ where
                 let given = format!("more than {wanted} bytes");
                 return Err(refused(what, given, format!("{wanted} are needed")));
             }
+            self.guest.take(room, piece.len()).await;
+            // All at once, so that it is never moved; the system gives the memory as it is written to.
+            whole.reserve(wanted - whole.len());
             whole.extend_from_slice(&piece);
         }
     }

@@ -8,6 +8,7 @@ use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
 use optics_model::{Digest, Grid};
 
 use super::{Farm, FarmError, Result, blocking, not_found};
+use crate::actor::Actor;
 use crate::clock::Clock;
 use crate::dispatch::{Dictionary, EventKind, Plan, Reason};
 use crate::store::{StoreError, StoredEvent};
@@ -17,6 +18,7 @@ impl Farm {
     /// Creates a dictionary, or finds the one of the same name and grid. Records that exist already are used.
     pub(crate) async fn submit(
         &self,
+        by: &Actor,
         name: DictionaryName,
         grid: Grid,
         priority: i32,
@@ -33,9 +35,10 @@ impl Farm {
         // What has no room in memory must not be in the store, where the next start would find it.
         let planned = grid.clone();
         let plan = blocking(move || Plan::new(&planned)).await;
-        let stored = self.store.create_dictionary(name.clone(), grid, priority, Clock::unix_ms()).await?;
+        let stored =
+            self.store.create_dictionary(name.clone(), grid, priority, by.name(), Clock::unix_ms()).await?;
         let id = stored.id;
-        if let Err(error) = self.take_up(plan, stored).await {
+        if let Err(error) = self.take_up(by, plan, stored).await {
             // A dictionary that the store has and nobody serves would keep its name for ever.
             self.door.transition(|dispatcher, _| dispatcher.remove_dictionary(id));
             if let Err(error) = self.store.delete_dictionary(id, &[]).await {
@@ -47,7 +50,7 @@ impl Farm {
     }
 
     /// Begins with a new dictionary: uses the records that exist already, and serves the rest.
-    async fn take_up(&self, plan: Plan, stored: StoredDictionary) -> Result<()> {
+    async fn take_up(&self, by: &Actor, plan: Plan, stored: StoredDictionary) -> Result<()> {
         let (id, grid) = (stored.id, stored.grid.clone());
         let _nothing_is_forgotten = self.records.read().await;
         let reused = if grid.quality().is_some() {
@@ -68,7 +71,7 @@ impl Farm {
         self.take_over_done(id).await?;
         let (jobs, records) = (grid.job_count(), grid.record_count());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
-        self.door.transition(|dispatcher, _| dispatcher.tell(id, EventKind::Submitted, message));
+        self.door.transition_by(by, |dispatcher, _| dispatcher.tell(id, EventKind::Submitted, message));
         Ok(())
     }
 
@@ -82,29 +85,45 @@ impl Farm {
         Ok(())
     }
 
-    pub(crate) async fn pause(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
-        self.change(name, DesiredState::Pause, "", &[DictionaryState::Running, DictionaryState::Paused]).await
+    pub(crate) async fn pause(&self, by: &Actor, name: &DictionaryName) -> Result<DictionaryStatus> {
+        self.change(by, name, DesiredState::Pause, "", &[DictionaryState::Running, DictionaryState::Paused])
+            .await
     }
 
-    pub(crate) async fn resume(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
+    pub(crate) async fn resume(&self, by: &Actor, name: &DictionaryName) -> Result<DictionaryStatus> {
         let from = [DictionaryState::Paused, DictionaryState::Cancelled, DictionaryState::Running];
-        self.change(name, DesiredState::Run, "", &from).await
+        self.change(by, name, DesiredState::Run, "", &from).await
     }
 
-    pub(crate) async fn cancel(&self, name: &DictionaryName, reason: &str) -> Result<DictionaryStatus> {
+    pub(crate) async fn cancel(
+        &self,
+        by: &Actor,
+        name: &DictionaryName,
+        reason: &str,
+    ) -> Result<DictionaryStatus> {
         let from = [DictionaryState::Running, DictionaryState::Paused, DictionaryState::Cancelled];
-        self.change(name, DesiredState::Cancel, reason, &from).await
+        self.change(by, name, DesiredState::Cancel, reason, &from).await
+    }
+
+    /// The dictionary of a name, if it is one that this one may change.
+    fn changeable(&self, by: &Actor, name: &DictionaryName) -> Result<DictionaryStatus> {
+        let status = self.status(name)?;
+        if by.may_change(&status.owner) {
+            return Ok(status);
+        }
+        Err(FarmError::NotYours { name: name.clone(), owner: status.owner })
     }
 
     async fn change(
         &self,
+        by: &Actor,
         name: &DictionaryName,
         desire: DesiredState,
         reason: &str,
         from: &[DictionaryState],
     ) -> Result<DictionaryStatus> {
         let _one_at_a_time = self.managing.lock().await;
-        let status = self.status(name)?;
+        let status = self.changeable(by, name)?;
         if !from.contains(&status.state()) {
             let allowed = match desire {
                 DesiredState::Run => {
@@ -124,7 +143,7 @@ impl Farm {
             grid.check_parts()?;
         }
         self.store.set_desire(id, desire, reason).await?;
-        self.door.transition(|dispatcher, _| dispatcher.set_desire(id, desire, reason.to_owned()));
+        self.door.transition_by(by, |dispatcher, _| dispatcher.set_desire(id, desire, reason.to_owned()));
         if desire == DesiredState::Run {
             let _nothing_is_forgotten = self.records.read().await;
             self.take_over_done(id).await?;
@@ -132,11 +151,12 @@ impl Farm {
         self.status(name)
     }
 
-    pub(crate) async fn retry(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
+    pub(crate) async fn retry(&self, by: &Actor, name: &DictionaryName) -> Result<DictionaryStatus> {
         let _one_at_a_time = self.managing.lock().await;
+        self.changeable(by, name)?;
         let (id, _) = self.found(name)?;
         self.store.retry_jobs(id).await?;
-        self.door.transition(|dispatcher, _| dispatcher.retry(id));
+        self.door.transition_by(by, |dispatcher, _| dispatcher.retry(id));
         let _nothing_is_forgotten = self.records.read().await;
         self.find_blocks(id).await?;
         self.take_over_done(id).await?;
@@ -145,20 +165,22 @@ impl Farm {
 
     pub(crate) async fn set_priority(
         &self,
+        by: &Actor,
         name: &DictionaryName,
         priority: i32,
     ) -> Result<DictionaryStatus> {
         let _one_at_a_time = self.managing.lock().await;
+        self.changeable(by, name)?;
         let (id, _) = self.found(name)?;
         self.store.set_priority(id, priority).await?;
-        self.door.transition(|dispatcher, _| dispatcher.set_priority(id, priority));
+        self.door.transition_by(by, |dispatcher, _| dispatcher.set_priority(id, priority));
         self.status(name)
     }
 
     /// Removes a dictionary that does not run; returns how many records went with it.
-    pub(crate) async fn delete(&self, name: &DictionaryName) -> Result<u64> {
+    pub(crate) async fn delete(&self, by: &Actor, name: &DictionaryName) -> Result<u64> {
         let _one_at_a_time = self.managing.lock().await;
-        let state = self.status(name)?.state();
+        let state = self.changeable(by, name)?.state();
         if state.is_open() {
             let allowed = "cancel it before it is deleted";
             return Err(FarmError::WrongState { name: name.clone(), state: state.as_str(), allowed });
@@ -167,7 +189,7 @@ impl Farm {
         let _no_result_on_its_way = self.records.write().await;
         let blocks = self.blocks_of_none_but(id);
         let records = self.store.delete_dictionary(id, &blocks).await?;
-        self.door.transition(|dispatcher, _| {
+        self.door.transition_by(by, |dispatcher, _| {
             dispatcher.tell(id, EventKind::Deleted, format!("{records} records deleted"));
             dispatcher.remove_dictionary(id);
         });
@@ -192,17 +214,20 @@ impl Farm {
             let text = format!("results cannot be stored: {fault}; workers keep them and try again");
             reasons.insert(0, Reason { code: "STORE_FAULT", text });
         }
+        if let Some(text) = self.room.shortage() {
+            reasons.insert(0, Reason { code: "NO_ROOM", text });
+        }
         Ok(reasons)
     }
 
-    pub(crate) fn drain(&self, which: &str) -> Result<WorkerId> {
-        let drained = self.door.transition(|dispatcher, _| dispatcher.drain(which));
+    pub(crate) fn drain(&self, by: &Actor, which: &str) -> Result<WorkerId> {
+        let drained = self.door.transition_by(by, |dispatcher, _| dispatcher.drain(which));
         drained.map_err(|why| FarmError::Worker { which: which.to_owned(), why })
     }
 
     /// Lets a machine in again that was fenced off.
-    pub(crate) async fn readmit(&self, which: &str) -> Result<()> {
-        let lifted = self.door.transition(|dispatcher, _| dispatcher.lift_fence(which));
+    pub(crate) async fn readmit(&self, by: &Actor, which: &str) -> Result<()> {
+        let lifted = self.door.transition_by(by, |dispatcher, _| dispatcher.lift_fence(which));
         self.door.settled().await;
         lifted.map(drop).map_err(|why| FarmError::Worker { which: which.to_owned(), why })
     }

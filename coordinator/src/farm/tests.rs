@@ -19,6 +19,7 @@ use optics_model::{Estimate, Grid, PHYSICS_VERSION, PackedRecords, Profile, Reco
 use sqlx::Connection;
 
 use super::{Farm, FarmError, Versions};
+use crate::actor::Actor;
 use crate::config::Config;
 use crate::dispatch::Registration;
 use crate::metrics::{BuildInfo, Metrics};
@@ -80,7 +81,7 @@ async fn done() -> (Arc<Farm>, tempfile::TempDir) {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     let worker = store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-    let dictionary = store.create_dictionary(name(), grid(), 0, 7).await.unwrap();
+    let dictionary = store.create_dictionary(name(), grid(), 0, "", 7).await.unwrap();
     for job in 0..JOBS {
         store.complete(completion(dictionary.id, worker, job)).await.unwrap();
     }
@@ -195,7 +196,10 @@ fn too_large() -> Grid {
 #[tokio::test]
 async fn a_grid_that_is_too_large_is_refused_before_it_is_stored() {
     let (farm, _dir) = done().await;
-    let refused = farm.submit(DictionaryName::new("large").unwrap(), too_large(), 0).await.unwrap_err();
+    let refused = farm
+        .submit(&Actor::default(), DictionaryName::new("large").unwrap(), too_large(), 0)
+        .await
+        .unwrap_err();
     let FarmError::Invalid(why) = &refused else { panic!("{refused}") };
     assert_eq!(why.field(), "walks");
     assert!(why.to_string().contains("1000000000000 is not valid: at most 25000000000 are allowed"), "{why}");
@@ -208,17 +212,17 @@ async fn a_dictionary_that_is_too_large_stops_no_start_and_can_be_deleted() {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     let large = DictionaryName::new("large").unwrap();
-    store.create_dictionary(large.clone(), too_large(), 0, 7).await.unwrap();
-    store.create_dictionary(name(), grid(), 0, 8).await.unwrap();
+    store.create_dictionary(large.clone(), too_large(), 0, "", 7).await.unwrap();
+    store.create_dictionary(name(), grid(), 0, "", 8).await.unwrap();
     let farm = load(store).await;
     let status = farm.status(&large).unwrap();
     assert_eq!(status.state, DictionaryState::Cancelled);
     assert!(status.reason.contains("at most 25000000000 are allowed"), "{}", status.reason);
     assert_eq!(farm.explain(&large).unwrap()[0].code, "TOO_LARGE");
-    assert!(matches!(farm.resume(&large).await, Err(FarmError::Invalid(_))));
+    assert!(matches!(farm.resume(&Actor::default(), &large).await, Err(FarmError::Invalid(_))));
     assert_eq!(farm.status(&name()).unwrap().state, DictionaryState::Running);
     assert_eq!(farm.door.query(|d, _| d.load().0), JOBS as usize, "the other one's jobs wait");
-    farm.delete(&large).await.unwrap();
+    farm.delete(&Actor::default(), &large).await.unwrap();
     assert!(matches!(farm.status(&large), Err(FarmError::NotFound { .. })));
 }
 
@@ -242,7 +246,7 @@ async fn deliver(farm: &Farm, worker: &WorkerId, value: f32) -> Outcome {
 async fn a_dispute_wakes_workers_that_wait() {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    store.create_dictionary(name(), grid(), 0, 8).await.unwrap();
+    store.create_dictionary(name(), grid(), 0, "", 8).await.unwrap();
     let farm = load_with(store, 1.0).await;
     let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
     assert!(matches!(deliver(&farm, &first, 0.25).await, Outcome::Finished { .. }));
@@ -275,7 +279,7 @@ async fn a_dictionary_that_overlaps_with_an_unfinished_one_computes_nothing_twic
     let farm = load(store).await;
     let (first, second) = (name(), DictionaryName::new("e").unwrap());
     for name in [&first, &second] {
-        farm.submit(name.clone(), grid(), 0).await.unwrap();
+        farm.submit(&Actor::default(), name.clone(), grid(), 0).await.unwrap();
     }
     let worker = worker(&farm, "worker").await;
     assert_eq!(work(&farm, &worker).await, JOBS as usize);
@@ -295,9 +299,9 @@ async fn records_that_came_for_another_dictionary_are_found_by_resume_and_restar
     let farm = load(store).await;
     let (first, second) = (name(), DictionaryName::new("e").unwrap());
     for name in [&first, &second] {
-        farm.submit(name.clone(), grid(), 0).await.unwrap();
+        farm.submit(&Actor::default(), name.clone(), grid(), 0).await.unwrap();
     }
-    farm.cancel(&second, "later").await.unwrap();
+    farm.cancel(&Actor::default(), &second, "later").await.unwrap();
     let of_farm = worker(&farm, "worker").await;
     assert_eq!(work(&farm, &of_farm).await, JOBS as usize);
     assert_eq!(farm.status(&second).unwrap().jobs_done, 0);

@@ -10,6 +10,7 @@ use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::outgoing::Outgoing;
+use crate::authorisation::actor;
 use crate::farm::{BackupPart, detached};
 
 #[tonic::async_trait]
@@ -18,7 +19,8 @@ impl Admin for Context {
         &self,
         request: Request<DrainWorkerRequest>,
     ) -> Result<Response<DrainWorkerResponse>, Status> {
-        let worker_id = self.farm.drain(&request.into_inner().worker)?.0;
+        let by = actor(request.extensions());
+        let worker_id = self.farm.drain(&by, &request.into_inner().worker)?.0;
         Ok(Response::new(DrainWorkerResponse { worker_id }))
     }
 
@@ -26,15 +28,16 @@ impl Admin for Context {
         &self,
         request: Request<ReadmitWorkerRequest>,
     ) -> Result<Response<ReadmitWorkerResponse>, Status> {
+        let by = actor(request.extensions());
         let (farm, worker) = (self.farm.clone(), request.into_inner().worker);
-        detached(async move { farm.readmit(&worker).await }).await?;
+        detached(async move { farm.readmit(&by, &worker).await }).await?;
         Ok(Response::new(ReadmitWorkerResponse {}))
     }
 
     type BackupStream = Outgoing<BackupPiece>;
 
-    async fn backup(&self, _: Request<BackupRequest>) -> Result<Response<Self::BackupStream>, Status> {
-        let backup = self.farm.backup().await?;
+    async fn backup(&self, request: Request<BackupRequest>) -> Result<Response<Self::BackupStream>, Status> {
+        let backup = self.farm.backup(&actor(request.extensions())).await?;
         Ok(Response::new(self.stream(2, backup, piece)?))
     }
 

@@ -15,6 +15,8 @@ use super::Context;
 use super::outgoing::Outgoing;
 use super::page::{page_size, page_token};
 use super::status::{OrStatus, required};
+use super::text::one_line;
+use crate::authorisation::actor;
 use crate::farm::detached;
 
 /// Most dictionaries of one page.
@@ -27,13 +29,14 @@ const EXPORT_QUEUE: usize = 4;
 #[tonic::async_trait]
 impl Dictionaries for Context {
     async fn submit(&self, request: Request<SubmitRequest>) -> Result<Response<Dictionary>, Status> {
+        let by = actor(request.extensions());
         let request = request.into_inner();
         let name = DictionaryName::new(request.name).or_status()?;
         let grid =
             Grid::try_from(required("grid", request.grid)?).map_err(|e| e.within("grid")).or_status()?;
         let priority = priority(request.priority).or_status()?;
         let farm = self.farm.clone();
-        let status = detached(async move { farm.submit(name, grid, priority).await }).await?;
+        let status = detached(async move { farm.submit(&by, name, grid, priority).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
@@ -72,20 +75,23 @@ impl Dictionaries for Context {
     }
 
     async fn pause(&self, request: Request<PauseRequest>) -> Result<Response<Dictionary>, Status> {
+        let by = actor(request.extensions());
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let farm = self.farm.clone();
-        let status = detached(async move { farm.pause(&name).await }).await?;
+        let status = detached(async move { farm.pause(&by, &name).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
     async fn resume(&self, request: Request<ResumeRequest>) -> Result<Response<Dictionary>, Status> {
+        let by = actor(request.extensions());
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let farm = self.farm.clone();
-        let status = detached(async move { farm.resume(&name).await }).await?;
+        let status = detached(async move { farm.resume(&by, &name).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
     async fn cancel(&self, request: Request<CancelRequest>) -> Result<Response<Dictionary>, Status> {
+        let by = actor(request.extensions());
         let request = request.into_inner();
         let name = DictionaryName::new(request.name).or_status()?;
         if request.reason.len() > RequestLimits::TEXT_BYTES {
@@ -94,14 +100,16 @@ impl Dictionaries for Context {
             return Err(to_status(&Invalid::new("reason", given, allowed)));
         }
         let farm = self.farm.clone();
-        let status = detached(async move { farm.cancel(&name, &request.reason).await }).await?;
+        let status =
+            detached(async move { farm.cancel(&by, &name, &one_line(&request.reason)).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
     async fn retry(&self, request: Request<RetryRequest>) -> Result<Response<Dictionary>, Status> {
+        let by = actor(request.extensions());
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let farm = self.farm.clone();
-        let status = detached(async move { farm.retry(&name).await }).await?;
+        let status = detached(async move { farm.retry(&by, &name).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
@@ -109,18 +117,20 @@ impl Dictionaries for Context {
         &self,
         request: Request<SetPriorityRequest>,
     ) -> Result<Response<Dictionary>, Status> {
+        let by = actor(request.extensions());
         let request = request.into_inner();
         let (name, priority) =
             (DictionaryName::new(request.name).or_status()?, priority(request.priority).or_status()?);
         let farm = self.farm.clone();
-        let status = detached(async move { farm.set_priority(&name, priority).await }).await?;
+        let status = detached(async move { farm.set_priority(&by, &name, priority).await }).await?;
         Ok(Response::new((&status).into()))
     }
 
     async fn delete(&self, request: Request<DeleteRequest>) -> Result<Response<DeleteResponse>, Status> {
+        let by = actor(request.extensions());
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let farm = self.farm.clone();
-        let records_deleted = detached(async move { farm.delete(&name).await }).await?;
+        let records_deleted = detached(async move { farm.delete(&by, &name).await }).await?;
         Ok(Response::new(DeleteResponse { records_deleted }))
     }
 

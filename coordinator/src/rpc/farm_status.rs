@@ -86,5 +86,6 @@ fn event(event: StoredEvent) -> Event {
         job: event.job.map(|job| job as u32),
         worker: event.worker,
         message: event.message,
+        actor: event.actor,
     }
 }

@@ -18,7 +18,8 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::Context;
 use super::status::{OrStatus, required};
-use crate::authorisation::{Caller, machine_address};
+use super::text::one_line;
+use crate::authorisation::{Caller, actor, machine_address};
 use crate::dispatch::{Grant, Registration, Wish};
 use crate::farm::{Delivered, Header, Piece, Versions};
 use crate::stored::{Machine, Outcome};
@@ -48,13 +49,13 @@ impl Leases for Context {
         }
         let about = Registration {
             instance: request.instance,
-            machine: Machine { token, address, host: request.host },
-            label: shortened(request.label),
+            machine: Machine { token, address, host: one_line(&request.host) },
+            label: one_line(&request.label),
             threads: request.threads,
-            version: shortened(request.version),
+            version: one_line(&request.version),
         };
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
-        let (id, settings) = self.farm.register(about, versions, self.votes_by_token()).await?;
+        let (id, settings) = self.farm.register(about, versions, self.gate.votes_by_token()).await?;
         Ok(Response::new(RegisterResponse { worker_id: id.0, lease_ms: settings.lease.as_millis() as u64 }))
     }
 
@@ -93,8 +94,10 @@ impl Leases for Context {
         &self,
         request: Request<Streaming<CompleteRequest>>,
     ) -> Result<Response<CompleteResponse>, Status> {
+        let actor = actor(request.extensions());
+        let machine = format!("{}@{}", actor.name(), machine_address(request.extensions()));
         let pieces = request.into_inner().map(|message| piece(message?));
-        let delivered = self.farm.receive(pieces).await?;
+        let delivered = self.farm.receive(machine, pieces).await?;
         Ok(Response::new(CompleteResponse { outcomes: delivered.into_iter().map(outcome).collect() }))
     }
 
@@ -111,7 +114,7 @@ impl Leases for Context {
     async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailResponse>, Status> {
         let request = request.into_inner();
         let key = LeaseKey::from(required("lease", request.lease)?);
-        self.farm.failed(&WorkerId(request.worker_id), &key, &shortened(request.reason)).await?;
+        self.farm.failed(&WorkerId(request.worker_id), &key, &one_line(&request.reason)).await?;
         Ok(Response::new(FailResponse {}))
     }
 }
@@ -120,11 +123,6 @@ impl Leases for Context {
 fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
     let digest = bytes.try_into().map(Digest::from_bytes);
     digest.map_err(|_| Invalid::new("identity", format_args!("{} bytes", bytes.len()), "32 are needed"))
-}
-
-fn shortened(mut text: String) -> String {
-    text.truncate(text.floor_char_boundary(RequestLimits::TEXT_BYTES));
-    text
 }
 
 /// A piece of the stream in which results come.

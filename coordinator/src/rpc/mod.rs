@@ -9,11 +9,11 @@ mod limits;
 mod outgoing;
 mod page;
 mod status;
+mod text;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use farm_link::{CoordinatorAccess, Role};
 use farm_proto::wire::admin_server::AdminServer;
 use farm_proto::wire::dictionaries_server::DictionariesServer;
 use farm_proto::wire::farm_server::FarmServer;
@@ -29,8 +29,9 @@ use self::outgoing::{Outgoing, PATIENCE, Source, hand_on, outgoing};
 use crate::authorisation::AuthorisationLayer;
 use crate::config::Config;
 use crate::connections;
-use crate::connections::{Connections, Incoming};
+use crate::connections::{Connections, Incoming, StrangerLimits};
 use crate::farm::Farm;
+use crate::gate::Gate;
 use crate::metrics::Metrics;
 use limits::Limits;
 
@@ -55,15 +56,10 @@ struct Context {
     farm: Arc<Farm>,
     shutdown: CancellationToken,
     limits: Limits,
-    access: Option<Arc<CoordinatorAccess>>,
+    gate: Gate,
 }
 
 impl Context {
-    /// Whether each worker's token has one vote about results: with one token for all, each machine has.
-    fn votes_by_token(&self) -> bool {
-        self.access.as_ref().is_some_and(|access| access.tokens_of(Role::Worker) > 1)
-    }
-
     /// A stream of what a source gives, of which so many items are on their way at a time.
     fn stream<S: Source, T: Send + 'static>(
         &self,
@@ -84,18 +80,15 @@ impl Context {
 pub(crate) async fn serve(
     farm: Arc<Farm>,
     config: &Config,
+    gate: Gate,
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), tonic::transport::Error> {
     let metrics = farm.metrics().clone();
-    let context = Context {
-        farm,
-        shutdown: shutdown.clone(),
-        limits: Limits::default(),
-        access: config.access.clone(),
-    };
+    let context = Context { farm, shutdown: shutdown.clone(), limits: Limits::default(), gate: gate.clone() };
     let limit = RequestLimits::MESSAGE_BYTES;
-    let connections = Incoming::new(listener, connections::Limits::new(config.max_connections));
+    let strangers = gate.tokens().map(|_| StrangerLimits::default());
+    let connections = Incoming::new(listener, connections::Limits::new(config.max_connections, strangers));
     tokio::spawn(count_refused(connections.connections(), metrics.clone(), shutdown.clone()));
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<DictionariesServer<Context>>().await;
@@ -116,11 +109,11 @@ pub(crate) async fn serve(
         .http2_keepalive_timeout(Some(KEEPALIVE))
         .max_concurrent_streams(STREAMS)
         .max_frame_size(FRAME_BYTES)
-        .layer(AuthorisationLayer::new(config.access.clone(), move |method, code, took| {
+        .layer(AuthorisationLayer::new(gate.clone(), move |method, code, took| {
             metrics.rpc(method, code, took);
         }));
-    if let Some(access) = &config.access {
-        server = server.tls_config(access.server_tls())?;
+    if let Some(tls) = gate.tls() {
+        server = server.tls_config(tls)?;
     }
     let server = server
         .add_service(health_service)

@@ -17,13 +17,15 @@ impl From<FarmError> for Status {
             FarmError::NameTaken { .. } => Code::AlreadyExists,
             // Not UNAUTHENTICATED, which is about tokens: this is cured by registering again.
             FarmError::Dispatch(DispatchError::UnknownWorker(_)) => Code::Aborted,
-            FarmError::Dispatch(DispatchError::Fenced(_)) => Code::PermissionDenied,
+            FarmError::NotYours { .. } | FarmError::Dispatch(DispatchError::Fenced(_)) => {
+                Code::PermissionDenied
+            }
             FarmError::Dispatch(DispatchError::LeaseLost { .. })
             | FarmError::NotComplete { .. }
             | FarmError::WrongState { .. }
             | FarmError::OtherVersion { .. } => Code::FailedPrecondition,
             FarmError::Stopping => Code::Unavailable,
-            FarmError::Overdue(_) => Code::DeadlineExceeded,
+            FarmError::Overdue(_) | FarmError::Slow(_) => Code::DeadlineExceeded,
             FarmError::TooLarge { .. } => Code::ResourceExhausted,
             FarmError::Damaged { .. } => Code::DataLoss,
             FarmError::Unreadable { .. } => {

@@ -20,6 +20,7 @@ struct DictionaryRow {
     priority: i64,
     desire: String,
     reason: String,
+    owner: String,
 }
 
 impl TryFrom<DictionaryRow> for StoredDictionary {
@@ -43,6 +44,7 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
             priority: row.priority as i32,
             desire: desire.ok_or_else(|| corrupt("desire", row.desire.clone()))?,
             reason: row.reason.clone(),
+            owner: row.owner.clone(),
         })
     }
 }
@@ -50,7 +52,7 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
 impl Store {
     pub async fn dictionaries(&self) -> Result<Vec<StoredDictionary>> {
         let rows: Vec<DictionaryRow> = sqlx::query_as(
-            "SELECT id, name, grid, grid_digest, created_unix_ms, priority, desire, reason \
+            "SELECT id, name, grid, grid_digest, created_unix_ms, priority, desire, reason, owner \
              FROM dictionaries ORDER BY id",
         )
         .fetch_all(&self.read)
@@ -65,19 +67,21 @@ impl Store {
         name: DictionaryName,
         grid: Grid,
         priority: i32,
+        owner: &str,
         created_unix_ms: u64,
     ) -> Result<StoredDictionary> {
         let grid_digest = Digest::of_grid(&grid);
         // A number that was used before may stand in a late result: it must not come again.
         let insert = sqlx::query(
-            "INSERT INTO dictionaries (id, name, grid, grid_digest, created_unix_ms, priority) \
-             VALUES (max(?1, (SELECT coalesce(max(id), 0) + 1 FROM dictionaries)), ?2, ?3, ?4, ?1, ?5)",
+            "INSERT INTO dictionaries (id, name, grid, grid_digest, created_unix_ms, priority, owner) \
+             VALUES (max(?1, (SELECT coalesce(max(id), 0) + 1 FROM dictionaries)), ?2, ?3, ?4, ?1, ?5, ?6)",
         )
         .bind(created_unix_ms as i64)
         .bind(name.as_str())
         .bind(wire::Grid::from(&grid).encode_to_vec())
         .bind(&grid_digest.as_bytes()[..])
         .bind(priority)
+        .bind(owner)
         .execute(&self.write)
         .await;
         let done = insert.map_err(|source| match &source {
@@ -93,6 +97,7 @@ impl Store {
             priority,
             desire: DesiredState::Run,
             reason: String::new(),
+            owner: owner.to_owned(),
         })
     }
 

@@ -14,6 +14,8 @@ pub struct StoredEvent {
     pub job: Option<i64>,
     pub worker: String,
     pub message: String,
+    /// Who brought it about, and from where; empty if the farm did.
+    pub actor: String,
 }
 
 impl Store {
@@ -24,7 +26,7 @@ impl Store {
         let mut last = 0;
         for event in events {
             let inserted = sqlx::query(
-                "INSERT INTO events (unix_ms, kind, dictionary, job, worker, message) VALUES (?, ?, ?, ?, ?, ?)",
+                "INSERT INTO events (unix_ms, kind, dictionary, job, worker, message, actor) VALUES (?, ?, ?, ?, ?, ?, ?)",
             )
             .bind(event.unix_ms)
             .bind(&event.kind)
@@ -32,6 +34,7 @@ impl Store {
             .bind(event.job)
             .bind(&event.worker)
             .bind(&event.message)
+            .bind(&event.actor)
             .execute(&mut *tx)
             .await
             .map_err(doing(what))?;
@@ -48,7 +51,7 @@ impl Store {
     /// Events after a number, the oldest first, of one dictionary or of all.
     pub async fn events_after(&self, after: i64, dictionary: &str, most: u32) -> Result<Vec<StoredEvent>> {
         sqlx::query_as(
-            "SELECT id, unix_ms, kind, dictionary, job, worker, message FROM events \
+            "SELECT id, unix_ms, kind, dictionary, job, worker, message, actor FROM events \
              WHERE id > ?1 AND (?2 = '' OR dictionary = ?2) ORDER BY id LIMIT ?3",
         )
         .bind(after)
@@ -62,7 +65,7 @@ impl Store {
     /// The newest events, the oldest of them first.
     pub async fn newest_events(&self, dictionary: &str, most: u32) -> Result<Vec<StoredEvent>> {
         let mut events: Vec<StoredEvent> = sqlx::query_as(
-            "SELECT id, unix_ms, kind, dictionary, job, worker, message FROM events \
+            "SELECT id, unix_ms, kind, dictionary, job, worker, message, actor FROM events \
              WHERE ?1 = '' OR dictionary = ?1 ORDER BY id DESC LIMIT ?2",
         )
         .bind(dictionary)

@@ -42,7 +42,7 @@ pub(super) async fn open(dir: &std::path::Path) -> Store {
 }
 
 pub(super) async fn dictionary(store: &Store) -> StoredDictionary {
-    store.create_dictionary(DictionaryName::new("d").unwrap(), grid(), 0, 7).await.unwrap()
+    store.create_dictionary(DictionaryName::new("d").unwrap(), grid(), 0, "", 7).await.unwrap()
 }
 
 /// A result of a job by worker 1 of the table.
@@ -113,7 +113,7 @@ async fn what_was_committed_is_there_after_reopening() {
         [EndedJob::GivenUp { job: 0, reason: "no luck".to_owned(), quarantined: true }, done(1, digest)]
     );
     assert_eq!(all_records(&store, &created).await, records_of);
-    let again = store.create_dictionary(name, grid(), 0, 8).await;
+    let again = store.create_dictionary(name, grid(), 0, "", 8).await;
     assert!(matches!(again, Err(StoreError::NameTaken)));
 }
 
@@ -177,7 +177,7 @@ pub(super) async fn overlapping(store: &Store, name: &str, albedo: Vec<f64>) -> 
         sample_ior: vec![1.5],
     };
     let grid = Grid::new(grid().scene().clone(), axes, Walks::new(5000).unwrap(), 1, false).unwrap();
-    store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, 8).await.unwrap()
+    store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, "", 8).await.unwrap()
 }
 
 /// Jobs that need no computing.
@@ -240,6 +240,7 @@ async fn events_are_kept_in_order_and_found_by_dictionary() {
         job: Some(3),
         worker: "w".to_owned(),
         message: message.to_owned(),
+        actor: "alice at ::1".to_owned(),
     };
     store.add_events(&[event("a", "1"), event("b", "2"), event("a", "3")]).await.unwrap();
     let messages = |events: Vec<StoredEvent>| events.into_iter().map(|e| e.message).collect::<Vec<_>>();

@@ -1,20 +1,17 @@
 //! The coordinator's access file.
 
-use std::collections::HashSet;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::SystemTime;
 
 use secrecy::{ExposeSecret as _, SecretString};
 use serde::Deserialize;
-use subtle::{ConditionallySelectable as _, ConstantTimeEq as _};
 use tonic::transport::{Certificate, Identity, Server, ServerTlsConfig};
 
 use crate::error::{AccessError, root_cause};
-use crate::{HANDSHAKE, Role, TOKEN_BYTES, file, pem, token_hash};
-
-/// Tokens are compared with all entries at every call.
-const MOST_TOKENS: usize = 1000;
-/// Names stand in every line of the log.
-const LONGEST_NAME: usize = 64;
+use crate::tokens::{self, TokenTable, Tokens};
+use crate::{HANDSHAKE, file, pem};
 
 /// The coordinator's certificate, and whom it lets in.
 ///
@@ -37,14 +34,8 @@ pub struct CoordinatorAccess {
     certificate: String,
     key: SecretString,
     client_ca: Option<String>,
-    tokens: Vec<Token>,
-}
-
-#[derive(Debug)]
-struct Token {
-    role: Role,
-    name: String,
-    hash: blake3::Hash,
+    tokens: RwLock<Arc<Tokens>>,
+    stamp: Mutex<Option<Stamp>>,
 }
 
 #[derive(Deserialize)]
@@ -57,18 +48,12 @@ struct CoordinatorFields {
     tokens: Vec<TokenTable>,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TokenTable {
-    role: Role,
-    name: String,
-    blake3: String,
-}
-
 impl CoordinatorAccess {
     /// Reads and checks a file, down to the key's belonging to the certificate.
     pub fn read(path: &Path) -> Result<Self, AccessError> {
-        let fields: CoordinatorFields = file::read_secret(path, "the coordinator's file")?;
+        // Looked at first: what changes meanwhile is read again.
+        let stamp = Stamp::of(path);
+        let (fields, tokens) = read_fields(path)?;
         let wrong = |field: &str, problem| AccessError::Field {
             path: path.to_owned(),
             field: field.to_owned(),
@@ -84,7 +69,8 @@ impl CoordinatorAccess {
             certificate: fields.certificate,
             key: fields.key,
             client_ca: fields.client_ca,
-            tokens: tokens(fields.tokens).map_err(|(field, problem)| wrong(&field, problem))?,
+            tokens: RwLock::new(Arc::new(tokens)),
+            stamp: Mutex::new(stamp),
         };
         access.check_tls()?;
         Ok(access)
@@ -105,26 +91,24 @@ impl CoordinatorAccess {
         }
     }
 
-    /// Role and name that belong to a token. Takes the same time wherever the token differs from those in the file, and
-    /// whichever of them it is.
-    pub fn role_of(&self, presented: &str) -> Option<(Role, &str)> {
-        if !TOKEN_BYTES.contains(&presented.len()) {
-            return None;
-        }
-        let presented = token_hash(presented);
-        // Counted from 1; 0 is none.
-        let mut found = 0_u32;
-        for (number, token) in (1_u32..).zip(&self.tokens) {
-            let equal = token.hash.as_bytes().as_slice().ct_eq(presented.as_bytes());
-            found.conditional_assign(&number, equal);
-        }
-        let token = self.tokens.get(found.checked_sub(1)? as usize)?;
-        Some((token.role, &token.name))
+    /// Whom it lets in now.
+    pub fn tokens(&self) -> Arc<Tokens> {
+        self.tokens.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// How many tokens there are of a role.
-    pub fn tokens_of(&self, role: Role) -> usize {
-        self.tokens.iter().filter(|token| token.role == role).count()
+    /// Reads the file's tokens again, if it has changed since it was last read: whether they are others now. A file that
+    /// cannot be used changes nothing. Certificates are not read again: connections that were made by them are open.
+    pub fn refresh(&self) -> Result<bool, AccessError> {
+        let stamp = Stamp::of(&self.path);
+        if std::mem::replace(&mut *self.stamp.lock().unwrap_or_else(PoisonError::into_inner), stamp) == stamp
+        {
+            return Ok(false);
+        }
+        let tokens = read_fields(&self.path)?.1;
+        let mut current = self.tokens.write().unwrap_or_else(PoisonError::into_inner);
+        let changed = **current != tokens;
+        *current = Arc::new(tokens);
+        Ok(changed)
     }
 
     fn check_tls(&self) -> Result<(), AccessError> {
@@ -136,43 +120,34 @@ impl CoordinatorAccess {
     }
 }
 
-/// The checked entries, or a field and what is wrong with it.
-fn tokens(tables: Vec<TokenTable>) -> Result<Vec<Token>, (String, String)> {
-    if !(1..=MOST_TOKENS).contains(&tables.len()) {
-        return Err((
-            "token".to_owned(),
-            format!("must have 1 to {MOST_TOKENS} entries, not {}", tables.len()),
-        ));
-    }
-    let mut seen = HashSet::new();
-    let mut tokens = Vec::with_capacity(tables.len());
-    for (index, table) in tables.into_iter().enumerate() {
-        let token = token(table).map_err(|(field, problem)| (format!("token[{index}].{field}"), problem))?;
-        if !seen.insert(*token.hash.as_bytes()) {
-            return Err((format!("token[{index}].blake3"), "stands twice: whose token is it?".to_owned()));
-        }
-        tokens.push(token);
-    }
-    Ok(tokens)
+/// The file's fields, and its checked tokens.
+fn read_fields(path: &Path) -> Result<(CoordinatorFields, Tokens), AccessError> {
+    let mut fields: CoordinatorFields = file::read_secret(path, "the coordinator's file")?;
+    let tokens = tokens::checked(std::mem::take(&mut fields.tokens))
+        .map_err(|(field, problem)| AccessError::Field { path: path.to_owned(), field, problem })?;
+    Ok((fields, tokens))
 }
 
-fn token(table: TokenTable) -> Result<Token, (&'static str, String)> {
-    let allowed = |c: char| c.is_ascii_alphanumeric() || "_.-".contains(c);
-    if !(1..=LONGEST_NAME).contains(&table.name.len()) || !table.name.chars().all(allowed) {
-        let problem =
-            format!("= {:?} must be 1 to {LONGEST_NAME} letters, digits, '_', '.' or '-'", table.name);
-        return Err(("name", problem));
+/// What tells that a file is another one than before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Stamp {
+    modified: Option<SystemTime>,
+    inode: u64,
+    bytes: u64,
+}
+
+impl Stamp {
+    fn of(path: &Path) -> Option<Self> {
+        let about = std::fs::metadata(path).ok()?;
+        Some(Self { modified: about.modified().ok(), inode: about.ino(), bytes: about.len() })
     }
-    // What was given is not shown: it may be the token itself.
-    let hash = blake3::Hash::from_hex(&table.blake3)
-        .map_err(|_| ("blake3", "must be the token's BLAKE3 hash: 64 hexadecimal digits".to_owned()))?;
-    Ok(Token { role: table.role, name: table.name, hash })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::testing::{TOKEN, ca, certificate, key, private_file};
+    use crate::{Role, token_hash};
 
     fn entry(role: &str, name: &str, token: &str) -> String {
         format!("[[token]]\nrole = \"{role}\"\nname = \"{name}\"\nblake3 = \"{}\"\n", token_hash(token))
@@ -196,13 +171,14 @@ mod tests {
         let entries =
             [entry("worker", "a", &other(1)), entry("client", "b", TOKEN), entry("admin", "c", &other(2))];
         let access = read(&content(&entries.concat())).unwrap();
-        assert_eq!(access.role_of(&other(1)), Some((Role::Worker, "a")));
-        assert_eq!(access.role_of(TOKEN), Some((Role::Client, "b")));
-        assert_eq!(access.role_of(&other(2)), Some((Role::Admin, "c")));
-        assert_eq!(access.role_of(&other(3)), None);
-        assert_eq!(access.role_of(""), None);
-        assert_eq!(access.role_of(&TOKEN[1..]), None);
-        assert_eq!(access.role_of(token_hash(TOKEN).to_hex().as_str()), None, "a hash lets nobody in");
+        let tokens = access.tokens();
+        assert_eq!(tokens.role_of(&other(1)), Some((Role::Worker, "a")));
+        assert_eq!(tokens.role_of(TOKEN), Some((Role::Client, "b")));
+        assert_eq!(tokens.role_of(&other(2)), Some((Role::Admin, "c")));
+        assert_eq!(tokens.role_of(&other(3)), None);
+        assert_eq!(tokens.role_of(""), None);
+        assert_eq!(tokens.role_of(&TOKEN[1..]), None);
+        assert_eq!(tokens.role_of(token_hash(TOKEN).to_hex().as_str()), None, "a hash lets nobody in");
         assert!(!format!("{access:?}").contains("PRIVATE KEY"));
         assert!(!access.is_mutual());
     }
@@ -228,6 +204,26 @@ mod tests {
             assert!(error.contains(expected), "{expected:?} is not in {error:?}");
             assert!(!error.contains(TOKEN), "{error}");
         }
+    }
+
+    #[test]
+    fn tokens_are_read_again_when_the_file_has_changed() {
+        let first = entry("worker", "a", TOKEN);
+        let file = private_file(&content(&first));
+        let access = CoordinatorAccess::read(file.path()).unwrap();
+        assert!(!access.refresh().unwrap());
+        let name = |token: &str| access.tokens().role_of(token).map(|(_, name)| name.to_owned());
+
+        std::fs::write(file.path(), content(&format!("{first}{}", entry("client", "b", &other(1))))).unwrap();
+        assert!(access.refresh().unwrap());
+        assert_eq!(name(&other(1)).as_deref(), Some("b"));
+        // What is no access file lets nobody in and shuts nobody out, and is told of once.
+        std::fs::write(file.path(), "half a fi").unwrap();
+        assert!(access.refresh().is_err() && !access.refresh().unwrap());
+        assert_eq!(name(&other(1)).as_deref(), Some("b"));
+        std::fs::write(file.path(), content(&entry("client", "b", &other(1)))).unwrap();
+        assert!(access.refresh().unwrap());
+        assert_eq!((name(TOKEN), name(&other(1)).as_deref()), (None, Some("b")));
     }
 
     #[test]

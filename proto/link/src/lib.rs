@@ -15,6 +15,8 @@
 //! accepts. Everybody else has a file for a [`Role`] ([`ClientAccess`]): the coordinator's URL, the authority that
 //! vouches for its certificate, and a token.
 //!
+//! A coordinator on loopback without a file has a [`LocalKey`], which the programs of its user find by themselves.
+//!
 //! # Besides
 //!
 //! [`logs`] sets up what the programs log, [`signals`] ends them in good order, [`walltime`] reads times as Slurm and
@@ -29,10 +31,12 @@ mod failure;
 mod file;
 mod handshake;
 mod link;
+mod local_key;
 pub mod logs;
 mod pem;
 pub mod signals;
 mod target;
+mod tokens;
 pub mod walltime;
 
 use std::fmt;
@@ -45,7 +49,9 @@ pub use endpoint::Bearer;
 pub use error::AccessError;
 pub use failure::failure;
 pub use link::Link;
+pub use local_key::LocalKey;
 pub use target::Target;
+pub use tokens::{Tokens, is_token_name};
 
 /// Longest time for a TLS handshake, on both sides.
 const HANDSHAKE: Duration = Duration::from_secs(10);

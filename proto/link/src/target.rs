@@ -19,11 +19,12 @@ pub struct Target {
 
 impl Target {
     /// The coordinator of an access file, or at a URL, or both: then the URL counts, and the file says how to know the
-    /// coordinator there. A bare URL is never encrypted, for there is nothing to know the other side by.
+    /// coordinator there. A bare URL is never encrypted, for there is nothing to know the other side by; on loopback the key
+    /// of the user's own coordinator is shown.
     pub fn new(access: Option<&ClientAccess>, url: Option<&str>) -> Result<Self, AccessError> {
         let (endpoint, bearer) = match (access, url) {
             (Some(access), url) => (access.endpoint(url)?, access.bearer()),
-            (None, Some(url)) => (bare_endpoint(url)?, Bearer::default()),
+            (None, Some(url)) => bare_endpoint(url)?,
             (None, None) => return Err(AccessError::NoServer),
         };
         let handshake = access.and_then(|access| access.handshake(&endpoint));

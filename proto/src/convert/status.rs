@@ -65,6 +65,7 @@ impl From<&DictionaryStatus> for wire::Dictionary {
             work_done: status.work_done,
             priority: status.priority,
             reason: status.reason.clone(),
+            owner: status.owner.clone(),
             eta_s: status.eta_s,
             goes_first: status.goes_first.as_ref().map(ToString::to_string).unwrap_or_default(),
             records_reused: status.records_reused as u64,
@@ -102,6 +103,7 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
             work_done: d.work_done,
             priority: d.priority,
             reason: d.reason,
+            owner: d.owner,
             eta_s: d.eta_s,
             goes_first: match d.goes_first.as_str() {
                 "" => None,

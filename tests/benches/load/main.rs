@@ -109,7 +109,7 @@ async fn run(load: Load) {
     let mut command = Command::new(coordinator());
     command.env_clear().env("FARM_LOG", "warn");
     command
-        .args(["--listen", &port.to_string(), "--metrics", &metrics.to_string(), "--data"])
+        .args(["--insecure", "--listen", &port.to_string(), "--metrics", &metrics.to_string(), "--data"])
         .arg(data.path());
     let process = Process::spawn("farm-coordinator", &mut command, &data.path().join("coordinator.log"));
     let pid = process.id();

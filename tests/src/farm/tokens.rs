@@ -2,7 +2,7 @@
 
 use super::Farm;
 use crate::hand::HandWorker;
-use crate::process::Process;
+use crate::process::{Process, run};
 
 impl Farm {
     /// Starts a coordinator with a token of its own for each of these workers, in `keys/NAME.toml`.
@@ -15,29 +15,19 @@ impl Farm {
         let mut farm = Self::new(folder, data, options);
         farm.create_access("keys", &[]);
         for name in workers {
-            assert!(!farm.path(&format!("keys/{name}.toml")).exists(), "{name}.toml is there already");
-            farm.add_token(name);
+            farm.let_in("worker", name);
         }
         farm.closed = true;
         farm.started()
     }
 
-    fn add_token(&self, name: &str) {
-        let token = farm_link::token_hash(name).to_string();
-        let hash = farm_link::token_hash(&token);
-        let coordinator = self.path("keys/coordinator.toml");
-        let entry = format!("\n[[token]]\nrole = \"worker\"\nname = \"{name}\"\nblake3 = \"{hash}\"\n");
-        let before = std::fs::read_to_string(&coordinator).unwrap();
-        std::fs::write(&coordinator, before + &entry).unwrap();
-        let (shared, own) = (self.path("keys/worker.toml"), self.path(&format!("keys/{name}.toml")));
-        // With its permissions.
-        std::fs::copy(&shared, &own).unwrap();
-        let text = std::fs::read_to_string(&shared).unwrap();
-        let lines = text.lines().map(|line| match line.split_once(" = ") {
-            Some(("token", _)) => format!("token = \"{token}\"\n"),
-            _ => format!("{line}\n"),
-        });
-        std::fs::write(&own, lines.collect::<String>()).unwrap();
+    /// Lets in one more, with an access file `keys/NAME.toml`.
+    ///
+    /// # Panics
+    /// If there is one of that name.
+    pub fn let_in(&self, role: &str, name: &str) {
+        let ran = run(self.folder(), &["access", "add", role, name, "--folder", "keys"]);
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
     }
 
     /// A worker by hand, with the token of this name.

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 mod guarded;
+mod strangers;
 
 use std::time::Duration;
 
@@ -215,7 +216,7 @@ async fn a_call_that_its_caller_gives_up_is_observed_as_cancelled() {
 
 #[tokio::test]
 async fn who_says_nothing_is_sent_away_and_his_place_is_free_again() {
-    let limits = Limits { hello: Duration::from_millis(500), ..Limits::new(2) };
+    let limits = Limits { hello: Duration::from_millis(500), ..Limits::new(2, None) };
     for access in [Access::Tokens, Access::Open] {
         let farm = GuardedServer::start_with(access, limits).await;
         let start = Instant::now();
@@ -237,7 +238,7 @@ async fn who_says_nothing_is_sent_away_and_his_place_is_free_again() {
 
 #[tokio::test]
 async fn one_connection_too_many_is_refused_while_the_others_go_on() {
-    let farm = GuardedServer::start_with(Access::Tokens, Limits::new(2)).await;
+    let farm = GuardedServer::start_with(Access::Tokens, Limits::new(2, None)).await;
     let first = farm.target(Role::Client).connect().await.unwrap();
     let second = farm.target(Role::Worker).connect().await.unwrap();
     call(&first, FITS).await.unwrap();
@@ -272,7 +273,7 @@ async fn under_encryption_it_is_the_same() {
 
 async fn keeps_the_live_and_ends_the_dead(access: Access, greeting: &[u8]) {
     // The server of these tests pings five times in that span.
-    let limits = Limits { silence: guarded::PING * 5, ..Limits::new(8) };
+    let limits = Limits { silence: guarded::PING * 5, ..Limits::new(8, None) };
     let farm = GuardedServer::start_with(access, limits).await;
     let link = farm.any_link().await;
     health(link.clone()).await.unwrap();

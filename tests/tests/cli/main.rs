@@ -23,6 +23,7 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
         "jobs_leased",
         "jobs_total",
         "name",
+        "owner",
         "priority",
         "reason",
         "records_digest",

@@ -68,7 +68,7 @@ async fn a_fit_with_damaged_records_is_refused_as_data_loss() {
     use farm_proto::wire::fits_client::FitsClient;
     use optics_model::{MeasuredProfile, Measurement};
     let farm = damaged();
-    let link = tonic::transport::Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap();
+    let link = farm.link();
     let (grid, records) = (grid_of(GRID), traced(&grid_of(GRID), 0));
     let sensor = grid.scene().sensor();
     let x = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();

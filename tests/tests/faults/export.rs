@@ -14,7 +14,7 @@ const PASSES: u64 = 100_000;
 
 /// A farm whose dictionary is done, and a link to it that holds the rest of an export back.
 async fn cut_in_the_middle() -> (Farm, Proxy, Child) {
-    let farm = Farm::start(&[]);
+    let farm = Farm::start(&["--insecure"]);
     farm.submit("grid", GRID);
     let worker = farm.worker("worker", &[]);
     farm.done("grid");

@@ -50,7 +50,7 @@ async fn send_huge(mut link: Channel, path: &str) -> Status {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_message_of_1_gb_is_refused_without_taking_its_memory() {
-    let farm = Farm::start(&[]);
+    let farm = Farm::start(&["--insecure"]);
     farm.submit("grid", GRID);
     let before = farm.coordinator().usage().unwrap().resident_kib;
     let root = format!("{}/farm.v1.", farm.url());
@@ -118,7 +118,7 @@ async fn ten_thousand_idle_connections_keep_nobody_from_work_who_was_there_befor
     if count < 10_000 {
         eprintln!("only {count} connections: this process may not open more files");
     }
-    let farm = Farm::start(&["--max-connections", &PLACES.to_string()]);
+    let farm = Farm::start(&["--insecure", "--max-connections", &PLACES.to_string()]);
     farm.submit("grid", GRID);
     let mut dictionaries = DictionariesClient::new(link(&farm).await);
     let mut get = async || dictionaries.get(GetRequest { name: "grid".to_owned() }).await;

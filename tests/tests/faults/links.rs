@@ -26,7 +26,7 @@ fn renewed(farm: &Farm) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_stopped_past_its_lease_delivers_a_duplicate_and_no_job_is_blamed_twice() {
-    let farm = Farm::start(&["--lease", "1"]);
+    let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", LONG_JOBS);
     let stopped = farm.worker_at(&link.url(), "stopped", &[]);
@@ -60,7 +60,7 @@ async fn a_worker_stopped_past_its_lease_delivers_a_duplicate_and_no_job_is_blam
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_result_whose_acknowledgment_is_lost_is_sent_again_and_counts_as_a_duplicate() {
-    let mut farm = Farm::start(&["--lease", "2"]);
+    let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &[]);
@@ -82,7 +82,7 @@ async fn a_result_whose_acknowledgment_is_lost_is_sent_again_and_counts_as_a_dup
 
 #[tokio::test(flavor = "multi_thread")]
 async fn work_goes_on_after_a_link_swallowed_packets() {
-    let farm = Farm::start(&["--lease", "1"]);
+    let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &[]);
@@ -103,7 +103,7 @@ async fn a_worker_leaves_a_connection_that_is_dead_without_a_word() {
         eprintln!("skipped in the short form: pings take 40 s to find a dead connection");
         return;
     }
-    let farm = Farm::start(&["--lease", "1"]);
+    let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &[]);
@@ -118,7 +118,7 @@ async fn a_worker_leaves_a_connection_that_is_dead_without_a_word() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn results_get_through_a_link_that_breaks_off_again_and_again() {
-    let farm = Farm::start(&["--lease", "2", "--max-attempts", "1000"]);
+    let farm = Farm::start(&["--insecure", "--lease", "2", "--max-attempts", "1000"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &[]);

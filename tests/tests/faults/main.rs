@@ -14,6 +14,8 @@ mod kill;
 mod leave;
 mod limits;
 mod links;
+mod loopback;
+mod owners;
 mod poison;
 mod refused;
 mod slow;

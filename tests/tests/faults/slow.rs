@@ -60,7 +60,7 @@ async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn slow_clients_hinder_nobody_take_little_memory_and_do_not_hold_up_a_stop() {
-    let mut farm = Farm::start(&["--lease", "2"]);
+    let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
     farm.submit("large", LARGE);
     let worker = farm.worker("worker", &[]);
     farm.done("large");

@@ -72,6 +72,7 @@ impl ModelStore {
             priority: 0,
             desire: DesiredState::Run,
             reason: String::new(),
+            owner: String::new(),
         };
         self.dictionaries.insert(id, stored);
         id

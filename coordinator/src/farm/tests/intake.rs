@@ -5,13 +5,14 @@ use farm_proto::lease::{Lease, LeaseKey};
 use optics_model::Digest;
 
 use super::*;
+use crate::actor::Actor;
 use crate::farm::{Delivered, Header, Piece};
 
 async fn begun() -> (Arc<Farm>, WorkerId, Vec<Lease>, tempfile::TempDir) {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     let farm = load(store).await;
-    farm.submit(name(), grid(), 0).await.unwrap();
+    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
     let worker = worker(&farm, "worker").await;
     let leases = farm.acquire_now(&worker, 3).unwrap().leases;
     (farm, worker, leases, dir)
@@ -30,7 +31,7 @@ fn pieces(worker: &WorkerId, lease: &Lease, value: f32) -> Vec<Piece> {
 }
 
 async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Delivered>, FarmError> {
-    farm.receive(tokio_stream::iter(pieces.into_iter().map(Ok))).await
+    farm.receive("node1@10.0.0.1".to_owned(), tokio_stream::iter(pieces.into_iter().map(Ok))).await
 }
 
 #[tokio::test]

@@ -5,6 +5,7 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
 use super::*;
+use crate::actor::Actor;
 
 const SOON: Duration = Duration::from_millis(20);
 const LONG: Duration = Duration::from_mins(1);
@@ -25,7 +26,7 @@ async fn a_worker_waits_until_there_is_work_or_its_patience_ends() {
         tokio::spawn(async move { farm.acquire(&worker, 1, LONG, &stop).await })
     };
     tokio::time::sleep(SOON).await;
-    farm.submit(name(), grid(), 0).await.unwrap();
+    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
     assert_eq!(waiting.await.unwrap().unwrap().unwrap().leases.len(), 1);
 }
 
@@ -40,7 +41,7 @@ async fn a_worker_that_waits_hears_at_once_that_it_is_to_leave_or_that_the_coord
     let other = super::worker(&farm, "other").await;
     let (drained, stopped) = (waiting(&worker), waiting(&other));
     tokio::time::sleep(SOON).await;
-    farm.drain(&worker.0).unwrap();
+    farm.drain(&Actor::default(), &worker.0).unwrap();
     assert!(drained.await.unwrap().unwrap().unwrap().drain);
     stop.cancel();
     assert!(matches!(stopped.await.unwrap(), Err(FarmError::Stopping)));
@@ -49,7 +50,7 @@ async fn a_worker_that_waits_hears_at_once_that_it_is_to_leave_or_that_the_coord
 #[tokio::test]
 async fn a_job_that_its_worker_gives_back_goes_to_one_that_waits() {
     let (farm, _dir) = empty().await;
-    farm.submit(name(), grid(), 0).await.unwrap();
+    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
     let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
     let all = farm.acquire_now(&first, JOBS as usize).unwrap().leases;
     let waiting = {
@@ -65,13 +66,13 @@ async fn a_job_that_its_worker_gives_back_goes_to_one_that_waits() {
 #[tokio::test]
 async fn a_watch_tells_every_change_and_ends_with_the_dictionary() {
     let (farm, _dir) = empty().await;
-    farm.submit(name(), grid(), 0).await.unwrap();
+    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
     let mut watch = farm.watch(name()).unwrap();
     assert_eq!(watch.next().await.unwrap().unwrap().jobs_done, 0);
     let worker = worker(&farm, "worker").await;
     deliver(&farm, &worker, 0.25).await;
     assert_eq!(watch.next().await.unwrap().unwrap().jobs_done, 1);
-    farm.cancel(&name(), "enough").await.unwrap();
+    farm.cancel(&Actor::default(), &name(), "enough").await.unwrap();
     assert_eq!(watch.next().await.unwrap().unwrap().state, DictionaryState::Cancelled);
     assert!(watch.next().await.unwrap().is_none());
     let mut late = farm.watch(name()).unwrap();
@@ -107,7 +108,7 @@ async fn an_export_gives_what_is_finished_in_order_and_says_before_how_much_that
 #[tokio::test]
 async fn what_could_not_be_made_durable_is_tried_again_at_the_next_look() {
     let (farm, dir) = empty().await;
-    let id = farm.store.create_dictionary(name(), grid(), 0, 7).await.unwrap().id;
+    let id = farm.store.create_dictionary(name(), grid(), 0, "", 7).await.unwrap().id;
     farm.close().await;
     drop(farm);
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();

@@ -41,7 +41,7 @@ async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
         let mut store = open(dir.path()).await;
         store.register_worker(&Machine::at("instance"), "label").await.unwrap();
         let name = DictionaryName::new("d").unwrap();
-        let d = store.create_dictionary(name, large.clone(), 0, 7).await.unwrap();
+        let d = store.create_dictionary(name, large.clone(), 0, "", 7).await.unwrap();
         for (n, block) in order.into_iter().enumerate() {
             if n == 3 {
                 store.close().await;
@@ -79,7 +79,7 @@ async fn divided(store: &Store, name: &str, albedo: Vec<f64>) -> (StoredDictiona
     };
     let grid = Grid::new(grid().scene().clone(), axes, Walks::new(2_000_000).unwrap(), 1, false).unwrap();
     let job = JobSpec::of(&grid, 0);
-    (store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, 7).await.unwrap(), job)
+    (store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, "", 7).await.unwrap(), job)
 }
 
 async fn complete_block(

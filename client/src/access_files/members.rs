@@ -1,0 +1,210 @@
+//! Letting in one more, and shutting one out, of a set that exists.
+//!
+//! The authority's key is gone, so one more has the certificates of its role's first file, if there are any: what they say
+//! is that their holder belongs to the farm. What it may do, and who it is, its token says.
+
+use std::fs::{self, Permissions};
+use std::io::{self, Write as _};
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, fchown};
+use std::path::{Path, PathBuf};
+
+use farm_link::{Role, is_token_name, token_hash};
+use tempfile::Builder;
+use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, value};
+
+use super::{CreateError, random_hex, write_secret};
+use crate::whole_file::sync_folder;
+
+/// The coordinator's file in a set's folder.
+const COORDINATOR: &str = "coordinator.toml";
+
+#[derive(Debug, thiserror::Error)]
+pub enum MemberError {
+    #[error("name {0:?} must be 1 to 64 letters, digits, '_', '.' or '-'")]
+    Name(String),
+    #[error("{} lets in somebody of the name {name} already: choose another name", .file.display())]
+    Taken { file: PathBuf, name: String },
+    #[error("{} lets in nobody of the name {name:?}; it knows: {known}", .file.display())]
+    Unknown { file: PathBuf, name: String, known: String },
+    #[error("{name} is the last whom {} lets in: add another before", .file.display())]
+    Last { file: PathBuf, name: String },
+    #[error("{} exists, and access files are never overwritten", .0.display())]
+    Exists(PathBuf),
+    #[error("{doing} {}: {source}", .path.display())]
+    File { doing: &'static str, path: PathBuf, source: io::Error },
+    #[error("{} is no access file of a set: {problem}", .path.display())]
+    Content { path: PathBuf, problem: String },
+    #[error(transparent)]
+    Random(#[from] CreateError),
+}
+
+/// Lets in one more: writes `FOLDER/NAME.toml` after the model of `FOLDER/ROLE.toml`, and an entry into the coordinator's
+/// file, which a running coordinator reads again.
+pub fn add(folder: &Path, role: Role, name: &str) -> Result<PathBuf, MemberError> {
+    if !is_token_name(name) {
+        return Err(MemberError::Name(name.to_owned()));
+    }
+    let coordinator_file = folder.join(COORDINATOR);
+    let mut coordinator = read(&coordinator_file)?;
+    if entries(&mut coordinator, &coordinator_file)?.iter().any(|entry| name_of(entry) == name) {
+        return Err(MemberError::Taken { file: coordinator_file, name: name.to_owned() });
+    }
+    let member_file = folder.join(format!("{name}.toml"));
+    if fs::symlink_metadata(&member_file).is_ok() {
+        return Err(MemberError::Exists(member_file));
+    }
+    let token = random_hex()?;
+    let mut member = read(&folder.join(format!("{role}.toml")))?;
+    member["token"] = value(token.as_str());
+    let mut entry = Table::new();
+    entry["role"] = value(role.as_str());
+    entry["name"] = value(name);
+    entry["blake3"] = value(token_hash(&token).to_string());
+    entry.decor_mut().set_prefix("\n");
+    entries(&mut coordinator, &coordinator_file)?.push(entry);
+    write_secret(&member_file, &member.to_string()).map_err(failed("writing", &member_file))?;
+    replace(&coordinator_file, &coordinator.to_string()).inspect_err(|_| {
+        // Nobody would let it in.
+        let _ = fs::remove_file(&member_file);
+    })?;
+    Ok(member_file)
+}
+
+/// Shuts out whoever has a name.
+pub fn revoke(folder: &Path, name: &str) -> Result<(), MemberError> {
+    let file = folder.join(COORDINATOR);
+    let mut coordinator = read(&file)?;
+    let entries = entries(&mut coordinator, &file)?;
+    if !entries.iter().any(|entry| name_of(entry) == name) {
+        let known: Vec<&str> = entries.iter().map(name_of).collect();
+        return Err(MemberError::Unknown { name: name.to_owned(), known: known.join(", "), file });
+    }
+    if entries.iter().all(|entry| name_of(entry) == name) {
+        return Err(MemberError::Last { file, name: name.to_owned() });
+    }
+    entries.retain(|entry| name_of(entry) != name);
+    replace(&file, &coordinator.to_string())
+}
+
+/// Roles and names of those who are let in.
+pub fn list(folder: &Path) -> Result<Vec<(String, String)>, MemberError> {
+    let file = folder.join(COORDINATOR);
+    let mut coordinator = read(&file)?;
+    let text = |entry: &Table, key| entry.get(key).and_then(Item::as_str).unwrap_or_default().to_owned();
+    Ok(entries(&mut coordinator, &file)?.iter().map(|e| (text(e, "role"), text(e, "name"))).collect())
+}
+
+fn read(path: &Path) -> Result<DocumentMut, MemberError> {
+    let text = fs::read_to_string(path).map_err(failed("reading", path))?;
+    // The parser's message shows the line, which may be a secret.
+    let wrong =
+        |_| MemberError::Content { path: path.to_owned(), problem: "it is not valid TOML".to_owned() };
+    text.parse().map_err(wrong)
+}
+
+fn entries<'a>(file: &'a mut DocumentMut, path: &Path) -> Result<&'a mut ArrayOfTables, MemberError> {
+    let tokens = file.get_mut("token").and_then(Item::as_array_of_tables_mut);
+    tokens.ok_or_else(|| MemberError::Content {
+        path: path.to_owned(),
+        problem: "it has no [[token]]".to_owned(),
+    })
+}
+
+fn name_of(entry: &Table) -> &str {
+    entry.get("name").and_then(Item::as_str).unwrap_or_default()
+}
+
+fn failed(doing: &'static str, path: &Path) -> impl FnOnce(io::Error) -> MemberError {
+    let path = path.to_owned();
+    move |source| MemberError::File { doing, path, source }
+}
+
+/// Puts a text in the place of a secret file, whole, with the same owner and permissions: a coordinator of another user
+/// must still be able to read it.
+fn replace(path: &Path, text: &str) -> Result<(), MemberError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let write = || -> io::Result<()> {
+        let before = fs::metadata(path)?;
+        let mut draft = Builder::new().prefix(".farm-access-").tempfile_in(folder)?;
+        draft.write_all(text.as_bytes())?;
+        let own = draft.as_file().metadata()?;
+        if (own.uid(), own.gid()) != (before.uid(), before.gid()) {
+            fchown(draft.as_file(), Some(before.uid()), Some(before.gid()))?;
+        }
+        draft.as_file().set_permissions(Permissions::from_mode(before.mode() & 0o7777))?;
+        draft.as_file().sync_all()?;
+        draft.persist(path).map_err(|error| error.error)?;
+        sync_folder(folder)
+    };
+    write().map_err(failed("writing", path))
+}
+
+#[cfg(test)]
+mod tests {
+    use farm_link::{ClientAccess, CoordinatorAccess};
+
+    use super::super::{create, tests::mode};
+    use super::*;
+
+    fn set(mutual: bool) -> (tempfile::TempDir, PathBuf) {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("access");
+        create(&folder, &["farm.example.org".to_owned()], 7700, mutual, 1_800_000_000).unwrap();
+        (place, folder)
+    }
+
+    fn token(path: &Path) -> String {
+        read(path).unwrap()["token"].as_str().unwrap().to_owned()
+    }
+
+    #[test]
+    fn one_more_is_let_in_and_shut_out_and_the_others_stay() {
+        for mutual in [false, true] {
+            let (_place, folder) = set(mutual);
+            let coordinator = CoordinatorAccess::read(&folder.join(COORDINATOR)).unwrap();
+            let before = fs::read_to_string(folder.join(COORDINATOR)).unwrap();
+            let file = add(&folder, Role::Client, "alice").unwrap();
+            assert_eq!(file, folder.join("alice.toml"));
+            assert_eq!([mode(&file), mode(&folder.join(COORDINATOR))], [0o600, 0o600]);
+            assert!(coordinator.refresh().unwrap());
+            assert_eq!(coordinator.tokens().role_of(&token(&file)), Some((Role::Client, "alice")));
+            let member = ClientAccess::read(&file).unwrap();
+            assert_eq!((member.role(), member.server()), (Role::Client, "https://farm.example.org:7700"));
+            assert_eq!(fs::read_to_string(&file).unwrap().contains("PRIVATE KEY"), mutual);
+            assert_ne!(token(&file), token(&folder.join("client.toml")));
+
+            revoke(&folder, "alice").unwrap();
+            assert!(coordinator.refresh().unwrap());
+            assert_eq!(coordinator.tokens().role_of(&token(&file)), None);
+            assert_eq!(fs::read_to_string(folder.join(COORDINATOR)).unwrap(), before, "comments and all");
+        }
+    }
+
+    #[test]
+    fn mistakes_change_nothing_and_say_what_is_possible() {
+        let (_place, folder) = set(false);
+        let told = |error: MemberError| error.to_string();
+        let before = fs::read_to_string(folder.join(COORDINATOR)).unwrap();
+        for name in ["", "a b", "../a", "ä", &"a".repeat(65)] {
+            assert!(
+                told(add(&folder, Role::Client, name).unwrap_err()).contains("must be 1 to 64"),
+                "{name}"
+            );
+        }
+        assert!(
+            told(add(&folder, Role::Client, "worker").unwrap_err()).contains("of the name worker already")
+        );
+        assert!(told(add(&folder, Role::Client, "coordinator").unwrap_err()).contains("never overwritten"));
+        let error = told(revoke(&folder, "bob").unwrap_err());
+        assert!(error.contains("nobody of the name \"bob\"; it knows: worker, client, admin"), "{error}");
+        assert_eq!(fs::read_to_string(folder.join(COORDINATOR)).unwrap(), before);
+        revoke(&folder, "worker").unwrap();
+        revoke(&folder, "client").unwrap();
+        assert!(told(revoke(&folder, "admin").unwrap_err()).contains("admin is the last"));
+        let error = told(add(Path::new("/nowhere"), Role::Client, "a").unwrap_err());
+        assert!(error.starts_with("reading /nowhere/coordinator.toml"), "{error}");
+        fs::write(folder.join(COORDINATOR), "token = 'secret-secret\n").unwrap();
+        let error = told(list(&folder).unwrap_err());
+        assert!(error.contains("not valid TOML") && !error.contains("secret-secret"), "{error}");
+    }
+}

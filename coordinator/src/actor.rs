@@ -1,0 +1,52 @@
+//! Who asks for a change.
+
+use std::fmt;
+
+use farm_link::Role;
+
+/// Somebody who asks for a change, by the token shown and the other end of the connection.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Actor {
+    /// Role and name of the token; none where none is asked for.
+    pub token: Option<(Role, String)>,
+    /// Empty if it is not known.
+    pub address: String,
+}
+
+impl Actor {
+    /// Whose a dictionary is that this one submits.
+    pub fn name(&self) -> &str {
+        self.token.as_ref().map_or("", |(_, name)| name)
+    }
+
+    /// Whether this one may change what belongs to somebody: what is one's own, and admins everything.
+    pub fn may_change(&self, owner: &str) -> bool {
+        match &self.token {
+            None | Some((Role::Admin, _)) => true,
+            Some((_, name)) => name == owner,
+        }
+    }
+}
+
+/// As events tell it: `alice at 10.0.0.7`.
+impl fmt::Display for Actor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let between = if self.name().is_empty() || self.address.is_empty() { "" } else { " at " };
+        write!(f, "{}{between}{}", self.name(), self.address)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ones_own_may_be_changed_and_by_admins_everything() {
+        let of = |role| Actor { token: Some((role, "alice".to_owned())), address: "10.0.0.7".to_owned() };
+        assert!(of(Role::Client).may_change("alice"));
+        assert!(!of(Role::Client).may_change("bob") && !of(Role::Client).may_change(""));
+        assert!(of(Role::Admin).may_change("bob") && Actor::default().may_change("bob"));
+        assert_eq!(of(Role::Client).to_string(), "alice at 10.0.0.7");
+        assert_eq!(Actor { address: "::1".to_owned(), ..Actor::default() }.to_string(), "::1");
+    }
+}

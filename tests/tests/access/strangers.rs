@@ -1,0 +1,108 @@
+//! What those may take who have no token: a little, and not for long.
+
+use std::time::Duration;
+
+use farm_coordinator::connections::{Limits, StrangerLimits};
+use farm_link::Role;
+use tokio::time::{Instant, sleep, timeout};
+use tokio_stream::StreamExt as _;
+use tonic::Code;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_client::HealthClient;
+
+use crate::guarded::{Access, GuardedServer, call, health};
+use crate::{FITS, SOON};
+
+fn limits(patience: Duration) -> Limits {
+    Limits::new(64, Some(StrangerLimits { connections: 3, patience }))
+}
+
+fn request(bytes: usize) -> HealthCheckRequest {
+    HealthCheckRequest { service: "x".repeat(bytes) }
+}
+
+#[tokio::test]
+async fn a_stranger_says_little() {
+    let farm = GuardedServer::start_with(Access::Tokens, limits(SOON)).await;
+    let channel = farm.tls_channel_without_token().await;
+    let mut client = HealthClient::new(channel.clone());
+    assert_eq!(
+        client.check(request(4000)).await.unwrap_err().code(),
+        Code::NotFound,
+        "there is no such service"
+    );
+    let status = client.check(request(5000)).await.unwrap_err();
+    assert_eq!(status.code(), Code::ResourceExhausted, "{status}");
+    health(channel).await.unwrap();
+}
+
+/// A request that is begun and never ended is broken off: it is memory that somebody holds who has shown nothing.
+#[tokio::test]
+async fn a_stranger_ends_what_he_begins() {
+    let farm = GuardedServer::start_with(Access::Tokens, limits(Duration::from_mins(1))).await;
+    let channel = farm.tls_channel_without_token().await;
+    let begun = Instant::now();
+    let mut grpc = tonic::client::Grpc::new(channel.clone());
+    grpc.ready().await.unwrap();
+    let path = http::uri::PathAndQuery::from_static("/grpc.health.v1.Health/Check");
+    let codec =
+        tonic_prost::ProstCodec::<HealthCheckRequest, tonic_health::pb::HealthCheckResponse>::default();
+    let never = tonic::Request::new(tokio_stream::pending());
+    let ended = timeout(Duration::from_secs(20), grpc.streaming(never, path, codec)).await;
+    let status = match ended.expect("it is broken off") {
+        Err(status) => status,
+        Ok(answer) => answer.into_inner().message().await.unwrap_err(),
+    };
+    assert_eq!(status.code(), Code::DeadlineExceeded, "{status}");
+    assert!(begun.elapsed() >= Duration::from_secs(10), "{:?}", begun.elapsed());
+    health(channel).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_stranger_has_so_many_calls_at_a_time_and_a_friend_has_more() {
+    let farm = GuardedServer::start_with(Access::Tokens, limits(SOON)).await;
+    let mut client = HealthClient::new(farm.tls_channel_without_token().await);
+    let mut watches = Vec::new();
+    let refused = loop {
+        match client.watch(request(0)).await {
+            Ok(watch) => watches.push(watch),
+            Err(status) => break status,
+        }
+        assert!(watches.len() < 100);
+    };
+    assert_eq!((watches.len(), refused.code()), (8, Code::ResourceExhausted), "{refused}");
+    drop(watches);
+    let friend = farm.target(Role::Client).connect().await.unwrap();
+    let calls = (0..20).map(|_| call(&friend, FITS));
+    let mut done = tokio_stream::iter(calls);
+    while let Some(answer) = done.next().await {
+        answer.await.unwrap();
+    }
+}
+
+#[tokio::test]
+async fn a_stranger_goes_and_leaves_room_for_others() {
+    let farm = GuardedServer::start_with(Access::Tokens, limits(Duration::from_secs(2))).await;
+    let friend = farm.target(Role::Client).connect().await.unwrap();
+    call(&friend, FITS).await.unwrap();
+    let mut strangers = Vec::new();
+    for _ in 0..3 {
+        strangers.push(farm.tls_channel_without_token().await);
+    }
+    for stranger in &strangers {
+        health(stranger.clone()).await.unwrap();
+    }
+    // Their places at this address are taken; who is in stays in.
+    assert_eq!(farm.connections.open(), 4);
+    assert!(timeout(SOON, farm.target(Role::Worker).connect()).await.unwrap().is_err());
+    assert_eq!(farm.connections.refused(), 1);
+    call(&friend, FITS).await.unwrap();
+    // However often they ask, they go.
+    let begun = Instant::now();
+    while farm.connections.open() > 1 {
+        assert!(begun.elapsed() < SOON);
+        sleep(Duration::from_millis(100)).await;
+    }
+    call(&friend, FITS).await.unwrap();
+    farm.target(Role::Worker).connect().await.unwrap();
+}

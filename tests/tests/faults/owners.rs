@@ -1,0 +1,48 @@
+//! People change what is theirs, and it is on record who did what.
+
+use farm_tests::farm::Farm;
+use farm_tests::process::{SOON, wait_for};
+
+use super::GRID;
+
+#[test]
+fn nobody_but_its_owner_and_admins_changes_a_dictionary_and_events_tell_who_did() {
+    let farm = Farm::closed(&[], &[]);
+    for name in ["alice", "bob"] {
+        farm.let_in("client", name);
+    }
+    let by = |name: &str, args: &[&str]| farm.farmctl_with(&format!("keys/{name}.toml"), args);
+    std::fs::write(farm.path("grid.toml"), GRID).unwrap();
+    // The coordinator looks once a second.
+    wait_for("alice is let in", SOON, || (by("alice", &["submit", "grid.toml"]).code == 0).then_some(()));
+    assert_eq!(farm.show("grid")["owner"], "alice");
+    for args in [
+        &["cancel", "grid"][..],
+        &["pause", "grid"],
+        &["retry", "grid"],
+        &["priority", "grid", "9"],
+        &["delete", "grid", "--yes"],
+    ] {
+        let ran = by("bob", args);
+        assert_eq!(ran.code, 1, "{args:?}: {}", ran.stdout);
+        let told = "dictionary grid belongs to alice: only its owner and admins may change it";
+        assert!(ran.stderr.contains(told), "{}", ran.stderr);
+    }
+    assert_eq!(by("bob", &["show", "grid"]).code, 0, "all may read");
+    assert_eq!(by("bob", &["submit", "grid.toml"]).code, 0, "it is the same: nothing is changed");
+    assert_eq!(by("alice", &["pause", "grid"]).code, 0);
+    assert_eq!(by("admin", &["cancel", "grid", "--reason", "no time\n2026 DONE"]).code, 0);
+
+    let actor = |kind: &str| farm.events(kind)[0]["actor"].as_str().unwrap_or_default().to_owned();
+    let [submitted, paused, cancelled] = ["SUBMITTED", "PAUSED", "CANCELLED"].map(actor);
+    assert_eq!([&submitted, &paused], ["alice at 127.0.0.1"; 2]);
+    assert_eq!(cancelled, "admin at 127.0.0.1");
+    assert_eq!(farm.events("CANCELLED")[0]["message"], "no time 2026 DONE", "a reason is one line");
+
+    // And out again, without a restart.
+    let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "alice", "--folder", "keys"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    wait_for("alice is shut out", SOON, || (by("alice", &["list"]).code == 1).then_some(()));
+    assert!(by("alice", &["list"]).stderr.contains("does not know the one given"));
+    assert_eq!(by("bob", &["list"]).code, 0);
+}
