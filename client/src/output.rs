@@ -281,6 +281,10 @@ pub(crate) struct WorkerJson {
     state: String,
     suspended_ms: u64,
     version: String,
+    cores: u32,
+    memory_bytes: u64,
+    kernel: String,
+    machine: String,
 }
 
 impl From<&WorkerStatus> for WorkerJson {
@@ -295,6 +299,10 @@ impl From<&WorkerStatus> for WorkerJson {
             state: w.state.to_string(),
             suspended_ms: w.suspended_ms,
             version: w.version.clone(),
+            cores: w.facts.cores,
+            memory_bytes: w.facts.memory_bytes,
+            kernel: w.facts.kernel.clone(),
+            machine: w.machine.clone(),
         }
     }
 }

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::farm::BackupSchedule;
+
 #[derive(Debug, Clone)]
 pub struct Config {
     /// Folder of the database and of the lock that keeps a second coordinator out.
@@ -17,6 +19,8 @@ pub struct Config {
     pub max_connections: usize,
     /// Memory for the dictionaries that are fitted with, in bytes.
     pub fit_memory_bytes: usize,
+    /// Backups that it makes by itself.
+    pub backups: Option<BackupSchedule>,
 }
 
 impl Config {
@@ -31,6 +35,7 @@ impl Config {
             check_share: 0.01,
             max_connections: 4096,
             fit_memory_bytes: Self::FIT_MEMORY_MIB << 20,
+            backups: None,
         }
     }
 }

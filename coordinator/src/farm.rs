@@ -13,6 +13,7 @@ mod manage;
 mod records;
 mod results;
 mod room;
+mod scheduled_backup;
 mod shared;
 mod snapshot;
 #[cfg(test)]
@@ -41,6 +42,8 @@ pub use fit_cache::load_dictionary;
 pub(crate) use intake::{Delivered, Header, Piece};
 pub(crate) use leasing::Versions;
 use room::Room;
+pub use scheduled_backup::BackupSchedule;
+use scheduled_backup::LastBackup;
 pub(crate) use watch::Watch;
 
 #[derive(Debug, thiserror::Error)]
@@ -132,6 +135,7 @@ pub(crate) struct Farm {
     fits: FitCache,
     /// Room in memory for results that come in.
     room: Arc<Room>,
+    last_backup: LastBackup,
     /// Why the last result could not be stored.
     store_fault: Mutex<Option<String>>,
 }
@@ -152,6 +156,7 @@ impl Farm {
             managing: tokio::sync::Mutex::new(()),
             fits: FitCache::new(config.fit_memory_bytes),
             room: Arc::default(),
+            last_backup: LastBackup::default(),
             store_fault: Mutex::default(),
         });
         tokio::spawn(effects::perform(Arc::downgrade(&farm), orders));

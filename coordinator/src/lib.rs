@@ -25,7 +25,7 @@ use tokio_util::sync::CancellationToken;
 
 pub use config::Config;
 use farm::Farm;
-pub use farm::{FarmError, load_dictionary};
+pub use farm::{BackupSchedule, FarmError, load_dictionary};
 pub use gate::Gate;
 use metrics::{BuildInfo, Metrics, MetricsServer};
 use optics_model::PHYSICS_VERSION;
@@ -87,9 +87,17 @@ impl Coordinator {
         let metrics = metrics
             .map(|listener| tokio::spawn(metrics::serve(listener, self.metrics_server(), shutdown.clone())));
         let overseer = tokio::spawn(look_over(self.farm.clone(), gate.clone(), shutdown.clone()));
+        let backups = self
+            .config
+            .backups
+            .clone()
+            .map(|schedule| tokio::spawn(self.farm.clone().keep_backups(schedule, shutdown.clone())));
         let served = rpc::serve(self.farm.clone(), &self.config, gate, listener, shutdown.clone()).await;
         shutdown.cancel();
         let _ = overseer.await;
+        if let Some(backups) = backups {
+            let _ = backups.await;
+        }
         if let Some(metrics) = metrics {
             let _ = metrics.await;
         }

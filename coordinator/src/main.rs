@@ -7,8 +7,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Parser;
-use farm_coordinator::{Config, Coordinator, Gate};
+use farm_coordinator::store::DataDir;
+use farm_coordinator::{BackupSchedule, Config, Coordinator, Gate};
 use farm_link::logs::LogFormat;
+use farm_link::walltime::parse_time_limit;
 use farm_link::{CoordinatorAccess, logs, signals};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -44,6 +46,16 @@ struct Args {
     /// Memory for the dictionaries that are fitted with, in MiB. What was not asked for longest makes room.
     #[arg(long, value_name = "MIB", default_value_t = Config::FIT_MEMORY_MIB, env = "FARM_FIT_MEMORY")]
     fit_memory: usize,
+    /// Make a verified backup by itself, as in 6h or 1d [default: none].
+    #[arg(long, value_name = "DURATION", env = "FARM_BACKUP_EVERY", value_parser = parse_time_limit)]
+    backup_every: Option<Duration>,
+    /// Scheduled backups that are kept; the oldest go.
+    #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "backup_every")]
+    keep: u32,
+    /// Folder for scheduled backups, of this farm alone and best on another disk [default: backups, in the folder of the
+    /// database].
+    #[arg(long, value_name = "DIR", env = "FARM_BACKUPS", requires = "backup_every")]
+    backups: Option<PathBuf>,
     /// The coordinator's access file, with its certificate and tokens; created by `farmctl access create`.
     #[arg(long, value_name = "FILE", env = "FARM_ACCESS")]
     access: Option<PathBuf>,
@@ -59,7 +71,8 @@ struct Args {
 const EXAMPLES: &str = "\
 Examples:
   farm-coordinator                                serve ./farm-data to this machine, at http://127.0.0.1:7700
-  farm-coordinator --listen 0.0.0.0:7700 --access access/coordinator.toml --data /var/lib/farm";
+  farm-coordinator --listen 0.0.0.0:7700 --access access/coordinator.toml --data /var/lib/farm
+  farm-coordinator --backup-every 6h --keep 28 --backups /mnt/backup/farm";
 
 #[tokio::main]
 async fn main() -> ExitCode {
@@ -80,7 +93,10 @@ async fn run(args: Args) -> anyhow::Result<()> {
          `farmctl access create` and name the coordinator's with --access, or add --insecure if you trust the network",
         args.listen
     );
+    let folder = args.backups.unwrap_or_else(|| args.data.join(DataDir::BACKUPS));
+    let schedule = |every| BackupSchedule { every, keep: args.keep as usize, folder: folder.clone() };
     let config = Config {
+        backups: args.backup_every.map(schedule),
         data_dir: args.data,
         lease: Duration::from_secs(args.lease),
         max_attempts: args.max_attempts,

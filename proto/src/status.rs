@@ -138,6 +138,16 @@ impl fmt::Display for WorkerState {
     }
 }
 
+/// What a machine has, as its worker tells; zeros and nothing where it does not.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct MachineFacts {
+    /// That the worker may use.
+    pub cores: u32,
+    pub memory_bytes: u64,
+    /// The kernel that it traces with.
+    pub kernel: String,
+}
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WorkerStatus {
     pub id: WorkerId,
@@ -150,4 +160,7 @@ pub struct WorkerStatus {
     /// How long it gets no jobs; 0 if it is not suspended.
     pub suspended_ms: u64,
     pub version: String,
+    pub facts: MachineFacts,
+    /// What the coordinator knows the machine by: `TOKEN@ADDRESS`.
+    pub machine: String,
 }

@@ -54,6 +54,7 @@ impl HandWorker {
             instance: label.to_owned(),
             version: "by hand".to_owned(),
             host: String::new(),
+            facts: None,
         };
         let id = client.register(request).await?.into_inner().worker_id;
         Ok(Self { client, id })

@@ -19,6 +19,7 @@ use crate::idle::IdleTime;
 use crate::job::Workshop;
 use crate::kernels;
 use crate::leases::{HeldLeases, SetSwitch};
+use crate::machine;
 use crate::pool::Pool;
 use crate::retry::{Pauses, is_refusal, log_failure};
 use crate::session::{Error, Introduction, Session};
@@ -72,8 +73,12 @@ async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> R
     let pool = Pool::new(config.threads)?;
     let held: Arc<HeldLeases> = Arc::default();
     let url = config.coordinator.url();
-    let introduction =
-        Introduction { label: config.label.clone(), host: config.host.clone(), threads: config.threads };
+    let introduction = Introduction {
+        label: config.label.clone(),
+        host: config.host.clone(),
+        threads: config.threads,
+        facts: machine::facts(kernel),
+    };
     let Some(session) = Session::open(link, url, introduction, held.clone(), &shutdown).await? else {
         tracing::info!("stopped before the coordinator at {url} was reached");
         return Ok(Ended::Stopped);

@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use farm_link::Target;
 
+use crate::machine;
+
 /// Where to get jobs from, how much to compute at a time and when to stop.
 #[derive(Debug, Clone)]
 pub struct Config {
@@ -34,8 +36,8 @@ impl Config {
         Self {
             coordinator,
             threads,
-            label: format!("{}:{}", host(), std::process::id()),
-            host: machine(),
+            label: format!("{}:{}", machine::name(), std::process::id()),
+            host: machine::id(),
             buffer_bytes: 256 << 20,
             grace: Duration::ZERO,
             time_limit: None,
@@ -43,17 +45,4 @@ impl Config {
             kernel: None,
         }
     }
-}
-
-fn host() -> String {
-    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    let name = name.trim();
-    if name.is_empty() { "worker".to_owned() } else { name.to_owned() }
-}
-
-/// A number that this machine has had since it was started, in containers too, and that no other machine can know. Empty
-/// if the system tells none.
-fn machine() -> String {
-    let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-    boot.trim().chars().take(64).collect()
 }

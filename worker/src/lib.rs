@@ -12,6 +12,7 @@ mod idle;
 mod job;
 mod kernels;
 mod leases;
+mod machine;
 mod pool;
 mod reachability;
 mod retry;

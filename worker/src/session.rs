@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use farm_link::Link;
 use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::status::MachineFacts;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionOutcome, FailRequest, HandBackRequest, HeldLease,
@@ -45,6 +46,7 @@ pub(crate) struct Introduction {
     /// Tells this machine from others.
     pub host: String,
     pub threads: usize,
+    pub facts: MachineFacts,
 }
 
 /// What the coordinator answered to the last registration.
@@ -202,7 +204,7 @@ impl Session {
     }
 
     async fn register(&self) -> Result<(), Status> {
-        let Introduction { label, host, threads } = &self.introduction;
+        let Introduction { label, host, threads, facts } = &self.introduction;
         let request = RegisterRequest {
             label: label.clone(),
             host: host.clone(),
@@ -211,6 +213,7 @@ impl Session {
             protocol_version: PROTOCOL_VERSION,
             instance: self.instance.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
+            facts: Some(facts.clone().into()),
         };
         let response = self.call(self.client.clone().register(timed(request, CALL))).await?;
         self.reachability.joined(label, *threads);

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use farm_proto::ids::{DictionaryId, Token};
 use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::status::MachineFacts;
 use optics_model::grid::{BATCH_WALKS, Walks};
 use optics_model::job::JobSpec;
 use optics_model::medium::TransportPoint;
@@ -62,7 +63,7 @@ pub(crate) fn lease_of(n: u32, job: JobSpec) -> Lease {
 }
 
 pub(crate) fn introduction() -> Introduction {
-    Introduction { label: "test".to_owned(), host: String::new(), threads: 2 }
+    Introduction { label: "test".to_owned(), host: String::new(), threads: 2, facts: MachineFacts::default() }
 }
 
 /// A session with a coordinator, and the leases that it announces.

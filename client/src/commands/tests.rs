@@ -2,7 +2,9 @@
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::WorkerId;
-use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob, WorkerState, WorkerStatus};
+use farm_proto::status::{
+    DictionaryState, DictionaryStatus, FailedJob, MachineFacts, WorkerState, WorkerStatus,
+};
 use farm_proto::wire::StatusResponse;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DesignQuestion, DesignSettings, DistanceMap,
@@ -339,6 +341,8 @@ fn worker() -> WorkerStatus {
         state: WorkerState::Working,
         suspended_ms: 0,
         version: "0.1.0".to_owned(),
+        facts: MachineFacts { cores: 16, memory_bytes: 64 << 30, kernel: "avx2".to_owned() },
+        machine: "node1@10.0.0.7".to_owned(),
     }
 }
 

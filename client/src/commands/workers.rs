@@ -1,5 +1,5 @@
 use anyhow::Result;
-use farm_proto::status::WorkerStatus;
+use farm_proto::status::{MachineFacts, WorkerStatus};
 use farm_proto::wire::{DrainWorkerRequest, ListWorkersRequest, ReadmitWorkerRequest};
 use serde::Serialize;
 
@@ -74,6 +74,15 @@ pub(crate) async fn fetch(connection: &Connection) -> Result<Vec<WorkerStatus>> 
     }
 }
 
+/// As in `16 cores, 64 GiB, avx2`.
+fn machine(facts: &MachineFacts) -> String {
+    if facts.kernel.is_empty() {
+        return String::new();
+    }
+    let gib = (facts.memory_bytes as f64 / f64::from(1 << 30)).round();
+    format!("{} cores, {gib} GiB, {}", facts.cores, facts.kernel)
+}
+
 pub(crate) fn text(workers: &[WorkerStatus]) -> String {
     if workers.is_empty() {
         return "no worker is registered".to_owned();
@@ -93,9 +102,10 @@ pub(crate) fn text(workers: &[WorkerStatus]) -> String {
             w.leases.to_string(),
             w.jobs_done.to_string(),
             heard,
+            machine(&w.facts),
             w.version.clone(),
         ]
     };
-    let head = ["worker", "id", "state", "threads", "leases", "jobs done", "heard of", "version"];
+    let head = ["worker", "id", "state", "threads", "leases", "jobs done", "heard of", "machine", "version"];
     table(&head, &[3, 4, 5, 6], workers.iter().map(row))
 }

@@ -93,6 +93,7 @@ pub enum EventKind {
     WorkerReadmitted,
     WorkerSuspended,
     BackupMade,
+    BackupFailed,
 }
 
 impl EventKind {
@@ -122,6 +123,7 @@ impl EventKind {
             Self::WorkerReadmitted => "WORKER_READMITTED",
             Self::WorkerSuspended => "WORKER_SUSPENDED",
             Self::BackupMade => "BACKUP_MADE",
+            Self::BackupFailed => "BACKUP_FAILED",
         }
     }
 }

@@ -12,7 +12,7 @@ use std::time::Duration;
 use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::{Lease, LeaseKey};
-use farm_proto::status::{DictionaryState, DictionaryStatus};
+use farm_proto::status::{DictionaryState, DictionaryStatus, MachineFacts};
 use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
 
@@ -94,7 +94,14 @@ fn about(label: &str) -> Registration {
 fn on(address: &str, label: &str) -> Registration {
     let machine = Machine { address: address.to_owned(), ..Machine::default() };
     let (label, instance) = (label.to_owned(), label.to_owned());
-    Registration { instance, machine, label, threads: 2, version: String::new() }
+    Registration {
+        instance,
+        machine,
+        label,
+        threads: 2,
+        version: String::new(),
+        facts: MachineFacts::default(),
+    }
 }
 
 impl Bench {

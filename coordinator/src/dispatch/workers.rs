@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::status::{WorkerState, WorkerStatus};
+use farm_proto::status::{MachineFacts, WorkerState, WorkerStatus};
 
 use super::machines::Machines;
 use super::{DispatchError, Dispatcher, Effect, Event, EventKind};
@@ -25,6 +25,7 @@ pub struct Registration {
     pub label: String,
     pub threads: u32,
     pub version: String,
+    pub facts: MachineFacts,
 }
 
 #[derive(Debug)]
@@ -280,6 +281,8 @@ impl Dispatcher {
             state,
             suspended_ms: suspended.map_or(0, |left| left.as_millis() as u64),
             version: worker.about.version.clone(),
+            facts: worker.about.facts.clone(),
+            machine: worker.about.machine.identity(),
         }
     }
 }

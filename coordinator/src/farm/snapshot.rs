@@ -12,7 +12,9 @@ impl Farm {
     /// States and progress now.
     pub(crate) fn snapshot(&self) -> Snapshot {
         let database_bytes = self.store.bytes();
-        self.door.query(|dispatcher, now| Snapshot { database_bytes, ..snapshot(dispatcher, now) })
+        let backup_age_s = self.last_backup.age().map(|age| age.as_secs_f64());
+        let now = |dispatcher: &Dispatcher, now| snapshot(dispatcher, now);
+        Snapshot { database_bytes, backup_age_s, ..self.door.query(now) }
     }
 
     /// Why it cannot serve, if it cannot.

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::status::DictionaryState;
+use farm_proto::status::{DictionaryState, MachineFacts};
 use farm_proto::{DictionaryName, PROTOCOL_VERSION};
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
@@ -228,8 +228,14 @@ async fn a_dictionary_that_is_too_large_stops_no_start_and_can_be_deleted() {
 
 async fn worker(farm: &Farm, label: &str) -> WorkerId {
     let (instance, machine) = (label.to_owned(), Machine::at(label));
-    let about =
-        Registration { instance, machine, label: label.to_owned(), threads: 1, version: String::new() };
+    let about = Registration {
+        instance,
+        machine,
+        label: label.to_owned(),
+        threads: 1,
+        version: String::new(),
+        facts: MachineFacts::default(),
+    };
     let versions = Versions { physics: PHYSICS_VERSION, protocol: PROTOCOL_VERSION };
     farm.register(about, versions, false).await.unwrap().0
 }

@@ -22,6 +22,8 @@ pub struct Snapshot {
     pub work_done: Vec<(String, f64)>,
     /// The database with its log.
     pub database_bytes: u64,
+    /// How old the last scheduled backup is; None without one.
+    pub backup_age_s: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -76,6 +78,9 @@ impl Collector for Scrape {
         )?;
         let bytes = self.snapshot.database_bytes;
         gauge(&mut encoder, "farm_database_bytes", "Size of the database with its log.", &bytes)?;
+        if let Some(age) = self.snapshot.backup_age_s {
+            gauge(&mut encoder, "farm_backup_age_seconds", "Age of the last scheduled backup.", &age)?;
+        }
         process(&mut encoder, &self.process)
     }
 }

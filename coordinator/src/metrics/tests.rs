@@ -24,6 +24,7 @@ fn snapshot() -> Snapshot {
         dictionaries: DictionaryCounts { cancelled: 1, ..DictionaryCounts::default() },
         work_done: (0..150).map(|n| (format!("d-{n}"), f64::from(n) / 150.0)).collect(),
         database_bytes: 65_536,
+        backup_age_s: Some(3600.5),
     }
 }
 

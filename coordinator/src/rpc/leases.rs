@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use farm_proto::ids::WorkerId;
 use farm_proto::lease::LeaseKey;
+use farm_proto::status::MachineFacts;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_server::Leases;
 use farm_proto::wire::{
@@ -11,7 +12,7 @@ use farm_proto::wire::{
     FailRequest, FailResponse, HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse,
     RenewRequest, RenewResponse,
 };
-use farm_proto::{RequestLimits, to_status};
+use farm_proto::{RequestLimits, to_status, wire};
 use optics_model::{Digest, Invalid};
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
@@ -53,6 +54,7 @@ impl Leases for Context {
             label: one_line(&request.label),
             threads: request.threads,
             version: one_line(&request.version),
+            facts: facts(request.facts.unwrap_or_default()),
         };
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
         let (id, settings) = self.farm.register(about, versions, self.gate.votes_by_token()).await?;
@@ -123,6 +125,10 @@ impl Leases for Context {
 fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
     let digest = bytes.try_into().map(Digest::from_bytes);
     digest.map_err(|_| Invalid::new("identity", format_args!("{} bytes", bytes.len()), "32 are needed"))
+}
+
+fn facts(told: wire::MachineFacts) -> MachineFacts {
+    MachineFacts { kernel: one_line(&told.kernel), ..told.into() }
 }
 
 /// A piece of the stream in which results come.

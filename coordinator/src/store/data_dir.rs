@@ -66,6 +66,9 @@ impl DataDir {
     /// How the names of backups begin that are on their way to a client.
     pub const BACKUP_PREFIX: &str = "backup-";
 
+    /// The folder in it for backups that the coordinator makes by itself.
+    pub const BACKUPS: &str = "backups";
+
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -103,7 +106,7 @@ impl DataDir {
 /// Closes the folder to other users if it is the farm's alone. One with other things in it, such as a home or `/tmp`, is
 /// others' business: there the farm's files are closed, and it is told if others can put theirs in their place.
 fn close_folder(path: &Path) {
-    let own = ["farm.db", "lock", ADDRESS_FILE, DataDir::BACKUP_PREFIX];
+    let own = ["farm.db", "lock", ADDRESS_FILE, DataDir::BACKUP_PREFIX, DataDir::BACKUPS];
     let is_own = |name: &str| own.iter().any(|own| name.starts_with(own));
     let Ok(mut entries) = std::fs::read_dir(path) else { return };
     let only_own = entries.all(|entry| entry.is_ok_and(|entry| is_own(&entry.file_name().to_string_lossy())));

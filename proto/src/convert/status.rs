@@ -2,7 +2,9 @@
 
 use super::required;
 use crate::ids::{DictionaryName, WorkerId};
-use crate::status::{DictionaryState, DictionaryStatus, FAILED_JOBS, FailedJob, WorkerState, WorkerStatus};
+use crate::status::{
+    DictionaryState, DictionaryStatus, FAILED_JOBS, FailedJob, MachineFacts, WorkerState, WorkerStatus,
+};
 use crate::wire;
 use optics_model::digest::Digest;
 use optics_model::grid::Grid;
@@ -128,6 +130,18 @@ impl From<WorkerState> for wire::WorkerState {
     }
 }
 
+impl From<MachineFacts> for wire::MachineFacts {
+    fn from(facts: MachineFacts) -> Self {
+        Self { cores: facts.cores, memory_bytes: facts.memory_bytes, kernel: facts.kernel }
+    }
+}
+
+impl From<wire::MachineFacts> for MachineFacts {
+    fn from(facts: wire::MachineFacts) -> Self {
+        Self { cores: facts.cores, memory_bytes: facts.memory_bytes, kernel: facts.kernel }
+    }
+}
+
 impl From<WorkerStatus> for wire::Worker {
     fn from(w: WorkerStatus) -> Self {
         Self {
@@ -140,6 +154,8 @@ impl From<WorkerStatus> for wire::Worker {
             state: wire::WorkerState::from(w.state).into(),
             version: w.version,
             suspended_ms: w.suspended_ms,
+            facts: Some(w.facts.into()),
+            machine: w.machine,
         }
     }
 }
@@ -169,6 +185,8 @@ impl TryFrom<wire::Worker> for WorkerStatus {
             state,
             suspended_ms: w.suspended_ms,
             version: w.version,
+            facts: w.facts.map(Into::into).unwrap_or_default(),
+            machine: w.machine,
         })
     }
 }

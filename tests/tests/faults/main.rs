@@ -6,6 +6,7 @@
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 mod away;
+mod backups;
 mod damage;
 mod disk;
 mod export;

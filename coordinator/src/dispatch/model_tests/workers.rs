@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::status::MachineFacts;
 use optics_model::Digest;
 
 use super::super::{Admission, Arrived, DispatchError, Dispatcher, Origin, PartId, Purpose, Registration};
@@ -15,7 +16,14 @@ impl World {
         let (id, origin) = (WorkerId(format!("w{}", self.numbers)), self.processes[worker].origin);
         let Process { instance, machine, .. } = self.processes[worker].clone();
         let label = "label".to_owned();
-        let about = Registration { instance, machine, label, threads: 1, version: String::new() };
+        let about = Registration {
+            instance,
+            machine,
+            label,
+            threads: 1,
+            version: String::new(),
+            facts: MachineFacts::default(),
+        };
         let answer = self.farm.register(self.now, id.clone(), origin, about);
         let fenced = self.store.fenced.contains_key(&origin);
         self.insist(answer.is_err() == fenced, || format!("{origin:?} registers: {answer:?}"));

@@ -1,0 +1,194 @@
+//! Backups that the coordinator makes by itself.
+//!
+//! Each is one that `farmctl backup` would make: verified, with its checksum. They have the time in their names, so that
+//! they are in order by name, and the oldest go when there are enough. One that fails is tried again before long; those
+//! that are there stay.
+
+use std::io;
+use std::os::unix::fs::DirBuilderExt as _;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio_util::sync::CancellationToken;
+
+use super::{Farm, blocking};
+use crate::actor::Actor;
+use crate::clock::Clock;
+use crate::dispatch::EventKind;
+use crate::store::StoreError;
+
+/// How names begin and end.
+const PREFIX: &str = "farm-";
+const SUFFIX: &str = ".db";
+/// Longest time until one that has failed is tried again.
+const AGAIN: Duration = Duration::from_mins(10);
+
+/// When backups are made, and how many are kept.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BackupSchedule {
+    pub every: Duration,
+    /// At least 1.
+    pub keep: usize,
+    pub folder: PathBuf,
+}
+
+impl Farm {
+    /// Makes backups until `shutdown`.
+    pub(crate) async fn keep_backups(self: Arc<Self>, schedule: BackupSchedule, shutdown: CancellationToken) {
+        let mut pause = self.until_first(&schedule).await;
+        loop {
+            tokio::select! {
+                () = shutdown.cancelled() => return,
+                () = tokio::time::sleep(pause) => {}
+            }
+            pause = match self.scheduled_backup(&schedule).await {
+                Ok(()) => schedule.every,
+                Err(error) => {
+                    let (folder, again) = (schedule.folder.display(), schedule.every.min(AGAIN));
+                    tracing::error!(%error, %folder, again_s = again.as_secs(), "the scheduled backup failed");
+                    self.door.note(&Actor::default(), EventKind::BackupFailed, error.to_string());
+                    again
+                }
+            };
+        }
+    }
+
+    /// How long until the first is due: one of a run before may be young enough.
+    async fn until_first(&self, schedule: &BackupSchedule) -> Duration {
+        let folder = schedule.folder.clone();
+        let newest = blocking(move || {
+            let newest = scheduled(&folder).ok()?.pop()?;
+            std::fs::metadata(newest).ok()?.modified().ok()?.elapsed().ok()
+        });
+        let Some(age) = newest.await else { return Duration::ZERO };
+        self.last_backup.is_old(age);
+        schedule.every.saturating_sub(age)
+    }
+
+    async fn scheduled_backup(&self, schedule: &BackupSchedule) -> Result<(), StoreError> {
+        let file = schedule.folder.join(name(Clock::unix_ms()));
+        let folder = schedule.folder.clone();
+        let fault = |source| StoreError::DataDir {
+            dir: schedule.folder.clone(),
+            what: "cannot be used for backups",
+            source,
+        };
+        blocking(move || prepare(&folder)).await.map_err(fault)?;
+        let report = self.store.backup(&file).await?;
+        self.last_backup.is_old(Duration::ZERO);
+        let message =
+            format!("{}: {} records, {} bytes", file.display(), report.counts.records, report.bytes);
+        self.door.note(&Actor::default(), EventKind::BackupMade, message);
+        let (folder, keep) = (schedule.folder.clone(), schedule.keep);
+        if let Err(error) = blocking(move || forget_old(&folder, keep)).await {
+            tracing::warn!(%error, folder = %schedule.folder.display(), "old backups could not be removed");
+        }
+        Ok(())
+    }
+}
+
+/// When the last scheduled backup was made, on a clock that never jumps.
+#[derive(Debug)]
+pub(super) struct LastBackup {
+    clock: Clock,
+    /// Its age at a time of the clock.
+    age_at: Mutex<Option<(Duration, Duration)>>,
+}
+
+impl Default for LastBackup {
+    fn default() -> Self {
+        Self { clock: Clock::start(), age_at: Mutex::default() }
+    }
+}
+
+impl LastBackup {
+    fn is_old(&self, age: Duration) {
+        *self.age_at.lock().unwrap_or_else(PoisonError::into_inner) = Some((age, self.clock.now()));
+    }
+
+    /// How old it is; None if there is none.
+    pub fn age(&self) -> Option<Duration> {
+        let (age, at) = (*self.age_at.lock().unwrap_or_else(PoisonError::into_inner))?;
+        Some(age + self.clock.now().saturating_sub(at))
+    }
+}
+
+/// `farm-20261123T092000Z.db`.
+fn name(unix_ms: u64) -> String {
+    let time = jiff::Timestamp::from_millisecond(unix_ms as i64).unwrap_or_default();
+    format!("{PREFIX}{}{SUFFIX}", time.strftime("%Y%m%dT%H%M%SZ"))
+}
+
+/// The scheduled backups of a folder, the oldest first. Others that lie there have other names.
+fn scheduled(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let is_one = |name: &str| {
+        let time = name.strip_prefix(PREFIX).and_then(|name| name.strip_suffix(SUFFIX));
+        time.is_some_and(|time| {
+            time.len() == 16 && time.bytes().all(|b| b.is_ascii_digit() || b"TZ".contains(&b))
+        })
+    };
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        if is_one(&entry.file_name().to_string_lossy()) {
+            found.push(entry.path());
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// Removes the oldest, with their checksums, until so many are left.
+fn forget_old(folder: &Path, keep: usize) -> io::Result<()> {
+    let all = scheduled(folder)?;
+    for old in &all[..all.len().saturating_sub(keep)] {
+        std::fs::remove_file(old)?;
+        let _ = std::fs::remove_file(old.with_extension("db.b3"));
+    }
+    Ok(())
+}
+
+/// Makes the folder if need be, and clears it of what a coordinator that was killed had begun.
+fn prepare(folder: &Path) -> io::Result<()> {
+    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    for entry in std::fs::read_dir(folder)? {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let begun = name.starts_with(PREFIX) && name.contains(".db.draft");
+        // One that is being written is locked.
+        if begun && std::fs::File::open(&path).is_ok_and(|file| file.try_lock().is_ok()) {
+            std::fs::remove_file(&path)?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn backups_are_in_the_order_of_their_names_and_others_are_left_alone() {
+        assert_eq!(name(1_795_425_600_000), "farm-20261123T092000Z.db");
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str| std::fs::write(folder.path().join(name), "").unwrap();
+        let times = [3, 1, 2].map(|hour| name(hour * 3_600_000));
+        for backup in &times {
+            write(backup);
+            write(&format!("{backup}.b3"));
+        }
+        let others = ["farm-before-the-upgrade.db", "farm.db", "farm-19700101T050000Z.db.draft"];
+        for name in others {
+            write(name);
+        }
+        forget_old(folder.path(), 2).unwrap();
+        let left: Vec<PathBuf> = scheduled(folder.path()).unwrap();
+        assert_eq!(left, [&times[2], &times[0]].map(|name| folder.path().join(name)));
+        assert!(!folder.path().join(format!("{}.b3", times[1])).exists());
+        assert!(others.iter().all(|name| folder.path().join(name).exists()));
+        prepare(folder.path()).unwrap();
+        assert!(others[..2].iter().all(|name| folder.path().join(name).exists()));
+        assert!(!folder.path().join(others[2]).exists(), "nobody goes on with it");
+    }
+}

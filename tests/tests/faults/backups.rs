@@ -1,0 +1,64 @@
+//! Backups that the coordinator makes by itself, and the drill: its machine is lost, another takes over.
+
+use std::path::PathBuf;
+
+use farm_tests::farm::Farm;
+use farm_tests::process::{LONG, SOON, run, wait_for};
+
+use super::GRID;
+
+/// Finished backups of a folder, the oldest first.
+fn backups(farm: &Farm, folder: &str) -> Vec<PathBuf> {
+    let Ok(entries) = std::fs::read_dir(farm.path(folder)) else { return vec![] };
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "db"));
+    files.sort();
+    files
+}
+
+#[test]
+fn a_farm_goes_on_from_its_last_backup_when_its_disk_is_lost() {
+    let mut farm = Farm::start(&["--backup-every", "1s", "--keep", "2"]);
+    farm.submit("grid", GRID);
+    let worker = farm.worker("worker", &[]);
+    let digest = farm.done("grid");
+    let first = wait_for("a backup of all of it", LONG, || backups(&farm, "data/backups").pop());
+    wait_for("the oldest goes", LONG, || (!first.exists()).then_some(()));
+    assert!(backups(&farm, "data/backups").len() <= 3, "two, and one that is just made");
+    assert!(farm.figure("farm_backup_age_seconds") < 30);
+    let made = farm.events("BACKUP_MADE");
+    assert!(made.iter().any(|e| e["message"].as_str().unwrap().contains("36 records")), "{made:?}");
+
+    // Killed at any moment, even within a backup; the disk is gone but for the backups.
+    farm.kill_coordinator();
+    std::fs::rename(farm.path("data/backups"), farm.path("kept")).unwrap();
+    std::fs::remove_dir_all(farm.path("data")).unwrap();
+    let newest = backups(&farm, "kept").pop().unwrap();
+    let restored = run(farm.folder(), &["restore", newest.to_str().unwrap(), "--data", "data"]);
+    assert_eq!(restored.code, 0, "{}", restored.stderr);
+    farm.start_coordinator();
+    assert_eq!(farm.done("grid"), digest);
+    wait_for("the worker comes back", LONG, || {
+        (farm.ask(&["workers"])["workers"].as_array()?.len() == 1).then_some(())
+    });
+    farm.submit("more", &format!("{GRID}seed = 2\n"));
+    farm.done("more");
+    drop(worker);
+}
+
+#[test]
+fn a_backup_that_fails_is_told_and_keeps_nobody_from_work() {
+    let place = tempfile::tempdir().unwrap();
+    // Nobody can make a folder there, not even root.
+    let nowhere = place.path().join("file");
+    std::fs::write(&nowhere, "").unwrap();
+    let farm = Farm::start(&["--backup-every", "1s", "--backups", nowhere.join("in").to_str().unwrap()]);
+    wait_for("the failure is told", SOON, || {
+        let failed = farm.events("BACKUP_FAILED");
+        failed.first()?["message"].as_str()?.contains("cannot be used for backups").then_some(())
+    });
+    farm.submit("grid", GRID);
+    let _worker = farm.worker("worker", &[]);
+    farm.done("grid");
+    assert!(!farm.page("/metrics").unwrap().1.contains("farm_backup_age_seconds"));
+}
