@@ -71,6 +71,7 @@ impl Crew {
                     instance: format!("load-{number}"),
                     version: "by hand".to_owned(),
                     host: String::new(),
+                    facts: None,
                 };
                 let id = client.register(request).await.unwrap().into_inner().worker_id;
                 Worker { client, id }
