@@ -95,7 +95,7 @@ impl Gate {
 fn publish(port: u16) -> io::Result<LocalKey> {
     LocalKey::publish(port, random_secret().0).map_err(|error| {
         let what = format!(
-            "making the key for this user's programs: {error} (--access and --insecure do without it)"
+            "making the key for this user's programs: {error} (FARM_KEYS names another folder for it)"
         );
         io::Error::new(error.kind(), what)
     })

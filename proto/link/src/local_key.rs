@@ -1,7 +1,7 @@
 //! The key of a coordinator that listens on loopback and has no access file.
 //!
 //! Every user of a machine reaches every port of its loopback. So such a coordinator asks for a random token, which it puts
-//! where its own user alone can read it: `/tmp/resin-farm-UID/PORT`. That user's programs find it there by themselves;
+//! where its own user alone can read it: `/tmp/resin-farm-UID/PORT`, or in the folder that FARM_KEYS names. That user's programs find it there by themselves;
 //! nobody has to set up anything. The coordinator holds a lock on the file for as long as it lives. Without that lock a
 //! program shows no token: whoever listens on the port by then is somebody else.
 
@@ -94,6 +94,10 @@ fn token_in(folder: &Path, port: u16) -> Option<String> {
 }
 
 fn folder() -> PathBuf {
+    // For where nothing can be written to `/tmp`.
+    if let Some(folder) = std::env::var_os("FARM_KEYS").filter(|folder| !folder.is_empty()) {
+        return folder.into();
+    }
     // Not the environment's folder for temporary files, which differs between the sessions of a user.
     PathBuf::from(format!("/tmp/resin-farm-{}", rustix::process::getuid().as_raw()))
 }
