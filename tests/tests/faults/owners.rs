@@ -33,7 +33,9 @@ fn nobody_but_its_owner_and_admins_changes_a_dictionary_and_events_tell_who_did(
     assert_eq!(by("alice", &["pause", "grid"]).code, 0);
     assert_eq!(by("admin", &["cancel", "grid", "--reason", "no time\n2026 DONE"]).code, 0);
 
-    let actor = |kind: &str| farm.events(kind)[0]["actor"].as_str().unwrap_or_default().to_owned();
+    // Events are written a little later than what they tell of.
+    let actor =
+        |kind: &str| wait_for(kind, SOON, || farm.events(kind).first()?["actor"].as_str().map(str::to_owned));
     let [submitted, paused, cancelled] = ["SUBMITTED", "PAUSED", "CANCELLED"].map(actor);
     assert_eq!([&submitted, &paused], ["alice at 127.0.0.1"; 2]);
     assert_eq!(cancelled, "admin at 127.0.0.1");
