@@ -16,9 +16,6 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 /// Splits parameter grids into jobs for workers, stores the records and answers fits.
-///
-/// Without --access it serves the user who starts it, on this machine: that user's farmctl and farm-worker get in by
-/// themselves, nobody else does.
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Args {
@@ -50,7 +47,7 @@ struct Args {
     #[arg(long, value_name = "DURATION", env = "FARM_BACKUP_EVERY", value_parser = parse_time_limit)]
     backup_every: Option<Duration>,
     /// Scheduled backups that are kept; the oldest go.
-    #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "backup_every")]
+    #[arg(long, value_name = "N", default_value_t = 7, env = "FARM_BACKUP_KEEP", value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "backup_every")]
     keep: u32,
     /// Folder for scheduled backups, of this farm alone and best on another disk [default: backups, in the folder of the
     /// database].
@@ -69,6 +66,9 @@ struct Args {
 }
 
 const EXAMPLES: &str = "\
+Without --access it serves the user who starts it, on this machine: that user's farmctl and farm-worker get in by
+themselves, nobody else does.
+
 Examples:
   farm-coordinator                                serve ./farm-data to this machine, at http://127.0.0.1:7700
   farm-coordinator --listen 0.0.0.0:7700 --access access/coordinator.toml --data /var/lib/farm

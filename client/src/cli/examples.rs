@@ -149,7 +149,7 @@ Examples:
 
 pub const ACCESS_ADD: &str = "\
 Examples:
-  farmctl access add worker node7                      writes access/node7.toml for farm-worker --access
+  farmctl access add worker node7          writes access/node7.toml, for that machine
   farmctl access add client alice --folder /etc/farm";
 
 pub const ACCESS_REVOKE: &str = "\

@@ -21,6 +21,11 @@ struct RevokedJson {
 }
 
 #[derive(Debug, Serialize)]
+struct LetInListJson {
+    members: Vec<LetInJson>,
+}
+
+#[derive(Debug, Serialize)]
 struct LetInJson {
     role: String,
     name: String,
@@ -66,10 +71,10 @@ fn revoke(args: &AccessRevokeArgs, output: &Output) -> Result<()> {
 }
 
 fn list(folder: &Path, output: &Output) -> Result<()> {
-    let members: Vec<LetInJson> =
-        members::list(folder)?.into_iter().map(|(role, name)| LetInJson { role, name }).collect();
-    output.print("access_list", &members, || {
-        let rows = members.iter().map(|m| format!("{:<8}{}", m.role, m.name));
+    let let_in = members::list(folder)?.into_iter().map(|(role, name)| LetInJson { role, name });
+    let data = LetInListJson { members: let_in.collect() };
+    output.print("access_list", &data, || {
+        let rows = data.members.iter().map(|m| format!("{:<8}{}", m.role, m.name));
         rows.collect::<Vec<_>>().join("\n")
     })
 }

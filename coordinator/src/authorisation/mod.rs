@@ -27,7 +27,7 @@ use crate::gate::Gate;
 use crate::throttle::Throttle;
 
 pub use permission::Caller;
-pub(crate) use permission::{actor, machine_address};
+pub(crate) use permission::{actor, machine};
 pub use report::ObservedBody;
 pub use request_id::RequestId;
 
@@ -111,7 +111,8 @@ where
         let method = request.uri().path().to_owned();
         let id = RequestId::of(request.headers());
         let span = tracing::info_span!("call", %method, request_id = %id, caller = tracing::field::Empty);
-        let admitted = self.shared.admit(&request).and_then(|admitted| let_in(admitted, &mut request));
+        let admitted = permission::admit(&self.shared.gate, request.uri().path(), request.headers())
+            .and_then(|admitted| let_in(admitted, &mut request));
         let report = Report::start(self.shared.clone(), method, span.clone());
         // Handlers need not see it, and what they do not see they cannot log.
         request.headers_mut().remove(AUTHORIZATION);
@@ -162,10 +163,6 @@ fn let_in(admitted: Admitted, request: &mut Request<Body>) -> Result<Option<Owne
 }
 
 impl Shared {
-    fn admit<B>(&self, request: &Request<B>) -> Result<Admitted, Status> {
-        permission::admit(&self.gate, request.uri().path(), request.headers())
-    }
-
     fn tell_refused<B>(&self, request: &Request<B>, status: &Status) {
         if let Some(calls) = self.refused.count(self.clock.now()) {
             let peer = permission::peer(request.extensions());

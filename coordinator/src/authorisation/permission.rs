@@ -11,6 +11,7 @@ use tonic::transport::server::TlsConnectInfo;
 use crate::actor::Actor;
 use crate::connections::{Peer, network};
 use crate::gate::Gate;
+use crate::stored::Machine;
 
 /// Who makes a call, by its token.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -117,9 +118,11 @@ pub(super) fn connection(extensions: &Extensions) -> Option<&Peer> {
     extensions.get::<Peer>().or_else(encrypted)
 }
 
-/// The machine at the other end of a call's connection, as far as its address tells. Empty if there is no address.
-pub(crate) fn machine_address(extensions: &Extensions) -> String {
-    remote(extensions).map_or_else(String::new, |address| network(address.ip()))
+/// The machine at the other end of a call's connection, as far as token and address tell.
+pub(crate) fn machine(extensions: &Extensions) -> Machine {
+    let token = extensions.get::<Caller>().map(Caller::name).unwrap_or_default().to_owned();
+    let address = remote(extensions).map_or_else(String::new, |address| network(address.ip()));
+    Machine { token, address, host: String::new() }
 }
 
 #[cfg(test)]
@@ -159,14 +162,14 @@ mod tests {
             let mut extensions = Extensions::new();
             let tcp = TcpConnectInfo { local_addr: None, remote_addr };
             extensions.insert(Peer { tcp, admission: Admission::admitted() });
-            machine_address(&extensions)
+            machine(&extensions).address
         };
         assert_eq!(of("10.0.0.7:1"), "10.0.0.7");
         assert_eq!(of("[::ffff:10.0.0.7]:2"), "10.0.0.7");
         assert_eq!(of("[2001:db8:1:2:3:4:5:6]:3"), "2001:db8:1:2::/64");
         assert_eq!(of("[2001:db8:1:2::1]:3"), "2001:db8:1:2::/64");
         assert_eq!(of("[::1]:3"), "::1");
-        assert_eq!(machine_address(&Extensions::new()), "");
+        assert_eq!(machine(&Extensions::new()), Machine::default());
     }
 
     #[test]

@@ -67,7 +67,7 @@ impl Room {
         (waiting > 0).then(|| {
             let (mib, machine) = most;
             format!(
-                "{waiting} results wait for room in the coordinator's memory: {all} of {of} MiB are taken, {mib} of them \
+                "results wait for room in the coordinator's memory, {waiting} now: {all} of {of} MiB are taken, {mib} of them \
                  by {machine}"
             )
         })
@@ -201,7 +201,7 @@ mod tests {
         assert!(!soon(waiting.as_mut()).await);
         assert_eq!(
             room.shortage().unwrap(),
-            "1 results wait for room in the coordinator's memory: 4 of 4 MiB are taken, 3 of them by node1@10.0.0.1"
+            "results wait for room in the coordinator's memory, 1 now: 4 of 4 MiB are taken, 3 of them by node1@10.0.0.1"
         );
         drop(most);
         assert!(soon(waiting.as_mut()).await);

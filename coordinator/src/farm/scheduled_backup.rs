@@ -42,7 +42,12 @@ impl Farm {
                 () = shutdown.cancelled() => return,
                 () = tokio::time::sleep(pause) => {}
             }
-            pause = match self.scheduled_backup(&schedule).await {
+            // A stop does not wait for a large database to be copied: what was begun is removed.
+            let made = tokio::select! {
+                () = shutdown.cancelled() => return,
+                made = self.scheduled_backup(&schedule) => made,
+            };
+            pause = match made {
                 Ok(()) => schedule.every,
                 Err(error) => {
                     let (folder, again) = (schedule.folder.display(), schedule.every.min(AGAIN));

@@ -13,8 +13,7 @@ impl Farm {
     pub(crate) fn snapshot(&self) -> Snapshot {
         let database_bytes = self.store.bytes();
         let backup_age_s = self.last_backup.age().map(|age| age.as_secs_f64());
-        let now = |dispatcher: &Dispatcher, now| snapshot(dispatcher, now);
-        Snapshot { database_bytes, backup_age_s, ..self.door.query(now) }
+        Snapshot { database_bytes, backup_age_s, ..self.door.query(snapshot) }
     }
 
     /// Why it cannot serve, if it cannot.

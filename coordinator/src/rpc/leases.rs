@@ -20,7 +20,7 @@ use tonic::{Request, Response, Status, Streaming};
 use super::Context;
 use super::status::{OrStatus, required};
 use super::text::one_line;
-use crate::authorisation::{Caller, actor, machine_address};
+use crate::authorisation::machine;
 use crate::dispatch::{Grant, Registration, Wish};
 use crate::farm::{Delivered, Header, Piece, Versions};
 use crate::stored::{Machine, Outcome};
@@ -36,8 +36,7 @@ impl Leases for Context {
         &self,
         request: Request<RegisterRequest>,
     ) -> Result<Response<RegisterResponse>, Status> {
-        let token = request.extensions().get::<Caller>().map(Caller::name).unwrap_or_default().to_owned();
-        let address = machine_address(request.extensions());
+        let machine = machine(request.extensions());
         let request = request.into_inner();
         if request.host.len() > HOST_BYTES {
             let given = format!("{} bytes", request.host.len());
@@ -50,7 +49,7 @@ impl Leases for Context {
         }
         let about = Registration {
             instance: request.instance,
-            machine: Machine { token, address, host: one_line(&request.host) },
+            machine: Machine { host: one_line(&request.host), ..machine },
             label: one_line(&request.label),
             threads: request.threads,
             version: one_line(&request.version),
@@ -96,8 +95,7 @@ impl Leases for Context {
         &self,
         request: Request<Streaming<CompleteRequest>>,
     ) -> Result<Response<CompleteResponse>, Status> {
-        let actor = actor(request.extensions());
-        let machine = format!("{}@{}", actor.name(), machine_address(request.extensions()));
+        let machine = machine(request.extensions()).identity();
         let pieces = request.into_inner().map(|message| piece(message?));
         let delivered = self.farm.receive(machine, pieces).await?;
         Ok(Response::new(CompleteResponse { outcomes: delivered.into_iter().map(outcome).collect() }))

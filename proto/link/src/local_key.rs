@@ -1,9 +1,9 @@
 //! The key of a coordinator that listens on loopback and has no access file.
 //!
 //! Every user of a machine reaches every port of its loopback. So such a coordinator asks for a random token, which it puts
-//! where its own user alone can read it: `/tmp/resin-farm-UID/PORT`, or in the folder that FARM_KEYS names. That user's programs find it there by themselves;
-//! nobody has to set up anything. The coordinator holds a lock on the file for as long as it lives. Without that lock a
-//! program shows no token: whoever listens on the port by then is somebody else.
+//! where its own user alone can read it: `/tmp/resin-farm-UID/PORT`, or in the folder that FARM_KEYS names. That user's
+//! programs find it there by themselves; nobody has to set up anything. The coordinator holds a lock on the file for as
+//! long as it lives. Without that lock a program shows no token: whoever listens on the port by then is somebody else.
 
 use std::fs::{DirBuilder, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek as _, Write as _};
@@ -39,10 +39,10 @@ impl LocalKey {
     }
 
     fn publish_in(folder: &Path, port: u16, secret: [u8; 32]) -> io::Result<Self> {
-        match DirBuilder::new().mode(0o700).create(folder) {
-            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
-            _ => check_folder(folder)?,
-        }
+        let fault = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", folder.display()));
+        DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(fault)?;
+        check_folder(folder)?;
+        remove_dead(folder);
         let path = folder.join(port.to_string());
         let mut file = locked(&path)?;
         let token = secret.map(|byte| format!("{byte:02x}")).concat();
@@ -112,6 +112,18 @@ fn check_folder(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
+/// Removes the keys of coordinators that were killed. One whose lock is taken in the same moment is made again: see
+/// [`locked`].
+fn remove_dead(folder: &Path) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for path in entries.flatten().map(|entry| entry.path()) {
+        let is_key = path.file_name().is_some_and(|name| name.to_string_lossy().parse::<u16>().is_ok());
+        if is_key && File::open(&path).is_ok_and(|file| file.try_lock().is_ok()) {
+            let _ = std::fs::remove_file(&path);
+        }
+    }
+}
+
 /// The file at a path, made if need be and locked.
 fn locked(path: &Path) -> io::Result<File> {
     for _ in 0..WAIT.as_millis() / STEP.as_millis() {
@@ -173,9 +185,14 @@ mod tests {
         drop(key);
         std::fs::write(folder.join("7700"), left).unwrap();
         assert_eq!(token_in(&folder, 7700), None);
+        std::fs::write(folder.join("7701"), "dead").unwrap();
+        std::fs::write(folder.join("notes"), "not ours").unwrap();
         let next = LocalKey::publish_in(&folder, 7700, [8; 32]).unwrap();
         assert_eq!(token_in(&folder, 7700).unwrap(), "08".repeat(32));
-        drop(next);
+        assert!(!folder.join("7701").exists() && folder.join("notes").exists());
+        let other = LocalKey::publish_in(&folder, 7701, [9; 32]).unwrap();
+        assert_eq!(token_in(&folder, 7700).unwrap(), "08".repeat(32), "one that lives is left alone");
+        drop((next, other));
     }
 
     #[test]

@@ -41,6 +41,11 @@ fn nobody_but_its_owner_and_admins_changes_a_dictionary_and_events_tell_who_did(
     assert_eq!(cancelled, "admin at 127.0.0.1");
     assert_eq!(farm.events("CANCELLED")[0]["message"], "no time 2026 DONE", "a reason is one line");
 
+    let let_in =
+        farm.farmctl_with("keys/admin.toml", &["access", "list", "--folder", "keys", "--json"]).stdout;
+    let let_in: serde_json::Value = serde_json::from_str(&let_in).unwrap();
+    assert_eq!(let_in["data"]["members"][3], serde_json::json!({"role": "client", "name": "alice"}));
+
     // And out again, without a restart.
     let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "alice", "--folder", "keys"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
