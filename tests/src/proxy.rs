@@ -157,8 +157,8 @@ struct Pump {
 impl Pump {
     async fn run(mut self, mut from: impl AsyncRead + Unpin, mut to: impl AsyncWrite + Unpin) {
         let mut buffer = vec![0; 64 << 10];
-        // Bytes that are held, and how many passed since the rule was set.
-        let (mut held, mut passed, mut last) = (Vec::<u8>::new(), 0_u64, Rule::Pass);
+        // Bytes that are held, how many of them are told, and how many passed since the rule was set.
+        let (mut held, mut told, mut passed, mut last) = (Vec::<u8>::new(), 0, 0_u64, Rule::Pass);
         loop {
             let rules = *self.rules.borrow_and_update();
             if self.number < rules.cut_before {
@@ -180,15 +180,15 @@ impl Pump {
                 }
                 held.drain(..now);
                 passed += now as u64;
-                self.held_bytes.fetch_sub(now as u64, Ordering::SeqCst);
             }
+            // Only what stays here: bytes on their way through are not held.
+            self.held_bytes.fetch_sub(told, Ordering::SeqCst);
+            told = held.len() as u64;
+            self.held_bytes.fetch_add(told, Ordering::SeqCst);
             tokio::select! {
                 changed = self.rules.changed() => if changed.is_err() { break },
                 read = from.read(&mut buffer) => match read {
-                    Ok(bytes) if bytes > 0 => {
-                        held.extend_from_slice(&buffer[..bytes]);
-                        self.held_bytes.fetch_add(bytes as u64, Ordering::SeqCst);
-                    }
+                    Ok(bytes) if bytes > 0 => held.extend_from_slice(&buffer[..bytes]),
                     // An end that is held back is not told on either.
                     _ if self.holds() => while self.holds() {
                         if self.rules.changed().await.is_err() { break }
@@ -197,7 +197,7 @@ impl Pump {
                 },
             }
         }
-        self.held_bytes.fetch_sub(held.len() as u64, Ordering::SeqCst);
+        self.held_bytes.fetch_sub(told, Ordering::SeqCst);
     }
 
     fn rule(&self, rules: Rules) -> Rule {
