@@ -9,6 +9,7 @@ mod curves;
 mod design;
 mod dictionary;
 mod gradient;
+mod interpolation;
 mod intervals;
 mod likelihood;
 mod local_axis;

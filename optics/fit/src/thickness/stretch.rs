@@ -1,11 +1,8 @@
 //! A profile on the same pixels as before, after its x was scaled about the edge.
 //!
-//! Pixels are box averages, so it is the integral of the profile that is interpolated, between the pixels' edges and with
-//! fifth order. Light that reaches the base unscattered makes a step at x = 0, so no polynomial crosses the edge if it
-//! lies between two pixels.
+//! The integral of the profile is interpolated, and not across the edge if that lies between two pixels.
 
-/// Edges of pixels that one polynomial passes through.
-const EDGES: usize = 6;
+use crate::interpolation::{NODES, Place};
 
 /// A tail is continued from the mean over this share of the pixels, at the end, and from its slope there.
 const TAIL_SHARE: f64 = 1.0 / 15.0;
@@ -44,10 +41,7 @@ pub(super) struct Stretch {
 struct Edge {
     /// Pixels from x = 0.
     position: f64,
-    first: usize,
-    /// Weights of the integrals up to the edges from `first` on that give the integral up to here, and the integrand.
-    integral: [f64; EDGES],
-    integrand: [f64; EDGES],
+    place: Place,
 }
 
 impl Stretch {
@@ -60,14 +54,14 @@ impl Stretch {
 
     pub(super) fn apply(&self, profile: &[f64], tail: Tail) -> Vec<f64> {
         let integral = self.integral(profile, tail);
-        self.means(|edge| edge.weigh(&edge.integral, &integral))
+        self.means(|edge| edge.place.integral(&integral))
     }
 
     /// The result, and its derivative by the logarithm of the ratio.
     pub(super) fn apply_with_slope(&self, profile: &[f64], tail: Tail) -> (Vec<f64>, Vec<f64>) {
         let integral = self.integral(profile, tail);
-        let values = self.means(|edge| edge.weigh(&edge.integral, &integral));
-        let mut slope = self.means(|edge| -edge.position * edge.weigh(&edge.integrand, &integral));
+        let values = self.means(|edge| edge.place.integral(&integral));
+        let mut slope = self.means(|edge| -edge.position * edge.place.integrand(&integral));
         slope.iter_mut().zip(&values).for_each(|(s, v)| *s += v);
         (values, slope)
     }
@@ -88,7 +82,7 @@ impl Stretch {
     fn integral(&self, profile: &[f64], tail: Tail) -> Vec<f64> {
         let (mut left, right) = (self.beyond(profile.iter(), tail), self.beyond(profile.iter().rev(), tail));
         left.reverse();
-        let mut integral = Vec::with_capacity(profile.len() + 2 * self.margin + EDGES);
+        let mut integral = Vec::with_capacity(profile.len() + 2 * self.margin + NODES);
         let mut sum = 0.0;
         integral.push(0.0);
         for part in [&left, profile, &right] {
@@ -97,7 +91,7 @@ impl Stretch {
                 integral.push(sum);
             }
         }
-        integral.resize(integral.len() + EDGES, 0.0);
+        integral.resize(integral.len() + NODES, 0.0);
         integral
     }
 
@@ -130,32 +124,8 @@ impl Edge {
             half if position < 0.0 => 0..half,
             half => half..cells,
         };
-        let count = EDGES.min(side.len() + 1);
-        let cell = (at as usize).clamp(side.start, side.end - 1);
-        let first = (cell + 1).saturating_sub(count / 2).clamp(side.start, side.end + 1 - count);
-        let mut edge = Self { position, first, integral: [0.0; EDGES], integrand: [0.0; EDGES] };
-        for i in 0..count {
-            let (value, slope) = lagrange(count, i, at - first as f64);
-            (edge.integral[i], edge.integrand[i]) = (value, slope);
-        }
-        edge
+        Self { position, place: Place::new(at, side) }
     }
-
-    /// Weights that have no partner are 0.
-    fn weigh(&self, weights: &[f64; EDGES], integral: &[f64]) -> f64 {
-        weights.iter().zip(&integral[self.first..self.first + EDGES]).map(|(w, v)| w * v).sum()
-    }
-}
-
-/// The polynomial that is 1 at `i` and 0 at the other whole numbers below `count`, and its derivative.
-fn lagrange(count: usize, i: usize, x: f64) -> (f64, f64) {
-    let (mut value, mut slope, mut at_node) = (1.0, 0.0, 1.0);
-    for j in (0..count).filter(|j| *j != i) {
-        slope = slope * (x - j as f64) + value;
-        value *= x - j as f64;
-        at_node *= i as f64 - j as f64;
-    }
-    (value / at_node, slope / at_node)
 }
 
 #[cfg(test)]
