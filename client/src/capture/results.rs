@@ -112,15 +112,21 @@ fn points(profile: &EdgeProfile) -> Vec<[f64; 3]> {
     points
 }
 
-/// The session's scene with the board that was found.
+/// The session's scene with the board that was found, and as it would be under a darker white reference.
 fn scene(captured: &Captured) -> Result<String> {
-    let channels = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
+    let found = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
         Channel::new(colour.letter(), rounded(rho.light.value), rounded(rho.dark.value))
     });
-    let channels = channels.collect::<Result<Vec<_>, _>>().context("reflectances of the board")?;
+    let darker = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
+        let [light, dark] = rho.under_darker_white;
+        Channel::new(Channel::darker_white(colour.letter()), rounded(light), rounded(dark))
+    });
+    let channels = found.chain(darker).collect::<Result<Vec<_>, _>>().context("reflectances of the board")?;
     let scene = captured.session.scene.clone().with_channels(channels)?;
     Ok(format!(
-        "# The scene of a session: `rho_light` and `rho_dark` are what its bare board shows.\n\n{}",
+        "# The scene of a session: `rho_light` and `rho_dark` are what its bare board shows. The channels called\n\
+         # \"(white -1 %)\" have the board as it would be, were the white reference darker by 1 %: so the fit knows\n\
+         # what an error of the reference does.\n\n{}",
         toml::to_string(&SceneFile::from(&scene))?.trim_end()
     ))
 }

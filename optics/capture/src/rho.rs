@@ -4,6 +4,7 @@
 //! in and out, b what they throw back onto the base.
 
 use optics_model::Invalid;
+use optics_model::scene::DARKER_WHITE;
 
 use crate::board::Board;
 use crate::estimate::Estimate;
@@ -21,6 +22,8 @@ pub struct Shown {
 pub struct BoardRho {
     pub light: Estimate,
     pub dark: Estimate,
+    /// Light and dark, had the white reference [`DARKER_WHITE`] of its reflectance.
+    pub under_darker_white: [f64; 2],
 }
 
 impl Shown {
@@ -35,11 +38,15 @@ impl Shown {
 impl Board {
     /// ρ of both sides. `gain_std_error` is the relative error of the white reference, which both share.
     pub fn rho(&self, shown: &[Shown; 3], gain_std_error: f64) -> Result<[BoardRho; 3], Invalid> {
-        let mut found = [BoardRho { light: Estimate::default(), dark: Estimate::default() }; 3];
-        for (c, rho) in found.iter_mut().enumerate() {
+        let of = |c: usize| {
+            let sides = [self.light[c], self.dark[c]];
             let with = |e: Estimate| Estimate::new(e.value, e.std_error.hypot(gain_std_error * e.value));
-            *rho =
-                BoardRho { light: shown[c].rho(with(self.light[c])), dark: shown[c].rho(with(self.dark[c])) };
+            let [light, dark] = sides.map(|seen| shown[c].rho(with(seen)));
+            let darker = |seen: Estimate| Estimate::new(DARKER_WHITE * seen.value, seen.std_error);
+            BoardRho { light, dark, under_darker_white: sides.map(|seen| shown[c].rho(darker(seen)).value) }
+        };
+        let found = [of(0), of(1), of(2)];
+        for (c, rho) in found.iter().enumerate() {
             for (side, estimate) in [("light", rho.light), ("dark", rho.dark)] {
                 let within = -3.0 * estimate.std_error..=1.0 + 3.0 * estimate.std_error;
                 if !within.contains(&estimate.value) {

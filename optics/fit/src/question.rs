@@ -101,14 +101,16 @@ pub(super) fn find_channel(grid: &Grid, name: &str) -> Result<usize, Invalid> {
     })
 }
 
-/// Indices of the channels of these names, rising; of the first if there are none. Names that a grid does not have are left
-/// out: the question itself refuses them.
+/// Indices of the channels that a question about these names needs, rising; of the first if there are none. Names that a
+/// grid does not have are left out: the question itself refuses them.
 pub fn channels_called<'a>(grid: &Grid, names: impl IntoIterator<Item = &'a str>) -> Vec<usize> {
     let mut names = names.into_iter().peekable();
-    if names.peek().is_none() {
-        return vec![0];
-    }
-    let mut indices: Vec<usize> = names.filter_map(|name| find_channel(grid, name).ok()).collect();
+    let mut indices = match names.peek() {
+        None => vec![0],
+        Some(_) => names.filter_map(|name| find_channel(grid, name).ok()).collect(),
+    };
+    let darker: Vec<usize> = indices.iter().filter_map(|i| grid.scene().under_darker_white(*i)).collect();
+    indices.extend(darker);
     indices.sort_unstable();
     indices.dedup();
     indices

@@ -71,6 +71,10 @@ fn check_roughness(value: f64) -> Result<f64> {
     )
 }
 
+/// Where ρ of the base was measured with a white reference, an error of the reference changes both what is measured and ρ.
+/// A scene tells how by a second channel whose ρ is that of a reference with this share of the reflectance.
+pub const DARKER_WHITE: f64 = 0.99;
+
 /// One colour channel: reflectances of the Lambertian base for x ≥ 0 (light) and x < 0 (dark).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Channel {
@@ -107,6 +111,11 @@ impl Channel {
 
     pub fn rho_dark(&self) -> f64 {
         self.rho_dark
+    }
+
+    /// Name of the channel that has the base as a white reference darker by 1 % would show it: [`DARKER_WHITE`].
+    pub fn darker_white(name: &str) -> String {
+        format!("{name} (white -1 %)")
     }
 }
 
@@ -284,6 +293,12 @@ impl Scene {
             )
         };
         build().expect("the built-in scenes are valid")
+    }
+
+    /// Index of the channel that shows what an error of the white reference does to this one.
+    pub fn under_darker_white(&self, channel: usize) -> Option<usize> {
+        let name = Channel::darker_white(self.channels[channel].name());
+        self.channels.iter().position(|c| c.name == name)
     }
 
     pub fn with_channels(mut self, channels: Vec<Channel>) -> Result<Self> {

@@ -110,7 +110,8 @@ pub(super) fn settle(system: &mut System, mut state: State) -> State {
     state
 }
 
-/// What depends on where the state is, for every profile: the records' noise, and the part of other thicknesses.
+/// What depends on where the state is, for every profile: the records' noise, the part of other thicknesses, and what the
+/// white reference does.
 fn add_modes(system: &mut System, state: &mut State) {
     use rayon::prelude::*;
     let modes = |i: usize| {
@@ -118,12 +119,16 @@ fn add_modes(system: &mut System, state: &mut State) {
         let noise = system.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
         let origin = term.origin_mm(&state.own[i]);
         let near = system.surrogates[i].near(term.thickness_mm, point.medium());
-        (Modes::new(&noise, &term.camera, origin, &term.std_errors), near)
+        let by_white = system.surrogates[i].by_white(point.thickness_mm(), point.medium());
+        (Modes::new(&noise, &term.camera, origin, &term.std_errors), near, by_white)
     };
-    let found: Vec<(Modes, Option<NearThickness>)> =
+    let found: Vec<(Modes, Option<NearThickness>, Option<Line>)> =
         (0..system.terms.len()).into_par_iter().map(modes).collect();
-    for ((term, own), (found, near)) in system.terms.iter_mut().zip(&mut state.own).zip(found) {
+    for ((term, own), (found, near, by_white)) in system.terms.iter_mut().zip(&mut state.own).zip(found) {
         term.near = near;
+        if let (Some(white), Some(slope)) = (&mut term.white, by_white) {
+            white.slope = slope;
+        }
         own.truncate(term.priors.len());
         own.resize(term.priors.len() + found.modes.len(), 0.0);
         (term.modes, term.rest_variances, term.alike) = (found.modes, found.rest_variances, 1.0);

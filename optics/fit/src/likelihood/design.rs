@@ -7,7 +7,7 @@ use optics_model::fit::{HalfWidths, PixelRow};
 use super::bound::{bound, ideal_covariance};
 use super::camera::Camera;
 use super::system::{Quantity, State, System, Unknown};
-use super::term::{Own, OwnPrior, Term};
+use super::term::{Own, OwnPrior, Term, White};
 use super::{Line, blur};
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
 
@@ -139,6 +139,10 @@ impl Plan<'_> {
             robust: false,
             softness: 1.0,
             near: None,
+            white: self
+                .surrogate
+                .by_white(thickness_mm, self.medium)
+                .map(|slope| White { slope, ln_mu: 0.0 }),
             x_mm,
         }
     }

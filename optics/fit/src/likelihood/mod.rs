@@ -65,6 +65,10 @@ impl Point {
         [self.0[LN_SIGMA_T], self.0[ROOT_CO_ALBEDO], self.0[LN_ONE_MINUS_G]]
     }
 
+    fn ln_scale(&self) -> f64 {
+        self.0[LN_SCALE]
+    }
+
     fn scale(&self) -> f64 {
         (-self.0[LN_SCALE]).exp()
     }

@@ -9,7 +9,7 @@ use super::camera::Camera;
 use super::form::Loose;
 use super::start::{Compressed, Region, Scan, Source};
 use super::system::{State, System, Unknown};
-use super::term::{Own, OwnPrior, Term};
+use super::term::{Own, OwnPrior, Term, White};
 use super::{Line, blur};
 use crate::dictionary::FitDictionary;
 use crate::noise::scatter_by_side;
@@ -144,6 +144,9 @@ impl<'a> ProfileData<'a> {
             robust: false,
             softness: 1.0,
             near: surrogate.near(self.profile.thickness_mm(), medium),
+            white: surrogate
+                .by_white(self.profile.thickness_mm(), medium)
+                .map(|slope| White { slope, ln_mu: settings.mu.ln() }),
             x_mm,
         }
     }

@@ -6,7 +6,8 @@
 //!
 //! F being the simulated profile at this slab's thickness as the camera blurs it, m the logarithm of a factor on μ, x₀
 //! the place of the edge, γ, z and s gain, zero and slope of the profile, and φ_k modes of the noise of the dictionary's
-//! records. x₀, γ, z, s and c_k belong to this profile. They have normal priors, in units of whose standard deviations
+//! records. Where the base's ρ was measured with the white reference that μ is an error of, F has (m + ln μ) D added, D being
+//! what a brighter reference does to F through ρ. x₀, γ, z, s and c_k belong to this profile. They have normal priors, in units of whose standard deviations
 //! they are counted here, so that each adds its square to −2 ln L. Eliminating them (a Schur complement) leaves a
 //! gradient and an information matrix of what the profile shares with others.
 
@@ -63,6 +64,16 @@ pub(super) struct Term {
     pub softness: f64,
     /// For predictions about the dictionary's thickness, if it is one.
     pub near: Option<NearThickness>,
+    pub white: Option<White>,
+}
+
+/// How an error of the white reference changes the simulated profile, since the base's ρ was measured with it.
+#[derive(Debug, Clone)]
+pub(super) struct White {
+    /// By the logarithm of the reference, on the dictionary's pixels.
+    pub slope: Line,
+    /// The question's, from which factors are counted.
+    pub ln_mu: f64,
 }
 
 /// A profile at some place of the unknowns.
@@ -145,8 +156,14 @@ impl Term {
         };
         let mut slopes = predicted.slopes.to_vec();
         slopes.push(predicted.by_ln_thickness);
+        let off = self.white.as_ref().map_or(0.0, |white| shared.ln_scale() + white.ln_mu);
+        slopes.extend(self.white.as_ref().map(|white| white.slope.clone()));
         let blur_mm2 = blur::variance_mm2(shared.blur());
-        let seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), blur_mm2);
+        let mut seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), blur_mm2);
+        let by_white = self.white.as_ref().and_then(|_| seen.slopes.pop());
+        if let Some(by_white) = &by_white {
+            seen.values.iter_mut().zip(by_white).for_each(|(v, by)| *v += off * by);
+        }
         let scale = shared.scale();
         let (gain, slope) = (self.own_value(own, Own::Gain), self.own_value(own, Own::Slope));
         let zero = self.own_value(own, Own::Zero);
@@ -167,7 +184,8 @@ impl Term {
         for by in [by_sigma_t, by_albedo, by_g] {
             columns.push(over_noise(&|i| by[i] * factors[i]));
         }
-        columns.push(over_noise(&|i| -scale * seen.values[i]));
+        let through_rho = |i: usize| by_white.as_ref().map_or(0.0, |by| by[i] * factors[i]);
+        columns.push(over_noise(&|i| through_rho(i) - scale * seen.values[i]));
         let by_blur = blur::slope(shared.blur());
         columns.push(over_noise(&|i| by_blur * seen.by_blur[i] * factors[i]));
         columns.push(over_noise(&|i| by_thickness[i] * factors[i]));

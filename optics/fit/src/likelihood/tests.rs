@@ -1,14 +1,15 @@
 //! The likelihood on a dictionary from a formula: exact cases, limits, and descents from everywhere.
 
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Nuisance, Objective, Refined};
-use optics_model::{MeasuredProfile, Measurement, ProfileSetup};
+use optics_model::scene::{Channel, DARKER_WHITE, Scene, Sensor};
+use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, Profile, ProfileSetup, Record, Walks};
 
 use super::channel;
 use super::problem::ChannelData;
 use super::start::Start;
 use crate::dictionary::FitDictionary;
 use crate::fit;
-use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
+use crate::testing::{dense_axes, dictionary_of, noisy_dictionary, normal, profile_value};
 
 const MEDIUM: (f64, f64, f64) = (3.1, 0.93, 0.33);
 
@@ -204,4 +205,82 @@ fn what_cannot_be_weighed_is_refused() {
     assert_eq!(with(&|p| remade(p, 4.0 * p.thickness_mm(), errors(p))), "thickness_mm");
     let setup = ProfileSetup { origin_mm: Some(9.9), ..ProfileSetup::default() };
     assert_eq!(with(&|p| p.clone().with_setup(setup).unwrap()), "x_mm");
+}
+
+/// What a brighter white reference does to a profile of the formula through ρ: light comes from the bright side alone.
+fn by_white(x: f64, value: f64) -> f64 {
+    0.8 * value * 0.5 * (1.0 + (x / 0.6).tanh())
+}
+
+/// One channel, and perhaps what it would be under a darker white reference.
+fn dictionary_with_white(knows_white: bool) -> FitDictionary {
+    let names = ["G".to_owned(), Channel::darker_white("G")];
+    let channels =
+        names.iter().take(1 + usize::from(knows_white)).map(|name| Channel::new(name, 0.9, 0.02).unwrap());
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, 120, 0.0).unwrap());
+    let scene = scene.with_channels(channels.collect()).unwrap();
+    let grid = Grid::new(scene, dense_axes(), Walks::PAPER, 1, false).unwrap();
+    let record = |index: usize| {
+        let (point, medium) = grid.parameters(index);
+        let (sigma_t, albedo, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
+        let profile = |channel: usize| {
+            let value = |i| {
+                let x = grid.scene().sensor().centre_mm(i);
+                let value = profile_value(x, sigma_t, albedo, g, point.thickness_mm(), 1.0);
+                (value + channel as f64 * DARKER_WHITE.ln() * by_white(x, value)) as f32
+            };
+            let values: Vec<f32> = (0..120).map(value).collect();
+            Profile { radiance_factor: Estimate::new(values, vec![0.0; 120]).unwrap(), derivatives: None }
+        };
+        Record { index, profiles: (0..grid.scene().channels().len()).map(profile).collect() }
+    };
+    dictionary_of(&grid, record)
+}
+
+/// The reference is 1.5 % brighter than told: levels are too high, and the dictionary's ρ, too.
+#[test]
+fn an_error_of_the_white_reference_is_followed_through_the_boards_reflectance() {
+    let error = 0.015;
+    let exact = measured(MEDIUM, 3, Flaws::default());
+    let spoilt = exact.profiles().iter().map(|p| {
+        let (sigma_t, albedo, g) = MEDIUM;
+        let at = |x: f64| by_white(x, profile_value(x, sigma_t, albedo, g, p.thickness_mm(), 1.0));
+        let value = |(x, v): (&f64, &f64)| (1.0 + error) * (v - error * at(*x));
+        let values = p.x_mm().iter().zip(p.values()).map(value).collect();
+        MeasuredProfile::new(
+            "G",
+            p.thickness_mm(),
+            p.x_mm().to_vec(),
+            values,
+            p.std_errors().map(<[f64]>::to_vec),
+        )
+        .unwrap()
+    });
+    let spoilt = Measurement::new("m", spoilt.collect()).unwrap();
+    // Nothing else that could take its place.
+    let told = FitSettings {
+        mu_std_error: 0.01,
+        origin_std_error_mm: 0.0,
+        gain_std_error: 0.0,
+        offset_std_error: 0.0,
+        slope_std_error: 0.0,
+        g: Bounds::fixed(MEDIUM.2),
+        ..settings()
+    };
+    let of = |knows_white: bool| {
+        let found =
+            fit(&dictionary_with_white(knows_white), &spoilt, &FitOptions::new(told).unwrap()).unwrap();
+        found.channels.into_iter().next().unwrap().refined.unwrap()
+    };
+    let knowing = of(true);
+    assert!(knowing.misfit < 1.3 && knowing.sigma_t_per_mm.contains(MEDIUM.0), "{knowing:?}");
+    assert!(knowing.albedo.contains(MEDIUM.1), "{knowing:?}");
+    let nuisances = &knowing.likelihood.as_ref().unwrap().nuisances;
+    let scale = nuisances.iter().find(|n| n.nuisance == Nuisance::Scale).unwrap();
+    assert!(
+        (scale.value - (1.0 + error)).abs() < 3.0 * scale.std_error && scale.std_error < 0.005,
+        "{scale:?}"
+    );
+    let ignorant = of(false);
+    assert!(ignorant.misfit > 1.3 || !ignorant.sigma_t_per_mm.contains(MEDIUM.0), "{ignorant:?}");
 }
