@@ -231,6 +231,7 @@ fn board(captured: &Captured) -> Value {
 fn camera(captured: &Captured) -> Value {
     let calibration = &captured.calibration;
     let first = captured.inputs.first().map(|input| &input.about);
+    let areas = calibration.areas.iter().map(|a| [a.x, a.y, a.width, a.height].map(f64::round));
     let noise = calibration.noise.iter().map(|n| json!({"read": n.read.value, "per_number": n.gain.value}));
     json!({
         "model": first.and_then(|about| about.camera.clone()),
@@ -242,6 +243,7 @@ fn camera(captured: &Captured) -> Value {
         "numbers_per_unit": by_channel(|c| estimate(calibration.gain[c])),
         "linearity": by_channel(|c| json!(calibration.linearity[c])),
         "drift": by_channel(|c| json!(calibration.drift[c])),
+        "patches_px": areas.collect::<Vec<_>>(),
         "warnings": report::texts(&calibration.warnings),
     })
 }

@@ -97,7 +97,7 @@ struct NeutralTable {
     shots: Vec<String>,
     rho: Vec<Rho>,
     std_error: Option<f64>,
-    areas_px: Vec<[f64; 4]>,
+    areas_px: Option<Vec<[f64; 4]>>,
 }
 
 /// A reflectance for all channels, or one for each.
@@ -235,7 +235,7 @@ fn neutral(table: &NeutralTable) -> Result<Neutral, Invalid> {
         Rho::Each(values) => *values,
     });
     let area = |[x, y, width, height]: &[f64; 4]| Area { x: *x, y: *y, width: *width, height: *height };
-    let areas = table.areas_px.iter().map(area).collect();
+    let areas = table.areas_px.as_ref().map(|areas| areas.iter().map(area).collect());
     let std_error = table.std_error.unwrap_or(NEUTRAL_STD_ERROR);
     Neutral::new(rho.collect(), std_error, areas).map_err(|e| e.within("neutral"))
 }

@@ -6,6 +6,7 @@ use crate::flat::Flat;
 use crate::frame::{Colour, Frame, Photo, Site};
 use crate::kind::Kind;
 use crate::noise::SiteNoise;
+use crate::patches::Area;
 use crate::refusal::Warning;
 use crate::saturation::saturation;
 use crate::view::View;
@@ -15,6 +16,8 @@ use crate::view::View;
 pub struct Calibration {
     pub noise: Vec<SiteNoise>,
     pub patches: Vec<PatchReading>,
+    /// Where the first shot of the patches was read.
+    pub areas: Vec<Area>,
     /// γ: share of the frame's mean light that is scattered over the frame.
     pub glare: [Estimate; 3],
     /// k: numbers per unit of radiance factor, its error without the certificate's.

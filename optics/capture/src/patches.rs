@@ -14,7 +14,9 @@ use crate::least_squares::robust_mean;
 use crate::noise::Pairs;
 use crate::refusal::Refusal;
 use crate::saturation::saturation;
+use crate::view::View;
 
+mod find;
 mod line;
 
 /// Rectangle in pixels of the mosaic.
@@ -31,7 +33,8 @@ pub struct Area {
 pub struct Neutral {
     rho: Vec<[f64; 3]>,
     std_error: f64,
-    areas: Vec<Area>,
+    /// None if they are to be found.
+    areas: Option<Vec<Area>>,
 }
 
 /// Shots of the patches, one after the other.
@@ -50,6 +53,7 @@ pub struct Patches {
 struct Shot {
     label: String,
     seconds: Option<f64>,
+    areas: Vec<Area>,
     /// Per patch and channel: mean number above black, over the flat, with its standard error; M/f.
     readings: Vec<[Reading; 3]>,
     /// Brightness of each site against its channel.
@@ -73,8 +77,9 @@ struct Reading {
 const SAMPLES: f64 = 100_000.0;
 
 impl Neutral {
-    /// `rho` per patch and channel, `std_error` relative, `areas` in the same order.
-    pub fn new(rho: Vec<[f64; 3]>, std_error: f64, areas: Vec<Area>) -> Result<Self, Invalid> {
+    /// `rho` per patch and channel, `std_error` relative, `areas` in the same order. Without areas, a row of patches is
+    /// looked for in every shot.
+    pub fn new(rho: Vec<[f64; 3]>, std_error: f64, areas: Option<Vec<Area>>) -> Result<Self, Invalid> {
         if rho.len() < 3 {
             return Err(Invalid::new("rho", format!("{} patches", rho.len()), "at least 3 tell a line"));
         }
@@ -86,19 +91,8 @@ impl Neutral {
         if !(0.0..=0.5).contains(&std_error) {
             return Err(Invalid::new("std_error", std_error, "relative, from 0 to 0.5"));
         }
-        if areas.len() != rho.len() {
-            let allowed = format!("{}, one for each rho", rho.len());
-            return Err(Invalid::new("areas_px", areas.len(), allowed));
-        }
-        let fits = |a: &Area| a.x >= 0.0 && a.y >= 0.0 && a.width >= 8.0 && a.height >= 8.0;
-        if let Some(i) = areas.iter().position(|a| !fits(a) || !(a.x + a.y + a.width + a.height).is_finite())
-        {
-            let given = format!("{:?}", areas[i]);
-            return Err(Invalid::new(
-                format!("areas_px[{i}]"),
-                given,
-                "at least 8 × 8 pixels within the frame",
-            ));
+        if let Some(areas) = &areas {
+            check_areas(areas, rho.len())?;
         }
         Ok(Self { rho, std_error, areas })
     }
@@ -108,6 +102,18 @@ impl Neutral {
         let green = |i: &usize| self.rho[*i][1];
         (0..self.rho.len()).max_by(|a, b| green(a).total_cmp(&green(b))).unwrap_or(0)
     }
+}
+
+fn check_areas(areas: &[Area], patches: usize) -> Result<(), Invalid> {
+    if areas.len() != patches {
+        return Err(Invalid::new("areas_px", areas.len(), format!("{patches}, one for each rho")));
+    }
+    let fits = |a: &Area| a.x >= 0.0 && a.y >= 0.0 && a.width >= 8.0 && a.height >= 8.0;
+    if let Some(i) = areas.iter().position(|a| !fits(a) || !(a.x + a.y + a.width + a.height).is_finite()) {
+        let (field, given) = (format!("areas_px[{i}]"), format!("{:?}", areas[i]));
+        return Err(Invalid::new(field, given, "at least 8 × 8 pixels within the frame"));
+    }
+    Ok(())
 }
 
 impl Patches {
@@ -133,9 +139,13 @@ impl Patches {
         let frame = &photo.frame;
         let sites = frame.sites();
         let means = frame_means(&self.black, frame);
+        let areas = match &self.neutral.areas {
+            Some(areas) => areas.clone(),
+            None => find::find(View { photo, black: &self.black, flat: &self.flat }, &self.neutral)?,
+        };
         let mut readings = Vec::new();
         let mut of_sites = vec![1.0; sites.len()];
-        for (i, area) in self.neutral.areas.iter().enumerate() {
+        for (i, area) in areas.iter().enumerate() {
             let mut per_channel = [Reading { light: 0.0, std_error: 0.0, veil: 0.0 }; 3];
             for colour in Colour::ALL {
                 let Samples { light: samples, per_site } = self.samples(photo, *area, i, colour, full)?;
@@ -151,7 +161,7 @@ impl Patches {
             }
             readings.push(per_channel);
         }
-        Ok(Shot { label: photo.label.clone(), seconds: photo.seconds, readings, sites: of_sites })
+        Ok(Shot { label: photo.label.clone(), seconds: photo.seconds, areas, readings, sites: of_sites })
     }
 
     fn samples(
@@ -218,6 +228,7 @@ impl Patches {
         Ok(Calibration {
             noise,
             patches: fitted.patches,
+            areas: self.shots.first().map_or(Vec::new(), |shot| shot.areas.clone()),
             glare: fitted.glare,
             gain: fitted.gain,
             linearity: fitted.linearity,

@@ -19,6 +19,11 @@ pub enum Refusal {
     )]
     NotLinear { colour: Colour, patch: usize, rho: f64, deviation: f64 },
     #[error(
+        "{label}: the grey patches were not found: {seen}; they are looked for as a row of even rectangles at equal \
+         distances, in the order of rho; say where they are with `areas_px`"
+    )]
+    NoPatches { label: String, seen: String },
+    #[error(
         "{label}: brightness rises as the {exponent:.2}th power of ρ: this picture is gamma-coded; give the raw file, \
          or convert it without a tone curve"
     )]

@@ -1,6 +1,7 @@
 //! From photographs to profiles: figures of the stage, with photographs whose truth is known.
 
 mod figures;
+mod patches;
 mod real_sensor;
 mod refusals;
 mod stage;

@@ -81,13 +81,14 @@ fn camera(captured: &Captured) -> String {
 
 /// Grey patches against the line through them.
 fn patches(calibration: &Calibration) -> String {
-    let rows = calibration.patches.iter().map(|patch| {
+    let rows = calibration.patches.iter().zip(&calibration.areas).map(|(patch, area)| {
+        let place = [area.x, area.y, area.width, area.height].map(|v| format!("{v:.0}")).join(", ");
         let cells = [0, 1, 2]
             .map(|c| format!("<td>{:.4} ({:+.2} %)</td>", patch.value[c].value, 100.0 * patch.deviation[c]));
-        format!("<tr><td>{}</td>{}</tr>", patch.rho[1], cells.concat())
+        format!("<tr><td>{}</td>{}<td>{place}</td></tr>", patch.rho[1], cells.concat())
     });
     format!(
-        "<h3>Grey patches</h3>\n<div class=\"wide\"><table><tr><th>ρ told</th><th>R seen</th><th>G seen</th><th>B seen</th></tr>{}</table></div>\n\
+        "<h3>Grey patches</h3>\n<div class=\"wide\"><table><tr><th>ρ told</th><th>R seen</th><th>G seen</th><th>B seen</th><th>x, y, width, height in px</th></tr>{}</table></div>\n\
          <p class=\"faint\">In brackets: how far a patch lies off the line through all.</p>\n",
         rows.collect::<String>()
     )

@@ -1,0 +1,272 @@
+//! Finds a row of grey patches in a photograph: even rectangles of one size, at equal distances, as bright to each other
+//! as their ρ. Patches that do not stand out from what surrounds them are where the others say.
+
+use super::{Area, Neutral};
+use crate::frame::Colour;
+use crate::least_squares::robust_mean;
+use crate::refusal::Refusal;
+use crate::view::View;
+
+/// Tiles along the shorter side of a frame.
+const TILES: usize = 160;
+/// Samples of a site that a tile's mean is taken of, along each side.
+const SAMPLES: usize = 4;
+/// Tiles that differ by less belong together: relative, and as a share of the frame's brightest.
+const EVEN: (f64, f64) = (0.04, 0.003);
+/// Shortest side of a patch in tiles, and how much of its rectangle a region must fill.
+const SHORTEST: usize = 4;
+const FILLED: f64 = 0.8;
+/// Largest ratio of sides among the patches of a row.
+const ALIKE: f64 = 1.3;
+/// How far a patch's brightness may be from its ρ: relative, and as a share of a white one, for stray light.
+const LEVEL: (f64, f64) = (0.12, 0.012);
+/// Part of a patch's sides that is read.
+const INNER: f64 = 0.6;
+/// Most regions that are looked at, the largest first.
+const MOST: usize = 150;
+
+/// A frame in small squares: light over the flat, by colour.
+struct Tiles {
+    side_px: usize,
+    columns: usize,
+    rows: usize,
+    light: [Vec<f64>; 3],
+    floor: f64,
+}
+
+/// An even rectangle. Lengths in tiles.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Region {
+    middle: [f64; 2],
+    size: [f64; 2],
+    light: [f64; 3],
+    tiles: usize,
+}
+
+/// Patches in a row.
+#[derive(Debug, Clone, Copy)]
+struct Row {
+    first: [f64; 2],
+    step: [f64; 2],
+    size: [f64; 2],
+    /// Regions that are patches of it.
+    seen: usize,
+    /// Sum of squared deviations from ρ.
+    off: f64,
+}
+
+/// The patches' areas, in the order of ρ.
+pub(super) fn find(view: View<'_>, neutral: &Neutral) -> Result<Vec<Area>, Refusal> {
+    let tiles = Tiles::of(view);
+    let regions = tiles.regions();
+    let none = |seen: String| Refusal::NoPatches { label: view.photo.label.clone(), seen };
+    let rho = &neutral.rho;
+    let mut rows: Vec<Row> = Vec::new();
+    for a in &regions {
+        for b in &regions {
+            let places = (0..rho.len()).flat_map(|i| (i + 1..rho.len()).map(move |j| (i, j)));
+            rows.extend(places.filter_map(|(i, j)| tiles.row(&regions, rho, (a, i), (b, j))));
+        }
+    }
+    let better = |a: &&Row, b: &&Row| a.seen.cmp(&b.seen).then(b.off.total_cmp(&a.off));
+    let Some(best) = rows.iter().max_by(better) else {
+        let count = regions.len();
+        return Err(none(format!(
+            "of {count} even rectangles no {} are as bright to each other as rho",
+            rho.len()
+        )));
+    };
+    let far = |row: &&Row| {
+        let apart = [0, 1].map(|k| (row.first[k] - best.first[k]).abs() / best.size[k]);
+        row.seen == best.seen && apart.iter().any(|d| *d > 0.5)
+    };
+    if let Some(other) = rows.iter().find(far) {
+        let [at, also] = [best, other].map(|row| row.first.map(|v| (v * tiles.side_px as f64).round()));
+        return Err(none(format!("two rows could be them, beginning at {at:?} and {also:?} px")));
+    }
+    Ok((0..rho.len()).map(|i| best.area(i, tiles.side_px)).collect())
+}
+
+impl Tiles {
+    fn of(view: View<'_>) -> Self {
+        let frame = view.frame();
+        let (width, height) = (frame.width(), frame.height());
+        let side_px = (width.min(height) / TILES).max(2).next_multiple_of(2);
+        let (columns, rows) = (width / side_px, height / side_px);
+        let of = |colour: Colour| -> Vec<f64> {
+            let sites: Vec<_> = frame.sites().into_iter().filter(|s| s.colour == colour).collect();
+            let tile = |k: usize| {
+                let (left, top) = (k % columns * side_px, k / columns * side_px);
+                let (mut sum, mut count) = (0.0, 0_usize);
+                for site in &sites {
+                    let step = side_px.div_ceil(site.step * SAMPLES) * site.step;
+                    for y in (site.row_from(top)..top + side_px).step_by(step) {
+                        for x in (site.column_from(left)..left + side_px).step_by(step) {
+                            sum += view.signal(*site, x, y);
+                            count += 1;
+                        }
+                    }
+                }
+                let middle = [left, top].map(|v| (v + side_px / 2) as f64);
+                sum / count.max(1) as f64 / view.flat.at(colour, middle[0], middle[1])
+            };
+            (0..columns * rows).map(tile).collect()
+        };
+        let light = Colour::ALL.map(of);
+        let brightest = light[1].iter().copied().fold(0.0, f64::max);
+        Self { side_px, columns, rows, light, floor: EVEN.1 * brightest }
+    }
+
+    fn alike(&self, a: usize, b: usize) -> bool {
+        let (a, b) = (self.light[1][a], self.light[1][b]);
+        (a - b).abs() < EVEN.0 * 0.5 * (a + b).abs() + self.floor
+    }
+
+    /// Even rectangles, the largest first.
+    fn regions(&self) -> Vec<Region> {
+        let mut known = vec![false; self.columns * self.rows];
+        let mut regions = Vec::new();
+        for start in 0..known.len() {
+            if !known[start] {
+                regions.extend(self.region(&self.flood(start, &mut known)));
+            }
+        }
+        regions.sort_by_key(|r| std::cmp::Reverse(r.tiles));
+        regions.truncate(MOST);
+        regions
+    }
+
+    /// All tiles that hang together with this one.
+    fn flood(&self, start: usize, known: &mut [bool]) -> Vec<usize> {
+        let mut found = vec![start];
+        known[start] = true;
+        let mut next = 0;
+        while let Some(tile) = found.get(next).copied() {
+            next += 1;
+            let (x, y) = (tile % self.columns, tile / self.columns);
+            let beside = [
+                (x > 0).then(|| tile - 1),
+                (x + 1 < self.columns).then(|| tile + 1),
+                (y > 0).then(|| tile - self.columns),
+                (y + 1 < self.rows).then(|| tile + self.columns),
+            ];
+            for other in beside.into_iter().flatten() {
+                if !known[other] && self.alike(tile, other) {
+                    known[other] = true;
+                    found.push(other);
+                }
+            }
+        }
+        found
+    }
+
+    fn region(&self, tiles: &[usize]) -> Option<Region> {
+        if tiles.len() < SHORTEST * SHORTEST {
+            return None;
+        }
+        let range = |of: fn(usize, usize) -> usize| {
+            let values = tiles.iter().map(|t| of(*t, self.columns));
+            Some((values.clone().min()?, values.max()?))
+        };
+        let (left, right) = range(|t, columns| t % columns)?;
+        let (top, bottom) = range(|t, columns| t / columns)?;
+        let (width, height) = (right - left + 1, bottom - top + 1);
+        let inside = left > 0 && top > 0 && right + 1 < self.columns && bottom + 1 < self.rows;
+        let filled = tiles.len() as f64 >= FILLED * (width * height) as f64;
+        if !inside || !filled || width.min(height) < SHORTEST {
+            return None;
+        }
+        let light = [0, 1, 2].map(|c| {
+            let values: Vec<f64> = tiles.iter().map(|t| self.light[c][*t]).collect();
+            robust_mean(&values).0
+        });
+        let middle = [0.5 * (left + right + 1) as f64, 0.5 * (top + bottom + 1) as f64];
+        Some(Region { middle, size: [width as f64, height as f64], light, tiles: tiles.len() })
+    }
+
+    /// The row in which these regions are patches i and j, if everything agrees with it.
+    fn row(
+        &self,
+        regions: &[Region],
+        rho: &[[f64; 3]],
+        (a, i): (&Region, usize),
+        (b, j): (&Region, usize),
+    ) -> Option<Row> {
+        let same_size = |r: &Region| (0..2).all(|k| (a.size[k] / r.size[k]).ln().abs() < f64::ln(ALIKE));
+        if a.middle == b.middle || !same_size(b) {
+            return None;
+        }
+        // Numbers per ρ, from the brighter one: stray light counts less there.
+        let (bright, of) = if rho[i][1] > rho[j][1] { (a, i) } else { (b, j) };
+        let per_rho = [0, 1, 2].map(|c| bright.light[c] / rho[of][c]);
+        let deviation = |light: &[f64; 3], patch: usize| -> Option<f64> {
+            let mut sum = 0.0;
+            for c in 0..3 {
+                let expected = rho[patch][c];
+                let off = (light[c] / per_rho[c] - expected) / (LEVEL.0 * expected + LEVEL.1);
+                if off.abs() > 1.0 {
+                    return None;
+                }
+                sum += off * off;
+            }
+            Some(sum)
+        };
+        deviation(&a.light, i)?;
+        deviation(&b.light, j)?;
+        let step = [0, 1].map(|k| (b.middle[k] - a.middle[k]) / (j - i) as f64);
+        let size = [0, 1].map(|k| 0.5 * (a.size[k] + b.size[k]));
+        if !(0..2).any(|k| step[k].abs() > 0.9 * size[k]) {
+            return None;
+        }
+        let first = [0, 1].map(|k| a.middle[k] - i as f64 * step[k]);
+        let mut row = Row { first, step, size, seen: 0, off: 0.0 };
+        for patch in 0..rho.len() {
+            row.off += deviation(&self.even(&row, patch)?, patch)?;
+            let middle = row.middle(patch);
+            let near = |r: &&Region| (0..2).all(|k| (r.middle[k] - middle[k]).abs() < 0.25 * size[k]);
+            row.seen += usize::from(regions.iter().filter(near).any(same_size));
+        }
+        // One patch may be as bright as what surrounds it.
+        (row.seen + 1 >= rho.len()).then_some(row)
+    }
+
+    /// Brightness of what is read of a patch; none if it is not even, or not in the frame.
+    fn even(&self, row: &Row, patch: usize) -> Option<[f64; 3]> {
+        let area = row.area(patch, 1);
+        let inside = area.x >= 0.0 && area.y >= 0.0;
+        if !inside || area.x + area.width > self.columns as f64 || area.y + area.height > self.rows as f64 {
+            return None;
+        }
+        let span =
+            |from: f64, length: f64| from as usize..((from + length).ceil() as usize).max(from as usize + 1);
+        let columns = span(area.x, area.width);
+        let tiles: Vec<usize> = span(area.y, area.height)
+            .flat_map(|y| columns.clone().map(move |x| (x, y)))
+            .filter(|(x, y)| *x < self.columns && *y < self.rows)
+            .map(|(x, y)| y * self.columns + x)
+            .collect();
+        let light =
+            [0, 1, 2].map(|c| robust_mean(&tiles.iter().map(|t| self.light[c][*t]).collect::<Vec<_>>()).0);
+        // Dust may lie on some.
+        let odd = |t: &&usize| (self.light[1][**t] - light[1]).abs() > 2.0 * EVEN.0 * light[1] + self.floor;
+        (tiles.iter().filter(odd).count() * 10 <= tiles.len()).then_some(light)
+    }
+}
+
+impl Row {
+    fn middle(&self, patch: usize) -> [f64; 2] {
+        [0, 1].map(|k| self.first[k] + patch as f64 * self.step[k])
+    }
+
+    /// What is read of a patch.
+    fn area(&self, patch: usize, side_px: usize) -> Area {
+        let (middle, px) = (self.middle(patch), side_px as f64);
+        let [width, height] = self.size.map(|v| INNER * v);
+        Area {
+            x: (middle[0] - 0.5 * width) * px,
+            y: (middle[1] - 0.5 * height) * px,
+            width: width * px,
+            height: height * px,
+        }
+    }
+}
