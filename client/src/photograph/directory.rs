@@ -242,4 +242,5 @@ tags! {
     BLACK_DELTA_V = 50716 "BlackLevelDeltaV";
     WHITE = 50717 "WhiteLevel";
     ACTIVE_AREA = 50829 "ActiveArea";
+    MASKED_AREAS = 50830 "MaskedAreas";
 }

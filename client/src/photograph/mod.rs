@@ -8,6 +8,7 @@ mod chunks;
 mod directory;
 mod icc;
 mod lossless_jpeg;
+mod masked;
 mod netpbm;
 mod png;
 #[cfg(test)]

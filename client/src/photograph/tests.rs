@@ -217,6 +217,39 @@ fn masked_margins_are_cut_off_and_companded_values_are_spread() {
     assert_eq!(refused, "tag ActiveArea = [0, 0, 5, 6] is not valid: it must lie within 6 × 4 pixels");
 }
 
+/// A mosaic of 46 × 40 pixels whose six left columns see no light, some of them broken.
+fn with_masked_margin(light_in_margin: u16) -> Maker {
+    let sample = |i: u16| -> u16 {
+        let (x, y) = (i % 46, i / 46);
+        match (x, y) {
+            (0..6, 7) => 9000,
+            // The active area begins at column 6: its first column is even.
+            (0..6, _) => 500 + 10 * (y % 2) + x % 2 + light_in_margin,
+            _ => 5000,
+        }
+    };
+    let strip = (0..46 * 40_u16).flat_map(|i| sample(i).to_le_bytes()).collect();
+    let maker = Maker { width: 46, height: 40, strip, ..Maker::dng() };
+    maker.with(50_714, &[505]).with(50_829, &[0, 6, 40, 46]).with(50_830, &[0, 0, 40, 6])
+}
+
+#[test]
+fn masked_margins_tell_the_black_level_unless_light_reaches_them() {
+    let black = |maker: &Maker| maker.decode().unwrap().black.unwrap();
+    // 60 samples a place are too few to tell it; 300 are enough.
+    assert_eq!(black(&with_masked_margin(0)), [505.0; 4]);
+    let tall = |light: u16| {
+        let one = with_masked_margin(light);
+        Maker { height: 200, strip: one.strip.repeat(5), ..one.clone() }
+            .with(50_829, &[0, 6, 200, 46])
+            .with(50_830, &[0, 0, 200, 6])
+    };
+    assert_eq!(black(&tall(0)), [500.0, 501.0, 510.0, 511.0]);
+    assert_eq!(black(&tall(1000)), [505.0; 4], "light fell on the margin");
+    let refused = tall(0).with(50_830, &[0, 0, 201, 6]).refused();
+    assert!(refused.contains("MaskedAreas") && refused.contains("within 46 × 200 pixels"), "{refused}");
+}
+
 #[test]
 fn linear_rgb_and_mosaics_without_a_pattern_are_read() {
     let rgb = Maker::rgb().decode().unwrap();

@@ -4,7 +4,7 @@ use super::chunks::Chunks;
 use super::directory::{Bytes, Directory, Tag};
 use super::icc::tone_curve;
 use super::unreadable::Unreadable;
-use super::{About, Colour, Layout, Photograph};
+use super::{About, Colour, Layout, Photograph, masked};
 
 /// Most directories of a file that are looked at; a loop of them ends there.
 const MOST_DIRECTORIES: usize = 64;
@@ -33,7 +33,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
     let table = picture.numbers(Tag::LINEARIZATION)?;
     linearize(&mut samples, &table);
     let white = picture.number_of(Tag::WHITE)?.filter(|v| *v > 0.0);
-    let whole = Photograph {
+    let mut whole = Photograph {
         width,
         height,
         layout,
@@ -43,7 +43,11 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
         white: white.or_else(|| is_dng.then(|| f64::from((1_u32 << bits) - 1))),
         about: About::of(bytes, &directories),
     };
-    cropped(whole, &picture.whole(Tag::ACTIVE_AREA)?)
+    let active = picture.whole(Tag::ACTIVE_AREA)?;
+    if let Some(measured) = masked::black(&whole, &picture.whole(Tag::MASKED_AREAS)?, &active)? {
+        whole.black = Some(measured);
+    }
+    cropped(whole, &active)
 }
 
 /// All directories, those below others included.

@@ -1,0 +1,57 @@
+//! Black level from the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas).
+
+use super::directory::Tag;
+use super::unreadable::Unreadable;
+use super::{Layout, Photograph};
+
+/// Fewest samples of each place of the mosaic that tell a level: to a sixteenth of the noise.
+const FEWEST: usize = 256;
+/// Share of samples at either end that are left out: defects of the sensor.
+const ODD: f64 = 0.05;
+/// Most by which the margins may differ from what the file tells, as a share of its range: else light reaches them.
+const LIT: f64 = 0.02;
+
+/// By row and column modulo 2, from the corner of the active area. None where the margins tell nothing.
+pub(super) fn black(
+    whole: &Photograph,
+    areas: &[u64],
+    active: &[u64],
+) -> Result<Option<[f64; 4]>, Unreadable> {
+    if matches!(whole.layout, Layout::Rgb) || areas.is_empty() {
+        return Ok(None);
+    }
+    let refused = || {
+        let allowed = format!("rectangles within {} × {} pixels are wanted", whole.width, whole.height);
+        Unreadable::tag(Tag::MASKED_AREAS.name, format_args!("{areas:?}"), allowed)
+    };
+    let corner = [0, 1].map(|i| active.get(i).copied().unwrap_or(0) as usize);
+    let mut found: [Vec<u16>; 4] = Default::default();
+    for area in areas.chunks(4) {
+        let &[top, left, bottom, right] = area else { return Err(refused()) };
+        if top >= bottom || left >= right || bottom > whole.height as u64 || right > whole.width as u64 {
+            return Err(refused());
+        }
+        for y in top as usize..bottom as usize {
+            for x in left as usize..right as usize {
+                let place = (y + corner[0]) % 2 * 2 + (x + corner[1]) % 2;
+                found[place].push(whole.samples[y * whole.width + x]);
+            }
+        }
+    }
+    if found.iter().any(|samples| samples.len() < FEWEST) {
+        return Ok(None);
+    }
+    let levels = found.map(middle);
+    let told = whole.black.map_or(levels, |told| told);
+    let range = whole.white.unwrap_or(65_535.0);
+    let dark = (0..4).all(|i| (levels[i] - told[i]).abs() < LIT * (range - told[i]).max(1.0));
+    Ok(dark.then_some(levels))
+}
+
+/// Mean of the samples that are no defects.
+fn middle(mut samples: Vec<u16>) -> f64 {
+    samples.sort_unstable();
+    let out = (ODD * samples.len() as f64) as usize;
+    let kept = &samples[out..samples.len() - out];
+    kept.iter().map(|v| f64::from(*v)).sum::<f64>() / kept.len() as f64
+}
