@@ -107,7 +107,7 @@ mod tests {
         for told in [
             "cyan  R*",
             "8.69…9.64",
-            "0.115…0.618",
+            "0.12…0.62",
             "paler R: its inks do not explain it: σ_t and α lie off by 7.3 of their errors",
             "deep R: left out: sigma_t_per_mm = 35",
             "2 slabs and channels; furthest off its inks is paler R, by 7.3 of its errors",

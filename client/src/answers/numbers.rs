@@ -59,11 +59,16 @@ pub(super) fn albedo_end(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// `5.9…6.2`, with ≤ and ≥ where the data set no bound.
+/// `5.96…6.17`, with ≤ and ≥ where the data set no bound. Both ends have the decimals of half the width, two digits if it
+/// begins with 1 to 4, else one; `tell` writes an end that stands alone.
 pub(super) fn interval(i: &Interval, tell: impl Fn(f64) -> String) -> String {
     match (i.open_low, i.open_high) {
         (false, false) if i.low == i.high => "held".to_owned(),
-        (false, false) => format!("{}…{}", tell(i.low), tell(i.high)),
+        (false, false) => {
+            let half = 0.5 * (i.high - i.low).abs();
+            let decimals = (-(0.2 * half).log10().floor()).clamp(0.0, 9.0) as usize;
+            format!("{:.decimals$}…{:.decimals$}", i.low, i.high)
+        }
         (true, false) => format!("≤ {}", tell(i.high)),
         (false, true) => format!("≥ {}", tell(i.low)),
         (true, true) => "any".to_owned(),
@@ -99,7 +104,12 @@ mod tests {
         let tell = |low, high, open_low, open_high| {
             interval(&Interval { low, high, open_low, open_high }, |v| significant(v, 2))
         };
-        assert_eq!(tell(1.0, 2.0, false, false), "1…2");
+        assert_eq!(tell(1.0, 2.0, false, false), "1.0…2.0");
+        assert_eq!(tell(0.8954, 0.9006, false, false), "0.8954…0.9006");
+        assert_eq!(tell(0.9795, 0.98068, false, false), "0.9795…0.9807");
+        assert_eq!(tell(5.96, 6.171, false, false), "5.96…6.17");
+        assert_eq!(tell(5.16, 12.8, false, false), "5.2…12.8");
+        assert_eq!(tell(20.0, 190.0, false, false), "20…190");
         assert_eq!(tell(1.0, 2.0, true, false), "≤ 2");
         assert_eq!(tell(1.0, 2.0, false, true), "≥ 1");
         assert_eq!(tell(1.0, 2.0, true, true), "any");

@@ -2,7 +2,7 @@
 
 use optics_model::fit::{Common, GError, ScaleCurve};
 
-use super::numbers::{interval, significant};
+use super::numbers::{interval, significant, with_error};
 use crate::output::{table, wrapped};
 
 /// What was chosen for all channels, or given.
@@ -21,8 +21,8 @@ pub(crate) fn common_text(common: &Common) -> String {
             i.high
         ));
     } else {
-        let (mu, error) = (significant(common.mu, 4), significant(common.mu_std_error, 1));
-        let mut line = format!("scale factor μ = {mu} ± {error}, chosen with all channels together");
+        let told = with_error(common.mu, common.mu_std_error);
+        let mut line = format!("scale factor μ = {told}, chosen with all channels together");
         if i.open_low || i.open_high {
             line += "; it may lie beyond the values tried: widen them with --mu-min and --mu-max";
         }
@@ -77,9 +77,8 @@ fn given_text(common: &Common) -> String {
     if common.mu_std_error == 0.0 {
         return format!("scale factor μ = {}, as given", common.mu);
     }
-    let error = significant(common.mu_std_error, 1);
-    let digits = error.split_once('.').map_or(0, |(_, after)| after.len());
-    format!("scale factor μ = {:.digits$} ± {error}, from what was given and the data", common.mu)
+    let told = with_error(common.mu, common.mu_std_error);
+    format!("scale factor μ = {told}, from what was given and the data")
 }
 
 #[cfg(test)]
