@@ -3,10 +3,9 @@
 use crate::black::Black;
 use crate::estimate::Estimate;
 use crate::flat::Flat;
-use crate::frame::{Colour, Frame, Photo, Site};
+use crate::frame::{Area, Colour, Frame, Photo, Site};
 use crate::kind::Kind;
 use crate::noise::SiteNoise;
-use crate::patches::Area;
 use crate::refusal::Warning;
 use crate::saturation::saturation;
 use crate::view::View;

@@ -67,6 +67,15 @@ pub struct Frame {
     samples: Vec<u16>,
 }
 
+/// Rectangle in pixels of the mosaic.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Area {
+    pub x: f64,
+    pub y: f64,
+    pub width: f64,
+    pub height: f64,
+}
+
 /// What a file says of its numbers, where it does.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Levels {

@@ -8,7 +8,7 @@ use optics_model::Invalid;
 use crate::black::Black;
 use crate::calibration::{Calibration, frame_means};
 use crate::flat::Flat;
-use crate::frame::{Colour, Photo};
+use crate::frame::{Area, Colour, Photo};
 use crate::kind::Kind;
 use crate::least_squares::robust_mean;
 use crate::noise::Pairs;
@@ -18,15 +18,6 @@ use crate::view::View;
 
 mod find;
 mod line;
-
-/// Rectangle in pixels of the mosaic.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Area {
-    pub x: f64,
-    pub y: f64,
-    pub width: f64,
-    pub height: f64,
-}
 
 /// The grey patches and what is certified of them.
 #[derive(Debug, Clone, PartialEq)]

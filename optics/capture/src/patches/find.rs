@@ -1,8 +1,8 @@
 //! Finds a row of grey patches in a photograph: even rectangles of one size, at equal distances, as bright to each other
 //! as their ρ. Patches that do not stand out from what surrounds them are where the others say.
 
-use super::{Area, Neutral};
-use crate::frame::Colour;
+use super::Neutral;
+use crate::frame::{Area, Colour};
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
 use crate::view::View;
