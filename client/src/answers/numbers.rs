@@ -66,8 +66,15 @@ pub(super) fn interval(i: &Interval, tell: impl Fn(f64) -> String) -> String {
         (false, false) if i.low == i.high => "held".to_owned(),
         (false, false) => {
             let half = 0.5 * (i.high - i.low).abs();
-            let decimals = (-(0.2 * half).log10().floor()).clamp(0.0, 9.0) as usize;
-            format!("{:.decimals$}…{:.decimals$}", i.low, i.high)
+            let enough = (-(0.2 * half).log10().floor()).clamp(0.0, 9.0) as usize;
+            // No end is told to be 0 or 1 that is not.
+            let rounds_away = |end: f64, decimals: usize| {
+                let told: f64 = format!("{end:.decimals$}").parse().unwrap_or(end);
+                told != end && (told == 0.0 || told == 1.0)
+            };
+            let decimals = (enough..9).find(|d| ![i.low, i.high].iter().any(|end| rounds_away(*end, *d)));
+            let decimals = decimals.unwrap_or(9);
+            minus(&format!("{:.decimals$}…{:.decimals$}", i.low, i.high))
         }
         (true, false) => format!("≤ {}", tell(i.high)),
         (false, true) => format!("≥ {}", tell(i.low)),
@@ -110,6 +117,10 @@ mod tests {
         assert_eq!(tell(5.96, 6.171, false, false), "5.96…6.17");
         assert_eq!(tell(5.16, 12.8, false, false), "5.2…12.8");
         assert_eq!(tell(20.0, 190.0, false, false), "20…190");
+        assert_eq!(tell(0.3, 35.0, false, false), "0.3…35.0");
+        assert_eq!(tell(0.9902, 0.99996, false, false), "0.99020…0.99996");
+        assert_eq!(tell(-0.03, 0.98, false, false), "−0.03…0.98");
+        assert_eq!(tell(0.0, 0.5, false, false), "0.00…0.50");
         assert_eq!(tell(1.0, 2.0, true, false), "≤ 2");
         assert_eq!(tell(1.0, 2.0, false, true), "≥ 1");
         assert_eq!(tell(1.0, 2.0, true, true), "any");

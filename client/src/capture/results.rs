@@ -118,8 +118,11 @@ fn scene(captured: &Captured) -> Result<String> {
         Channel::new(colour.letter(), rounded(rho.light.value), rounded(rho.dark.value))
     });
     let darker = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
-        let [light, dark] = rho.under_darker_white;
-        Channel::new(Channel::darker_white(colour.letter()), rounded(light), rounded(dark))
+        // Where ρ is put at an end, its change is kept.
+        let [light, dark] = [(rho.light, 0), (rho.dark, 1)].map(|(told, side)| {
+            rounded(told.value.clamp(0.0, 1.0) - (told.value - rho.under_darker_white[side]))
+        });
+        Channel::new(Channel::darker_white(colour.letter()), light, dark)
     });
     let channels = found.chain(darker).collect::<Result<Vec<_>, _>>().context("reflectances of the board")?;
     let scene = captured.session.scene.clone().with_channels(channels)?;

@@ -24,10 +24,10 @@ impl<W: Write> MeasurementWriter<W> {
         Ok(Self { rows, material: check_name(material)?.to_owned() })
     }
 
-    /// All channels of a scene at one thickness.
+    /// All channels of a scene at one thickness, but for those that tell only what the white reference does.
     pub(crate) fn add(&mut self, scene: &Scene, thickness_mm: f64, profiles: &[Profile]) -> Result<()> {
-        for (channel, profile) in scene.channels().iter().zip(profiles) {
-            let estimate = &profile.radiance_factor;
+        for index in scene.seen_channels() {
+            let (channel, estimate) = (&scene.channels()[index], &profiles[index].radiance_factor);
             for (pixel, (value, error)) in estimate.values().iter().zip(estimate.std_errors()).enumerate() {
                 let numbers = [thickness_mm, scene.sensor().centre_mm(pixel)].map(|v| v.to_string());
                 let estimates = [value, error].map(ToString::to_string);

@@ -1,4 +1,5 @@
-//! Black level from the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas).
+//! Black level from the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas). They make exact what the file
+//! tells; by themselves they could not be told from margins that light reaches.
 
 use super::directory::Tag;
 use super::unreadable::Unreadable;
@@ -9,7 +10,9 @@ const FEWEST: usize = 256;
 /// Share of samples at either end that are left out: defects of the sensor.
 const ODD: f64 = 0.05;
 /// Most by which the margins may differ from what the file tells, as a share of its range: else light reaches them.
-const LIT: f64 = 0.02;
+const LIT: f64 = 0.005;
+/// Most rectangles.
+const MOST_AREAS: usize = 16;
 
 /// By row and column modulo 2, from the corner of the active area. None where the margins tell nothing.
 pub(super) fn black(
@@ -17,15 +20,21 @@ pub(super) fn black(
     areas: &[u64],
     active: &[u64],
 ) -> Result<Option<[f64; 4]>, Unreadable> {
-    if matches!(whole.layout, Layout::Rgb) || areas.is_empty() {
+    let Some(told) = whole.black.filter(|_| whole.layout != Layout::Rgb && !areas.is_empty()) else {
         return Ok(None);
-    }
+    };
     let refused = || {
-        let allowed = format!("rectangles within {} × {} pixels are wanted", whole.width, whole.height);
+        let allowed = format!(
+            "at most {MOST_AREAS} rectangles within {} × {} pixels are wanted",
+            whole.width, whole.height
+        );
         Unreadable::tag(Tag::MASKED_AREAS.name, format_args!("{areas:?}"), allowed)
     };
     let corner = [0, 1].map(|i| active.get(i).copied().unwrap_or(0) as usize);
     let mut found: [Vec<u16>; 4] = Default::default();
+    if areas.len() > 4 * MOST_AREAS {
+        return Err(refused());
+    }
     for area in areas.chunks(4) {
         let &[top, left, bottom, right] = area else { return Err(refused()) };
         if top >= bottom || left >= right || bottom > whole.height as u64 || right > whole.width as u64 {
@@ -42,7 +51,6 @@ pub(super) fn black(
         return Ok(None);
     }
     let levels = found.map(middle);
-    let told = whole.black.map_or(levels, |told| told);
     let range = whole.white.unwrap_or(65_535.0);
     let dark = (0..4).all(|i| (levels[i] - told[i]).abs() < LIT * (range - told[i]).max(1.0));
     Ok(dark.then_some(levels))

@@ -72,5 +72,8 @@ mod tests {
         assert!((found.value - 0.985).abs() < 1e-12);
         let slope = (apparent(0.986) - apparent(0.984)) / 0.002;
         assert!((found.std_error * slope / 1e-3 - 1.0).abs() < 1e-4, "{found:?}");
+        // A reference of 1 % less makes the board look 1 % darker than it was taken for.
+        let darker = shown.rho(Estimate::new(DARKER_WHITE * apparent(0.985), 1e-3)).value;
+        assert!((apparent(darker) / apparent(0.985) - DARKER_WHITE).abs() < 1e-12, "{darker}");
     }
 }

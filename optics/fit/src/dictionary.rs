@@ -54,9 +54,13 @@ impl DictionaryBuilder {
     /// If records are missing.
     pub fn build(self) -> FitDictionary {
         assert!(self.present.iter().all(|present| *present), "every record has come");
+        // No photograph is compared with the others.
+        let seen: Vec<usize> = self.grid.scene().seen_channels().collect();
         let described = |(index, records): (usize, Records)| {
             let channel = ChannelRecords::new(records);
-            channel.whole_view();
+            if seen.contains(&index) {
+                channel.whole_view();
+            }
             (index, FitChannel(Arc::new(channel)))
         };
         let channels = self.channels.into_par_iter().map(described).collect::<Vec<_>>();

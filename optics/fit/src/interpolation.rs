@@ -27,9 +27,10 @@ impl Place {
         Self::through(first, count, at)
     }
 
-    /// A node where a step may be: its integrand is the mean of those at either side, as symmetric weights give it.
-    pub(crate) fn at_step(node: usize) -> Self {
-        Self::through(node - 2, 5, node as f64)
+    /// At a node where a step may be, or so near that it does not matter: the integrand is the mean of those at either
+    /// side, as symmetric weights give it.
+    pub(crate) fn at_step(node: usize, at: f64) -> Self {
+        Self::through(node - 2, 5, at)
     }
 
     fn through(first: usize, count: usize, at: f64) -> Self {
@@ -90,7 +91,7 @@ mod tests {
     fn at_a_step_the_integrand_is_the_mean_of_both_sides() {
         let nodes: Vec<f64> =
             (0..20).map(|i| f64::from(i - 9)).map(|x| x * if x < 0.0 { 0.2 } else { 0.8 }).collect();
-        let place = Place::at_step(9);
+        let place = Place::at_step(9, 9.0);
         assert!(place.integral(&nodes).abs() < 1e-15);
         assert!((place.integrand(&nodes) - 0.5).abs() < 1e-12);
     }

@@ -29,7 +29,7 @@ fn bytes_of_values(grid: &Grid) -> usize {
 }
 
 fn keeps_gradients(grid: &Grid) -> bool {
-    bytes_of_values(grid).saturating_mul(grid.scene().channels().len()) <= GRADIENTS_KEPT
+    bytes_of_values(grid).saturating_mul(grid.scene().seen_channels().count()) <= GRADIENTS_KEPT
 }
 
 /// Bytes that the view of a channel over all pixels takes.

@@ -301,6 +301,12 @@ impl Scene {
         self.channels.iter().position(|c| c.name == name)
     }
 
+    /// Indices of the channels that a camera sees: all but those under a darker white reference.
+    pub fn seen_channels(&self) -> impl Iterator<Item = usize> {
+        let darker: Vec<_> = (0..self.channels.len()).filter_map(|i| self.under_darker_white(i)).collect();
+        (0..self.channels.len()).filter(move |i| !darker.contains(i))
+    }
+
     pub fn with_channels(mut self, channels: Vec<Channel>) -> Result<Self> {
         self.channels = channels;
         Self::new(self.layers, self.channels, self.light, self.sensor, self.multiple_scattering)

@@ -1,7 +1,7 @@
 //! Grey patches that the session file does not say the place of.
 
 use farm_tests::photograph::{Camera, Look, Session, What};
-use optics_capture::{Calibration, Darks, Flats, Neutral, Patches, Refusal};
+use optics_capture::{Area, Calibration, Darks, Flats, Neutral, Patches, Refusal};
 
 use crate::stage::{PLAIN, session, shots, slab};
 
@@ -43,15 +43,19 @@ fn patches_are_found_where_they_are_and_tell_what_they_told_with_areas() {
     }
 }
 
-/// Uneven light, a dirty chart, and another order of the patches.
+/// Light that falls off by a quarter, and lamps that flicker; and from right to left.
 #[test]
-fn patches_are_found_on_a_bad_photograph_and_in_the_order_that_is_told() {
+fn patches_are_found_in_uneven_light_and_in_the_order_that_is_told() {
     let camera = Camera { vignetting: 0.25, ..Camera::default() };
     let session = Session::new(camera, slab());
     let look = Look { seed: 3, flicker: 0.004, ..PLAIN };
-    let found = found(&session, &session.rho, What::Chart, &look).unwrap();
-    let left = |i: usize| found.areas[i].x;
-    assert!((1..6).all(|i| left(i) > left(i - 1)), "{:?}", found.areas);
+    let forwards = found(&session, &session.rho, What::Chart, &look).unwrap().areas;
+    assert!((1..6).all(|i| forwards[i].x > forwards[i - 1].x), "{forwards:?}");
+    let reversed: Vec<f64> = session.rho.iter().rev().copied().collect();
+    let mut backwards = found(&session, &reversed, What::Chart, &look).unwrap().areas;
+    backwards.reverse();
+    let off = |(a, b): (&Area, &Area)| (a.x - b.x).abs() + (a.y - b.y).abs();
+    assert!(forwards.iter().zip(&backwards).all(|pair| off(pair) < 1e-6), "{forwards:?} {backwards:?}");
 }
 
 #[test]

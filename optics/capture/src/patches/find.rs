@@ -22,6 +22,8 @@ const ALIKE: f64 = 1.3;
 const LEVEL: (f64, f64) = (0.12, 0.012);
 /// Part of a patch's sides that is read.
 const INNER: f64 = 0.6;
+/// Least side of what is read of a patch, in pixels.
+const LEAST_PX: f64 = 8.0;
 /// Most regions that are looked at, the largest first.
 const MOST: usize = 150;
 
@@ -84,7 +86,12 @@ pub(super) fn find(view: View<'_>, neutral: &Neutral) -> Result<Vec<Area>, Refus
         let [at, also] = [best, other].map(|row| row.first.map(|v| (v * tiles.side_px as f64).round()));
         return Err(none(format!("two rows could be them, beginning at {at:?} and {also:?} px")));
     }
-    Ok((0..rho.len()).map(|i| best.area(i, tiles.side_px)).collect())
+    let row = best.through(&regions, rho.len());
+    let areas: Vec<Area> = (0..rho.len()).map(|i| row.area(i, tiles.side_px)).collect();
+    if areas.iter().any(|area| area.width.min(area.height) < LEAST_PX) {
+        return Err(none(format!("those found leave less than {LEAST_PX} × {LEAST_PX} pixels to read")));
+    }
+    Ok(areas)
 }
 
 impl Tiles {
@@ -198,6 +205,9 @@ impl Tiles {
         }
         // Numbers per ρ, from the brighter one: stray light counts less there.
         let (bright, of) = if rho[i][1] > rho[j][1] { (a, i) } else { (b, j) };
+        if bright.light.iter().any(|light| *light <= self.floor) {
+            return None;
+        }
         let per_rho = [0, 1, 2].map(|c| bright.light[c] / rho[of][c]);
         let deviation = |light: &[f64; 3], patch: usize| -> Option<f64> {
             let mut sum = 0.0;
@@ -222,9 +232,7 @@ impl Tiles {
         let mut row = Row { first, step, size, seen: 0, off: 0.0 };
         for patch in 0..rho.len() {
             row.off += deviation(&self.even(&row, patch)?, patch)?;
-            let middle = row.middle(patch);
-            let near = |r: &&Region| (0..2).all(|k| (r.middle[k] - middle[k]).abs() < 0.25 * size[k]);
-            row.seen += usize::from(regions.iter().filter(near).any(same_size));
+            row.seen += usize::from(row.region(regions, patch).is_some());
         }
         // One patch may be as bright as what surrounds it.
         (row.seen + 1 >= rho.len()).then_some(row)
@@ -256,6 +264,33 @@ impl Tiles {
 impl Row {
     fn middle(&self, patch: usize) -> [f64; 2] {
         [0, 1].map(|k| self.first[k] + patch as f64 * self.step[k])
+    }
+
+    /// The region that is this patch.
+    fn region<'a>(&self, regions: &'a [Region], patch: usize) -> Option<&'a Region> {
+        let middle = self.middle(patch);
+        regions.iter().find(|r| {
+            let near = |k: usize| (r.middle[k] - middle[k]).abs() < 0.25 * self.size[k];
+            let alike = |k: usize| (self.size[k] / r.size[k]).ln().abs() < f64::ln(ALIKE);
+            (0..2).all(|k| near(k) && alike(k))
+        })
+    }
+
+    /// The same through the middles of all its regions, by least squares.
+    fn through(&self, regions: &[Region], patches: usize) -> Self {
+        let seen: Vec<(f64, [f64; 2])> = (0..patches)
+            .filter_map(|i| self.region(regions, i).map(|region| (i as f64, region.middle)))
+            .collect();
+        let n = seen.len() as f64;
+        let mean_i = seen.iter().map(|s| s.0).sum::<f64>() / n;
+        let square = seen.iter().map(|s| (s.0 - mean_i).powi(2)).sum::<f64>();
+        let mut row = *self;
+        for k in 0..2 {
+            let mean = seen.iter().map(|s| s.1[k]).sum::<f64>() / n;
+            row.step[k] = seen.iter().map(|s| (s.0 - mean_i) * (s.1[k] - mean)).sum::<f64>() / square;
+            row.first[k] = mean - mean_i * row.step[k];
+        }
+        row
     }
 
     /// What is read of a patch.

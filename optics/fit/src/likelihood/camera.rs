@@ -18,8 +18,8 @@ const TAIL: usize = 16;
 const KERNEL: usize = 64;
 /// Taps of one side, the middle one included.
 const TAPS: usize = KERNEL / 2 + 1;
-/// So near to the edge between black and white, in pixels, a place counts as the edge itself.
-const AT_STEP: f64 = 1e-9;
+/// So near to the edge between black and white, in pixels, a place counts as the edge itself: x in files is rounded.
+const AT_STEP: f64 = 1e-4;
 
 /// The pixels of a measurement over those of a dictionary.
 #[derive(Debug, Clone)]
@@ -92,7 +92,7 @@ impl Camera {
         let cells = self.pixels + 2 * PADDING;
         let place = match cells / 2 {
             _ if !self.pixels.is_multiple_of(2) => Place::new(at, 0..cells),
-            step if (at - step as f64).abs() < AT_STEP => Place::at_step(step),
+            step if (at - step as f64).abs() < AT_STEP => Place::at_step(step, at),
             step if at < step as f64 => Place::new(at, 0..step),
             step => Place::new(at, step..cells),
         };

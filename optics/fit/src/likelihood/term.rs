@@ -150,20 +150,20 @@ impl Term {
     /// At the shared unknowns and the profile's own.
     pub(super) fn linear(&self, surrogate: &Surrogate, shared: &Point, own: &[f64]) -> Linear {
         let (thickness_mm, medium) = (shared.thickness_mm(), shared.medium());
-        let predicted = match &self.near {
+        let mut predicted = match &self.near {
             Some(near) => surrogate.predict_near(near, thickness_mm, medium),
             None => surrogate.predict_at(thickness_mm, 0..surrogate.pixels(), medium),
         };
         let mut slopes = predicted.slopes.to_vec();
         slopes.push(predicted.by_ln_thickness);
-        let off = self.white.as_ref().map_or(0.0, |white| shared.ln_scale() + white.ln_mu);
-        slopes.extend(self.white.as_ref().map(|white| white.slope.clone()));
+        if let Some(white) = &self.white {
+            let off = shared.ln_scale() + white.ln_mu;
+            predicted.values.iter_mut().zip(&white.slope).for_each(|(v, by)| *v += off * by);
+            slopes.push(white.slope.clone());
+        }
         let blur_mm2 = blur::variance_mm2(shared.blur());
         let mut seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), blur_mm2);
         let by_white = self.white.as_ref().and_then(|_| seen.slopes.pop());
-        if let Some(by_white) = &by_white {
-            seen.values.iter_mut().zip(by_white).for_each(|(v, by)| *v += off * by);
-        }
         let scale = shared.scale();
         let (gain, slope) = (self.own_value(own, Own::Gain), self.own_value(own, Own::Slope));
         let zero = self.own_value(own, Own::Zero);

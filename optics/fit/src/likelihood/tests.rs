@@ -4,8 +4,9 @@ use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Nuisance, Obj
 use optics_model::scene::{Channel, DARKER_WHITE, Scene, Sensor};
 use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, Profile, ProfileSetup, Record, Walks};
 
+use super::LN_SCALE;
 use super::channel;
-use super::problem::ChannelData;
+use super::problem::{ChannelData, Sharing, assemble};
 use super::start::Start;
 use crate::dictionary::FitDictionary;
 use crate::fit;
@@ -212,29 +213,58 @@ fn by_white(x: f64, value: f64) -> f64 {
     0.8 * value * 0.5 * (1.0 + (x / 0.6).tanh())
 }
 
-/// One channel, and perhaps what it would be under a darker white reference.
-fn dictionary_with_white(knows_white: bool) -> FitDictionary {
-    let names = ["G".to_owned(), Channel::darker_white("G")];
-    let channels =
-        names.iter().take(1 + usize::from(knows_white)).map(|name| Channel::new(name, 0.9, 0.02).unwrap());
+/// A dictionary of channels whose profiles are these functions of x, the formula's value there, and the channel.
+fn dictionary_of_channels(names: &[String], value: impl Fn(f64, f64, usize) -> f64) -> FitDictionary {
+    let channels = names.iter().map(|name| Channel::new(name, 0.9, 0.02).unwrap()).collect();
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, 120, 0.0).unwrap());
-    let scene = scene.with_channels(channels.collect()).unwrap();
+    let scene = scene.with_channels(channels).unwrap();
     let grid = Grid::new(scene, dense_axes(), Walks::PAPER, 1, false).unwrap();
     let record = |index: usize| {
         let (point, medium) = grid.parameters(index);
         let (sigma_t, albedo, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
         let profile = |channel: usize| {
-            let value = |i| {
+            let at = |i| {
                 let x = grid.scene().sensor().centre_mm(i);
-                let value = profile_value(x, sigma_t, albedo, g, point.thickness_mm(), 1.0);
-                (value + channel as f64 * DARKER_WHITE.ln() * by_white(x, value)) as f32
+                value(x, profile_value(x, sigma_t, albedo, g, point.thickness_mm(), 1.0), channel) as f32
             };
-            let values: Vec<f32> = (0..120).map(value).collect();
+            let values: Vec<f32> = (0..120).map(at).collect();
             Profile { radiance_factor: Estimate::new(values, vec![0.0; 120]).unwrap(), derivatives: None }
         };
-        Record { index, profiles: (0..grid.scene().channels().len()).map(profile).collect() }
+        Record { index, profiles: (0..names.len()).map(profile).collect() }
     };
     dictionary_of(&grid, record)
+}
+
+/// One channel, and perhaps what it would be under a darker white reference.
+fn dictionary_with_white(knows_white: bool) -> FitDictionary {
+    let names = ["G".to_owned(), Channel::darker_white("G")];
+    dictionary_of_channels(&names[..=usize::from(knows_white)], |x, value, channel| {
+        value + channel as f64 * DARKER_WHITE.ln() * by_white(x, value)
+    })
+}
+
+/// The column by the scale has what goes through ρ; blur, origin and gain are not at their defaults.
+#[test]
+fn the_derivative_by_the_scale_is_that_of_the_model() {
+    let (dictionary, measurement) = (dictionary_with_white(true), measured(MEDIUM, 3, Flaws::default()));
+    let told = FitSettings { mu: 0.98, mu_std_error: 0.01, blur_mm: 0.08, ..settings() };
+    let options = FitOptions::new(told).unwrap();
+    let data = ChannelData::new(&dictionary, &measurement, 0, "G", &options).unwrap();
+    let surrogates = data.surrogates();
+    let medium = [MEDIUM.0.ln(), (1.0 - MEDIUM.1).sqrt(), (1.0 - MEDIUM.2).ln()];
+    let at = |scale: f64| {
+        let (one, media) = (std::slice::from_ref(&data), [medium]);
+        let (assembly, state) = assemble(one, &[&surrogates[0]], &media, scale, Sharing::default());
+        let own = vec![0.3; assembly.system.terms[0].own_count()];
+        assembly.system.terms[0].linear(&surrogates[0], &assembly.system.point(0, &state.x), &own)
+    };
+    let (step, here) = (1e-5, at(0.01));
+    let (above, below) = (at(0.01 + step), at(0.01 - step));
+    for (i, by_scale) in here.columns[LN_SCALE].iter().enumerate() {
+        // Residuals fall as the model rises.
+        let quotient = (below.residuals[i] - above.residuals[i]) / (2.0 * step);
+        assert!((by_scale - quotient).abs() < 1e-4 * (1.0 + quotient.abs()), "{i}: {by_scale} {quotient}");
+    }
 }
 
 /// The reference is 1.5 % brighter than told: levels are too high, and the dictionary's ρ, too.

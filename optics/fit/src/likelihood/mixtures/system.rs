@@ -156,11 +156,15 @@ impl Chart<'_> {
         looks.iter().map(|l| l.cost).sum::<f64>() + self.prior_cost(x)
     }
 
-    /// Looks up other thicknesses again where the media now are.
+    /// Looks up other thicknesses, and what the white reference does, again where the media now are.
     pub(super) fn move_near(&mut self, x: &DVector<f64>) {
         self.members.par_iter_mut().for_each(|member| {
             let [s, a, g, ..] = member.place(x).point;
             member.term.near = member.surrogate.near(member.term.thickness_mm, [s, a, g]);
+            if let Some(white) = &mut member.term.white {
+                white.slope =
+                    member.surrogate.by_white(member.term.thickness_mm, [s, a, g]).unwrap_or_default();
+            }
         });
     }
 
