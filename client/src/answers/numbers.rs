@@ -60,7 +60,7 @@ pub(super) fn albedo_end(value: f64) -> String {
 }
 
 /// `5.96…6.17`, with ≤ and ≥ where the data set no bound. Both ends have the decimals of half the width, two digits if it
-/// begins with 1 to 4, else one; `tell` writes an end that stands alone.
+/// begins with 1 to 4, else one, and more where an end would round to 0 or 1. `tell` writes an end that stands alone.
 pub(super) fn interval(i: &Interval, tell: impl Fn(f64) -> String) -> String {
     match (i.open_low, i.open_high) {
         (false, false) if i.low == i.high => "held".to_owned(),

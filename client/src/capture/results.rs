@@ -234,7 +234,8 @@ fn board(captured: &Captured) -> Value {
 fn camera(captured: &Captured) -> Value {
     let calibration = &captured.calibration;
     let first = captured.inputs.first().map(|input| &input.about);
-    let areas = calibration.areas.iter().map(|a| [a.x, a.y, a.width, a.height].map(f64::round));
+    let areas =
+        calibration.patches.iter().map(|p| [p.area.x, p.area.y, p.area.width, p.area.height].map(f64::round));
     let noise = calibration.noise.iter().map(|n| json!({"read": n.read.value, "per_number": n.gain.value}));
     json!({
         "model": first.and_then(|about| about.camera.clone()),

@@ -15,8 +15,6 @@ use crate::view::View;
 pub struct Calibration {
     pub noise: Vec<SiteNoise>,
     pub patches: Vec<PatchReading>,
-    /// Where the first shot of the patches was read.
-    pub areas: Vec<Area>,
     /// γ: share of the frame's mean light that is scattered over the frame.
     pub glare: [Estimate; 3],
     /// k: numbers per unit of radiance factor, its error without the certificate's.
@@ -40,6 +38,8 @@ pub struct Calibration {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PatchReading {
     pub rho: [f64; 3],
+    /// Where it was read in the first shot.
+    pub area: Area,
     pub value: [Estimate; 3],
     /// Relative, from the line through all.
     pub deviation: [f64; 3],

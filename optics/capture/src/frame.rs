@@ -68,7 +68,7 @@ pub struct Frame {
 }
 
 /// Rectangle in pixels of the mosaic.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Area {
     pub x: f64,
     pub y: f64,

@@ -64,6 +64,8 @@ struct Reading {
     veil: f64,
 }
 
+/// Least side of an area, in pixels.
+const LEAST_PX: f64 = 8.0;
 /// Pixels of an area that are read: a white patch is then known to 0.005 %.
 const SAMPLES: f64 = 100_000.0;
 
@@ -99,10 +101,11 @@ fn check_areas(areas: &[Area], patches: usize) -> Result<(), Invalid> {
     if areas.len() != patches {
         return Err(Invalid::new("areas_px", areas.len(), format!("{patches}, one for each rho")));
     }
-    let fits = |a: &Area| a.x >= 0.0 && a.y >= 0.0 && a.width >= 8.0 && a.height >= 8.0;
+    let fits = |a: &Area| a.x >= 0.0 && a.y >= 0.0 && a.width >= LEAST_PX && a.height >= LEAST_PX;
     if let Some(i) = areas.iter().position(|a| !fits(a) || !(a.x + a.y + a.width + a.height).is_finite()) {
         let (field, given) = (format!("areas_px[{i}]"), format!("{:?}", areas[i]));
-        return Err(Invalid::new(field, given, "at least 8 × 8 pixels within the frame"));
+        let allowed = format!("at least {LEAST_PX} × {LEAST_PX} pixels within the frame");
+        return Err(Invalid::new(field, given, allowed));
     }
     Ok(())
 }
@@ -219,7 +222,6 @@ impl Patches {
         Ok(Calibration {
             noise,
             patches: fitted.patches,
-            areas: self.shots.first().map_or(Vec::new(), |shot| shot.areas.clone()),
             glare: fitted.glare,
             gain: fitted.gain,
             linearity: fitted.linearity,

@@ -5,7 +5,6 @@
 //! a local model is fitted by weighted least squares, which averages the noise of the records about; across
 //! albedos, which share their walks, the four nearest are interpolated.
 
-use optics_model::scene::DARKER_WHITE;
 use optics_model::{Grid, Medium};
 
 use super::dictionary::FitDictionary;
@@ -130,14 +129,10 @@ impl<'a> Surrogate<'a> {
         }
     }
 
-    /// What a brighter white reference does to a profile through the ρ that were measured with it, by the logarithm of
-    /// the reference; none if the scene does not tell.
-    pub(super) fn by_white(&self, thickness_mm: f64, x: Coordinates) -> Option<Vec<f64>> {
-        let darker = self.grid().scene().under_darker_white(self.channel)?;
-        let darker = Self::new(self.dictionary, darker, self.ior);
-        let values = |of: &Self| of.predict_at(thickness_mm, 0..self.pixels(), x).values;
-        let pairs = values(self).into_iter().zip(values(&darker));
-        Some(pairs.map(|(as_told, darker)| (as_told - darker) / -DARKER_WHITE.ln()).collect())
+    /// The same over a board whose ρ were measured with a darker white reference, if the scene tells.
+    pub(super) fn under_darker_white(&self) -> Option<Self> {
+        let channel = self.grid().scene().under_darker_white(self.channel)?;
+        Some(Self::new(self.dictionary, channel, self.ior))
     }
 
     pub(super) fn grid(&self) -> &'a Grid {

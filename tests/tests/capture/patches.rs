@@ -1,36 +1,26 @@
 //! Grey patches that the session file does not say the place of.
 
 use farm_tests::photograph::{Camera, Look, Session, What};
-use optics_capture::{Area, Calibration, Darks, Flats, Neutral, Patches, Refusal};
+use optics_capture::{Area, Calibration, Neutral, Refusal};
 
-use crate::stage::{PLAIN, session, shots, slab};
+use crate::stage::{PLAIN, calibrate, calibrate_by, session, slab};
 
-/// Dark, flat, and shots of this subject for the patches, whose places are looked for.
+/// The calibration by shots of this subject for the patches, whose places are looked for.
 fn found(session: &Session, rho: &[f64], subject: What, look: &Look) -> Result<Calibration, Refusal> {
-    let mut darks = Darks::new();
-    for photo in shots(session, What::Dark, 2, look) {
-        darks.add(photo)?;
-    }
-    let black = darks.finish(&session.shoot(What::Bare, 0, look))?;
-    let mut flats = Flats::new(&black);
-    for photo in shots(session, What::Sheet, 2, look) {
-        flats.add(photo)?;
-    }
-    let neutral =
-        Neutral::new(rho.iter().map(|r| [*r; 3]).collect(), 0.005, None).expect("greys of a chart are valid");
-    let mut patches = Patches::new(black, flats.finish()?, neutral);
-    for photo in shots(session, subject, 2, look) {
-        patches.add(photo)?;
-    }
-    patches.finish()
+    let neutral = Neutral::new(rho.iter().map(|r| [*r; 3]).collect(), 0.005, None);
+    calibrate_by(session, neutral.expect("greys of a chart are valid"), subject, look)
+}
+
+fn areas(calibration: &Calibration) -> Vec<Area> {
+    calibration.patches.iter().map(|patch| patch.area).collect()
 }
 
 #[test]
 fn patches_are_found_where_they_are_and_tell_what_they_told_with_areas() {
     let session = session();
-    let told = crate::stage::calibrate(session, &PLAIN).unwrap();
+    let told = calibrate(session, &PLAIN).unwrap();
     let found = found(session, &session.rho, What::Chart, &PLAIN).unwrap();
-    for (area, [x, y, width, height]) in found.areas.iter().zip(session.areas_px()) {
+    for (area, [x, y, width, height]) in areas(&found).iter().zip(session.areas_px()) {
         // A fifth of the patch is kept clear of on every side.
         assert!(area.x > x && area.x + area.width < x + width, "{area:?} {x} {width}");
         assert!(area.y > y && area.y + area.height < y + height, "{area:?} {y} {height}");
@@ -49,10 +39,10 @@ fn patches_are_found_in_uneven_light_and_in_the_order_that_is_told() {
     let camera = Camera { vignetting: 0.25, ..Camera::default() };
     let session = Session::new(camera, slab());
     let look = Look { seed: 3, flicker: 0.004, ..PLAIN };
-    let forwards = found(&session, &session.rho, What::Chart, &look).unwrap().areas;
+    let forwards = areas(&found(&session, &session.rho, What::Chart, &look).unwrap());
     assert!((1..6).all(|i| forwards[i].x > forwards[i - 1].x), "{forwards:?}");
     let reversed: Vec<f64> = session.rho.iter().rev().copied().collect();
-    let mut backwards = found(&session, &reversed, What::Chart, &look).unwrap().areas;
+    let mut backwards = areas(&found(&session, &reversed, What::Chart, &look).unwrap());
     backwards.reverse();
     let off = |(a, b): (&Area, &Area)| (a.x - b.x).abs() + (a.y - b.y).abs();
     assert!(forwards.iter().zip(&backwards).all(|pair| off(pair) < 1e-6), "{forwards:?} {backwards:?}");

@@ -2,7 +2,7 @@
 
 use farm_tests::photograph::{Board, Camera, Edge, Look, Session, Slab, What};
 use optics_capture::{
-    BareShots, Calibration, Darks, Flats, Mountings, Patches, Photo, Refusal, SampleProfile,
+    BareShots, Calibration, Darks, Flats, Mountings, Neutral, Patches, Photo, Refusal, SampleProfile,
 };
 
 /// What a session gives.
@@ -53,6 +53,16 @@ pub fn shots(session: &Session, what: What, count: u64, look: &Look) -> Vec<Phot
 
 /// Dark, flat, patches.
 pub fn calibrate(session: &Session, look: &Look) -> Result<Calibration, Refusal> {
+    calibrate_by(session, session.neutral(), What::Chart, look)
+}
+
+/// The same by shots of any subject for the patches.
+pub fn calibrate_by(
+    session: &Session,
+    neutral: Neutral,
+    subject: What,
+    look: &Look,
+) -> Result<Calibration, Refusal> {
     let mut darks = Darks::new();
     for photo in shots(session, What::Dark, 2, look) {
         darks.add(photo)?;
@@ -62,8 +72,8 @@ pub fn calibrate(session: &Session, look: &Look) -> Result<Calibration, Refusal>
     for photo in shots(session, What::Sheet, 2, look) {
         flats.add(photo)?;
     }
-    let mut patches = Patches::new(black, flats.finish()?, session.neutral());
-    for photo in shots(session, What::Chart, 2, look) {
+    let mut patches = Patches::new(black, flats.finish()?, neutral);
+    for photo in shots(session, subject, 2, look) {
         patches.add(photo)?;
     }
     patches.finish()

@@ -54,7 +54,7 @@ fn the_example_becomes_profiles_with_what_is_known_of_the_set_up_and_the_same_by
     let scene = std::fs::read_to_string(white.join("scene.toml")).unwrap();
     let (_, under_darker_white) = scene.split_once("name = \"R (white -1 %)\"\nrho_light = ").unwrap();
     let rho: f64 = under_darker_white.lines().next().unwrap().parse().unwrap();
-    // dρ/d ln v is 0.53 at ρ = 0.985 under the paper's coat.
+    // A light side of 0.985 that looks 1 % darker is one of 0.980, under the paper's coat.
     assert!((0.978..0.982).contains(&rho), "{rho}");
     let session_json: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(white.join("session.json")).unwrap()).unwrap();

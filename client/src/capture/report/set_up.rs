@@ -81,7 +81,8 @@ fn camera(captured: &Captured) -> String {
 
 /// Grey patches against the line through them.
 fn patches(calibration: &Calibration) -> String {
-    let rows = calibration.patches.iter().zip(&calibration.areas).map(|(patch, area)| {
+    let rows = calibration.patches.iter().map(|patch| {
+        let area = patch.area;
         let place = [area.x, area.y, area.width, area.height].map(|v| format!("{v:.0}")).join(", ");
         let cells = [0, 1, 2]
             .map(|c| format!("<td>{:.4} ({:+.2} %)</td>", patch.value[c].value, 100.0 * patch.deviation[c]));

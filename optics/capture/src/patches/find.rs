@@ -1,7 +1,7 @@
 //! Finds a row of grey patches in a photograph: even rectangles of one size, at equal distances, as bright to each other
 //! as their ρ. Patches that do not stand out from what surrounds them are where the others say.
 
-use super::Neutral;
+use super::{LEAST_PX, Neutral};
 use crate::frame::{Area, Colour};
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
@@ -22,8 +22,6 @@ const ALIKE: f64 = 1.3;
 const LEVEL: (f64, f64) = (0.12, 0.012);
 /// Part of a patch's sides that is read.
 const INNER: f64 = 0.6;
-/// Least side of what is read of a patch, in pixels.
-const LEAST_PX: f64 = 8.0;
 /// Most regions that are looked at, the largest first.
 const MOST: usize = 150;
 
@@ -65,7 +63,7 @@ pub(super) fn find(view: View<'_>, neutral: &Neutral) -> Result<Vec<Area>, Refus
     let rho = &neutral.rho;
     let mut rows: Vec<Row> = Vec::new();
     for a in &regions {
-        for b in &regions {
+        for b in regions.iter().filter(|b| a.middle != b.middle && alike(a.size, b.size)) {
             let places = (0..rho.len()).flat_map(|i| (i + 1..rho.len()).map(move |j| (i, j)));
             rows.extend(places.filter_map(|(i, j)| tiles.row(&regions, rho, (a, i), (b, j))));
         }
@@ -92,6 +90,11 @@ pub(super) fn find(view: View<'_>, neutral: &Neutral) -> Result<Vec<Area>, Refus
         return Err(none(format!("those found leave less than {LEAST_PX} × {LEAST_PX} pixels to read")));
     }
     Ok(areas)
+}
+
+/// Whether sides are alike, within the ratio that patches of a row may have.
+fn alike(a: [f64; 2], b: [f64; 2]) -> bool {
+    (0..2).all(|k| a[k].max(b[k]) <= ALIKE * a[k].min(b[k]))
 }
 
 impl Tiles {
@@ -199,10 +202,6 @@ impl Tiles {
         (a, i): (&Region, usize),
         (b, j): (&Region, usize),
     ) -> Option<Row> {
-        let same_size = |r: &Region| (0..2).all(|k| (a.size[k] / r.size[k]).ln().abs() < f64::ln(ALIKE));
-        if a.middle == b.middle || !same_size(b) {
-            return None;
-        }
         // Numbers per ρ, from the brighter one: stray light counts less there.
         let (bright, of) = if rho[i][1] > rho[j][1] { (a, i) } else { (b, j) };
         if bright.light.iter().any(|light| *light <= self.floor) {
@@ -271,8 +270,7 @@ impl Row {
         let middle = self.middle(patch);
         regions.iter().find(|r| {
             let near = |k: usize| (r.middle[k] - middle[k]).abs() < 0.25 * self.size[k];
-            let alike = |k: usize| (self.size[k] / r.size[k]).ln().abs() < f64::ln(ALIKE);
-            (0..2).all(|k| near(k) && alike(k))
+            (0..2).all(near) && alike(self.size, r.size)
         })
     }
 

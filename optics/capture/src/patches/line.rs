@@ -3,7 +3,7 @@
 use super::{Neutral, Reading, Shot};
 use crate::calibration::{Light, PatchReading};
 use crate::estimate::Estimate;
-use crate::frame::Colour;
+use crate::frame::{Area, Colour};
 use crate::least_squares::{Normal, Solution};
 use crate::refusal::{Refusal, Warning};
 
@@ -33,8 +33,10 @@ pub(super) fn fit(neutral: &Neutral, shots: &[Shot]) -> Result<Fitted, Refusal> 
     let brightness: Vec<[f64; 3]> = relative(shots);
     check_drift(shots, &brightness, &mut fitted)?;
     fitted.light = light(shots, &brightness, &mut fitted.warnings);
-    let mut readings: Vec<PatchReading> =
-        neutral.rho.iter().map(|rho| PatchReading { rho: *rho, ..PatchReading::default() }).collect();
+    let places = shots.first().map_or(&[][..], |shot| &shot.areas);
+    let reading =
+        |(rho, area): (&[f64; 3], &Area)| PatchReading { rho: *rho, area: *area, ..PatchReading::default() };
+    let mut readings: Vec<PatchReading> = neutral.rho.iter().zip(places).map(reading).collect();
     for colour in Colour::ALL {
         let c = colour.index();
         let means = mean_readings(shots, &brightness, c);

@@ -8,7 +8,7 @@ use super::records_noise::Modes;
 use super::robust::{is_dust, specks};
 use super::start::{Scan, Start};
 use super::system::{State, System, submatrix};
-use super::term::Own;
+use super::term::{Own, White};
 use crate::surrogate::{NoisePlace, Surrogate};
 use crate::thickness::NearThickness;
 
@@ -119,16 +119,14 @@ fn add_modes(system: &mut System, state: &mut State) {
         let noise = system.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
         let origin = term.origin_mm(&state.own[i]);
         let near = system.surrogates[i].near(term.thickness_mm, point.medium());
-        let by_white = system.surrogates[i].by_white(point.thickness_mm(), point.medium());
-        (Modes::new(&noise, &term.camera, origin, &term.std_errors), near, by_white)
+        let white = term.white.as_ref();
+        let white = white.and_then(|w| w.moved(system.surrogates[i], point.thickness_mm(), point.medium()));
+        (Modes::new(&noise, &term.camera, origin, &term.std_errors), near, white)
     };
-    let found: Vec<(Modes, Option<NearThickness>, Option<Line>)> =
+    let found: Vec<(Modes, Option<NearThickness>, Option<White>)> =
         (0..system.terms.len()).into_par_iter().map(modes).collect();
-    for ((term, own), (found, near, by_white)) in system.terms.iter_mut().zip(&mut state.own).zip(found) {
-        term.near = near;
-        if let (Some(white), Some(slope)) = (&mut term.white, by_white) {
-            white.slope = slope;
-        }
+    for ((term, own), (found, near, white)) in system.terms.iter_mut().zip(&mut state.own).zip(found) {
+        (term.near, term.white) = (near, white);
         own.truncate(term.priors.len());
         own.resize(term.priors.len() + found.modes.len(), 0.0);
         (term.modes, term.rest_variances, term.alike) = (found.modes, found.rest_variances, 1.0);

@@ -139,10 +139,7 @@ impl Plan<'_> {
             robust: false,
             softness: 1.0,
             near: None,
-            white: self
-                .surrogate
-                .by_white(thickness_mm, self.medium)
-                .map(|slope| White { slope, ln_mu: 0.0 }),
+            white: White::of(self.surrogate, thickness_mm, self.medium, 0.0),
             x_mm,
         }
     }

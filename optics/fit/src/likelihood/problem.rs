@@ -144,9 +144,7 @@ impl<'a> ProfileData<'a> {
             robust: false,
             softness: 1.0,
             near: surrogate.near(self.profile.thickness_mm(), medium),
-            white: surrogate
-                .by_white(self.profile.thickness_mm(), medium)
-                .map(|slope| White { slope, ln_mu: settings.mu.ln() }),
+            white: White::of(surrogate, self.profile.thickness_mm(), medium, settings.mu.ln()),
             x_mm,
         }
     }

@@ -6,18 +6,20 @@
 //!
 //! F being the simulated profile at this slab's thickness as the camera blurs it, m the logarithm of a factor on μ, x₀
 //! the place of the edge, γ, z and s gain, zero and slope of the profile, and φ_k modes of the noise of the dictionary's
-//! records. Where the base's ρ was measured with the white reference that μ is an error of, F has (m + ln μ) D added, D being
-//! what a brighter reference does to F through ρ. x₀, γ, z, s and c_k belong to this profile. They have normal priors, in units of whose standard deviations
-//! they are counted here, so that each adds its square to −2 ln L. Eliminating them (a Schur complement) leaves a
-//! gradient and an information matrix of what the profile shares with others.
+//! records. Where the base's ρ was measured with the white reference that μ is an error of, F has (m + ln μ) D added, D
+//! being what a brighter reference does to F through ρ. x₀, γ, z, s and c_k belong to this profile. They have normal
+//! priors, in units of whose standard deviations they are counted here, so that each adds its square to −2 ln L.
+//! Eliminating them (a Schur complement) leaves a gradient and an information matrix of what the profile shares with
+//! others.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use optics_model::scene::DARKER_WHITE;
 
 use super::camera::Camera;
 use super::robust::{rho, weight};
 use super::{Line, Point, SHARED, blur};
 use crate::sum::dot;
-use crate::surrogate::Surrogate;
+use crate::surrogate::{Coordinates, Surrogate};
 use crate::thickness::NearThickness;
 use crate::wide::wide;
 
@@ -74,6 +76,32 @@ pub(super) struct White {
     pub slope: Line,
     /// The question's, from which factors are counted.
     pub ln_mu: f64,
+}
+
+impl White {
+    /// Of a slab, from records of the same walks with both ρ; none if the scene does not tell.
+    pub(super) fn of(
+        surrogate: &Surrogate,
+        thickness_mm: f64,
+        medium: Coordinates,
+        ln_mu: f64,
+    ) -> Option<Self> {
+        let values = |of: &Surrogate| of.predict_at(thickness_mm, 0..of.pixels(), medium).values;
+        let darker = values(&surrogate.under_darker_white()?);
+        let pairs = values(surrogate).into_iter().zip(darker);
+        let slope = pairs.map(|(as_told, darker)| (as_told - darker) / -DARKER_WHITE.ln()).collect();
+        Some(Self { slope, ln_mu })
+    }
+
+    /// The same where the medium now is.
+    pub(super) fn moved(
+        &self,
+        surrogate: &Surrogate,
+        thickness_mm: f64,
+        medium: Coordinates,
+    ) -> Option<Self> {
+        Self::of(surrogate, thickness_mm, medium, self.ln_mu)
+    }
 }
 
 /// A profile at some place of the unknowns.

@@ -161,10 +161,9 @@ impl Chart<'_> {
         self.members.par_iter_mut().for_each(|member| {
             let [s, a, g, ..] = member.place(x).point;
             member.term.near = member.surrogate.near(member.term.thickness_mm, [s, a, g]);
-            if let Some(white) = &mut member.term.white {
-                white.slope =
-                    member.surrogate.by_white(member.term.thickness_mm, [s, a, g]).unwrap_or_default();
-            }
+            let white = member.term.white.as_ref();
+            member.term.white =
+                white.and_then(|w| w.moved(member.surrogate, member.term.thickness_mm, [s, a, g]));
         });
     }
 
