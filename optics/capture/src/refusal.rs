@@ -20,7 +20,7 @@ pub enum Refusal {
     NotLinear { colour: Colour, patch: usize, rho: f64, deviation: f64 },
     #[error(
         "{label}: the grey patches were not found: {seen}; they are looked for as a row of even rectangles at equal \
-         distances, in the order of rho; say where they are with `areas_px`"
+         distances, in the order of rho; check that order, or say where they are with `areas_px`"
     )]
     NoPatches { label: String, seen: String },
     #[error(

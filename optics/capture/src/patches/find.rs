@@ -71,10 +71,11 @@ pub(super) fn find(view: View<'_>, neutral: &Neutral) -> Result<Vec<Area>, Refus
     let better = |a: &&Row, b: &&Row| a.seen.cmp(&b.seen).then(b.off.total_cmp(&a.off));
     let Some(best) = rows.iter().max_by(better) else {
         let count = regions.len();
-        return Err(none(format!(
-            "of {count} even rectangles no {} are as bright to each other as rho",
+        let seen = format!(
+            "{count} even rectangles were seen, and no row of {} is as bright as rho says",
             rho.len()
-        )));
+        );
+        return Err(none(seen));
     };
     let far = |row: &&Row| {
         let apart = [0, 1].map(|k| (row.first[k] - best.first[k]).abs() / best.size[k]);
