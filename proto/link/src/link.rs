@@ -3,6 +3,8 @@
 use std::error::Error;
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -19,6 +21,8 @@ use crate::handshake::Handshake;
 const DEADLINE: Duration = Duration::from_mins(5);
 /// How much later than its deadline a call is given up here: the other side, or the transport, may still tell why.
 const GRACE: Duration = Duration::from_secs(2);
+/// How long the first call on a link may take until it is asked whether the coordinator wants it at all.
+const SILENCE: Duration = Duration::from_secs(5);
 
 /// A connection on which every call carries the token, if there is one.
 ///
@@ -27,18 +31,21 @@ const GRACE: Duration = Duration::from_secs(2);
 /// coordinator closes in the moment in which it is opened may otherwise wait for ever.
 ///
 /// A call ends with `UNAUTHENTICATED` when the coordinator ends the connection because of the certificate that it was
-/// shown, or because it was shown none.
+/// shown, or because it was shown none. The transport may miss that too, so as long as nothing was answered on this
+/// link, a call that takes long is not the only one to ask.
 #[derive(Debug, Clone)]
 pub struct Link {
     channel: Channel,
     bearer: Bearer,
     /// Asks why the connection was cut.
     handshake: Option<Handshake>,
+    /// Whether any call was answered: whoever was let in once is not refused for a certificate.
+    answered: Arc<AtomicBool>,
 }
 
 impl Link {
     pub(crate) fn new(channel: Channel, bearer: Bearer, handshake: Option<Handshake>) -> Self {
-        Self { channel, bearer, handshake }
+        Self { channel, bearer, handshake, answered: Arc::default() }
     }
 }
 
@@ -63,14 +70,37 @@ impl Service<http::Request<Body>> for Link {
     fn call(&mut self, mut request: http::Request<Body>) -> Self::Future {
         self.bearer.mark(request.headers_mut());
         let deadline = request.headers().get("grpc-timeout").and_then(|value| parse(value.to_str().ok()?));
-        let (answer, handshake) = (self.channel.call(request), self.handshake.clone());
+        let (answer, handshake, answered) =
+            (self.channel.call(request), self.handshake.clone(), self.answered.clone());
         let answer = async move {
-            match answer.await {
+            let unasked = handshake.as_ref().filter(|_| !answered.load(Ordering::Relaxed));
+            let answer = async {
+                let answer = answer.await;
+                answered.fetch_or(answer.is_ok(), Ordering::Relaxed);
+                answer
+            };
+            match unless_refused(answer, async move { unasked?.refusal().await }).await {
                 Err(error) => why_refused(&error, handshake).await.map(Status::into_http).ok_or(error),
                 answer => answer,
             }
         };
         Box::pin(in_time(deadline.unwrap_or(DEADLINE) + GRACE, answer))
+    }
+}
+
+/// An answer, or a refusal that is found while no answer comes.
+async fn unless_refused(
+    answer: impl Future<Output = Answer>,
+    refusal: impl Future<Output = Option<Status>>,
+) -> Answer {
+    let refused = async {
+        tokio::time::sleep(SILENCE).await;
+        refusal.await
+    };
+    tokio::select! {
+        biased;
+        answer = answer => answer,
+        Some(status) = refused => Ok(status.into_http()),
     }
 }
 
@@ -125,6 +155,31 @@ mod tests {
         }
         for wrong in ["", "5", "S", "5 S", "-5S", "5X", "5é"] {
             assert_eq!(parse(wrong), None, "{wrong}");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_call_that_hangs_since_it_is_refused_ends_as_refused() {
+        let refusal = async { Some(Status::unauthenticated("not your certificate")) };
+        let answer = unless_refused(std::future::pending(), refusal).await.unwrap();
+        let status = Status::from_header_map(answer.headers()).unwrap();
+        assert_eq!((status.code(), status.message()), (tonic::Code::Unauthenticated, "not your certificate"));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_call_that_takes_long_and_is_not_refused_gets_its_answer() {
+        for refusal in [None, Some(Status::unauthenticated("came too late"))] {
+            let late = refusal.is_some();
+            let answer = async {
+                tokio::time::sleep(SILENCE * 2).await;
+                Ok(Status::not_found("no such dictionary").into_http())
+            };
+            let refusal = async {
+                tokio::time::sleep(SILENCE * if late { 2 } else { 0 }).await;
+                refusal
+            };
+            let answer = unless_refused(answer, refusal).await.unwrap();
+            assert_eq!(Status::from_header_map(answer.headers()).unwrap().code(), tonic::Code::NotFound);
         }
     }
 
