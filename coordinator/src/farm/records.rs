@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use optics_fit::FitDictionary;
+use optics_fit::{FitDictionary, Stop};
 use optics_model::{Grid, Invalid, Record};
 
 use super::{Farm, FarmError, Result, blocking};
@@ -74,7 +74,7 @@ impl Farm {
     }
 
     /// Answers a question to a complete dictionary, off the async threads. It is about the channels of
-    /// these names, or the first if none is told.
+    /// these names, or the first if none is told. When nobody waits for the answer any more, the work ends soon.
     pub(crate) async fn ask<T: Send + 'static>(
         &self,
         name: &DictionaryName,
@@ -92,6 +92,24 @@ impl Farm {
             Err(FarmError::Damaged { job, .. }) => return Err(self.doubted(name, id, &grid, job).await),
             dictionary => dictionary?,
         };
-        Ok(blocking(move || question(&dictionary)).await?)
+        let (wanted, metrics) = (Wanted::default(), self.metrics().clone());
+        let stop = wanted.0.clone();
+        let answer = blocking(move || {
+            dictionary.ask(&stop, question).map_err(|_| {
+                metrics.fit_stopped();
+                FarmError::Stopping
+            })
+        });
+        Ok(answer.await??)
+    }
+}
+
+/// A question whose answer somebody waits for. When it is dropped nobody does.
+#[derive(Debug, Default)]
+struct Wanted(Stop);
+
+impl Drop for Wanted {
+    fn drop(&mut self) {
+        self.0.stop();
     }
 }

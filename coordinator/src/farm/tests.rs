@@ -28,6 +28,8 @@ use crate::store::{DataDir, Store};
 use crate::stored::{Completion, DesiredState, JobResult, Machine, Origin, Outcome};
 
 const JOBS: u32 = 40;
+/// As few as a fit may have.
+const PIXELS: usize = 8;
 
 fn grid() -> Grid {
     let axes = Axes {
@@ -37,7 +39,7 @@ fn grid() -> Grid {
         thickness_mm: vec![1.0],
         sample_ior: vec![1.5],
     };
-    let scene = Scene::paper().with_sensor(Sensor::new(10.0, 4, 0.0).unwrap());
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, PIXELS as u32, 0.0).unwrap());
     Grid::new(scene, axes, Walks::new(5000).unwrap(), 1, false).unwrap()
 }
 
@@ -48,7 +50,7 @@ fn value(job: u32) -> f32 {
 
 /// Records of a job whose numbers are all the same.
 fn content(job: &JobSpec, value: f32) -> JobResult {
-    let estimate = || Estimate::new(vec![value; 4], vec![0.1; 4]).unwrap();
+    let estimate = || Estimate::new(vec![value; PIXELS], vec![0.1; PIXELS]).unwrap();
     let profile = || Profile { radiance_factor: estimate(), derivatives: None };
     let record = |index| Record { index, profiles: (0..3).map(|_| profile()).collect() };
     let first = job.first_record();

@@ -108,6 +108,7 @@ struct Inner {
     commit_jobs: Histogram,
     connections_refused: Counter,
     fit_seconds: Histogram,
+    fits_stopped: Counter,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -153,6 +154,7 @@ impl Metrics {
             commit_jobs: Histogram::new(JOBS),
             connections_refused: Counter::default(),
             fit_seconds: Histogram::new(SECONDS),
+            fits_stopped: Counter::default(),
         };
         inner.register(build);
         Self(Arc::new(inner))
@@ -200,6 +202,10 @@ impl Metrics {
 
     pub fn fitted(&self, elapsed: Duration) {
         self.0.fit_seconds.observe(elapsed.as_secs_f64());
+    }
+
+    pub fn fit_stopped(&self) {
+        self.0.fits_stopped.inc();
     }
 
     /// All metrics as text, with those that hold at this moment.
@@ -261,6 +267,11 @@ impl Inner {
             self.connections_refused.clone(),
         );
         registry.register("farm_fit_seconds", "Time to answer a fit", self.fit_seconds.clone());
+        registry.register(
+            "farm_fits_stopped",
+            "Fits whose client left before the answer",
+            self.fits_stopped.clone(),
+        );
         let build = [("version", build.version), ("physics_version", build.physics_version)];
         let info = Family::<_, Gauge>::default();
         info.get_or_create(&build).set(1);

@@ -78,6 +78,7 @@ async fn what_was_counted_is_told() {
     metrics.committed(Duration::from_millis(3), 4, 36);
     metrics.connection_refused();
     metrics.fitted(Duration::from_micros(300));
+    metrics.fit_stopped();
     let served = start(MetricsServer::new(metrics.clone(), snapshot, || Ok(()))).await;
     let text = served.metrics().await;
     for line in [
@@ -99,6 +100,7 @@ async fn what_was_counted_is_told() {
         r#"farm_commit_jobs_bucket{le="2.0"} 0"#,
         "farm_connections_refused_total 1",
         "farm_fit_seconds_count 1",
+        "farm_fits_stopped_total 1",
         r#"farm_build_info{version="1.2.3",physics_version="7"} 1"#,
     ] {
         has(&text, line);
@@ -162,7 +164,7 @@ async fn every_metric_has_a_sentence_of_help_and_a_type() {
     let text = served.metrics().await;
     let types = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
     let names: Vec<_> = types.map(|line| line.split(' ').next().unwrap()).collect();
-    assert_eq!(names.len(), if cfg!(target_os = "linux") { 22 } else { 20 }, "{names:?}");
+    assert_eq!(names.len(), if cfg!(target_os = "linux") { 23 } else { 20 }, "{names:?}");
     for name in names {
         let help = text.lines().find_map(|line| line.strip_prefix(&format!("# HELP {name} "))).unwrap();
         assert!(

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::channel::ChannelRecords;
 use super::records::Records;
+use super::stop::Stop;
 use super::view::{self, View, ViewKey};
 
 /// Collects the records of jobs, which may come in any order.
@@ -86,6 +87,8 @@ impl FitChannel {
 pub struct FitDictionary {
     grid: Arc<Grid>,
     channels: Vec<Option<FitChannel>>,
+    /// Of the question that is asked.
+    pub(super) stop: Stop,
 }
 
 impl FitDictionary {
@@ -95,7 +98,7 @@ impl FitDictionary {
         for (index, channel) in given {
             channels[index] = Some(channel);
         }
-        Self { grid, channels }
+        Self { grid, channels, stop: Stop::default() }
     }
 
     pub fn grid(&self) -> &Grid {
@@ -122,6 +125,7 @@ impl FitDictionary {
 
     /// The view of a key, made if it is not at hand.
     pub(super) fn view(&self, channel: usize, key: &ViewKey) -> Arc<View> {
+        self.stop.check();
         self.channel(channel).view(key)
     }
 

@@ -25,6 +25,7 @@ mod search;
 mod shared;
 mod similarity;
 mod sketch;
+mod stop;
 mod sum;
 mod surrogate;
 mod suspicion;
@@ -47,6 +48,7 @@ pub use measure::{MeasurePlan, Measured, measure, measure_refined, unmix};
 pub use question::channels_called;
 pub use scale::scale;
 pub use similarity::similar;
+pub use stop::{Stop, Stopped};
 
 use question::{Question, questions};
 use uncertainty::Analysis;

@@ -296,6 +296,7 @@ impl<'a> Question<'a> {
     }
 
     pub(super) fn record(&self, term: &Term, place: Place) -> usize {
+        self.dictionary.stop.check();
         let grid = self.dictionary.grid();
         grid.record_at(place.ior, place.sigma_t, place.g, term.thickness, place.albedo)
     }

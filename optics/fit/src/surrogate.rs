@@ -166,6 +166,7 @@ impl<'a> Surrogate<'a> {
         pixels: std::ops::Range<usize>,
         x: Coordinates,
     ) -> Prediction {
+        self.dictionary.stop.check();
         let s = self.sigma_t.weights(x[SIGMA_T]);
         let a = interpolation(&self.albedo, x[ALBEDO]);
         let g = self.g.weights(x[G]);
@@ -225,6 +226,7 @@ impl<'a> Surrogate<'a> {
     /// Records about `x` and what the model takes of each: number of the medium over all axes, weight, and the weight's
     /// derivatives by the coordinates.
     pub(super) fn stencil(&self, x: Coordinates) -> Vec<(usize, f64, [f64; 3])> {
+        self.dictionary.stop.check();
         let (s, g) = (self.sigma_t.weights(x[SIGMA_T]), self.g.weights(x[G]));
         let a = interpolation(&self.albedo, x[ALBEDO]);
         let grid = self.dictionary.grid();

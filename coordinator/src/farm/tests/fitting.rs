@@ -1,6 +1,10 @@
 //! Memory for dictionaries that are fitted with.
 
+use std::time::Duration;
+
 use optics_fit::FitChannel;
+use optics_model::fit::FitOptions;
+use optics_model::{MeasuredProfile, Measurement};
 
 use super::*;
 
@@ -50,4 +54,32 @@ async fn a_question_that_needs_more_memory_than_there_is_says_how_much() {
     let text = refused.to_string();
     assert!(text.contains("3 of its channels") && text.contains("--fit-memory"), "{text}");
     assert_eq!(met(&farm, &["R", "B"]).await.unwrap(), [0, 2]);
+}
+
+/// The cores go to those who wait.
+#[tokio::test]
+async fn a_question_ends_when_nobody_waits_for_its_answer() {
+    let (farm, _dir) = with_room_for(3).await;
+    let (begun, has_begun) = tokio::sync::oneshot::channel();
+    let (left, ended) = tokio::sync::oneshot::channel::<()>();
+    let question = move |d: &optics_fit::FitDictionary| {
+        // Dropped when the question is left, whichever way.
+        let _left = left;
+        let x: Vec<f64> = (0..16).map(|i| (f64::from(i) - 7.5) * 10.0 / 16.0).collect();
+        let profile =
+            MeasuredProfile::new("G", 1.0, x, (0..16).map(|i| 0.2 + 0.01 * f64::from(i)).collect(), None)
+                .unwrap();
+        let measurement = Measurement::new("m", vec![profile]).unwrap();
+        let fit = || optics_fit::fit(d, &measurement, &FitOptions::default()).unwrap();
+        begun.send(fit()).unwrap();
+        loop {
+            fit();
+        }
+    };
+    let asking = farm.clone();
+    let asked = tokio::spawn(async move { asking.ask::<()>(&name(), &["G".to_owned()], question).await });
+    has_begun.await.unwrap();
+    asked.abort();
+    assert!(asked.await.unwrap_err().is_cancelled());
+    assert!(tokio::time::timeout(Duration::from_secs(60), ended).await.unwrap().is_err());
 }

@@ -201,6 +201,7 @@ impl Scan<'_> {
         let media = grid.record_count() / grid.thickness_mm().len();
         let mut costs = vec![0.0; media];
         for term in &self.terms {
+            self.dictionary.stop.check();
             term.add_costs(&self.view, scale, &mut costs);
         }
         costs

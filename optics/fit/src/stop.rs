@@ -1,0 +1,99 @@
+//! Questions that nobody waits for any more end.
+//!
+//! A question is answered on several threads, deep in loops, and every one of its functions would have to tell that it
+//! came to no end. So a thread that finds its question unwanted unwinds up to [`FitDictionary::ask`], without a word of
+//! the panic hook; rayon carries that from its threads to the one that asked.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::dictionary::FitDictionary;
+
+/// Tells a question that nobody waits for its answer. Copies tell the same question.
+#[derive(Debug, Clone, Default)]
+pub struct Stop(Arc<AtomicBool>);
+
+/// The question was stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stopped;
+
+impl Stop {
+    pub fn stop(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// Leaves the question if it was stopped. Nothing that others can see may be half done here.
+    pub(super) fn check(&self) {
+        if self.0.load(Ordering::Relaxed) {
+            resume_unwind(Box::new(Stopped));
+        }
+    }
+}
+
+impl FitDictionary {
+    /// Answers a question, unless it is stopped before: then it ends within milliseconds.
+    pub fn ask<T>(mut self, stop: &Stop, question: impl FnOnce(&Self) -> T) -> Result<T, Stopped> {
+        self.stop = stop.clone();
+        let answered = catch_unwind(AssertUnwindSafe(|| {
+            self.stop.check();
+            question(&self)
+        }));
+        answered.map_err(|unwound: Box<dyn Any + Send>| match unwound.downcast::<Stopped>() {
+            Ok(stopped) => *stopped,
+            Err(panic) => resume_unwind(panic),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::fit::{FitOptions, MuRange};
+    use optics_model::{Invalid, Measurement};
+
+    use super::*;
+    use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement};
+    use crate::{MeasurePlan, distance_map, fit, measure, scale};
+
+    type Question = fn(&FitDictionary, &Measurement, &FitOptions) -> Result<(), Invalid>;
+
+    const QUESTIONS: [(&str, Question); 4] = [
+        ("fit", |d, m, o| fit(d, m, o).map(drop)),
+        ("map", |d, m, o| distance_map(d, m, o).map(drop)),
+        ("scale", |d, m, o| scale(d, std::slice::from_ref(m), o, &MuRange::default()).map(drop)),
+        ("measure", |d, m, o| {
+            let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+            measure(d, std::slice::from_ref(m), o, &plan).map(drop)
+        }),
+    ];
+
+    /// Every question looks whether it is wanted, whatever it makes least.
+    #[test]
+    fn every_question_ends_when_it_is_stopped() {
+        for told in [false, true] {
+            let measurement = noisy_measurement((3.0, 0.75, 0.3), 1, told);
+            for (name, question) in QUESTIONS {
+                let dictionary = noisy_dictionary(dense_axes(), 90, 0.01);
+                let stop = Stop::default();
+                let answered = dictionary.ask(&stop, |d| {
+                    stop.stop();
+                    question(d, &measurement, &FitOptions::default())
+                });
+                assert_eq!(answered, Err(Stopped), "{name}, told: {told}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_not_stopped_is_answered_and_a_panic_stays_one() {
+        let dictionary = || noisy_dictionary(dense_axes(), 30, 0.0);
+        assert_eq!(dictionary().ask(&Stop::default(), |_| 3), Ok(3));
+        let stop = Stop::default();
+        stop.stop();
+        assert_eq!(dictionary().ask(&stop, |_| 3), Err(Stopped));
+        let panicking = || dictionary().ask(&Stop::default(), |_| resume_unwind(Box::new("a bug")));
+        let panic = catch_unwind(AssertUnwindSafe(|| panicking().map(|()| {}))).unwrap_err();
+        assert_eq!(panic.downcast_ref(), Some(&"a bug"));
+    }
+}
