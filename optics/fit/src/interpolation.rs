@@ -33,10 +33,24 @@ impl Place {
         Self::through(node - 2, 5, at)
     }
 
+    /// Weights are the products of the distances from the other nodes, over what they are at the node itself.
     fn through(first: usize, count: usize, at: f64) -> Self {
+        let x = at - first as f64;
+        // Products over the nodes before and after each, with their derivatives.
+        let (mut before, mut after) = ([(1.0, 0.0); NODES], [(1.0, 0.0); NODES]);
+        let times = |(value, slope): (f64, f64), node: usize| {
+            let distance = x - node as f64;
+            (value * distance, slope * distance + value)
+        };
+        for i in 1..count {
+            before[i] = times(before[i - 1], i - 1);
+            after[count - 1 - i] = times(after[count - i], count - i);
+        }
         let mut place = Self { first, integral: [0.0; NODES], integrand: [0.0; NODES] };
-        for i in 0..count {
-            (place.integral[i], place.integrand[i]) = lagrange(count, i, at - first as f64);
+        for (i, own) in OVER_AT_NODE[count - 1][..count].iter().enumerate() {
+            let ((left, left_slope), (right, right_slope)) = (before[i], after[i]);
+            place.integral[i] = own * left * right;
+            place.integrand[i] = own * (left_slope * right + left * right_slope);
         }
         place
     }
@@ -58,15 +72,28 @@ impl Place {
     }
 }
 
-/// The polynomial that is 1 at `i` and 0 at the other whole numbers below `count`, and its derivative.
-fn lagrange(count: usize, i: usize, x: f64) -> (f64, f64) {
-    let (mut value, mut slope, mut at_node) = (1.0, 0.0, 1.0);
-    for j in (0..count).filter(|j| *j != i) {
-        slope = slope * (x - j as f64) + value;
-        value *= x - j as f64;
-        at_node *= i as f64 - j as f64;
+/// One over the product of a node's distances from the other nodes, by their number less one and the node.
+const OVER_AT_NODE: [[f64; NODES]; NODES] = over_at_node();
+
+const fn over_at_node() -> [[f64; NODES]; NODES] {
+    let mut table = [[0.0; NODES]; NODES];
+    let mut last = 0;
+    while last < NODES {
+        let mut node = 0;
+        while node <= last {
+            let (mut product, mut other) = (1.0, 0);
+            while other <= last {
+                if other != node {
+                    product *= node as f64 - other as f64;
+                }
+                other += 1;
+            }
+            table[last][node] = 1.0 / product;
+            node += 1;
+        }
+        last += 1;
     }
-    (value / at_node, slope / at_node)
+    table
 }
 
 #[cfg(test)]

@@ -176,21 +176,18 @@ impl<'a> Surrogate<'a> {
         // At most four; the others weigh nothing.
         let weights_of = |weights: &[f64]| std::array::from_fn(|j| weights.get(j).copied().unwrap_or(0.0));
         let albedos = AlbedoWeights { values: weights_of(&a.values), slopes: weights_of(&a.slopes) };
+        let mut nodes = Vec::with_capacity(g.values.len());
         for i in 0..s.values.len() {
-            // The value at this σ_t, and its derivatives by √(1 − α) and ln(1 − g).
-            let mut inner = [zero(), zero(), zero()];
-            for k in 0..g.values.len() {
+            nodes.clear();
+            nodes.extend((0..g.values.len()).map(|k| {
                 let rows = std::array::from_fn(|j| {
                     let albedo = a.first + j.min(a.values.len() - 1);
                     &self.row(s.first + i, g.first + k, thickness, albedo)[pixels.clone()]
                 });
-                wide(|| accumulate(rows, &albedos, (g.values[k], g.slopes[k]), &mut inner));
-            }
-            let [value, by_albedo, by_g] = &inner;
-            add_scaled(&mut values, s.values[i], value);
-            add_scaled(&mut slopes[SIGMA_T], s.slopes[i], value);
-            add_scaled(&mut slopes[ALBEDO], s.values[i], by_albedo);
-            add_scaled(&mut slopes[G], s.values[i], by_g);
+                Node { rows, weight: g.values[k], slope: g.slopes[k] }
+            }));
+            let sigma_t = (s.values[i], s.slopes[i]);
+            wide(|| accumulate(&nodes, &albedos, sigma_t, &mut values, &mut slopes));
         }
         Prediction { values, slopes }
     }
@@ -380,21 +377,71 @@ struct AlbedoWeights {
     slopes: [f64; 4],
 }
 
-/// Adds what the records of one σ_t and g contribute to a value and its derivatives by √(1 − α) and ln(1 − g). `g` is
-/// the weight of this g and its derivative.
+/// Records of one σ_t and g at four albedos, the weight of this g and its derivative.
+struct Node<'a> {
+    rows: [&'a [f32]; 4],
+    weight: f64,
+    slope: f64,
+}
+
+/// Pixels that are summed up at a time: as many as vector registers hold.
+const BLOCK: usize = 8;
+
+/// Adds what the records of one σ_t contribute to a value and its derivatives. `sigma_t` is the weight of this σ_t and its
+/// derivative.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-fn accumulate(rows: [&[f32]; 4], albedos: &AlbedoWeights, g: (f64, f64), out: &mut [Vec<f64>; 3]) {
+fn accumulate(
+    nodes: &[Node],
+    albedos: &AlbedoWeights,
+    sigma_t: (f64, f64),
+    values: &mut [f64],
+    slopes: &mut [Vec<f64>; 3],
+) {
+    let whole = values.len() / BLOCK * BLOCK;
+    for at in (0..whole).step_by(BLOCK) {
+        accumulate_block::<BLOCK>(nodes, albedos, sigma_t, at, values, slopes);
+    }
+    for at in whole..values.len() {
+        accumulate_block::<1>(nodes, albedos, sigma_t, at, values, slopes);
+    }
+}
+
+/// The same for the pixels of one block.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
+fn accumulate_block<const N: usize>(
+    nodes: &[Node],
+    albedos: &AlbedoWeights,
+    sigma_t: (f64, f64),
+    at: usize,
+    values: &mut [f64],
+    slopes: &mut [Vec<f64>; 3],
+) {
+    // The value at this σ_t, and its derivatives by √(1 − α) and ln(1 − g).
+    let (mut value, mut by_albedo, mut by_g) = ([0.0; N], [0.0; N], [0.0; N]);
     let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
-    let [value, by_albedo, by_g] = out;
-    let outs = value.iter_mut().zip(by_albedo).zip(by_g);
-    let [a, b, c, d] = rows;
-    for ((((a, b), c), d), ((value, by_albedo), by_g)) in a.iter().zip(b).zip(c).zip(d).zip(outs) {
-        let v = [*a, *b, *c, *d].map(f64::from);
-        let mixed = mix(v, &albedos.values);
-        *value += g.0 * mixed;
-        *by_albedo += g.0 * mix(v, &albedos.slopes);
-        *by_g += g.1 * mixed;
+    for node in nodes {
+        let rows: [&[f32; N]; 4] =
+            node.rows.map(|row| row[at..].first_chunk().expect("rows are as long as the values"));
+        for p in 0..N {
+            let v = rows.map(|row| f64::from(row[p]));
+            let mixed = mix(v, &albedos.values);
+            value[p] += node.weight * mixed;
+            by_albedo[p] += node.weight * mix(v, &albedos.slopes);
+            by_g[p] += node.slope * mixed;
+        }
+    }
+    let (weight, slope) = sigma_t;
+    let [by_sigma_t_out, by_albedo_out, by_g_out] = slopes;
+    let outs = [
+        (values, weight, &value),
+        (&mut by_sigma_t_out[..], slope, &value),
+        (&mut by_albedo_out[..], weight, &by_albedo),
+        (&mut by_g_out[..], weight, &by_g),
+    ];
+    for (out, factor, sum) in outs {
+        add_scaled(&mut out[at..at + N], factor, sum);
     }
 }
 

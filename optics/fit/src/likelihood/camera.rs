@@ -69,9 +69,10 @@ impl Camera {
         Exposure { values: seen(&blurred), slopes, by_blur, by_origin }
     }
 
-    /// The values alone, without a blur.
-    pub(super) fn sharp(&self, values: &[f64], origin_mm: f64) -> Line {
-        average(&self.places(origin_mm), &integral(&pad(values)))
+    /// The values of profiles alone, without a blur.
+    pub(super) fn sharp(&self, profiles: &[Line], origin_mm: f64) -> Vec<Line> {
+        let places = self.places(origin_mm);
+        profiles.iter().map(|values| average(&places, &integral(&pad(values)))).collect()
     }
 
     /// The values alone.

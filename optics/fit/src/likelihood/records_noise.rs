@@ -28,7 +28,7 @@ impl Modes {
     /// average, p being the number of directions in which it counts (Hartlap et al. 2007, "Why your model parameter
     /// confidences might be too optimistic"). All variances are multiplied by that.
     pub(super) fn new(noise: &NoiseFactors, camera: &Camera, origin_mm: f64, std_errors: &[f64]) -> Self {
-        let seen: Vec<Line> = noise.factors.iter().map(|f| camera.sharp(f, origin_mm)).collect();
+        let seen = camera.sharp(&noise.factors, origin_mm);
         let n = std_errors.len();
         let at_pixel: Vec<Line> = (0..n).map(|i| seen.iter().map(|f| f[i]).collect()).collect();
         let mut rest_variances: Line = at_pixel.iter().map(|f| dot(f, f)).collect();

@@ -161,14 +161,18 @@ impl Compressed {
         let sketch = view.sketch(self.thickness).value_coefficients();
         let n = self.data.len();
         let mut all = DMatrix::zeros(n, 4);
-        for (medium, weight, by) in surrogate.stencil([x[0] + self.ln_ratio, x[1], x[2]]) {
-            for k in 0..n {
-                let c = f64::from(sketch.row(k)[medium]);
-                all[(k, 0)] += weight * c;
-                all[(k, 1)] += by[0] * c;
-                all[(k, 2)] += by[1] * c;
-                all[(k, 3)] += by[2] * c;
+        let stencil = surrogate.stencil([x[0] + self.ln_ratio, x[1], x[2]]);
+        for k in 0..n {
+            let row = sketch.row(k);
+            let mut sums = [0.0; 4];
+            for (medium, weight, by) in &stencil {
+                let c = f64::from(row[*medium]);
+                sums[0] += weight * c;
+                sums[1] += by[0] * c;
+                sums[2] += by[1] * c;
+                sums[3] += by[2] * c;
             }
+            all.row_mut(k).copy_from_slice(&sums);
         }
         let through = &self.root * all * (scale * view.sketch_scale());
         let residuals = through.column(0) + scale * &self.mean - &self.data;
