@@ -3,6 +3,8 @@
 
 use optics_model::fit::Wavelet;
 
+use super::wide::wide;
+
 /// Derivative per sample of f, at i + ½.
 ///
 /// The chord from the first to the last sample is taken off before and its slope added afterwards, so that both ends
@@ -18,7 +20,11 @@ pub fn derivative(f: &[f64], wavelet: Wavelet, level: u32) -> Vec<f64> {
     let mut y: Vec<f64> = f.iter().enumerate().map(|(i, v)| v - f[0] - slope * i as f64).collect();
     let (low, high, scale) = filters(wavelet);
     for stage in 1..=level {
-        y = convolve(&y, stage_taps(stage, level, low, high), 1 << (stage - 1));
+        let taps = stage_taps(stage, level, low, high);
+        y = wide(
+            #[inline(always)]
+            || convolve(&y, taps, 1 << (stage - 1)),
+        );
     }
     // The middle N of the longer result, rounding half away from zero.
     let offset = (y.len() - n).div_ceil(2);
@@ -80,6 +86,8 @@ fn filters(wavelet: Wavelet) -> (&'static [f64], &'static [f64], f64) {
 }
 
 /// Full convolution with `spacing` − 1 zeros between the taps.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 fn convolve(x: &[f64], taps: &[f64], spacing: usize) -> Vec<f64> {
     let mut y = vec![0.0; x.len() + (taps.len() - 1) * spacing];
     for (k, tap) in taps.iter().enumerate() {

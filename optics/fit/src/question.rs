@@ -14,6 +14,7 @@ use super::resample::{Resampled, resample};
 use super::sum::rms_difference;
 use super::view::ViewKey;
 use super::view::{PairDescription, View};
+use super::wide::wide;
 
 /// Two parameters are the same if they differ by less than this share: decimals in files are rounded.
 const SAME: f64 = 1e-6;
@@ -310,7 +311,10 @@ impl<'a> Question<'a> {
     /// The two norms of Eq. 2: of the values' difference and of the gradients'.
     fn norms(&self, term: &Term, place: Place) -> (f64, f64) {
         let (values, gradient) = self.profile(term, self.record(term, place));
-        (rms_difference(&term.values, values), rms_difference(&term.gradient, &gradient))
+        wide(
+            #[inline(always)]
+            || (rms_difference(&term.values, values), rms_difference(&term.gradient, &gradient)),
+        )
     }
 
     /// The sum of Eq. 1.

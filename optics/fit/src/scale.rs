@@ -15,6 +15,7 @@ use super::dictionary::FitDictionary;
 use super::question::{Place, Question, Term, check_ranges, questions};
 use super::sum::{mean_product, mean_square};
 use super::view::View;
+use super::wide::wide;
 
 /// Searches the scale factor that is common to all materials, with its options' bounds; their μ is not used.
 pub fn scale(
@@ -107,7 +108,10 @@ fn least_errors(questions: &[Question], mu: &[f64]) -> LeastErrors {
                             seen.len() - 1
                         });
                         let Seen { values, gradient, .. } = &seen[place];
-                        scalable.add_distances(values, gradient, lambda, mu, &mut errors);
+                        wide(
+                            #[inline(always)]
+                            || scalable.add_distances(values, gradient, lambda, mu, &mut errors),
+                        );
                     }
                     lower(least.row_mut(n, g - admissible.g.start), &errors);
                 }
@@ -152,6 +156,8 @@ impl<'a> Scalable<'a> {
     }
 
     /// Adds d(μ F_A, F_S) of one record for every μ.
+    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+    #[inline(always)]
     fn add_distances(&self, values: &[f32], gradient: &[f32], lambda: f64, mu: &[f64], errors: &mut [f64]) {
         let (values_both, values_square) = (mean_product(&self.term.values, values), mean_square(values));
         let (gradients_both, gradients_square) =

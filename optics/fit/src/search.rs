@@ -8,6 +8,7 @@ use std::ops::Range;
 use optics_model::fit::Candidate;
 
 use super::question::Question;
+use super::wide::wide;
 
 /// Media that are compared before any can be ruled out.
 const FIRST_LOOK: usize = 8;
@@ -88,7 +89,10 @@ fn bounds(question: &Question, g: &Range<usize>) -> Vec<(f32, u32)> {
         bounds.resize(range.len(), 0.0_f32);
         for term in &question.terms {
             let sketch = term.view.sketch(term.thickness);
-            sketch.add_bounds(&term.description, lambda, range.start, &mut bounds);
+            wide(
+                #[inline(always)]
+                || sketch.add_bounds(&term.description, lambda, range.start, &mut bounds),
+            );
         }
         // A sum of many terms rounds by less than this.
         let safe = |bound: f32| bound * (1.0 - 1e-5);

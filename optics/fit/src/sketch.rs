@@ -8,6 +8,7 @@
 //! Any basis makes this true; one that holds most of the profiles' variety makes it sharp.
 
 use super::sum::dot;
+use super::wide::wide;
 
 /// Directions of a basis. More make the bound sharper and longer to compute.
 const DIRECTIONS: usize = 16;
@@ -39,10 +40,10 @@ impl Basis {
             let by_norm = |a: &&Vec<f64>, b: &&Vec<f64>| dot(a, a).total_cmp(&dot(b, b));
             let Some(worst) = rests.iter().max_by(by_norm) else { break };
             let Some(direction) = orthonormal(worst, &directions) else { break };
-            for rest in &mut rests {
-                let along = dot(rest, &direction);
-                subtract(rest, along, &direction);
-            }
+            wide(
+                #[inline(always)]
+                || rests.iter_mut().for_each(|rest| _ = take_off(rest, &direction)),
+            );
             directions.push(direction);
         }
         Self { mean, directions }
@@ -53,12 +54,15 @@ impl Basis {
         let mut rest: Vec<f64> = profile.zip(&self.mean).map(|(v, m)| v - m).collect();
         let scale = 1.0 / (rest.len() as f64).sqrt();
         let size = dot(&rest, &rest).sqrt() * scale;
-        let coefficient = |direction: &Vec<f64>| {
-            let c = dot(&rest, direction);
-            subtract(&mut rest, c, direction);
-            (c * scale) as f32
-        };
-        let coefficients = self.directions.iter().map(coefficient).collect();
+        let mut coefficients = Vec::with_capacity(self.directions.len());
+        wide(
+            #[inline(always)]
+            || {
+                for direction in &self.directions {
+                    coefficients.push((take_off(&mut rest, direction) * scale) as f32);
+                }
+            },
+        );
         Description { coefficients, rest: (dot(&rest, &rest).sqrt() * scale) as f32, size: size as f32 }
     }
 
@@ -91,8 +95,7 @@ fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
     }
     // Once more against all: rounding leaves a trace, and the bound lives on orthogonality.
     for direction in directions {
-        let along = dot(&unit, direction);
-        subtract(&mut unit, along, direction);
+        take_off(&mut unit, direction);
     }
     let norm = dot(&unit, &unit).sqrt();
     for v in &mut unit {
@@ -101,10 +104,15 @@ fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
     Some(unit)
 }
 
-fn subtract(from: &mut [f64], factor: f64, direction: &[f64]) {
+/// Takes off what lies along a unit vector, and tells how much that is.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
+fn take_off(from: &mut [f64], direction: &[f64]) -> f64 {
+    let along = dot(from, direction);
     for (v, d) in from.iter_mut().zip(direction) {
-        *v -= factor * d;
+        *v -= along * d;
     }
+    along
 }
 
 /// One profile in a basis.
@@ -146,6 +154,7 @@ impl Sketch {
 
     /// Adds `weight` times a lower bound of the root mean square distance between the target and each of the
     /// profiles from `first` on.
+    #[inline(always)]
     pub(super) fn add_bounds(&self, target: &Description, weight: f32, first: usize, bounds: &mut [f32]) {
         const BLOCK: usize = 256;
         let slack = ROUNDING * (target.size + self.largest);

@@ -24,16 +24,22 @@ fn striped<A: Into<f64> + Copy, B: Into<f64> + Copy>(a: &[A], b: &[B], f: impl F
 }
 
 /// Root mean square of a_i − b_i.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 pub(super) fn rms_difference(a: &[f64], b: &[f32]) -> f64 {
     (striped(a, b, |a, b| (a - b) * (a - b)) / a.len() as f64).sqrt()
 }
 
 /// Mean of a_i b_i.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 pub(super) fn mean_product(a: &[f64], b: &[f32]) -> f64 {
     striped(a, b, |a, b| a * b) / a.len() as f64
 }
 
 /// Mean of a_i².
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 pub(super) fn mean_square<A: Into<f64> + Copy>(a: &[A]) -> f64 {
     striped(a, a, |a, b| a * b) / a.len() as f64
 }
@@ -44,7 +50,8 @@ pub(super) fn rms(a: &[f64]) -> f64 {
 }
 
 /// Σ a_i b_i.
-#[inline]
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     striped(a, b, |a, b| a * b)
 }

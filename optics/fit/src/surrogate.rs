@@ -187,7 +187,10 @@ impl<'a> Surrogate<'a> {
                 Node { rows, weight: g.values[k], slope: g.slopes[k] }
             }));
             let sigma_t = (s.values[i], s.slopes[i]);
-            wide(|| accumulate(&nodes, &albedos, sigma_t, &mut values, &mut slopes));
+            wide(
+                #[inline(always)]
+                || accumulate(&nodes, &albedos, sigma_t, &mut values, &mut slopes),
+            );
         }
         Prediction { values, slopes }
     }
@@ -446,6 +449,8 @@ fn accumulate_block<const N: usize>(
 }
 
 /// Adds factor · v.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
 pub(super) fn add_scaled(sum: &mut [f64], factor: f64, v: &[f64]) {
     sum.iter_mut().zip(v).for_each(|(s, v)| *s += factor * v);
 }

@@ -111,6 +111,8 @@ impl PairSketch {
     }
 
     /// Adds lower bounds of d(target, medium) for the media from `first` on.
+    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+    #[inline(always)]
     pub(super) fn add_bounds(&self, target: &PairDescription, lambda: f64, first: usize, bounds: &mut [f32]) {
         self.values.add_bounds(&target.values, 1.0, first, bounds);
         self.gradients.add_bounds(&target.gradient, lambda as f32, first, bounds);

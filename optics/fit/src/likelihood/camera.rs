@@ -216,14 +216,17 @@ fn convolve(taps: &[f64; TAPS], padded: &[f64]) -> Line {
         out[i] = taps[0] * padded[i];
     }
     let middle = &mut out[inner];
-    wide(|| {
-        for (k, tap) in taps.iter().enumerate().skip(1).filter(|(_, tap)| **tap != 0.0) {
-            let (left, right) = (&padded[reach - k..], &padded[reach + k..]);
-            for ((out, l), r) in middle.iter_mut().zip(left).zip(right) {
-                *out += tap * (l + r);
+    wide(
+        #[inline(always)]
+        || {
+            for (k, tap) in taps.iter().enumerate().skip(1).filter(|(_, tap)| **tap != 0.0) {
+                let (left, right) = (&padded[reach - k..], &padded[reach + k..]);
+                for ((out, l), r) in middle.iter_mut().zip(left).zip(right) {
+                    *out += tap * (l + r);
+                }
             }
-        }
-    });
+        },
+    );
     out
 }
 

@@ -16,6 +16,7 @@ use crate::dictionary::FitDictionary;
 use crate::resample::resample;
 use crate::surrogate::Surrogate;
 use crate::view::View;
+use crate::wide::wide;
 
 /// Share of the value that neither the basis nor the records are better than.
 const FLOOR: f64 = 0.003;
@@ -127,6 +128,8 @@ impl Compressed {
     }
 
     /// Adds the cost of all media of the dictionary, with their profiles multiplied by a scale.
+    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+    #[inline(always)]
     fn add_costs(&self, view: &View, scale: f64, costs: &mut [f32]) {
         let sketch = view.sketch(self.thickness).value_coefficients();
         let n = self.data.len();
@@ -206,7 +209,10 @@ impl Scan<'_> {
         let mut costs = vec![0.0; media];
         for term in &self.terms {
             self.dictionary.stop.check();
-            term.add_costs(&self.view, scale, &mut costs);
+            wide(
+                #[inline(always)]
+                || term.add_costs(&self.view, scale, &mut costs),
+            );
         }
         costs
     }

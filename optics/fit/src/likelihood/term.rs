@@ -250,15 +250,18 @@ impl Term {
         let weighted: Vec<Line> =
             linear.columns.iter().map(|c| c.iter().zip(&weights).map(|(c, w)| c * w).collect()).collect();
         let mut all = DMatrix::zeros(n, n);
-        wide(|| {
-            for i in 0..n {
-                for j in 0..=i {
-                    let product = dot(&weighted[i], &linear.columns[j]);
-                    all[(i, j)] = product;
-                    all[(j, i)] = product;
+        wide(
+            #[inline(always)]
+            || {
+                for i in 0..n {
+                    for j in 0..=i {
+                        let product = dot(&weighted[i], &linear.columns[j]);
+                        all[(i, j)] = product;
+                        all[(j, i)] = product;
+                    }
                 }
-            }
-        });
+            },
+        );
         let mut downhill = DVector::from_iterator(n, weighted.iter().map(|w| dot(w, &linear.residuals)));
         for (i, own) in own.iter().enumerate() {
             all[(SHARED + i, SHARED + i)] += 1.0;
