@@ -20,6 +20,7 @@ use serde_json::Value;
 
 use crate::hand::HandWorker;
 use crate::process::{LONG, Process, Ran, SOON, farmctl, free_port, run, wait_for};
+use crate::wall_clock::WallClock;
 
 /// A coordinator with a folder of its own, for its data, its access files and the logs of all.
 #[derive(Debug)]
@@ -32,6 +33,8 @@ pub struct Farm {
     /// Whether it lets only those in who have a file of `keys`.
     closed: bool,
     options: Vec<String>,
+    /// Of the coordinator and the workers.
+    wall_clock: Option<WallClock>,
     logs: AtomicU32,
 }
 
@@ -46,7 +49,27 @@ impl Farm {
         Self::with_data(folder, data, options)
     }
 
-    /// The same with its data in a folder that is there.
+    /// The same by a wall clock of its own, which the workers have too.
+    ///
+    /// # Panics
+    /// If it does not answer.
+    pub fn by_wall_clock(clock: WallClock, options: &[&str]) -> Self {
+        let folder = tempfile::tempdir().expect("a folder can be made");
+        let data = folder.path().join("data");
+        let mut farm = Self::new(folder, data, options);
+        farm.wall_clock = Some(clock);
+        farm.started()
+    }
+
+    /// How far off the wall clock is from now on.
+    ///
+    /// # Panics
+    /// If the farm has none of its own.
+    pub fn set_clock_off_by_days(&self, days: i32) {
+        self.wall_clock.as_ref().expect("the farm has a wall clock of its own").set_off_by_days(days);
+    }
+
+    /// Starts a coordinator that is open to this machine with its data in a folder that is there.
     ///
     /// # Panics
     /// If it does not answer.
@@ -77,6 +100,7 @@ impl Farm {
             metrics: free_port(),
             closed: false,
             options: options.iter().map(ToString::to_string).collect(),
+            wall_clock: None,
             logs: AtomicU32::new(0),
         }
     }
@@ -109,7 +133,12 @@ impl Farm {
             args.extend(["--access", text(&access)]);
         }
         args.extend(self.options.iter().map(String::as_str));
-        let mut process = Process::start("farm-coordinator", &args, &self.path("coordinator.log"));
+        let mut process = Process::start_at(
+            self.wall_clock.as_ref(),
+            "farm-coordinator",
+            &args,
+            &self.path("coordinator.log"),
+        );
         wait_for("the coordinator answers", SOON, || {
             assert!(process.is_running(), "the coordinator ended: {}", process.log());
             self.page("/livez").filter(|(code, _)| *code == 200)
@@ -195,7 +224,8 @@ impl Farm {
         let number = self.logs.fetch_add(1, Ordering::Relaxed);
         let log = self.path(&format!("{label}-{number}.log"));
         let args = ["--threads", "1", "--label", label, "--log-format", "json"];
-        Process::start("farm-worker", &[&way[..], &args, options].concat(), &log)
+        let args = [&way[..], &args, options].concat();
+        Process::start_at(self.wall_clock.as_ref(), "farm-worker", &args, &log)
     }
 
     /// Logs of all workers so far, as JSON objects.

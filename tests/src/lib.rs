@@ -14,3 +14,4 @@ pub mod proxy;
 pub mod reference;
 pub mod statistics;
 pub mod usage;
+pub mod wall_clock;

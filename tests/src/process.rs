@@ -12,6 +12,7 @@ pub use rustix::process::Signal;
 use tokio::time::Instant;
 
 use crate::usage::Usage;
+use crate::wall_clock::WallClock;
 
 /// How long anything may take that needs no tracing.
 pub const SOON: Duration = Duration::from_secs(30);
@@ -144,9 +145,15 @@ impl Process {
     /// # Panics
     /// If it does not start.
     pub fn start(name: &str, args: &[&str], log: &Path) -> Self {
+        Self::start_at(None, name, args, log)
+    }
+
+    /// The same with a wall clock of its own.
+    pub(crate) fn start_at(clock: Option<&WallClock>, name: &str, args: &[&str], log: &Path) -> Self {
         let mut command = Command::new(program(name));
         // Acknowledged results are told at this level.
         command.env("FARM_LOG", "info,farm_worker=debug").args(args);
+        command.envs(clock.into_iter().flat_map(WallClock::environment));
         Self::spawn(name, &mut command, log)
     }
 

@@ -86,7 +86,7 @@ impl Farm {
             format!("{}: {} records, {} bytes", file.display(), report.counts.records, report.bytes);
         self.door.note(&Actor::default(), EventKind::BackupMade, message);
         let (folder, keep) = (schedule.folder.clone(), schedule.keep);
-        if let Err(error) = blocking(move || forget_old(&folder, keep)).await {
+        if let Err(error) = blocking(move || forget_old(&folder, keep, &file)).await {
             tracing::warn!(%error, folder = %schedule.folder.display(), "old backups could not be removed");
         }
         Ok(())
@@ -144,9 +144,11 @@ fn scheduled(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Removes the oldest, with their checksums, until so many are left.
-fn forget_old(folder: &Path, keep: usize) -> io::Result<()> {
-    let all = scheduled(folder)?;
+/// Removes the oldest, with their checksums, until so many are left. What has a later name than the one just made was
+/// made before the clock was set back, so it is older than all others.
+fn forget_old(folder: &Path, keep: usize, just_made: &Path) -> io::Result<()> {
+    let mut all = scheduled(folder)?;
+    all.sort_by_key(|file| file.as_path() <= just_made);
     for old in &all[..all.len().saturating_sub(keep)] {
         std::fs::remove_file(old)?;
         let _ = std::fs::remove_file(old.with_extension("db.b3"));
@@ -174,6 +176,26 @@ mod tests {
     use super::*;
 
     #[test]
+    fn after_a_clock_was_set_back_the_newest_backups_are_those_made_since() {
+        let folder = tempfile::tempdir().unwrap();
+        let make = |hour: u64| {
+            let file = folder.path().join(name(hour * 3_600_000));
+            std::fs::write(&file, "").unwrap();
+            forget_old(folder.path(), 2, &file).unwrap();
+        };
+        let kept = |hours: [u64; 2]| {
+            let names = hours.map(|hour| folder.path().join(name(hour * 3_600_000)));
+            assert_eq!(scheduled(folder.path()).unwrap(), names);
+        };
+        [7, 8].map(make);
+        kept([7, 8]);
+        make(3);
+        kept([3, 8]);
+        make(4);
+        kept([3, 4]);
+    }
+
+    #[test]
     fn backups_are_in_the_order_of_their_names_and_others_are_left_alone() {
         assert_eq!(name(1_795_425_600_000), "farm-20261123T092000Z.db");
         let folder = tempfile::tempdir().unwrap();
@@ -187,7 +209,7 @@ mod tests {
         for name in others {
             write(name);
         }
-        forget_old(folder.path(), 2).unwrap();
+        forget_old(folder.path(), 2, &folder.path().join(&times[0])).unwrap();
         let left: Vec<PathBuf> = scheduled(folder.path()).unwrap();
         assert_eq!(left, [&times[2], &times[0]].map(|name| folder.path().join(name)));
         assert!(!folder.path().join(format!("{}.b3", times[1])).exists());

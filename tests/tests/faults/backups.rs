@@ -8,7 +8,7 @@ use farm_tests::process::{LONG, SOON, run, wait_for};
 use super::GRID;
 
 /// Finished backups of a folder, the oldest first.
-fn backups(farm: &Farm, folder: &str) -> Vec<PathBuf> {
+pub(super) fn backups(farm: &Farm, folder: &str) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(farm.path(folder)) else { return vec![] };
     let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     files.retain(|file| file.extension().is_some_and(|extension| extension == "db"));

@@ -7,6 +7,7 @@
 
 mod away;
 mod backups;
+mod clock;
 mod damage;
 mod disk;
 mod export;

@@ -1,0 +1,69 @@
+//! Somebody sets the machines' clocks, or they were wrong and are put right.
+
+use std::time::Duration;
+
+use farm_tests::farm::Farm;
+use farm_tests::process::{LONG, wait_for};
+use farm_tests::wall_clock::WallClock;
+
+use super::backups::backups;
+
+/// 40 jobs of one thread's fifth of a second each.
+const SLOW: &str = "\
+sigma_t_per_mm = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20]
+albedo = [0.5, 0.9]
+g = [0.0, 0.4]
+thickness_mm = [0.5]
+walks = 200000
+";
+
+/// Wherever the clock goes, no lease ends early or late, nobody is called lost, nothing is computed twice, and backups are
+/// made and kept.
+#[test]
+fn a_clock_that_jumps_changes_nothing_but_what_time_it_is() {
+    let Some(clock) = WallClock::find() else {
+        eprintln!("not tried: libfaketime is not installed");
+        return;
+    };
+    let farm = Farm::by_wall_clock(clock, &["--backup-every", "1s", "--keep", "2"]);
+    let worker = farm.worker("worker", &[]);
+    let now_ms = last_event_ms(&farm);
+    farm.submit("slow", SLOW);
+    for days in [400, -400, 0, -400] {
+        farm.leased("slow", 1);
+        farm.set_clock_off_by_days(days);
+        // Longer than between two looks at leases, heartbeats and backups.
+        std::thread::sleep(Duration::from_secs(2));
+    }
+    assert!(last_event_ms(&farm) < now_ms - 300 * DAY_MS, "it is the coordinator's clock");
+    farm.done("slow");
+    let jobs = farm.show("slow")["jobs_total"].as_u64().unwrap();
+    assert_eq!(farm.figure(r#"farm_jobs_completed_total{outcome="stored"}"#), jobs);
+    assert_eq!(farm.figure(r#"farm_jobs_completed_total{outcome="duplicate"}"#), 0);
+    assert_eq!(farm.figure("farm_leases_expired_total"), 0);
+    assert_eq!(farm.events("WORKER_LOST"), Vec::<serde_json::Value>::new());
+
+    // What is made now is the newest, whatever the clock said when the others were made.
+    let count = || farm.events("BACKUP_MADE").len();
+    let before = count();
+    wait_for("two backups more", LONG, || (count() > before + 1).then_some(()));
+    let kept = backups(&farm, "data/backups");
+    let last = farm.events("BACKUP_MADE").pop().unwrap()["message"].as_str().unwrap().to_owned();
+    assert!(kept.iter().any(|file| last.contains(file.to_str().unwrap())), "{last}: {kept:?}");
+    assert!(farm.figure("farm_backup_age_seconds") < 30);
+
+    // What is submitted in the past has its own place, and events stay in the order in which they happened.
+    farm.submit("later", &format!("{SLOW}seed = 2\n").replace("200000", "1000"));
+    farm.done("later");
+    let submitted = farm.events("SUBMITTED");
+    let names: Vec<_> = submitted.iter().map(|event| event["dictionary"].as_str().unwrap()).collect();
+    assert_eq!(names, ["slow", "later"]);
+    drop(worker);
+}
+
+const DAY_MS: i64 = 24 * 3600 * 1000;
+
+/// When the last event was, by the coordinator's clock. Backups make one a second.
+fn last_event_ms(farm: &Farm) -> i64 {
+    farm.ask(&["events", "-n", "1"])["events"][0]["unix_ms"].as_i64().unwrap()
+}
