@@ -6,6 +6,8 @@ mod capture;
 pub mod cli;
 mod commands;
 mod connection;
+#[cfg(test)]
+mod damaged;
 mod exit;
 mod grid_file;
 mod interrupt;

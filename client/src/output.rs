@@ -62,8 +62,11 @@ pub(crate) fn envelope<T: Serialize>(kind: &str, data: &T) -> anyhow::Result<Str
     Ok(serde_json::to_string(&Envelope { api: API, kind, data })?)
 }
 
+/// Most bytes of an error that are printed: it may quote a line of a file, and that may be all of it.
+const LONGEST_ERROR: usize = 3000;
+
 /// The chain of causes as one sentence; a gRPC status of the coordinator's tells its message alone.
-fn sentence(error: &anyhow::Error) -> String {
+pub(crate) fn sentence(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain() {
         let part = match cause.downcast_ref::<tonic::Status>() {
@@ -80,7 +83,21 @@ fn sentence(error: &anyhow::Error) -> String {
             break;
         }
     }
-    text
+    harmless(&text)
+}
+
+/// What a text quotes may come from anybody's file, so nothing in it steers a terminal, and its length has an end.
+fn harmless(text: &str) -> String {
+    let end = text.floor_char_boundary(LONGEST_ERROR);
+    let steers = |c: &char| c.is_control() && !matches!(c, '\n' | '\t');
+    let mut told = String::with_capacity(end);
+    for c in text[..end].chars() {
+        if steers(&c) { told.extend(c.escape_default()) } else { told.push(c) }
+    }
+    if end < text.len() {
+        told.push('…');
+    }
+    told
 }
 
 /// Whether the reader of standard output has gone, as in `farmctl export … | head`. A broken connection to a farm has
@@ -319,6 +336,15 @@ mod tests {
         );
         let told = [0.25, 59.0, 75.0, 7260.0].map(|s| duration(std::time::Duration::from_secs_f64(s)));
         assert_eq!(told, ["250 ms", "59 s", "1 min 15 s", "2 h 1 min"]);
+    }
+
+    #[test]
+    fn what_an_error_quotes_steers_no_terminal_and_has_an_end() {
+        let told = |quoted: &str| sentence(&anyhow::anyhow!("line 3: {quoted}"));
+        assert_eq!(told("2 µm\n  |\t^"), "line 3: 2 µm\n  |\t^");
+        assert_eq!(told("\u{1b}[2Jgone\r\u{7}"), "line 3: \\u{1b}[2Jgone\\r\\u{7}");
+        let long = told(&"ä".repeat(100_000));
+        assert!(long.len() < LONGEST_ERROR + 10 && long.ends_with("ä…"), "{} bytes", long.len());
     }
 
     #[test]

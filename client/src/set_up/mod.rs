@@ -11,7 +11,8 @@ use optics_model::fit::FitSettings;
 use optics_model::measurement::{MeasuredProfile, ProfileSetup};
 
 pub(crate) use assumed::Assumed;
-use session::{ByChannel, Session};
+use session::ByChannel;
+pub(crate) use session::Session;
 
 use crate::cli::SetUpArgs;
 

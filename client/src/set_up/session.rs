@@ -16,7 +16,7 @@ const LARGEST: u64 = 1 << 20;
 
 /// A value for all channels, or one for each that is named.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum ByChannel {
+pub(crate) enum ByChannel {
     All(f64),
     Named(Vec<(String, f64)>),
 }
@@ -41,7 +41,7 @@ impl ByChannel {
 
 /// What a session file tells.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Session {
+pub(crate) struct Session {
     pub gain_std_error: Option<f64>,
     /// Of the gain that all profiles share: that of the white reference.
     pub mu_std_error: Option<f64>,

@@ -34,7 +34,7 @@ pub(crate) fn read_secret<T: DeserializeOwned>(path: &Path, expected: &str) -> R
     file.take(LONGEST_BYTES).read_to_string(&mut text).map_err(failed)?;
     toml::from_str(&text).map_err(|error| AccessError::Content {
         path: path.to_owned(),
-        problem: format!("{}{} (this should be {expected})", place(&text, &error), error.message()),
+        problem: format!("{}{} (this should be {expected})", place(&text, &error), discreet(error.message())),
     })
 }
 
@@ -42,4 +42,42 @@ pub(crate) fn read_secret<T: DeserializeOwned>(path: &Path, expected: &str) -> R
 fn place(text: &str, error: &toml::de::Error) -> String {
     let before = error.span().and_then(|span| text.get(..span.start));
     before.map_or_else(String::new, |before| format!("line {}: ", before.matches('\n').count() + 1))
+}
+
+/// A message of the parser without words as long as tokens and keys: it quotes names that it does not know, and a secret
+/// may stand where a name should be. No name that it expects is as long.
+fn discreet(message: &str) -> String {
+    const SHORTEST_SECRET: usize = 16;
+    let is_part = |c: char| c.is_ascii_alphanumeric() || "+/=-_".contains(c);
+    let mut told = String::with_capacity(message.len());
+    for piece in message.split_inclusive(|c| !is_part(c)) {
+        let word = piece.trim_end_matches(|c| !is_part(c));
+        told.push_str(if word.len() < SHORTEST_SECRET { word } else { "…" });
+        told.push_str(&piece[word.len()..]);
+    }
+    told
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_as_long_as_secrets_are_not_told() {
+        let token = "338bfaf9b6bcd7452c482ed32cd9bfc71f9740a24ae71761dce5c67401770da0";
+        for (message, told) in [
+            (
+                format!("unknown variant `admi{token}`, expected `worker`"),
+                "unknown variant `…`, expected `worker`",
+            ),
+            (
+                format!("unknown field `{token}`, expected `server_name`"),
+                "unknown field `…`, expected `server_name`",
+            ),
+            ("missing field `certificate`".to_owned(), "missing field `certificate`"),
+            (token.to_owned(), "…"),
+        ] {
+            assert_eq!(discreet(&message), told);
+        }
+    }
 }

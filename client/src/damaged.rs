@@ -1,0 +1,277 @@
+//! Everything that comes from outside and is parsed, with damage: an error in plain words or an answer, never a panic.
+//!
+//! Sound files and messages are changed at random as editors, transfers and attackers change them. 300 changes of each
+//! kind are tried by default; `PROPTEST_CASES=100000 cargo test --release -p farmctl damaged` tries more.
+
+use std::path::Path;
+use std::sync::OnceLock;
+
+use farm_link::{ClientAccess, CoordinatorAccess};
+use farm_proto::wire;
+use optics_model::fit::{DesignQuestion, FitOptions, MuRange};
+use optics_model::grid::Axes;
+use optics_model::job::JobSpec;
+use optics_model::scene::{Scene, Sensor};
+use optics_model::{Grid, Measurement, PackedRecords, Walks};
+use proptest::prelude::*;
+use proptest::sample::Index;
+use prost::Message;
+
+use crate::capture::Session;
+use crate::mixture_file::read_mixtures;
+use crate::output::sentence;
+use crate::{read_grid, read_measurements, set_up};
+
+/// Pieces that parsers have stumbled over.
+const PIECES: [&[u8]; 25] = [
+    b"nan",
+    b"-inf",
+    b"1e999",
+    b"-1",
+    b"0",
+    b"1e-320",
+    b"18446744073709551616",
+    b"''",
+    b"\"",
+    b"[",
+    b"]",
+    b"=",
+    b"\n",
+    b"\r",
+    b";",
+    b",",
+    b"\t",
+    b"\0",
+    b"\x1b[31m",
+    b"\xff\xfe",
+    b"\xe2\x88\x9e",
+    b"{",
+    b"../..",
+    b"#",
+    b"1_000_000",
+];
+
+/// One change at a place.
+#[derive(Debug, Clone)]
+enum Change {
+    Cut(Index),
+    Remove(Index, usize),
+    Repeat(Index, usize, usize),
+    Flip(Index, u8),
+    Insert(Index, usize),
+    Replace(Index, usize, usize),
+}
+
+fn change() -> impl Strategy<Value = Change> {
+    let piece = 0..PIECES.len();
+    prop_oneof![
+        1 => any::<Index>().prop_map(Change::Cut),
+        2 => (any::<Index>(), 1..40_usize).prop_map(|(at, n)| Change::Remove(at, n)),
+        2 => (any::<Index>(), 1..200_usize, 1..20_usize).prop_map(|(at, n, k)| Change::Repeat(at, n, k)),
+        3 => (any::<Index>(), any::<u8>()).prop_map(|(at, v)| Change::Flip(at, v)),
+        3 => (any::<Index>(), piece.clone()).prop_map(|(at, p)| Change::Insert(at, p)),
+        3 => (any::<Index>(), 1..8_usize, piece).prop_map(|(at, n, p)| Change::Replace(at, n, p)),
+    ]
+}
+
+fn damaged(sound: &[u8], changes: &[Change]) -> Vec<u8> {
+    let mut bytes = sound.to_vec();
+    for change in changes {
+        let at = |index: &Index| index.index(bytes.len() + 1);
+        let end = |from: usize, n: usize| (from + n).min(bytes.len());
+        match change {
+            Change::Cut(index) => bytes.truncate(at(index)),
+            Change::Remove(index, n) => drop(bytes.drain(at(index)..end(at(index), *n))),
+            Change::Repeat(index, n, times) => {
+                let (from, to) = (at(index), end(at(index), *n));
+                let piece = bytes[from..to].repeat(*times);
+                bytes.splice(to..to, piece);
+            }
+            Change::Flip(index, value) => {
+                let at = at(index);
+                if let Some(byte) = bytes.get_mut(at) {
+                    *byte ^= value;
+                }
+            }
+            Change::Insert(index, piece) => {
+                drop(bytes.splice(at(index)..at(index), PIECES[*piece].iter().copied()))
+            }
+            Change::Replace(index, n, piece) => {
+                drop(bytes.splice(at(index)..end(at(index), *n), PIECES[*piece].iter().copied()));
+            }
+        }
+    }
+    bytes
+}
+
+/// What is said of a file: something, in plain text, and not the whole file.
+fn is_plain(told: &str) -> Result<(), TestCaseError> {
+    prop_assert!(!told.trim().is_empty(), "an error says something");
+    prop_assert!(told.len() < 4000, "{} characters: {}", told.len(), &told[..told.floor_char_boundary(300)]);
+    let control = told.chars().find(|c| c.is_control() && !matches!(c, '\n' | '\t'));
+    prop_assert!(control.is_none(), "{control:?} in {told:?}");
+    Ok(())
+}
+
+/// Writes a file with these bytes and reads it.
+fn read<T>(bytes: &[u8], name: &str, read: impl Fn(&Path) -> anyhow::Result<T>) -> Result<(), TestCaseError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    std::fs::write(&path, bytes).unwrap();
+    match read(&path) {
+        Ok(_) => Ok(()),
+        Err(error) => is_plain(&sentence(&error)),
+    }
+}
+
+/// A grid that may stand in a request, and a job of it.
+fn small_grid() -> Grid {
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0, 2.0],
+        albedo: vec![0.5, 0.9],
+        g: vec![0.0, 0.4],
+        thickness_mm: vec![0.5],
+        sample_ior: vec![1.5],
+    };
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, 8, 0.0).unwrap());
+    Grid::new(scene, axes, Walks::new(5000).unwrap(), 1, false).unwrap()
+}
+
+/// Access files of a farm that shows certificates: of the coordinator and of a worker.
+fn access_files() -> &'static [String; 2] {
+    static FILES: OnceLock<[String; 2]> = OnceLock::new();
+    FILES.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = folder.path().join("keys");
+        crate::access_files::create(&keys, &["farm.example.org".to_owned()], 7700, true, 1_800_000_000)
+            .unwrap();
+        ["coordinator.toml", "worker.toml"].map(|name| std::fs::read_to_string(keys.join(name)).unwrap())
+    })
+}
+
+/// Long words of a text, as tokens and keys are.
+fn secrets(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c: char| !c.is_ascii_alphanumeric() && !b"+/".contains(&(c as u8)))
+        .filter(|word| word.len() >= 40)
+}
+
+fn measurement() -> Measurement {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.csv");
+    std::fs::write(&path, SHORT_CSV).unwrap();
+    read_measurements(&path).unwrap().materials.remove(0)
+}
+
+const SHORT_CSV: &str = "\
+# a comment
+material,channel,thickness_mm,x_mm,value,std_error
+white,R,0.5,-3.5,0.10,0.001
+white,R,0.5,-2.5,0.11,0.001
+white,R,0.5,-1.5,0.13,0.001
+white,R,0.5,-0.5,0.20,0.001
+white,R,0.5,0.5,0.40,0.001
+white,R,0.5,1.5,0.47,0.001
+white,R,0.5,2.5,0.49,0.001
+white,R,0.5,3.5,0.50,0.001
+";
+const MIXTURES: &[u8] = b"[[mixture]]\nmaterial = 'pale'\nparts = { white = 0.75, cyan = 0.25 }\n";
+const SESSION_JSON: &[u8] =
+    br#"{"format": "farmctl-session/1", "mu_std_error": 0.01, "gain_std_error": 0.004,
+  "blur_mm": {"R": 0.02, "G": 0.021}, "blur_std_error_mm": 0.004, "thickness_std_error_mm": 0.01}"#;
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(cases()) })]
+
+    #[test]
+    fn files_that_people_write(kind in 0..6_usize, changes in prop::collection::vec(change(), 1..6)) {
+        let changed = |sound: &[u8]| damaged(sound, &changes);
+        match kind {
+            0 => read(&changed(include_bytes!("../../examples/grid.toml")), "grid.toml", read_grid)?,
+            1 => read(&changed(include_bytes!("../../examples/scene.toml")), "scene.toml", |path| {
+                crate::read_scene(path.to_str().unwrap())
+            })?,
+            2 => read(&changed(SHORT_CSV.as_bytes()), "m.csv", read_measurements)?,
+            3 => read(&changed(MIXTURES), "chart.toml", read_mixtures)?,
+            4 => read(&changed(SESSION_JSON), "session.json", set_up::Session::read)?,
+            _ => read(&changed(include_bytes!("../../examples/session/session.toml")), "session.toml", Session::read)?,
+        }
+    }
+
+    /// Nor do errors tell a token or a key.
+    #[test]
+    fn access_files_with(which in 0..2_usize, changes in prop::collection::vec(change(), 1..5)) {
+        let sound = &access_files()[which];
+        let bytes = damaged(sound.as_bytes(), &changes);
+        let reader = |path: &Path| -> anyhow::Result<()> {
+            use std::os::unix::fs::PermissionsExt;
+            std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))?;
+            let answer = match which {
+                0 => CoordinatorAccess::read(path).map(drop),
+                _ => ClientAccess::read(path).map(drop),
+            };
+            if let Err(error) = &answer {
+                let told = error.to_string();
+                assert!(!secrets(sound).any(|secret| told.contains(&secret[..20])), "{told}");
+            }
+            Ok(answer?)
+        };
+        read(&bytes, "access.toml", reader)?;
+    }
+
+    /// Messages of requests, down to the values of the model.
+    #[test]
+    fn messages_of(kind in 0..5_usize, changes in prop::collection::vec(change(), 1..5)) {
+        let told = match kind {
+            0 => asked::<wire::Grid, Grid>(&wire::Grid::from(&small_grid()), &changes),
+            1 => asked::<wire::Measurement, Measurement>(&(&measurement()).into(), &changes),
+            2 => asked::<wire::FitOptions, FitOptions>(&(&FitOptions::default()).into(), &changes),
+            3 => asked::<wire::MuRange, MuRange>(&MuRange::default().into(), &changes),
+            _ => {
+                let request = wire::DesignRequest { dictionary: "paper".to_owned(), ..Default::default() };
+                asked::<wire::DesignRequest, DesignQuestion>(&request, &changes)
+            }
+        };
+        if let Some(told) = told {
+            is_plain(&told)?;
+        }
+    }
+
+    /// Results of workers, whose bytes are kept as they come.
+    #[test]
+    fn packed_records_that_are_taken_hold_numbers_alone(
+        changes in prop::collection::vec(change(), 1..5),
+        refill in any::<bool>(),
+    ) {
+        let job = JobSpec::of(&small_grid(), 3);
+        let length = PackedRecords::bytes_of(&job);
+        let sound: Vec<u8> = std::iter::repeat_n(0.25_f32.to_le_bytes(), length / 4).flatten().collect();
+        let mut bytes = damaged(&sound, &changes);
+        if refill {
+            bytes.resize(length, 0x7f);
+        }
+        match PackedRecords::new(&job, bytes.into()) {
+            Ok(records) => for record in records.unpack() {
+                for profile in &record.profiles {
+                    prop_assert!(profile.radiance_factor.values().iter().all(|v| v.is_finite()));
+                    prop_assert!(profile.radiance_factor.std_errors().iter().all(|v| *v >= 0.0));
+                }
+            },
+            Err(error) => is_plain(&error.to_string())?,
+        }
+    }
+}
+
+/// `PROPTEST_CASES`, or a few.
+fn cases() -> u32 {
+    std::env::var("PROPTEST_CASES").map_or(300, |cases| cases.parse().expect("a number of cases"))
+}
+
+/// A message that was changed on its way: why it is refused, if it is.
+fn asked<M: Message + Default, T: TryFrom<M, Error = optics_model::Invalid>>(
+    sound: &M,
+    changes: &[Change],
+) -> Option<String> {
+    // What is no message at all is refused by the library.
+    let message = M::decode(damaged(&sound.encode_to_vec(), changes).as_slice()).ok()?;
+    T::try_from(message).err().map(|invalid| invalid.to_string())
+}
