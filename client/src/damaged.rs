@@ -94,7 +94,7 @@ fn damaged(sound: &[u8], changes: &[Change]) -> Vec<u8> {
                 }
             }
             Change::Insert(index, piece) => {
-                drop(bytes.splice(at(index)..at(index), PIECES[*piece].iter().copied()))
+                drop(bytes.splice(at(index)..at(index), PIECES[*piece].iter().copied()));
             }
             Change::Replace(index, n, piece) => {
                 drop(bytes.splice(at(index)..end(at(index), *n), PIECES[*piece].iter().copied()));

@@ -188,8 +188,14 @@ impl Dictionary {
     pub(super) fn part_stored(&mut self, index: u32, part: u32) -> bool {
         let job = &mut self.jobs[index as usize];
         self.pending.remove(&(job.rank, index, part));
-        let Stage::Open { parts } = &mut job.stage else { return false };
-        parts.get_mut(part as usize).is_some_and(|p| std::mem::replace(p, Part::Stored) == Part::Open)
+        match &mut job.stage {
+            Stage::Open { parts } => {
+                parts.get_mut(part as usize).is_some_and(|p| std::mem::replace(p, Part::Stored) == Part::Open)
+            }
+            // It is there when the job is tried again.
+            Stage::GivenUp { .. } => true,
+            Stage::Done { .. } => false,
+        }
     }
 
     /// Notes that a block of a divided job is not stored, or not any more; it waits unless it is held. True if it did

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::channel::ChannelRecords;
 use super::records::Records;
-use super::stop::Stop;
+use super::stop::{Stop, Stopped};
 use super::view::{self, View, ViewKey};
 
 /// Collects the records of jobs, which may come in any order.
@@ -99,6 +99,12 @@ impl FitDictionary {
             channels[index] = Some(channel);
         }
         Self { grid, channels, stop: Stop::default() }
+    }
+
+    /// Answers a question, unless it is stopped before: then it ends within milliseconds.
+    pub fn ask<T>(mut self, stop: &Stop, question: impl FnOnce(&Self) -> T) -> Result<T, Stopped> {
+        self.stop = stop.clone();
+        stop.guard(|| question(&self))
     }
 
     pub fn grid(&self) -> &Grid {

@@ -1,15 +1,13 @@
 //! Questions that nobody waits for any more end.
 //!
 //! A question is answered on several threads, deep in loops, and every one of its functions would have to tell that it
-//! came to no end. So a thread that finds its question unwanted unwinds up to [`FitDictionary::ask`], without a word of
-//! the panic hook; rayon carries that from its threads to the one that asked.
+//! came to no end. So a thread that finds its question unwanted unwinds up to where it was asked, without a word of the
+//! panic hook; rayon carries that from its threads to the one that asked.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-use super::dictionary::FitDictionary;
 
 /// Tells a question that nobody waits for its answer. Copies tell the same question.
 #[derive(Debug, Clone, Default)]
@@ -30,15 +28,12 @@ impl Stop {
             resume_unwind(Box::new(Stopped));
         }
     }
-}
 
-impl FitDictionary {
-    /// Answers a question, unless it is stopped before: then it ends within milliseconds.
-    pub fn ask<T>(mut self, stop: &Stop, question: impl FnOnce(&Self) -> T) -> Result<T, Stopped> {
-        self.stop = stop.clone();
+    /// Answers a question, unless it is stopped before.
+    pub(super) fn guard<T>(&self, question: impl FnOnce() -> T) -> Result<T, Stopped> {
         let answered = catch_unwind(AssertUnwindSafe(|| {
-            self.stop.check();
-            question(&self)
+            self.check();
+            question()
         }));
         answered.map_err(|unwound: Box<dyn Any + Send>| match unwound.downcast::<Stopped>() {
             Ok(stopped) => *stopped,
@@ -54,7 +49,7 @@ mod tests {
 
     use super::*;
     use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement};
-    use crate::{MeasurePlan, distance_map, fit, measure, scale};
+    use crate::{FitDictionary, MeasurePlan, distance_map, fit, measure, scale};
 
     type Question = fn(&FitDictionary, &Measurement, &FitOptions) -> Result<(), Invalid>;
 

@@ -193,3 +193,19 @@ fn more_walks_end_the_checks_of_the_blocks_of_fewer() {
     arrive("a", &leases[1], |arrived| bench.farm.prolong(seconds(2), arrived, more));
     assert_eq!(bench.farm.checks(), (0, 0, 0));
 }
+
+/// It is there when the job is tried again.
+#[test]
+fn a_block_that_comes_after_its_job_was_given_up_is_checked_too() {
+    let mut bench = divided(1.0);
+    let late = bench.acquire(0, "a", 2).pop().unwrap();
+    for (at, name) in (1..).zip(["b", "c", "d", "e", "f"]) {
+        if bench.status().failed.is_empty() {
+            let lease = bench.acquire(at, name, 1).remove(0);
+            bench.fail(at, name, &lease);
+        }
+    }
+    assert_eq!(bench.status().failed.len(), 1);
+    block(&mut bench, "a", &late, WRONG);
+    assert_eq!(bench.farm.checks(), (0, 0, 1));
+}
