@@ -67,7 +67,7 @@ mod tests {
         let token = "338bfaf9b6bcd7452c482ed32cd9bfc71f9740a24ae71761dce5c67401770da0";
         for (message, told) in [
             (
-                format!("unknown variant `admi{token}`, expected `worker`"),
+                format!("unknown variant `worker{token}`, expected `worker`"),
                 "unknown variant `…`, expected `worker`",
             ),
             (
