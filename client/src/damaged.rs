@@ -1,7 +1,7 @@
 //! Everything that comes from outside and is parsed, with damage: an error in plain words or an answer, never a panic.
 //!
-//! Sound files and messages are changed at random as editors, transfers and attackers change them. 300 changes of each
-//! kind are tried by default; `PROPTEST_CASES=100000 cargo test --release -p farmctl damaged` tries more.
+//! Sound files and messages are changed at random as editors, transfers and attackers change them. Each test tries
+//! 300 cases by default; `PROPTEST_CASES=100000 cargo test --release -p farmctl damaged` tries more.
 
 use std::path::Path;
 use std::sync::OnceLock;

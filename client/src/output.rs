@@ -86,16 +86,19 @@ pub(crate) fn sentence(error: &anyhow::Error) -> String {
     harmless(&text)
 }
 
-/// What a text quotes may come from anybody's file, so nothing in it steers a terminal, and its length has an end.
+/// What a text quotes may come from anybody's file, so nothing in it steers a terminal or turns the direction of what
+/// follows, and its length has an end.
 fn harmless(text: &str) -> String {
-    let end = text.floor_char_boundary(LONGEST_ERROR);
-    let steers = |c: &char| c.is_control() && !matches!(c, '\n' | '\t');
-    let mut told = String::with_capacity(end);
-    for c in text[..end].chars() {
-        if steers(&c) { told.extend(c.escape_default()) } else { told.push(c) }
-    }
-    if end < text.len() {
-        told.push('…');
+    let turns =
+        |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let steers = |c: char| (c.is_control() && !matches!(c, '\n' | '\t')) || turns(c);
+    let mut told = String::new();
+    for c in text.chars() {
+        if told.len() >= LONGEST_ERROR {
+            told.push('…');
+            break;
+        }
+        if steers(c) { told.extend(c.escape_unicode()) } else { told.push(c) }
     }
     told
 }
@@ -342,9 +345,11 @@ mod tests {
     fn what_an_error_quotes_steers_no_terminal_and_has_an_end() {
         let told = |quoted: &str| sentence(&anyhow::anyhow!("line 3: {quoted}"));
         assert_eq!(told("2 µm\n  |\t^"), "line 3: 2 µm\n  |\t^");
-        assert_eq!(told("\u{1b}[2Jgone\r\u{7}"), "line 3: \\u{1b}[2Jgone\\r\\u{7}");
-        let long = told(&"ä".repeat(100_000));
-        assert!(long.len() < LONGEST_ERROR + 10 && long.ends_with("ä…"), "{} bytes", long.len());
+        assert_eq!(told("\u{1b}[2Jgone\u{7}\u{202e}"), "line 3: \\u{1b}[2Jgone\\u{7}\\u{202e}");
+        for (long, end) in [("ä", "ä…"), ("\0", "\\u{0}…")] {
+            let told = told(&long.repeat(100_000));
+            assert!(told.len() < LONGEST_ERROR + 10 && told.ends_with(end), "{} bytes", told.len());
+        }
     }
 
     #[test]

@@ -2,20 +2,16 @@
 //!
 //! The clock that measures times, which never jumps, stays as it is: so it is when somebody sets a machine's clock.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-/// Where distributions put the library for programs with threads.
-const PLACES: [&str; 4] = [
-    "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1",
-    "/usr/lib/aarch64-linux-gnu/faketime/libfaketimeMT.so.1",
-    "/usr/lib64/faketime/libfaketimeMT.so.1",
-    "/usr/lib/faketime/libfaketimeMT.so.1",
-];
+/// Debian has the library for programs with threads here, in the folder of the machine's kind.
+const KINDS: &str = "/usr/lib";
+const LIBRARY: &str = "faketime/libfaketimeMT.so.1";
 
 /// How far off the wall clock is stands in a file, which every look at the clock reads.
 #[derive(Debug)]
 pub struct WallClock {
-    library: &'static str,
+    library: PathBuf,
     folder: tempfile::TempDir,
 }
 
@@ -25,7 +21,8 @@ impl WallClock {
     /// # Panics
     /// If its file cannot be written.
     pub fn find() -> Option<Self> {
-        let library = PLACES.into_iter().find(|place| Path::new(place).exists())?;
+        let kinds = std::fs::read_dir(KINDS).ok()?.filter_map(Result::ok);
+        let library = kinds.map(|kind| kind.path().join(LIBRARY)).find(|place| place.exists())?;
         let clock = Self { library, folder: tempfile::tempdir().expect("a folder can be made") };
         clock.set_off_by_days(0);
         Some(clock)
@@ -46,13 +43,13 @@ impl WallClock {
     }
 
     /// What a process that shall have this clock finds in its environment.
-    pub(crate) fn environment(&self) -> Vec<(&'static str, String)> {
+    pub(crate) fn environment(&self) -> Vec<(&'static str, PathBuf)> {
         vec![
-            ("LD_PRELOAD", self.library.to_owned()),
-            ("FAKETIME_TIMESTAMP_FILE", self.file().to_str().expect("the path is text").to_owned()),
-            ("FAKETIME_NO_CACHE", "1".to_owned()),
-            ("FAKETIME_DONT_FAKE_MONOTONIC", "1".to_owned()),
-            ("NO_FAKE_STAT", "1".to_owned()),
+            ("LD_PRELOAD", self.library.clone()),
+            ("FAKETIME_TIMESTAMP_FILE", self.file()),
+            ("FAKETIME_NO_CACHE", "1".into()),
+            ("FAKETIME_DONT_FAKE_MONOTONIC", "1".into()),
+            ("NO_FAKE_STAT", "1".into()),
         ]
     }
 }

@@ -269,7 +269,7 @@ impl Inner {
         registry.register("farm_fit_seconds", "Time to answer a fit", self.fit_seconds.clone());
         registry.register(
             "farm_fits_stopped",
-            "Fits whose client left before the answer",
+            "Fits that were being computed when their client left",
             self.fits_stopped.clone(),
         );
         let build = [("version", build.version), ("physics_version", build.physics_version)];

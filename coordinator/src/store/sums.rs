@@ -100,8 +100,9 @@ fn corrupt(point: i64, why: String) -> StoreError {
     StoreError::Corrupt { table: "sums", row: point, column: "sums", why }
 }
 
+/// What is there already stays: it may be what is being checked.
 async fn insert(tx: &mut SqliteConnection, point: i64, block: i64, bytes: &[u8]) -> Result<()> {
-    sqlx::query("INSERT OR REPLACE INTO sums (point_id, block, sums, digest) VALUES (?, ?, ?, ?)")
+    sqlx::query("INSERT OR IGNORE INTO sums (point_id, block, sums, digest) VALUES (?, ?, ?, ?)")
         .bind(point)
         .bind(block)
         .bind(bytes)

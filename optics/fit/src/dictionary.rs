@@ -101,7 +101,8 @@ impl FitDictionary {
         Self { grid, channels, stop: Stop::default() }
     }
 
-    /// Answers a question, unless it is stopped before: then it ends within milliseconds.
+    /// Answers a question, unless it is stopped before: then it ends within milliseconds, or once a view
+    /// that is being made is there.
     pub fn ask<T>(mut self, stop: &Stop, question: impl FnOnce(&Self) -> T) -> Result<T, Stopped> {
         self.stop = stop.clone();
         stop.guard(|| question(&self))

@@ -49,14 +49,18 @@ mod tests {
 
     use super::*;
     use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement};
-    use crate::{FitDictionary, MeasurePlan, distance_map, fit, measure, scale};
+    use crate::{FitDictionary, MeasurePlan, distance_map, fit, measure, measure_refined, scale};
 
     type Question = fn(&FitDictionary, &Measurement, &FitOptions) -> Result<(), Invalid>;
 
-    const QUESTIONS: [(&str, Question); 4] = [
+    const QUESTIONS: [(&str, Question); 5] = [
         ("fit", |d, m, o| fit(d, m, o).map(drop)),
         ("map", |d, m, o| distance_map(d, m, o).map(drop)),
         ("scale", |d, m, o| scale(d, std::slice::from_ref(m), o, &MuRange::default()).map(drop)),
+        ("refined", |d, m, o| {
+            let plan = MeasurePlan { search_mu: None, common_g: false };
+            measure_refined(d, std::slice::from_ref(m), o, &plan).map(drop)
+        }),
         ("measure", |d, m, o| {
             let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
             measure(d, std::slice::from_ref(m), o, &plan).map(drop)

@@ -48,7 +48,7 @@ fn place(text: &str, error: &toml::de::Error) -> String {
 /// may stand where a name should be. No name that it expects is as long.
 fn discreet(message: &str) -> String {
     const SHORTEST_SECRET: usize = 16;
-    let is_part = |c: char| c.is_ascii_alphanumeric() || "+/=-_".contains(c);
+    let is_part = |c: char| c.is_ascii_graphic() && !"`'\"".contains(c);
     let mut told = String::with_capacity(message.len());
     for piece in message.split_inclusive(|c| !is_part(c)) {
         let word = piece.trim_end_matches(|c| !is_part(c));
@@ -75,6 +75,7 @@ mod tests {
                 "unknown field `…`, expected `server_name`",
             ),
             ("missing field `certificate`".to_owned(), "missing field `certificate`"),
+            ("unknown variant `Xk3!pQ9.rT7,Zz#1$vB%`, expected".to_owned(), "unknown variant `…`, expected"),
             (token.to_owned(), "…"),
         ] {
             assert_eq!(discreet(&message), told);

@@ -21,7 +21,7 @@ use crate::handshake::Handshake;
 const DEADLINE: Duration = Duration::from_mins(5);
 /// How much later than its deadline a call is given up here: the other side, or the transport, may still tell why.
 const GRACE: Duration = Duration::from_secs(2);
-/// How long the first call on a link may take until it is asked whether the coordinator wants it at all.
+/// How long the first call on a link may take until a handshake asks whether the certificate is refused.
 const SILENCE: Duration = Duration::from_secs(5);
 
 /// A connection on which every call carries the token, if there is one.
@@ -32,7 +32,7 @@ const SILENCE: Duration = Duration::from_secs(5);
 ///
 /// A call ends with `UNAUTHENTICATED` when the coordinator ends the connection because of the certificate that it was
 /// shown, or because it was shown none. The transport may miss that too, so as long as nothing was answered on this
-/// link, a call that takes long is not the only one to ask.
+/// link, a call that takes long makes a handshake of its own to ask.
 #[derive(Debug, Clone)]
 pub struct Link {
     channel: Channel,

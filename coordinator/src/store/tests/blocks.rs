@@ -88,11 +88,39 @@ async fn complete_block(
     block: u32,
     worker: Origin,
 ) -> Outcome {
+    complete_with(store, dictionary, job, block, worker, &block_sums(job, block)).await
+}
+
+async fn complete_with(
+    store: &Store,
+    dictionary: &StoredDictionary,
+    job: &JobSpec,
+    block: u32,
+    worker: Origin,
+    sums: &Sums,
+) -> Outcome {
     let job = job.clone().with_block(block).unwrap();
-    let content = JobResult::Sums(block_sums(&job, block).to_le_bytes().into());
+    let content = JobResult::Sums(sums.to_le_bytes().into());
     let completion =
         Completion { dictionary: dictionary.id, job_number: 0, job, worker, content, quality: None };
     store.complete(completion).await.unwrap()
+}
+
+/// It may be what others are asked to check.
+#[tokio::test]
+async fn of_two_copies_of_a_block_the_first_stays() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(dir.path()).await;
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
+    let d = divided(&store, "d", vec![0.5]).await;
+    let (first, other) = (block_sums(&d.1, 0), block_sums(&d.1, 1));
+    complete_block(&store, &d, 1, Origin(1)).await;
+    assert_eq!(complete_with(&store, &d.0, &d.1, 1, Origin(1), &first).await, Outcome::Part);
+    let mut total = Sums::new(&d.1);
+    total.merge(&first);
+    total.merge(&other);
+    let records = Digest::of_records(&total.into_records(&d.1));
+    assert_eq!(complete_block(&store, &d, 0, Origin(1)).await, Outcome::Finished { records });
 }
 
 #[tokio::test]
