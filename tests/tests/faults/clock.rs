@@ -15,7 +15,7 @@ sigma_t_per_mm = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18,
 albedo = [0.5, 0.9]
 g = [0.0, 0.4]
 thickness_mm = [0.5]
-walks = 600000
+walks = 300000
 ";
 
 /// Wherever the clock goes, no lease ends early or late, nobody is called lost, nothing is computed twice, and backups are
@@ -62,7 +62,7 @@ fn a_clock_that_jumps_changes_nothing_but_what_time_it_is() {
     assert!(farm.figure("farm_backup_age_seconds") < 30);
 
     // What is submitted in the past has its own place, and events stay in the order in which they happened.
-    farm.submit("later", &format!("{SLOW}seed = 2\n").replace("600000", "1000"));
+    farm.submit("later", &format!("{SLOW}seed = 2\n").replace("300000", "1000"));
     farm.done("later");
     let submitted = farm.events("SUBMITTED");
     let names: Vec<_> = submitted.iter().map(|event| event["dictionary"].as_str().unwrap()).collect();
