@@ -144,6 +144,7 @@ impl Dispatcher {
         self.end_leases_of_job(id, key.job);
         let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
         dictionary.finish(key.job, walks, records, Some(by), false);
+        self.checks.forget_aside(id, key.job);
         self.confirmed.remove(&(id, key.job));
         let suspect = self.suspects.remove(&(id, key.job));
         if walks.blocks() > 1 {

@@ -37,6 +37,9 @@ struct Open {
 #[derive(Debug, Default)]
 pub(super) struct Checks {
     open: BTreeMap<PartId, Open>,
+    /// Votes about blocks of jobs that have no such blocks at present: after a restart a job begins with as many walks as at
+    /// first, and finds its blocks again when it goes on to more. The store has them too.
+    aside: BTreeMap<PartId, Vec<Vote>>,
     /// Those that the store is to be told of.
     changed: BTreeMap<PartId, Vec<Vote>>,
     pub agreed: u64,
@@ -66,6 +69,35 @@ impl Checks {
     /// Takes up a check that the store remembers.
     pub fn remember(&mut self, part: PartId, votes: Vec<Vote>) {
         self.open.insert(part, Open { votes, stored: true });
+    }
+
+    /// Keeps a check that the store remembers until the block that it is about is there again.
+    pub fn put_aside(&mut self, part: PartId, votes: Vec<Vote>) {
+        self.aside.insert(part, votes);
+    }
+
+    /// The block is there again; whether it is to be checked.
+    pub fn take_up(&mut self, part: PartId) -> bool {
+        let votes = self.aside.remove(&part).filter(|_| !self.open.contains_key(&part));
+        votes.is_some_and(|votes| {
+            self.remember(part, votes);
+            true
+        })
+    }
+
+    /// The blocks of a job will not come again.
+    pub fn forget_aside(&mut self, dictionary: DictionaryId, job: u32) {
+        let of_job = PartId { dictionary, job, part: 0 }..=PartId { dictionary, job, part: u32::MAX };
+        let gone: Vec<PartId> = self.aside.range(of_job).map(|(part, _)| *part).collect();
+        for part in gone {
+            self.drop_aside(part);
+        }
+    }
+
+    fn drop_aside(&mut self, part: PartId) {
+        if self.aside.remove(&part).is_some() && !self.open.contains_key(&part) {
+            self.changed.insert(part, Vec::new());
+        }
     }
 
     /// What the store is to be told: the votes of a check, none if it is settled.
@@ -127,6 +159,14 @@ impl Checks {
         let heard = |open: &Open| open.votes.iter().any(|vote| vote.by == Some(machine));
         let of_it: Vec<PartId> =
             self.open.iter().filter(|(_, open)| heard(open)).map(|(part, _)| *part).collect();
+        // Its blocks are gone.
+        let begun_by = |votes: &[Vote]| votes.first().is_some_and(|first| first.by == Some(machine));
+        let gone: Vec<PartId> =
+            self.aside.iter().filter(|(_, votes)| begun_by(votes)).map(|(part, _)| *part).collect();
+        gone.into_iter().for_each(|part| self.drop_aside(part));
+        for votes in self.aside.values_mut() {
+            votes.retain(|vote| vote.by != Some(machine));
+        }
         for part in of_it {
             let Some(open) = self.open.get_mut(&part) else { continue };
             let subject = open.votes[0].digest;

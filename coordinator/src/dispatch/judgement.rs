@@ -217,9 +217,15 @@ impl Dispatcher {
     pub fn remember_check(&mut self, check: crate::stored::OpenCheck) {
         let part = PartId { dictionary: check.dictionary, job: check.job, part: check.block };
         let first = check.votes.first().map(|first| first.digest);
-        let holds = self.dictionaries.get(&part.dictionary).and_then(|d| d.job(part)).is_some_and(|job| {
+        let dictionary = self.dictionaries.get(&part.dictionary);
+        let holds = dictionary.and_then(|d| d.job(part)).is_some_and(|job| {
             job.is_divided() || matches!(job.stage, Stage::Done { records, .. } if first == Some(records))
         });
+        if !holds && dictionary.is_some_and(|d| d.grid().quality().is_some() && !d.is_done(part.job)) {
+            // With more walks it may have this block again.
+            self.checks.put_aside(part, check.votes);
+            return;
+        }
         self.checks.remember(part, check.votes);
         if !holds {
             // The store is told that it is over.

@@ -169,6 +169,7 @@ impl Dispatcher {
         if let Some(dictionary) = self.dictionaries.remove(&id) {
             self.order.remove(&(std::cmp::Reverse(dictionary.priority()), id));
             self.leases.remove_dictionary(id);
+            (0..dictionary.jobs() as u32).for_each(|job| self.checks.forget_aside(id, job));
             self.checks.retain(|part| part.dictionary != id);
             self.confirmed.retain(|(dictionary, _), _| *dictionary != id);
             self.suspects.retain(|(dictionary, _)| *dictionary != id);
@@ -319,6 +320,7 @@ impl Dispatcher {
         }
         self.checks.retain(|part| part.dictionary != id || !jobs.contains(&part.job));
         for job in jobs {
+            self.checks.forget_aside(id, *job);
             self.confirmed.remove(&(id, *job));
         }
         self.work_came();
@@ -346,7 +348,9 @@ impl Dispatcher {
             let held = self.leases.of_part(whole).any(|held| held.purpose != Purpose::Check);
             let Some(dictionary) = self.dictionaries.get_mut(&id) else { return };
             if stored.contains(&part) {
-                self.outbox.changed |= dictionary.part_stored(job, part);
+                let news = dictionary.part_stored(job, part);
+                self.outbox.changed |= news;
+                self.outbox.work |= news && self.checks.take_up(whole);
             } else {
                 let waits = dictionary.part_missing(job, part, held);
                 self.checks.settle(whole);

@@ -211,6 +211,7 @@ impl Dispatcher {
         if let Some(dictionary) = self.dictionaries.get_mut(&id) {
             dictionary.finish(job, walks, records, by, true);
         }
+        self.checks.forget_aside(id, job);
         self.work_came();
         self.tell_end(id);
     }

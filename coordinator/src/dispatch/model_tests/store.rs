@@ -7,7 +7,7 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
-use optics_model::{Digest, Grid, Scene, Walks};
+use optics_model::{Digest, Grid, Quality, Scene, Walks};
 
 use super::super::Origin;
 use crate::stored::{DesiredState, EndedJob, KnownMachine, Machine, OpenCheck, Outcome, StoredDictionary};
@@ -62,6 +62,10 @@ impl ModelStore {
         };
         let walks = if kind == 1 { Walks::new(2_500_000).unwrap() } else { Walks::PAPER };
         let grid = Grid::new(Scene::paper(), axes, walks, kind as u64, false).unwrap();
+        let grid = match walks_needed(kind as u64) {
+            Some(most) => grid.with_quality(Quality::new(0.01, most).unwrap()).unwrap(),
+            None => grid,
+        };
         let digest = if kind == 4 { Digest::from_bytes([1; 32]) } else { Digest::of_grid(&grid) };
         let stored = StoredDictionary {
             id,
@@ -136,9 +140,11 @@ impl ModelStore {
         Digest::of_bytes(format!("{kind:?} {job} {walks} {wrong:?}").as_bytes())
     }
 
-    /// Dictionaries of the same kind have the same walks at the jobs that both have.
+    /// Dictionaries of the same kind have the same walks at the jobs that both have. How many it will be is not known of
+    /// those that go on to a target error: each is of a kind of its own.
     pub fn kind(&self, dictionary: DictionaryId) -> Option<u64> {
-        self.dictionaries.get(&dictionary).map(|stored| stored.grid.seed())
+        let stored = self.dictionaries.get(&dictionary)?;
+        Some(if stored.grid.quality().is_some() { 1000 + dictionary.0 as u64 } else { stored.grid.seed() })
     }
 
     /// Ends a job with the records of another one.
