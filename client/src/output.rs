@@ -304,6 +304,7 @@ pub(crate) struct WorkerJson {
     cores: u32,
     memory_bytes: u64,
     kernel: String,
+    log: String,
     machine: String,
 }
 
@@ -322,6 +323,7 @@ impl From<&WorkerStatus> for WorkerJson {
             cores: w.facts.cores,
             memory_bytes: w.facts.memory_bytes,
             kernel: w.facts.kernel.clone(),
+            log: w.facts.log.clone(),
             machine: w.machine.clone(),
         }
     }

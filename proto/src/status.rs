@@ -146,6 +146,8 @@ pub struct MachineFacts {
     pub memory_bytes: u64,
     /// The kernel that it traces with.
     pub kernel: String,
+    /// Where its log is to be read, as in `HOST:/var/log/slurm-17.out`; empty if it does not know.
+    pub log: String,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]

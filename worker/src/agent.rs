@@ -77,7 +77,7 @@ async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> R
         label: config.label.clone(),
         host: config.host.clone(),
         threads: config.threads,
-        facts: machine::facts(kernel),
+        facts: machine::facts(kernel, config.log.clone()),
     };
     let Some(session) = Session::open(link, url, introduction, held.clone(), &shutdown).await? else {
         tracing::info!("stopped before the coordinator at {url} was reached");

@@ -17,6 +17,8 @@ pub struct Config {
     pub label: String,
     /// Tells this machine from others, whichever process runs on it.
     pub host: String,
+    /// Where this worker's log is to be read; empty if nobody can.
+    pub log: String,
     /// Memory for results that wait to be delivered: when it is full, tracing waits.
     pub buffer_bytes: usize,
     /// How long jobs may go on that are being traced when the worker is told to stop.
@@ -38,6 +40,7 @@ impl Config {
             threads,
             label: format!("{}:{}", machine::name(), std::process::id()),
             host: machine::id(),
+            log: String::new(),
             buffer_bytes: 256 << 20,
             grace: Duration::ZERO,
             time_limit: None,

@@ -18,10 +18,15 @@ pub(crate) fn id() -> String {
 }
 
 /// What it has, for those who look after the farm.
-pub(crate) fn facts(kernel: Kernel) -> MachineFacts {
+pub(crate) fn facts(kernel: Kernel, log: String) -> MachineFacts {
     let cores = std::thread::available_parallelism().map_or(0, |cores| cores.get() as u32);
     let table = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    MachineFacts { cores, memory_bytes: memory_bytes(&table).unwrap_or(0), kernel: kernel.name().to_owned() }
+    MachineFacts {
+        cores,
+        memory_bytes: memory_bytes(&table).unwrap_or(0),
+        kernel: kernel.name().to_owned(),
+        log,
+    }
 }
 
 /// All memory, by the system's table: `MemTotal:  24689764 kB`.
@@ -39,7 +44,7 @@ mod tests {
     fn facts_are_those_of_this_machine() {
         assert_eq!(memory_bytes("MemTotal:       24689764 kB\nMemFree: 1 kB\n"), Some(24_689_764 * 1024));
         assert_eq!(memory_bytes("nothing"), None);
-        let facts = facts(Kernel::fastest());
+        let facts = facts(Kernel::fastest(), String::new());
         assert!(facts.cores >= 1 && !facts.kernel.is_empty(), "{facts:?}");
     }
 }

@@ -91,6 +91,7 @@ fn config(args: Args) -> Result<Config, AccessError> {
         threads: args.threads.map_or(config.threads, usize::from),
         label: args.label.unwrap_or(config.label),
         host: config.host,
+        log: farm_worker::log_place(),
         kernel: args.kernel,
         time_limit: args.time_limit,
         grace: args.grace,

@@ -341,7 +341,12 @@ fn worker() -> WorkerStatus {
         state: WorkerState::Working,
         suspended_ms: 0,
         version: "0.1.0".to_owned(),
-        facts: MachineFacts { cores: 16, memory_bytes: 64 << 30, kernel: "avx2".to_owned() },
+        facts: MachineFacts {
+            cores: 16,
+            memory_bytes: 64 << 30,
+            kernel: "avx2".to_owned(),
+            log: "node1:/log".to_owned(),
+        },
         machine: "node1@10.0.0.7".to_owned(),
     }
 }

@@ -30,13 +30,13 @@ impl Dispatcher {
         reason: &str,
     ) -> Result<(), DispatchError> {
         self.seen(now, worker)?;
-        let origin = self.workers.get(worker)?.origin;
+        let (origin, log) = self.workers.get(worker).map(|worker| (worker.origin, worker.log_note()))?;
         let lost = DispatchError::LeaseLost { job: key.job, attempt: key.attempt };
         if self.leases.get(key).is_none_or(|held| held.worker != *worker) {
             return Err(lost);
         }
         let checked = self.free(key.token).is_some_and(|held| held.purpose == Purpose::Check);
-        let reason = format!("attempt {}: {reason}", key.attempt);
+        let reason = format!("attempt {}: {reason}{log}", key.attempt);
         self.failed_on(now, origin, key, &reason);
         if !checked {
             self.strike(now, key, Strike { machine: origin, silent: None, reason });

@@ -163,7 +163,9 @@ impl Checks {
         let begun_by = |votes: &[Vote]| votes.first().is_some_and(|first| first.by == Some(machine));
         let gone: Vec<PartId> =
             self.aside.iter().filter(|(_, votes)| begun_by(votes)).map(|(part, _)| *part).collect();
-        gone.into_iter().for_each(|part| self.drop_aside(part));
+        for part in gone {
+            self.drop_aside(part);
+        }
         for votes in self.aside.values_mut() {
             votes.retain(|vote| vote.by != Some(machine));
         }

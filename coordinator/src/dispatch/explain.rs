@@ -52,11 +52,13 @@ impl Dispatcher {
             self.explain_disputes(dictionary, &mut reasons);
         }
         let (_, given_up) = dictionary.ended();
-        if given_up > 0 {
-            reasons.push(reason(
-                "JOBS_GIVEN_UP",
-                format!("{given_up} jobs were given up: `farmctl show` tells why, `farmctl retry` tries them again"),
-            ));
+        if let Some(first) = dictionary.given_up(0, 1).first() {
+            let text = format!(
+                "{given_up} jobs were given up, the first is job {} ({}); `farmctl show` tells why of all, `farmctl \
+                 retry` tries them again",
+                first.job, first.reason
+            );
+            reasons.push(reason("JOBS_GIVEN_UP", text));
         }
         Some(reasons)
     }

@@ -57,9 +57,11 @@ impl Dispatcher {
             }
             let Ok(worker) = self.workers.get(&held.worker) else { continue };
             let (machine, process) = (worker.origin, worker.about.instance.clone());
+            let log = worker.log_note();
             let label = self.workers.label_of(machine);
             let attempt = held.key.attempt;
-            let reason = format!("attempt {attempt}: worker {label} fell silent while it computed this job");
+            let reason =
+                format!("attempt {attempt}: worker {label} fell silent while it computed this job{log}");
             self.workers.silent(&held.worker, (held.key.dictionary, held.key.job));
             self.failed_on(now, machine, &held.key, &reason);
             self.strike(now, &held.key, Strike { machine, silent: Some(process), reason });
@@ -84,9 +86,10 @@ impl Dispatcher {
             self.free(held.key.token);
             let Ok(worker) = self.workers.get(&held.worker) else { continue };
             let (machine, age) = (worker.origin, now.saturating_sub(held.since).as_secs());
+            let log = worker.log_note();
             let label = self.workers.label_of(machine);
             let attempt = held.key.attempt;
-            let reason = format!("attempt {attempt}: worker {label} had no result after {age} s");
+            let reason = format!("attempt {attempt}: worker {label} had no result after {age} s{log}");
             self.failed_on(now, machine, &held.key, &reason);
             if held.purpose != Purpose::Check {
                 self.strike(now, &held.key, Strike { machine, silent: None, reason });

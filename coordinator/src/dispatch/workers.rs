@@ -38,6 +38,14 @@ pub(super) struct Worker {
     pub draining: bool,
 }
 
+impl Worker {
+    /// Where to read on about what it failed at, to stand after a reason.
+    pub fn log_note(&self) -> String {
+        let log = &self.about.facts.log;
+        if log.is_empty() { String::new() } else { format!(" (log: {log})") }
+    }
+}
+
 #[derive(Debug, Default)]
 pub(super) struct Workers {
     known: BTreeMap<WorkerId, Worker>,

@@ -126,7 +126,7 @@ fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
 }
 
 fn facts(told: wire::MachineFacts) -> MachineFacts {
-    MachineFacts { kernel: one_line(&told.kernel), ..told.into() }
+    MachineFacts { kernel: one_line(&told.kernel), log: one_line(&told.log), ..told.into() }
 }
 
 /// A piece of the stream in which results come.

@@ -2,6 +2,7 @@ mod aside;
 mod blocks;
 mod checks;
 mod damage;
+mod damaged_backup;
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;

@@ -132,13 +132,13 @@ impl From<WorkerState> for wire::WorkerState {
 
 impl From<MachineFacts> for wire::MachineFacts {
     fn from(facts: MachineFacts) -> Self {
-        Self { cores: facts.cores, memory_bytes: facts.memory_bytes, kernel: facts.kernel }
+        Self { cores: facts.cores, memory_bytes: facts.memory_bytes, kernel: facts.kernel, log: facts.log }
     }
 }
 
 impl From<wire::MachineFacts> for MachineFacts {
     fn from(facts: wire::MachineFacts) -> Self {
-        Self { cores: facts.cores, memory_bytes: facts.memory_bytes, kernel: facts.kernel }
+        Self { cores: facts.cores, memory_bytes: facts.memory_bytes, kernel: facts.kernel, log: facts.log }
     }
 }
 

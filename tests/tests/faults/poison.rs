@@ -72,4 +72,9 @@ async fn a_job_that_kills_its_worker_at_once_is_blamed_before_the_first_heartbea
         wait_for("its death is noticed", Duration::from_mins(1), || farm.events("JOB_QUARANTINED").pop());
     assert!(quarantined["message"].as_str().unwrap().contains("victim fell silent"), "{quarantined}");
     assert_eq!(farm.events("ATTEMPT_FAILED").len(), 1, "the one that waited for a thread is not to blame");
+    // What it had to say stands in its log, and who asks is told where that is.
+    let explained = farm.farmctl(&["explain", "long"]).stdout;
+    let (_, place) = explained.split_once(" (log: ").expect(&explained);
+    let (_, file) = place.split_once(')').unwrap().0.split_once(':').unwrap();
+    assert!(std::fs::read_to_string(file).unwrap().contains("joined the coordinator"), "{file}");
 }

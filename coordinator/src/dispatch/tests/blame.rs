@@ -1,10 +1,11 @@
 //! Who is to blame for what comes to nothing.
 
+use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use farm_proto::status::DictionaryState;
+use farm_proto::status::{DictionaryState, MachineFacts};
 
-use super::{Bench, DIGEST, about, job_of, key, seconds, worker};
-use crate::dispatch::Effect;
+use super::{Bench, DIGEST, about, job_of, key, origin, seconds, worker};
+use crate::dispatch::{Effect, Registration};
 use crate::stored::Origin;
 
 #[test]
@@ -30,6 +31,34 @@ fn a_job_is_given_up_after_the_allowed_failures_with_all_reasons() {
     assert!(bench.reasons(3).contains(&"JOBS_GIVEN_UP"));
     assert_eq!(bench.farm.retry(DictionaryId(1)), 1);
     assert_eq!(job_of(&bench.acquire(4, "c", 10)), [job]);
+}
+
+#[test]
+fn who_asks_about_a_failed_job_is_told_where_the_log_is() {
+    let mut bench = Bench::new(&[]);
+    let logged = |name: &str| {
+        let facts = MachineFacts { log: format!("node7:/var/log/{name}.out"), ..MachineFacts::default() };
+        Registration { facts, ..about(name) }
+    };
+    for name in ["a", "b"] {
+        bench.farm.register(seconds(0), worker(name), origin(name), logged(name)).unwrap();
+    }
+    let told = |bench: &Bench, second| {
+        let reasons = bench.farm.explain(seconds(second), &DictionaryName::new("d").unwrap()).unwrap();
+        reasons.into_iter().map(|reason| reason.text).collect::<Vec<_>>().join("\n")
+    };
+    let first = bench.acquire(0, "a", 1);
+    bench.farm.failed(seconds(1), &worker("a"), &first[0].key, "boom").unwrap();
+    assert!(told(&bench, 1).contains("attempt 1: boom (log: node7:/var/log/a.out)"), "{}", told(&bench, 1));
+    let second = bench.acquire(1, "b", 1);
+    assert!(bench.renew(1, "b", &second[0], true));
+    for time in (4..40).step_by(4) {
+        bench.farm.look_over(seconds(time));
+    }
+    let text = told(&bench, 40);
+    let expected = "1 jobs were given up, the first is job 2 (attempt 1: boom (log: node7:/var/log/a.out); attempt 2: \
+                    worker b fell silent while it computed this job (log: node7:/var/log/b.out))";
+    assert!(text.contains(expected), "{text}");
 }
 
 #[test]

@@ -1,0 +1,167 @@
+//! Backups with random damage, as from a failing disk or by hand: restored if SQLite finds nothing wrong with them. What
+//! is read from them then is what was stored, or an error.
+//!
+//! `PROPTEST_CASES=20000 cargo test -p farm-coordinator --lib damaged_backup` runs more of them.
+
+use std::sync::OnceLock;
+
+use proptest::prelude::*;
+use proptest::sample::Index;
+use proptest::test_runner::TestCaseError;
+
+use super::{complete, dictionary, open, records};
+use crate::store::{DataDir, Store, backup, newest_schema};
+use crate::stored::{DesiredState, Machine, StoredDictionary};
+
+/// What happens to the bytes of a file.
+#[derive(Debug, Clone)]
+enum Damage {
+    /// Bits that have changed.
+    Flip {
+        at: Index,
+        bits: u8,
+    },
+    /// Bytes that come from elsewhere in the file.
+    Copy {
+        from: Index,
+        to: Index,
+        bytes: usize,
+    },
+    /// A part that was never written.
+    Zeros {
+        at: Index,
+        bytes: usize,
+    },
+    Cut {
+        at: Index,
+    },
+}
+
+fn damage() -> impl Strategy<Value = Damage> {
+    let index = any::<Index>;
+    prop_oneof![
+        8 => (index(), 1..=u8::MAX).prop_map(|(at, bits)| Damage::Flip { at, bits }),
+        2 => (index(), index(), 1..5000_usize).prop_map(|(from, to, bytes)| Damage::Copy { from, to, bytes }),
+        1 => (index(), 1..5000_usize).prop_map(|(at, bytes)| Damage::Zeros { at, bytes }),
+        1 => index().prop_map(|at| Damage::Cut { at }),
+    ]
+}
+
+impl Damage {
+    fn act(&self, file: &mut Vec<u8>) {
+        let end = |at: usize, bytes: usize, file: &[u8]| (at + bytes).min(file.len());
+        match self {
+            Self::Flip { at, bits } => *at.get_mut(file) ^= bits,
+            Self::Copy { from, to, bytes } => {
+                let (from, to) = (from.index(file.len()), to.index(file.len()));
+                let part = file[from..end(from, *bytes, file)].to_vec();
+                let until = end(to, part.len(), file);
+                file[to..until].copy_from_slice(&part[..until - to]);
+            }
+            Self::Zeros { at, bytes } => {
+                let at = at.index(file.len());
+                let until = end(at, *bytes, file);
+                file[at..until].fill(0);
+            }
+            // One byte stays, since others may damage what is left.
+            Self::Cut { at } => file.truncate(at.index(file.len()) + 1),
+        }
+    }
+}
+
+/// A backup of a farm with a finished job and one that was given up, and its dictionary.
+fn whole() -> &'static (Vec<u8>, StoredDictionary) {
+    static WHOLE: OnceLock<(Vec<u8>, StoredDictionary)> = OnceLock::new();
+    WHOLE.get_or_init(|| {
+        wait(async {
+            let dir = tempfile::tempdir().unwrap();
+            let store = open(dir.path()).await;
+            store.register_worker(&Machine::at("instance"), "label").await.unwrap();
+            let d = dictionary(&store).await;
+            complete(&store, &d, 0, 0.25).await;
+            store.give_up_job(d.id, 1, "no luck", true).await.unwrap();
+            store.set_desire(d.id, DesiredState::Pause, "lunch").await.unwrap();
+            let copy = dir.path().join("copy");
+            store.backup(&copy).await.unwrap();
+            store.close().await;
+            (std::fs::read(copy).unwrap(), d)
+        })
+    })
+}
+
+fn wait<T>(work: impl Future<Output = T>) -> T {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap().block_on(work)
+}
+
+/// How far a damaged backup came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum End {
+    NotRestored,
+    NotOpened,
+    Read,
+}
+
+async fn restore_and_read(bytes: &[u8]) -> Result<End, TestCaseError> {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, home) = (dir.path().join("copy"), dir.path().join("home"));
+    std::fs::write(&file, bytes).unwrap();
+    let folder = DataDir::lock(&home).unwrap();
+    if backup::restore(&file, &folder, newest_schema()).await.is_err() {
+        prop_assert!(!home.join("farm.db").exists(), "what is refused leaves nothing");
+        return Ok(End::NotRestored);
+    }
+    let Ok(store) = Store::open(folder, |_| {}).await else { return Ok(End::NotOpened) };
+    let read = all_that_is_read(&store).await;
+    let copied = store.backup(&dir.path().join("again")).await;
+    prop_assert!(copied.is_ok(), "{:?}", copied.err());
+    store.close().await;
+    read.map(|()| End::Read)
+}
+
+async fn all_that_is_read(store: &Store) -> Result<(), TestCaseError> {
+    let (_, original) = whole();
+    for found in store.dictionaries().await.unwrap_or_default() {
+        prop_assert!(found.grid == original.grid, "another grid: {:?}", found.grid);
+        let _ = store.ended_jobs(found.id, &found.grid).await;
+        for job in
+            store.finished_jobs(found.id, &found.grid, 0..2).await.unwrap_or_default().into_iter().flatten()
+        {
+            prop_assert_eq!(job.job, 0);
+            prop_assert_eq!(job.records.unpack(), records(0, 0.25));
+        }
+    }
+    let _ = store.faults().await;
+    Ok(())
+}
+
+fn config() -> ProptestConfig {
+    let cases = std::env::var("PROPTEST_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(48);
+    ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    #[test]
+    fn what_is_read_from_a_damaged_backup_is_what_was_stored(all in prop::collection::vec(damage(), 1..4)) {
+        let mut bytes = whole().0.clone();
+        for damage in &all {
+            damage.act(&mut bytes);
+        }
+        wait(restore_and_read(&bytes))?;
+    }
+}
+
+#[test]
+fn damage_ends_in_each_way() {
+    let whole = &whole().0;
+    let after = |damage: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = whole.clone();
+        damage(&mut bytes);
+        wait(restore_and_read(&bytes)).unwrap()
+    };
+    let at = |part: &[u8]| whole.windows(part.len()).position(|window| window == part).unwrap();
+    assert_eq!(after(&|_| ()), End::Read);
+    assert_eq!(after(&|bytes| bytes.truncate(5000)), End::NotRestored);
+    assert_eq!(after(&|bytes| bytes[at(b"lunch")] ^= 1), End::Read);
+}

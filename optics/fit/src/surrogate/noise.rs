@@ -1,0 +1,199 @@
+//! What the records' noise does to predictions, as far as the records about show it.
+
+use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, albedo, interpolation};
+use crate::local_axis::{Direction, Weights};
+
+/// Share of walks that go on to another scattering, q. Assumed: slabs thin and thick lie on either side of it.
+const SCATTERED_ON: f64 = 0.9;
+
+/// The records' noise in a prediction, as far as the records about show it.
+#[derive(Debug)]
+pub(crate) struct NoiseFactors {
+    /// Profiles f_k: Σ f_k f_kᵀ is the covariance.
+    pub factors: Vec<Vec<f64>>,
+    /// Of how many independent profiles it was estimated.
+    pub degrees: f64,
+}
+
+/// Where a prediction's noise comes from.
+#[derive(Debug)]
+pub(crate) struct NoisePlace {
+    ior: usize,
+    albedo: f64,
+    /// Optical thickness at every σ_t: records that have it in common have the same walks.
+    depths: Vec<f32>,
+    sigma_t: Direction,
+    g: Direction,
+}
+
+impl NoisePlace {
+    /// How alike the records' noise is in two predictions, as a correlation: which walks they share, and how alike the
+    /// same walks are with both albedos. Records that are optically as thick share their walks, and so do channels. Where
+    /// numbers of scatterings n are distributed like qⁿ, the correlation of Σ αⁿ over walks is
+    /// √((1 − qα²)(1 − qα′²))/(1 − qαα′).
+    pub(crate) fn in_common(&self, other: &Self) -> f64 {
+        if self.ior != other.ior {
+            return 0.0;
+        }
+        let (a, b) = (self.albedo, other.albedo);
+        let left = |product: f64| 1.0 - SCATTERED_ON * product;
+        let of_walks = (left(a * a) * left(b * b)).sqrt() / left(a * b);
+        let same_walks = |node: usize, of_other: usize| self.depths[node] == other.depths[of_other];
+        of_walks * self.sigma_t.cosine_where(&other.sigma_t, same_walks) * self.g.cosine(&other.g)
+    }
+}
+
+impl Surrogate<'_> {
+    /// The same at any thickness near one of the dictionary's.
+    pub(crate) fn noise_factors_at(&self, thickness_mm: f64, x: Coordinates) -> NoiseFactors {
+        let (index, ratio) = self.nearest_thickness(thickness_mm);
+        self.noise_factors(index, [x[SIGMA_T] + ratio.ln(), x[ALBEDO], x[G]])
+    }
+
+    /// Index of the dictionary's nearest thickness, and the factor from it.
+    fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
+        let axis = self.dictionary.grid().thickness_mm();
+        let off = |t: &f64| (thickness_mm / t).ln().abs();
+        let nearest = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
+        nearest.map_or((0, 1.0), |(index, nominal)| (index, thickness_mm / nominal))
+    }
+
+    /// What the records' noise in a prediction is made of.
+    pub(crate) fn noise_at(&self, thickness_mm: f64, x: Coordinates) -> NoisePlace {
+        let (thickness, ratio) = self.nearest_thickness(thickness_mm);
+        let thickness_mm = self.grid().thickness_mm()[thickness];
+        let depth = |sigma_t: &f64| (sigma_t * thickness_mm) as f32;
+        NoisePlace {
+            ior: self.ior,
+            depths: self.grid().sigma_t_per_mm().iter().map(depth).collect(),
+            albedo: albedo(x[ALBEDO]).clamp(0.0, 1.0),
+            sigma_t: self.sigma_t.direction(x[SIGMA_T] + ratio.ln()),
+            g: self.g.direction(x[G]),
+        }
+    }
+
+    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the records' noise gives to the model at `x`, over all
+    /// pixels: what the local model leaves of the records about.
+    fn noise_factors(&self, thickness: usize, x: Coordinates) -> NoiseFactors {
+        let a = interpolation(&self.albedo, x[ALBEDO]);
+        let (first_s, window_s, hat_s) = self.sigma_t.hat(x[SIGMA_T]);
+        let (first_g, window_g, hat_g) = self.g.hat(x[G]);
+        let (ns, ng) = (window_s.len(), window_g.len());
+        let pixels = self.dictionary.grid().scene().sensor().pixels();
+        let image = |n: usize| -> Vec<f64> {
+            let mut image = vec![0.0; pixels];
+            for (j, weight) in a.values.iter().enumerate() {
+                let row = self.row(first_s + n / ng, first_g + n % ng, thickness, a.first + j);
+                image.iter_mut().zip(row).for_each(|(v, r)| *v += weight * f64::from(*r));
+            }
+            image
+        };
+        let images: Vec<Vec<f64>> = (0..ns * ng).map(image).collect();
+        let add = |into: &mut [f64], factor: f64, of: &[f64]| {
+            into.iter_mut().zip(of).for_each(|(v, o)| *v += factor * o);
+        };
+        // The models along both axes, one after the other.
+        let along_s: Vec<Vec<f64>> = (0..ns * ng)
+            .map(|n| {
+                let mut smooth = vec![0.0; pixels];
+                (0..ns).for_each(|m| add(&mut smooth, hat_s[n / ng][m], &images[m * ng + n % ng]));
+                smooth
+            })
+            .collect();
+        let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
+        let leverage = square(&self.sigma_t.weights(x[SIGMA_T])) * square(&self.g.weights(x[G]));
+        let (mut factors, mut total) = (Vec::new(), 0.0);
+        // Of the weights: sum of squares; of the rests: sum of variances.
+        let (mut squared, mut free) = (0.0, 0.0);
+        for (n, image) in images.iter().enumerate() {
+            let (i, k) = (n / ng, n % ng);
+            let mut rest = image.clone();
+            (0..ng).for_each(|m| add(&mut rest, -hat_g[k][m], &along_s[i * ng + m]));
+            let squares =
+                hat_s[i].iter().map(|h| h * h).sum::<f64>() * hat_g[k].iter().map(|h| h * h).sum::<f64>();
+            // Variance of a rest over that of a record.
+            let left = 1.0 - 2.0 * hat_s[i][i] * hat_g[k][k] + squares;
+            if left < 1e-6 {
+                continue;
+            }
+            let weight = window_s[i] * window_g[k];
+            total += weight;
+            squared += weight * weight;
+            free += left;
+            let size = (weight * leverage / left).sqrt();
+            for v in &mut rest {
+                *v *= size;
+            }
+            factors.push(rest);
+        }
+        let size = if total > 0.0 { total.sqrt().recip() } else { 0.0 };
+        factors.iter_mut().flatten().for_each(|v| *v *= size);
+        let records = if squared > 0.0 { total * total / squared } else { 0.0 };
+        let degrees = records * free / factors.len().max(1) as f64;
+        NoiseFactors { factors, degrees }
+    }
+
+    /// What the records' noise does to `N` functionals of the model's profile at `x`: their covariance.
+    ///
+    /// The noise is read off the records about: what the local model leaves of them is noise, and a little of the
+    /// model's own failure. `functionals` are weights of the pixels of `pixels`.
+    pub(crate) fn noise<const N: usize>(
+        &self,
+        thickness: usize,
+        pixels: &std::ops::Range<usize>,
+        x: Coordinates,
+        functionals: &[Vec<f64>; N],
+    ) -> [[f64; N]; N] {
+        let a = interpolation(&self.albedo, x[ALBEDO]);
+        let (first_s, window_s, hat_s) = self.sigma_t.hat(x[SIGMA_T]);
+        let (first_g, window_g, hat_g) = self.g.hat(x[G]);
+        let image = |s: usize, g: usize| -> [f64; N] {
+            let mut image = [0.0; N];
+            for (j, weight) in a.values.iter().enumerate() {
+                let row = &self.row(first_s + s, first_g + g, thickness, a.first + j)[pixels.clone()];
+                for (out, f) in image.iter_mut().zip(functionals) {
+                    *out += weight * row.iter().zip(f).map(|(v, f)| f64::from(*v) * f).sum::<f64>();
+                }
+            }
+            image
+        };
+        let (ns, ng) = (window_s.len(), window_g.len());
+        let images: Vec<[f64; N]> = (0..ns * ng).map(|n| image(n / ng, n % ng)).collect();
+        let mut scatter = [[0.0; N]; N];
+        let mut total = 0.0;
+        for i in 0..ns {
+            for k in 0..ng {
+                let mut rest = images[i * ng + k];
+                let mut squares = 0.0;
+                for (m, image) in images.iter().enumerate() {
+                    let h = hat_s[i][m / ng] * hat_g[k][m % ng];
+                    squares += h * h;
+                    (0..N).for_each(|c| rest[c] -= h * image[c]);
+                }
+                // Variance of a rest over that of a record.
+                let left = 1.0 - 2.0 * hat_s[i][i] * hat_g[k][k] + squares;
+                if left < 1e-6 {
+                    continue;
+                }
+                let weight = window_s[i] * window_g[k];
+                total += weight;
+                add_outer(&mut scatter, rest, weight / left);
+            }
+        }
+        if total == 0.0 {
+            return scatter;
+        }
+        let square = |w: Weights| w.values.iter().map(|w| w * w).sum::<f64>();
+        let leverage = square(self.sigma_t.weights(x[SIGMA_T])) * square(self.g.weights(x[G]));
+        scatter.map(|row| row.map(|v| v * leverage / total))
+    }
+}
+
+/// Adds factor · v vᵀ.
+fn add_outer<const N: usize>(matrix: &mut [[f64; N]; N], v: [f64; N], factor: f64) {
+    for (row, a) in matrix.iter_mut().zip(v) {
+        for (cell, b) in row.iter_mut().zip(v) {
+            *cell += factor * a * b;
+        }
+    }
+}
