@@ -84,6 +84,8 @@ async fn a_finished_dictionary_of_every_schema_is_read_and_fitted_to() {
             let tiny = dictionary(&store, "tiny").await;
             assert_eq!((tiny.grid.job_count(), tiny.grid.record_count()), (3, 9), "schema {schema}");
             assert_eq!(tiny.grid_digest, grid_digest(&tiny.grid, schema), "schema {schema}");
+            let physics = tiny.grid_digest.physics_version_of(&tiny.grid);
+            assert_eq!(physics, Some(PHYSICS_VERSIONS[schema as usize - 1]), "schema {schema}");
             assert_eq!(ended(&store, &tiny).await.1, TINY, "schema {schema}");
             for found in store.all_jobs(tiny.id, &tiny.grid, 0..3).await.unwrap() {
                 found.unwrap_or_else(|damaged| panic!("schema {schema}: {damaged}"));

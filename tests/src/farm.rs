@@ -1,9 +1,8 @@
 //! A farm of real processes: a coordinator that keeps its port over restarts, workers, and all who talk to them.
 
+mod figures;
 mod tokens;
 
-use std::io::{Read, Write};
-use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -180,6 +179,15 @@ impl Farm {
         self.start_coordinator();
     }
 
+    /// Another machine takes over, with other data and the address of this one, which is gone.
+    ///
+    /// # Panics
+    /// If it does not answer.
+    pub fn stand_in(&mut self, data: &str) {
+        self.data = self.path(data);
+        self.start_coordinator();
+    }
+
     pub fn url(&self) -> String {
         let scheme = if self.closed { "https" } else { "http" };
         format!("{scheme}://127.0.0.1:{}", self.port)
@@ -315,27 +323,6 @@ impl Farm {
     pub fn events(&self, kind: &str) -> Vec<Value> {
         let events = self.ask(&["events", "-n", "1000"])["events"].take();
         events.as_array().unwrap().iter().filter(|e| e["kind"] == kind).cloned().collect()
-    }
-
-    /// A page of the port for figures: status code and text. None if nobody answers.
-    pub fn page(&self, path: &str) -> Option<(u16, String)> {
-        let mut stream = TcpStream::connect(("127.0.0.1", self.metrics)).ok()?;
-        stream.set_read_timeout(Some(SOON)).ok()?;
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: farm\r\nConnection: close\r\n\r\n").ok()?;
-        let mut text = String::new();
-        stream.read_to_string(&mut text).ok()?;
-        let code = text.split(' ').nth(1)?.parse().ok()?;
-        Some((code, text.split_once("\r\n\r\n")?.1.to_owned()))
-    }
-
-    /// A figure since the coordinator's start, as in `farm_jobs_completed_total{outcome="stored"}`.
-    ///
-    /// # Panics
-    /// If the coordinator does not tell it.
-    pub fn figure(&self, name: &str) -> u64 {
-        let (_, text) = self.page("/metrics").expect("the coordinator tells figures");
-        let line = text.lines().find_map(|l| l.strip_prefix(name)?.strip_prefix(' '));
-        line.map_or(0.0, |value| value.parse::<f64>().expect("a number")) as u64
     }
 
     /// A connection to the farm as anybody, or as an admin: made when it is used.

@@ -32,14 +32,20 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
         let grid = wire::Grid::decode(&row.grid[..]).map_err(|e| corrupt("grid", e.to_string()))?;
         let digest = <[u8; 32]>::try_from(&row.grid_digest[..])
             .map_err(|_| corrupt("grid_digest", format!("{} bytes", row.grid_digest.len())))?;
+        let grid = Grid::try_from(grid).map_err(|e| corrupt("grid", e.to_string()))?;
+        let grid_digest = Digest::from_bytes(digest);
+        // The records say nothing of the scene that they were computed in.
+        if grid_digest.physics_version_of(&grid).is_none() {
+            return Err(corrupt("grid", "it is not the one that was stored: its digest differs".to_owned()));
+        }
         let desire = [DesiredState::Run, DesiredState::Pause, DesiredState::Cancel]
             .into_iter()
             .find(|d| d.as_str() == row.desire);
         Ok(Self {
             id: DictionaryId(row.id),
             name: DictionaryName::new(row.name.clone()).map_err(|e| corrupt("name", e.to_string()))?,
-            grid: Arc::new(Grid::try_from(grid).map_err(|e| corrupt("grid", e.to_string()))?),
-            grid_digest: Digest::from_bytes(digest),
+            grid: Arc::new(grid),
+            grid_digest,
             created_unix_ms: row.created_unix_ms as u64,
             priority: row.priority as i32,
             desire: desire.ok_or_else(|| corrupt("desire", row.desire.clone()))?,

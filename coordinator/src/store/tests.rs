@@ -273,7 +273,7 @@ async fn a_database_of_the_first_schema_keeps_its_records() {
         first.run(&pool).await.unwrap();
         sqlx::query("INSERT INTO dictionaries VALUES (1, 'd', ?, ?, 7)")
             .bind(farm_proto::wire::Grid::from(&grid()).encode_to_vec())
-            .bind(vec![3_u8; 32])
+            .bind(&Digest::of_grid(&grid()).as_bytes()[..])
             .execute(&pool)
             .await
             .unwrap();

@@ -9,10 +9,24 @@ use crate::{PHYSICS_VERSION, canonical};
 impl Digest {
     /// Identity of a dictionary: grid, scene and physics version.
     pub fn of_grid(grid: &Grid) -> Self {
+        Self::of_grid_by(PHYSICS_VERSION, &canonical::grid(grid))
+    }
+
+    fn of_grid_by(physics_version: u32, grid: &[u8]) -> Self {
         let mut hasher = blake3::Hasher::new_derive_key("farm.v1 grid");
-        hasher.update(&PHYSICS_VERSION.to_le_bytes());
-        hasher.update(&canonical::grid(grid));
+        hasher.update(&physics_version.to_le_bytes());
+        hasher.update(grid);
         hasher.into()
+    }
+
+    /// The physics version by which this is the identity of a grid; None if it is that of another grid. Versions to come
+    /// are known too, for data that a later program has written.
+    pub fn physics_version_of(self, grid: &Grid) -> Option<u32> {
+        /// So many versions after this one.
+        const TO_COME: u32 = 100;
+        let grid = canonical::grid(grid);
+        let mut versions = [PHYSICS_VERSION].into_iter().chain(1..PHYSICS_VERSION + TO_COME);
+        versions.find(|version| Self::of_grid_by(*version, &grid) == self)
     }
 
     /// Identity of a set of walks: scene, transport point, number of walks, seed, derivatives, physics version.
@@ -89,6 +103,8 @@ mod tests {
             Grid::new(scene, axes, Walks::new(walks).unwrap(), seed, false).unwrap()
         };
         let base = Digest::of_grid(&grid(1, 5000, Scene::smooth()));
+        assert_eq!(base.physics_version_of(&grid(1, 5000, Scene::smooth())), Some(PHYSICS_VERSION));
+        assert_eq!(base.physics_version_of(&grid(2, 5000, Scene::smooth())), None);
         assert_eq!(base, Digest::of_grid(&grid(1, 5000, Scene::smooth())));
         assert_ne!(base, Digest::of_grid(&grid(2, 5000, Scene::smooth())));
         assert_ne!(base, Digest::of_grid(&grid(1, 7500, Scene::smooth())));

@@ -3,9 +3,18 @@
 use std::path::PathBuf;
 
 use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
 use farm_tests::process::{LONG, SOON, run, wait_for};
 
 use super::GRID;
+
+/// As `GRID`, with jobs of a second or two.
+const LONGER: &str = "\
+sigma_t_per_mm = [2, 8]
+albedo = [0.5, 0.9, 0.99]
+g = [0.0, 0.4, 0.8]
+walks = 400000
+";
 
 /// Finished backups of a folder, the oldest first.
 pub(super) fn backups(farm: &Farm, folder: &str) -> Vec<PathBuf> {
@@ -43,6 +52,34 @@ fn a_farm_goes_on_from_its_last_backup_when_its_disk_is_lost() {
     });
     farm.submit("more", &format!("{GRID}seed = 2\n"));
     farm.done("more");
+    drop(worker);
+}
+
+/// What the deployment guide says of a standby: the last backup, the same access file, port and name.
+#[test]
+fn another_machine_takes_over_and_computes_again_what_came_after_the_backup() {
+    let mut farm = Farm::closed(&[], &["--lease", "2"]);
+    farm.submit("grid", LONGER);
+    let worker = farm.worker("worker", &[]);
+    let done = |farm: &Farm| farm.show("grid")["records_done"].as_u64().unwrap();
+    wait_for("some records", LONG, || (done(&farm) > 0).then_some(()));
+    let kept = farm.ask(&["backup", "last.db"])["records"].as_u64().unwrap();
+    let before = wait_for("more records, which will be lost", LONG, || {
+        let now = done(&farm);
+        (now > kept).then_some(now)
+    });
+    assert_eq!(farm.show("grid")["state"], "running", "in the midst of it");
+    farm.kill_coordinator();
+    std::fs::remove_dir_all(farm.path("data")).unwrap();
+
+    let restored = run(farm.folder(), &["restore", "last.db", "--data", "standby"]);
+    assert_eq!(restored.code, 0, "{}", restored.stderr);
+    farm.stand_in("standby");
+    assert!(kept < before, "{kept} records of {before} were in the backup");
+    assert_eq!(farm.done("grid"), undisturbed(LONGER));
+    let show = farm.show("grid");
+    assert_eq!((show["records_done"].as_u64(), show["jobs_failed"].as_u64()), (Some(36), Some(0)));
+    assert!(farm.events("WORKER_FENCED").is_empty() && farm.events("ATTEMPT_FAILED").is_empty());
     drop(worker);
 }
 

@@ -98,6 +98,7 @@ fn wait<T>(work: impl Future<Output = T>) -> T {
 enum End {
     NotRestored,
     NotOpened,
+    NotRead,
     Read,
 }
 
@@ -111,27 +112,25 @@ async fn restore_and_read(bytes: &[u8]) -> Result<End, TestCaseError> {
         return Ok(End::NotRestored);
     }
     let Ok(store) = Store::open(folder, |_| {}).await else { return Ok(End::NotOpened) };
-    let read = all_that_is_read(&store).await;
-    let copied = store.backup(&dir.path().join("again")).await;
-    prop_assert!(copied.is_ok(), "{:?}", copied.err());
+    let end = all_that_is_read(&store).await;
+    let _ = (store.faults().await, store.backup(&dir.path().join("again")).await);
     store.close().await;
-    read.map(|()| End::Read)
+    end
 }
 
-async fn all_that_is_read(store: &Store) -> Result<(), TestCaseError> {
+async fn all_that_is_read(store: &Store) -> Result<End, TestCaseError> {
     let (_, original) = whole();
-    for found in store.dictionaries().await.unwrap_or_default() {
+    let Ok(dictionaries) = store.dictionaries().await else { return Ok(End::NotRead) };
+    for found in dictionaries {
         prop_assert!(found.grid == original.grid, "another grid: {:?}", found.grid);
         let _ = store.ended_jobs(found.id, &found.grid).await;
-        for job in
-            store.finished_jobs(found.id, &found.grid, 0..2).await.unwrap_or_default().into_iter().flatten()
-        {
+        let jobs = store.finished_jobs(found.id, &found.grid, 0..2).await.unwrap_or_default();
+        for job in jobs.into_iter().flatten() {
             prop_assert_eq!(job.job, 0);
             prop_assert_eq!(job.records.unpack(), records(0, 0.25));
         }
     }
-    let _ = store.faults().await;
-    Ok(())
+    Ok(End::Read)
 }
 
 fn config() -> ProptestConfig {
@@ -164,4 +163,6 @@ fn damage_ends_in_each_way() {
     assert_eq!(after(&|_| ()), End::Read);
     assert_eq!(after(&|bytes| bytes.truncate(5000)), End::NotRestored);
     assert_eq!(after(&|bytes| bytes[at(b"lunch")] ^= 1), End::Read);
+    // The name of a layer changes nothing that is computed, and is another grid all the same.
+    assert_eq!(after(&|bytes| bytes[at(b"glass slip")] ^= 1), End::NotRead);
 }
