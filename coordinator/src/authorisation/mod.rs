@@ -113,7 +113,11 @@ where
         let span = tracing::info_span!("call", %method, request_id = %id, caller = tracing::field::Empty);
         let admitted = permission::admit(&self.shared.gate, request.uri().path(), request.headers())
             .and_then(|admitted| let_in(admitted, &mut request));
-        let report = Report::start(self.shared.clone(), method, span.clone());
+        let caller = match &admitted {
+            Ok(_) => request.extensions().get::<Caller>().cloned(),
+            Err(_) => None,
+        };
+        let report = Report::start(self.shared.clone(), method, span.clone(), caller);
         // Handlers need not see it, and what they do not see they cannot log.
         request.headers_mut().remove(AUTHORIZATION);
         match admitted {

@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use farm_link::Role;
+use farm_link::{Role, token_hash};
 use http::header::AUTHORIZATION;
 use http::{Extensions, HeaderMap};
 use tonic::Status;
@@ -18,6 +18,8 @@ use crate::stored::Machine;
 pub struct Caller {
     name: String,
     role: Role,
+    /// Of the token.
+    hash: blake3::Hash,
 }
 
 impl Caller {
@@ -94,7 +96,18 @@ pub(super) fn admit(gate: &Gate, path: &str, headers: &HeaderMap) -> Result<Admi
             "this call needs a token of role {wanted}, and the one given ({name}) has role {role}"
         )));
     }
-    Ok(Admitted::Caller(Caller { name: name.to_owned(), role }))
+    Ok(Admitted::Caller(Caller { name: name.to_owned(), role, hash: token_hash(token) }))
+}
+
+/// Whether a caller would be let in now, as when the call began.
+pub(super) fn is_let_in_still(gate: &Gate, caller: &Caller) -> bool {
+    gate.tokens().is_none_or(|tokens| tokens.have(&caller.hash, caller.role))
+}
+
+/// What a caller is told who is let in no more, while a call of theirs is under way.
+pub(super) fn revoked(caller: &Caller) -> Status {
+    let Caller { name, .. } = caller;
+    Status::unauthenticated(format!("the token of this call ({name}) is not let in any more"))
 }
 
 /// The token in `authorization: Bearer TOKEN`.

@@ -55,6 +55,11 @@ impl Tokens {
         Some((token.role, &token.name))
     }
 
+    /// Whether the token with this hash has this role.
+    pub fn have(&self, hash: &blake3::Hash, role: Role) -> bool {
+        self.0.iter().any(|token| token.hash == *hash && token.role == role)
+    }
+
     /// How many there are of a role.
     pub fn count(&self, role: Role) -> usize {
         self.0.iter().filter(|token| token.role == role).count()

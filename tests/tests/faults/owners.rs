@@ -1,7 +1,12 @@
 //! People change what is theirs, and it is on record who did what.
 
+use std::time::Duration;
+
+use farm_proto::wire::WatchRequest;
+use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_tests::farm::Farm;
 use farm_tests::process::{SOON, wait_for};
+use tonic::Code;
 
 use super::GRID;
 
@@ -52,4 +57,26 @@ fn nobody_but_its_owner_and_admins_changes_a_dictionary_and_events_tell_who_did(
     wait_for("alice is shut out", SOON, || (by("alice", &["list"]).code == 1).then_some(()));
     assert!(by("alice", &["list"]).stderr.contains("does not know the one given"));
     assert_eq!(by("bob", &["list"]).code, 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_ends_when_its_token_is_revoked_though_nothing_happens_in_it() {
+    let farm = Farm::closed(&[], &[]);
+    farm.let_in("client", "alice");
+    farm.submit("grid", GRID);
+    let mut alice = DictionariesClient::new(farm.link_with("keys/alice.toml"));
+    let request = WatchRequest { name: "grid".to_owned() };
+    let mut updates = loop {
+        match alice.watch(request.clone()).await {
+            Ok(updates) => break updates.into_inner(),
+            Err(status) => assert_eq!(status.code(), Code::Unauthenticated, "not read yet: {status}"),
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    };
+    assert!(updates.message().await.unwrap().is_some(), "the present state");
+    let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "alice", "--folder", "keys"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let ended = tokio::time::timeout(SOON, updates.message()).await.unwrap().unwrap_err();
+    assert_eq!(ended.code(), Code::Unauthenticated);
+    assert_eq!(ended.message(), "the token of this call (alice) is not let in any more");
 }
