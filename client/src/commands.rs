@@ -16,6 +16,7 @@ pub(crate) mod list;
 pub(crate) mod manage;
 pub(crate) mod map;
 pub(crate) mod measure;
+pub(crate) mod profile;
 pub(crate) mod scale;
 mod session_folder;
 pub(crate) mod show;

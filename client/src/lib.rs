@@ -65,6 +65,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Measure(args) => commands::measure::run(global, args, output).await?,
         Command::Map(args) => commands::map::run(global, args, output).await?,
         Command::Design(args) => commands::design::run(global, args, output).await?,
+        Command::Profile(args) => commands::profile::run(global, args, output).await?,
         Command::Similar(args) => commands::similar::run(&args, output)?,
         Command::Simulate(args) => commands::simulate::run(args, output).await?,
         Command::Status => commands::status::run(global, output).await?,

@@ -45,6 +45,11 @@ Examples:
   farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4 --slabs 0.5,1 --slabs 0.5,0.5,1,1 --plot sets.svg
   farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4 --shots 1,4,16 --thickness-std-error-mm 0.002";
 
+pub(super) const PROFILE: &str = "\
+Examples:
+  farmctl profile --sigma-t 6.2 --albedo 0.993 --g 0.35 --thickness 0.5
+  farmctl profile --sigma-t 6.2 --albedo 0.993 --g 0.35 --thickness 0.7 --channel R,G,B --plot profile.svg";
+
 pub(super) const SIMILAR: &str = "\
 Examples:
   farmctl similar --sigma-t 6 --albedo 0.9991 --g 0.4

@@ -6,6 +6,7 @@ mod design;
 mod examples;
 mod farm;
 mod fit;
+mod profile;
 mod set_up;
 mod slurm;
 mod whole;
@@ -27,6 +28,7 @@ pub use farm::{
 pub use fit::{
     FitArgs, MapArgs, MeasureArgs, MuArgs, ObjectiveArg, OptionArgs, ScaleArgs, SimilarArgs, WaveletArg,
 };
+pub use profile::ProfileArgs;
 pub use set_up::SetUpArgs;
 pub use slurm::{SlurmCommand, SlurmSubmitArgs};
 use whole::whole_number;
@@ -107,6 +109,9 @@ pub enum Command {
     /// Compare sets of slabs by how well photographs of them would determine a medium.
     #[command(after_help = examples::DESIGN)]
     Design(DesignArgs),
+    /// Tell what a slab of a medium looks like by a dictionary, at its records and between them.
+    #[command(after_help = examples::PROFILE)]
+    Profile(ProfileArgs),
     /// List the media that similarity theory considers equivalent to a given one.
     #[command(after_help = examples::SIMILAR)]
     Similar(SimilarArgs),

@@ -8,8 +8,8 @@ use farm_proto::status::{
 use farm_proto::wire::StatusResponse;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DesignQuestion, DesignSettings, DistanceMap,
-    FitCurves, FitOptions, FitSettings, GError, MapLayer, MaterialFit, Objective, Outside, Refined,
-    ScaleCurve, ScalePoint, Suspicion, ThicknessError, Wavelet,
+    FitCurves, FitOptions, FitSettings, GError, MapLayer, MaterialFit, Objective, Outside, PixelRow,
+    PredictedChannel, PredictedProfiles, Refined, ScaleCurve, ScalePoint, Suspicion, ThicknessError, Wavelet,
 };
 use optics_model::grid::{Axes, Quality};
 use optics_model::job::JobSpec;
@@ -18,7 +18,7 @@ use optics_model::{
 };
 use serde::Serialize;
 
-use super::{design, fit, list, map, measure, scale, show, similar, simulate, status, workers};
+use super::{design, fit, list, map, measure, profile, scale, show, similar, simulate, status, workers};
 use crate::answers::UsedOptions;
 use crate::cli::SimilarArgs;
 use crate::measurement_file::Note;
@@ -63,6 +63,10 @@ fn answers() -> Vec<String> {
             "measure",
             &measure::data(used(&free, &assumed), &found(0, Some(scale_curve.clone())), &notes()),
         ),
+        line(
+            "profile",
+            &profile::JsonData { dictionary: "paper", x_mm: vec![-1.0, 1.0], profiles: &predicted() },
+        ),
         line("measure", &measure::data(used(&bound, &assumed), &found(1, None), &[])),
         line("map", &map::data(used(&free, &assumed), &[material_map()], &notes())),
         line("similar", &similar::data(&similar_args()).unwrap()),
@@ -78,6 +82,23 @@ fn answers() -> Vec<String> {
         line("design", &design::data("paper", &design_question(likely), &assumed, &crate::testing::design())),
         line("measure", &measure::data(used(&likely, &assumed), &with_inks(fits[..1].to_vec()), &[])),
     ]
+}
+
+fn predicted() -> PredictedProfiles {
+    let channel = |name: &str, std_errors| PredictedChannel {
+        channel: name.to_owned(),
+        values: vec![0.25, 0.5],
+        std_errors,
+        gradient: vec![0.125, 0.0],
+    };
+    PredictedProfiles {
+        medium: Medium::new(6.0, 0.999, 0.4).unwrap(),
+        thickness_mm: 0.5,
+        sample_ior: 1.5,
+        recorded: false,
+        pixels: PixelRow::new(-4.0, 4.0, 0.5).unwrap(),
+        channels: vec![channel("R", Some(vec![0.001, 0.002])), channel("G", None)],
+    }
 }
 
 fn with_inks(materials: Vec<MaterialFit>) -> measure::Found {

@@ -20,6 +20,7 @@ mod map;
 mod number;
 mod overview;
 mod picture;
+mod profile;
 mod scale;
 mod sheet;
 mod text;
@@ -29,6 +30,7 @@ pub(crate) use design::design_figure;
 pub(crate) use files::{drawn, write_fits, write_maps};
 pub(crate) use overview::{OverviewFigure, overview_figure};
 pub(crate) use picture::Picture;
+pub(crate) use profile::profile_figure;
 pub(crate) use scale::scale_figure;
 
 pub(crate) use fit::fit_figure;

@@ -3,12 +3,13 @@
 use farm_proto::wire::fits_server::Fits;
 use farm_proto::wire::{
     DesignRequest, DesignResponse, FitRequest, FitResponse, MapRequest, MapResponse, MeasureRequest,
-    MeasureResponse, ScaleRequest, ScaleResponse, SimilarRequest, SimilarResponse,
+    MeasureResponse, ProfileRequest, ProfileResponse, ScaleRequest, ScaleResponse, SimilarRequest,
+    SimilarResponse,
 };
 use farm_proto::{DictionaryName, wire};
 use optics_fit as fit;
 use optics_fit::{FitDictionary, MeasurePlan};
-use optics_model::fit::{DesignQuestion, FitOptions, MaterialFit, MuRange};
+use optics_model::fit::{DesignQuestion, FitOptions, MaterialFit, MuRange, ProfileQuestion};
 use optics_model::limits::FitLimits;
 use optics_model::{Invalid, Measurement, Medium};
 use tonic::{Request, Response, Status};
@@ -111,6 +112,15 @@ impl Fits for Context {
         let question = DesignQuestion::try_from(request).or_status()?;
         let channels = Vec::from_iter(question.settings().channel.clone());
         let answer = self.ask(&name, &channels, move |d| fit::design(d, &question)).await?;
+        Ok(Response::new(answer.into()))
+    }
+
+    async fn profile(&self, request: Request<ProfileRequest>) -> Result<Response<ProfileResponse>, Status> {
+        let mut request = request.into_inner();
+        let name = dictionary_name(std::mem::take(&mut request.dictionary)).or_status()?;
+        let question = ProfileQuestion::try_from(request).or_status()?;
+        let channels = question.channels().to_vec();
+        let answer = self.ask(&name, &channels, move |d| fit::profile(d, &question)).await?;
         Ok(Response::new(answer.into()))
     }
 }

@@ -14,7 +14,8 @@ use rayon::prelude::*;
 
 use super::dictionary::FitDictionary;
 use super::likelihood::{Known, Plan};
-use super::question::{find_channel, list};
+use super::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
+use super::question::find_channel;
 use super::refine::held;
 use super::surrogate::{G, Surrogate, coordinates};
 
@@ -42,7 +43,7 @@ pub fn design(dictionary: &FitDictionary, question: &DesignQuestion) -> Result<D
     let channels = grid.scene().channels();
     let channel = settings.channel.as_ref().map_or(Ok(0), |name| find_channel(grid, name))?;
     let ior = sample_ior(grid, settings.sample_ior)?;
-    check_medium(grid, &settings.medium)?;
+    check_guess(grid, &settings.medium)?;
     let pixels = pixels(grid, settings.pixels)?;
     let surrogate = Surrogate::new(dictionary, channel, ior);
     let slab_sets = slab_sets(&surrogate, settings)?;
@@ -61,31 +62,10 @@ pub fn design(dictionary: &FitDictionary, question: &DesignQuestion) -> Result<D
     })
 }
 
-fn sample_ior(grid: &Grid, wanted: Option<f64>) -> Result<usize, Invalid> {
-    let Some(wanted) = wanted else { return Ok(0) };
-    let found = grid.sample_ior().iter().position(|ior| (ior - wanted).abs() < 1e-9);
-    let allowed = || format!("the dictionary has {}", list(grid.sample_ior()));
-    found.ok_or_else(|| Invalid::new("sample_ior", wanted, allowed()))
-}
-
 /// The guess must lie between media of the dictionary, whose derivatives are taken.
-fn check_medium(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
-    let axes = [
-        ("sigma_t_per_mm", medium.sigma_t_per_mm(), grid.sigma_t_per_mm()),
-        ("albedo", medium.albedo(), grid.albedo()),
-        ("g", medium.g(), grid.g()),
-    ];
-    for (field, value, axis) in axes {
-        let (least, greatest) = (axis[0], axis[axis.len() - 1]);
-        if !(least..=greatest).contains(&value) {
-            let allowed = if least == greatest {
-                format!("the dictionary has {least} only")
-            } else {
-                format!("the dictionary reaches from {least} to {greatest}")
-            };
-            return Err(Invalid::new(field, value, allowed));
-        }
-    }
+fn check_guess(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
+    check_medium(grid, medium)?;
+    let axes = axes(grid, medium);
     if axes.iter().all(|(.., axis)| axis.len() == 1) {
         let given = format!("{} of one medium", axes[0].0);
         return Err(Invalid::new("dictionary", given, "where there is one medium only nothing is measured"));
@@ -95,9 +75,8 @@ fn check_medium(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
 
 /// The dictionary's pixels if none are told.
 fn pixels(grid: &Grid, told: Option<PixelRow>) -> Result<PixelRow, Invalid> {
-    let sensor = grid.scene().sensor();
-    let half = 0.5 * sensor.width_mm();
-    let Some(told) = told else { return PixelRow::new(-half, half, sensor.pitch_mm()) };
+    let half = 0.5 * grid.scene().sensor().width_mm();
+    let Some(told) = told else { return own_pixels(grid) };
     if told.from_mm() < -half - 1e-9 || told.to_mm() > half + 1e-9 {
         let given = format!("{} to {}", told.from_mm(), told.to_mm());
         return Err(Invalid::new("pixels", given, format!("the dictionary covers {} to {half} mm", -half)));
@@ -108,16 +87,7 @@ fn pixels(grid: &Grid, told: Option<PixelRow>) -> Result<PixelRow, Invalid> {
 /// The sets that were asked for, or those of up to three of the dictionary's thicknesses, fewer if they would be many.
 fn slab_sets(surrogate: &Surrogate, settings: &DesignSettings) -> Result<Vec<Vec<f64>>, Invalid> {
     let asked = !settings.slab_sets.is_empty();
-    let ln_sigma_t = settings.medium.sigma_t_per_mm().ln();
-    let check = |slab: f64| {
-        let (low, high) = surrogate.supported(slab)?;
-        if !(low - 1e-9..=high + 1e-9).contains(&ln_sigma_t) {
-            let allowed =
-                format!("at {slab} mm the dictionary predicts {:.4} to {:.4}", low.exp(), high.exp());
-            return Err(Invalid::new("sigma_t_per_mm", settings.medium.sigma_t_per_mm(), allowed));
-        }
-        Ok(())
-    };
+    let check = |slab: f64| check_thickness(surrogate, &settings.medium, slab);
     if asked {
         for (i, slabs) in settings.slab_sets.iter().enumerate() {
             for (k, slab) in slabs.iter().enumerate() {

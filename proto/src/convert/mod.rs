@@ -8,6 +8,7 @@ mod likelihood;
 mod measurement;
 mod mixtures;
 mod model;
+mod profile;
 mod scale;
 mod status;
 

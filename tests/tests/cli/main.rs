@@ -214,6 +214,7 @@ fn pictures_and_media_are_written() {
     write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
     let asked = ["m.csv", "--dictionary", "grid"];
     let medium = ["--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--thickness", "0.5", "--walks", "5000"];
+    let within = [&medium[..8], &["--dictionary", "grid", "--channel", "R,G"]].concat();
     for (verb, arguments, file) in [
         ("fit", &asked[..], "fit.svg"),
         ("fit", &asked[..], "fit.png"),
@@ -222,6 +223,7 @@ fn pictures_and_media_are_written() {
         ("measure", &asked[..], "measure.svg"),
         ("show", &["grid"][..], "show.svg"),
         ("simulate", &medium[..], "changes.svg"),
+        ("profile", &within[..], "profile.svg"),
     ] {
         let ran = run(dir, &[&[verb][..], arguments, &["--plot", file]].concat());
         assert_eq!(ran.code, 0, "{verb}: {}", ran.stderr);
@@ -254,6 +256,7 @@ fn help_and_completions_are_there() {
         "measure",
         "map",
         "design",
+        "profile",
         "similar",
         "simulate",
         "status",

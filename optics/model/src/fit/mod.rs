@@ -4,6 +4,7 @@ mod answer;
 mod design;
 mod mixtures;
 mod options;
+mod profile;
 
 pub use answer::{
     Bound, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, Ends, FitCurves, GError, Interval,
@@ -15,3 +16,4 @@ pub use design::{
 };
 pub use mixtures::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, Wavelet};
+pub use profile::{PredictedChannel, PredictedProfiles, ProfileQuestion};

@@ -1,0 +1,67 @@
+//! Profiles between records of a dictionary whose truth is a formula.
+
+use optics_model::Medium;
+use optics_model::fit::ProfileQuestion;
+
+use super::profile;
+use crate::testing::{dense_axes, dictionary, noisy_dictionary, profile_value};
+
+const PIXELS: u32 = 360;
+
+fn question(medium: Medium, thickness_mm: f64, channels: &[&str]) -> ProfileQuestion {
+    let channels = channels.iter().map(ToString::to_string).collect();
+    ProfileQuestion::new(medium, thickness_mm, None, channels).unwrap()
+}
+
+#[test]
+fn between_records_the_formula_comes_out_with_errors_that_cover_the_noise() {
+    const NOISE: f64 = 0.002;
+    let quiet = noisy_dictionary(dense_axes(), PIXELS, 0.0);
+    let noisy = noisy_dictionary(dense_axes(), PIXELS, NOISE);
+    let medium = Medium::new(3.1, 0.62, 0.33).unwrap();
+    let question = question(medium, 0.5, &["G", "R"]);
+    let [exact, found] = [&quiet, &noisy].map(|dictionary| profile(dictionary, &question).unwrap());
+    assert!(!found.recorded);
+    assert_eq!(found.channels.iter().map(|c| &*c.channel).collect::<Vec<_>>(), ["G", "R"]);
+    let (smooth, channel) = (&exact.channels[0], &found.channels[0]);
+    let errors = channel.std_errors.as_ref().unwrap();
+    for (i, x) in found.pixels.x_mm().into_iter().enumerate() {
+        let truth = profile_value(x, 3.1, 0.62, 0.33, 0.5, 1.0);
+        assert!((smooth.values[i] / truth - 1.0).abs() < 1e-3, "{x}: {} for {truth}", smooth.values[i]);
+        // Each record is off by so much; the model averages some tens of them.
+        let share = errors[i] / truth;
+        assert!((0.1 * NOISE..0.7 * NOISE).contains(&share), "{x}: {share}");
+        assert!((channel.values[i] - truth).abs() < 5.0 * errors[i] + 1e-3 * truth, "{x}");
+    }
+    // The derivative of the formula, away from the ends and averaged over some pixels.
+    let middle = PIXELS as usize / 2;
+    let step = 0.05;
+    let at = |x: f64| profile_value(x, 3.1, 0.62, 0.33, 0.5, 1.0);
+    let slope = (at(1.0 + step) - at(1.0 - step)) / (2.0 * step);
+    let pitch = found.pixels.pitch_mm();
+    let near = smooth.gradient[middle + (1.0 / pitch) as usize];
+    assert!((near / slope - 1.0).abs() < 0.1, "{near} for {slope}");
+}
+
+#[test]
+fn a_record_is_said_to_be_one_and_few_records_tell_no_error() {
+    let coarse = dictionary(PIXELS);
+    let found = profile(&coarse, &question(Medium::new(2.0, 0.6, 0.4).unwrap(), 1.0, &[])).unwrap();
+    assert!(found.recorded);
+    assert_eq!(found.channels.len(), 1, "the first");
+    assert_eq!(found.channels[0].std_errors, None, "eight records of a thickness");
+}
+
+#[test]
+fn what_lies_beyond_the_dictionary_is_refused() {
+    let coarse = dictionary(PIXELS);
+    let refused = |medium: (f64, f64, f64), thickness_mm, channels: &[&str]| {
+        let medium = Medium::new(medium.0, medium.1, medium.2).unwrap();
+        profile(&coarse, &question(medium, thickness_mm, channels)).unwrap_err().to_string()
+    };
+    assert!(refused((9.0, 0.6, 0.0), 0.5, &[]).contains("sigma_t_per_mm"));
+    assert!(refused((2.0, 0.95, 0.0), 0.5, &[]).contains("reaches from 0.3 to 0.9"));
+    assert!(refused((2.0, 0.6, -0.1), 0.5, &[]).contains('g'));
+    assert!(refused((2.0, 0.6, 0.0), 3.0, &[]).contains("thickness_mm"));
+    assert!(refused((2.0, 0.6, 0.0), 0.5, &["X"]).contains("the dictionary has R, G, B"));
+}

@@ -1,0 +1,79 @@
+//! What a medium looks like by a dictionary: question and answer.
+
+use serde::Serialize;
+
+use super::PixelRow;
+use crate::invalid::{Invalid, Result};
+use crate::medium::{Medium, check_ior, check_thickness};
+use crate::scene::MAX_CHANNELS;
+
+/// What would a slab of this medium look like over the edge?
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProfileQuestion {
+    medium: Medium,
+    thickness_mm: f64,
+    sample_ior: Option<f64>,
+    channels: Vec<String>,
+}
+
+impl ProfileQuestion {
+    /// `sample_ior` is one of the dictionary's; none for its first. No channels stand for the
+    /// dictionary's first.
+    pub fn new(
+        medium: Medium,
+        thickness_mm: f64,
+        sample_ior: Option<f64>,
+        channels: Vec<String>,
+    ) -> Result<Self> {
+        check_thickness(thickness_mm)?;
+        if let Some(ior) = sample_ior {
+            check_ior("sample_ior", ior)?;
+        }
+        if channels.len() > MAX_CHANNELS {
+            let allowed = format!("at most {MAX_CHANNELS} are allowed");
+            return Err(Invalid::new("channels", channels.len(), allowed));
+        }
+        Ok(Self { medium, thickness_mm, sample_ior, channels })
+    }
+
+    pub fn medium(&self) -> &Medium {
+        &self.medium
+    }
+
+    pub fn thickness_mm(&self) -> f64 {
+        self.thickness_mm
+    }
+
+    pub fn sample_ior(&self) -> Option<f64> {
+        self.sample_ior
+    }
+
+    pub fn channels(&self) -> &[String] {
+        &self.channels
+    }
+}
+
+/// The profiles of a slab as a dictionary predicts them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PredictedProfiles {
+    #[serde(flatten)]
+    pub medium: Medium,
+    pub thickness_mm: f64,
+    pub sample_ior: f64,
+    /// Whether the dictionary has a record of this medium and thickness; otherwise it lies between records.
+    pub recorded: bool,
+    pub pixels: PixelRow,
+    pub channels: Vec<PredictedChannel>,
+}
+
+/// A number for each pixel.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PredictedChannel {
+    pub channel: String,
+    /// Radiance factors.
+    pub values: Vec<f64>,
+    /// What the records' noise does to the values; none if there are too few records about to tell.
+    pub std_errors: Option<Vec<f64>>,
+    /// Derivatives of the values by x in 1/mm, by the paper's wavelet.
+    pub gradient: Vec<f64>,
+}
