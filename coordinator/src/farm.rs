@@ -73,6 +73,15 @@ pub enum FarmError {
     WrongState { name: DictionaryName, state: &'static str, allowed: &'static str },
     #[error("storing a result failed")]
     Broken,
+    #[error(
+        "this question met a defect of the farm: the coordinator's log tells more; please report it with the question"
+    )]
+    Defect,
+    #[error(
+        "{whose} would have {entries} jobs and waiting blocks, of which the coordinator keeps account in memory; {most} are \
+         allowed: delete some"
+    )]
+    TooMany { whose: &'static str, entries: usize, most: usize },
     #[error("reading the backup: {0}")]
     Backup(std::io::Error),
     #[error("the coordinator is stopping")]

@@ -3,6 +3,7 @@
 //! [`AuthorisationLayer`] goes around all services (`Server::builder().layer(…)`), so that a service added later is guarded
 //! without a word: what is not known to be for others is for admins.
 
+mod callers_body;
 mod open_call;
 mod permission;
 mod report;
@@ -112,7 +113,7 @@ where
         let id = RequestId::of(request.headers());
         let span = tracing::info_span!("call", %method, request_id = %id, caller = tracing::field::Empty);
         let admitted = permission::admit(&self.shared.gate, request.uri().path(), request.headers())
-            .and_then(|admitted| let_in(admitted, &mut request));
+            .and_then(|admitted| let_in(admitted, &self.shared.gate, &mut request));
         let caller = match &admitted {
             Ok(_) => request.extensions().get::<Caller>().cloned(),
             Err(_) => None,
@@ -141,7 +142,11 @@ where
 
 /// Prepares a call for its service: who calls, and what it may take. Gives its place among the open calls of its connection
 /// if it is one.
-fn let_in(admitted: Admitted, request: &mut Request<Body>) -> Result<Option<OwnedSemaphorePermit>, Status> {
+fn let_in(
+    admitted: Admitted,
+    gate: &Gate,
+    request: &mut Request<Body>,
+) -> Result<Option<OwnedSemaphorePermit>, Status> {
     let connection = permission::connection(request.extensions()).map(|peer| peer.admission.clone());
     if let (Some(connection), Admitted::Caller(_) | Admitted::Anybody | Admitted::Open { known: true }) =
         (&connection, &admitted)
@@ -150,6 +155,8 @@ fn let_in(admitted: Admitted, request: &mut Request<Body>) -> Result<Option<Owne
     }
     match admitted {
         Admitted::Caller(caller) => {
+            let body = std::mem::take(request.body_mut());
+            *request.body_mut() = callers_body::watched(body, gate.clone(), caller.clone());
             request.extensions_mut().insert(caller);
             Ok(None)
         }

@@ -90,17 +90,34 @@ impl<IO: AsyncRead + Unpin> AsyncRead for Guarded<IO> {
     }
 }
 
+impl<IO> Guarded<IO> {
+    /// What waits for the other end waits no longer than this one's patience: who reads nothing ends, too. While a write
+    /// waits nothing is read, so that nothing is heard either.
+    fn or_overdue<T>(&mut self, cx: &mut Context<'_>, polled: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        match polled {
+            Poll::Pending => self.watch.poll_overdue(cx, &self.admission).map(Err),
+            ready @ Poll::Ready(_) => ready,
+        }
+    }
+}
+
 impl<IO: AsyncWrite + Unpin> AsyncWrite for Guarded<IO> {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.get_mut().io).poll_write(cx, buf)
+        let this = self.get_mut();
+        let polled = Pin::new(&mut this.io).poll_write(cx, buf);
+        this.or_overdue(cx, polled)
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().io).poll_flush(cx)
+        let this = self.get_mut();
+        let polled = Pin::new(&mut this.io).poll_flush(cx);
+        this.or_overdue(cx, polled)
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().io).poll_shutdown(cx)
+        let this = self.get_mut();
+        let polled = Pin::new(&mut this.io).poll_shutdown(cx);
+        this.or_overdue(cx, polled)
     }
 
     fn poll_write_vectored(
@@ -108,7 +125,9 @@ impl<IO: AsyncWrite + Unpin> AsyncWrite for Guarded<IO> {
         cx: &mut Context<'_>,
         bufs: &[IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.get_mut().io).poll_write_vectored(cx, bufs)
+        let this = self.get_mut();
+        let polled = Pin::new(&mut this.io).poll_write_vectored(cx, bufs);
+        this.or_overdue(cx, polled)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -228,6 +247,28 @@ mod tests {
             let end = if admitted { Duration::from_secs(40) + SILENCE } else { PATIENCE };
             about(overdue_after(&mut guarded).await, end);
             drop(chatter.await);
+        }
+    }
+
+    /// One who reads nothing holds what is written to him, and is not asked for more.
+    #[tokio::test(start_paused = true)]
+    async fn who_does_not_read_is_overdue_too() {
+        for (admitted, expected) in [(true, SILENCE), (false, PATIENCE)] {
+            let (here, mut there) = tokio::io::duplex(1024);
+            let admission = Strangers::default().admission([10, 0, 0, 7].into(), 1).unwrap();
+            let mut guarded = Guarded::new(here, LIMITS, admission.clone());
+            there.write_all(&[0; GREETING_BYTES]).await.unwrap();
+            guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();
+            if admitted {
+                admission.admit();
+            }
+            let start = Instant::now();
+            let error =
+                timeout(SILENCE * 2, guarded.write_all(&[0; 4096])).await.expect("it ends").unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+            about(start.elapsed(), expected);
+            let ended = timeout(SILENCE, guarded.flush()).await.expect("it ends");
+            assert!(ended.is_ok() || ended.is_err_and(|e| e.kind() == io::ErrorKind::TimedOut));
         }
     }
 

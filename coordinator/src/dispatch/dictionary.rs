@@ -115,6 +115,16 @@ impl Dictionary {
         &self.stored.reason
     }
 
+    /// Whose it is: the name of the token that submitted it.
+    pub fn owner(&self) -> &str {
+        &self.stored.owner
+    }
+
+    /// Jobs, and parts that wait: what takes memory.
+    pub fn entries(&self) -> usize {
+        self.jobs.len() + self.pending.len()
+    }
+
     /// Jobs that have not ended.
     pub fn open_jobs(&self) -> usize {
         self.jobs.len() - self.counts.done - self.counts.given_up

@@ -17,6 +17,11 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// Jobs, and parts that wait.
+    pub fn entries(&self) -> usize {
+        self.jobs.len() + self.pending.len()
+    }
+
     /// Of a grid that is too large only the jobs are held, and none of their parts.
     pub fn new(grid: &Grid) -> Self {
         let too_large = grid.check_parts().err();

@@ -1,10 +1,10 @@
 //! What only the coordinator can know or make, since it is keyed by a secret of its database: which results are checked,
-//! and the tokens of leases.
+//! the tokens of leases, and what a worker says to be taken for itself.
 //!
-//! Both are functions of what they are about, so that nothing of them needs to be stored: after a restart the same
+//! All are functions of what they are about, so that nothing of them needs to be stored: after a restart the same
 //! results are drawn, and leases that were given out before are told from such that never were.
 
-use farm_proto::ids::Token;
+use farm_proto::ids::{Token, WorkerId};
 use farm_proto::lease::LeaseKey;
 use optics_model::Digest;
 
@@ -35,6 +35,23 @@ impl Seal {
     pub fn gave(&self, key: &LeaseKey, holder: &str) -> bool {
         let nonce = (key.token.0 >> 64) as u64;
         self.token(key, nonce, holder) == key.token
+    }
+
+    /// What a worker calls itself in its calls: its id, which everybody may read, and what it alone is told.
+    pub fn pass(&self, id: &WorkerId) -> String {
+        format!("{id}.{}", self.proof(id).to_hex())
+    }
+
+    /// Whose pass this is; none if it was not made here.
+    pub fn bearer(&self, pass: &str) -> Option<WorkerId> {
+        let (id, proof) = pass.rsplit_once('.')?;
+        let id = WorkerId(id.to_owned());
+        // Compared in constant time.
+        (blake3::Hash::from_hex(proof).ok()? == self.proof(&id)).then_some(id)
+    }
+
+    fn proof(&self, id: &WorkerId) -> blake3::Hash {
+        self.hasher("worker").update(id.0.as_bytes()).finalize()
     }
 
     fn mark(&self, key: &LeaseKey, nonce: u64, holder: &str) -> u64 {
@@ -102,6 +119,19 @@ mod tests {
         let own = |i| SEAL.draws(part(0), digest(i), 0.5);
         differ(&own, &|i| other.draws(part(0), digest(i), 0.5));
         differ(&own, &|i| SEAL.draws(part(1), digest(i), 0.5));
+    }
+
+    #[test]
+    fn a_pass_is_that_of_one_worker_and_cannot_be_made_from_its_id() {
+        let [a, b] = ["a.1", "b"].map(|id| WorkerId(id.to_owned()));
+        let pass = SEAL.pass(&a);
+        assert_eq!(SEAL.bearer(&pass), Some(a.clone()));
+        assert_eq!(Seal(Secret([2; 32])).bearer(&pass), None);
+        let of_b = SEAL.pass(&b);
+        let proof = of_b.split_once('.').unwrap().1;
+        for forged in ["a.1".to_owned(), format!("a.1.{proof}"), "a.1.".to_owned(), String::new()] {
+            assert_eq!(SEAL.bearer(&forged), None, "{forged}");
+        }
     }
 
     #[test]

@@ -163,6 +163,17 @@ impl Dispatcher {
         Ok(())
     }
 
+    /// What a worker calls itself in its calls.
+    pub fn pass_of(&self, id: &WorkerId) -> String {
+        self.seal().pass(id)
+    }
+
+    /// The worker that calls itself so.
+    pub fn bearer(&self, pass: &str) -> Result<WorkerId, DispatchError> {
+        let known = |id: &str| DispatchError::UnknownWorker(WorkerId(id.chars().take(64).collect()));
+        self.seal().bearer(pass).ok_or_else(|| known(pass.rsplit_once('.').map_or(pass, |(id, _)| id)))
+    }
+
     /// Takes up a machine that the store remembers.
     pub fn remember_machine(&mut self, known: KnownMachine) {
         self.workers.machines.remember(known);

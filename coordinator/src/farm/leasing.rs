@@ -33,6 +33,16 @@ impl Versions {
 }
 
 impl Farm {
+    /// The worker that calls itself so. Nobody else can: what it is told at its registration is more than its id.
+    pub(crate) fn bearer(&self, pass: &str) -> Result<WorkerId> {
+        Ok(self.door.query(|dispatcher, _| dispatcher.bearer(pass))?)
+    }
+
+    /// What a worker is to call itself.
+    pub(crate) fn pass_of(&self, worker: &WorkerId) -> String {
+        self.door.query(|dispatcher, _| dispatcher.pass_of(worker))
+    }
+
     /// Lets a worker in. `votes_by_token`: each token has one vote about results, or else each machine.
     pub(crate) async fn register(
         &self,

@@ -14,6 +14,11 @@ use crate::dispatch::{Dictionary, EventKind, Plan, Reason};
 use crate::store::{StoreError, StoredEvent};
 use crate::stored::{DesiredState, StoredDictionary};
 
+/// Most jobs and waiting parts of all dictionaries together, and of those that one token has submitted. A million is
+/// some 100 MB.
+const ENTRIES: usize = 20_000_000;
+const ENTRIES_OF_ONE: usize = 8_000_000;
+
 impl Farm {
     /// Creates a dictionary, or finds the one of the same name and grid. Records that exist already are used.
     pub(crate) async fn submit(
@@ -35,6 +40,7 @@ impl Farm {
         // What has no room in memory must not be in the store, where the next start would find it.
         let planned = grid.clone();
         let plan = blocking(move || Plan::new(&planned)).await;
+        self.check_room(by, &plan)?;
         let stored =
             self.store.create_dictionary(name.clone(), grid, priority, by.name(), Clock::unix_ms()).await?;
         let id = stored.id;
@@ -47,6 +53,25 @@ impl Farm {
             return Err(error);
         }
         self.status(&name)
+    }
+
+    /// The coordinator keeps account of every job of every dictionary: all together have a limit, and what one token has
+    /// submitted leaves room for others.
+    fn check_room(&self, by: &Actor, plan: &Plan) -> Result<()> {
+        let (own, all) = self.door.query(|dispatcher, _| {
+            dispatcher.dictionaries().fold((plan.entries(), plan.entries()), |(own, all), dictionary| {
+                let is_own = dictionary.owner() == by.name();
+                (own + if is_own { dictionary.entries() } else { 0 }, all + dictionary.entries())
+            })
+        });
+        if all > ENTRIES {
+            return Err(FarmError::TooMany { whose: "all dictionaries", entries: all, most: ENTRIES });
+        }
+        if by.token.is_some() && own > ENTRIES_OF_ONE {
+            let whose = "the dictionaries of this token";
+            return Err(FarmError::TooMany { whose, entries: own, most: ENTRIES_OF_ONE });
+        }
+        Ok(())
     }
 
     /// Begins with a new dictionary: uses the records that exist already, and serves the rest.

@@ -10,7 +10,7 @@ use farm_proto::ids::DictionaryId;
 use optics_fit::{FitDictionary, Stop};
 use optics_model::{Grid, Invalid, Record};
 
-use super::{Farm, FarmError, Result, blocking};
+use super::{Farm, FarmError, Result};
 use crate::store::{Damaged, JobRecords, StoreError};
 
 /// What is said of records that were damaged at the first reading, and not at the second.
@@ -94,13 +94,14 @@ impl Farm {
         };
         let (wanted, metrics) = (Wanted::default(), self.metrics().clone());
         let stop = wanted.0.clone();
-        let answer = blocking(move || {
+        let answer = tokio::task::spawn_blocking(move || {
             dictionary.ask(&stop, question).map_err(|_| {
                 metrics.fit_stopped();
                 FarmError::Stopping
             })
         });
-        Ok(answer.await??)
+        // A panic has told of itself in the log.
+        Ok(answer.await.map_err(|_| FarmError::Defect)???)
     }
 }
 

@@ -37,8 +37,9 @@ impl Admin for Context {
     type BackupStream = Outgoing<BackupPiece>;
 
     async fn backup(&self, request: Request<BackupRequest>) -> Result<Response<Self::BackupStream>, Status> {
-        let backup = self.farm.backup(&actor(request.extensions())).await?;
-        Ok(Response::new(self.stream(2, backup, piece)?))
+        let by = actor(request.extensions());
+        let backup = self.farm.backup(&by).await?;
+        Ok(Response::new(self.stream(&by, 2, backup, piece)?))
     }
 
     async fn inspect(&self, request: Request<InspectRequest>) -> Result<Response<InspectResponse>, Status> {

@@ -144,19 +144,21 @@ impl Dictionaries for Context {
     type WatchStream = Outgoing<Dictionary>;
 
     async fn watch(&self, request: Request<WatchRequest>) -> Result<Response<Self::WatchStream>, Status> {
+        let by = actor(request.extensions());
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let watch = self.farm.watch(name)?;
-        Ok(Response::new(self.stream(1, watch, |status| (&status).into())?))
+        Ok(Response::new(self.stream(&by, 1, watch, |status| (&status).into())?))
     }
 
     type ExportStream = Outgoing<Record>;
 
     async fn export(&self, request: Request<ExportRequest>) -> Result<Response<Self::ExportStream>, Status> {
+        let by = actor(request.extensions());
         let request = request.into_inner();
         let name = DictionaryName::new(request.name).or_status()?;
         let export = self.farm.export(name, request.first as usize, &request.indices)?;
         let promised = export.promised;
-        let mut response = Response::new(self.stream(EXPORT_QUEUE, export, Into::into)?);
+        let mut response = Response::new(self.stream(&by, EXPORT_QUEUE, export, Into::into)?);
         response.metadata_mut().insert(RECORDS_PROMISED, promised.into());
         Ok(response)
     }

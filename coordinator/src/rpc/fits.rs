@@ -6,7 +6,7 @@ use farm_proto::wire::{
     MeasureResponse, ProfileRequest, ProfileResponse, ScaleRequest, ScaleResponse, SimilarRequest,
     SimilarResponse,
 };
-use farm_proto::{DictionaryName, wire};
+use farm_proto::{DictionaryName, to_status, wire};
 use optics_fit as fit;
 use optics_fit::{FitDictionary, MeasurePlan};
 use optics_model::fit::{DesignQuestion, FitOptions, MaterialFit, MuRange, ProfileQuestion};
@@ -16,20 +16,27 @@ use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::status::{OrStatus, required};
+use crate::actor::Actor;
+use crate::authorisation::actor;
+
+/// Most similar media of one question.
+const SIMILAR: usize = 10_000;
 
 #[tonic::async_trait]
 impl Fits for Context {
     async fn fit(&self, request: Request<FitRequest>) -> Result<Response<FitResponse>, Status> {
+        let by = actor(request.extensions());
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
         let measurement = measurement(request.measurement)?;
         let channels = channels([&measurement]);
-        let answer = self.ask(&name, &channels, move |d| fit::fit(d, &measurement, &options)).await?;
+        let answer = self.ask(&by, &name, &channels, move |d| fit::fit(d, &measurement, &options)).await?;
         Ok(Response::new(FitResponse { fit: Some(answer.into()) }))
     }
 
     async fn scale(&self, request: Request<ScaleRequest>) -> Result<Response<ScaleResponse>, Status> {
+        let by = actor(request.extensions());
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
@@ -45,13 +52,17 @@ impl Fits for Context {
             let fits: Result<Vec<_>, Invalid> = materials.iter().map(|m| fit::fit(d, m, &options)).collect();
             Ok((curve, fits?, common))
         };
-        let (curve, fits, common) = self.ask(&name, &channels, question).await?;
+        let (curve, fits, common) = self.ask(&by, &name, &channels, question).await?;
         let (scale, materials) = (Some(curve.into()), encoded(fits));
         Ok(Response::new(ScaleResponse { scale, materials, common: Some(common.into()) }))
     }
 
     async fn similar(&self, request: Request<SimilarRequest>) -> Result<Response<SimilarResponse>, Status> {
         let request = request.into_inner();
+        if request.g.len() > SIMILAR {
+            let allowed = format!("at most {SIMILAR} are allowed");
+            return Err(to_status(&Invalid::new("g", format_args!("{} values", request.g.len()), allowed)));
+        }
         let medium = Medium::try_from(required("medium", request.medium)?)
             .map_err(|e| e.within("medium"))
             .or_status()?;
@@ -66,16 +77,19 @@ impl Fits for Context {
     }
 
     async fn map(&self, request: Request<MapRequest>) -> Result<Response<MapResponse>, Status> {
+        let by = actor(request.extensions());
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
         let measurement = measurement(request.measurement)?;
         let channels = channels([&measurement]);
-        let maps = self.ask(&name, &channels, move |d| fit::distance_map(d, &measurement, &options)).await?;
+        let maps =
+            self.ask(&by, &name, &channels, move |d| fit::distance_map(d, &measurement, &options)).await?;
         Ok(Response::new(MapResponse { maps: maps.into_iter().map(Into::into).collect() }))
     }
 
     async fn measure(&self, request: Request<MeasureRequest>) -> Result<Response<MeasureResponse>, Status> {
+        let by = actor(request.extensions());
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
@@ -94,7 +108,7 @@ impl Fits for Context {
             }
             Ok((measured, unmixed))
         };
-        let (answer, unmixed) = self.ask(&name, &channels, question).await?;
+        let (answer, unmixed) = self.ask(&by, &name, &channels, question).await?;
         Ok(Response::new(MeasureResponse {
             scale: answer.scale.map(Into::into),
             mu: answer.common.mu,
@@ -107,20 +121,22 @@ impl Fits for Context {
     }
 
     async fn design(&self, request: Request<DesignRequest>) -> Result<Response<DesignResponse>, Status> {
+        let by = actor(request.extensions());
         let mut request = request.into_inner();
         let name = dictionary_name(std::mem::take(&mut request.dictionary)).or_status()?;
         let question = DesignQuestion::try_from(request).or_status()?;
         let channels = Vec::from_iter(question.settings().channel.clone());
-        let answer = self.ask(&name, &channels, move |d| fit::design(d, &question)).await?;
+        let answer = self.ask(&by, &name, &channels, move |d| fit::design(d, &question)).await?;
         Ok(Response::new(answer.into()))
     }
 
     async fn profile(&self, request: Request<ProfileRequest>) -> Result<Response<ProfileResponse>, Status> {
+        let by = actor(request.extensions());
         let mut request = request.into_inner();
         let name = dictionary_name(std::mem::take(&mut request.dictionary)).or_status()?;
         let question = ProfileQuestion::try_from(request).or_status()?;
         let channels = question.channels().to_vec();
-        let answer = self.ask(&name, &channels, move |d| fit::profile(d, &question)).await?;
+        let answer = self.ask(&by, &name, &channels, move |d| fit::profile(d, &question)).await?;
         Ok(Response::new(answer.into()))
     }
 }
@@ -129,11 +145,12 @@ impl Context {
     /// Asks a dictionary about channels when a core is free.
     async fn ask<T: Send + 'static>(
         &self,
+        by: &Actor,
         name: &DictionaryName,
         channels: &[String],
         question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
     ) -> Result<T, Status> {
-        let _core = self.limits.fit().await?;
+        let _place = self.limits.fit(by.name()).await?;
         let start = tokio::time::Instant::now();
         let answer = self.farm.ask(name, channels, question).await?;
         self.farm.metrics().fitted(start.elapsed());

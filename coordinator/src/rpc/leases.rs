@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use farm_proto::ids::WorkerId;
 use farm_proto::lease::LeaseKey;
 use farm_proto::status::MachineFacts;
 use farm_proto::wire::complete_request::Content;
@@ -22,7 +21,7 @@ use super::status::{OrStatus, required};
 use super::text::one_line;
 use crate::authorisation::machine;
 use crate::dispatch::{Grant, Registration, Wish};
-use crate::farm::{Delivered, Header, Piece, Versions};
+use crate::farm::{Delivered, Farm, Header, Piece, Versions};
 use crate::stored::{Machine, Outcome};
 
 /// Longest instance that a worker may choose.
@@ -57,12 +56,13 @@ impl Leases for Context {
         };
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
         let (id, settings) = self.farm.register(about, versions, self.gate.votes_by_token()).await?;
-        Ok(Response::new(RegisterResponse { worker_id: id.0, lease_ms: settings.lease.as_millis() as u64 }))
+        let worker_id = self.farm.pass_of(&id);
+        Ok(Response::new(RegisterResponse { worker_id, lease_ms: settings.lease.as_millis() as u64 }))
     }
 
     async fn acquire(&self, request: Request<AcquireRequest>) -> Result<Response<AcquireResponse>, Status> {
         let request = request.into_inner();
-        let worker = WorkerId(request.worker_id);
+        let worker = self.farm.bearer(&request.worker_id)?;
         let max = request.max_leases;
         if !(1..=RequestLimits::LEASES).contains(&max) {
             let allowed = format!("allowed are 1 to {}", RequestLimits::LEASES);
@@ -87,7 +87,7 @@ impl Leases for Context {
             Ok((key, lease.running, identity(&lease.identity).or_status()?))
         });
         let held = held.collect::<Result<_, Status>>()?;
-        let (lost, drain) = self.farm.renew(&WorkerId(request.worker_id), held)?;
+        let (lost, drain) = self.farm.renew(&self.farm.bearer(&request.worker_id)?, held)?;
         Ok(Response::new(RenewResponse { lost: lost.into_iter().map(Into::into).collect(), drain }))
     }
 
@@ -96,7 +96,7 @@ impl Leases for Context {
         request: Request<Streaming<CompleteRequest>>,
     ) -> Result<Response<CompleteResponse>, Status> {
         let machine = machine(request.extensions()).identity();
-        let pieces = request.into_inner().map(|message| piece(message?));
+        let pieces = request.into_inner().map(|message| piece(message?, &self.farm));
         let delivered = self.farm.receive(machine, pieces).await?;
         Ok(Response::new(CompleteResponse { outcomes: delivered.into_iter().map(outcome).collect() }))
     }
@@ -107,14 +107,14 @@ impl Leases for Context {
     ) -> Result<Response<HandBackResponse>, Status> {
         let request = request.into_inner();
         let keys: Vec<LeaseKey> = request.leases.into_iter().map(Into::into).collect();
-        self.farm.hand_back(&WorkerId(request.worker_id), &keys, request.leaving);
+        self.farm.hand_back(&self.farm.bearer(&request.worker_id)?, &keys, request.leaving);
         Ok(Response::new(HandBackResponse {}))
     }
 
     async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailResponse>, Status> {
         let request = request.into_inner();
         let key = LeaseKey::from(required("lease", request.lease)?);
-        self.farm.failed(&WorkerId(request.worker_id), &key, &one_line(&request.reason)).await?;
+        self.farm.failed(&self.farm.bearer(&request.worker_id)?, &key, &one_line(&request.reason)).await?;
         Ok(Response::new(FailResponse {}))
     }
 }
@@ -130,12 +130,12 @@ fn facts(told: wire::MachineFacts) -> MachineFacts {
 }
 
 /// A piece of the stream in which results come.
-fn piece(message: CompleteRequest) -> Result<Piece, Status> {
+fn piece(message: CompleteRequest, farm: &Farm) -> Result<Piece, Status> {
     Ok(match required("content", message.content)? {
         Content::Header(header) => Piece::Header(Header {
             key: LeaseKey::from(required("key", header.key)?),
             identity: identity(&header.identity).or_status()?,
-            worker: WorkerId(header.worker_id),
+            worker: farm.bearer(&header.worker_id)?,
         }),
         Content::Records(bytes) => Piece::Records(bytes),
         Content::Sums(bytes) => Piece::Sums(bytes),

@@ -26,6 +26,7 @@ use tonic::Status;
 use tonic::transport::Server;
 
 use self::outgoing::{Outgoing, PATIENCE, Source, hand_on, outgoing};
+use crate::actor::Actor;
 use crate::authorisation::AuthorisationLayer;
 use crate::config::Config;
 use crate::connections;
@@ -60,14 +61,15 @@ struct Context {
 }
 
 impl Context {
-    /// A stream of what a source gives, of which so many items are on their way at a time.
+    /// A stream of what a source gives to a caller, of which so many items are on their way at a time.
     fn stream<S: Source, T: Send + 'static>(
         &self,
+        caller: &Actor,
         queue: usize,
         source: S,
         encode: impl Fn(S::Item) -> T + Send + 'static,
     ) -> Result<Outgoing<T>, Status> {
-        let place = self.limits.stream()?;
+        let place = self.limits.stream(caller.name())?;
         let (outlet, stream) = outgoing(queue, PATIENCE, self.shutdown.clone());
         tokio::spawn(async move {
             hand_on(source, encode, outlet).await;
@@ -177,6 +179,7 @@ pub(crate) const METHODS: [&str; 32] = [
     "/farm.v1.Fits/Fit",
     "/farm.v1.Fits/Map",
     "/farm.v1.Fits/Measure",
+    "/farm.v1.Fits/Profile",
     "/farm.v1.Fits/Scale",
     "/farm.v1.Fits/Similar",
     "/farm.v1.Leases/Acquire",

@@ -26,13 +26,13 @@ impl From<FarmError> for Status {
             | FarmError::OtherVersion { .. } => Code::FailedPrecondition,
             FarmError::Stopping => Code::Unavailable,
             FarmError::Overdue(_) | FarmError::Slow(_) => Code::DeadlineExceeded,
-            FarmError::TooLarge { .. } => Code::ResourceExhausted,
+            FarmError::TooLarge { .. } | FarmError::TooMany { .. } => Code::ResourceExhausted,
             FarmError::Damaged { .. } => Code::DataLoss,
             FarmError::Unreadable { .. } => {
                 tracing::error!(%error, "the database gave back something else, or nothing");
                 Code::Internal
             }
-            FarmError::Broken | FarmError::Backup(_) => Code::Internal,
+            FarmError::Broken | FarmError::Defect | FarmError::Backup(_) => Code::Internal,
             FarmError::Store(store) => {
                 tracing::error!(error = %store, "the store failed");
                 Code::Internal

@@ -15,7 +15,7 @@ pub type Result<T, E = Invalid> = std::result::Result<T, E>;
 
 impl Invalid {
     pub fn new(field: impl Into<String>, given: impl fmt::Display, allowed: impl Into<String>) -> Self {
-        Self { field: field.into(), given: given.to_string(), allowed: allowed.into() }
+        Self { field: field.into(), given: cut(given.to_string()), allowed: allowed.into() }
     }
 
     /// Path of the field, as in `scene.layers[2].ior`.
@@ -49,6 +49,16 @@ impl Invalid {
         };
         self
     }
+}
+
+/// What was given may be a megabyte, and is quoted in headers and on terminals.
+fn cut(mut given: String) -> String {
+    const MOST_BYTES: usize = 200;
+    if given.len() > MOST_BYTES {
+        given.truncate(given.floor_char_boundary(MOST_BYTES));
+        given.push('…');
+    }
+    given
 }
 
 /// A range check of a finite number; the bounds are told in `allowed`.

@@ -79,7 +79,8 @@ impl MeasuredProfile {
         check_pitch(&x_mm)?;
         check_numbers("values", n, &values, |v| v.abs() <= 1e6, "numbers of size up to 1e6 are allowed")?;
         if let Some(errors) = &std_errors {
-            check_numbers("std_errors", n, errors, |v| v >= 0.0, "numbers from 0 on are allowed")?;
+            let allowed = "0, and numbers from 1e-9 to 1e6 are allowed";
+            check_numbers("std_errors", n, errors, |v| v == 0.0 || (1e-9..=1e6).contains(&v), allowed)?;
         }
         // Beside the edge a profile may be flat, as a patch of a chart is, if it tells how certain it is: its own scatter
         // does not.
