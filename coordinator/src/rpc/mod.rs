@@ -154,7 +154,7 @@ async fn count_refused(connections: Connections, metrics: Metrics, shutdown: Can
 }
 
 /// Methods that figures tell by their names.
-pub(crate) const METHODS: [&str; 32] = [
+pub(crate) const METHODS: [&str; 33] = [
     "/farm.v1.Admin/Backup",
     "/farm.v1.Admin/DrainWorker",
     "/farm.v1.Admin/Inspect",

@@ -4,8 +4,12 @@ use std::time::Duration;
 
 use farm_proto::wire::WatchRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
+use farm_proto::wire::leases_client::LeasesClient;
 use farm_tests::farm::Farm;
+use farm_tests::grids::{grid_of, traced};
+use farm_tests::hand::on_wire;
 use farm_tests::process::{SOON, wait_for};
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::Code;
 
 use super::GRID;
@@ -79,4 +83,31 @@ async fn a_stream_ends_when_its_token_is_revoked_though_nothing_happens_in_it() 
     let ended = tokio::time::timeout(SOON, updates.message()).await.unwrap().unwrap_err();
     assert_eq!(ended.code(), Code::Unauthenticated);
     assert_eq!(ended.message(), "the token of this call (alice) is not let in any more");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_delivered_after_its_token_was_revoked_is_not_stored() {
+    let farm = Farm::with_tokens(&["anna"], &[]);
+    farm.submit("grid", GRID);
+    let mut anna = farm.hand_of("anna", "anna").await.unwrap();
+    let lease = anna.acquire(1).await.unwrap().remove(0);
+    let records = on_wire(&traced(&grid_of(GRID), lease.key.job as usize));
+    let (pieces, stream) = tokio::sync::mpsc::channel(4);
+    let mut client = LeasesClient::new(farm.link_with("keys/anna.toml"));
+    let delivery = tokio::spawn(async move { client.complete(ReceiverStream::new(stream)).await });
+    let mut parts = anna.parts(&lease, records).into_iter();
+    pieces.send(parts.next().unwrap()).await.unwrap();
+    let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "anna", "--folder", "keys"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    while anna.renew(&lease, true).await.is_ok() {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    for part in parts {
+        // The stream may have ended already.
+        let _ = pieces.send(part).await;
+    }
+    drop(pieces);
+    let ended = tokio::time::timeout(SOON, delivery).await.unwrap().unwrap().unwrap_err();
+    assert_eq!(ended.code(), Code::Unauthenticated, "{ended}");
+    assert_eq!(farm.show("grid")["records_done"], 0);
 }

@@ -7,6 +7,7 @@ use farm_tests::farm::Farm;
 use farm_tests::grids::{grid_of, traced, undisturbed};
 use farm_tests::hand::{HandWorker, falsified, on_wire, with_number};
 use farm_tests::process::{LONG, SOON, wait_for};
+use tonic::Code;
 
 use super::{GRID, JOBS, RECORDS};
 
@@ -114,4 +115,30 @@ async fn a_machine_that_fails_at_once_or_computes_no_numbers_costs_no_job_beside
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     assert!(farm.events("JOB_FAILED").is_empty());
     drop(worker);
+}
+
+/// Everybody may read ids in the list of workers.
+#[tokio::test(flavor = "multi_thread")]
+async fn nobody_acts_as_a_worker_whose_id_he_has_read() {
+    let farm = Farm::with_tokens(&["honest", "liar"], &[]);
+    farm.submit("grid", GRID);
+    let mut honest = farm.hand_of("honest", "honest").await.unwrap();
+    let lease = honest.acquire(1).await.unwrap().remove(0);
+    let read = farm.ask(&["workers"])["workers"][0]["worker_id"].as_str().unwrap().to_owned();
+    let mut liar = farm.hand_of("liar", "liar").await.unwrap();
+    let own_proof = liar.id.rsplit_once('.').unwrap().1.to_owned();
+    for id in [read.clone(), format!("{read}.{own_proof}")] {
+        liar.id = id;
+        let records = on_wire(&traced(&grid_of(GRID), lease.key.job as usize));
+        let codes = [
+            liar.acquire(1).await.unwrap_err().code(),
+            liar.renew(&lease, true).await.unwrap_err().code(),
+            liar.complete(&lease, records).await.unwrap_err().code(),
+            liar.fail(&lease, "no luck").await.unwrap_err().code(),
+            liar.clone().leave().await.unwrap_err().code(),
+        ];
+        assert_eq!(codes, [Code::Aborted; 5], "{}", liar.id);
+    }
+    assert!(honest.renew(&lease, true).await.unwrap(), "it still has its lease");
+    assert!(farm.events("WORKER_LEFT").is_empty() && farm.events("ATTEMPT_FAILED").is_empty());
 }
