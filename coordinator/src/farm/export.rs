@@ -54,9 +54,16 @@ impl Export {
     }
 }
 
-/// Records of a grid that are read at a time: some 8 MiB.
+/// Records of a grid that are read at a time: whole jobs, as they are stored, of some 2 MiB together. Each stream whose
+/// client is slow holds as many. Of larger jobs a part is read at a time.
 fn at_a_time(grid: &Grid) -> usize {
-    ((8 << 20) / grid.record_bytes()).clamp(1, 1024)
+    const BYTES: usize = 2 << 20;
+    const MOST_BYTES: usize = 8 << 20;
+    let (record, of_job) = (grid.record_bytes(), grid.albedo().len());
+    match BYTES / (record * of_job) {
+        0 => of_job.min(MOST_BYTES / record).max(1),
+        jobs => jobs.min(1024) * of_job,
+    }
 }
 
 /// The numbers of the records that are wanted, in pieces that are read at once.
@@ -90,6 +97,10 @@ fn ranges(grid: &Grid, first: usize, indices: &[u32]) -> Result<Vec<Range<usize>
 
 #[cfg(test)]
 mod tests {
+    use optics_model::Walks;
+    use optics_model::grid::Axes;
+    use optics_model::scene::{Scene, Sensor};
+
     use super::*;
 
     #[test]
@@ -97,6 +108,22 @@ mod tests {
         let grid = Grid::paper();
         assert_eq!(ranges(&grid, 0, &[5, 6, 7, 3, 3, 4]).unwrap(), [5..8, 3..4, 3..5]);
         assert_eq!(ranges(&grid, 6, &[5, 6, 7, 9]).unwrap(), [6..8, 9..10]);
+    }
+
+    #[test]
+    fn whole_jobs_are_read_at_a_time_unless_they_are_very_large() {
+        let paper = Grid::paper();
+        assert_eq!(at_a_time(&paper), paper.albedo().len());
+        let with = |pixels, albedos: usize| {
+            let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
+            let albedo = (1..=albedos).map(|i| i as f64 / (albedos + 1) as f64).collect();
+            let axes = Axes { albedo, ..paper.axes().clone() };
+            at_a_time(&Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap())
+        };
+        // A record has 24 bytes a pixel.
+        assert_eq!(with(4, 2), 1024 * 2);
+        assert_eq!(with(100, 10), 87 * 10);
+        assert_eq!(with(4000, 100), (8 << 20) / (24 * 4000));
     }
 
     #[test]

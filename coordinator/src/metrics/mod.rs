@@ -33,10 +33,10 @@ use self::exposition::Format;
 pub use self::counters::{BuildInfo, JobFailure, JobOutcome, LeaseKind, Metrics, VerificationOutcome};
 pub use self::snapshot::{DictionaryCounts, JobCounts, Snapshot, WorkerCounts};
 
-/// What a request may take to arrive, and how long a connection may wait for the next one.
-const HEADER_TIMEOUT: Duration = Duration::from_secs(15);
+/// What a request may take to arrive. A connection brings one: places are few, and probes need one soon.
+const HEADER_TIMEOUT: Duration = Duration::from_secs(5);
 /// Ends connections whose other side does not read what it asked for.
-const CONNECTION_TIMEOUT: Duration = Duration::from_mins(5);
+const CONNECTION_TIMEOUT: Duration = Duration::from_secs(30);
 /// What a running answer may take after the signal to stop.
 const STOP_TIMEOUT: Duration = Duration::from_secs(1);
 /// Further ones wait to be accepted.
@@ -159,6 +159,7 @@ async fn accept(
 async fn converse(stream: TcpStream, router: Router, shutdown: CancellationToken) {
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
+        .keep_alive(false)
         .header_read_timeout(HEADER_TIMEOUT)
         .max_buf_size(BUFFER_BYTES)
         .max_headers(MOST_HEADERS)
