@@ -20,8 +20,10 @@ const ENDLESS: f64 = 30.0;
 const LEAST_ENDLESS: Duration = Duration::from_hours(1);
 /// While it is not known what is usual.
 const LONGEST_UNKNOWN: Duration = Duration::from_hours(24);
-/// No part is a straggler before.
+/// No part is a straggler before,
 const LEAST: Duration = Duration::from_secs(2);
+/// nor before this, while it is not known what is usual: a worker that sits on all jobs must not keep others idle.
+const LEAST_UNKNOWN: Duration = Duration::from_mins(1);
 
 /// Exponential averages of the cost finished per second in which there was work, and of the time from lease to result.
 #[derive(Debug, Default)]
@@ -87,8 +89,8 @@ impl Pace {
 
     /// Whether a part of this cost has been out for too long.
     pub fn is_late(&self, cost: f64, age: Duration) -> bool {
-        let typical = self.seconds_per_cost.map(|s| s * cost);
-        age > LEAST && typical.is_some_and(|typical| age.as_secs_f64() > PATIENCE * typical)
+        let longest = self.seconds_per_cost.map(|s| Duration::from_secs_f64(PATIENCE * s * cost));
+        age > longest.map_or(LEAST_UNKNOWN, |longest| longest.max(LEAST))
     }
 
     /// Whether a part of this cost has been out for so long that its worker will never end it, however slow it is.
@@ -127,6 +129,15 @@ mod tests {
         for rate in rates {
             assert!((rate / truth).ln().abs() < tolerance, "{rate}, not {truth}");
         }
+    }
+
+    #[test]
+    fn a_part_is_late_by_what_is_usual_and_after_a_minute_where_nothing_is() {
+        let mut pace = Pace::default();
+        assert!(!pace.is_late(1.0, seconds(59.0)) && pace.is_late(1.0, seconds(61.0)));
+        pace.completed(seconds(100.0), 2.0, seconds(80.0));
+        assert!(!pace.is_late(1.0, seconds(119.0)) && pace.is_late(1.0, seconds(121.0)));
+        assert!(!pace.is_late(0.001, seconds(1.9)) && pace.is_late(0.001, seconds(2.1)));
     }
 
     #[test]
