@@ -19,6 +19,15 @@ impl Actor {
         self.token.as_ref().map_or("", |(_, name)| name)
     }
 
+    /// With whom this one shares what is limited for each token: the token's name. Empty for admins, who have no share but
+    /// all, and where there are no tokens.
+    pub fn shares_as(&self) -> &str {
+        match &self.token {
+            None | Some((Role::Admin, _)) => "",
+            Some((_, name)) => name,
+        }
+    }
+
     /// Whether this one may change what belongs to somebody: what is one's own, and admins everything.
     pub fn may_change(&self, owner: &str) -> bool {
         match &self.token {
@@ -46,6 +55,8 @@ mod tests {
         assert!(of(Role::Client).may_change("alice"));
         assert!(!of(Role::Client).may_change("bob") && !of(Role::Client).may_change(""));
         assert!(of(Role::Admin).may_change("bob") && Actor::default().may_change("bob"));
+        assert_eq!(of(Role::Client).shares_as(), "alice");
+        assert_eq!((of(Role::Admin).shares_as(), Actor::default().shares_as()), ("", ""));
         assert_eq!(of(Role::Client).to_string(), "alice at 10.0.0.7");
         assert_eq!(Actor { address: "::1".to_owned(), ..Actor::default() }.to_string(), "::1");
     }

@@ -187,7 +187,6 @@ mod tests {
     #[test]
     fn only_what_takes_much_longer_than_usual_is_late() {
         let mut pace = Pace::default();
-        assert!(!pace.is_late(1.0, seconds(1e6)), "nothing is known yet");
         for i in 0..50 {
             pace.completed(seconds(f64::from(i)), 10.0, seconds(20.0));
         }

@@ -83,7 +83,10 @@ fn ranges(grid: &Grid, first: usize, indices: &[u32]) -> Result<Vec<Range<usize>
         return Err(Invalid::new("first", first, allowed()));
     }
     if indices.is_empty() {
-        return Ok((first..total).step_by(chunk).map(|from| from..(from + chunk).min(total)).collect());
+        // Borders are those of whole pieces from the first record on: what is between two jobs is read once.
+        let pieces = first / chunk..total.div_ceil(chunk);
+        let piece = |n: usize| (n * chunk).max(first)..((n + 1) * chunk).min(total);
+        return Ok(pieces.map(piece).filter(|piece| !piece.is_empty()).collect());
     }
     let mut ranges: Vec<Range<usize>> = Vec::new();
     for number in indices.iter().map(|n| *n as usize).filter(|n| *n >= first) {
@@ -111,9 +114,20 @@ mod tests {
     }
 
     #[test]
+    fn what_is_asked_for_from_a_record_on_is_read_in_the_same_pieces() {
+        let grid = Grid::paper();
+        let chunk = at_a_time(&grid);
+        let from = |first| ranges(&grid, first, &[]).unwrap();
+        assert_eq!(from(0)[..2], [0..chunk, chunk..2 * chunk]);
+        assert_eq!(from(chunk + 7)[..2], [chunk + 7..2 * chunk, 2 * chunk..3 * chunk]);
+        assert_eq!(from(34_275), [34_275..34_276]);
+        assert!(from(34_276).is_empty());
+    }
+
+    #[test]
     fn whole_jobs_are_read_at_a_time_unless_they_are_very_large() {
         let paper = Grid::paper();
-        assert_eq!(at_a_time(&paper), paper.albedo().len());
+        assert_eq!(at_a_time(&paper), 5 * paper.albedo().len());
         let with = |pixels, albedos: usize| {
             let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
             let albedo = (1..=albedos).map(|i| i as f64 / (albedos + 1) as f64).collect();

@@ -67,7 +67,7 @@ impl Farm {
         if all > ENTRIES {
             return Err(FarmError::TooMany { whose: "all dictionaries", entries: all, most: ENTRIES });
         }
-        if by.token.is_some() && own > ENTRIES_OF_ONE {
+        if !by.shares_as().is_empty() && own > ENTRIES_OF_ONE {
             let whose = "the dictionaries of this token";
             return Err(FarmError::TooMany { whose, entries: own, most: ENTRIES_OF_ONE });
         }

@@ -9,6 +9,7 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use optics_fit::{FitDictionary, Stop};
 use optics_model::{Grid, Invalid, Record};
+use tokio::task::JoinError;
 
 use super::{Farm, FarmError, Result};
 use crate::store::{Damaged, JobRecords, StoreError};
@@ -101,7 +102,9 @@ impl Farm {
             })
         });
         // A panic has told of itself in the log.
-        Ok(answer.await.map_err(|_| FarmError::Defect)???)
+        let failed =
+            |error: JoinError| if error.is_panic() { FarmError::Defect } else { FarmError::Stopping };
+        Ok(answer.await.map_err(failed)???)
     }
 }
 

@@ -150,7 +150,7 @@ impl Context {
         channels: &[String],
         question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
     ) -> Result<T, Status> {
-        let _place = self.limits.fit(by.name()).await?;
+        let _place = self.limits.fit(by.shares_as()).await?;
         let start = tokio::time::Instant::now();
         let answer = self.farm.ask(name, channels, question).await?;
         self.farm.metrics().fitted(start.elapsed());

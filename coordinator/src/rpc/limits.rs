@@ -8,9 +8,11 @@ use tonic::Status;
 
 /// Fits that wait for a core, besides those that have one.
 const FITS_WAITING: usize = 256;
+/// Those of one token, if there are several.
+const FITS_OF_ONE_WAITING: usize = 64;
 /// Streams that are watched or exported.
 const STREAMS: usize = 1024;
-/// Those of one token, if there are tokens: others need some, too.
+/// Those of one token, if there are several: others need some, too.
 const STREAMS_OF_ONE: usize = 256;
 
 /// Shared by all calls.
@@ -19,18 +21,25 @@ pub(super) struct Limits {
     cores: usize,
     fits: Arc<Semaphore>,
     /// By the name of the token.
-    fits_of: Arc<Mutex<HashMap<String, Arc<Semaphore>>>>,
+    fits_of: Arc<Mutex<HashMap<String, Share>>>,
     fits_waiting: Arc<Semaphore>,
     streams: Arc<Semaphore>,
     /// By the name of the token.
     streams_of: Arc<Mutex<HashMap<String, usize>>>,
 }
 
+/// What the fits of one token may take.
+#[derive(Debug, Clone)]
+struct Share {
+    cores: Arc<Semaphore>,
+    waiting: Arc<Semaphore>,
+}
+
 /// What a fit holds while it waits and while it is computed.
 #[derive(Debug)]
 pub(super) struct FitPlace {
     _core: OwnedSemaphorePermit,
-    _own: Option<OwnedSemaphorePermit>,
+    _own: Option<[OwnedSemaphorePermit; 2]>,
     _waiting: OwnedSemaphorePermit,
 }
 
@@ -70,29 +79,38 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// A core for a fit of the token of this name, as soon as one is free; refused if too many wait. One token never has
-    /// all cores, if there are several: those of others take turns with it.
+    /// A core for a fit of whoever shares by this name, which is empty for those without a share, as soon as one is free;
+    /// refused if too many wait. One never has all cores, if there are several, nor all places to wait in.
     pub(super) async fn fit(&self, caller: &str) -> Result<FitPlace, Status> {
+        let share = (!caller.is_empty()).then(|| self.share_of(caller));
+        let own_waiting = share.as_ref().map(|share| share.waiting.clone().try_acquire_owned()).transpose();
+        let own_waiting = own_waiting.map_err(|_| {
+            let why =
+                format!("{FITS_OF_ONE_WAITING} fits of this token ({caller}) wait already: try again later");
+            Status::resource_exhausted(why)
+        })?;
         let waiting = self.fits_waiting.clone().try_acquire_owned();
         let waiting = waiting.map_err(|_| {
             Status::resource_exhausted(format!("{FITS_WAITING} fits wait already: try again later"))
         })?;
-        let own = match caller {
-            "" => None,
-            caller => Some(self.fits_of(caller).acquire_owned().await.map_err(stopping)?),
+        let own = match share.zip(own_waiting) {
+            None => None,
+            Some((share, waiting)) => Some([share.cores.acquire_owned().await.map_err(stopping)?, waiting]),
         };
         let core = self.fits.clone().acquire_owned().await.map_err(stopping)?;
         Ok(FitPlace { _core: core, _own: own, _waiting: waiting })
     }
 
-    fn fits_of(&self, caller: &str) -> Arc<Semaphore> {
+    fn share_of(&self, caller: &str) -> Share {
+        let cores = self.cores.saturating_sub(1).max(1);
+        let semaphore = |permits| Arc::new(Semaphore::new(permits));
+        let share = || Share { cores: semaphore(cores), waiting: semaphore(cores + FITS_OF_ONE_WAITING) };
         let mut fits_of = self.fits_of.lock().unwrap_or_else(PoisonError::into_inner);
-        let share = || Arc::new(Semaphore::new(self.cores.saturating_sub(1).max(1)));
         fits_of.entry(caller.to_owned()).or_insert_with(share).clone()
     }
 
-    /// A place for a stream of the token of this name, which is empty where there are no tokens; refused if there are too
-    /// many.
+    /// A place for a stream of whoever shares by this name, which is empty for those without a share; refused if there are
+    /// too many.
     pub(super) fn stream(&self, caller: &str) -> Result<StreamPlace, Status> {
         let place = self.streams.clone().try_acquire_owned().map_err(|_| {
             Status::resource_exhausted(format!("{STREAMS} streams are open already: try again later"))
@@ -128,9 +146,22 @@ mod tests {
         let of_bob = soon("bob").await.unwrap().unwrap();
         drop(of_alice);
         let of_alice = soon("alice").await.unwrap().unwrap();
-        drop((of_alice, of_bob));
+        let waits = |_| {
+            tokio::spawn({
+                let limits = limits.clone();
+                async move { limits.fit("alice").await }
+            })
+        };
+        let waiting: Vec<_> = (0..FITS_OF_ONE_WAITING).map(waits).collect();
+        tokio::task::yield_now().await;
+        let refused = soon("alice").await.unwrap().unwrap_err();
+        assert_eq!(refused.message(), "64 fits of this token (alice) wait already: try again later");
+        drop(of_bob);
+        assert!(soon("bob").await.unwrap().is_ok(), "others find a place to wait in, and a core");
+        waiting.iter().for_each(tokio::task::JoinHandle::abort);
+        drop((of_alice, waiting));
         let alone = (soon("").await.unwrap(), soon("").await.unwrap());
-        assert!(alone.0.is_ok() && alone.1.is_ok(), "where there are no tokens nobody is kept waiting");
+        assert!(alone.0.is_ok() && alone.1.is_ok(), "who has no share is not kept waiting");
     }
 
     #[test]

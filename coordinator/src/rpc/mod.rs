@@ -69,7 +69,7 @@ impl Context {
         source: S,
         encode: impl Fn(S::Item) -> T + Send + 'static,
     ) -> Result<Outgoing<T>, Status> {
-        let place = self.limits.stream(caller.name())?;
+        let place = self.limits.stream(caller.shares_as())?;
         let (outlet, stream) = outgoing(queue, PATIENCE, self.shutdown.clone());
         tokio::spawn(async move {
             hand_on(source, encode, outlet).await;

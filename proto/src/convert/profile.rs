@@ -2,8 +2,8 @@
 
 use super::required;
 use crate::wire;
-use optics_model::fit::{PredictedChannel, PredictedProfiles, ProfileQuestion};
-use optics_model::invalid::{Invalid, Result};
+use optics_model::fit::{PixelRow, PredictedChannel, PredictedProfiles, ProfileQuestion};
+use optics_model::invalid::{Invalid, Result, each};
 use optics_model::medium::Medium;
 
 impl TryFrom<wire::ProfileRequest> for ProfileQuestion {
@@ -45,13 +45,15 @@ impl TryFrom<wire::ProfileResponse> for PredictedProfiles {
     type Error = Invalid;
 
     fn try_from(profiles: wire::ProfileResponse) -> Result<Self> {
+        let pixels = PixelRow::try_from(required("pixels", profiles.pixels)?)?;
+        let whole = |channel| checked(channel, pixels.count());
         Ok(Self {
             medium: required("medium", profiles.medium)?.try_into()?,
             thickness_mm: profiles.thickness_mm,
             sample_ior: profiles.sample_ior,
             recorded: profiles.recorded,
-            pixels: required("pixels", profiles.pixels)?.try_into()?,
-            channels: profiles.channels.into_iter().map(Into::into).collect(),
+            pixels,
+            channels: each("channels", profiles.channels, whole)?,
         })
     }
 }
@@ -67,13 +69,49 @@ impl From<PredictedChannel> for wire::PredictedChannel {
     }
 }
 
-impl From<wire::PredictedChannel> for PredictedChannel {
-    fn from(channel: wire::PredictedChannel) -> Self {
-        Self {
-            channel: channel.channel,
-            values: channel.values,
-            std_errors: (!channel.std_errors.is_empty()).then_some(channel.std_errors),
-            gradient: channel.gradient,
+/// A channel with a number for each pixel.
+fn checked(channel: wire::PredictedChannel, pixels: usize) -> Result<PredictedChannel> {
+    let wire::PredictedChannel { channel, values, std_errors, gradient } = channel;
+    let std_errors = (!std_errors.is_empty()).then_some(std_errors);
+    let lengths = [("values", values.len()), ("gradient", gradient.len())];
+    let of_errors = std_errors.as_ref().map(|errors| ("std_errors", errors.len()));
+    if let Some((field, given)) = lengths.into_iter().chain(of_errors).find(|(_, given)| *given != pixels) {
+        return Err(Invalid::new(
+            field,
+            format_args!("{given} numbers"),
+            format!("{pixels} pixels have one each"),
+        ));
+    }
+    Ok(PredictedChannel { channel, values, std_errors, gradient })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_has_a_number_for_each_pixel() {
+        let answer = |errors: usize, gradient: usize| {
+            let channel = PredictedChannel {
+                channel: "R".to_owned(),
+                values: vec![0.5; 16],
+                std_errors: (errors > 0).then(|| vec![0.1; errors]),
+                gradient: vec![0.0; gradient],
+            };
+            let medium = Medium::new(6.0, 0.99, 0.4).unwrap();
+            let pixels = PixelRow::new(-4.0, 4.0, 0.5).unwrap();
+            let channels = vec![channel];
+            let (thickness_mm, sample_ior) = (0.5, 1.5);
+            PredictedProfiles { medium, thickness_mm, sample_ior, recorded: true, pixels, channels }
+        };
+        for errors in [0, 16] {
+            let whole = answer(errors, 16);
+            assert_eq!(PredictedProfiles::try_from(wire::ProfileResponse::from(whole.clone())), Ok(whole));
+        }
+        for (errors, gradient, field) in [(15, 16, "channels[0].std_errors"), (0, 17, "channels[0].gradient")]
+        {
+            let refused = PredictedProfiles::try_from(wire::ProfileResponse::from(answer(errors, gradient)));
+            assert_eq!(refused.unwrap_err().field(), field);
         }
     }
 }

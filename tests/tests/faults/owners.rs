@@ -99,9 +99,12 @@ async fn what_is_delivered_after_its_token_was_revoked_is_not_stored() {
     pieces.send(parts.next().unwrap()).await.unwrap();
     let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "anna", "--folder", "keys"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
-    while anna.renew(&lease, true).await.is_ok() {
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    let shut_out = async {
+        while anna.renew(&lease, true).await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    tokio::time::timeout(SOON, shut_out).await.unwrap();
     for part in parts {
         // The stream may have ended already.
         let _ = pieces.send(part).await;

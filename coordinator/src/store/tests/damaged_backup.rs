@@ -152,7 +152,7 @@ proptest! {
 }
 
 #[test]
-fn damage_ends_in_each_way() {
+fn what_is_damaged_is_refused_where_it_is_found() {
     let whole = &whole().0;
     let after = |damage: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = whole.clone();

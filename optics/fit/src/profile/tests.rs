@@ -57,11 +57,15 @@ fn what_lies_beyond_the_dictionary_is_refused() {
     let coarse = dictionary(PIXELS);
     let refused = |medium: (f64, f64, f64), thickness_mm, channels: &[&str]| {
         let medium = Medium::new(medium.0, medium.1, medium.2).unwrap();
-        profile(&coarse, &question(medium, thickness_mm, channels)).unwrap_err().to_string()
+        profile(&coarse, &question(medium, thickness_mm, channels)).unwrap_err()
     };
-    assert!(refused((9.0, 0.6, 0.0), 0.5, &[]).contains("sigma_t_per_mm"));
-    assert!(refused((2.0, 0.95, 0.0), 0.5, &[]).contains("reaches from 0.3 to 0.9"));
-    assert!(refused((2.0, 0.6, -0.1), 0.5, &[]).contains('g'));
-    assert!(refused((2.0, 0.6, 0.0), 3.0, &[]).contains("thickness_mm"));
-    assert!(refused((2.0, 0.6, 0.0), 0.5, &["X"]).contains("the dictionary has R, G, B"));
+    let of_medium = |medium| refused(medium, 0.5, &[]).to_string();
+    assert_eq!(refused((9.0, 0.6, 0.0), 0.5, &[]).field(), "sigma_t_per_mm");
+    assert!(
+        of_medium((2.0, 0.95, 0.0))
+            .contains("albedo = 0.95 is not valid: the dictionary reaches from 0.3 to 0.9")
+    );
+    assert_eq!(refused((2.0, 0.6, -0.1), 0.5, &[]).field(), "g");
+    assert_eq!(refused((2.0, 0.6, 0.0), 3.0, &[]).field(), "thickness_mm");
+    assert!(refused((2.0, 0.6, 0.0), 0.5, &["X"]).to_string().contains("the dictionary has R, G, B"));
 }

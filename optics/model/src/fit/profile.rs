@@ -60,7 +60,8 @@ pub struct PredictedProfiles {
     pub medium: Medium,
     pub thickness_mm: f64,
     pub sample_ior: f64,
-    /// Whether the dictionary has a record of this medium and thickness; otherwise it lies between records.
+    /// Whether the dictionary has a record of this medium and thickness; otherwise it lies between records. The values are
+    /// the model's, which averages the noise of records about, in either case.
     pub recorded: bool,
     pub pixels: PixelRow,
     pub channels: Vec<PredictedChannel>,
@@ -72,8 +73,9 @@ pub struct PredictedChannel {
     pub channel: String,
     /// Radiance factors.
     pub values: Vec<f64>,
-    /// What the records' noise does to the values; none if there are too few records about to tell.
+    /// What the records' noise does to the values, as at the nearest of the dictionary's thicknesses; none if there are too
+    /// few records about to tell.
     pub std_errors: Option<Vec<f64>>,
-    /// Derivatives of the values by x in 1/mm, by the paper's wavelet.
+    /// Derivatives of the values by x in 1/mm, by the paper's wavelet, half a pixel to the right of each pixel's centre.
     pub gradient: Vec<f64>,
 }
