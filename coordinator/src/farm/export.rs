@@ -120,7 +120,7 @@ mod tests {
         let from = |first| ranges(&grid, first, &[]).unwrap();
         assert_eq!(from(0)[..2], [0..chunk, chunk..2 * chunk]);
         assert_eq!(from(chunk + 7)[..2], [chunk + 7..2 * chunk, 2 * chunk..3 * chunk]);
-        assert_eq!(from(34_275), [34_275..34_276]);
+        assert_eq!((from(34_275).len(), &from(34_275)[0]), (1, &(34_275..34_276)));
         assert!(from(34_276).is_empty());
     }
 
