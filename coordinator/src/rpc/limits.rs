@@ -153,13 +153,16 @@ mod tests {
             })
         };
         let waiting: Vec<_> = (0..FITS_OF_ONE_WAITING).map(waits).collect();
-        tokio::task::yield_now().await;
+        // Time goes on when all of them wait.
+        let all_wait = || tokio::time::sleep(std::time::Duration::from_millis(1));
+        all_wait().await;
         let refused = soon("alice").await.unwrap().unwrap_err();
         assert_eq!(refused.message(), "64 fits of this token (alice) wait already: try again later");
         drop(of_bob);
         assert!(soon("bob").await.unwrap().is_ok(), "others find a place to wait in, and a core");
         waiting.iter().for_each(tokio::task::JoinHandle::abort);
-        drop((of_alice, waiting));
+        all_wait().await;
+        drop(of_alice);
         let alone = (soon("").await.unwrap(), soon("").await.unwrap());
         assert!(alone.0.is_ok() && alone.1.is_ok(), "who has no share is not kept waiting");
     }
