@@ -8,11 +8,11 @@ use tonic::Status;
 
 /// Fits that wait for a core, besides those that have one.
 const FITS_WAITING: usize = 256;
-/// Those of one token, if there are several.
+/// Those of one client's token.
 const FITS_OF_ONE_WAITING: usize = 64;
 /// Streams that are watched or exported.
 const STREAMS: usize = 1024;
-/// Those of one token, if there are several: others need some, too.
+/// Those of one client's token: others need some, too.
 const STREAMS_OF_ONE: usize = 256;
 
 /// Shared by all calls.
