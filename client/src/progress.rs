@@ -1,12 +1,17 @@
-//! Progress of a dictionary on standard error: a bar on a terminal, plain lines elsewhere.
+//! Progress of a dictionary on standard error: a bar on a terminal, with the jobs as cells if they are asked for; plain
+//! lines elsewhere.
+
+mod cells;
 
 use std::io::IsTerminal;
 use std::time::Duration;
 
+use console::Term;
 use farm_proto::status::DictionaryStatus;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::output::{duration, grouped, share_of_work};
+pub(crate) use cells::Cells;
 
 /// Time between plain lines.
 const LINE: Duration = Duration::from_secs(10);
@@ -22,8 +27,11 @@ pub(crate) struct Progress {
 
 #[derive(Debug)]
 enum Look {
-    Bar(ProgressBar),
-    Lines { last: Option<tokio::time::Instant> },
+    /// With what stands below it.
+    Bar(ProgressBar, String),
+    Lines {
+        last: Option<tokio::time::Instant>,
+    },
     Nothing,
 }
 
@@ -36,19 +44,35 @@ impl Progress {
             let style = ProgressStyle::with_template("{prefix} [{wide_bar}] {msg}");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
             bar.set_prefix(first.name.to_string());
-            Look::Bar(bar)
+            Look::Bar(bar, String::new())
         } else {
             Look::Lines { last: None }
         };
         Self { look }
     }
 
+    /// Whether there is a place for cells.
+    pub(crate) fn has_room(&self) -> bool {
+        matches!(self.look, Look::Bar(..))
+    }
+
+    /// Shows the jobs below the bar.
+    pub(crate) fn show_cells(&mut self, cells: &Cells) {
+        if let Look::Bar(bar, below) = &mut self.look {
+            let width = usize::from(Term::stderr().size().1);
+            let text = bar.message();
+            let text = text.strip_suffix(below.as_str()).unwrap_or(&text).to_owned();
+            *below = format!("\n{}\n{}", cells.lines(width).join("\n"), cells::LEGEND);
+            bar.set_message(text + below);
+        }
+    }
+
     pub(crate) fn show(&mut self, status: &DictionaryStatus) {
         let text = text(status);
         match &mut self.look {
-            Look::Bar(bar) => {
+            Look::Bar(bar, below) => {
                 bar.set_position((status.work_done * STEPS as f64) as u64);
-                bar.set_message(text);
+                bar.set_message(text + below);
             }
             Look::Lines { last } => {
                 if last.is_none_or(|last| last.elapsed() >= LINE) {
@@ -62,7 +86,7 @@ impl Progress {
 
     /// Takes the bar away.
     pub(crate) fn end(&self) {
-        if let Look::Bar(bar) = &self.look {
+        if let Look::Bar(bar, _) = &self.look {
             bar.finish_and_clear();
         }
     }

@@ -19,8 +19,10 @@ mod snapshot;
 #[cfg(test)]
 mod tests;
 mod watch;
+mod watch_jobs;
 
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, WorkerId};
@@ -30,7 +32,7 @@ use optics_model::{Grid, Invalid};
 use crate::actor::Actor;
 use crate::clock::random_secret;
 use crate::config::Config;
-use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Settings};
+use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Period, Settings};
 use crate::metrics::Metrics;
 use crate::store::{Store, StoreError};
 pub(crate) use backup::{Backup, BackupPart};
@@ -45,6 +47,7 @@ use room::Room;
 pub use scheduled_backup::BackupSchedule;
 use scheduled_backup::LastBackup;
 pub(crate) use watch::Watch;
+pub(crate) use watch_jobs::{JobRun, JobWatch};
 
 #[derive(Debug, thiserror::Error)]
 pub enum FarmError {
@@ -235,6 +238,11 @@ impl Farm {
                 store_fault,
             }
         })
+    }
+
+    /// What was finished in each period of the last hour, and the time since the start.
+    pub(crate) fn paces(&self) -> (Vec<Period>, Duration) {
+        self.door.query(|dispatcher, now| (dispatcher.paces(now), now))
     }
 
     /// Why the last result could not be stored, if it could not.

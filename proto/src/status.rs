@@ -41,6 +41,22 @@ impl DictionaryState {
     }
 }
 
+/// How far one job is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum JobState {
+    Waiting,
+    /// A worker has it, or a part of it.
+    Computing,
+    Done,
+    /// Done, and another machine has found the same.
+    Checked,
+    Failed,
+}
+
+impl JobState {
+    pub const ALL: [Self; 5] = [Self::Waiting, Self::Computing, Self::Done, Self::Checked, Self::Failed];
+}
+
 /// Most jobs given up that a status tells; lists of all come in pages.
 pub const FAILED_JOBS: usize = 1000;
 

@@ -6,15 +6,16 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
-use farm_proto::wire::{GetRequest, WatchRequest};
+use farm_proto::wire::{GetRequest, JobStates, WatchJobsRequest, WatchRequest};
 use serde::Serialize;
+use tonic::{Code, Streaming};
 
 use crate::cli::{Global, WaitArgs};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{DictionaryJson, Output, grouped, state};
-use crate::progress::Progress;
+use crate::progress::{Cells, Progress};
 
 /// How following a dictionary ended.
 pub(crate) enum End {
@@ -26,18 +27,57 @@ pub(crate) enum End {
 /// Shows progress until the dictionary has ended or somebody interrupts; its last state.
 pub(crate) async fn follow(
     connection: &Connection,
-    mut status: DictionaryStatus,
+    status: DictionaryStatus,
     quiet: bool,
 ) -> Result<(DictionaryStatus, End)> {
+    let progress = Progress::new(&status, quiet);
+    follow_with(connection, status, progress, None).await
+}
+
+/// The same with each job's state, where there is a terminal to show them.
+async fn follow_jobs(
+    connection: &Connection,
+    status: DictionaryStatus,
+    quiet: bool,
+) -> Result<(DictionaryStatus, End)> {
+    let progress = Progress::new(&status, quiet);
+    let jobs = if progress.has_room() {
+        let request = WatchJobsRequest { name: status.name.to_string() };
+        match connection.dictionaries().watch_jobs(request).await {
+            Ok(states) => Some(states.into_inner()),
+            // An older coordinator.
+            Err(error) if error.code() == Code::Unimplemented => None,
+            Err(error) => return Err(error.into()),
+        }
+    } else {
+        None
+    };
+    follow_with(connection, status, progress, jobs).await
+}
+
+async fn follow_with(
+    connection: &Connection,
+    mut status: DictionaryStatus,
+    mut progress: Progress,
+    mut jobs: Option<Streaming<JobStates>>,
+) -> Result<(DictionaryStatus, End)> {
     let start = tokio::time::Instant::now();
-    let mut progress = Progress::new(&status, quiet);
     let name = status.name.to_string();
     let request = WatchRequest { name: name.clone() };
     let mut updates = connection.dictionaries().watch(request).await?.into_inner();
+    let mut cells = Cells::new(&status.grid);
     let mut interrupt = std::pin::pin!(interrupted());
     loop {
         let update = tokio::select! {
             update = updates.message() => update?,
+            run = next_run(&mut jobs) => {
+                if let Some(run) = run {
+                    let (first, states) = run.read()?;
+                    cells.set(first, &states);
+                    progress.show_cells(&cells);
+                }
+                continue;
+            }
             () = &mut interrupt => {
                 progress.end();
                 return Ok((status, End::Interrupted));
@@ -56,12 +96,22 @@ pub(crate) async fn follow(
     Ok((status, End::Ended(start.elapsed())))
 }
 
+/// The next states of jobs. Once there are no more it waits for ever: how the dictionary ends is told elsewhere.
+async fn next_run(jobs: &mut Option<Streaming<JobStates>>) -> Option<JobStates> {
+    let Some(states) = jobs else { return std::future::pending().await };
+    let run = states.message().await.ok().flatten();
+    if run.is_none() {
+        *jobs = None;
+    }
+    run
+}
+
 pub(crate) async fn watch(global: &Global, name: &str, output: &Output) -> Result<ExitCode> {
     let name = DictionaryName::new(name)?;
     let (status, end) = with_farm(global, Purpose::Ask, async |connection| {
         let status = get(connection, &name).await?;
         must_progress(connection, &status)?;
-        follow(connection, status, global.quiet).await
+        follow_jobs(connection, status, global.quiet).await
     })
     .await?;
     let code = match end {

@@ -137,6 +137,7 @@ impl Dispatcher {
         let Arrived { by, key, walks, .. } = *arrived;
         self.result_came(now, arrived);
         self.jobs_done += 1;
+        self.pace_history.job_done(now);
         let id = key.dictionary;
         if !self.dictionaries.contains_key(&id) {
             return;
@@ -267,6 +268,7 @@ impl Dispatcher {
                 && let Some(cost) = cost
             {
                 self.pace.completed(now, cost, now.saturating_sub(held.since));
+                self.pace_history.part_done(now, cost);
             }
         }
         // A check, if the job was begun again in the meantime.

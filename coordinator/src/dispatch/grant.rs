@@ -90,6 +90,7 @@ impl Dispatcher {
             self.grant(now, worker, part, Purpose::Copy, tokens, &mut grant);
         }
         self.pace.working(now, self.leases.len() > 0);
+        self.outbox.changed |= !grant.leases.is_empty();
         Ok(grant)
     }
 

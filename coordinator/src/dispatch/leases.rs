@@ -122,6 +122,14 @@ impl Leases {
         tokens.filter_map(|token| self.all.get(token)).any(|held| held.purpose != Purpose::Check)
     }
 
+    /// What the leases of a dictionary were given out for.
+    pub fn of_dictionary(&self, id: DictionaryId) -> impl Iterator<Item = (PartId, Purpose)> {
+        let first = PartId { dictionary: id, job: 0, part: 0 };
+        let of_it = self.of_parts.range(first..).take_while(move |(part, _)| part.dictionary == id);
+        let purposes = |token| self.all.get(token).map(|held| held.purpose);
+        of_it.flat_map(move |(part, tokens)| tokens.iter().filter_map(purposes).map(|held| (*part, held)))
+    }
+
     pub fn of_worker(&self, worker: &WorkerId) -> Vec<Token> {
         self.of_workers.get(worker).map(|t| t.iter().copied().collect()).unwrap_or_default()
     }

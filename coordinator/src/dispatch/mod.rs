@@ -11,6 +11,7 @@ mod dictionary;
 mod explain;
 mod grant;
 mod job;
+mod job_states;
 mod judgement;
 mod leases;
 mod look_over;
@@ -19,6 +20,7 @@ mod machines;
 mod model_tests;
 mod outbox;
 mod pace;
+mod pace_history;
 mod plan;
 mod progress;
 mod seal;
@@ -47,6 +49,8 @@ use leases::Leases;
 pub use leases::{PartId, Purpose};
 pub use outbox::{Count, Effect, Event, EventKind, Outbox};
 use pace::Pace;
+use pace_history::PaceHistory;
+pub use pace_history::{PERIOD, Period};
 pub use plan::Plan;
 use seal::Seal;
 pub use shared::JobRef;
@@ -105,6 +109,7 @@ pub struct Dispatcher {
     /// Who has found the same as is stored of a job, besides who computed it.
     confirmed: BTreeMap<JobRef, Vec<Origin>>,
     pace: Pace,
+    pace_history: PaceHistory,
     /// Parts that take too long, found at the last look.
     late: Vec<PartId>,
     /// Some part was kept for other machines than the one that asked.
@@ -130,6 +135,7 @@ impl Dispatcher {
             suspects: BTreeSet::new(),
             confirmed: BTreeMap::new(),
             pace: Pace::default(),
+            pace_history: PaceHistory::default(),
             late: Vec::new(),
             kept_for_others: false,
             taken_up: BTreeSet::new(),
@@ -228,6 +234,11 @@ impl Dispatcher {
     /// Jobs finished since the start.
     pub fn jobs_done(&self) -> u64 {
         self.jobs_done
+    }
+
+    /// What was finished in each period of the last hour, the oldest first; the last is not over.
+    pub fn paces(&self, now: Duration) -> Vec<Period> {
+        self.pace_history.periods(now)
     }
 
     /// Comparisons between workers: equal, unequal, and waiting for a worker.

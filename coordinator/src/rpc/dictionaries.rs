@@ -4,8 +4,9 @@ use farm_proto::ids::DictionaryId;
 use farm_proto::wire::dictionaries_server::Dictionaries;
 use farm_proto::wire::{
     CancelRequest, DeleteRequest, DeleteResponse, Dictionary, ExplainRequest, ExplainResponse, ExportRequest,
-    GetRequest, ListFailedRequest, ListFailedResponse, ListRequest, ListResponse, PauseRequest, Reason,
-    Record, ResumeRequest, RetryRequest, SetPriorityRequest, SubmitRequest, WatchRequest,
+    GetRequest, JobStates, ListFailedRequest, ListFailedResponse, ListRequest, ListResponse, PauseRequest,
+    Reason, Record, ResumeRequest, RetryRequest, SetPriorityRequest, SubmitRequest, WatchJobsRequest,
+    WatchRequest,
 };
 use farm_proto::{DictionaryName, RECORDS_PROMISED, RequestLimits, to_status};
 use optics_model::{Grid, Invalid};
@@ -148,6 +149,18 @@ impl Dictionaries for Context {
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let watch = self.farm.watch(name)?;
         Ok(Response::new(self.stream(&by, 1, watch, |status| (&status).into())?))
+    }
+
+    type WatchJobsStream = Outgoing<JobStates>;
+
+    async fn watch_jobs(
+        &self,
+        request: Request<WatchJobsRequest>,
+    ) -> Result<Response<Self::WatchJobsStream>, Status> {
+        let by = actor(request.extensions());
+        let name = DictionaryName::new(request.into_inner().name).or_status()?;
+        let watch = self.farm.watch_jobs(&name)?;
+        Ok(Response::new(self.stream(&by, 1, watch, |run| JobStates::new(run.first, &run.states))?))
     }
 
     type ExportStream = Outgoing<Record>;

@@ -3,8 +3,8 @@
 use farm_proto::ids::WorkerId;
 use farm_proto::wire::farm_server::Farm;
 use farm_proto::wire::{
-    Event, ListEventsRequest, ListEventsResponse, ListWorkersRequest, ListWorkersResponse, StatusRequest,
-    StatusResponse,
+    Event, ListEventsRequest, ListEventsResponse, ListWorkersRequest, ListWorkersResponse, PacePeriod,
+    PaceRequest, PaceResponse, StatusRequest, StatusResponse,
 };
 use farm_proto::{RequestLimits, to_status};
 use optics_model::{Invalid, PHYSICS_VERSION};
@@ -13,6 +13,7 @@ use tonic::{Request, Response, Status};
 use super::Context;
 use super::page::{page_size, page_token};
 use super::status::OrStatus;
+use crate::dispatch::PERIOD;
 use crate::store::StoredEvent;
 
 /// Most workers, and most events, of one page.
@@ -39,6 +40,16 @@ impl Farm for Context {
             checks_disputed: o.checks.1,
             checks_waiting: o.checks.2 as u64,
             store_fault: o.store_fault.unwrap_or_default(),
+        }))
+    }
+
+    async fn pace(&self, _: Request<PaceRequest>) -> Result<Response<PaceResponse>, Status> {
+        let (periods, now) = self.farm.paces();
+        let period_ms = PERIOD.as_millis();
+        Ok(Response::new(PaceResponse {
+            period_ms: period_ms as u32,
+            periods: periods.iter().map(|p| PacePeriod { jobs: p.jobs, scatterings: p.cost }).collect(),
+            last_ms: (now.as_millis() % period_ms) as u32,
         }))
     }
 

@@ -154,7 +154,7 @@ async fn count_refused(connections: Connections, metrics: Metrics, shutdown: Can
 }
 
 /// Methods that figures tell by their names.
-pub(crate) const METHODS: [&str; 33] = [
+pub(crate) const METHODS: [&str; 35] = [
     "/farm.v1.Admin/Backup",
     "/farm.v1.Admin/DrainWorker",
     "/farm.v1.Admin/Inspect",
@@ -172,8 +172,10 @@ pub(crate) const METHODS: [&str; 33] = [
     "/farm.v1.Dictionaries/SetPriority",
     "/farm.v1.Dictionaries/Submit",
     "/farm.v1.Dictionaries/Watch",
+    "/farm.v1.Dictionaries/WatchJobs",
     "/farm.v1.Farm/ListEvents",
     "/farm.v1.Farm/ListWorkers",
+    "/farm.v1.Farm/Pace",
     "/farm.v1.Farm/Status",
     "/farm.v1.Fits/Design",
     "/farm.v1.Fits/Fit",

@@ -16,7 +16,7 @@ use tokio_stream::Stream;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 
-use crate::farm::{Backup, BackupPart, Export, FarmError, Watch};
+use crate::farm::{Backup, BackupPart, Export, FarmError, JobRun, JobWatch, Watch};
 
 /// How long a client may take to read one item.
 pub(super) const PATIENCE: Duration = Duration::from_mins(2);
@@ -31,6 +31,14 @@ pub(super) trait Source: Send + 'static {
 
 impl Source for Watch {
     type Item = DictionaryStatus;
+
+    fn next(&mut self) -> impl Future<Output = Result<Option<Self::Item>, FarmError>> + Send {
+        Self::next(self)
+    }
+}
+
+impl Source for JobWatch {
+    type Item = JobRun;
 
     fn next(&mut self) -> impl Future<Output = Result<Option<Self::Item>, FarmError>> + Send {
         Self::next(self)

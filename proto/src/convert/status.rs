@@ -3,7 +3,8 @@
 use super::required;
 use crate::ids::{DictionaryName, WorkerId};
 use crate::status::{
-    DictionaryState, DictionaryStatus, FAILED_JOBS, FailedJob, MachineFacts, WorkerState, WorkerStatus,
+    DictionaryState, DictionaryStatus, FAILED_JOBS, FailedJob, JobState, MachineFacts, WorkerState,
+    WorkerStatus,
 };
 use crate::wire;
 use optics_model::digest::Digest;
@@ -34,6 +35,34 @@ fn state(number: i32) -> Result<DictionaryState> {
         Ok(wire::DictionaryState::Unspecified) | Err(_) => {
             Err(Invalid::new("state", number, "a state that this version knows is needed"))
         }
+    }
+}
+
+impl From<JobState> for wire::JobState {
+    fn from(state: JobState) -> Self {
+        match state {
+            JobState::Waiting => Self::Waiting,
+            JobState::Computing => Self::Computing,
+            JobState::Done => Self::Done,
+            JobState::Checked => Self::Checked,
+            JobState::Failed => Self::Failed,
+        }
+    }
+}
+
+impl wire::JobStates {
+    /// States of jobs that follow each other.
+    pub fn new(first: u32, states: &[JobState]) -> Self {
+        Self { first, states: states.iter().map(|state| wire::JobState::from(*state) as u8).collect() }
+    }
+
+    /// The first job, and the states from it on.
+    pub fn read(&self) -> Result<(usize, Vec<JobState>)> {
+        let state = |byte: &u8| {
+            let known = JobState::ALL.into_iter().find(|state| wire::JobState::from(*state) as u8 == *byte);
+            known.ok_or_else(|| Invalid::new("states", byte, "a state that this version knows is needed"))
+        };
+        Ok((self.first as usize, self.states.iter().map(state).collect::<Result<_>>()?))
     }
 }
 

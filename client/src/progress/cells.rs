@@ -1,0 +1,106 @@
+//! The jobs of a dictionary as a grid that fills: σ_t across, everything else down.
+
+use farm_proto::status::JobState;
+use optics_model::Grid;
+
+/// Most rows; of a grid that has more, several share one.
+const ROWS: usize = 16;
+
+/// What the characters mean.
+pub(super) const LEGEND: &str = "σ_t →   █ done   ▒ in part   + computing   · waiting   × failed";
+
+/// The states of all jobs of a grid.
+#[derive(Debug)]
+pub(crate) struct Cells {
+    states: Vec<JobState>,
+    /// Values of σ_t, and jobs of each.
+    columns: usize,
+    of_column: usize,
+}
+
+impl Cells {
+    pub fn new(grid: &Grid) -> Self {
+        let columns = grid.sigma_t_per_mm().len() * grid.sample_ior().len();
+        let of_column = grid.job_count() / columns;
+        Self { states: vec![JobState::Waiting; grid.job_count()], columns, of_column }
+    }
+
+    /// Takes up the states from one job on; what is not of the grid is left out.
+    pub fn set(&mut self, first: usize, states: &[JobState]) {
+        for (known, state) in self.states.iter_mut().skip(first).zip(states) {
+            *known = *state;
+        }
+    }
+
+    /// Lines of at most `width` characters, each of which stands for one job or more.
+    pub fn lines(&self, width: usize) -> Vec<String> {
+        let wide = self.columns.div_ceil(width.max(1));
+        let high = self.of_column.div_ceil(ROWS);
+        let cell = |row: usize, column: usize| {
+            let columns = column * wide..((column + 1) * wide).min(self.columns);
+            let rows = row * high..((row + 1) * high).min(self.of_column);
+            let jobs = columns.flat_map(|column| rows.clone().map(move |row| column * self.of_column + row));
+            character(jobs.map(|job| self.states[job]))
+        };
+        let columns = self.columns.div_ceil(wide);
+        (0..self.of_column.div_ceil(high)).map(|row| (0..columns).map(|c| cell(row, c)).collect()).collect()
+    }
+}
+
+fn character(states: impl Iterator<Item = JobState>) -> char {
+    let (mut all, mut done, mut computing) = (0, 0, 0);
+    for state in states {
+        all += 1;
+        match state {
+            JobState::Failed => return '×',
+            JobState::Done | JobState::Checked => done += 1,
+            JobState::Computing => computing += 1,
+            JobState::Waiting => {}
+        }
+    }
+    match (done, computing) {
+        (0, 0) => '·',
+        (0, _) => '+',
+        (done, _) if done == all => '█',
+        _ => '▒',
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(cells: &mut Cells, jobs: &[usize], state: JobState) {
+        for job in jobs {
+            cells.set(*job, &[state]);
+        }
+    }
+
+    #[test]
+    fn each_job_of_the_papers_grid_has_its_cell() {
+        let grid = Grid::paper();
+        let mut cells = Cells::new(&grid);
+        let g = grid.g().len();
+        set(&mut cells, &[0, g], JobState::Done);
+        set(&mut cells, &[1], JobState::Computing);
+        set(&mut cells, &[2], JobState::Failed);
+        set(&mut cells, &[3], JobState::Checked);
+        let lines = cells.lines(80);
+        assert_eq!((lines.len(), lines[0].chars().count()), (11, 76));
+        let start = |line: usize| lines[line].chars().take(3).collect::<String>();
+        assert_eq!([start(0), start(1), start(2), start(3)], ["██·", "+··", "×··", "█··"]);
+    }
+
+    #[test]
+    fn jobs_share_a_cell_where_there_is_no_room() {
+        let mut cells = Cells::new(&Grid::paper());
+        cells.set(0, &[JobState::Done; 11]);
+        cells.set(11, &[JobState::Computing]);
+        let lines = cells.lines(40);
+        assert_eq!((lines.len(), lines[0].chars().count()), (11, 38));
+        assert!(lines.iter().all(|line| line.starts_with("▒·")), "{lines:#?}");
+        cells.set(800, &[JobState::Done; 500]);
+        assert!(cells.lines(10).iter().all(|line| line.chars().count() <= 10));
+        assert_eq!(cells.lines(0).len(), 11, "a terminal without a width");
+    }
+}

@@ -1,0 +1,133 @@
+//! The states of a dictionary's jobs, as they change.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use farm_proto::DictionaryName;
+use farm_proto::ids::DictionaryId;
+use farm_proto::status::JobState;
+use tokio::sync::watch;
+
+use super::{Farm, Result};
+
+/// Least time between two looks, for every hundred thousand jobs begun: a look takes the scheduler's lock.
+const PAUSE: Duration = Duration::from_millis(250);
+const JOBS_A_PAUSE: usize = 100_000;
+/// Most jobs that are told of at once.
+const MOST: usize = 1 << 16;
+/// Unchanged jobs between changed ones that are told of again rather than begin anew.
+const BRIDGED: usize = 8;
+
+/// States of jobs that follow each other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct JobRun {
+    pub first: u32,
+    pub states: Vec<JobState>,
+}
+
+/// The states of all jobs of a dictionary, and then those that have changed, until it has ended.
+#[derive(Debug)]
+pub(crate) struct JobWatch {
+    farm: Arc<Farm>,
+    id: DictionaryId,
+    changes: watch::Receiver<()>,
+    /// What was found at the last look,
+    last: Vec<JobState>,
+    /// and what of it is still to be told.
+    runs: VecDeque<JobRun>,
+    /// The dictionary has ended: there will be no other look.
+    ended: bool,
+}
+
+impl Farm {
+    pub(crate) fn watch_jobs(self: &Arc<Self>, name: &DictionaryName) -> Result<JobWatch> {
+        // Before the first look, so that no change falls between the two.
+        let mut changes = self.door.changes();
+        changes.mark_changed();
+        let (id, _) = self.found(name)?;
+        Ok(JobWatch {
+            farm: self.clone(),
+            id,
+            changes,
+            last: Vec::new(),
+            runs: VecDeque::new(),
+            ended: false,
+        })
+    }
+}
+
+impl JobWatch {
+    /// The next states that differ from those told last; None after those with which the dictionary has ended.
+    pub(crate) async fn next(&mut self) -> Result<Option<JobRun>> {
+        loop {
+            if let Some(run) = self.runs.pop_front() {
+                return Ok(Some(run));
+            }
+            if self.ended || self.changes.changed().await.is_err() {
+                return Ok(None);
+            }
+            if !self.last.is_empty() {
+                tokio::time::sleep(PAUSE * (1 + self.last.len() / JOBS_A_PAUSE) as u32).await;
+                self.changes.mark_unchanged();
+            }
+            self.look();
+        }
+    }
+
+    fn look(&mut self) {
+        let (states, open) = self.farm.door.query(|dispatcher, _| {
+            let open = dispatcher.by_id(self.id).is_some_and(|d| d.state().is_open());
+            (dispatcher.job_states(self.id), open)
+        });
+        self.runs = changed(&self.last, &states);
+        self.last = states;
+        self.ended = !open;
+    }
+}
+
+/// The runs of states that were not so before.
+fn changed(before: &[JobState], now: &[JobState]) -> VecDeque<JobRun> {
+    let is_new = |i: &usize| before.get(*i) != now.get(*i);
+    let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
+    for i in (0..now.len()).filter(is_new) {
+        match runs.last_mut() {
+            Some(run) if i - run.end <= BRIDGED && i - run.start < MOST => run.end = i + 1,
+            _ => runs.push(i..i + 1),
+        }
+    }
+    runs.into_iter().map(|run| JobRun { first: run.start as u32, states: now[run].to_vec() }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use JobState::{Computing, Done, Waiting};
+
+    /// What somebody knows who was told these runs.
+    fn told(mut known: Vec<JobState>, runs: &VecDeque<JobRun>, jobs: usize) -> Vec<JobState> {
+        known.resize(jobs, JobState::Failed);
+        for run in runs {
+            let first = run.first as usize;
+            known[first..first + run.states.len()].copy_from_slice(&run.states);
+        }
+        known
+    }
+
+    #[test]
+    fn who_is_told_the_changes_knows_all_states() {
+        let first = vec![Waiting; 200_000];
+        let runs = changed(&[], &first);
+        assert_eq!(runs.len(), 4);
+        assert!(runs.iter().all(|run| run.states.len() <= MOST));
+        assert_eq!(told(Vec::new(), &runs, first.len()), first);
+        let mut second = first.clone();
+        for job in [3, 5, 6, 100, 70_000, 199_999] {
+            second[job] = if job % 2 == 0 { Done } else { Computing };
+        }
+        let runs = changed(&first, &second);
+        assert_eq!(runs.len(), 4, "{runs:?}");
+        assert_eq!(told(first.clone(), &runs, first.len()), second);
+        assert!(changed(&second, &second).is_empty());
+    }
+}
