@@ -215,6 +215,10 @@ impl Connection {
         }
     }
 
+    pub(crate) fn link(&self) -> Link {
+        self.link.clone()
+    }
+
     pub(crate) fn address(&self) -> &str {
         &self.address
     }

@@ -11,15 +11,20 @@ const LARGEST: u64 = 16 << 20;
 
 /// The grid that a TOML file describes. Scene files it names are looked for beside it.
 pub fn read_grid(path: &Path) -> Result<Grid> {
-    let text = read_text(path, "grid file")?;
-    let file: GridFile = from_toml(&text, path, "grid file")?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    grid_of(&read_text(path, "grid file")?, path, |name| named_scene(name, folder))
+}
+
+/// The grid that the text of a file describes, with the scenes of names.
+pub(crate) fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -> Result<Grid> {
+    let file: GridFile = from_toml(text, path, "grid file")?;
     let scene = match &file.scene {
-        SceneRef::Named(name) => named_scene(name, path.parent().unwrap_or(Path::new(".")))
-            .with_context(|| format!("grid file {}", path.display()))?,
-        SceneRef::Inline(scene) => Scene::try_from(scene.clone())
-            .map_err(|e| in_file(e.within("scene"), &text, path, "grid file"))?,
+        SceneRef::Named(name) => scene(name).with_context(|| format!("grid file {}", path.display()))?,
+        SceneRef::Inline(scene) => {
+            Scene::try_from(scene.clone()).map_err(|e| in_file(e.within("scene"), text, path, "grid file"))?
+        }
     };
-    file.into_grid(scene).map_err(|e| in_file(e, &text, path, "grid file"))
+    file.into_grid(scene).map_err(|e| in_file(e, text, path, "grid file"))
 }
 
 /// The scene of a name, `paper` or `smooth`, or of a TOML file.

@@ -23,6 +23,7 @@ mod set_up;
 mod slurm;
 #[cfg(test)]
 mod testing;
+mod web;
 mod whole_file;
 
 use std::process::ExitCode;
@@ -68,6 +69,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Profile(args) => commands::profile::run(global, args, output).await?,
         Command::Similar(args) => commands::similar::run(&args, output)?,
         Command::Simulate(args) => commands::simulate::run(args, output).await?,
+        Command::Web(args) => web::run(global, args, output).await?,
         Command::Status => commands::status::run(global, output).await?,
         Command::List => commands::list::run(global, output).await?,
         Command::Watch(args) => return commands::watch::watch(global, &args.name, output).await,

@@ -162,11 +162,19 @@ impl Process {
     /// # Panics
     /// If it does not start.
     pub fn spawn(name: &str, command: &mut Command, log: &Path) -> Self {
+        Self::spawn_into(name, command, log, Stdio::null())
+    }
+
+    /// The same with a place for standard output.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn spawn_into(name: &str, command: &mut Command, log: &Path, output: impl Into<Stdio>) -> Self {
         for variable in ["FARM_SERVER", "FARM_ACCESS", "FARM_DATA", "FARM_LISTEN", "FARM_METRICS"] {
             command.env_remove(variable);
         }
         let file = File::options().create(true).append(true).open(log).expect("the log can be written to");
-        let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(file).spawn();
+        let child = command.stdin(Stdio::null()).stdout(output).stderr(file).spawn();
         Self { name: name.to_owned(), child: child.expect("the program starts"), log: log.to_owned() }
     }
 

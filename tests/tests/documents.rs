@@ -22,7 +22,10 @@ fn documents() -> BTreeMap<PathBuf, String> {
             let path = entry.unwrap().path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
             let is_folder = path.is_dir() && !path.is_symlink();
-            if is_folder && !name.starts_with('.') && name != "target" && name != "venv" {
+            if is_folder
+                && !name.starts_with('.')
+                && !["target", "venv", "node_modules"].contains(&name.as_str())
+            {
                 folders.push(path);
             } else if is_document(&path) {
                 let text = std::fs::read_to_string(&path).unwrap();

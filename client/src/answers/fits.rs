@@ -3,8 +3,8 @@
 use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
 
 use super::bound::bounds;
-use super::numbers::{albedo, albedo_end, interval, short, significant};
-use super::remarks::{remarks, warnings};
+use super::numbers::short;
+use super::told::{Remark, Told, ToldChannel, all_remarks};
 use crate::output::{table, warning, wrapped};
 
 /// Fits, and how they are to be told.
@@ -29,32 +29,19 @@ pub(crate) fn fits_text(report: &Report) -> String {
     if report.bound {
         text += &format!("\n\n{}\n", bounds(fits));
     }
-    for line in objective(report) {
+    for line in objective(fits, report.assumed.clone()) {
         text += &format!("\n{}", wrapped(&line));
     }
-    // What is said of several channels is said once.
-    let mut said: Vec<(String, Vec<String>)> = Vec::new();
-    let mut warned: Vec<String> = Vec::new();
-    for (fit, channel) in all() {
-        let who = format!("{} {}", fit.material, channel.channel);
-        warned.extend(warnings(channel));
-        for remark in remarks(channel) {
-            match said.iter_mut().find(|(other, _)| *other == remark) {
-                Some((_, of)) => of.push(who.clone()),
-                None => said.push((remark, vec![who.clone()])),
-            }
-        }
-    }
-    for (remark, of) in said {
-        let line = wrapped(&format!("{}: {remark}", of.join(", ")));
-        text += &format!("\n{}", if warned.contains(&remark) { warning(&line) } else { line });
+    for Remark { about, text: remark, warning: is_warning } in all_remarks(fits) {
+        let line = wrapped(&format!("{}: {remark}", about.join(", ")));
+        text += &format!("\n{}", if is_warning { warning(&line) } else { line });
     }
     text
 }
 
 /// What was made least, and what was assumed for that; nothing if it was the paper's distance.
-fn objective(report: &Report) -> Vec<String> {
-    let refined = || report.fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref());
+pub(crate) fn objective(fits: &[MaterialFit], assumed: Option<String>) -> Vec<String> {
+    let refined = || fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref());
     if refined().all(|r| r.likelihood.is_none()) {
         return Vec::new();
     }
@@ -63,21 +50,20 @@ fn objective(report: &Report) -> Vec<String> {
     } else {
         "objective: likelihood where every profile has standard errors, else the paper's distance"
     };
-    std::iter::once(objective.to_owned()).chain(report.assumed.clone()).collect()
+    std::iter::once(objective.to_owned()).chain(assumed).collect()
 }
 
 /// One row a channel: σ_s(1 − g) and σ_a, which similar media share.
 fn known(fits: &[MaterialFit]) -> String {
     let head = ["material", "ch", "σ_s(1−g)\n/mm", "\n95 %", "σ_a\n/mm", "\n95 %", "misfit", "error"];
-    let three = |v: f64| significant(v, 3);
-    let two = |v: f64| significant(v, 2);
     let row = |material: &str, channel: &ChannelFit| {
         let mut row = vec![short(material), channel.channel.clone()];
         if let Some(r) = &channel.refined {
-            let m = &r.best.medium;
-            row.extend([three(m.reduced_scattering_per_mm()), interval(&r.reduced_scattering_per_mm, three)]);
-            row.extend([two(m.absorption_per_mm()), interval(&r.absorption_per_mm, two)]);
-            row.extend([two(r.misfit), format!("{:.4}", r.best.error)]);
+            let told = ToldChannel::of(r);
+            for Told { value, interval } in [told.reduced_scattering_per_mm, told.absorption_per_mm] {
+                row.extend([value, interval]);
+            }
+            row.extend([told.misfit, format!("{:.4}", r.best.error)]);
         } else {
             row.extend(std::iter::repeat_n("–".to_owned(), 6));
         }
@@ -89,7 +75,6 @@ fn known(fits: &[MaterialFit]) -> String {
 
 /// One row a channel: σ_t, α and g with their intervals; without refinement, those of the best record.
 fn media(fits: &[MaterialFit]) -> String {
-    let three = |v: f64| significant(v, 3);
     let refined = fits.iter().flat_map(|f| &f.channels).any(|c| c.refined.is_some());
     let mut head = vec!["material", "ch", "σ_t\n/mm", "\n95 %", "α", "\n95 %", "g", "\n95 %"];
     if !refined {
@@ -101,11 +86,11 @@ fn media(fits: &[MaterialFit]) -> String {
         let mut row = vec![short(material), format!("{}{star}", channel.channel)];
         match (&channel.refined, channel.candidates.first()) {
             (Some(r), _) => {
-                let m = &r.best.medium;
+                let told = ToldChannel::of(r);
                 let mark = |value: String| if r.resolved { value } else { format!("({value})") };
-                row.extend([mark(three(m.sigma_t_per_mm())), interval(&r.sigma_t_per_mm, three)]);
-                row.extend([mark(albedo(m.albedo())), interval(&r.albedo, albedo_end)]);
-                row.extend([three(m.g()), interval(&r.g, |v| significant(v, 2))]);
+                row.extend([mark(told.sigma_t_per_mm.value), told.sigma_t_per_mm.interval]);
+                row.extend([mark(told.albedo.value), told.albedo.interval]);
+                row.extend([told.g.value, told.g.interval]);
             }
             (None, Some(c)) => {
                 let m = &c.medium;

@@ -11,12 +11,14 @@ mod options;
 mod remarks;
 mod scale;
 mod table;
+mod told;
 
 pub(crate) use design::{design_text, slabs};
-pub(crate) use fits::{Report, fits_text, neighbours};
+pub(crate) use fits::{Report, fits_text, neighbours, objective};
 pub(crate) use inks::inks_text;
 pub(crate) use misfit::misfit_short;
 pub(crate) use numbers::{albedo, significant};
 pub(crate) use options::UsedOptions;
 pub(crate) use scale::{common_text, scale_text};
 pub(crate) use table::table_csv;
+pub(crate) use told::{Remark, Told, ToldChannel, all_remarks};

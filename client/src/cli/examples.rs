@@ -55,6 +55,13 @@ Examples:
   farmctl similar --sigma-t 6 --albedo 0.9991 --g 0.4
   farmctl similar --sigma-t 6 --albedo 0.9991 --g 0.4 --to 0,0.8";
 
+pub(super) const WEB: &str = "\
+Examples:
+  farmctl web                                  the farm of this folder
+  farmctl web --access client.toml             a server's farm
+  farmctl web session1 session2                with these captures
+  farmctl web --listen 0.0.0.0:7780 --behind https://farm.example.org/resins/ --no-browser";
+
 pub(super) const SIMULATE: &str = "\
 Examples:
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv

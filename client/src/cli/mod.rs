@@ -9,6 +9,7 @@ mod fit;
 mod profile;
 mod set_up;
 mod slurm;
+mod web;
 mod whole;
 
 use std::path::PathBuf;
@@ -31,6 +32,7 @@ pub use fit::{
 pub use profile::ProfileArgs;
 pub use set_up::SetUpArgs;
 pub use slurm::{SlurmCommand, SlurmSubmitArgs};
+pub use web::WebArgs;
 use whole::whole_number;
 
 /// Measures the optical parameters of translucent resins: computes dictionaries of simulated edge profiles and fits
@@ -57,7 +59,7 @@ Examples:
 Exit codes: 0 success, 1 error, 2 wrong usage, 130 interrupted; for a dictionary: 3 some jobs
 failed, 4 some jobs are in quarantine, 5 cancelled, 6 still running when --timeout ran out.";
 
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub struct Global {
     /// URL of the coordinator, such as http://farm:7700.
     #[arg(long, value_name = "URL", env = "FARM_SERVER", global = true, help_heading = "General options")]
@@ -118,6 +120,9 @@ pub enum Command {
     /// Simulate edge profiles, without a farm.
     #[command(after_help = examples::SIMULATE)]
     Simulate(SimulateArgs),
+    /// Open a page in the browser: measure, look at dictionaries, run the farm, judge captures.
+    #[command(after_help = examples::WEB)]
+    Web(WebArgs),
     /// Show what the farm is doing.
     #[command(after_help = examples::STATUS)]
     Status,

@@ -120,13 +120,13 @@ pub(super) const OLDER: &str = "the farm's answer does not tell what was chosen 
                                 older than this farmctl; upgrade it";
 
 /// A checked answer.
-pub(super) struct Found {
+pub(crate) struct Found {
     /// The paper's curve; none if the scale factor was given.
-    pub(super) scale: Option<ScaleCurve>,
-    pub(super) common: Common,
-    pub(super) materials: Vec<MaterialFit>,
+    pub(crate) scale: Option<ScaleCurve>,
+    pub(crate) common: Common,
+    pub(crate) materials: Vec<MaterialFit>,
     /// None if no mixtures were told.
-    pub(super) unmixed: Option<Unmixed>,
+    pub(crate) unmixed: Option<Unmixed>,
 }
 
 impl TryFrom<MeasureResponse> for Found {
@@ -154,15 +154,19 @@ fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathB
     text
 }
 
+/// Table and media for renderers, as files with their names.
+pub(crate) fn media_files(fits: &[MaterialFit]) -> Result<[(&'static str, String); 4]> {
+    Ok([
+        ("table.csv", table_csv(fits)?),
+        ("media.py", renderers::mitsuba_dict(fits)),
+        ("media.xml", renderers::mitsuba_xml(fits)),
+        ("media.pbrt", renderers::pbrt(fits)),
+    ])
+}
+
 fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     std::fs::create_dir_all(folder)?;
-    let files = [
-        ("table.csv", table_csv(&found.materials)?),
-        ("media.py", renderers::mitsuba_dict(&found.materials)),
-        ("media.xml", renderers::mitsuba_xml(&found.materials)),
-        ("media.pbrt", renderers::pbrt(&found.materials)),
-    ];
-    for (name, text) in files {
+    for (name, text) in media_files(&found.materials)? {
         write_whole(&folder.join(name), text.as_bytes()).context(name)?;
     }
     Ok(())

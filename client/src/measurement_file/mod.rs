@@ -51,7 +51,8 @@ pub fn read_measurements(path: &Path) -> Result<MeasurementFile> {
     read(&bytes).with_context(place)
 }
 
-fn read(bytes: &[u8]) -> Result<MeasurementFile> {
+/// Reads and checks the measurements of a file's bytes.
+pub(crate) fn read(bytes: &[u8]) -> Result<MeasurementFile> {
     let mut notes = Vec::new();
     let text = text::decode(bytes, &mut notes)?;
     let table = Table::open(&text, &mut notes)?;

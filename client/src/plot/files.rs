@@ -34,10 +34,14 @@ pub(crate) fn drawn<P: AsRef<Path>>(pictures: impl IntoIterator<Item = P>) -> St
 
 /// `dir/name-SUFFIX.ext`, with what does not belong in a file name replaced.
 fn named(path: &Path, suffix: &str) -> PathBuf {
-    let safe: String =
-        suffix.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
+    let safe = file_name(suffix);
     let (stem, extension) = (path.file_stem().unwrap_or_default(), path.extension().unwrap_or_default());
     path.with_file_name(format!("{}-{safe}.{}", stem.to_string_lossy(), extension.to_string_lossy()))
+}
+
+/// Text with what does not belong in a file name replaced.
+pub(crate) fn file_name(text: &str) -> String {
+    text.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
 }
 
 #[cfg(test)]

@@ -27,11 +27,11 @@ mod text;
 
 pub(crate) use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
 pub(crate) use design::design_figure;
-pub(crate) use files::{drawn, write_fits, write_maps};
+pub(crate) use files::{drawn, file_name, write_fits, write_maps};
 pub(crate) use overview::{OverviewFigure, overview_figure};
 pub(crate) use picture::Picture;
 pub(crate) use profile::profile_figure;
 pub(crate) use scale::scale_figure;
 
 pub(crate) use fit::fit_figure;
-use map::map_figure;
+pub(crate) use map::map_figure;

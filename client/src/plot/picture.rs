@@ -68,7 +68,7 @@ impl Picture {
         usvg::Tree::from_str(&self.svg, &options).context("drawing")
     }
 
-    fn png(&self) -> anyhow::Result<Vec<u8>> {
+    pub(crate) fn png(&self) -> anyhow::Result<Vec<u8>> {
         let tree = self.tree()?;
         let [width, height] = [self.width, self.height].map(|l| (l * f64::from(PNG_SCALE)).ceil() as u32);
         let mut pixels = Pixmap::new(width, height)

@@ -1,0 +1,12 @@
+//! Compiles the service that `farmctl web` has for its page. What it shares with the farm's is in `farm-proto`.
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    const PROTO: &str = "../proto/proto";
+    println!("cargo:rerun-if-changed={PROTO}");
+    let descriptors = protox::compile(["desk/v1/desk.proto"], [PROTO])?;
+    tonic_prost_build::configure()
+        .build_client(false)
+        .extern_path(".farm.v1", "::farm_proto::wire")
+        .compile_fds(descriptors)?;
+    Ok(())
+}

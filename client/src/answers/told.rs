@@ -1,0 +1,71 @@
+//! A channel's numbers as they are told, in tables and in the page.
+
+use optics_model::fit::{MaterialFit, Refined};
+
+use super::numbers::{albedo, albedo_end, interval, significant};
+use super::remarks::{remarks, warnings};
+
+/// A number with as many digits as mean something, and its interval of 95 %.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Told {
+    pub(crate) value: String,
+    pub(crate) interval: String,
+}
+
+/// The numbers of a channel that was refined.
+#[derive(Debug, Clone)]
+pub(crate) struct ToldChannel {
+    pub(crate) reduced_scattering_per_mm: Told,
+    pub(crate) absorption_per_mm: Told,
+    pub(crate) sigma_t_per_mm: Told,
+    pub(crate) albedo: Told,
+    pub(crate) g: Told,
+    pub(crate) misfit: String,
+}
+
+impl ToldChannel {
+    pub(crate) fn of(r: &Refined) -> Self {
+        let three = |v: f64| significant(v, 3);
+        let two = |v: f64| significant(v, 2);
+        let told = |value, interval| Told { value, interval };
+        let m = &r.best.medium;
+        Self {
+            reduced_scattering_per_mm: told(
+                three(m.reduced_scattering_per_mm()),
+                interval(&r.reduced_scattering_per_mm, three),
+            ),
+            absorption_per_mm: told(two(m.absorption_per_mm()), interval(&r.absorption_per_mm, two)),
+            sigma_t_per_mm: told(three(m.sigma_t_per_mm()), interval(&r.sigma_t_per_mm, three)),
+            albedo: told(albedo(m.albedo()), interval(&r.albedo, albedo_end)),
+            g: told(three(m.g()), interval(&r.g, two)),
+            misfit: two(r.misfit),
+        }
+    }
+}
+
+/// What a reader of the numbers must know of some channels.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Remark {
+    /// Material and channel of each.
+    pub(crate) about: Vec<String>,
+    pub(crate) text: String,
+    /// Why the numbers may not be trusted.
+    pub(crate) warning: bool,
+}
+
+/// The remarks on all channels. What is to be said of several is said once.
+pub(crate) fn all_remarks(fits: &[MaterialFit]) -> Vec<Remark> {
+    let mut said: Vec<Remark> = Vec::new();
+    for (fit, channel) in fits.iter().flat_map(|f| f.channels.iter().map(move |c| (f, c))) {
+        let who = format!("{} {}", fit.material, channel.channel);
+        let warnings = warnings(channel);
+        for text in remarks(channel) {
+            let warning = warnings.contains(&text);
+            match said.iter_mut().find(|other| other.text == text) {
+                Some(other) => other.about.push(who.clone()),
+                None => said.push(Remark { about: vec![who.clone()], text, warning }),
+            }
+        }
+    }
+    said
+}

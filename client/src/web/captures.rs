@@ -1,0 +1,122 @@
+//! Folders that `farmctl capture` has written: their reports, as they are.
+
+use std::path::{Path, PathBuf};
+
+use axum::http::StatusCode;
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+
+use super::api::Capture;
+
+/// The files of a capture by which its folder is known.
+const MARKS: [&str; 2] = ["report.html", "session.json"];
+/// Largest file that is shown, in bytes.
+const LARGEST: u64 = 256 << 20;
+
+/// Reports have their style within them and run nothing.
+const POLICY: &str = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; \
+     frame-ancestors 'self'";
+
+#[derive(Debug)]
+pub(super) struct Captures {
+    folders: Vec<PathBuf>,
+}
+
+impl Captures {
+    /// Those that were told, or else those in the present folder.
+    pub fn new(told: Vec<PathBuf>) -> anyhow::Result<Self> {
+        for folder in &told {
+            anyhow::ensure!(
+                is_capture(folder),
+                "{} is no folder that `farmctl capture` wrote: it has no {}",
+                folder.display(),
+                MARKS.join(" and ")
+            );
+        }
+        let mut folders = told;
+        if folders.is_empty() {
+            let here = std::fs::read_dir(".").into_iter().flatten().flatten().map(|entry| entry.path());
+            folders = here.filter(|folder| is_capture(folder)).collect();
+            folders.sort();
+        }
+        Ok(Self { folders })
+    }
+
+    pub fn list(&self) -> Vec<Capture> {
+        let capture = |(number, folder): (usize, &PathBuf)| Capture {
+            folder: folder.strip_prefix(".").unwrap_or(folder).display().to_string(),
+            report: format!("captures/{number}/report.html"),
+        };
+        self.folders.iter().enumerate().map(capture).collect()
+    }
+
+    /// A file of a capture, if there is such a one.
+    pub async fn file(&self, number: &str, name: &str) -> Option<Response> {
+        let folder = self.folders.get(number.parse::<usize>().ok()?)?;
+        let kind = kind(name)?;
+        let path = folder.join(name);
+        let about = tokio::fs::metadata(&path).await.ok()?;
+        if !about.is_file() || about.len() > LARGEST {
+            return None;
+        }
+        let headers = [(CONTENT_TYPE, kind), (CONTENT_SECURITY_POLICY, POLICY), (CACHE_CONTROL, "no-store")];
+        Some(match tokio::fs::read(&path).await {
+            Ok(bytes) => (headers, bytes).into_response(),
+            Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+        })
+    }
+}
+
+fn is_capture(folder: &Path) -> bool {
+    MARKS.iter().all(|name| folder.join(name).is_file())
+}
+
+/// What a file of a capture is; None for names that none of them has.
+fn kind(name: &str) -> Option<&'static str> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+    if name.starts_with('.') || !name.chars().all(plain) {
+        return None;
+    }
+    match name.rsplit_once('.')?.1 {
+        "html" => Some("text/html; charset=utf-8"),
+        "png" => Some("image/png"),
+        "svg" => Some("image/svg+xml"),
+        "csv" | "toml" => Some("text/plain; charset=utf-8"),
+        "json" => Some("application/json"),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn only_a_captures_own_files_are_shown() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("session");
+        std::fs::create_dir(&folder).unwrap();
+        std::fs::write(dir.path().join("secret.json"), "").unwrap();
+        assert!(Captures::new(vec![folder.clone()]).is_err());
+        for name in MARKS {
+            std::fs::write(folder.join(name), name).unwrap();
+        }
+        std::fs::write(folder.join("key.pem"), "").unwrap();
+        let captures = Captures::new(vec![folder]).unwrap();
+        assert_eq!(captures.list()[0].report, "captures/0/report.html");
+        let report = captures.file("0", "report.html").await.unwrap();
+        assert_eq!(report.headers()[CONTENT_TYPE], "text/html; charset=utf-8");
+        for (number, name) in [
+            ("1", "report.html"),
+            ("-1", "report.html"),
+            ("0", "../secret.json"),
+            ("0", "..%2fsecret.json"),
+            ("0", "key.pem"),
+            ("0", ""),
+            ("0", ".."),
+            ("0", "nothing.json"),
+        ] {
+            assert!(captures.file(number, name).await.is_none(), "{number} {name}");
+        }
+    }
+}

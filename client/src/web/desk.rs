@@ -1,0 +1,233 @@
+//! What the page asks of `farmctl web` itself: files read and written as the other verbs do.
+
+mod colors;
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use farm_proto::{to_status, wire};
+use optics_model::fit::{DistanceMap, FitOptions, PredictedProfiles};
+use optics_model::grid::NoiseLevel;
+use optics_model::{Grid, Invalid, Measurement, Scene};
+use tonic::{Request, Response, Status};
+
+use super::api::desk_server::Desk;
+use super::api::figures_request::Of;
+use super::api::{
+    AboutRequest, AboutResponse, ColorsRequest, ColorsResponse, FigureFormat, FiguresRequest, File, Files,
+    ListCapturesRequest, ListCapturesResponse, MediaRequest, Note, ReadGridRequest, ReadGridResponse,
+    ReadMeasurementsRequest, ReadMeasurementsResponse, Remark, TellRequest, TellResponse, ToldChannel,
+    ToldNumber,
+};
+use super::captures::Captures;
+use crate::answers::{self, Told, all_remarks, common_text, objective};
+use crate::cli::SetUpArgs;
+use crate::commands::measure::{Found, media_files};
+use crate::grid_file::grid_of;
+use crate::measurement_file::{self, MeasurementFile};
+use crate::output::sentence;
+use crate::plot::{Picture, file_name, fit_figure, map_figure, profile_figure};
+use crate::set_up::SetUp;
+
+/// The measurement of the documentation, for whoever has none yet.
+const EXAMPLE: &[u8] = include_bytes!("../../../examples/white.csv");
+
+/// What the page's questions are answered from.
+#[derive(Debug)]
+pub(super) struct TheDesk {
+    pub about: AboutResponse,
+    pub captures: Captures,
+}
+
+#[tonic::async_trait]
+impl Desk for TheDesk {
+    async fn about(&self, _: Request<AboutRequest>) -> Result<Response<AboutResponse>, Status> {
+        Ok(Response::new(self.about.clone()))
+    }
+
+    async fn read_measurements(
+        &self,
+        request: Request<ReadMeasurementsRequest>,
+    ) -> Result<Response<ReadMeasurementsResponse>, Status> {
+        let file = request.into_inner().file;
+        answer(move || {
+            let bytes = file.as_ref().map_or(EXAMPLE, |file| &file.content);
+            let MeasurementFile { materials, notes } = measurement_file::read(bytes)?;
+            Ok(ReadMeasurementsResponse {
+                materials: materials.iter().map(Into::into).collect(),
+                notes: notes.into_iter().map(|n| Note { code: n.code.to_owned(), text: n.text }).collect(),
+            })
+        })
+        .await
+    }
+
+    async fn read_grid(
+        &self,
+        request: Request<ReadGridRequest>,
+    ) -> Result<Response<ReadGridResponse>, Status> {
+        let request = request.into_inner();
+        let quality = request.quality();
+        answer(move || {
+            let grid = request.file.as_ref().map_or_else(|| Ok(Grid::paper()), grid)?;
+            let grid = match quality {
+                wire::NoiseLevel::Unspecified => grid,
+                wire::NoiseLevel::Draft => grid.with_effort(NoiseLevel::Draft)?,
+                wire::NoiseLevel::Paper => grid.with_effort(NoiseLevel::Paper)?,
+                wire::NoiseLevel::Fine => grid.with_effort(NoiseLevel::Fine)?,
+            };
+            Ok(ReadGridResponse {
+                records: grid.record_count() as u64,
+                jobs: grid.job_count() as u64,
+                bytes: (grid.record_count() * grid.record_bytes()) as u64,
+                grid: Some((&grid).into()),
+            })
+        })
+        .await
+    }
+
+    async fn tell(&self, request: Request<TellRequest>) -> Result<Response<TellResponse>, Status> {
+        let request = request.into_inner();
+        answer(move || {
+            let found = found(request.found)?;
+            let options = FitOptions::try_from(request.options.unwrap_or_default())?;
+            let materials: Vec<Measurement> =
+                request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
+            let assumed = SetUp::new(&SetUpArgs::default())?.assumed(&materials).text(options.settings());
+            Ok(TellResponse {
+                common: common_text(&found.common),
+                channels: channels(&found),
+                objective: objective(&found.materials, assumed),
+                remarks: all_remarks(&found.materials).into_iter().map(remark).collect(),
+            })
+        })
+        .await
+    }
+
+    async fn media(&self, request: Request<MediaRequest>) -> Result<Response<Files>, Status> {
+        let request = request.into_inner();
+        answer(move || {
+            let files = media_files(&found(request.found)?.materials)?.into_iter();
+            let file = |(name, text): (&str, String)| File {
+                name: name.to_owned(),
+                media_type: "text/plain".to_owned(),
+                content: text.into_bytes(),
+            };
+            Ok(Files { files: files.map(file).collect() })
+        })
+        .await
+    }
+
+    async fn figures(&self, request: Request<FiguresRequest>) -> Result<Response<Files>, Status> {
+        let request = request.into_inner();
+        let format = request.format();
+        answer(move || {
+            let Some(of) = request.of else { bail!(Invalid::new("of", "nothing", "what to draw is needed")) };
+            let files = pictures(of)?.into_iter().map(|(name, picture)| figure(&name, &picture, format));
+            Ok(Files { files: files.collect::<Result<_>>()? })
+        })
+        .await
+    }
+
+    async fn colors(&self, request: Request<ColorsRequest>) -> Result<Response<ColorsResponse>, Status> {
+        let media = request.into_inner().media;
+        answer(move || Ok(ColorsResponse { radiance_factors: colors::radiance_factors(media)? })).await
+    }
+
+    async fn list_captures(
+        &self,
+        _: Request<ListCapturesRequest>,
+    ) -> Result<Response<ListCapturesResponse>, Status> {
+        Ok(Response::new(ListCapturesResponse { captures: self.captures.list() }))
+    }
+}
+
+/// Work that takes long enough to keep others waiting, away from them.
+async fn answer<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T> + Send + 'static,
+) -> Result<Response<T>, Status> {
+    let done = tokio::task::spawn_blocking(work).await;
+    let done = done.map_err(|_| Status::internal("this question met a defect of farmctl"))?;
+    done.map(Response::new).map_err(|error| match error.downcast_ref::<Invalid>() {
+        // With the field, as the coordinator tells it.
+        Some(invalid) if error.chain().count() == 1 => to_status(invalid),
+        _ => Status::invalid_argument(sentence(&error)),
+    })
+}
+
+/// The grid of a file that comes from a browser: it must not name other files, which would be this machine's.
+fn grid(file: &File) -> Result<Grid> {
+    let text = std::str::from_utf8(&file.content)
+        .map_err(|_| Invalid::new("file", &file.name, "a grid file is text in UTF-8"))?;
+    grid_of(text, Path::new(&file.name), |name| match name {
+        "paper" => Ok(Scene::paper()),
+        "smooth" => Ok(Scene::smooth()),
+        _ => bail!(
+            "scene {name:?} is in a file of its own, which a page cannot read: put it into the grid file as [scene], or \
+             use `farmctl submit`"
+        ),
+    })
+}
+
+fn found(found: Option<wire::MeasureResponse>) -> Result<Found> {
+    let Some(found) = found else { bail!(Invalid::new("found", "nothing", "an answer is needed")) };
+    Found::try_from(found)
+}
+
+fn channels(found: &Found) -> Vec<ToldChannel> {
+    let told = |told: Told| Some(ToldNumber { value: told.value, interval: told.interval });
+    let channels = found.materials.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
+    let channel = |(fit, channel): (&optics_model::fit::MaterialFit, &optics_model::fit::ChannelFit)| {
+        let mut empty = ToldChannel {
+            material: fit.material.clone(),
+            channel: channel.channel.clone(),
+            ..ToldChannel::default()
+        };
+        if let Some(refined) = &channel.refined {
+            let numbers = answers::ToldChannel::of(refined);
+            empty.resolved = refined.resolved;
+            empty.reduced_scattering_per_mm = told(numbers.reduced_scattering_per_mm);
+            empty.absorption_per_mm = told(numbers.absorption_per_mm);
+            empty.sigma_t_per_mm = told(numbers.sigma_t_per_mm);
+            empty.albedo = told(numbers.albedo);
+            empty.g = told(numbers.g);
+            empty.misfit = numbers.misfit;
+        }
+        empty
+    };
+    channels.map(channel).collect()
+}
+
+fn remark(remark: answers::Remark) -> Remark {
+    Remark { about: remark.about, text: remark.text, warning: remark.warning }
+}
+
+/// Figures with the names of their files.
+fn pictures(of: Of) -> Result<Vec<(String, Picture)>> {
+    match of {
+        Of::Fits(answer) => {
+            let found = Found::try_from(answer)?;
+            found.materials.iter().map(|fit| Ok((fit.material.clone(), fit_figure(fit)?))).collect()
+        }
+        Of::Maps(maps) => {
+            let draw = |map: wire::DistanceMap| {
+                let map = DistanceMap::try_from(map)?;
+                Ok((format!("{}-{}-map", maps.material, map.channel), map_figure(&maps.material, &map)?))
+            };
+            maps.maps.into_iter().map(draw).collect()
+        }
+        Of::Profile(profile) => {
+            let profiles = PredictedProfiles::try_from(profile)?;
+            Ok(vec![("profile".to_owned(), profile_figure(&profiles)?)])
+        }
+    }
+}
+
+fn figure(name: &str, picture: &Picture, format: FigureFormat) -> Result<File> {
+    let (extension, media_type, content) = match format {
+        FigureFormat::Png => ("png", "image/png", picture.png()?),
+        FigureFormat::Svg | FigureFormat::Unspecified => {
+            ("svg", "image/svg+xml", picture.svg().as_bytes().to_vec())
+        }
+    };
+    Ok(File { name: format!("{}.{extension}", file_name(name)), media_type: media_type.to_owned(), content })
+}

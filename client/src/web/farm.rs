@@ -1,0 +1,117 @@
+//! The farm that the page talks to, found again when it has gone.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Result;
+use axum::http::{Request, Response, Uri};
+use farm_link::failure;
+use tokio::sync::Mutex;
+use tokio_util::sync::CancellationToken;
+use tonic::Status;
+use tonic::body::Body;
+use tonic::codegen::Service;
+
+use crate::cli::Global;
+use crate::connection::{Connection, Purpose};
+
+/// Pause before another look whether calls have ended.
+const LOOK_AGAIN: Duration = Duration::from_millis(10);
+
+/// A farm of our own, a neighbour's or a server's.
+#[derive(Debug)]
+pub(super) struct FarmAccess {
+    global: Global,
+    /// None while a neighbour's has ended and no other was found.
+    connection: Mutex<Option<Arc<Connection>>>,
+    /// Cancelled when a farm of our own has ended by itself: there is nothing left to show.
+    pub ended: CancellationToken,
+    /// Cancelled when calls under way are to end.
+    closing: CancellationToken,
+}
+
+impl FarmAccess {
+    pub async fn open(global: &Global) -> Result<Self> {
+        let connection = Connection::open(global, Purpose::Compute).await?;
+        Ok(Self {
+            global: global.clone(),
+            connection: Mutex::new(Some(Arc::new(connection))),
+            ended: CancellationToken::new(),
+            closing: CancellationToken::new(),
+        })
+    }
+
+    /// The connection, opened again if need be.
+    pub async fn connection(&self) -> Result<Arc<Connection>, Status> {
+        let mut connection = self.connection.lock().await;
+        if let Some(connection) = &*connection {
+            return Ok(Arc::clone(connection));
+        }
+        let opened = Connection::open(&self.global, Purpose::Compute).await;
+        let opened = Arc::new(opened.map_err(|error| Status::unavailable(format!("{error:#}")))?);
+        *connection = Some(Arc::clone(&opened));
+        Ok(opened)
+    }
+
+    /// Hands a call on. The coordinator sees our token and our address, whoever uses the page.
+    pub async fn call(&self, request: Request<Body>) -> Result<Response<Body>, Status> {
+        let connection = self.connection().await?;
+        let mut link = connection.link();
+        std::future::poll_fn(|context| link.poll_ready(context)).await.map_err(|_| gone(&connection))?;
+        let answer = tokio::select! {
+            answer = link.call(for_farm(request)) => answer,
+            () = self.closing.cancelled() => return Err(Status::unavailable("farmctl web is ending")),
+        };
+        match answer {
+            Ok(answer) => Ok(answer),
+            Err(error) => {
+                let status = failure(&error, connection.address())
+                    .map_or_else(|| gone(&connection), Status::unavailable);
+                self.lost(&connection).await;
+                Err(status)
+            }
+        }
+    }
+
+    /// The farm did not answer. A server may come back under its address; others do not.
+    async fn lost(&self, connection: &Arc<Connection>) {
+        if connection.is_embedded() {
+            self.ended.cancel();
+        } else if !connection.is_server() {
+            self.connection.lock().await.take_if(|held| Arc::ptr_eq(held, connection));
+        }
+    }
+
+    /// Ends what lives in this process.
+    pub async fn close(&self) -> Result<()> {
+        self.closing.cancel();
+        let Some(mut connection) = self.connection.lock().await.take() else { return Ok(()) };
+        loop {
+            match Arc::try_unwrap(connection) {
+                Ok(connection) => return connection.close().await,
+                // A call that has just been told to end.
+                Err(held) => connection = held,
+            }
+            tokio::time::sleep(LOOK_AGAIN).await;
+        }
+    }
+}
+
+/// The request without what concerns the page alone: its cookie, host and origin.
+fn for_farm(request: Request<Body>) -> Request<Body> {
+    let (mut parts, body) = request.into_parts();
+    let kept = |name: &str| name.starts_with("grpc-") || ["content-type", "te", "user-agent"].contains(&name);
+    let unwanted: Vec<_> = parts.headers.keys().filter(|name| !kept(name.as_str())).cloned().collect();
+    for name in unwanted {
+        parts.headers.remove(name);
+    }
+    // The path alone: the link knows where to.
+    let path = parts.uri.path().parse().unwrap_or_else(|_| Uri::from_static("/"));
+    parts.uri = path;
+    parts.extensions.clear();
+    Request::from_parts(parts, body)
+}
+
+fn gone(connection: &Connection) -> Status {
+    Status::unavailable(format!("the farm at {} does not answer", connection.address()))
+}

@@ -1,0 +1,217 @@
+//! Who may use the page: those who have its token, from the page itself.
+//!
+//! Other users of the machine can reach a port on loopback, and so can every web site in the user's browser. So the
+//! address that is printed holds a token, which is exchanged for a cookie; and requests are taken only for the host that
+//! the page has (no name that a site has pointed at 127.0.0.1) and from pages of the same origin.
+
+use axum::extract::Request;
+use axum::http::header::{COOKIE, HOST, ORIGIN};
+use axum::http::{HeaderMap, Method, StatusCode, Uri};
+use subtle::ConstantTimeEq;
+
+use super::behind::Url;
+
+/// Bytes of randomness in a token.
+const RANDOM: usize = 24;
+
+/// Why a request is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Refusal {
+    Host,
+    Origin,
+    Token,
+}
+
+impl Refusal {
+    pub fn status(self) -> StatusCode {
+        match self {
+            Self::Host => StatusCode::MISDIRECTED_REQUEST,
+            Self::Origin => StatusCode::FORBIDDEN,
+            Self::Token => StatusCode::UNAUTHORIZED,
+        }
+    }
+
+    pub fn reason(self) -> &'static str {
+        match self {
+            Self::Host => {
+                "This page is served for another host name. Behind a proxy, name its URL with --behind."
+            }
+            Self::Origin => "This request comes from another site.",
+            Self::Token => "Open the address that `farmctl web` has printed: it lets this browser in.",
+        }
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Gate {
+    token: String,
+    /// Cookies do not tell ports apart, so their names must.
+    cookie: String,
+    /// Hosts that requests may be for, with their ports.
+    hosts: Vec<String>,
+    /// Pages that requests may come from.
+    origins: Vec<String>,
+    /// The cookie is sent to addresses that begin with this,
+    path: String,
+    /// and only over TLS.
+    secure: bool,
+}
+
+impl Gate {
+    pub fn new(port: u16, behind: Option<&Url>) -> Result<Self, getrandom::Error> {
+        let mut random = [0; RANDOM];
+        getrandom::fill(&mut random)?;
+        let token = random.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self::with_token(token, port, behind))
+    }
+
+    fn with_token(token: String, port: u16, behind: Option<&Url>) -> Self {
+        let mut hosts: Vec<String> =
+            ["127.0.0.1", "localhost", "[::1]"].iter().map(|host| format!("{host}:{port}")).collect();
+        let mut origins: Vec<String> = hosts.iter().map(|host| format!("http://{host}")).collect();
+        let mut path = "/".to_owned();
+        if let Some(url) = behind {
+            hosts.push(url.authority.clone());
+            origins.push(url.origin());
+            path.clone_from(&url.path);
+        }
+        let secure = behind.is_some_and(|url| url.scheme == "https");
+        Self { token, cookie: format!("farm_{port}"), hosts, origins, path, secure }
+    }
+
+    pub fn token(&self) -> &str {
+        &self.token
+    }
+
+    /// Whether a request is one from the page, by somebody who was let in.
+    pub fn admit(&self, request: &Request) -> Result<(), Refusal> {
+        self.is_for_us(request)?;
+        let cookies = request.headers().get_all(COOKIE).iter().filter_map(|v| v.to_str().ok());
+        let mut cookies = cookies.flat_map(|v| v.split(';')).filter_map(|v| v.trim().split_once('='));
+        let known = cookies.any(|(name, value)| name == self.cookie && self.is_token(value));
+        if known { Ok(()) } else { Err(Refusal::Token) }
+    }
+
+    /// The cookie for a request that brings the token.
+    pub fn let_in(&self, request: &Request) -> Result<String, Refusal> {
+        self.is_for_us(request)?;
+        if !self.is_token(token_of(request.uri()).unwrap_or_default()) {
+            return Err(Refusal::Token);
+        }
+        let secure = if self.secure { "; Secure" } else { "" };
+        // Links from elsewhere lead to the page and change nothing; all that does comes from the page.
+        Ok(format!("{}={}; Path={}; HttpOnly; SameSite=Lax{secure}", self.cookie, self.token, self.path))
+    }
+
+    fn is_for_us(&self, request: &Request) -> Result<(), Refusal> {
+        let headers = request.headers();
+        if !one_of(headers, HOST.as_str(), &self.hosts).unwrap_or(false) {
+            return Err(Refusal::Host);
+        }
+        // Browsers tell the origin of all requests that could change something.
+        let harmless = matches!(*request.method(), Method::GET | Method::HEAD);
+        if !one_of(headers, ORIGIN.as_str(), &self.origins).unwrap_or(harmless) {
+            return Err(Refusal::Origin);
+        }
+        Ok(())
+    }
+
+    fn is_token(&self, given: &str) -> bool {
+        given.as_bytes().ct_eq(self.token.as_bytes()).into()
+    }
+}
+
+/// Whether a header has one of these values; None if it is not there.
+fn one_of(headers: &HeaderMap, name: &str, allowed: &[String]) -> Option<bool> {
+    let mut values = headers.get_all(name).iter().peekable();
+    values.peek()?;
+    Some(values.all(|value| {
+        value.to_str().is_ok_and(|value| allowed.iter().any(|one| one.eq_ignore_ascii_case(value)))
+    }))
+}
+
+/// The token in `?token=…`.
+pub(super) fn token_of(uri: &Uri) -> Option<&str> {
+    uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::body::Body;
+
+    use super::*;
+
+    fn gate(behind: Option<&str>) -> Gate {
+        let behind = behind.map(|url| url.parse().unwrap());
+        Gate::with_token("secret".to_owned(), 7780, behind.as_ref())
+    }
+
+    fn request(method: &str, uri: &str, headers: &[(&str, &str)]) -> Request {
+        let request = Request::builder().method(method).uri(uri);
+        headers.iter().fold(request, |r, (name, value)| r.header(*name, *value)).body(Body::empty()).unwrap()
+    }
+
+    const OWN: (&str, &str) = ("host", "127.0.0.1:7780");
+    const COOKIE: (&str, &str) = ("cookie", "a=b; farm_7780=secret");
+
+    #[test]
+    fn the_token_is_exchanged_for_a_cookie() {
+        let gate = gate(None);
+        let cookie = gate.let_in(&request("GET", "/?token=secret", &[OWN])).unwrap();
+        assert_eq!(cookie, "farm_7780=secret; Path=/; HttpOnly; SameSite=Lax");
+        for uri in ["/?token=wrong", "/?token=", "/", "/?token=secre", "/?tokens=secret"] {
+            assert_eq!(gate.let_in(&request("GET", uri, &[OWN])), Err(Refusal::Token), "{uri}");
+        }
+        gate.admit(&request("GET", "/page.js", &[OWN, COOKIE])).unwrap();
+        for cookie in ["", "farm_7780=wrong", "farm_7781=secret", "farm_7780"] {
+            let refused = gate.admit(&request("GET", "/", &[OWN, ("cookie", cookie)]));
+            assert_eq!(refused, Err(Refusal::Token), "{cookie}");
+        }
+    }
+
+    #[test]
+    fn only_the_page_itself_may_ask() {
+        let gate = gate(None);
+        let post = |headers: &[(&str, &str)]| {
+            gate.admit(&request("POST", "/farm.v1.Farm/Status", &[&[COOKIE], headers].concat()))
+        };
+        post(&[OWN, ("origin", "http://127.0.0.1:7780")]).unwrap();
+        post(&[("host", "LOCALHOST:7780"), ("origin", "http://localhost:7780")]).unwrap();
+        assert_eq!(post(&[OWN]), Err(Refusal::Origin), "a browser would tell it");
+        let refused = [
+            ("origin", "http://evil.example"),
+            ("origin", "https://127.0.0.1:7780"),
+            ("origin", "http://127.0.0.1:7781"),
+            ("origin", "null"),
+        ];
+        for origin in refused {
+            assert_eq!(post(&[OWN, origin]), Err(Refusal::Origin), "{origin:?}");
+        }
+        // A name that a site has pointed at this machine.
+        for host in ["evil.example:7780", "127.0.0.1", "127.0.0.1:7781", ""] {
+            let refused = post(&[("host", host), ("origin", "http://127.0.0.1:7780")]);
+            assert_eq!(refused, Err(Refusal::Host), "{host}");
+        }
+        assert_eq!(post(&[]), Err(Refusal::Host));
+        let two = [OWN, ("host", "evil.example"), ("origin", "http://127.0.0.1:7780")];
+        assert_eq!(post(&two), Err(Refusal::Host));
+    }
+
+    #[test]
+    fn behind_a_proxy_its_url_counts_too() {
+        let gate = gate(Some("https://farm.example.org/resins/"));
+        let from = |host, origin| {
+            gate.admit(&request(
+                "POST",
+                "/farm.v1.Farm/Status",
+                &[COOKIE, ("host", host), ("origin", origin)],
+            ))
+        };
+        from("farm.example.org", "https://farm.example.org").unwrap();
+        from("127.0.0.1:7780", "https://farm.example.org").unwrap();
+        assert_eq!(from("farm.example.org", "http://farm.example.org"), Err(Refusal::Origin));
+        assert_eq!(from("farm.example.com", "https://farm.example.org"), Err(Refusal::Host));
+        let cookie = gate.let_in(&request("GET", "/?token=secret", &[("host", "farm.example.org")])).unwrap();
+        assert!(cookie.contains("Path=/resins/;") && cookie.ends_with("; Secure"), "{cookie}");
+    }
+}

@@ -1,0 +1,119 @@
+//! `farmctl web`: a page in the browser, for the farm that `farmctl` would talk to.
+//!
+//! One small server shows the page's files, hands its calls on to the farm (`forward`, `farm`), answers what concerns
+//! people's files itself (`desk`), and lets in who has the token (`gate`). The page's source is in `web/`.
+
+mod assets;
+mod behind;
+mod browser;
+mod captures;
+mod desk;
+mod farm;
+mod forward;
+mod gate;
+mod server;
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail};
+use serde::Serialize;
+use tokio::net::TcpListener;
+
+use crate::cli::{Global, WebArgs};
+use crate::connection::Connection;
+use crate::interrupt::interrupted;
+use crate::output::Output;
+use behind::Url;
+use captures::Captures;
+use desk::TheDesk;
+use farm::FarmAccess;
+use gate::Gate;
+use server::Server;
+
+/// Generated from `proto/desk/v1/desk.proto`.
+#[expect(clippy::pedantic, clippy::allow_attributes, clippy::large_enum_variant, reason = "generated code")]
+mod api {
+    tonic::include_proto!("desk.v1");
+}
+
+/// Where the page is if nothing else is told and nobody else is there: links to it then stay valid.
+const USUAL_PORT: u16 = 7780;
+
+#[derive(Debug, Serialize)]
+struct WebJson {
+    url: String,
+}
+
+pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Result<()> {
+    let behind = args.behind.as_deref().map(str::parse::<Url>).transpose()?;
+    if let Some(address) = args.listen.filter(|address| !address.ip().is_loopback() && behind.is_none()) {
+        bail!(
+            "--listen {address}: others could read along, since the page is served without encryption; put a proxy with \
+             TLS before it and name its URL with --behind"
+        );
+    }
+    let captures = Captures::new(args.captures)?;
+    let listener = listen(args.listen).await?;
+    let farm = Arc::new(FarmAccess::open(global).await?);
+    let port = listener.local_addr()?.port();
+    let gate =
+        Gate::new(port, behind.as_ref()).map_err(|error| anyhow::anyhow!("making a token: {error}"))?;
+    let home = match &behind {
+        Some(url) => format!("{}{}", url.origin(), url.path),
+        None => format!("http://{}/", listener.local_addr()?),
+    };
+    let url = format!("{home}?token={}", gate.token());
+    let about = about(global, &*farm.connection().await?);
+    let server = Server { gate, farm: Arc::clone(&farm), desk: Arc::new(TheDesk { about, captures }) };
+    output.print("web", &WebJson { url: url.clone() }, || {
+        format!("the page is at {url}\nwhoever has this address may do what farmctl may; Ctrl-C ends it")
+    })?;
+    let opened = if args.no_browser || behind.is_some() { None } else { browser::open(&url) };
+    let ended = farm.ended.clone();
+    let served = tokio::select! {
+        served = server.serve(listener) => served.context("serving the page"),
+        () = interrupted() => Ok(()),
+        () = ended.cancelled() => Ok(()),
+    };
+    drop(opened);
+    let closed = farm.close().await;
+    served.and(closed)
+}
+
+/// The address that was told; otherwise the usual one, or any other if that is taken.
+async fn listen(told: Option<SocketAddr>) -> Result<TcpListener> {
+    if let Some(address) = told {
+        return TcpListener::bind(address).await.with_context(|| format!("--listen {address}"));
+    }
+    let local = Ipv4Addr::LOCALHOST;
+    match TcpListener::bind((local, USUAL_PORT)).await {
+        Ok(listener) => Ok(listener),
+        Err(_) => TcpListener::bind((local, 0)).await.context("opening a port on loopback"),
+    }
+}
+
+fn about(global: &Global, connection: &Connection) -> api::AboutResponse {
+    let data = global.data.display().to_string();
+    let quoted = |text: &str| {
+        let plain = text.chars().all(|c| c.is_alphanumeric() || "-_./:".contains(c));
+        if plain { text.to_owned() } else { format!("'{}'", text.replace('\'', r"'\''")) }
+    };
+    let local = !connection.is_server();
+    let mut command = "farmctl".to_owned();
+    if local && data != "farm-data" {
+        command += &format!(" --data {}", quoted(&data));
+    }
+    if let Some(server) = global.server.as_deref().filter(|_| !local) {
+        command += &format!(" --server {}", quoted(server));
+    }
+    if let Some(access) = global.access.as_deref().filter(|_| !local) {
+        command += &format!(" --access {}", quoted(&access.display().to_string()));
+    }
+    api::AboutResponse {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        farm: if local { data } else { connection.address().to_owned() },
+        own: connection.is_embedded(),
+        command,
+    }
+}

@@ -1,0 +1,111 @@
+//! The page's routes.
+
+use std::future::ready;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::{Path, Request, State};
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, HeaderName, LOCATION, REFERRER_POLICY, SET_COOKIE,
+    X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{HeaderValue, StatusCode};
+use axum::middleware::{Next, from_fn_with_state};
+use axum::response::{Html, IntoResponse, Response};
+use axum::routing::get;
+use farm_proto::RequestLimits;
+use tokio::net::TcpListener;
+use tonic_web::GrpcWebLayer;
+use tower::Layer as _;
+
+use super::api::desk_server::DeskServer;
+use super::assets::asset;
+use super::desk::TheDesk;
+use super::farm::FarmAccess;
+use super::forward::Forward;
+use super::gate::{Gate, Refusal, token_of};
+
+/// What the page may load: its own files, and nothing that stands within it.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
+                      connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; \
+                      frame-ancestors 'self'";
+
+/// Services of the farm that people use.
+const FORWARDED: [&str; 4] = ["Dictionaries", "Fits", "Farm", "Admin"];
+
+#[derive(Debug)]
+pub(super) struct Server {
+    pub gate: Gate,
+    pub farm: Arc<FarmAccess>,
+    pub desk: Arc<TheDesk>,
+}
+
+impl Server {
+    pub async fn serve(self, listener: TcpListener) -> std::io::Result<()> {
+        axum::serve(listener, self.router()).await
+    }
+
+    fn router(self) -> Router {
+        let desk = DeskServer::from_arc(Arc::clone(&self.desk))
+            .max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
+            .max_encoding_message_size(RequestLimits::MESSAGE_BYTES);
+        let web = GrpcWebLayer::new();
+        let mut router = Router::new()
+            .route("/", get(|request: Request| ready(file("", &request))))
+            .route("/{name}", get(|Path(name): Path<String>, request: Request| ready(file(&name, &request))))
+            .route("/captures/{number}/{name}", get(capture_file))
+            .with_state(self.desk)
+            .route_service("/desk.v1.Desk/{method}", web.layer(desk));
+        for service in FORWARDED {
+            let forward = web.layer(Forward(Arc::clone(&self.farm)));
+            router = router.route_service(&format!("/farm.v1.{service}/{{method}}"), forward);
+        }
+        router.layer(from_fn_with_state(Arc::new(self.gate), guard))
+    }
+}
+
+/// Lets in who may, and says with every answer what a browser may do with it.
+async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
+    let mut response = if request.uri().path() == "/" && token_of(request.uri()).is_some() {
+        gate.let_in(&request).map_or_else(refusal, |cookie| {
+            // Without the token in the address, where people would copy it along.
+            (StatusCode::SEE_OTHER, [(LOCATION, "./".to_owned()), (SET_COOKIE, cookie)]).into_response()
+        })
+    } else {
+        match gate.admit(&request) {
+            Ok(()) => next.run(request).await,
+            Err(refused) => refusal(refused),
+        }
+    };
+    let headers = response.headers_mut();
+    let mut say = |name: HeaderName, value: &'static str| {
+        headers.entry(name).or_insert(HeaderValue::from_static(value));
+    };
+    say(CONTENT_SECURITY_POLICY, POLICY);
+    say(CACHE_CONTROL, "no-store");
+    say(X_CONTENT_TYPE_OPTIONS, "nosniff");
+    say(REFERRER_POLICY, "no-referrer");
+    say(HeaderName::from_static("cross-origin-resource-policy"), "same-origin");
+    say(HeaderName::from_static("cross-origin-opener-policy"), "same-origin");
+    response
+}
+
+fn refusal(refused: Refusal) -> Response {
+    let page = format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>farmctl web</title><h1>Not let in</h1><p>{}</p>",
+        refused.reason()
+    );
+    (refused.status(), Html(page)).into_response()
+}
+
+fn file(name: &str, request: &Request) -> Response {
+    asset(name, request.headers()).unwrap_or_else(|| StatusCode::NOT_FOUND.into_response())
+}
+
+async fn capture_file(
+    State(desk): State<Arc<TheDesk>>,
+    Path((number, name)): Path<(String, String)>,
+) -> Response {
+    let file = desk.captures.file(&number, &name).await;
+    file.unwrap_or_else(|| StatusCode::NOT_FOUND.into_response())
+}

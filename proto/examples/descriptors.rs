@@ -1,0 +1,20 @@
+//! Writes the descriptors of all services, the page's own among them, to standard output: what generators of clients
+//! begin with.
+
+use std::io::Write as _;
+
+use prost::Message as _;
+
+const FILES: [&str; 5] = [
+    "desk/v1/desk.proto",
+    "farm/v1/dictionaries.proto",
+    "farm/v1/fits.proto",
+    "farm/v1/farm.proto",
+    "farm/v1/admin.proto",
+];
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let descriptors = protox::compile(FILES, [concat!(env!("CARGO_MANIFEST_DIR"), "/proto")])?;
+    std::io::stdout().write_all(&descriptors.encode_to_vec())?;
+    Ok(())
+}

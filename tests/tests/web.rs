@@ -1,0 +1,223 @@
+//! The server of `farmctl web`: who is let in, and what reaches the farm through it.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::collections::HashMap;
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::path::Path;
+
+use farm_proto::wire;
+use farm_tests::process::{LONG, Process, SOON, farmctl, free_port, run, wait_for};
+use prost::Message;
+use wire::DictionaryState;
+
+const GRID: &str = "sigma_t_per_mm = [4, 8]\nalbedo = [0.9, 0.999]\ng = [0.0, 0.4]\nwalks = 2000\n";
+
+/// The page's server of a folder.
+struct Page {
+    folder: tempfile::TempDir,
+    process: Process,
+    host: String,
+    token: String,
+}
+
+/// Status, headers and body of an answer.
+struct Answer {
+    status: u16,
+    headers: HashMap<String, String>,
+    body: Vec<u8>,
+}
+
+impl Page {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let (process, host, token) = start(folder.path());
+        Self { folder, process, host, token }
+    }
+
+    /// A request with these headers; `host` comes first.
+    fn send(&self, host: &str, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
+        let mut stream = TcpStream::connect(&self.host).unwrap();
+        stream.set_read_timeout(Some(SOON)).unwrap();
+        // The older version of HTTP: the answer is not cut into pieces, and ends with the connection.
+        let mut request = format!("{method} {path} HTTP/1.0\r\nhost: {host}\r\n");
+        for (name, value) in headers {
+            request += &format!("{name}: {value}\r\n");
+        }
+        request += &format!("content-length: {}\r\n\r\n", body.len());
+        stream.write_all(&[request.as_bytes(), body].concat()).unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
+        let head = String::from_utf8(answer[..end].to_vec()).unwrap();
+        let (status, headers) = head.split_once("\r\n").unwrap();
+        let pair = |line: &str| line.split_once(": ").map(|(k, v)| (k.to_ascii_lowercase(), v.to_owned()));
+        Answer {
+            status: status.split(' ').nth(1).unwrap().parse().unwrap(),
+            headers: headers.lines().filter_map(pair).collect(),
+            body: answer[end + 4..].to_vec(),
+        }
+    }
+
+    fn cookie(&self) -> String {
+        let port = self.host.rsplit(':').next().unwrap();
+        format!("farm_{port}={}", self.token)
+    }
+
+    fn get(&self, path: &str) -> Answer {
+        self.send(&self.host, "GET", path, &[("cookie", &self.cookie())], b"")
+    }
+
+    /// A call as the page makes it: the answer's messages, or the status and what it says.
+    fn call<A: Message + Default>(
+        &self,
+        method: &str,
+        request: &impl Message,
+    ) -> Result<Vec<A>, (u32, String)> {
+        let (cookie, origin) = (self.cookie(), format!("http://{}", self.host));
+        let headers = [
+            ("cookie", cookie.as_str()),
+            ("origin", &origin),
+            ("content-type", "application/grpc-web+proto"),
+            ("x-grpc-web", "1"),
+        ];
+        let answer = self.send(&self.host, "POST", method, &headers, &framed(request));
+        assert_eq!(answer.status, 200, "{method}");
+        let mut messages = Vec::new();
+        let mut trailers = answer.headers;
+        let mut rest = answer.body.as_slice();
+        while let [flag, a, b, c, d, after @ ..] = rest {
+            let (frame, after) = after.split_at(u32::from_be_bytes([*a, *b, *c, *d]) as usize);
+            if flag & 0x80 == 0 {
+                messages.push(A::decode(frame).unwrap());
+            } else {
+                let text = String::from_utf8(frame.to_vec()).unwrap();
+                let pairs = text.lines().filter_map(|line| line.split_once(':'));
+                trailers.extend(pairs.map(|(k, v)| (k.to_owned(), v.trim().to_owned())));
+            }
+            rest = after;
+        }
+        match trailers["grpc-status"].parse().unwrap() {
+            0 => Ok(messages),
+            code => Err((code, trailers.get("grpc-message").cloned().unwrap_or_default())),
+        }
+    }
+
+    fn ask<A: Message + Default>(&self, method: &str, request: &impl Message) -> A {
+        let mut answers = self.call(method, request).unwrap_or_else(|e| panic!("{method}: {e:?}"));
+        assert_eq!(answers.len(), 1);
+        answers.pop().unwrap()
+    }
+}
+
+fn start(folder: &Path) -> (Process, String, String) {
+    let (log, out) = (folder.join("web.log"), folder.join("web.out"));
+    let mut command = farmctl(folder);
+    let listen = format!("127.0.0.1:{}", free_port());
+    command.args(["web", "--no-browser", "--listen", &listen]);
+    let process = Process::spawn_into("farmctl", &mut command, &log, std::fs::File::create(&out).unwrap());
+    let url = wait_for("the page's address", SOON, || {
+        let told = std::fs::read_to_string(&out).ok()?;
+        Some(told.lines().next()?.strip_prefix("the page is at http://")?.to_owned())
+    });
+    let (host, token) = url.split_once("/?token=").unwrap();
+    (process, host.to_owned(), token.to_owned())
+}
+
+fn framed(message: &impl Message) -> Vec<u8> {
+    let bytes = message.encode_to_vec();
+    let mut frame = vec![0];
+    frame.extend((bytes.len() as u32).to_be_bytes());
+    frame.extend(bytes);
+    frame
+}
+
+const STATUS: &str = "/farm.v1.Farm/Status";
+
+#[test]
+fn the_page_lets_in_who_has_its_address_and_nobody_else() {
+    let page = Page::start();
+    let own = page.host.as_str();
+    let let_in = page.send(own, "GET", &format!("/?token={}", page.token), &[], b"");
+    assert_eq!((let_in.status, let_in.headers["location"].as_str()), (303, "./"));
+    assert!(let_in.headers["set-cookie"].starts_with(&page.cookie()), "{}", let_in.headers["set-cookie"]);
+    let html = page.get("/");
+    assert_eq!(html.status, 200);
+    assert!(html.headers["content-security-policy"].starts_with("default-src 'none'; script-src 'self'"));
+    assert!(String::from_utf8(html.body).unwrap().contains("./page.js"));
+    assert_eq!(page.get("/page.js").status, 200);
+    for path in ["/nothing", "/../Cargo.toml", "/captures/0/report.html", "/farm.v1.Leases/Acquire"] {
+        assert_eq!(page.get(path).status, 404, "{path}");
+    }
+
+    let cookie = page.cookie();
+    let (cookie, kind) = (("cookie", cookie.as_str()), ("content-type", "application/grpc-web+proto"));
+    let (origin, body) = (format!("http://{own}"), framed(&wire::StatusRequest {}));
+    let post = |host: &str, headers: &[(&str, &str)]| page.send(host, "POST", STATUS, headers, &body).status;
+    assert_eq!(post(own, &[cookie, kind, ("origin", &origin)]), 200);
+    assert_eq!(post(own, &[kind, ("origin", &origin)]), 401, "no cookie");
+    assert_eq!(post(own, &[("cookie", "farm=1"), kind, ("origin", &origin)]), 401, "another cookie");
+    assert_eq!(post(own, &[cookie, kind, ("origin", "http://evil.example")]), 403, "another site");
+    assert_eq!(post(own, &[cookie, kind]), 403, "no browser leaves out where a call comes from");
+    assert_eq!(
+        post("evil.example", &[cookie, kind, ("origin", &origin)]),
+        421,
+        "another name of this machine"
+    );
+    assert_eq!(post(own, &[cookie, ("content-type", "application/json"), ("origin", &origin)]), 400);
+    assert_eq!(page.send(own, "GET", "/?token=wrong", &[], b"").status, 401);
+    // What only machines that listen elsewhere may do.
+    let refused = run(page.folder.path(), &["web", "--no-browser", "--listen", "0.0.0.0:0"]);
+    assert_eq!(refused.code, 1);
+    assert!(refused.stderr.contains("--behind"), "{}", refused.stderr);
+}
+
+#[test]
+fn from_an_empty_folder_to_a_dictionary_whose_jobs_are_watched() {
+    let mut page = Page::start();
+    let status: wire::StatusResponse = page.ask(STATUS, &wire::StatusRequest {});
+    assert_eq!(status.dictionaries, 0);
+    std::fs::write(page.folder.path().join("grid.toml"), GRID).unwrap();
+    let grid = farmctl_grid(page.folder.path());
+    let name = "grid".to_owned();
+    let submit = wire::SubmitRequest { name: name.clone(), grid: Some(grid), priority: 0 };
+    let submitted: wire::Dictionary = page.ask("/farm.v1.Dictionaries/Submit", &submit);
+    assert_eq!(submitted.jobs_total, 8);
+    // The stream ends with the dictionary.
+    let watch = wire::WatchJobsRequest { name: name.clone() };
+    let runs: Vec<wire::JobStates> = page.call("/farm.v1.Dictionaries/WatchJobs", &watch).unwrap();
+    let mut states = vec![0; 8];
+    for run in &runs {
+        states[run.first as usize..][..run.states.len()].copy_from_slice(&run.states);
+    }
+    assert_eq!(runs[0].states.len(), 8, "all states come first");
+    assert_eq!(states, [wire::JobState::Done as u8; 8]);
+    let done: wire::Dictionary = wait_for("the dictionary is done", LONG, || {
+        let got: wire::Dictionary =
+            page.ask("/farm.v1.Dictionaries/Get", &wire::GetRequest { name: name.clone() });
+        (got.state() == DictionaryState::Done).then_some(got)
+    });
+    assert_eq!(done.records_done, 16);
+    let pace: wire::PaceResponse = page.ask("/farm.v1.Farm/Pace", &wire::PaceRequest {});
+    assert_eq!(pace.periods.iter().map(|p| p.jobs).sum::<u32>(), 8);
+    // A farmctl beside it asks the same farm.
+    let listed = run(page.folder.path(), &["list", "--json"]);
+    assert!(listed.stdout.contains(&done.records_digest), "{}", listed.stdout);
+    // Errors come with the coordinator's words.
+    let missing = wire::GetRequest { name: "nothing".to_owned() };
+    let (code, message) = page.call::<wire::Dictionary>("/farm.v1.Dictionaries/Get", &missing).unwrap_err();
+    assert_eq!(code, tonic::Code::NotFound as u32);
+    assert!(message.contains("nothing"), "{message}");
+    assert_eq!(page.process.terminate(SOON), 0);
+    // Everything is on the disk.
+    let (_process, host, token) = start(page.folder.path());
+    (page.host, page.token) = (host, token);
+    let again: wire::Dictionary = page.ask("/farm.v1.Dictionaries/Get", &wire::GetRequest { name });
+    assert_eq!(again.records_digest, done.records_digest);
+}
+
+/// The grid of a file, as `farmctl submit` would send it.
+fn farmctl_grid(folder: &Path) -> wire::Grid {
+    (&farmctl::read_grid(&folder.join("grid.toml")).unwrap()).into()
+}

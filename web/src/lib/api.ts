@@ -1,0 +1,47 @@
+// The farm's services and the desk's, as gRPC-Web on this page's own server.
+import { Code, ConnectError, createClient, type Interceptor } from '@connectrpc/connect';
+import { createGrpcWebTransport } from '@connectrpc/connect-web';
+import { Desk } from '../gen/desk/v1/desk_pb';
+import { Admin } from '../gen/farm/v1/admin_pb';
+import { Dictionaries } from '../gen/farm/v1/dictionaries_pb';
+import { Farm } from '../gen/farm/v1/farm_pb';
+import { Fits } from '../gen/farm/v1/fits_pb';
+import { link } from './link.svelte';
+
+// Notes on every answer whether the farm can be reached.
+const watchLink: Interceptor = (next) => async (request) => {
+  try {
+    const answer = await next(request);
+    link.reached();
+    return answer;
+  } catch (error) {
+    const code = ConnectError.from(error).code;
+    if (code === Code.Unauthenticated && !request.signal.aborted) link.lost('token', text(error));
+    else if (code === Code.Unavailable || code === Code.Unknown) link.lost('farm', text(error));
+    else if (code !== Code.Canceled) link.reached();
+    throw error;
+  }
+};
+
+// Relative to the page, whatever path a proxy shows it at.
+const baseUrl = new URL('.', window.location.href).href.replace(/\/$/, '');
+const transport = createGrpcWebTransport({ baseUrl, interceptors: [watchLink], defaultTimeoutMs: 300_000 });
+
+export const desk = createClient(Desk, transport);
+export const admin = createClient(Admin, transport);
+export const dictionaries = createClient(Dictionaries, transport);
+export const farm = createClient(Farm, transport);
+export const fits = createClient(Fits, transport);
+
+// What an error says to people: the server's own words.
+export function text(error: unknown): string {
+  const told = ConnectError.from(error);
+  if (told.code === Code.Unavailable || told.code === Code.Unknown) {
+    return told.rawMessage && !/fetch/i.test(told.rawMessage) ? told.rawMessage : 'the server of this page does not answer';
+  }
+  return told.rawMessage || 'something went wrong';
+}
+
+export function isCancelled(error: unknown): boolean {
+  return ConnectError.from(error).code === Code.Canceled;
+}

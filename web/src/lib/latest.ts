@@ -1,0 +1,23 @@
+// One call under way, and the newest of those that were asked for meanwhile: what a slider needs.
+export function latest<Q, A>(ask: (question: Q) => Promise<A>, take: (answer: A) => void, fail: (error: unknown) => void) {
+  let busy = false;
+  let next: { question: Q } | null = null;
+  async function run(question: Q): Promise<void> {
+    busy = true;
+    try {
+      take(await ask(question));
+    } catch (error) {
+      fail(error);
+    }
+    busy = false;
+    if (next) {
+      const { question: newest } = next;
+      next = null;
+      void run(newest);
+    }
+  }
+  return (question: Q): void => {
+    if (busy) next = { question };
+    else void run(question);
+  };
+}
