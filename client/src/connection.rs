@@ -228,6 +228,11 @@ impl Connection {
         matches!(self.host, Host::Embedded(_))
     }
 
+    /// Whether the farm lived in this process and has ended by itself.
+    pub(crate) fn has_ended(&self) -> bool {
+        matches!(&self.host, Host::Embedded(embedded) if embedded.coordinator.is_finished())
+    }
+
     /// Whether the farm goes on when this process ends.
     pub(crate) fn is_server(&self) -> bool {
         matches!(self.host, Host::Server)

@@ -32,6 +32,12 @@ struct Answer {
 impl Page {
     fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
+        let session = folder.path().join("session");
+        std::fs::create_dir(&session).unwrap();
+        for name in ["report.html", "session.json"] {
+            std::fs::write(session.join(name), name).unwrap();
+        }
+        std::fs::write(folder.path().join("secret.json"), "secret").unwrap();
         let (process, host, token) = start(folder.path());
         Self { folder, process, host, token }
     }
@@ -147,7 +153,9 @@ fn the_page_lets_in_who_has_its_address_and_nobody_else() {
     assert!(html.headers["content-security-policy"].starts_with("default-src 'none'; script-src 'self'"));
     assert!(String::from_utf8(html.body).unwrap().contains("./page.js"));
     assert_eq!(page.get("/page.js").status, 200);
-    for path in ["/nothing", "/../Cargo.toml", "/captures/0/report.html", "/farm.v1.Leases/Acquire"] {
+    assert_eq!(page.get("/captures/0/report.html").body, b"report.html");
+    let beside = ["/captures/0/..%2fsecret.json", "/captures/0/../secret.json", "/captures/1/report.html"];
+    for path in beside.into_iter().chain(["/nothing", "/secret.json", "/farm.v1.Leases/Acquire"]) {
         assert_eq!(page.get(path).status, 404, "{path}");
     }
 

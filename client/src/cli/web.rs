@@ -12,8 +12,8 @@ pub struct WebArgs {
     /// Address to serve on [default: 127.0.0.1:7780, or any free port]. Anything but loopback needs --behind.
     #[arg(long, value_name = "ADDRESS")]
     pub listen: Option<SocketAddr>,
-    /// URL at which a proxy with TLS shows the page to others, as in https://farm.example.org/resins/.
-    #[arg(long, value_name = "URL")]
+    /// URL at which a proxy with TLS shows the page to others.
+    #[arg(long, value_name = "https://HOST/PATH/")]
     pub behind: Option<String>,
     /// Print the address only.
     #[arg(long)]

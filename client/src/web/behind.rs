@@ -33,11 +33,20 @@ impl FromStr for Url {
         if uri.query().is_some() || uri.path().contains([';', ',']) {
             return Err(wanted());
         }
+        // Token and cookie would go in clear text.
+        let host = authority.host();
+        if scheme == "http" && !["localhost", "127.0.0.1", "[::1]"].contains(&host) {
+            return Err(wanted());
+        }
+        let usual = if scheme == "https" { 443 } else { 80 };
+        let port = authority.port_u16().filter(|port| *port != usual);
         let mut path = uri.path().to_owned();
         if !path.ends_with('/') {
             path.push('/');
         }
-        Ok(Self { scheme: scheme.to_owned(), authority: authority.as_str().to_ascii_lowercase(), path })
+        let port = port.map_or_else(String::new, |port| format!(":{port}"));
+        let authority = format!("{}{port}", host.to_ascii_lowercase());
+        Ok(Self { scheme: scheme.to_owned(), authority, path })
     }
 }
 
@@ -50,11 +59,14 @@ mod tests {
         let url: Url = "https://Farm.example.org:8443/resins".parse().unwrap();
         assert_eq!(url.origin(), "https://farm.example.org:8443");
         assert_eq!(url.path, "/resins/");
-        assert_eq!("http://farm".parse::<Url>().unwrap().path, "/");
+        assert_eq!("https://farm".parse::<Url>().unwrap().path, "/");
+        assert_eq!("https://farm:443/".parse::<Url>().unwrap().authority, "farm");
+        assert_eq!("http://localhost:8080/".parse::<Url>().unwrap().authority, "localhost:8080");
         for bad in [
             "farm",
             "farm:80/x",
             "ftp://farm/",
+            "http://farm/",
             "https://u:p@farm/",
             "https://farm/?a=b",
             "https://farm/a;b",

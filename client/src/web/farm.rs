@@ -47,6 +47,9 @@ impl FarmAccess {
         if let Some(connection) = &*connection {
             return Ok(Arc::clone(connection));
         }
+        if self.closing.is_cancelled() {
+            return Err(ending());
+        }
         let opened = Connection::open(&self.global, Purpose::Compute).await;
         let opened = Arc::new(opened.map_err(|error| Status::unavailable(format!("{error:#}")))?);
         *connection = Some(Arc::clone(&opened));
@@ -57,10 +60,13 @@ impl FarmAccess {
     pub async fn call(&self, request: Request<Body>) -> Result<Response<Body>, Status> {
         let connection = self.connection().await?;
         let mut link = connection.link();
-        std::future::poll_fn(|context| link.poll_ready(context)).await.map_err(|_| gone(&connection))?;
+        let answer = async {
+            std::future::poll_fn(|context| link.poll_ready(context)).await?;
+            link.call(for_farm(request)).await
+        };
         let answer = tokio::select! {
-            answer = link.call(for_farm(request)) => answer,
-            () = self.closing.cancelled() => return Err(Status::unavailable("farmctl web is ending")),
+            answer = answer => answer,
+            () = self.closing.cancelled() => return Err(ending()),
         };
         match answer {
             Ok(answer) => Ok(answer),
@@ -76,7 +82,9 @@ impl FarmAccess {
     /// The farm did not answer. A server may come back under its address; others do not.
     async fn lost(&self, connection: &Arc<Connection>) {
         if connection.is_embedded() {
-            self.ended.cancel();
+            if connection.has_ended() {
+                self.ended.cancel();
+            }
         } else if !connection.is_server() {
             self.connection.lock().await.take_if(|held| Arc::ptr_eq(held, connection));
         }
@@ -110,6 +118,10 @@ fn for_farm(request: Request<Body>) -> Request<Body> {
     parts.uri = path;
     parts.extensions.clear();
     Request::from_parts(parts, body)
+}
+
+fn ending() -> Status {
+    Status::unavailable("farmctl web is ending")
 }
 
 fn gone(connection: &Connection) -> Status {

@@ -4,6 +4,8 @@
 //! address that is printed holds a token, which is exchanged for a cookie; and requests are taken only for the host that
 //! the page has (no name that a site has pointed at 127.0.0.1) and from pages of the same origin.
 
+use std::net::SocketAddr;
+
 use axum::extract::Request;
 use axum::http::header::{COOKIE, HOST, ORIGIN};
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
@@ -58,16 +60,24 @@ pub(super) struct Gate {
 }
 
 impl Gate {
-    pub fn new(port: u16, behind: Option<&Url>) -> Result<Self, getrandom::Error> {
+    pub fn new(address: SocketAddr, behind: Option<&Url>) -> Result<Self, getrandom::Error> {
         let mut random = [0; RANDOM];
         getrandom::fill(&mut random)?;
         let token = random.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self::with_token(token, port, behind))
+        Ok(Self::with_token(token, address, behind))
     }
 
-    fn with_token(token: String, port: u16, behind: Option<&Url>) -> Self {
-        let mut hosts: Vec<String> =
-            ["127.0.0.1", "localhost", "[::1]"].iter().map(|host| format!("{host}:{port}")).collect();
+    fn with_token(token: String, address: SocketAddr, behind: Option<&Url>) -> Self {
+        let port = address.port();
+        let names = ["127.0.0.1", "localhost", "[::1]"];
+        let mut hosts: Vec<String> = names.iter().map(|host| format!("{host}:{port}")).collect();
+        if !address.ip().is_unspecified() {
+            hosts.push(address.to_string());
+        }
+        // Browsers leave out the port that is usual.
+        if port == 80 {
+            hosts.extend(names.map(str::to_owned));
+        }
         let mut origins: Vec<String> = hosts.iter().map(|host| format!("http://{host}")).collect();
         let mut path = "/".to_owned();
         if let Some(url) = behind {
@@ -143,7 +153,7 @@ mod tests {
 
     fn gate(behind: Option<&str>) -> Gate {
         let behind = behind.map(|url| url.parse().unwrap());
-        Gate::with_token("secret".to_owned(), 7780, behind.as_ref())
+        Gate::with_token("secret".to_owned(), ([127, 0, 0, 1], 7780).into(), behind.as_ref())
     }
 
     fn request(method: &str, uri: &str, headers: &[(&str, &str)]) -> Request {
@@ -211,6 +221,10 @@ mod tests {
         from("127.0.0.1:7780", "https://farm.example.org").unwrap();
         assert_eq!(from("farm.example.org", "http://farm.example.org"), Err(Refusal::Origin));
         assert_eq!(from("farm.example.com", "https://farm.example.org"), Err(Refusal::Host));
+        let elsewhere = Gate::with_token("secret".to_owned(), ([127, 0, 0, 2], 80).into(), None);
+        for host in ["127.0.0.2:80", "localhost", "127.0.0.1:80"] {
+            elsewhere.admit(&request("GET", "/", &[("host", host), ("cookie", "farm_80=secret")])).unwrap();
+        }
         let cookie = gate.let_in(&request("GET", "/?token=secret", &[("host", "farm.example.org")])).unwrap();
         assert!(cookie.contains("Path=/resins/;") && cookie.ends_with("; Secure"), "{cookie}");
     }

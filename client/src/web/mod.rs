@@ -56,9 +56,8 @@ pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Resu
     let captures = Captures::new(args.captures)?;
     let listener = listen(args.listen).await?;
     let farm = Arc::new(FarmAccess::open(global).await?);
-    let port = listener.local_addr()?.port();
-    let gate =
-        Gate::new(port, behind.as_ref()).map_err(|error| anyhow::anyhow!("making a token: {error}"))?;
+    let gate = Gate::new(listener.local_addr()?, behind.as_ref())
+        .map_err(|error| anyhow::anyhow!("making a token: {error}"))?;
     let home = match &behind {
         Some(url) => format!("{}{}", url.origin(), url.path),
         None => format!("http://{}/", listener.local_addr()?),
