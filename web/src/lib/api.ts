@@ -10,15 +10,21 @@ import { link } from './link.svelte';
 
 // Notes on every answer whether the farm can be reached.
 const watchLink: Interceptor = (next) => async (request) => {
+  const of = request.service.typeName.startsWith('farm.') ? 'farm' : 'page';
   try {
     const answer = await next(request);
-    link.reached();
+    link.reached(of);
     return answer;
   } catch (error) {
-    const code = ConnectError.from(error).code;
-    if (code === Code.Unauthenticated && !request.signal.aborted) link.lost('token', text(error));
-    else if (code === Code.Unavailable || code === Code.Unknown) link.lost('farm', text(error));
-    else if (code !== Code.Canceled) link.reached();
+    const { code, metadata, rawMessage } = ConnectError.from(error);
+    // The page's server refuses with a status of HTTP alone, the farm with words.
+    const refused = code === Code.Unauthenticated && /^HTTP/.test(rawMessage);
+    const silent = code === Code.Unknown || (code === Code.Unavailable && !metadata.has('grpc-status') && /^HTTP|fetch/i.test(rawMessage));
+    if (request.signal.aborted || code === Code.Canceled) throw error;
+    if (refused) link.lost('page', 'open the address that farmctl web has printed');
+    else if (silent) link.lost('page', 'the server of this page does not answer');
+    else if (code === Code.Unavailable) link.lost('farm', text(error));
+    else link.reached(of);
     throw error;
   }
 };
@@ -44,4 +50,11 @@ export function text(error: unknown): string {
 
 export function isCancelled(error: unknown): boolean {
   return ConnectError.from(error).code === Code.Canceled;
+}
+
+// Whether the same call may succeed later.
+export function passes(error: unknown): boolean {
+  return [Code.Unavailable, Code.Unknown, Code.DeadlineExceeded, Code.ResourceExhausted, Code.Aborted].includes(
+    ConnectError.from(error).code,
+  );
 }

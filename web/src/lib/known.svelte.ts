@@ -1,7 +1,8 @@
 // The farm's dictionaries, and what was measured last: shared by the places.
 import type { Measurement } from '../gen/farm/v1/model_pb';
 import { DictionaryState, type Dictionary } from '../gen/farm/v1/dictionaries_pb';
-import type { MeasureResponse } from '../gen/farm/v1/fits_pb';
+import type { MessageInitShape } from '@bufbuild/protobuf';
+import type { FitOptionsSchema, MeasureResponse } from '../gen/farm/v1/fits_pb';
 import type { Note, TellResponse } from '../gen/desk/v1/desk_pb';
 import { dictionaries } from './api';
 
@@ -27,7 +28,17 @@ export async function listDictionaries(): Promise<Dictionary[]> {
   return all;
 }
 
-export type Answer = { found: MeasureResponse; told: TellResponse; colors: Map<string, [number, number, number]> };
+export type Options = Exclude<MessageInitShape<typeof FitOptionsSchema>, { $unknown?: unknown }>;
+
+// An answer, and what it was asked with: the choices on the page may be others by now.
+export type Answer = {
+  found: MeasureResponse;
+  told: TellResponse;
+  colors: Map<string, [number, number, number]>;
+  dictionary: string;
+  options: Options;
+  line: string;
+};
 
 class Measured {
   name = $state('');

@@ -1,15 +1,18 @@
-// Whether the farm can be reached, for the banner on top.
-type Trouble = { kind: 'farm' | 'token'; why: string };
+// Whether the farm and this page's own server can be reached, for the banner on top.
+type Kind = 'farm' | 'page';
 
 class Link {
-  trouble = $state<Trouble | null>(null);
+  // What does not answer, and why.
+  farm = $state<string | null>(null);
+  page = $state<string | null>(null);
 
-  reached(): void {
-    if (this.trouble) this.trouble = null;
+  reached(what: Kind): void {
+    this.page = null;
+    if (what === 'farm') this.farm = null;
   }
 
-  lost(kind: Trouble['kind'], why: string): void {
-    this.trouble = { kind, why };
+  lost(what: Kind, why: string): void {
+    this[what] = why;
   }
 }
 

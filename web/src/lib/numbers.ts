@@ -41,3 +41,8 @@ export function duration(seconds: number): string {
 export function quoted(text: string): string {
   return /^[\p{L}\p{N}_./:@=+-]+$/u.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
+
+// A share of the work, rounded down: nothing is called done that is not.
+export function percent(share: number): string {
+  return `${Math.floor(1000 * share) / 10} %`;
+}
