@@ -76,29 +76,29 @@ mod tests {
         }
     }
 
+    /// 38 values of σ_t, 11 of g and 2 thicknesses: two jobs share a cell.
     #[test]
-    fn each_job_of_the_papers_grid_has_its_cell() {
-        let grid = Grid::paper();
-        let mut cells = Cells::new(&grid);
-        let g = grid.g().len();
-        set(&mut cells, &[0, g], JobState::Done);
-        set(&mut cells, &[1], JobState::Computing);
-        set(&mut cells, &[2], JobState::Failed);
-        set(&mut cells, &[3], JobState::Checked);
+    fn the_papers_grid_has_a_column_for_each_extinction_and_a_row_for_each_anisotropy() {
+        let mut cells = Cells::new(&Grid::paper());
+        set(&mut cells, &[0, 1, 22, 23], JobState::Done);
+        set(&mut cells, &[2], JobState::Computing);
+        set(&mut cells, &[4], JobState::Failed);
+        set(&mut cells, &[6], JobState::Checked);
         let lines = cells.lines(80);
-        assert_eq!((lines.len(), lines[0].chars().count()), (11, 76));
+        assert_eq!((lines.len(), lines[0].chars().count()), (11, 38));
         let start = |line: usize| lines[line].chars().take(3).collect::<String>();
-        assert_eq!([start(0), start(1), start(2), start(3)], ["██·", "+··", "×··", "█··"]);
+        assert_eq!([start(0), start(1), start(2), start(3)], ["██·", "+··", "×··", "▒··"]);
     }
 
     #[test]
-    fn jobs_share_a_cell_where_there_is_no_room() {
+    fn more_jobs_share_a_cell_where_there_is_no_room() {
         let mut cells = Cells::new(&Grid::paper());
-        cells.set(0, &[JobState::Done; 11]);
-        cells.set(11, &[JobState::Computing]);
-        let lines = cells.lines(40);
-        assert_eq!((lines.len(), lines[0].chars().count()), (11, 38));
+        cells.set(0, &[JobState::Done; 22]);
+        cells.set(22, &[JobState::Computing]);
+        let lines = cells.lines(20);
+        assert_eq!((lines.len(), lines[0].chars().count()), (11, 19));
         assert!(lines.iter().all(|line| line.starts_with("▒·")), "{lines:#?}");
+        // What is not of the grid is left out.
         cells.set(800, &[JobState::Done; 500]);
         assert!(cells.lines(10).iter().all(|line| line.chars().count() <= 10));
         assert_eq!(cells.lines(0).len(), 11, "a terminal without a width");
