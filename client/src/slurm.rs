@@ -8,7 +8,8 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use farm_link::walltime::{Walltime, span_text};
-use quote::{sbatch_quoted, shell_quoted};
+use quote::sbatch_quoted;
+pub(crate) use quote::shell_quoted;
 
 /// What a worker needs after its grace to deliver finished records and hand the other leases back.
 const HAND_BACK: Duration = Duration::from_secs(15);

@@ -24,6 +24,7 @@ use crate::cli::{Global, WebArgs};
 use crate::connection::Connection;
 use crate::interrupt::interrupted;
 use crate::output::Output;
+use crate::slurm::shell_quoted;
 use behind::Url;
 use captures::Captures;
 use desk::TheDesk;
@@ -94,20 +95,16 @@ async fn listen(told: Option<SocketAddr>) -> Result<TcpListener> {
 
 fn about(global: &Global, connection: &Connection) -> api::AboutResponse {
     let data = global.data.display().to_string();
-    let quoted = |text: &str| {
-        let plain = text.chars().all(|c| c.is_alphanumeric() || "-_./:".contains(c));
-        if plain { text.to_owned() } else { format!("'{}'", text.replace('\'', r"'\''")) }
-    };
     let local = !connection.is_server();
     let mut command = "farmctl".to_owned();
     if local && data != "farm-data" {
-        command += &format!(" --data {}", quoted(&data));
+        command += &format!(" --data {}", shell_quoted(&data));
     }
     if let Some(server) = global.server.as_deref().filter(|_| !local) {
-        command += &format!(" --server {}", quoted(server));
+        command += &format!(" --server {}", shell_quoted(server));
     }
     if let Some(access) = global.access.as_deref().filter(|_| !local) {
-        command += &format!(" --access {}", quoted(&access.display().to_string()));
+        command += &format!(" --access {}", shell_quoted(&access.display().to_string()));
     }
     api::AboutResponse {
         version: env!("CARGO_PKG_VERSION").to_owned(),
