@@ -8,6 +8,7 @@ pub mod dng;
 pub mod farm;
 pub mod grids;
 pub mod hand;
+pub mod page;
 pub mod photograph;
 pub mod process;
 pub mod proxy;

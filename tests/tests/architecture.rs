@@ -41,7 +41,7 @@ fn dependencies(krate: &str) -> Vec<String> {
 }
 
 /// What every crate may use of the project.
-const ARROWS: [(&str, &[&str]); 10] = [
+const ARROWS: [(&str, &[&str]); 11] = [
     ("optics/model", &[]),
     ("optics/tracer", &["optics-model"]),
     ("optics/fit", &["optics-model"]),
@@ -78,6 +78,7 @@ const ARROWS: [(&str, &[&str]); 10] = [
             "farmctl",
         ],
     ),
+    ("tests/browser", &["optics-model", "farm-tests"]),
 ];
 
 #[test]

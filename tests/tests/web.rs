@@ -8,18 +8,17 @@ use std::net::TcpStream;
 use std::path::Path;
 
 use farm_proto::wire;
-use farm_tests::process::{LONG, Process, SOON, farmctl, free_port, run, wait_for};
+use farm_tests::page::Page;
+use farm_tests::process::{LONG, SOON, run, wait_for};
 use prost::Message;
 use wire::DictionaryState;
 
 const GRID: &str = "sigma_t_per_mm = [4, 8]\nalbedo = [0.9, 0.999]\ng = [0.0, 0.4]\nwalks = 2000\n";
 
 /// The page's server of a folder.
-struct Page {
+struct Desk {
     folder: tempfile::TempDir,
-    process: Process,
-    host: String,
-    token: String,
+    page: Page,
 }
 
 /// Status, headers and body of an answer.
@@ -29,7 +28,7 @@ struct Answer {
     body: Vec<u8>,
 }
 
-impl Page {
+impl Desk {
     fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let session = folder.path().join("session");
@@ -38,13 +37,25 @@ impl Page {
             std::fs::write(session.join(name), name).unwrap();
         }
         std::fs::write(folder.path().join("secret.json"), "secret").unwrap();
-        let (process, host, token) = start(folder.path());
-        Self { folder, process, host, token }
+        let page = Page::start(folder.path(), &[]);
+        Self { folder, page }
+    }
+
+    /// A request for something in the page's folder.
+    fn send(&self, host: &str, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
+        self.send_outside(host, method, &format!("{}{path}", self.page.folder), headers, body)
     }
 
     /// A request with these headers; `host` comes first.
-    fn send(&self, host: &str, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
-        let mut stream = TcpStream::connect(&self.host).unwrap();
+    fn send_outside(
+        &self,
+        host: &str,
+        method: &str,
+        path: &str,
+        headers: &[(&str, &str)],
+        body: &[u8],
+    ) -> Answer {
+        let mut stream = TcpStream::connect(&self.page.host).unwrap();
         stream.set_read_timeout(Some(SOON)).unwrap();
         // The older version of HTTP: the answer is not cut into pieces, and ends with the connection.
         let mut request = format!("{method} {path} HTTP/1.0\r\nhost: {host}\r\n");
@@ -67,12 +78,11 @@ impl Page {
     }
 
     fn cookie(&self) -> String {
-        let port = self.host.rsplit(':').next().unwrap();
-        format!("farm_{port}={}", self.token)
+        format!("farm={}", self.page.token)
     }
 
     fn get(&self, path: &str) -> Answer {
-        self.send(&self.host, "GET", path, &[("cookie", &self.cookie())], b"")
+        self.send(&self.page.host, "GET", path, &[("cookie", &self.cookie())], b"")
     }
 
     /// A call as the page makes it: the answer's messages, or the status and what it says.
@@ -81,14 +91,14 @@ impl Page {
         method: &str,
         request: &impl Message,
     ) -> Result<Vec<A>, (u32, String)> {
-        let (cookie, origin) = (self.cookie(), format!("http://{}", self.host));
+        let (cookie, origin) = (self.cookie(), format!("http://{}", self.page.host));
         let headers = [
             ("cookie", cookie.as_str()),
             ("origin", &origin),
             ("content-type", "application/grpc-web+proto"),
             ("x-grpc-web", "1"),
         ];
-        let answer = self.send(&self.host, "POST", method, &headers, &framed(request));
+        let answer = self.send(&self.page.host, "POST", method, &headers, &framed(request));
         assert_eq!(answer.status, 200, "{method}");
         let mut messages = Vec::new();
         let mut trailers = answer.headers;
@@ -117,20 +127,6 @@ impl Page {
     }
 }
 
-fn start(folder: &Path) -> (Process, String, String) {
-    let (log, out) = (folder.join("web.log"), folder.join("web.out"));
-    let mut command = farmctl(folder);
-    let listen = format!("127.0.0.1:{}", free_port());
-    command.args(["web", "--no-browser", "--listen", &listen]);
-    let process = Process::spawn_into("farmctl", &mut command, &log, std::fs::File::create(&out).unwrap());
-    let url = wait_for("the page's address", SOON, || {
-        let told = std::fs::read_to_string(&out).ok()?;
-        Some(told.lines().next()?.strip_prefix("the page is at http://")?.to_owned())
-    });
-    let (host, token) = url.split_once("/?token=").unwrap();
-    (process, host.to_owned(), token.to_owned())
-}
-
 fn framed(message: &impl Message) -> Vec<u8> {
     let bytes = message.encode_to_vec();
     let mut frame = vec![0];
@@ -139,30 +135,30 @@ fn framed(message: &impl Message) -> Vec<u8> {
     frame
 }
 
-const STATUS: &str = "/farm.v1.Farm/Status";
+const STATUS: &str = "farm.v1.Farm/Status";
 
 #[test]
 fn the_page_lets_in_who_has_its_address_and_nobody_else() {
-    let page = Page::start();
-    let own = page.host.as_str();
-    let let_in = page.send(own, "GET", &format!("/?token={}", page.token), &[], b"");
+    let desk = Desk::start();
+    let own = desk.page.host.as_str();
+    let let_in = desk.send(own, "GET", &format!("?token={}", desk.page.token), &[], b"");
     assert_eq!((let_in.status, let_in.headers["location"].as_str()), (303, "./"));
-    assert!(let_in.headers["set-cookie"].starts_with(&page.cookie()), "{}", let_in.headers["set-cookie"]);
-    let html = page.get("/");
+    assert!(let_in.headers["set-cookie"].starts_with(&desk.cookie()), "{}", let_in.headers["set-cookie"]);
+    let html = desk.get("");
     assert_eq!(html.status, 200);
     assert!(html.headers["content-security-policy"].starts_with("default-src 'none'; script-src 'self'"));
     assert!(String::from_utf8(html.body).unwrap().contains("./page.js"));
-    assert_eq!(page.get("/page.js").status, 200);
-    assert_eq!(page.get("/captures/0/report.html").body, b"report.html");
-    let beside = ["/captures/0/..%2fsecret.json", "/captures/0/../secret.json", "/captures/1/report.html"];
-    for path in beside.into_iter().chain(["/nothing", "/secret.json", "/farm.v1.Leases/Acquire"]) {
-        assert_eq!(page.get(path).status, 404, "{path}");
+    assert_eq!(desk.get("page.js").status, 200);
+    assert_eq!(desk.get("captures/0/report.html").body, b"report.html");
+    let beside = ["captures/0/..%2fsecret.json", "captures/0/../secret.json", "captures/1/report.html"];
+    for path in beside.into_iter().chain(["nothing", "secret.json", "farm.v1.Leases/Acquire"]) {
+        assert_eq!(desk.get(path).status, 404, "{path}");
     }
 
-    let cookie = page.cookie();
+    let cookie = desk.cookie();
     let (cookie, kind) = (("cookie", cookie.as_str()), ("content-type", "application/grpc-web+proto"));
     let (origin, body) = (format!("http://{own}"), framed(&wire::StatusRequest {}));
-    let post = |host: &str, headers: &[(&str, &str)]| page.send(host, "POST", STATUS, headers, &body).status;
+    let post = |host: &str, headers: &[(&str, &str)]| desk.send(host, "POST", STATUS, headers, &body).status;
     assert_eq!(post(own, &[cookie, kind, ("origin", &origin)]), 200);
     assert_eq!(post(own, &[kind, ("origin", &origin)]), 401, "no cookie");
     assert_eq!(post(own, &[("cookie", "farm=1"), kind, ("origin", &origin)]), 401, "another cookie");
@@ -174,27 +170,32 @@ fn the_page_lets_in_who_has_its_address_and_nobody_else() {
         "another name of this machine"
     );
     assert_eq!(post(own, &[cookie, ("content-type", "application/json"), ("origin", &origin)]), 400);
-    assert_eq!(page.send(own, "GET", "/?token=wrong", &[], b"").status, 401);
+    assert_eq!(desk.send(own, "GET", "?token=wrong", &[], b"").status, 401);
+    // What is not below the page's folder is nobody's.
+    let cookies = [cookie];
+    for path in ["/", "/page.js", "/folder/", &format!("/{STATUS}"), desk.page.folder.trim_end_matches('/')] {
+        assert_eq!(desk.send_outside(own, "GET", path, &cookies, b"").status, 401, "{path}");
+    }
     // What only machines that listen elsewhere may do.
-    let refused = run(page.folder.path(), &["web", "--no-browser", "--listen", "0.0.0.0:0"]);
+    let refused = run(desk.folder.path(), &["web", "--no-browser", "--listen", "0.0.0.0:0"]);
     assert_eq!(refused.code, 1);
     assert!(refused.stderr.contains("--behind"), "{}", refused.stderr);
 }
 
 #[test]
 fn from_an_empty_folder_to_a_dictionary_whose_jobs_are_watched() {
-    let mut page = Page::start();
-    let status: wire::StatusResponse = page.ask(STATUS, &wire::StatusRequest {});
+    let mut desk = Desk::start();
+    let status: wire::StatusResponse = desk.ask(STATUS, &wire::StatusRequest {});
     assert_eq!(status.dictionaries, 0);
-    std::fs::write(page.folder.path().join("grid.toml"), GRID).unwrap();
-    let grid = farmctl_grid(page.folder.path());
+    std::fs::write(desk.folder.path().join("grid.toml"), GRID).unwrap();
+    let grid = farmctl_grid(desk.folder.path());
     let name = "grid".to_owned();
     let submit = wire::SubmitRequest { name: name.clone(), grid: Some(grid), priority: 0 };
-    let submitted: wire::Dictionary = page.ask("/farm.v1.Dictionaries/Submit", &submit);
+    let submitted: wire::Dictionary = desk.ask("farm.v1.Dictionaries/Submit", &submit);
     assert_eq!(submitted.jobs_total, 8);
     // The stream ends with the dictionary.
     let watch = wire::WatchJobsRequest { name: name.clone() };
-    let runs: Vec<wire::JobStates> = page.call("/farm.v1.Dictionaries/WatchJobs", &watch).unwrap();
+    let runs: Vec<wire::JobStates> = desk.call("farm.v1.Dictionaries/WatchJobs", &watch).unwrap();
     let mut states = vec![0; 8];
     for run in &runs {
         states[run.first as usize..][..run.states.len()].copy_from_slice(&run.states);
@@ -203,25 +204,24 @@ fn from_an_empty_folder_to_a_dictionary_whose_jobs_are_watched() {
     assert_eq!(states, [wire::JobState::Done as u8; 8]);
     let done: wire::Dictionary = wait_for("the dictionary is done", LONG, || {
         let got: wire::Dictionary =
-            page.ask("/farm.v1.Dictionaries/Get", &wire::GetRequest { name: name.clone() });
+            desk.ask("farm.v1.Dictionaries/Get", &wire::GetRequest { name: name.clone() });
         (got.state() == DictionaryState::Done).then_some(got)
     });
     assert_eq!(done.records_done, 16);
-    let pace: wire::PaceResponse = page.ask("/farm.v1.Farm/Pace", &wire::PaceRequest {});
+    let pace: wire::PaceResponse = desk.ask("farm.v1.Farm/Pace", &wire::PaceRequest {});
     assert_eq!(pace.periods.iter().map(|p| p.jobs).sum::<u32>(), 8);
     // A farmctl beside it asks the same farm.
-    let listed = run(page.folder.path(), &["list", "--json"]);
+    let listed = run(desk.folder.path(), &["list", "--json"]);
     assert!(listed.stdout.contains(&done.records_digest), "{}", listed.stdout);
     // Errors come with the coordinator's words.
     let missing = wire::GetRequest { name: "nothing".to_owned() };
-    let (code, message) = page.call::<wire::Dictionary>("/farm.v1.Dictionaries/Get", &missing).unwrap_err();
+    let (code, message) = desk.call::<wire::Dictionary>("farm.v1.Dictionaries/Get", &missing).unwrap_err();
     assert_eq!(code, tonic::Code::NotFound as u32);
     assert!(message.contains("nothing"), "{message}");
-    assert_eq!(page.process.terminate(SOON), 0);
+    assert_eq!(desk.page.process.terminate(SOON), 0);
     // Everything is on the disk.
-    let (_process, host, token) = start(page.folder.path());
-    (page.host, page.token) = (host, token);
-    let again: wire::Dictionary = page.ask("/farm.v1.Dictionaries/Get", &wire::GetRequest { name });
+    desk.page = Page::start(desk.folder.path(), &[]);
+    let again: wire::Dictionary = desk.ask("farm.v1.Dictionaries/Get", &wire::GetRequest { name });
     assert_eq!(again.records_digest, done.records_digest);
 }
 

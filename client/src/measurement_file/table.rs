@@ -22,6 +22,9 @@ pub(super) struct Table<'a> {
 
 impl<'a> Table<'a> {
     pub fn open(text: &'a str, notes: &mut Vec<Note>) -> Result<Self> {
+        if text.trim().is_empty() {
+            bail!("the file is empty");
+        }
         let (body, before, told) = header_of(text);
         let (separator, header) = match told {
             Some(separator) => (separator, first_row(body, separator)?),

@@ -2,19 +2,24 @@
 //!
 //! Other users of the machine can reach a port on loopback, and so can every web site in the user's browser. So the
 //! address that is printed holds a token, which is exchanged for a cookie; and requests are taken only for the host that
-//! the page has (no name that a site has pointed at 127.0.0.1) and from pages of the same origin.
+//! the page has (no name that a site has pointed at 127.0.0.1) and from pages of the same origin. Browsers send cookies
+//! to every port of a host, and another port may be another user's: so the cookie is for a folder that nobody can guess,
+//! and all that the page has is below it.
 
 use std::net::SocketAddr;
 
 use axum::extract::Request;
 use axum::http::header::{COOKIE, HOST, ORIGIN};
+use axum::http::uri::PathAndQuery;
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
 use subtle::ConstantTimeEq;
 
 use super::behind::Url;
 
-/// Bytes of randomness in a token.
-const RANDOM: usize = 24;
+/// Bytes of randomness in a token, and in the name of the page's folder.
+const TOKEN: usize = 24;
+const FOLDER: usize = 9;
+const COOKIE_NAME: &str = "farm";
 
 /// Why a request is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,8 +52,8 @@ impl Refusal {
 #[derive(Debug)]
 pub(super) struct Gate {
     token: String,
-    /// Cookies do not tell ports apart, so their names must.
-    cookie: String,
+    /// The folder below which the page is: begins and ends with a slash.
+    folder: String,
     /// Hosts that requests may be for, with their ports.
     hosts: Vec<String>,
     /// Pages that requests may come from.
@@ -61,13 +66,14 @@ pub(super) struct Gate {
 
 impl Gate {
     pub fn new(address: SocketAddr, behind: Option<&Url>) -> Result<Self, getrandom::Error> {
-        let mut random = [0; RANDOM];
+        let mut random = [0; TOKEN + FOLDER];
         getrandom::fill(&mut random)?;
-        let token = random.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self::with_token(token, address, behind))
+        let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+        let (token, folder) = random.split_at(TOKEN);
+        Ok(Self::with_token(hex(token), &hex(folder), address, behind))
     }
 
-    fn with_token(token: String, address: SocketAddr, behind: Option<&Url>) -> Self {
+    fn with_token(token: String, folder: &str, address: SocketAddr, behind: Option<&Url>) -> Self {
         let port = address.port();
         let names = ["127.0.0.1", "localhost", "[::1]"];
         let mut hosts: Vec<String> = names.iter().map(|host| format!("{host}:{port}")).collect();
@@ -79,18 +85,26 @@ impl Gate {
             hosts.extend(names.map(str::to_owned));
         }
         let mut origins: Vec<String> = hosts.iter().map(|host| format!("http://{host}")).collect();
-        let mut path = "/".to_owned();
+        let folder = format!("/{folder}/");
+        let mut path = folder.clone();
         if let Some(url) = behind {
             hosts.push(url.authority.clone());
             origins.push(url.origin());
-            path.clone_from(&url.path);
+            path = format!("{}{}", url.path, &folder[1..]);
         }
         let secure = behind.is_some_and(|url| url.scheme == "https");
-        Self { token, cookie: format!("farm_{port}"), hosts, origins, path, secure }
+        Self { token, folder, hosts, origins, path, secure }
     }
 
-    pub fn token(&self) -> &str {
-        &self.token
+    /// Path and query of the address that lets a browser in.
+    pub fn entrance(&self) -> String {
+        format!("{}?token={}", self.path, self.token)
+    }
+
+    /// The same address within the page's folder; none outside it.
+    pub fn within(&self, uri: &Uri) -> Option<Uri> {
+        let below = uri.path_and_query()?.as_str().strip_prefix(&self.folder)?;
+        Some(format!("/{below}").parse::<PathAndQuery>().ok()?.into())
     }
 
     /// Whether a request is one from the page, by somebody who was let in.
@@ -98,7 +112,7 @@ impl Gate {
         self.is_for_us(request)?;
         let cookies = request.headers().get_all(COOKIE).iter().filter_map(|v| v.to_str().ok());
         let mut cookies = cookies.flat_map(|v| v.split(';')).filter_map(|v| v.trim().split_once('='));
-        let known = cookies.any(|(name, value)| name == self.cookie && self.is_token(value));
+        let known = cookies.any(|(name, value)| name == COOKIE_NAME && self.is_token(value));
         if known { Ok(()) } else { Err(Refusal::Token) }
     }
 
@@ -110,7 +124,7 @@ impl Gate {
         }
         let secure = if self.secure { "; Secure" } else { "" };
         // Links from elsewhere lead to the page and change nothing; all that does comes from the page.
-        Ok(format!("{}={}; Path={}; HttpOnly; SameSite=Lax{secure}", self.cookie, self.token, self.path))
+        Ok(format!("{COOKIE_NAME}={}; Path={}; HttpOnly; SameSite=Lax{secure}", self.token, self.path))
     }
 
     fn is_for_us(&self, request: &Request) -> Result<(), Refusal> {
@@ -153,7 +167,7 @@ mod tests {
 
     fn gate(behind: Option<&str>) -> Gate {
         let behind = behind.map(|url| url.parse().unwrap());
-        Gate::with_token("secret".to_owned(), ([127, 0, 0, 1], 7780).into(), behind.as_ref())
+        Gate::with_token("secret".to_owned(), "folder", ([127, 0, 0, 1], 7780).into(), behind.as_ref())
     }
 
     fn request(method: &str, uri: &str, headers: &[(&str, &str)]) -> Request {
@@ -162,21 +176,38 @@ mod tests {
     }
 
     const OWN: (&str, &str) = ("host", "127.0.0.1:7780");
-    const COOKIE: (&str, &str) = ("cookie", "a=b; farm_7780=secret");
+    const COOKIE: (&str, &str) = ("cookie", "a=b; farm=secret");
 
     #[test]
     fn the_token_is_exchanged_for_a_cookie() {
         let gate = gate(None);
         let cookie = gate.let_in(&request("GET", "/?token=secret", &[OWN])).unwrap();
-        assert_eq!(cookie, "farm_7780=secret; Path=/; HttpOnly; SameSite=Lax");
+        assert_eq!(cookie, "farm=secret; Path=/folder/; HttpOnly; SameSite=Lax");
         for uri in ["/?token=wrong", "/?token=", "/", "/?token=secre", "/?tokens=secret"] {
             assert_eq!(gate.let_in(&request("GET", uri, &[OWN])), Err(Refusal::Token), "{uri}");
         }
         gate.admit(&request("GET", "/page.js", &[OWN, COOKIE])).unwrap();
-        for cookie in ["", "farm_7780=wrong", "farm_7781=secret", "farm_7780"] {
+        for cookie in ["", "farm=wrong", "farms=secret", "farm"] {
             let refused = gate.admit(&request("GET", "/", &[OWN, ("cookie", cookie)]));
             assert_eq!(refused, Err(Refusal::Token), "{cookie}");
         }
+    }
+
+    #[test]
+    fn the_page_is_below_a_folder_that_nobody_can_guess() {
+        let within = |uri: &str| gate(None).within(&uri.parse().unwrap()).map(|uri| uri.to_string());
+        assert_eq!(within("/folder/").unwrap(), "/");
+        assert_eq!(within("/folder/?token=secret").unwrap(), "/?token=secret");
+        assert_eq!(within("/folder/page.js").unwrap(), "/page.js");
+        assert_eq!(within("/folder//page.js").unwrap(), "//page.js");
+        for outside in ["/", "/folder", "/folders/", "/page.js", "//folder/", "/Folder/", "*"] {
+            assert_eq!(within(outside), None, "{outside}");
+        }
+        assert_eq!(gate(None).entrance(), "/folder/?token=secret");
+        assert_eq!(gate(Some("https://farm/resins")).entrance(), "/resins/folder/?token=secret");
+        let (one, other) = ([127, 0, 0, 1], 7780);
+        let new = || Gate::new((one, other).into(), None).unwrap().entrance();
+        assert_ne!(new(), new());
     }
 
     #[test]
@@ -221,11 +252,11 @@ mod tests {
         from("127.0.0.1:7780", "https://farm.example.org").unwrap();
         assert_eq!(from("farm.example.org", "http://farm.example.org"), Err(Refusal::Origin));
         assert_eq!(from("farm.example.com", "https://farm.example.org"), Err(Refusal::Host));
-        let elsewhere = Gate::with_token("secret".to_owned(), ([127, 0, 0, 2], 80).into(), None);
+        let elsewhere = Gate::with_token("secret".to_owned(), "folder", ([127, 0, 0, 2], 80).into(), None);
         for host in ["127.0.0.2:80", "localhost", "127.0.0.1:80"] {
-            elsewhere.admit(&request("GET", "/", &[("host", host), ("cookie", "farm_80=secret")])).unwrap();
+            elsewhere.admit(&request("GET", "/", &[("host", host), ("cookie", "farm=secret")])).unwrap();
         }
         let cookie = gate.let_in(&request("GET", "/?token=secret", &[("host", "farm.example.org")])).unwrap();
-        assert!(cookie.contains("Path=/resins/;") && cookie.ends_with("; Secure"), "{cookie}");
+        assert!(cookie.contains("Path=/resins/folder/;") && cookie.ends_with("; Secure"), "{cookie}");
     }
 }

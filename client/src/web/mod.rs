@@ -59,13 +59,14 @@ pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Resu
     let farm = Arc::new(FarmAccess::open(global).await?);
     let gate = Gate::new(listener.local_addr()?, behind.as_ref())
         .map_err(|error| anyhow::anyhow!("making a token: {error}"))?;
-    let home = match &behind {
-        Some(url) => format!("{}{}", url.origin(), url.path),
-        None => format!("http://{}/", listener.local_addr()?),
+    let origin = match &behind {
+        Some(url) => url.origin(),
+        None => format!("http://{}", listener.local_addr()?),
     };
-    let url = format!("{home}?token={}", gate.token());
+    let url = format!("{origin}{}", gate.entrance());
     let about = about(global, &*farm.connection().await?);
-    let server = Server { gate, farm: Arc::clone(&farm), desk: Arc::new(TheDesk { about, captures }) };
+    let server =
+        Server { gate: Arc::new(gate), farm: Arc::clone(&farm), desk: Arc::new(TheDesk { about, captures }) };
     output.print("web", &WebJson { url: url.clone() }, || {
         format!("the page is at {url}\nwhoever has this address may do what farmctl may; Ctrl-C ends it")
     })?;

@@ -3,7 +3,6 @@
 use std::future::ready;
 use std::sync::Arc;
 
-use axum::Router;
 use axum::extract::{Path, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, HeaderName, LOCATION, REFERRER_POLICY, SET_COOKIE,
@@ -13,6 +12,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::get;
+use axum::{Router, ServiceExt};
 use farm_proto::RequestLimits;
 use tokio::net::TcpListener;
 use tonic_web::GrpcWebLayer;
@@ -35,17 +35,20 @@ const FORWARDED: [&str; 4] = ["Dictionaries", "Fits", "Farm", "Admin"];
 
 #[derive(Debug)]
 pub(super) struct Server {
-    pub gate: Gate,
+    pub gate: Arc<Gate>,
     pub farm: Arc<FarmAccess>,
     pub desk: Arc<TheDesk>,
 }
 
 impl Server {
     pub async fn serve(self, listener: TcpListener) -> std::io::Result<()> {
-        axum::serve(listener, self.router()).await
+        let (gate, routes) = (Arc::clone(&self.gate), self.routes());
+        // Around all routes: what they see is the address within the page's folder.
+        let guarded = from_fn_with_state(gate, guard).layer(routes);
+        axum::serve(listener, ServiceExt::<Request>::into_make_service(guarded)).await
     }
 
-    fn router(self) -> Router {
+    fn routes(self) -> Router {
         let desk = DeskServer::from_arc(Arc::clone(&self.desk))
             .max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
             .max_encoding_message_size(RequestLimits::MESSAGE_BYTES);
@@ -60,23 +63,13 @@ impl Server {
             let forward = web.layer(Forward(Arc::clone(&self.farm)));
             router = router.route_service(&format!("/farm.v1.{service}/{{method}}"), forward);
         }
-        router.layer(from_fn_with_state(Arc::new(self.gate), guard))
+        router
     }
 }
 
 /// Lets in who may, and says with every answer what a browser may do with it.
 async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
-    let mut response = if request.uri().path() == "/" && token_of(request.uri()).is_some() {
-        gate.let_in(&request).map_or_else(refusal, |cookie| {
-            // Without the token in the address, where people would copy it along.
-            (StatusCode::SEE_OTHER, [(LOCATION, "./".to_owned()), (SET_COOKIE, cookie)]).into_response()
-        })
-    } else {
-        match gate.admit(&request) {
-            Ok(()) => next.run(request).await,
-            Err(refused) => refusal(refused),
-        }
-    };
+    let mut response = answer(&gate, request, next).await.unwrap_or_else(refusal);
     let headers = response.headers_mut();
     let mut say = |name: HeaderName, value: &'static str| {
         headers.entry(name).or_insert(HeaderValue::from_static(value));
@@ -88,6 +81,19 @@ async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> R
     say(HeaderName::from_static("cross-origin-resource-policy"), "same-origin");
     say(HeaderName::from_static("cross-origin-opener-policy"), "same-origin");
     response
+}
+
+async fn answer(gate: &Gate, mut request: Request, next: Next) -> Result<Response, Refusal> {
+    *request.uri_mut() = gate.within(request.uri()).ok_or(Refusal::Token)?;
+    if request.uri().path() == "/" && token_of(request.uri()).is_some() {
+        let cookie = gate.let_in(&request)?;
+        // Without the token in the address, where people would copy it along.
+        return Ok(
+            (StatusCode::SEE_OTHER, [(LOCATION, "./".to_owned()), (SET_COOKIE, cookie)]).into_response()
+        );
+    }
+    gate.admit(&request)?;
+    Ok(next.run(request).await)
 }
 
 fn refusal(refused: Refusal) -> Response {

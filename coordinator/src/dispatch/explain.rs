@@ -94,8 +94,12 @@ impl Dispatcher {
             let text = format!("all {registered} workers are draining or fenced off: start others");
             reasons.push(reason("NO_WORKERS", text));
         } else if self.workers.active().all(|(_, w)| self.is_silent(now, w)) {
-            let text =
-                format!("none of {active} workers has been heard of for {} s", self.settings.lease.as_secs());
+            let whose = if active == 1 {
+                "the one worker has not".to_owned()
+            } else {
+                format!("none of {active} workers has")
+            };
+            let text = format!("{whose} been heard of for {} s", self.settings.lease.as_secs());
             reasons.push(reason("WORKERS_SILENT", text));
         }
         if paused > 0 {

@@ -154,7 +154,8 @@ impl Dispatcher {
                 self.free(token);
             }
         } else {
-            let message = format!("{} threads, version {}", about.threads, about.version);
+            let s = if about.threads == 1 { "" } else { "s" };
+            let message = format!("{} thread{s}, version {}", about.threads, about.version);
             self.outbox.events.push(Event::of_worker(EventKind::WorkerJoined, about.label.clone(), message));
         }
         self.workers.machines.met(origin, about.machine.clone(), &about.label);

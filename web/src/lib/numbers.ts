@@ -18,6 +18,11 @@ export function grouped(value: number | bigint): string {
   return value.toString().replace(/\B(?=(\d{3})+(?!\d))/g, ',');
 }
 
+// "1 job", "2,000 jobs".
+export function counted(value: number | bigint, what: string): string {
+  return `${grouped(value)} ${what}${Number(value) === 1 ? '' : 's'}`;
+}
+
 export function bytes(value: number): string {
   const units = ['B', 'kB', 'MB', 'GB', 'TB'];
   let unit = 0;

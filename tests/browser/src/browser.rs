@@ -1,0 +1,201 @@
+//! A browser without a window, driven as a user would: Chromium by its driver.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use thirtyfour::prelude::*;
+use thirtyfour::{ChromeCapabilities, ChromiumLikeCapabilities};
+use tokio::time::{Instant, sleep};
+
+use farm_tests::process::{Process, SOON, free_port};
+
+/// Pause before another look at the page.
+const LOOK: Duration = Duration::from_millis(30);
+/// A host that leads to this machine, as names do that a hostile site has pointed at it.
+pub const OTHER_NAME: &str = "other.example";
+
+/// A browser with a profile of its own.
+#[derive(Debug)]
+pub struct Browser {
+    pub driver: WebDriver,
+    folder: tempfile::TempDir,
+    _process: Process,
+}
+
+/// Whether there is a browser to try pages in.
+pub fn is_there() -> bool {
+    let there = ["chromium", "chromedriver"]
+        .iter()
+        .all(|program| Command::new(program).arg("--version").output().is_ok_and(|ran| ran.status.success()));
+    if !there {
+        eprintln!("SKIPPED: chromium and chromedriver are not installed (Debian: chromium, chromium-driver)");
+    }
+    there
+}
+
+impl Browser {
+    /// Starts one.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub async fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("downloads")).unwrap();
+        let port = free_port();
+        let mut command = Command::new("chromedriver");
+        command.arg(format!("--port={port}")).env("HOME", folder.path());
+        let process = Process::spawn("chromedriver", &mut command, &folder.path().join("chromedriver.log"));
+        let deadline = Instant::now() + SOON;
+        let driver = loop {
+            match WebDriver::new(format!("http://127.0.0.1:{port}"), wishes(folder.path())).await {
+                Ok(driver) => break driver,
+                Err(error) if Instant::now() > deadline => panic!("no browser: {error}"),
+                Err(_) => sleep(LOOK).await,
+            }
+        };
+        let browser = Self { driver, folder, _process: process };
+        browser.size(1280, 900).await;
+        browser
+    }
+
+    /// Ends it in good order; otherwise it is ended when dropped.
+    pub async fn end(self) {
+        self.driver.clone().quit().await.unwrap();
+    }
+
+    /// Goes to an address.
+    pub async fn open(&self, url: &str) {
+        self.driver.goto(url).await.unwrap();
+    }
+
+    /// What a script returns: its body, with `arguments`.
+    pub async fn script(&self, script: &str, arguments: Vec<Value>) -> Value {
+        let returned = self.driver.execute(script, arguments).await;
+        returned.unwrap_or_else(|e| panic!("{script}: {e}")).json().clone()
+    }
+
+    /// A command to the browser itself.
+    pub async fn order(&self, method: &str, parameters: Value) -> Value {
+        self.driver.cdp().send_raw(method, parameters).await.unwrap()
+    }
+
+    /// Waits until a look at the page finds something.
+    ///
+    /// # Panics
+    /// If it does not in time; the page is shown then.
+    pub async fn wait<T>(
+        &self,
+        what: &str,
+        limit: Duration,
+        mut look: impl AsyncFnMut(&Self) -> Option<T>,
+    ) -> T {
+        let deadline = Instant::now() + limit;
+        loop {
+            if let Some(found) = look(self).await {
+                return found;
+            }
+            if Instant::now() > deadline {
+                let shown = self.shown().await;
+                panic!("waited {limit:?} in vain: {what}\n--- the page shows:\n{shown}");
+            }
+            sleep(LOOK).await;
+        }
+    }
+
+    /// The text that can be seen.
+    pub async fn shown(&self) -> String {
+        self.script("return document.body?.innerText ?? ''", vec![])
+            .await
+            .as_str()
+            .unwrap_or_default()
+            .to_owned()
+    }
+
+    /// Waits until the page shows this text.
+    pub async fn shows(&self, text: &str) {
+        self.shows_within(text, SOON).await;
+    }
+
+    pub async fn shows_within(&self, text: &str, limit: Duration) {
+        self.wait(text, limit, async |page| page.shown().await.contains(text).then_some(())).await;
+    }
+
+    /// Waits for an element that can be seen.
+    pub async fn element(&self, by: By) -> WebElement {
+        self.wait(&format!("{by:?}"), SOON, async |page| {
+            let found = page.driver.find(by.clone()).await.ok()?;
+            found.is_displayed().await.unwrap_or(false).then_some(found)
+        })
+        .await
+    }
+
+    pub async fn css(&self, selector: &str) -> WebElement {
+        self.element(By::Css(selector)).await
+    }
+
+    /// Presses a button, once it can be.
+    pub async fn press(&self, name: &str) {
+        let by = By::XPath(format!("//button[normalize-space()=\"{name}\"]"));
+        self.wait(&format!("a button {name:?}"), SOON, async |page| {
+            let button = page.driver.find(by.clone()).await.ok()?;
+            if !button.is_enabled().await.unwrap_or(false) {
+                return None;
+            }
+            button.click().await.ok()
+        })
+        .await;
+    }
+
+    /// Chooses a file in the n-th field for files that can be seen.
+    pub async fn choose_file(&self, selector: &str, file: &Path) {
+        self.css(selector).await.send_keys(file.to_str().unwrap()).await.unwrap();
+    }
+
+    /// The visible part of the page, in its pixels.
+    pub async fn size(&self, width: u32, height: u32) {
+        let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+        self.order("Emulation.setDeviceMetricsOverride", size).await;
+    }
+
+    /// Whether the user wants the page dark.
+    pub async fn dark(&self, dark: bool) {
+        let value = if dark { "dark" } else { "light" };
+        let wish = json!({ "features": [{ "name": "prefers-color-scheme", "value": value }] });
+        self.order("Emulation.setEmulatedMedia", wish).await;
+    }
+
+    /// Errors that the page has left on the browser's console since the last look.
+    pub async fn complaints(&self) -> Vec<String> {
+        let log = self.driver.browser_log().await.unwrap();
+        let severe =
+            log.into_iter().filter(|entry| format!("{:?}", entry.level).eq_ignore_ascii_case("severe"));
+        severe.map(|entry| entry.message).collect()
+    }
+
+    /// Waits for a file that the page lets the user save.
+    pub async fn saved(&self, name: &str) -> PathBuf {
+        let file = self.folder.path().join("downloads").join(name);
+        self.wait(&format!("{name} is saved"), SOON, async |_| file.exists().then_some(())).await;
+        file
+    }
+}
+
+fn wishes(folder: &Path) -> ChromeCapabilities {
+    let mut wishes = DesiredCapabilities::chrome();
+    let profile = format!("--user-data-dir={}", folder.join("profile").display());
+    let names = format!("--host-resolver-rules=MAP {OTHER_NAME} 127.0.0.1");
+    // Users of containers are root, whom the sandbox of the browser does not take.
+    for option in
+        ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", &profile, &names]
+    {
+        wishes.add_arg(option).unwrap();
+    }
+    let downloads = folder.join("downloads").display().to_string();
+    let preferences =
+        json!({ "download.default_directory": downloads, "download.prompt_for_download": false });
+    wishes.add_experimental_option("prefs", preferences).unwrap();
+    wishes.set("goog:loggingPrefs", json!({ "browser": "ALL" })).unwrap();
+    wishes
+}

@@ -1,0 +1,112 @@
+//! The page for people who use the keyboard alone, or a screen reader.
+
+use farm_browser_tests::browser::{self, Browser};
+use farm_tests::page::Page;
+use farm_tests::process::{LONG, SOON};
+use farm_tests::reference::root;
+use serde_json::Value;
+use thirtyfour::prelude::*;
+
+use super::{folder_with_dictionary, go_to, let_in, measure_the_example};
+
+/// Presses of the tab key after which everything on a place was reached.
+const MOST_TABS: usize = 120;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn axe_finds_nothing_in_any_place_light_or_dark() {
+    if !browser::is_there() {
+        return;
+    }
+    let axe = root().join("web/node_modules/axe-core/axe.min.js");
+    let Ok(axe) = std::fs::read_to_string(&axe) else {
+        eprintln!("SKIPPED: {} is not there; `npm --prefix web ci` installs it", axe.display());
+        return;
+    };
+    let folder = folder_with_dictionary();
+    let page = Page::start(folder.path(), &[]);
+    let browser = let_in(&page).await;
+    measure_the_example(&browser).await;
+    for place in ["Measure", "Dictionary", "Farm", "Capture"] {
+        go_to(&browser, place).await;
+        browser
+            .wait("the place is drawn", SOON, async |browser| {
+                browser.shown().await.lines().count().gt(&8).then_some(())
+            })
+            .await;
+        for dark in [false, true] {
+            browser.dark(dark).await;
+            assert_eq!(violations(&browser, &axe).await, "", "{place}, dark: {dark}");
+        }
+    }
+    browser.end().await;
+}
+
+/// What axe has against the page as it is: rule, and the elements.
+async fn violations(browser: &Browser, axe: &str) -> String {
+    let script = format!(
+        "{axe}; const done = arguments[0]; axe.run(document, {{ iframes: false }}).then((found) => \
+         done(found.violations.map((v) => `${{v.impact}} ${{v.id}}: ${{v.nodes.map((n) => n.target).join(' ')}}`).join('\\n')))"
+    );
+    let found = browser.driver.execute_async(&script, vec![]).await.unwrap();
+    found.json().as_str().unwrap_or("axe said nothing").to_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_keyboard_alone_gets_through_measure() {
+    if !browser::is_there() {
+        return;
+    }
+    let folder = folder_with_dictionary();
+    let page = Page::start(folder.path(), &[]);
+    let browser = let_in(&page).await;
+    browser.shows("Measurement (CSV)").await;
+    tab_to(&browser, "Skip to the content").await;
+    press(&browser, Key::Enter).await;
+    tab_to(&browser, "Try the example").await;
+    press(&browser, Key::Enter).await;
+    browser.shows("white (R, G, B at 0.5, 1 mm)").await;
+    tab_to(&browser, "Measure").await;
+    press(&browser, Key::Enter).await;
+    browser.shows_within("Intervals of 95 %", LONG).await;
+    tab_to(&browser, "Save media and table").await;
+    press(&browser, Key::Enter).await;
+    browser.saved("media.zip").await;
+    browser.css("section[aria-label=Explore] canvas.cells").await;
+    // The crosshair of the map moves by its sliders.
+    for (slider, parameter) in
+        [("σ_t [1/mm]", "sigma_t="), ("α", "albedo="), ("weight of gradients", "lambda=")]
+    {
+        tab_to(&browser, slider).await;
+        press(&browser, Key::Right).await;
+        let url = browser.driver.current_url().await.unwrap();
+        assert!(url.fragment().is_some_and(|state| state.contains(parameter)), "{slider}: {url}");
+    }
+    tab_to(&browser, "Back to the best").await;
+    press(&browser, Key::Enter).await;
+    browser.end().await;
+}
+
+/// Presses the tab key until what has the focus is called so, and checks that the focus can be seen.
+async fn tab_to(browser: &Browser, name: &str) {
+    let mut passed = Vec::new();
+    for _ in 0..MOST_TABS {
+        press(browser, Key::Tab).await;
+        let told = browser.script(FOCUSED, vec![]).await;
+        if told["name"].as_str().unwrap().starts_with(name) {
+            assert_eq!(told["seen"], Value::Bool(true), "{name}: the focus cannot be seen");
+            return;
+        }
+        passed.push(told["name"].as_str().unwrap().lines().next().unwrap_or_default().to_owned());
+    }
+    panic!("the tab key does not lead to {name:?}, but to {passed:?}");
+}
+
+const FOCUSED: &str = "const e = document.activeElement; const style = getComputedStyle(e); \
+     const box = e.getBoundingClientRect(); \
+     const name = (e.labels?.[0]?.innerText ?? e.getAttribute('aria-label') ?? e.innerText ?? '').trim(); \
+     const seen = style.outlineStyle !== 'none' && box.bottom > 0 && box.top < innerHeight && box.right > 0; \
+     return { name, seen }";
+
+async fn press(browser: &Browser, key: Key) {
+    browser.driver.action_chain().send_keys(key).perform().await.unwrap();
+}

@@ -1,0 +1,145 @@
+//! Who gets in and how: links, proxies, and those who have no business here.
+
+use std::sync::{Arc, Mutex};
+
+use axum::Router;
+use axum::extract::Request;
+use axum::response::Html;
+use farm_browser_tests::browser::{self, Browser, OTHER_NAME};
+use farm_browser_tests::reverse_proxy::ReverseProxy;
+use farm_tests::page::Page;
+use farm_tests::process::free_port;
+use serde_json::{Value, json};
+use thirtyfour::By;
+use tokio::net::TcpListener;
+
+use super::{folder_with_dictionary, go_to, let_in, measure_the_example};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_deep_link_opened_cold_shows_what_it_was_taken_from() {
+    if !browser::is_there() {
+        return;
+    }
+    let folder = folder_with_dictionary();
+    let page = Page::start(folder.path(), &[]);
+    let browser = let_in(&page).await;
+    let link = format!(
+        "{}#/dictionary?name=coarse&sigma_t=8.5&albedo=0.9993&g=0.45&thickness=1&channel=B",
+        page.home
+    );
+    // From elsewhere, into a page that has nothing in memory.
+    browser.open("about:blank").await;
+    browser.open(&link).await;
+    browser.shows("between records").await;
+    let line = browser.css("section[aria-label=Profile] code").await.text().await.unwrap();
+    assert_eq!(
+        line,
+        "farmctl profile --sigma-t 8.5 --albedo 0.9993 --g 0.45 --thickness 1 --channel B --plot profile.svg"
+    );
+    // What nonsense in a link asks for is brought into bounds.
+    browser.open("about:blank").await;
+    browser
+        .open(&format!("{}#/dictionary?sigma_t=1e9&albedo=x&g=-7&thickness=&channel=%3Cb%3E", page.home))
+        .await;
+    browser.shows("± ").await;
+    let line = browser.css("section[aria-label=Profile] code").await.text().await.unwrap();
+    assert!(
+        line.contains("--sigma-t 28 ") && line.contains("--g 0.2 ") && line.contains("--channel R "),
+        "{line}"
+    );
+    assert_eq!(browser.complaints().await, Vec::<String>::new());
+    browser.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn behind_a_proxy_with_a_prefix_everything_works_the_same() {
+    if !browser::is_there() {
+        return;
+    }
+    let folder = folder_with_dictionary();
+    let listen = format!("127.0.0.1:{}", free_port());
+    let proxy = ReverseProxy::start(&listen, "user/ada/resins").await;
+    let behind = format!("http://{}/user/ada/resins/", proxy.address);
+    let page = Page::start_at(folder.path(), &listen, &["--behind", &behind]);
+    assert!(page.home.starts_with(&behind), "{}", page.home);
+    let browser = let_in(&page).await;
+    measure_the_example(&browser).await;
+    go_to(&browser, "Farm").await;
+    // The stream of states passes too.
+    browser.shows("36 done").await;
+    assert_eq!(browser.complaints().await, Vec::<String>::new());
+    browser.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_the_token_or_from_other_sites_nobody_gets_in() {
+    if !browser::is_there() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let page = Page::start(folder.path(), &[]);
+    let browser = Browser::start().await;
+    for address in [
+        page.home.clone(),
+        format!("{}?token=wrong", page.home),
+        format!("http://{}/", page.host),
+        page.url().replace("127.0.0.1", OTHER_NAME),
+    ] {
+        browser.open(&address).await;
+        browser.shows("Not let in").await;
+    }
+    browser.complaints().await;
+    browser.open(&page.url()).await;
+    browser.shows("Measurement (CSV)").await;
+
+    // Another user's server on this machine, which the same browser visits.
+    let heard: Arc<Mutex<Vec<String>>> = Arc::default();
+    let other = listen_elsewhere(Arc::clone(&heard)).await;
+    browser.open(&format!("http://127.0.0.1:{other}/")).await;
+    browser.element(By::Id("other")).await;
+    let heard = heard.lock().unwrap().clone();
+    assert!(!heard.is_empty() && heard.iter().all(|cookie| !cookie.contains(&page.token)), "{heard:?}");
+    for (how, credentials) in [("cors", "include"), ("no-cors", "include"), ("cors", "omit")] {
+        let told = asked_from_elsewhere(&browser, &page, how, credentials).await;
+        assert!(told == "refused" || told == "opaque 0", "{how}, {credentials}: {told}");
+    }
+    // Nothing was done, and the page itself still may.
+    browser.open(&format!("{}#/farm", page.home)).await;
+    browser.shows("There is none yet").await;
+    // Nor can another site show it in a frame.
+    browser.open(&format!("http://127.0.0.1:{other}/")).await;
+    let framed = format!(
+        "const [done] = arguments; const frame = document.createElement('iframe'); frame.src = {}; \
+         frame.onload = () => done('loaded'); document.body.append(frame);",
+        json!(page.home)
+    );
+    browser.driver.execute_async(&framed, vec![]).await.unwrap();
+    browser.driver.enter_frame(0).await.unwrap();
+    let within = browser.shown().await;
+    assert!(!within.contains("Measurement"), "{within}");
+    browser.end().await;
+}
+
+/// A site on another port of this machine, which notes the cookies that it is sent.
+async fn listen_elsewhere(heard: Arc<Mutex<Vec<String>>>) -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let routes = Router::new().fallback(move |request: Request| {
+        let cookies = request.headers().get("cookie").map(|value| value.to_str().unwrap().to_owned());
+        heard.lock().unwrap().push(cookies.unwrap_or_default());
+        async { Html("<!doctype html><title>other</title><p id=other>another site</p>") }
+    });
+    tokio::spawn(async move { axum::serve(listener, routes).await });
+    port
+}
+
+/// What a script of another site hears when it tries to submit.
+async fn asked_from_elsewhere(browser: &Browser, page: &Page, mode: &str, credentials: &str) -> Value {
+    let script = "const [url, mode, credentials, done] = arguments; \
+                  fetch(url, { method: 'POST', mode, credentials, body: new Uint8Array(5), \
+                  headers: mode === 'cors' ? { 'content-type': 'application/grpc-web+proto' } : {} }) \
+                  .then((r) => done(`${r.type} ${r.status}`), () => done('refused'));";
+    let url = format!("{}farm.v1.Admin/Drain", page.home);
+    let arguments = vec![json!(url), json!(mode), json!(credentials)];
+    browser.driver.execute_async(script, arguments).await.unwrap().json().clone()
+}

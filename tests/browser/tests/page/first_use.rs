@@ -1,0 +1,103 @@
+//! From an empty folder to media, in the page alone.
+
+use farm_browser_tests::browser::{self, Browser};
+use farm_tests::page::Page;
+use farm_tests::process::{LONG, SOON, run};
+use serde_json::Value;
+use thirtyfour::By;
+
+use super::{go_to, let_in, measure_the_example, write_grid};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_grid_is_computed_the_example_measured_and_media_saved() {
+    if !browser::is_there() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write_grid(folder.path());
+    let mut page = Page::start(folder.path(), &[]);
+    let browser = let_in(&page).await;
+    browser.press("Try the example").await;
+    browser.shows("There is no finished dictionary").await;
+    browser.element(By::LinkText("Compute one")).await.click().await.unwrap();
+    browser.shows("There is none yet").await;
+    browser.shows("34,276 records in 836 jobs").await;
+    browser.choose_file("input[type=file]", &folder.path().join("coarse.toml")).await;
+    browser.shows("180 records in 36 jobs").await;
+    browser.press("Compute").await;
+    fills(&browser).await;
+    browser.shows_within("coarse: done, 100 % of the work", LONG).await;
+
+    measure_the_example(&browser).await;
+    let line = browser.css("section[aria-label=Measurement] code").await.text().await.unwrap();
+    assert_eq!(line, "farmctl measure white.csv --output media");
+    browser.press("Save media and table").await;
+    // Names of files stand in an archive as they are.
+    let media = std::fs::read(browser.saved("media.zip").await).unwrap();
+    for name in ["table.csv", "media.py", "media.xml", "media.pbrt"] {
+        assert!(
+            media.windows(name.len()).any(|bytes| bytes == name.as_bytes()),
+            "{name} is not in media.zip"
+        );
+    }
+    follows_the_crosshair(&browser).await;
+    browser.press("Figures (PNG)").await;
+    browser.saved("white.png").await;
+    same_numbers_as_the_command(&browser, folder.path()).await;
+
+    go_to(&browser, "Dictionary").await;
+    browser.shows("± ").await;
+    browser.press("Keep to compare").await;
+    browser.press("Drop 1 kept").await;
+    browser.press("Figure (SVG)").await;
+    assert_eq!(browser.complaints().await, Vec::<String>::new());
+    // An open page does not keep the server from ending.
+    go_to(&browser, "Farm").await;
+    assert_eq!(page.process.terminate(SOON), 0);
+    browser.shows("This page is cut off").await;
+    browser.end().await;
+}
+
+/// The cells of the jobs are told, and more and more are done.
+async fn fills(browser: &Browser) {
+    let done = browser
+        .wait("cells", SOON, async |browser| {
+            let cells = browser.driver.find(By::Css("[aria-label^='States of']")).await.ok()?;
+            let told = cells.attr("aria-label").await.ok()??;
+            let (_, done) = told.strip_prefix("States of 36 jobs: ")?.split_once("computing; ")?;
+            done.split(' ').next()?.parse::<u32>().ok().filter(|done| *done > 0)
+        })
+        .await;
+    assert!(done <= 36);
+}
+
+/// A press on the map moves the crosshair there, and the address holds it.
+async fn follows_the_crosshair(browser: &Browser) {
+    let map = browser.css("section[aria-label=Explore] .holder").await;
+    map.scroll_into_view().await.unwrap();
+    browser.driver.action_chain().move_to_element_with_offset(&map, 30, 20).click().perform().await.unwrap();
+    let url = browser.driver.current_url().await.unwrap();
+    let place = url.fragment().unwrap();
+    assert!(
+        place.starts_with("/measure?") && place.contains("sigma_t=") && place.contains("albedo="),
+        "{url}"
+    );
+}
+
+/// What the page's table tells is what `farmctl measure` prints of the same file.
+async fn same_numbers_as_the_command(browser: &Browser, folder: &std::path::Path) {
+    let shown = browser.css("section[aria-label=Media] table").await.text().await.unwrap();
+    let white = farm_tests::reference::root().join("examples/white.csv");
+    let ran = run(folder, &["measure", white.to_str().unwrap(), "--json"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let told: Value = serde_json::from_str(&ran.stdout).unwrap();
+    for channel in told["data"]["materials"][0]["channels"].as_array().unwrap() {
+        let sigma_t = channel["refined"]["sigma_t_per_mm"].as_f64().unwrap();
+        let numbers = shown
+            .split(|c: char| c.is_whitespace() || "()".contains(c))
+            .filter_map(|n| n.parse::<f64>().ok());
+        // The page rounds.
+        let there = numbers.into_iter().any(|number| (number / sigma_t - 1.0).abs() < 0.006);
+        assert!(there, "{sigma_t} is not in the page's table:\n{shown}");
+    }
+}

@@ -1,0 +1,86 @@
+//! Each place in the sizes and colours that people have, whole and with nothing cut off.
+
+use std::path::PathBuf;
+
+use farm_browser_tests::browser::{self, Browser};
+use farm_tests::page::Page;
+use farm_tests::process::{LONG, SOON, run};
+use farm_tests::reference::root;
+use serde_json::json;
+
+use super::{go_to, let_in, measure_the_example, write_grid};
+
+const WIDE: u32 = 1280;
+const NARROW: u32 = 390;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nothing_is_cut_off_on_a_desk_or_a_phone_by_day_or_by_night() {
+    if !browser::is_there() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write_grid(folder.path());
+    let grid = if pictures().is_some() { "paper" } else { "coarse.toml" };
+    let submit: &[&str] = if grid == "paper" { &["submit", "-q"] } else { &["submit", grid, "-q"] };
+    let submitted = run(folder.path(), submit);
+    assert_eq!(submitted.code, 0, "{}", submitted.stderr);
+    let session = root().join("examples/session/session.toml");
+    let captured = run(folder.path(), &["capture", session.to_str().unwrap(), "-o", "session"]);
+    assert_eq!(captured.code, 0, "{}", captured.stderr);
+    let page = Page::start(folder.path(), &[]);
+    let browser = let_in(&page).await;
+    for (dark, width) in [(false, WIDE), (true, NARROW)] {
+        browser.dark(dark).await;
+        browser.size(width, 900).await;
+        measure_the_example(&browser).await;
+        look(&browser, "measure", dark, width).await;
+        go_to(&browser, "Dictionary").await;
+        browser.shows("± ").await;
+        browser.press("Keep to compare").await;
+        look(&browser, "dictionary", dark, width).await;
+        go_to(&browser, "Farm").await;
+        browser.shows_within("0 waiting", LONG).await;
+        look(&browser, "farm", dark, width).await;
+        go_to(&browser, "Capture").await;
+        browser.css("iframe").await;
+        look(&browser, "capture", dark, width).await;
+    }
+    assert_eq!(browser.complaints().await, Vec::<String>::new());
+    browser.end().await;
+}
+
+/// The folder for pictures, if they are wanted.
+fn pictures() -> Option<PathBuf> {
+    std::env::var_os("FARM_TEST_PICTURES").map(Into::into)
+}
+
+/// Checks that nothing is wider than the page and that it has the colours that are wanted; takes its picture.
+async fn look(browser: &Browser, place: &str, dark: bool, width: u32) {
+    let measured = browser.script(MEASURE, vec![]).await;
+    assert_eq!(measured["beyond"], json!([]), "{place} at {width} pixels");
+    assert_eq!(measured["width"], measured["room"], "{place}: it must be scrolled sideways");
+    let light = measured["light"].as_f64().unwrap();
+    assert!(if dark { light < 60.0 } else { light > 200.0 }, "{place}: a background of {light}");
+    let height = measured["height"].as_u64().unwrap().clamp(900, 2600);
+    let Some(folder) = pictures() else { return };
+    std::fs::create_dir_all(&folder).unwrap();
+    browser.size(width, height as u32).await;
+    browser
+        .wait("it is drawn again", SOON, async |browser| {
+            (browser.script("return innerHeight", vec![]).await == height).then_some(())
+        })
+        .await;
+    tokio::time::sleep(std::time::Duration::from_millis(400)).await;
+    let name = format!("{place}-{}.png", if dark { "phone-dark" } else { "desk" });
+    browser.driver.screenshot(&folder.join(name)).await.unwrap();
+    browser.size(width, 900).await;
+}
+
+/// Elements that stand beyond the page's right side without being within something that can be scrolled.
+const MEASURE: &str = "const within = (e) => { for (let p = e; p; p = p.parentElement) { \
+       if (['auto', 'scroll', 'hidden'].includes(getComputedStyle(p).overflowX)) return true; } return false; }; \
+     const beyond = [...document.querySelectorAll('main *, header *')].filter((e) => \
+       e.getBoundingClientRect().right > document.documentElement.clientWidth + 1 && !within(e.parentElement)).map((e) => e.outerHTML.slice(0, 80)); \
+     const [r, g, b] = getComputedStyle(document.documentElement).backgroundColor.match(/\\d+/g).map(Number); \
+     return { width: document.documentElement.scrollWidth, room: document.documentElement.clientWidth, height: document.documentElement.scrollHeight, beyond, \
+       light: (r + g + b) / 3 }";

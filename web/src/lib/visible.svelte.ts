@@ -1,0 +1,10 @@
+// Whether somebody can see the page: a tab in the background needs no stream, and browsers allow six connections.
+class Visible {
+  now = $state(document.visibilityState === 'visible');
+
+  constructor() {
+    document.addEventListener('visibilitychange', () => (this.now = document.visibilityState === 'visible'));
+  }
+}
+
+export const visible = new Visible();
