@@ -18,7 +18,7 @@ pub(crate) mod map;
 pub(crate) mod measure;
 pub(crate) mod profile;
 pub(crate) mod scale;
-mod session_folder;
+pub(crate) mod session_folder;
 pub(crate) mod show;
 pub(crate) mod similar;
 pub(crate) mod simulate;

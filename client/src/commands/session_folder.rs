@@ -85,8 +85,8 @@ fn add_to_session(path: &Path, errors: &[MediumErrors]) -> Result<()> {
     write_whole(path, text.as_bytes()).with_context(place)
 }
 
-/// Named by its content, so that another session's is another dictionary.
-fn own_dictionary(folder: &Path) -> Result<(DictionaryName, Grid)> {
+/// The dictionary of a session's folder, named by its content, so that another session's is another dictionary.
+pub(crate) fn own_dictionary(folder: &Path) -> Result<(DictionaryName, Grid)> {
     let path = folder.join("grid.toml");
     let grid = read_grid(&path)?;
     let mut hasher = blake3::Hasher::new();

@@ -6,6 +6,8 @@ use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 
+use tonic::Status;
+
 use super::api::Capture;
 
 /// The files of a capture by which its folder is known.
@@ -44,10 +46,16 @@ impl Captures {
 
     pub fn list(&self) -> Vec<Capture> {
         let capture = |(number, folder): (usize, &PathBuf)| Capture {
-            folder: folder.strip_prefix(".").unwrap_or(folder).display().to_string(),
+            folder: shown(folder),
             report: format!("captures/{number}/report.html"),
         };
         self.folders.iter().enumerate().map(capture).collect()
+    }
+
+    /// A capture by the name that `list` gives it.
+    pub fn folder(&self, name: &str) -> Result<PathBuf, Status> {
+        let found = self.folders.iter().find(|folder| shown(folder) == name);
+        found.cloned().ok_or_else(|| Status::not_found(format!("capture = {name:?}: this page has no such folder")))
     }
 
     /// A file of a capture, if there is such a one.
@@ -65,6 +73,10 @@ impl Captures {
             Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
         })
     }
+}
+
+fn shown(folder: &Path) -> String {
+    folder.strip_prefix(".").unwrap_or(folder).display().to_string()
 }
 
 fn is_capture(folder: &Path) -> bool {

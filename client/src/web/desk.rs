@@ -1,6 +1,7 @@
 //! What the page asks of `farmctl web` itself: files read and written as the other verbs do.
 
 mod colors;
+mod session;
 
 use std::path::Path;
 
@@ -15,10 +16,11 @@ use super::api::desk_server::Desk;
 use super::api::figures_request::Of;
 use super::api::{
     AboutRequest, AboutResponse, ColorsRequest, ColorsResponse, FigureFormat, FiguresRequest, File, Files,
-    ListCapturesRequest, ListCapturesResponse, MediaRequest, Note, ReadGridRequest, ReadGridResponse,
-    ReadMeasurementsRequest, ReadMeasurementsResponse, Remark, TellRequest, TellResponse, ToldChannel,
-    ToldNumber,
+    ListCapturesRequest, ListCapturesResponse, MediaRequest, Note, OpenCaptureRequest, OpenCaptureResponse,
+    ReadGridRequest, ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, Remark, TellRequest,
+    TellResponse, ToldChannel, ToldNumber,
 };
+use super::api;
 use super::captures::Captures;
 use crate::answers::{self, Told, all_remarks, common_text, objective};
 use crate::cli::SetUpArgs;
@@ -55,7 +57,7 @@ impl Desk for TheDesk {
             let MeasurementFile { materials, notes } = measurement_file::read(bytes)?;
             Ok(ReadMeasurementsResponse {
                 materials: materials.iter().map(Into::into).collect(),
-                notes: notes.into_iter().map(|n| Note { code: n.code.to_owned(), text: n.text }).collect(),
+                notes: notes.into_iter().map(note).collect(),
             })
         })
         .await
@@ -87,12 +89,14 @@ impl Desk for TheDesk {
 
     async fn tell(&self, request: Request<TellRequest>) -> Result<Response<TellResponse>, Status> {
         let request = request.into_inner();
+        let folder = request.capture.as_deref().map(|folder| self.captures.folder(folder)).transpose()?;
         answer(move || {
             let found = found(request.found)?;
             let options = FitOptions::try_from(request.options.unwrap_or_default())?;
             let materials: Vec<Measurement> =
                 request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
-            let assumed = SetUp::new(&SetUpArgs::default())?.assumed(&materials).text(options.settings());
+            let set_up = folder.map_or_else(|| SetUp::new(&SetUpArgs::default()), |f| session::set_up(&f))?;
+            let assumed = set_up.assumed(&materials).text(options.settings());
             Ok(TellResponse {
                 common: common_text(&found.common),
                 channels: channels(&found),
@@ -139,6 +143,18 @@ impl Desk for TheDesk {
     ) -> Result<Response<ListCapturesResponse>, Status> {
         Ok(Response::new(ListCapturesResponse { captures: self.captures.list() }))
     }
+
+    async fn open_capture(
+        &self,
+        request: Request<OpenCaptureRequest>,
+    ) -> Result<Response<OpenCaptureResponse>, Status> {
+        let folder = self.captures.folder(&request.into_inner().folder)?;
+        answer(move || session::open(&folder)).await
+    }
+}
+
+fn note(note: measurement_file::Note) -> Note {
+    Note { code: note.code.to_owned(), text: note.text }
 }
 
 /// Work that takes long enough to keep others waiting, away from them.

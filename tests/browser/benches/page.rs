@@ -97,6 +97,7 @@ async fn measure(browser: &Browser, page: &Page) {
     println!("the example is measured and shown in {:.2} s", started.elapsed().as_secs_f64());
     browser.css("section[aria-label=Explore] canvas.cells").await;
     browser.css("section[aria-label=Explore] .u-over").await;
+    browser.pick("section[aria-label=Explore] .by select", "paper").await;
     for (slider, name, shown) in [
         ("σ_t [1/mm]", "crosshair along σ_t", ".u-wrap canvas"),
         ("α", "crosshair along α", ".u-wrap canvas"),
@@ -180,7 +181,7 @@ async fn tabs() {
         let file = farm.path(&format!("g{seed}.toml"));
         std::fs::write(&file, format!("g = [0.4]\nwalks = 1000000\nseed = {seed}\n")).unwrap();
         let name = format!("g{seed}");
-        let ran = farm.farmctl(&["submit", file.to_str().unwrap(), "--name", &name, "--no-wait"]);
+        let ran = farm.farmctl(&["submit", file.to_str().unwrap(), "--name", &name]);
         assert_eq!(ran.code, 0, "{}", ran.stderr);
     };
     let before = cpu(farm.coordinator());

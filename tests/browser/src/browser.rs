@@ -153,6 +153,16 @@ impl Browser {
         self.css(selector).await.send_keys(file.to_str().unwrap()).await.unwrap();
     }
 
+    /// Takes an option of the first choice that the selector finds.
+    pub async fn pick(&self, selector: &str, value: &str) {
+        self.css(selector).await;
+        let script = "const [selector, value] = arguments; const choice = document.querySelector(selector); \
+                      choice.value = value; choice.dispatchEvent(new Event('change', { bubbles: true })); \
+                      return choice.value";
+        let picked = self.script(script, vec![json!(selector), json!(value)]).await;
+        assert_eq!(picked, value, "{selector}");
+    }
+
     /// The visible part of the page, in its pixels.
     pub async fn size(&self, width: u32, height: u32) {
         let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });

@@ -3,7 +3,7 @@ import type { Measurement } from '../gen/farm/v1/model_pb';
 import { DictionaryState, type Dictionary } from '../gen/farm/v1/dictionaries_pb';
 import type { MessageInitShape } from '@bufbuild/protobuf';
 import type { FitOptionsSchema, MeasureResponse } from '../gen/farm/v1/fits_pb';
-import type { Note, TellResponse } from '../gen/desk/v1/desk_pb';
+import type { Note, OpenCaptureResponse, TellResponse } from '../gen/desk/v1/desk_pb';
 import { dictionaries } from './api';
 
 export const STATES: Record<DictionaryState, string> = {
@@ -41,7 +41,9 @@ export type Answer = {
 };
 
 class Measured {
+  // Of the file, or of the capture's folder.
   name = $state('');
+  capture = $state.raw<OpenCaptureResponse | null>(null);
   materials = $state.raw<Measurement[]>([]);
   notes = $state.raw<Note[]>([]);
   answer = $state.raw<Answer | null>(null);

@@ -45,7 +45,7 @@ async fn a_thousand_workers_and_a_hundred_thousand_jobs_are_shown_a_page_at_a_ti
     for hand in &mut crew[..50] {
         assert!(!hand.acquire(4).await.unwrap().is_empty());
     }
-    let page = Page::start(farm.folder(), &["--server", &farm.url()]);
+    let mut page = Page::start(farm.folder(), &["--server", &farm.url()]);
     let browser = let_in(&page).await;
     browser.open(&format!("{}#/farm", page.home)).await;
     browser.shows("1,000 workers").await;
@@ -92,5 +92,7 @@ async fn a_thousand_workers_and_a_hundred_thousand_jobs_are_shown_a_page_at_a_ti
         .unwrap();
     println!("slowest of 120 frames: {} ms", slowest.json());
     assert_eq!(browser.complaints().await, Vec::<String>::new());
+    // Streams that go on for ever do not keep the server from ending.
+    assert_eq!(page.process.terminate(SOON), 0);
     browser.end().await;
 }

@@ -1,0 +1,38 @@
+//! The folder of a capture, measured in the page as `farmctl measure FOLDER` does.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use optics_model::fit::{FitOptions, FitSettings};
+
+use super::{api::OpenCaptureResponse, note};
+use crate::cli::SetUpArgs;
+use crate::commands::session_folder::own_dictionary;
+use crate::measurement_file::{MeasurementFile, read_measurements};
+use crate::set_up::SetUp;
+
+/// What the session of a folder tells of its set-up.
+pub(super) fn set_up(folder: &Path) -> Result<SetUp> {
+    SetUp::new(&SetUpArgs { session: Some(folder.join("session.json")), ..SetUpArgs::default() })
+}
+
+pub(super) fn open(folder: &Path) -> Result<OpenCaptureResponse> {
+    let file = folder.join("measurements.csv");
+    let MeasurementFile { materials, notes } =
+        read_measurements(&file).with_context(|| format!("reading {}", file.display()))?;
+    let set_up = set_up(folder)?;
+    let materials = set_up.told_of(materials)?;
+    let known = set_up.mu_std_error();
+    let settings = FitSettings { mu_std_error: known.unwrap_or_default(), ..FitSettings::default() };
+    let options = FitOptions::new(FitSettings { curves: true, ..set_up.settings(settings) })?;
+    let (dictionary, grid) = own_dictionary(folder)?;
+    Ok(OpenCaptureResponse {
+        materials: materials.iter().map(Into::into).collect(),
+        notes: notes.into_iter().map(note).collect(),
+        options: Some((&options).into()),
+        mu_known: known.is_some(),
+        dictionary: dictionary.to_string(),
+        records: grid.record_count() as u64,
+        grid: Some((&grid).into()),
+    })
+}

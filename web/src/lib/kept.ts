@@ -1,0 +1,38 @@
+// The file that was dropped last outlives a reload of the page.
+const KEPT = 'measurement';
+const MEASURED = 'measured';
+// Longer files are not kept: browsers allow some 5 MB.
+const MOST_KEPT = 3_000_000;
+
+export type Dropped = { name: string; content: Uint8Array };
+
+export function keep(file: Dropped | null): void {
+  try {
+    sessionStorage.removeItem(KEPT);
+    sessionStorage.removeItem(MEASURED);
+    if (file && file.content.length <= MOST_KEPT) {
+      sessionStorage.setItem(KEPT, JSON.stringify({ name: file.name, content: base64(file.content) }));
+    }
+  } catch {
+    // No room: then a reload asks for the file again.
+  }
+}
+
+// Notes that the file of this name was measured.
+export function keepMeasured(name: string): void {
+  sessionStorage.setItem(MEASURED, name);
+}
+
+export function kept(): { file: Dropped; measured: boolean } | null {
+  const text = sessionStorage.getItem(KEPT);
+  if (!text) return null;
+  const { name, content } = JSON.parse(text) as { name: string; content: string };
+  const file = { name, content: Uint8Array.from(atob(content), (c) => c.charCodeAt(0)) };
+  return { file, measured: sessionStorage.getItem(MEASURED) === name };
+}
+
+function base64(content: Uint8Array): string {
+  let binary = '';
+  for (const byte of content) binary += String.fromCharCode(byte);
+  return btoa(binary);
+}
