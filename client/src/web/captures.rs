@@ -55,7 +55,9 @@ impl Captures {
     /// A capture by the name that `list` gives it.
     pub fn folder(&self, name: &str) -> Result<PathBuf, Status> {
         let found = self.folders.iter().find(|folder| shown(folder) == name);
-        found.cloned().ok_or_else(|| Status::not_found(format!("capture = {name:?}: this page has no such folder")))
+        found
+            .cloned()
+            .ok_or_else(|| Status::not_found(format!("capture = {name:?}: this page has no such folder")))
     }
 
     /// A file of a capture, if there is such a one.

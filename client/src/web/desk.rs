@@ -12,15 +12,15 @@ use optics_model::grid::NoiseLevel;
 use optics_model::{Grid, Invalid, Measurement, Scene};
 use tonic::{Request, Response, Status};
 
+use super::api;
 use super::api::desk_server::Desk;
 use super::api::figures_request::Of;
 use super::api::{
     AboutRequest, AboutResponse, ColorsRequest, ColorsResponse, FigureFormat, FiguresRequest, File, Files,
     ListCapturesRequest, ListCapturesResponse, MediaRequest, Note, OpenCaptureRequest, OpenCaptureResponse,
-    ReadGridRequest, ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, Remark, TellRequest,
-    TellResponse, ToldChannel, ToldNumber,
+    ReadGridRequest, ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, Remark,
+    TellRequest, TellResponse, ToldChannel, ToldNumber,
 };
-use super::api;
 use super::captures::Captures;
 use crate::answers::{self, Told, all_remarks, common_text, objective};
 use crate::cli::SetUpArgs;

@@ -1,7 +1,7 @@
 //! How quick the page is, and what it costs: the paper's dictionary in a browser without a window.
 //!
 //! `cargo bench -p farm-browser-tests --bench page` computes the dictionary first, or takes the one in the folder that
-//! `FARM_BENCH_FOLDER` names. Times of frames are those between two of the browser's own frames while a slider or the
+//! `FARM_BENCH_FOLDER` names; with `-- tabs` only the cost of tabs is measured. Times of frames are those between two of the browser's own frames while a slider or the
 //! crosshair moves once a frame; a frame that shows an answer of the server is one in which the picture has changed.
 
 #![expect(
@@ -31,6 +31,9 @@ const WATCHED: Duration = Duration::from_secs(20);
 async fn main() {
     if !browser::is_there() {
         return;
+    }
+    if std::env::args().any(|word| word == "tabs") {
+        return tabs().await;
     }
     let (folder, _kept) = folder();
     let page = Page::start(&folder, &[]);
@@ -205,6 +208,12 @@ async fn tabs() {
     cost(&format!("{TABS} tabs, a dictionary"), before.0);
     let web = (cpu(&page.process) - before.1) / WATCHED.as_secs_f64();
     println!("farmctl web, {TABS} tabs, a dictionary: {:.2} % of a core", 100.0 * web);
+    let mut fresh = 0;
+    for window in browsers.driver.windows().await.unwrap() {
+        browsers.driver.switch_to_window(window).await.unwrap();
+        fresh += u32::from(browsers.shown().await.contains("g2: running"));
+    }
+    println!("tabs that show the dictionary at work: {fresh} of {TABS}");
     browsers.end().await;
 }
 

@@ -73,8 +73,7 @@ async fn the_keyboard_alone_gets_through_measure() {
     browser.saved("media.zip").await;
     browser.css("section[aria-label=Explore] canvas.cells").await;
     // The crosshair of the map moves by its sliders.
-    for (slider, parameter) in
-        [("σ_t [1/mm]", "sigma_t="), ("α", "albedo="), ("scale factor μ", "scale=")]
+    for (slider, parameter) in [("σ_t [1/mm]", "sigma_t="), ("α", "albedo="), ("scale factor μ", "scale=")]
     {
         tab_to(&browser, slider).await;
         press(&browser, Key::Right).await;

@@ -86,18 +86,69 @@ async fn follows_the_crosshair(browser: &Browser) {
 
 /// What the page's table tells is what `farmctl measure` prints of the same file.
 async fn same_numbers_as_the_command(browser: &Browser, folder: &std::path::Path) {
-    let shown = browser.css("section[aria-label=Media] table").await.text().await.unwrap();
     let white = farm_tests::reference::root().join("examples/white.csv");
     let ran = run(folder, &["measure", white.to_str().unwrap(), "--json"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
-    let told: Value = serde_json::from_str(&ran.stdout).unwrap();
-    for channel in told["data"]["materials"][0]["channels"].as_array().unwrap() {
+    same_numbers(browser, &serde_json::from_str(&ran.stdout).unwrap()).await;
+}
+
+async fn same_numbers(browser: &Browser, told: &Value) {
+    let shown = browser.css("section[aria-label=Media] table").await.text().await.unwrap();
+    let separates = |c: char| c.is_whitespace() || "()".contains(c);
+    let numbers: Vec<f64> = shown.split(separates).filter_map(|number| number.parse().ok()).collect();
+    let channels = told["data"]["materials"][0]["channels"].as_array().unwrap();
+    assert_eq!(channels.len(), 3);
+    for channel in channels {
         let sigma_t = channel["refined"]["sigma_t_per_mm"].as_f64().unwrap();
-        let numbers = shown
-            .split(|c: char| c.is_whitespace() || "()".contains(c))
-            .filter_map(|n| n.parse::<f64>().ok());
         // The page rounds.
-        let there = numbers.into_iter().any(|number| (number / sigma_t - 1.0).abs() < 0.006);
+        let there = numbers.iter().any(|number| (number / sigma_t - 1.0).abs() < 0.006);
         assert!(there, "{sigma_t} is not in the page's table:\n{shown}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_capture_is_measured_with_a_dictionary_of_its_own() {
+    if !browser::is_there() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let session = farm_tests::reference::root().join("examples/session/session.toml");
+    let captured = run(folder.path(), &["capture", session.to_str().unwrap(), "-o", "session"]);
+    assert_eq!(captured.code, 0, "{}", captured.stderr);
+    // The axes of the session's grid are the paper's; a test has less time.
+    let grid = folder.path().join("session/grid.toml");
+    let axes = "sigma_t_per_mm = [5, 6, 8, 10, 14, 20, 26]\nalbedo = [0.998, 0.999, 0.9995, 0.9999]\n\
+                g = [0.2, 0.4, 0.6]\nwalks = 20000\n";
+    let text = std::fs::read_to_string(&grid).unwrap();
+    std::fs::write(&grid, format!("{axes}{text}")).unwrap();
+    let page = Page::start(folder.path(), &[]);
+    let browser = let_in(&page).await;
+    go_to(&browser, "Capture").await;
+    browser.element(By::LinkText("measure it")).await.click().await.unwrap();
+    browser.shows("white (R, G, B at 0.512, 1.006 mm)").await;
+    browser.shows("a dictionary of its own, for its board and its thicknesses: 168 records").await;
+    browser.press("Compute it").await;
+    browser
+        .wait("it can be measured", LONG, async |browser| {
+            let by =
+                By::XPath("//section[@aria-label=\"Measurement\"]//button[text()=\"Measure\"]".to_owned());
+            browser.driver.find(by).await.ok()?.is_enabled().await.ok()?.then_some(())
+        })
+        .await;
+    browser.shows("by the session's white reference").await;
+    browser.press("Measure").await;
+    browser.shows("Intervals of 95 %").await;
+    let line = browser.css("section[aria-label=Measurement] code").await.text().await.unwrap();
+    assert_eq!(line, "farmctl measure session --output media");
+    let told = run(folder.path(), &["measure", "session", "--json"]);
+    assert_eq!(told.code, 0, "{}", told.stderr);
+    same_numbers(&browser, &serde_json::from_str(&told.stdout).unwrap()).await;
+    // A link leads back to it.
+    let link = browser.driver.current_url().await.unwrap();
+    assert!(link.fragment().unwrap().contains("capture=session"), "{link}");
+    browser.open("about:blank").await;
+    browser.open(link.as_str()).await;
+    browser.shows("white (R, G, B at 0.512, 1.006 mm)").await;
+    assert_eq!(browser.complaints().await, Vec::<String>::new());
+    browser.end().await;
 }

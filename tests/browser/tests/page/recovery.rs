@@ -25,7 +25,14 @@ async fn a_killed_worker_and_a_restarted_coordinator_are_told_and_outlived() {
     go_to(&browser, "Farm").await;
     browser.shows("grid: running").await;
     browser.shows("ada").await;
-    // A second tab, on the same dictionary.
+    // More windows than a browser has connections for; all of them can be seen.
+    for _ in 0..7 {
+        let window = browser.driver.new_window().await.unwrap();
+        browser.driver.switch_to_window(window).await.unwrap();
+        browser.open(&format!("{}#/farm?name=grid", page.home)).await;
+        browser.shows("grid: running").await;
+    }
+    // A last one, which is watched, on the same dictionary.
     let first = browser.driver.window().await.unwrap();
     let second = browser.driver.new_tab().await.unwrap();
     browser.driver.switch_to_window(second.clone()).await.unwrap();
