@@ -110,11 +110,9 @@ impl Dispatcher {
         let before: Vec<_> = self.served_before(dictionary).filter(|d| d.pending() > 0).collect();
         if let (Some(next), true) = (before.first(), dictionary.pending() > 0) {
             let (count, waiting) = (before.len(), before.iter().map(|d| d.pending()).sum::<usize>());
-            let text = format!(
-                "{waiting} jobs of {count} others go first, {} with priority {}",
-                next.name(),
-                next.priority()
-            );
+            let others = if count == 1 { "another dictionary".to_owned() } else { format!("{count} others") };
+            let (name, priority) = (next.name(), next.priority());
+            let text = format!("{waiting} jobs of {others} go first, {name} with priority {priority}");
             reasons.push(reason("HIGHER_PRIORITY", text));
         }
         let held =

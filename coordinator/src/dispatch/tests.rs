@@ -3,6 +3,7 @@ mod blame;
 mod blocks;
 mod sets;
 mod shared;
+mod states;
 mod trust;
 mod votes;
 

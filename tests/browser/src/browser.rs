@@ -165,7 +165,7 @@ impl Browser {
 
     /// The visible part of the page, in its pixels.
     pub async fn size(&self, width: u32, height: u32) {
-        let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+        let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600 });
         self.order("Emulation.setDeviceMetricsOverride", size).await;
     }
 
