@@ -279,7 +279,7 @@ pub struct SimulateArgs {
 pub struct ShowArgs {
     /// Name of the dictionary.
     pub name: String,
-    /// Draw profiles from all over the dictionary: FILE.svg or FILE.png.
+    /// Draw profiles from all over the dictionary, or with --noise how noisy each record is: FILE.svg or FILE.png.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
     /// Read all records and tell how noisy they are: median, worst, and by albedo.

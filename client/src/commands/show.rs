@@ -27,11 +27,18 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         if status.jobs_failed > status.failed.len() {
             status.failed = all_failed(connection, &name).await?;
         }
-        if let Some(path) = &args.plot {
-            draw(connection, &status, path).await?;
+        if !args.noise {
+            if let Some(path) = &args.plot {
+                draw(connection, &status, path).await?;
+            }
+            return Ok((status, None));
         }
-        let noise = if args.noise { Some(Noise::read(connection, &status).await?) } else { None };
-        Ok((status, noise))
+        let found = noise::read(connection, &status).await?;
+        if let Some(path) = &args.plot {
+            noise::picture(status.name.as_str(), &status.grid, &found)?.write(path)?;
+        }
+        let noise = Noise::of(&status.grid, &found);
+        Ok((status, Some(noise)))
     })
     .await?;
     let told = || text(&status) + &noise.as_ref().map_or_else(String::new, Noise::text);

@@ -34,4 +34,4 @@ pub(crate) use profile::profile_figure;
 pub(crate) use scale::scale_figure;
 
 pub(crate) use fit::fit_figure;
-pub(crate) use map::map_figure;
+pub(crate) use map::{map_figure, noise_figure};

@@ -5,11 +5,14 @@
 
 use anyhow::{Result, bail};
 use farm_proto::status::DictionaryStatus;
+use optics_model::Grid;
+use optics_model::fit::{Candidate, DistanceMap, MapLayer};
 use optics_model::grid::Quality;
 use serde::Serialize;
 
 use crate::connection::Connection;
 use crate::output::table;
+use crate::plot::{Picture, noise_figure};
 use crate::records::Records;
 
 /// Rows of the table by albedo.
@@ -41,22 +44,66 @@ struct OfAlbedo {
     worst: f64,
 }
 
-impl Noise {
-    /// Reads all records of a dictionary that are done.
-    pub(super) async fn read(connection: &Connection, status: &DictionaryStatus) -> Result<Self> {
-        let mut answers = Records::ask(connection, status, Vec::new()).await?;
-        let mut found = Vec::new();
-        while let Some(record) = answers.next().await? {
-            found.push((record.index, Quality::noise_of(std::slice::from_ref(&record))));
-        }
-        if found.is_empty() {
-            bail!("none of the records whose noise is asked for is done yet");
-        }
-        Ok(Self::of(&status.grid, &found))
+/// Reads all records of a dictionary that are done: number and noise of each.
+pub(super) async fn read(connection: &Connection, status: &DictionaryStatus) -> Result<Vec<(usize, f64)>> {
+    let mut answers = Records::ask(connection, status, Vec::new()).await?;
+    let mut found = Vec::new();
+    while let Some(record) = answers.next().await? {
+        found.push((record.index, Quality::noise_of(std::slice::from_ref(&record))));
     }
+    if found.is_empty() {
+        bail!("none of the records whose noise is asked for is done yet");
+    }
+    Ok(found)
+}
 
+/// The noise over the grid: a cell has that of the noisiest of its thicknesses and refractive indices.
+pub(super) fn picture(name: &str, grid: &Grid, found: &[(usize, f64)]) -> Result<Picture> {
+    noise_figure(name, &map(grid, found))
+}
+
+fn map(grid: &Grid, found: &[(usize, f64)]) -> DistanceMap {
+    let mut of_record = vec![f64::NAN; grid.record_count()];
+    for (record, noise) in found {
+        of_record[*record] = *noise;
+    }
+    let (iors, thicknesses) = (grid.sample_ior().len(), grid.thickness_mm().len());
+    let cell = |s: usize, g: usize, a: usize| {
+        let slabs = (0..iors).flat_map(|i| (0..thicknesses).map(move |t| (i, t)));
+        slabs.map(|(i, t)| of_record[grid.record_at(i, s, g, t, a)]).fold(f64::NAN, f64::max)
+    };
+    let layer = |g: usize| {
+        let errors: Vec<Vec<f64>> = (0..grid.sigma_t_per_mm().len())
+            .map(|s| (0..grid.albedo().len()).map(|a| cell(s, g, a)).collect())
+            .collect();
+        let cells = errors
+            .iter()
+            .enumerate()
+            .flat_map(|(s, row)| row.iter().enumerate().map(move |(a, v)| (s, a, *v)));
+        let there = cells.filter(|(_, _, noise)| noise.is_finite());
+        let (s, a, error) = there.max_by(|x, y| x.2.total_cmp(&y.2)).unwrap_or((0, 0, f64::NAN));
+        let (_, medium) = grid.parameters(grid.record_at(0, s, g, 0, a));
+        let best = Candidate { medium, sample_ior: grid.sample_ior()[0], error, thicknesses: Vec::new() };
+        MapLayer { g: grid.g()[g], errors, best, similar: None }
+    };
+    let layers: Vec<MapLayer> = (0..grid.g().len()).map(layer).collect();
+    // A layer of which nothing is done is the last of all.
+    let noise =
+        |layer: &MapLayer| if layer.best.error.is_finite() { layer.best.error } else { f64::NEG_INFINITY };
+    let noisiest = layers.iter().enumerate().max_by(|a, b| noise(a.1).total_cmp(&noise(b.1)));
+    DistanceMap {
+        channel: String::new(),
+        sigma_t_per_mm: grid.sigma_t_per_mm().to_vec(),
+        albedo: grid.albedo().to_vec(),
+        sample_ior: grid.sample_ior()[0],
+        best_layer: noisiest.map_or(0, |(g, _)| g),
+        layers,
+    }
+}
+
+impl Noise {
     /// Of the noise of each record, told with its number.
-    fn of(grid: &optics_model::Grid, found: &[(usize, f64)]) -> Self {
+    pub(super) fn of(grid: &Grid, found: &[(usize, f64)]) -> Self {
         let albedos = grid.albedo();
         let by_albedo = |(i, albedo): (usize, &f64)| {
             let of_albedo = found.iter().filter(|(record, _)| record % albedos.len() == i);
@@ -112,9 +159,23 @@ fn percent(share: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use optics_model::Grid;
-
     use super::*;
+
+    #[test]
+    fn a_cell_has_the_noise_of_its_noisiest_slab() {
+        let grid = Grid::paper();
+        let [thin, thick] = [0, 1].map(|t| grid.record_at(0, 3, 2, t, 40));
+        let map = map(&grid, &[(thin, 0.01), (thick, 0.03), (grid.record_at(0, 5, 4, 0, 7), 0.02)]);
+        assert_eq!((map.layers[2].errors[3][40], map.layers[4].errors[5][7]), (0.03, 0.02));
+        let there = map.layers.iter().flat_map(|l| l.errors.iter().flatten()).filter(|v| v.is_finite());
+        assert_eq!((there.count(), map.best_layer), (2, 2));
+        let noisiest = map.layers[2].best.medium;
+        assert_eq!(
+            (noisiest.sigma_t_per_mm(), noisiest.albedo()),
+            (grid.sigma_t_per_mm()[3], grid.albedo()[40])
+        );
+        picture("paper", &grid, &[(thin, 0.01)]).unwrap();
+    }
 
     #[test]
     fn medians_and_the_worst_are_told_with_their_media() {

@@ -1,4 +1,4 @@
-//! Fig. 9: maps of the distance over co-albedo and extinction, one for each g.
+//! Fig. 9: maps over co-albedo and extinction, one for each g: of the distance to a measurement, or of records' noise.
 
 mod nodes;
 mod overlay;
@@ -13,23 +13,53 @@ use super::picture::Picture;
 use overlay::keys;
 use plan::Plan;
 
+/// What the cells of a map tell, and what its marks stand for.
+#[derive(Debug)]
+struct Words {
+    title: String,
+    value: &'static str,
+    /// Marked in all maps together, and in each.
+    mark_of_all: &'static str,
+    mark: &'static str,
+}
+
 pub(crate) fn map_figure(material: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
+    let words = Words {
+        title: format!("{material}, channel {}: distance to every medium", map.channel),
+        value: "distance",
+        mark_of_all: "best fit",
+        mark: "best fit for this g",
+    };
+    figure(&words, map)
+}
+
+/// The noise of a dictionary's records in the place of distances, and the noisiest in the place of the best.
+pub(crate) fn noise_figure(dictionary: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
+    let words = Words {
+        title: format!("Dictionary {dictionary}: noise of its records"),
+        value: "relative standard error",
+        mark_of_all: "noisiest",
+        mark: "noisiest for this g",
+    };
+    figure(&words, map)
+}
+
+fn figure(words: &Words, map: &DistanceMap) -> anyhow::Result<Picture> {
     let cells = map.sigma_t_per_mm.len() * map.albedo.len();
     for layer in &map.layers {
         let n: usize = layer.errors.iter().map(Vec::len).sum();
         ensure!(n == cells, "map for g = {}: {n} distances for {cells} cells", layer.g);
     }
     let plan = Plan::new(map)?;
-    let keys = keys(map, &plan.frame(0, 0.0));
-    let title = format!("{material}, channel {}: distance to every medium", map.channel);
-    let head = Head::new(&title, &keys, plan.width - 2.0 * MARGIN);
+    let keys = keys(words, map, &plan.frame(0, 0.0));
+    let head = Head::new(&words.title, &keys, plan.width - 2.0 * MARGIN);
     let top = head.height().ceil();
     let mut canvas = Canvas::new(plan.width, top + plan.height() + MARGIN);
     head.draw(&mut canvas);
     for i in 0..map.layers.len() {
         plan.draw_panel(&mut canvas, map, i, top)?;
     }
-    plan.draw_bar(&mut canvas, top)?;
+    plan.draw_bar(&mut canvas, words.value, top)?;
     Ok(canvas.finish())
 }
 
@@ -107,6 +137,24 @@ mod tests {
             let outside = texts.iter().any(|text| text == "similarity theory, outside the grid");
             assert_eq!(outside, gs > 1);
         }
+    }
+
+    #[test]
+    fn noise_is_named_as_such() {
+        let mut map = figure(4);
+        map.layers.iter_mut().for_each(|layer| layer.similar = None);
+        let picture = noise_figure("paper", &map).unwrap();
+        assert_well_laid_out(&picture);
+        let texts = texts(&picture);
+        for label in
+            ["Dictionary paper: noise of its records", "relative standard error", "noisiest for this g"]
+        {
+            assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
+        }
+        assert!(
+            !texts.iter().any(|text| text.contains("distance") || text.contains("similarity")),
+            "{texts:?}"
+        );
     }
 
     #[test]

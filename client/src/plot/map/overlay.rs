@@ -3,6 +3,7 @@
 use optics_model::Medium;
 use optics_model::fit::{DistanceMap, MapLayer};
 
+use super::Words;
 use crate::plot::canvas::{Canvas, at};
 use crate::plot::color::Color;
 use crate::plot::frame::Frame;
@@ -12,8 +13,8 @@ use crate::plot::legend::{Key, Mark, Sample};
 const INSET: f64 = 9.0;
 
 /// The legend for the marks that occur.
-pub(super) fn keys(map: &DistanceMap, frame: &Frame) -> Vec<Key> {
-    let mut keys = vec![Key::mark(Mark::Cross, "best fit"), Key::mark(Mark::Circle, "best fit for this g")];
+pub(super) fn keys(words: &Words, map: &DistanceMap, frame: &Frame) -> Vec<Key> {
+    let mut keys = vec![Key::mark(Mark::Cross, words.mark_of_all), Key::mark(Mark::Circle, words.mark)];
     let similar = || map.layers.iter().filter_map(|layer| layer.similar);
     if similar().any(|medium| beyond(frame, &medium) == (0, 0)) {
         keys.push(Key::mark(Mark::Diamond, "similarity theory"));

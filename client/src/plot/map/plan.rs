@@ -127,14 +127,14 @@ impl Plan {
         Frame { area, x: Axis::exact(None), y: self.color }
     }
 
-    pub(super) fn draw_bar(&self, canvas: &mut Canvas, top: f64) -> anyhow::Result<()> {
+    pub(super) fn draw_bar(&self, canvas: &mut Canvas, value_name: &str, top: f64) -> anyhow::Result<()> {
         let bar = self.bar(top);
         let height = (FINENESS * bar.area.height) as u32;
         let value = |y: u32| self.color.value(1.0 - (f64::from(y) + 0.5) / f64::from(height));
         let pixels = pixmap(1, height, |_, y| self.color_of(value(y)))?;
         canvas.image(bar.area, &pixels)?;
         bar.scale_on_the_right(canvas);
-        let name = Text::new("distance", LABEL).anchor(Anchor::Middle);
+        let name = Text::new(value_name, LABEL).anchor(Anchor::Middle);
         canvas.text_upwards(at(self.width - MARGIN - 2.0, bar.area.center().y), &name);
         Ok(())
     }
