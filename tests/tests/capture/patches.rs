@@ -1,14 +1,93 @@
 //! Grey patches that the session file does not say the place of.
 
 use farm_tests::photograph::{Camera, Look, Session, What};
-use optics_capture::{Area, Calibration, Neutral, Refusal};
+use optics_capture::{Area, Calibration, Frame, Neutral, Pattern, Photo, Refusal};
 
-use crate::stage::{PLAIN, calibrate, calibrate_by, session, slab};
+use crate::stage::{PLAIN, calibrate, calibrate_after, calibrate_by, session, slab};
 
-/// The calibration by shots of this subject for the patches, whose places are looked for.
+/// Greys whose places are looked for.
+fn greys(rho: &[f64]) -> Neutral {
+    Neutral::new(rho.iter().map(|r| [*r; 3]).collect(), 0.005, None).expect("greys of a chart are valid")
+}
+
+/// The calibration by shots of this subject for the patches.
 fn found(session: &Session, rho: &[f64], subject: What, look: &Look) -> Result<Calibration, Refusal> {
-    let neutral = Neutral::new(rho.iter().map(|r| [*r; 3]).collect(), 0.005, None);
-    calibrate_by(session, neutral.expect("greys of a chart are valid"), subject, look)
+    calibrate_by(session, greys(rho), subject, look)
+}
+
+/// The same by photographs that something was done to.
+fn found_after(retouch: fn(Photo) -> Photo) -> Result<Vec<Area>, Refusal> {
+    let session = session();
+    let calibration = calibrate_after(retouch, session, greys(&session.rho), What::Chart, &PLAIN)?;
+    Ok(areas(&calibration))
+}
+
+/// A frame of other samples, of which `sample` tells that of a column and a row.
+fn redrawn(photo: Photo, size: [usize; 2], pattern: Pattern, sample: impl Fn(&Frame, usize) -> u16) -> Photo {
+    let planes = if pattern == Pattern::Rgb { 3 } else { 1 };
+    let samples = (0..size[0] * size[1] * planes).map(|i| sample(&photo.frame, i)).collect();
+    let frame = Frame::new(size[0], size[1], pattern, samples).expect("the frame is valid");
+    Photo { frame, ..photo }
+}
+
+/// The camera on its side. The mosaic has its greens on the diagonal that stays.
+fn on_its_side(photo: Photo) -> Photo {
+    let (w, h, pattern) = (photo.frame.width(), photo.frame.height(), photo.frame.pattern());
+    assert!(matches!(pattern, Pattern::Bayer([_, a, b, _]) if a == b), "{pattern:?}");
+    redrawn(photo, [h, w], pattern, |frame, i| frame.samples()[(i % h) * w + i / h])
+}
+
+/// One pixel of three colours for each cell of the mosaic.
+fn in_colours(photo: Photo) -> Photo {
+    let (w, h) = (photo.frame.width(), photo.frame.height());
+    redrawn(photo, [w / 2, h / 2], Pattern::Rgb, |frame, i| {
+        let (pixel, colour) = (i / 3, i % 3);
+        let corner = 2 * (pixel / (w / 2)) * w + 2 * (pixel % (w / 2));
+        frame.samples()[corner + [0, 1, w + 1][colour]]
+    })
+}
+
+/// What is in the middle stands above it once more.
+fn twice(photo: Photo) -> Photo {
+    let (w, h, pattern) = (photo.frame.width(), photo.frame.height(), photo.frame.pattern());
+    let up = h / 6 * 2;
+    let upper = 10..up - 10;
+    redrawn(photo, [w, h], pattern, |frame, i| {
+        frame.samples()[if upper.contains(&(i / w)) { i + up * w } else { i }]
+    })
+}
+
+/// Whether areas are where others are, within so many pixels on every side.
+fn same(areas: &[Area], others: &[Area], within_px: f64) -> bool {
+    let off = |a: &Area, b: &Area| {
+        let sides = [a.x - b.x, a.y - b.y, a.width - b.width, a.height - b.height];
+        sides.into_iter().map(f64::abs).fold(0.0, f64::max)
+    };
+    areas.len() == others.len() && areas.iter().zip(others).all(|(a, b)| off(a, b) <= within_px)
+}
+
+#[test]
+fn a_row_that_stands_upright_is_found_and_one_in_a_picture_of_colours() {
+    let session = session();
+    let lying = areas(&found(session, &session.rho, What::Chart, &PLAIN).unwrap());
+    let turned: Vec<Area> =
+        lying.iter().map(|a| Area { x: a.y, y: a.x, width: a.height, height: a.width }).collect();
+    let upright = found_after(on_its_side).unwrap();
+    assert!(same(&upright, &turned, 2.0), "{upright:?} {turned:?}");
+    let halved: Vec<Area> = lying
+        .iter()
+        .map(|a| Area { x: a.x / 2.0, y: a.y / 2.0, width: a.width / 2.0, height: a.height / 2.0 })
+        .collect();
+    let coloured = found_after(in_colours).unwrap();
+    assert!(same(&coloured, &halved, 4.0), "{coloured:?} {halved:?}");
+}
+
+#[test]
+fn of_two_rows_that_could_be_the_patches_neither_is_taken() {
+    let refused = found_after(twice).unwrap_err();
+    assert!(matches!(refused, Refusal::NoPatches { .. }), "{refused}");
+    let told = refused.to_string();
+    assert!(told.contains("two rows could be them") && told.contains("`areas_px`"), "{told}");
 }
 
 fn areas(calibration: &Calibration) -> Vec<Area> {

@@ -63,17 +63,29 @@ pub fn calibrate_by(
     subject: What,
     look: &Look,
 ) -> Result<Calibration, Refusal> {
+    calibrate_after(|photo| photo, session, neutral, subject, look)
+}
+
+/// The same after something was done to every photograph.
+pub fn calibrate_after(
+    retouch: impl Fn(Photo) -> Photo,
+    session: &Session,
+    neutral: Neutral,
+    subject: What,
+    look: &Look,
+) -> Result<Calibration, Refusal> {
+    let shots = |what| shots(session, what, 2, look).into_iter().map(&retouch);
     let mut darks = Darks::new();
-    for photo in shots(session, What::Dark, 2, look) {
+    for photo in shots(What::Dark) {
         darks.add(photo)?;
     }
-    let black = darks.finish(&session.shoot(What::Bare, 0, look))?;
+    let black = darks.finish(&retouch(session.shoot(What::Bare, 0, look)))?;
     let mut flats = Flats::new(&black);
-    for photo in shots(session, What::Sheet, 2, look) {
+    for photo in shots(What::Sheet) {
         flats.add(photo)?;
     }
     let mut patches = Patches::new(black, flats.finish()?, neutral);
-    for photo in shots(session, subject, 2, look) {
+    for photo in shots(subject) {
         patches.add(photo)?;
     }
     patches.finish()
