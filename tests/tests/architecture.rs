@@ -78,7 +78,7 @@ const ARROWS: [(&str, &[&str]); 11] = [
             "farmctl",
         ],
     ),
-    ("tests/browser", &["optics-model", "farm-tests"]),
+    ("tests/browser", &["optics-model", "farm-proto", "farm-tests"]),
 ];
 
 #[test]

@@ -39,8 +39,7 @@ static ASSETS: LazyLock<Vec<Asset>> = LazyLock::new(|| {
     FILES.map(asset).into()
 });
 
-/// A file of the page. It is asked for again each time, and sent if it has changed: another version of farmctl may serve
-/// on the same port tomorrow.
+/// A file of the page. Browsers ask for it again each time, and are sent it if they have another.
 pub(super) fn asset(name: &str, headers: &HeaderMap) -> Option<Response> {
     let asset = ASSETS.iter().find(|asset| asset.name == name)?;
     let has = |header, what: &str| {

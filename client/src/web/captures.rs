@@ -78,7 +78,8 @@ impl Captures {
 }
 
 fn shown(folder: &Path) -> String {
-    folder.strip_prefix(".").unwrap_or(folder).display().to_string()
+    let below = folder.strip_prefix(".").unwrap_or(folder);
+    if below.as_os_str().is_empty() { ".".to_owned() } else { below.display().to_string() }
 }
 
 fn is_capture(folder: &Path) -> bool {
@@ -118,6 +119,10 @@ mod tests {
         std::fs::write(folder.join("key.pem"), "").unwrap();
         let captures = Captures::new(vec![folder]).unwrap();
         assert_eq!(captures.list()[0].report, "captures/0/report.html");
+        assert!(
+            captures.folder(&captures.list()[0].folder).is_ok() && captures.folder("secret.json").is_err()
+        );
+        assert_eq!([".", "./a", "a/b"].map(|folder| shown(Path::new(folder))), [".", "a", "a/b"]);
         let report = captures.file("0", "report.html").await.unwrap();
         assert_eq!(report.headers()[CONTENT_TYPE], "text/html; charset=utf-8");
         for (number, name) in [

@@ -38,7 +38,7 @@ mod api {
     tonic::include_proto!("desk.v1");
 }
 
-/// Where the page is if nothing else is told and nobody else is there: links to it then stay valid.
+/// Where the page is if nothing else is told and nobody else is there.
 const USUAL_PORT: u16 = 7780;
 
 #[derive(Debug, Serialize)]

@@ -120,10 +120,12 @@ impl Dispatcher {
         if let Some(oldest) = held.min_by_key(|h| h.since) {
             let label = self.workers.get(&oldest.worker).map_or("", |w| w.about.label.as_str());
             let (job, age) = (oldest.key.job, now.saturating_sub(oldest.since).as_secs_f64());
-            let text = format!(
-                "{} jobs are being computed, the oldest (job {job}) for {age:.1} s by {label}",
-                dictionary.leased
-            );
+            let text = match dictionary.leased {
+                1 => format!("job {job} is being computed, for {age:.1} s by {label}"),
+                leased => format!(
+                    "{leased} jobs are being computed, the oldest (job {job}) for {age:.1} s by {label}"
+                ),
+            };
             reasons.push(reason("COMPUTING", text));
         }
         if let Some(other) = self.waits_for_other(dictionary.id()) {

@@ -10,7 +10,7 @@
     reason = "a benchmark may panic, and measures real time"
 )]
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use farm_browser_tests::browser::{self, Browser};
@@ -100,6 +100,8 @@ async fn measure(browser: &Browser, page: &Page) {
     println!("the example is measured and shown in {:.2} s", started.elapsed().as_secs_f64());
     browser.css("section[aria-label=Explore] canvas.cells").await;
     browser.css("section[aria-label=Explore] .u-over").await;
+    let map = "section[aria-label=Explore] canvas.cells";
+    println!("measure, μ dragged over residuals: {}", drag(browser, "scale factor", map).await);
     browser.pick("section[aria-label=Explore] .by select", "paper").await;
     for (slider, name, shown) in [
         ("σ_t [1/mm]", "crosshair along σ_t", ".u-wrap canvas"),
@@ -196,7 +198,7 @@ async fn tabs() {
     cost("no tab, a dictionary", before);
     let _ = farm.farmctl(&["cancel", "g1"]);
     let page = Page::start(farm.folder(), &["--server", &farm.url()]);
-    let browsers = watching(&page, farm.folder()).await;
+    let browsers = watching(&page).await;
     let before = (cpu(farm.coordinator()), cpu(&page.process));
     tokio::time::sleep(WATCHED).await;
     cost(&format!("{TABS} tabs, at rest"), before.0);
@@ -218,7 +220,7 @@ async fn tabs() {
 }
 
 /// A browser with windows on the farm, each in front: those behind another ask for nothing.
-async fn watching(page: &Page, _folder: &Path) -> Browser {
+async fn watching(page: &Page) -> Browser {
     let browser = Browser::start().await;
     browser.open(&page.url()).await;
     for tab in 0..TABS {

@@ -1,5 +1,5 @@
 import { zipSync } from 'fflate';
-import type { Files } from '../gen/desk/v1/desk_pb';
+import type { File, Files } from '../gen/desk/v1/desk_pb';
 
 // Saves files where the browser keeps downloads. Browsers let a page save one file a click, so several go into an
 // archive of this name.
@@ -7,7 +7,18 @@ export function save({ files }: Files, archive: string): void {
   const [first, ...others] = files;
   if (!first) return;
   if (others.length === 0) offer(first.name, first.mediaType, first.content);
-  else offer(`${archive}.zip`, 'application/zip', zipSync(Object.fromEntries(files.map((f) => [f.name, f.content]))));
+  else offer(`${archive}.zip`, 'application/zip', zipSync(named(files)));
+}
+
+// By their names; what has another's name gets a number.
+function named(files: readonly File[]): Record<string, Uint8Array> {
+  const all: Record<string, Uint8Array> = {};
+  for (const { name, content } of files) {
+    let free = name;
+    for (let i = 2; free in all; i++) free = name.replace(/(\.[^.]*)?$/, `-${i}$1`);
+    all[free] = content;
+  }
+  return all;
 }
 
 function offer(name: string, type: string, content: Uint8Array): void {

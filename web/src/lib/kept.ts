@@ -18,17 +18,20 @@ export function keep(file: Dropped | null): void {
   }
 }
 
-// Notes that the file of this name was measured.
+// Notes that what has this name was measured.
 export function keepMeasured(name: string): void {
   sessionStorage.setItem(MEASURED, name);
 }
 
-export function kept(): { file: Dropped; measured: boolean } | null {
+export function wasMeasured(name: string): boolean {
+  return sessionStorage.getItem(MEASURED) === name;
+}
+
+export function kept(): Dropped | null {
   const text = sessionStorage.getItem(KEPT);
   if (!text) return null;
   const { name, content } = JSON.parse(text) as { name: string; content: string };
-  const file = { name, content: Uint8Array.from(atob(content), (c) => c.charCodeAt(0)) };
-  return { file, measured: sessionStorage.getItem(MEASURED) === name };
+  return { name, content: Uint8Array.from(atob(content), (c) => c.charCodeAt(0)) };
 }
 
 function base64(content: Uint8Array): string {

@@ -82,6 +82,8 @@ async fn the_keyboard_alone_gets_through_measure() {
     }
     tab_to(&browser, "Back to the best").await;
     press(&browser, Key::Enter).await;
+    let url = browser.driver.current_url().await.unwrap();
+    assert!(url.fragment().is_some_and(|state| !state.contains("albedo=")), "{url}");
     browser.end().await;
 }
 

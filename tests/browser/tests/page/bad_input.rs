@@ -3,6 +3,8 @@
 use farm_browser_tests::browser;
 use farm_tests::cli::{HEAD, rows};
 use farm_tests::page::Page;
+use farm_tests::process::SOON;
+use thirtyfour::By;
 
 use super::{folder_with_dictionary, go_to, let_in};
 
@@ -55,7 +57,7 @@ async fn every_kind_of_bad_measurement_is_told_with_what_is_wrong() {
 
     go_to(&browser, "Farm").await;
     browser
-        .element(thirtyfour::By::XPath("//summary[text()=\"Compute a new one\"]".to_owned()))
+        .element(By::XPath("//summary[text()=\"Compute a new one\"]".to_owned()))
         .await
         .click()
         .await
@@ -68,10 +70,12 @@ async fn every_kind_of_bad_measurement_is_told_with_what_is_wrong() {
         let file = folder.path().join(name);
         std::fs::write(&file, content).unwrap();
         browser.choose_file("form input[type=file]", &file).await;
-        browser.shows(told).await;
-        let alert = browser.css("form [role=alert]").await.text().await.unwrap();
-        assert!(alert.contains(told), "{name}: {alert}");
-        let compute = browser.driver.find(thirtyfour::By::Css("form button.main")).await.unwrap();
+        let alert = browser.wait("the file is refused", SOON, async |browser| {
+            let alert = browser.driver.find(By::Css("form [role=alert]")).await.ok()?.text().await.ok()?;
+            alert.contains(told).then_some(alert)
+        });
+        println!("{name}: {}", alert.await);
+        let compute = browser.driver.find(By::Css("form button.main")).await.unwrap();
         assert!(!compute.is_enabled().await.unwrap(), "{name}");
     }
     browser.end().await;

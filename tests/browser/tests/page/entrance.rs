@@ -7,13 +7,16 @@ use axum::extract::Request;
 use axum::response::Html;
 use farm_browser_tests::browser::{self, Browser, OTHER_NAME};
 use farm_browser_tests::reverse_proxy::ReverseProxy;
+use farm_proto::wire::SubmitRequest;
+use farm_tests::grids::grid_of;
 use farm_tests::page::Page;
 use farm_tests::process::free_port;
+use prost::Message as _;
 use serde_json::{Value, json};
 use thirtyfour::By;
 use tokio::net::TcpListener;
 
-use super::{folder_with_dictionary, go_to, let_in, measure_the_example};
+use super::{GRID, folder_with_dictionary, go_to, let_in, measure_the_example};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_deep_link_opened_cold_shows_what_it_was_taken_from() {
@@ -100,12 +103,14 @@ async fn without_the_token_or_from_other_sites_nobody_gets_in() {
     let heard = heard.lock().unwrap().clone();
     assert!(!heard.is_empty() && heard.iter().all(|cookie| !cookie.contains(&page.token)), "{heard:?}");
     for (how, credentials) in [("cors", "include"), ("no-cors", "include"), ("cors", "omit")] {
-        let told = asked_from_elsewhere(&browser, &page, how, credentials).await;
+        let told = submitted_from_here(&browser, &page, how, credentials).await;
         assert!(told == "refused" || told == "opaque 0", "{how}, {credentials}: {told}");
     }
-    // Nothing was done, and the page itself still may.
+    // Nothing was submitted; from the page itself the same call is obeyed.
     browser.open(&format!("{}#/farm", page.home)).await;
     browser.shows("There is none yet").await;
+    assert_eq!(submitted_from_here(&browser, &page, "same-origin", "include").await, "basic 200");
+    browser.shows("unwanted").await;
     // Nor can another site show it in a frame.
     browser.open(&format!("http://127.0.0.1:{other}/")).await;
     let framed = format!(
@@ -116,7 +121,8 @@ async fn without_the_token_or_from_other_sites_nobody_gets_in() {
     browser.driver.execute_async(&framed, vec![]).await.unwrap();
     browser.driver.enter_frame(0).await.unwrap();
     let within = browser.shown().await;
-    assert!(!within.contains("Measurement"), "{within}");
+    // The links to its places are there from the first drawing on.
+    assert!(!within.contains("Measure"), "{within}");
     browser.end().await;
 }
 
@@ -133,13 +139,16 @@ async fn listen_elsewhere(heard: Arc<Mutex<Vec<String>>>) -> u16 {
     port
 }
 
-/// What a script of another site hears when it tries to submit.
-async fn asked_from_elsewhere(browser: &Browser, page: &Page, mode: &str, credentials: &str) -> Value {
-    let script = "const [url, mode, credentials, done] = arguments; \
-                  fetch(url, { method: 'POST', mode, credentials, body: new Uint8Array(5), \
-                  headers: mode === 'cors' ? { 'content-type': 'application/grpc-web+proto' } : {} }) \
+/// What a script hears that submits a dictionary.
+async fn submitted_from_here(browser: &Browser, page: &Page, mode: &str, credentials: &str) -> Value {
+    let script = "const [url, bytes, mode, credentials, done] = arguments; \
+                  fetch(url, { method: 'POST', mode, credentials, body: new Uint8Array(bytes), \
+                  headers: mode === 'no-cors' ? {} : { 'content-type': 'application/grpc-web+proto' } }) \
                   .then((r) => done(`${r.type} ${r.status}`), () => done('refused'));";
-    let url = format!("{}farm.v1.Admin/Drain", page.home);
-    let arguments = vec![json!(url), json!(mode), json!(credentials)];
+    let grid = Some((&grid_of(GRID)).into());
+    let message = SubmitRequest { name: "unwanted".to_owned(), grid, priority: 0 }.encode_to_vec();
+    let framed = [&[0], &(message.len() as u32).to_be_bytes()[..], &message].concat();
+    let url = format!("{}farm.v1.Dictionaries/Submit", page.home);
+    let arguments = vec![json!(url), json!(framed), json!(mode), json!(credentials)];
     browser.driver.execute_async(script, arguments).await.unwrap().json().clone()
 }

@@ -143,12 +143,29 @@ async fn a_capture_is_measured_with_a_dictionary_of_its_own() {
     let told = run(folder.path(), &["measure", "session", "--json"]);
     assert_eq!(told.code, 0, "{}", told.stderr);
     same_numbers(&browser, &serde_json::from_str(&told.stdout).unwrap()).await;
-    // A link leads back to it.
+    // A link leads back to what one looks at, after a reload too and from another place.
+    browser.css("section[aria-label=Explore] select").await;
+    browser.pick("section[aria-label=Explore] select", "white B").await;
+    follows_the_crosshair(&browser).await;
     let link = browser.driver.current_url().await.unwrap();
-    assert!(link.fragment().unwrap().contains("capture=session"), "{link}");
-    browser.open("about:blank").await;
-    browser.open(link.as_str()).await;
-    browser.shows("white (R, G, B at 0.512, 1.006 mm)").await;
+    let state = link.fragment().unwrap();
+    assert!(state.contains("capture=session") && state.contains("look=white+B"), "{link}");
+    for open in ["about:blank", "reload", "about:blank"] {
+        if open == "reload" {
+            browser.driver.refresh().await.unwrap();
+        } else {
+            browser.open(open).await;
+            browser.open(link.as_str()).await;
+        }
+        browser.shows("Intervals of 95 %").await;
+        browser.css("section[aria-label=Explore] canvas.cells").await;
+        assert_eq!(browser.driver.current_url().await.unwrap(), link);
+    }
+    go_to(&browser, "Farm").await;
+    go_to(&browser, "Measure").await;
+    browser.shows("Intervals of 95 %").await;
+    let back = browser.driver.current_url().await.unwrap();
+    assert!(back.fragment().unwrap().contains("capture=session"), "{back}");
     assert_eq!(browser.complaints().await, Vec::<String>::new());
     browser.end().await;
 }

@@ -18,13 +18,11 @@ async fn a_killed_worker_and_a_restarted_coordinator_are_told_and_outlived() {
         return;
     }
     let mut farm = Farm::start(&["--lease", "2"]);
-    let mut worker = farm.worker("ada", &[]);
     farm.submit("grid", LONG_GRID);
     let page = Page::start(farm.folder(), &["--server", &farm.url()]);
     let browser = let_in(&page).await;
     go_to(&browser, "Farm").await;
     browser.shows("grid: running").await;
-    browser.shows("ada").await;
     // More windows than a browser has connections for; all of them can be seen.
     for _ in 0..7 {
         let window = browser.driver.new_window().await.unwrap();
@@ -42,12 +40,13 @@ async fn a_killed_worker_and_a_restarted_coordinator_are_told_and_outlived() {
     browser.driver.switch_to_window(first.clone()).await.unwrap();
     mark(&browser).await;
 
+    let mut worker = farm.worker("ada", &[]);
+    browser.shows("ada").await;
     let before = wait_for_jobs(&browser, 1).await;
     worker.kill();
     browser
-        .wait("ada is missed", LONG, async |browser| match state_of(browser, "ada").await {
-            Some(state) => (state == "silent").then_some(()),
-            None => Some(()),
+        .wait("ada is missed", LONG, async |browser| {
+            state_of(browser, "ada").await.filter(|state| state == "silent")
         })
         .await;
     browser.shows("fell silent").await;

@@ -1,0 +1,117 @@
+// The measurement at hand and what was found: shared by the places, and through a reload of the page.
+import type { Note, OpenCaptureResponse, TellResponse } from '../gen/desk/v1/desk_pb';
+import type { MeasureResponse } from '../gen/farm/v1/fits_pb';
+import type { Measurement } from '../gen/farm/v1/model_pb';
+import { desk, text } from './api';
+import type { Options } from './known.svelte';
+import { keep, kept, wasMeasured, type Dropped } from './kept';
+import { route } from './route.svelte';
+
+// An answer, and what it was asked with: the choices on the page may be others by now.
+export type Answer = {
+  found: MeasureResponse;
+  told: TellResponse;
+  colors: Map<string, [number, number, number]>;
+  dictionary: string;
+  options: Options;
+  line: string;
+};
+
+class Measured {
+  // Of the file, or of the capture's folder.
+  name = $state('');
+  capture = $state.raw<OpenCaptureResponse | null>(null);
+  materials = $state.raw<Measurement[]>([]);
+  notes = $state.raw<Note[]>([]);
+  answer = $state.raw<Answer | null>(null);
+  // What is under way, for people.
+  busy = $state('');
+  wrong = $state('');
+  // It was measured before the page was loaded again, and is to be so once more.
+  again = $state(false);
+  // What is under way for an older file is not taken.
+  turn = 0;
+  // The capture that was asked for last, whether or not it could be opened.
+  #asked: string | null = null;
+
+  // A file that somebody chose; null for the example of the documentation.
+  choose(file: File | null): Promise<void> {
+    this.#forget(null);
+    return this.#read(async () => file && { name: file.name, content: await bytesOf(file) }, true);
+  }
+
+  chooseCapture(folder: string): Promise<void> {
+    this.#forget(folder);
+    return this.#open(folder, true);
+  }
+
+  // Follows the address: a capture that a link names is opened, and one that is open is named.
+  follow(folder: string | null): void {
+    if (folder && folder !== this.#asked) void this.#open(folder, false);
+    else if (!folder && this.capture) route.set({ capture: this.name });
+  }
+
+  // What was chosen before the page was loaded again.
+  restore(): void {
+    if (this.name || this.busy || route.get('capture')) return;
+    const before = kept();
+    if (before) void this.#read(() => Promise.resolve(before), false);
+  }
+
+  // What a link held of another measurement.
+  #forget(capture: string | null): void {
+    this.#asked = capture;
+    this.capture = null;
+    route.set({ capture, scale: null, lambda: null, sigma_t: null, albedo: null, g: null, look: null, map: null });
+  }
+
+  // Takes the answer, unless something else was asked for meanwhile.
+  async #load(ask: () => Promise<() => void>): Promise<void> {
+    const own = (this.turn += 1);
+    [this.again, this.busy, this.wrong] = [false, 'Reading…', ''];
+    [this.answer, this.name, this.capture, this.materials, this.notes] = [null, '', null, [], []];
+    try {
+      const take = await ask();
+      if (own !== this.turn) return;
+      take();
+    } catch (error) {
+      if (own !== this.turn) return;
+      this.wrong = text(error);
+    }
+    this.busy = '';
+  }
+
+  #read(get: () => Promise<Dropped | null>, chosen: boolean): Promise<void> {
+    return this.#load(async () => {
+      const file = await get();
+      const { materials, notes } = await desk.readMeasurements(file ? { file: { ...file, mediaType: 'text/csv' } } : {});
+      return () => {
+        [this.name, this.materials, this.notes] = [file?.name ?? 'white.csv', materials, notes];
+        if (chosen) keep(file);
+        else this.again = wasMeasured(this.name);
+      };
+    });
+  }
+
+  #open(folder: string, chosen: boolean): Promise<void> {
+    this.#asked = folder;
+    return this.#load(async () => {
+      const capture = await desk.openCapture({ folder });
+      return () => {
+        [this.name, this.materials, this.notes, this.capture] = [folder, capture.materials, capture.notes, capture];
+        if (chosen) keep(null);
+        else this.again = wasMeasured(folder);
+      };
+    });
+  }
+}
+
+async function bytesOf(file: File): Promise<Uint8Array> {
+  try {
+    return new Uint8Array(await file.arrayBuffer());
+  } catch {
+    throw new Error(`${file.name} cannot be read as a file; if it is a capture's folder, choose it from the list`);
+  }
+}
+
+export const measured = new Measured();
