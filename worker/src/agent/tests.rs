@@ -48,6 +48,15 @@ impl Working {
         };
         self.coordinator.wait_for(1, running).await;
     }
+
+    /// Waits until a renewal is for this job alone, and says that it is being traced.
+    async fn runs_only(&self, job: u32) {
+        let running = |call: &Call| match &call.renew()?.leases[..] {
+            [lease] => (lease.running && lease.key.as_ref()?.job == job).then_some(()),
+            _ => None,
+        };
+        self.coordinator.wait_for(1, running).await;
+    }
 }
 
 fn coordinator() -> Coordinator {
@@ -145,7 +154,7 @@ async fn a_lost_lease_makes_room_for_the_next_job() {
     let working = Working::start(&coordinator, |config| Config { grace: Duration::ZERO, ..config });
     working.runs(&[0]).await;
     coordinator.lose(lost.key);
-    working.runs(&[1]).await;
+    working.runs_only(1).await;
     working.shutdown.cancel();
     assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
     assert_eq!(handed_back(&coordinator), [(vec![1], true)]);
