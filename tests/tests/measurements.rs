@@ -1,5 +1,7 @@
 //! Measurements as files: what `simulate` and `export` write, and what the verbs say of files that people write.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, rows, write};
 use farm_tests::process::{Ran, run};
 use serde_json::Value;
@@ -162,4 +164,61 @@ fn a_dictionary_may_spell_its_colours_in_another_way() {
         &["fit", "m.csv", "--dictionary", "grid"],
         &["channel = G is not valid: the dictionary has red"],
     );
+}
+
+/// The shape that an npy file tells, and its numbers.
+fn array(archive: &mut zip::ZipArchive<std::fs::File>, name: &str) -> (Vec<usize>, Vec<u8>) {
+    let mut bytes = Vec::new();
+    std::io::Read::read_to_end(&mut archive.by_name(name).unwrap(), &mut bytes).unwrap();
+    assert_eq!(&bytes[..8], b"\x93NUMPY\x01\x00");
+    let end = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let head = String::from_utf8(bytes[10..end].to_vec()).unwrap();
+    let shape = head.split_once("'shape': (").unwrap().1.split_once(')').unwrap().0;
+    let sides = shape.split(',').filter_map(|side| side.trim().parse().ok()).collect();
+    (sides, bytes[end..].to_vec())
+}
+
+#[test]
+fn arrays_for_numpy_hold_what_the_rows_hold() {
+    let farm = farm();
+    let dir = farm.path();
+    let ran = say(dir, "export grid --npz a.npz --albedo 0.999");
+    assert_eq!((ran.code, ran.stdout.as_str(), ran.stderr.as_str()), (0, "", ""));
+    let mut archive = zip::ZipArchive::new(std::fs::File::open(dir.join("a.npz")).unwrap()).unwrap();
+    let f32s = |bytes: Vec<u8>| -> Vec<f32> {
+        bytes.chunks(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
+    };
+    let (shape, values) = array(&mut archive, "value.npy");
+    // Index, σ_t, g, thickness, albedo, channel, pixel: the rows come in this order.
+    assert_eq!(shape, [1, 2, 1, 2, 1, 3, 360]);
+    let (_, errors) = array(&mut archive, "std_error.npy");
+    let rows = say(dir, "export grid --albedo 0.999").stdout;
+    let of_rows: Vec<[f32; 2]> = rows
+        .lines()
+        .skip(1)
+        .map(|row| {
+            let cells: Vec<&str> = row.split(',').collect();
+            [cells[8], cells[9]].map(|cell| cell.parse().unwrap())
+        })
+        .collect();
+    let of_arrays: Vec<[f32; 2]> = f32s(values).into_iter().zip(f32s(errors)).map(|(v, e)| [v, e]).collect();
+    assert_eq!(of_arrays, of_rows);
+    let (shape, sigma_t) = array(&mut archive, "sigma_t_per_mm.npy");
+    assert_eq!((shape, sigma_t), (vec![2], [4.0_f64, 6.0].map(f64::to_le_bytes).concat()));
+    let (shape, channels) = array(&mut archive, "channel.npy");
+    assert_eq!((shape, channels), (vec![3], b"R\0\0\0G\0\0\0B\0\0\0".to_vec()));
+    let about: Value = serde_json::from_reader(archive.by_name("about.json").unwrap()).unwrap();
+    assert_eq!(about["dictionary"]["name"], "grid");
+    assert_eq!(
+        (&about["units"]["value"], &about["axes"][1]),
+        (&"radiance factor".into(), &"sigma_t_per_mm".into())
+    );
+
+    fails(
+        dir,
+        &["export", "grid", "--npz", "b.npz", "--albedo", "0.3"],
+        &["albedo = 0.3", "the dictionary has 0.9, 0.999"],
+    );
+    fails(dir, &["export", "grid", "--npz", "none/b.npz"], &["output none/b.npz", "No such file"]);
+    assert!(!dir.join("b.npz").exists());
 }

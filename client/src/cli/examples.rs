@@ -182,6 +182,7 @@ pub(super) const EXPORT: &str = "\
 Examples:
   farmctl export paper -o paper.csv
   farmctl export paper --sigma-t 6,9 --g 0.4 > part.csv
+  farmctl export paper --npz paper.npz            arrays for NumPy
   farmctl export paper --json > paper.jsonl       one record per line";
 
 pub(super) const COMPLETIONS: &str = "\

@@ -294,6 +294,10 @@ pub struct ExportArgs {
     /// File to write [default: standard output]. It appears under this name once it is complete.
     #[arg(long, short, value_name = "FILE")]
     pub output: Option<PathBuf>,
+    /// Write arrays for NumPy instead of rows: values and standard errors over all axes, the axes, and about.json with what
+    /// `show --json` tells.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "measurement", "json"])]
+    pub npz: Option<PathBuf>,
     /// Write the profiles of one medium as a measurement of the material NAME, which `farmctl measure` reads.
     #[arg(long, value_name = "NAME")]
     pub measurement: Option<String>,

@@ -1,3 +1,5 @@
+mod npz;
+
 use std::io::Write;
 use std::path::Path;
 
@@ -19,12 +21,13 @@ use crate::whole_file::Draft;
 pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name.as_str())?;
     let connection = Connection::open(global, Purpose::Ask).await?;
-    let exported = match &args.output {
-        None => {
+    let exported = match (&args.npz, &args.output) {
+        (Some(file), _) => to_npz(&connection, &name, &args, file).await,
+        (None, None) => {
             let stdout = std::io::BufWriter::new(std::io::stdout().lock());
             export(&connection, &name, &args, output.is_json(), stdout).await
         }
-        Some(file) => to_file(&connection, &name, &args, output.is_json(), file).await,
+        (None, Some(file)) => to_file(&connection, &name, &args, output.is_json(), file).await,
     };
     let exported = exported.map_err(|error| connection.in_plain_words(error));
     connection.close().await?;
@@ -47,6 +50,24 @@ async fn to_file(
     let mut draft = Draft::create(file).with_context(place)?;
     tokio::select! {
         exported = export(connection, name, args, json, &mut draft) => exported?,
+        () = interrupted() => return Err(Interrupted.into()),
+    }
+    draft.finish().with_context(place)
+}
+
+async fn to_npz(
+    connection: &Connection,
+    name: &DictionaryName,
+    args: &ExportArgs,
+    file: &Path,
+) -> Result<()> {
+    let place = || format!("output {}", file.display());
+    let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
+    let status = DictionaryStatus::try_from(status)?;
+    let chosen = Chosen::new(&status.grid, args)?;
+    let mut draft = Draft::create(file).with_context(place)?;
+    tokio::select! {
+        written = npz::write(connection, &status, &chosen, &mut draft) => written?,
         () = interrupted() => return Err(Interrupted.into()),
     }
     draft.finish().with_context(place)
@@ -117,28 +138,69 @@ fn one_material(grid: &Grid, indices: &[u32], name: &str, json: bool) -> Result<
     MeasurementWriter::new(Vec::new(), name)
 }
 
+/// Places along each axis that the lists admit.
+#[derive(Debug)]
+struct Chosen {
+    iors: Vec<usize>,
+    sigma_ts: Vec<usize>,
+    gs: Vec<usize>,
+    thicknesses: Vec<usize>,
+    albedos: Vec<usize>,
+}
+
+impl Chosen {
+    fn new(grid: &Grid, args: &ExportArgs) -> Result<Self, Invalid> {
+        Ok(Self {
+            iors: places("sample_ior", grid.sample_ior(), &args.sample_ior)?,
+            sigma_ts: places("sigma_t", grid.sigma_t_per_mm(), &args.sigma_t)?,
+            gs: places("g", grid.g(), &args.g)?,
+            thicknesses: places("thickness", grid.thickness_mm(), &args.thickness)?,
+            albedos: places("albedo", grid.albedo(), &args.albedo)?,
+        })
+    }
+
+    fn axes(&self) -> [&[usize]; 5] {
+        [&self.iors, &self.sigma_ts, &self.gs, &self.thicknesses, &self.albedos]
+    }
+
+    fn shape(&self) -> [usize; 5] {
+        self.axes().map(<[usize]>::len)
+    }
+
+    fn values(&self, grid: &Grid) -> [Vec<f64>; 5] {
+        let all = [grid.sample_ior(), grid.sigma_t_per_mm(), grid.g(), grid.thickness_mm(), grid.albedo()];
+        let mut axes = self.axes().into_iter().zip(all);
+        std::array::from_fn(|_| {
+            let (places, values) = axes.next().unwrap_or_default();
+            places.iter().map(|place| values[*place]).collect()
+        })
+    }
+
+    /// Numbers of the records, the albedo running fastest.
+    fn records(&self, grid: &Grid) -> Vec<u32> {
+        let mut indices = Vec::new();
+        for &ior in &self.iors {
+            for &sigma_t in &self.sigma_ts {
+                for &g in &self.gs {
+                    for &t in &self.thicknesses {
+                        let of_point =
+                            self.albedos.iter().map(|&a| grid.record_at(ior, sigma_t, g, t, a) as u32);
+                        indices.extend(of_point);
+                    }
+                }
+            }
+        }
+        indices
+    }
+}
+
 /// Numbers of the records that the lists admit; empty if no list is given, which means all.
 fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>, Invalid> {
     if [&args.sigma_t, &args.albedo, &args.g, &args.thickness, &args.sample_ior].iter().all(|l| l.is_empty())
     {
         return Ok(Vec::new());
     }
-    let iors = places("sample_ior", grid.sample_ior(), &args.sample_ior)?;
-    let sigmas = places("sigma_t", grid.sigma_t_per_mm(), &args.sigma_t)?;
-    let gs = places("g", grid.g(), &args.g)?;
-    let thicknesses = places("thickness", grid.thickness_mm(), &args.thickness)?;
-    let albedos = places("albedo", grid.albedo(), &args.albedo)?;
-    let mut indices = Vec::new();
-    for &ior in &iors {
-        for &sigma_t in &sigmas {
-            for &g in &gs {
-                for &t in &thicknesses {
-                    indices.extend(albedos.iter().map(|&a| grid.record_at(ior, sigma_t, g, t, a) as u32));
-                }
-            }
-        }
-    }
-    Ok(indices)
+    Ok(Chosen::new(grid, args)?.records(grid))
 }
 
 /// Indices of the wanted values in an axis; all if none is named.

@@ -1,0 +1,182 @@
+//! A dictionary as arrays for NumPy: `numpy.load` reads the file as it is.
+//!
+//! An npz file is an archive of npy files, which are a short head before the numbers (NumPy Enhancement Proposal 1). Each
+//! array is written in a pass of its own over the records, so that none has to fit into memory.
+
+use std::io::{Seek, Write};
+
+use anyhow::{Result, ensure};
+use farm_proto::status::DictionaryStatus;
+use optics_model::Grid;
+use serde::Serialize;
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+use super::Chosen;
+use crate::commands::show;
+use crate::connection::Connection;
+use crate::records::Records;
+
+/// Axes of the arrays of records, the last one running fastest.
+const AXES: [&str; 7] = ["sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"];
+
+/// An array of records: its name and unit, and which of a profile's estimates it has.
+struct Array {
+    name: &'static str,
+    unit: &'static str,
+    estimate: usize,
+    errors: bool,
+}
+
+impl Array {
+    const fn of(name: &'static str, unit: &'static str, estimate: usize, errors: bool) -> Self {
+        Self { name, unit, estimate, errors }
+    }
+}
+
+const PER_ALBEDO: &str = "radiance factor per albedo";
+const PER_SIGMA_T: &str = "radiance factor mm";
+
+/// In the order of a profile's estimates; those after the first two are there with derivatives alone.
+const ARRAYS: [Array; 6] = [
+    Array::of("value", "radiance factor", 0, false),
+    Array::of("std_error", "radiance factor", 0, true),
+    Array::of("d_albedo", PER_ALBEDO, 1, false),
+    Array::of("d_albedo_std_error", PER_ALBEDO, 1, true),
+    Array::of("d_sigma_t", PER_SIGMA_T, 2, false),
+    Array::of("d_sigma_t_std_error", PER_SIGMA_T, 2, true),
+];
+
+/// Writes the chosen records, which must all be done.
+pub(super) async fn write(
+    connection: &Connection,
+    status: &DictionaryStatus,
+    chosen: &Chosen,
+    out: impl Write + Seek,
+) -> Result<()> {
+    let grid = &status.grid;
+    let arrays = if grid.derivatives() { &ARRAYS[..] } else { &ARRAYS[..2] };
+    let mut archive = ZipWriter::new(out);
+    for array in arrays {
+        archive.start_file(format!("{}.npy", array.name), stored())?;
+        write_records(connection, status, chosen, array, &mut archive).await?;
+    }
+    write_axes(grid, chosen, &mut archive)?;
+    archive.start_file("about.json", stored())?;
+    archive.write_all(about(status, arrays)?.as_bytes())?;
+    archive.finish()?;
+    Ok(())
+}
+
+/// Numbers with noise hardly shrink, and as they are they can be mapped into memory.
+fn stored() -> SimpleFileOptions {
+    SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(true)
+}
+
+async fn write_records(
+    connection: &Connection,
+    status: &DictionaryStatus,
+    chosen: &Chosen,
+    array: &Array,
+    out: &mut impl Write,
+) -> Result<()> {
+    let grid = &status.grid;
+    let (channels, pixels) = (grid.scene().channels().len(), grid.scene().sensor().pixels());
+    out.write_all(&head("<f4", &[&chosen.shape()[..], &[channels, pixels]].concat()))?;
+    let indices = chosen.records(grid);
+    let mut records = Records::ask(connection, status, indices.clone()).await?;
+    let mut bytes = Vec::with_capacity(4 * channels * pixels);
+    for wanted in indices {
+        let record = records.next().await?.filter(|record| record.index == wanted as usize);
+        let Some(record) = record else {
+            anyhow::bail!(
+                "record {wanted} is not done yet: arrays have no place for what is missing; wait, choose others with \
+                 --sigma-t, --albedo, --g, --thickness, or write CSV"
+            );
+        };
+        bytes.clear();
+        for profile in &record.profiles {
+            let Some(estimate) = profile.estimates().nth(array.estimate) else {
+                anyhow::bail!("record {wanted} has no {}", array.name);
+            };
+            let numbers = if array.errors { estimate.std_errors() } else { estimate.values() };
+            ensure!(numbers.len() == pixels, "record {wanted} has {} pixels, not {pixels}", numbers.len());
+            bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+        }
+        out.write_all(&bytes)?;
+    }
+    Ok(())
+}
+
+/// The values along each axis, as an array of its name.
+fn write_axes(grid: &Grid, chosen: &Chosen, archive: &mut ZipWriter<impl Write + Seek>) -> Result<()> {
+    let sensor = grid.scene().sensor();
+    let x_mm = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
+    let names: Vec<&str> = grid.scene().channels().iter().map(optics_model::scene::Channel::name).collect();
+    let [iors, sigmas, gs, thicknesses, albedos] = chosen.values(grid);
+    for (name, values) in
+        AXES.iter().filter(|n| **n != "channel").zip([iors, sigmas, gs, thicknesses, albedos, x_mm])
+    {
+        archive.start_file(format!("{name}.npy"), stored())?;
+        archive.write_all(&head("<f8", &[values.len()]))?;
+        archive.write_all(&values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())?;
+    }
+    // Text of one length, in UTF-32, as NumPy has it.
+    let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+    archive.start_file("channel.npy", stored())?;
+    archive.write_all(&head(&format!("<U{longest}"), &[names.len()]))?;
+    for name in names {
+        let padded = name.chars().map(u32::from).chain(std::iter::repeat(0)).take(longest);
+        archive.write_all(&padded.flat_map(u32::to_le_bytes).collect::<Vec<u8>>())?;
+    }
+    Ok(())
+}
+
+/// What `show --json` tells of the dictionary, and what the arrays mean.
+fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Result<String> {
+    #[derive(Serialize)]
+    struct About<D> {
+        farmctl: &'static str,
+        axes: [&'static str; 7],
+        units: std::collections::BTreeMap<&'static str, &'static str>,
+        dictionary: D,
+    }
+    let units = arrays.iter().map(|array| (array.name, array.unit)).collect();
+    let about =
+        About { farmctl: env!("CARGO_PKG_VERSION"), axes: AXES, units, dictionary: show::data(status) };
+    Ok(serde_json::to_string_pretty(&about)? + "\n")
+}
+
+/// Bytes before the text of a head: a mark, a version, and the text's length.
+const BEFORE_HEAD: usize = 10;
+
+/// The head of an npy file, version 1.0: numbers follow in C order. It ends at a multiple of 64 bytes.
+fn head(kind: &str, shape: &[usize]) -> Vec<u8> {
+    let sides: Vec<String> = shape.iter().map(usize::to_string).collect();
+    // A tuple of one has a comma.
+    let comma = if shape.len() == 1 { "," } else { "" };
+    let sides = sides.join(", ");
+    let mut text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({sides}{comma}), }}");
+    let whole = (BEFORE_HEAD + text.len() + 1).next_multiple_of(64);
+    text.extend(std::iter::repeat_n(' ', whole - BEFORE_HEAD - 1 - text.len()));
+    text.push('\n');
+    // Seven axes take a few hundred bytes.
+    let length = (text.len() as u16).to_le_bytes();
+    [b"\x93NUMPY\x01\x00", &length[..], text.as_bytes()].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heads_are_as_numpy_writes_them() {
+        // numpy.save of an array of float32 with the shape (2, 3).
+        let expected = format!("{:<117}\n", "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }");
+        let written = head("<f4", &[2, 3]);
+        assert_eq!(&written[..10], b"\x93NUMPY\x01\x00v\x00");
+        assert_eq!(std::str::from_utf8(&written[10..]).unwrap(), expected);
+        assert_eq!(head("<f8", &[5]).len() % 64, 0);
+        assert!(String::from_utf8_lossy(&head("<U1", &[1])).contains("'shape': (1,)"));
+    }
+}
