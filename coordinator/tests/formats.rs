@@ -18,8 +18,10 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 const TINY: &str = "489ae2e8843061d76675c4e449b2dcbc915686ec2e5af42c958c1c5c58a9b441";
 const SLOPES: &str = "e055f3e4960318c9b5d568cdde3e97e0a16d22a2f871f97b8cf2ff86cebcb44f";
 
+const BYTES: &str = "630a8a7c9bde119ced73150c6695e6d1cc69c2c8d619476218de3e1cbae79755";
+
 /// Version of the physics of the program that wrote the fixture of each schema.
-const PHYSICS_VERSIONS: [u32; 5] = [2, 3, 3, 3, 3];
+const PHYSICS_VERSIONS: [u32; 6] = [2, 3, 3, 3, 3, 3];
 
 /// The digest that a grid had in the program that wrote a fixture.
 fn grid_digest(grid: &Grid, schema: i64) -> Digest {
@@ -113,6 +115,29 @@ async fn derivatives_of_every_schema_are_read() {
     }
 }
 
+/// From the sixth schema on there are records whose standard errors are bytes, beside the older ones.
+#[tokio::test]
+async fn errors_in_bytes_are_read_beside_floats() {
+    for schema in 6..=newest_schema() {
+        let dir = data_of(schema).await;
+        let store = open(&dir).await;
+        let bytes = dictionary(&store, "bytes").await;
+        assert_eq!(bytes.grid_digest.physics_version_of(&bytes.grid), Some(6), "schema {schema}");
+        assert_eq!(ended(&store, &bytes).await.1, BYTES, "schema {schema}");
+        let found = store.all_jobs(bytes.id, &bytes.grid, 0..1).await.unwrap().remove(0).unwrap();
+        let errors = found.records.record(1).profiles[0].radiance_factor.std_errors().to_vec();
+        assert_eq!(
+            (errors.len(), errors[0], errors[11]),
+            (24, 1.5 / 512.0, 1.375 / 512.0),
+            "schema {schema}"
+        );
+        let slopes = dictionary(&store, "slopes").await;
+        assert_ne!(slopes.grid_digest.physics_version_of(&slopes.grid), Some(6), "schema {schema}");
+        let loaded = load_dictionary(&store, &bytes.name, bytes.id, &bytes.grid).await.unwrap();
+        assert_eq!(loaded.grid().record_count(), 2, "schema {schema}");
+    }
+}
+
 /// From the second schema on: what is known of who computed a job, and what people want of a dictionary.
 #[tokio::test]
 async fn shared_points_and_what_is_wanted_are_read() {
@@ -159,7 +184,15 @@ async fn dictionaries_of_every_schema_are_deleted_whole() {
         for stored in store.dictionaries().await.unwrap() {
             records += store.delete_dictionary(stored.id, &[]).await.unwrap();
         }
-        assert_eq!(records, if schema == 1 { 10 } else { 11 }, "schema {schema}");
+        assert_eq!(
+            records,
+            match schema {
+                1 => 10,
+                2..6 => 11,
+                _ => 13,
+            },
+            "schema {schema}"
+        );
         assert!(store.faults().await.unwrap().is_empty(), "schema {schema}");
         store.close().await;
         let file = dir.path().join("farm.db");

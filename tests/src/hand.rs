@@ -23,10 +23,10 @@ pub fn on_wire(records: &[Record]) -> Bytes {
     bytes.into()
 }
 
-/// The same but for one number.
-pub fn with_number(records: &Bytes, place: usize, number: f32) -> Bytes {
+/// The same but for one number, which begins at a byte.
+pub fn with_number(records: &Bytes, at: usize, number: f32) -> Bytes {
     let mut records = records.to_vec();
-    records[4 * place..][..4].copy_from_slice(&number.to_le_bytes());
+    records[at..][..4].copy_from_slice(&number.to_le_bytes());
     records.into()
 }
 

@@ -127,17 +127,17 @@ mod tests {
     #[test]
     fn whole_jobs_are_read_at_a_time_unless_they_are_very_large() {
         let paper = Grid::paper();
-        assert_eq!(at_a_time(&paper), 5 * paper.albedo().len());
+        assert_eq!(at_a_time(&paper), 9 * paper.albedo().len());
         let with = |pixels, albedos: usize| {
             let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
             let albedo = (1..=albedos).map(|i| i as f64 / (albedos + 1) as f64).collect();
             let axes = Axes { albedo, ..paper.axes().clone() };
             at_a_time(&Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap())
         };
-        // A record has 24 bytes a pixel.
+        // A record has 15 bytes a pixel, and 6.
         assert_eq!(with(4, 2), 1024 * 2);
-        assert_eq!(with(100, 10), 87 * 10);
-        assert_eq!(with(4000, 100), (8 << 20) / (24 * 4000));
+        assert_eq!(with(100, 10), 139 * 10);
+        assert_eq!(with(4000, 200), (8 << 20) / (15 * 4000 + 6));
     }
 
     #[test]

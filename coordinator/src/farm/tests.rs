@@ -50,7 +50,7 @@ fn value(job: u32) -> f32 {
 
 /// Records of a job whose numbers are all the same.
 fn content(job: &JobSpec, value: f32) -> JobResult {
-    let estimate = || Estimate::new(vec![value; PIXELS], vec![0.1; PIXELS]).unwrap();
+    let estimate = || Estimate::new(vec![value; PIXELS], vec![0.125; PIXELS]).unwrap();
     let profile = || Profile { radiance_factor: estimate(), derivatives: None };
     let record = |index| Record { index, profiles: (0..3).map(|_| profile()).collect() };
     let first = job.first_record();

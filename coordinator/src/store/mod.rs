@@ -36,9 +36,9 @@ pub use writer::Commit;
 
 /// Older versions can corrupt a WAL database at a reset of the log.
 const OLDEST_SQLITE: &str = "3.51.3";
-/// A transaction writes the last page of each table and index anew, however little it adds: small pages make that cheap. In
-/// pages of this size a record of the paper's grid, of 8.6 kB, leaves 6 % of them empty; in those of 16 KiB it were half.
-const PAGE_BYTES: u32 = 8192;
+/// A transaction writes the last page of each table and index anew, however little it adds: small pages make that cheap.
+/// A record that is larger than its page leaves less than half a page of this size empty, whatever its scene.
+const PAGE_BYTES: u32 = 4096;
 
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {

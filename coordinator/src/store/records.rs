@@ -11,7 +11,8 @@ use std::ops::Range;
 
 use farm_proto::ids::DictionaryId;
 use optics_model::job::JobSpec;
-use optics_model::{Grid, PackedRecords};
+use optics_model::profile::RecordShape;
+use optics_model::{Grid, Layout, PackedRecords};
 use sqlx::{Connection, FromRow, SqliteConnection};
 use tokio_stream::StreamExt;
 
@@ -110,6 +111,8 @@ async fn read(
 struct Gathered {
     job: i64,
     digest: Vec<u8>,
+    /// That of the first record: a point's records are of one program.
+    layout: Layout,
     bytes: Vec<u8>,
     /// The first record that cannot be one.
     corrupt: Option<StoreError>,
@@ -117,8 +120,11 @@ struct Gathered {
 
 impl Gathered {
     fn new(first: &RecordRow<'_>, grid: &Grid) -> Self {
-        let bytes = Vec::with_capacity(grid.albedo().len() * grid.record_bytes());
-        Self { job: first.job, digest: first.records_digest.to_owned(), bytes, corrupt: None }
+        let shape = RecordShape::of(grid);
+        let layout = first.profiles.and_then(|profiles| Layout::of_record(profiles.len(), shape));
+        let layout = layout.unwrap_or(Layout::Bytes);
+        let bytes = Vec::with_capacity(grid.albedo().len() * layout.record_bytes(shape));
+        Self { job: first.job, digest: first.records_digest.to_owned(), layout, bytes, corrupt: None }
     }
 
     fn add(&mut self, row: &RecordRow<'_>, grid: &Grid) {
@@ -127,7 +133,7 @@ impl Gathered {
         if !grid.albedo().contains(&albedo) {
             return;
         }
-        let wanted = grid.record_bytes();
+        let wanted = self.layout.record_bytes(RecordShape::of(grid));
         if profiles.len() == wanted {
             self.bytes.extend_from_slice(profiles);
         } else {
@@ -149,11 +155,13 @@ impl Gathered {
         if let Some(corrupt) = self.corrupt {
             return Err(corrupt.to_string());
         }
-        let (found, wanted) = (self.bytes.len() / grid.record_bytes(), grid.albedo().len());
+        let size = self.layout.record_bytes(RecordShape::of(grid));
+        let (found, wanted) = (self.bytes.len() / size, grid.albedo().len());
         if found != wanted {
             return Err(format!("{found} records of {wanted} are there"));
         }
-        let records = PackedRecords::new(&JobSpec::of(grid, self.job as usize), self.bytes.into())
+        let job = JobSpec::of(grid, self.job as usize);
+        let records = PackedRecords::in_layout(self.layout, &job, self.bytes.into())
             .map_err(|error| format!("its records cannot be: {error}"))?;
         if records.digest() != digest {
             return Err("its records differ from what was stored".to_owned());

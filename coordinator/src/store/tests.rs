@@ -32,7 +32,7 @@ fn grid() -> Grid {
 
 pub(super) fn records(first: usize, value: f32) -> Vec<Record> {
     let profile = || Profile {
-        radiance_factor: Estimate::new(vec![value; 4], vec![0.1; 4]).unwrap(),
+        radiance_factor: Estimate::new(vec![value; 4], vec![0.125; 4]).unwrap(),
         derivatives: None,
     };
     (first..first + 2).map(|index| Record { index, profiles: (0..3).map(|_| profile()).collect() }).collect()
@@ -217,16 +217,16 @@ async fn more_walks_are_asked_for_until_the_noise_is_low_enough() {
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
-    // Values 0.25 with errors 0.1: 40 % of noise.
+    // Values 0.25 with errors 0.125: 50 % of noise.
     let quality = |target| Some(Quality::new(target, Walks::new(50_000).unwrap()).unwrap());
     let result = |target| Completion { quality: quality(target), ..completion(&d, 0, 0.25) };
-    // (0.4 / 0.2)² · 1.1 = 4.4 times 5000 walks, rounded up to batches.
-    let more = Outcome::MoreWalks(Walks::new(22_500).unwrap());
-    assert_eq!(store.complete(result(0.2)).await.unwrap(), more);
+    // (0.5 / 0.25)² · 1.1 = 4.4 times 5000 walks.
+    let more = Outcome::MoreWalks(Walks::new(22_000).unwrap());
+    assert_eq!(store.complete(result(0.25)).await.unwrap(), more);
     assert!(store.ended_jobs(d.id, &d.grid).await.unwrap().is_empty());
     let most = Outcome::MoreWalks(Walks::new(50_000).unwrap());
     assert_eq!(store.complete(result(0.01)).await.unwrap(), most, "but no more than allowed");
-    assert!(matches!(store.complete(result(0.41)).await.unwrap(), Outcome::Finished { .. }));
+    assert!(matches!(store.complete(result(0.51)).await.unwrap(), Outcome::Finished { .. }));
 }
 
 #[tokio::test]

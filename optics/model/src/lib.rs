@@ -26,10 +26,10 @@ pub use grid::{Grid, Quality, Walks};
 pub use invalid::{Invalid, Result};
 pub use measurement::{MeasuredProfile, Measurement, ProfileSetup};
 pub use medium::{Medium, TransportPoint};
-pub use packed::PackedRecords;
+pub use packed::{Layout, PackedRecords};
 pub use profile::{Derivatives, Estimate, Profile, Record};
 pub use scene::Scene;
 
 /// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
 /// Workers and coordinator must agree on it.
-pub const PHYSICS_VERSION: u32 = 5;
+pub const PHYSICS_VERSION: u32 = 6;

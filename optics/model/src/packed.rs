@@ -1,7 +1,10 @@
 //! Records as bytes: what goes over the wire and what is stored.
 //!
-//! 32-bit floats, little endian. In a record, for each channel: radiance factor, then ∂/∂α and ∂/∂σ_t if the job asks for
-//! derivatives; of each of these the values of all pixels, then their standard errors.
+//! In a record, for each channel: radiance factor, then ∂/∂α and ∂/∂σ_t if the job asks for derivatives; of each of these
+//! the values of all pixels as 32-bit floats, little endian, then their [standard errors](std_errors) in two bytes and one
+//! for each pixel. Up to physics version 5 these were floats, too. Such records are read; [`Layout`] tells them apart.
+
+pub(crate) mod std_errors;
 
 use std::ops::Range;
 
@@ -15,11 +18,67 @@ use crate::profile::{Derivatives, Estimate, Profile, Record, RecordShape};
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f32>();
 
+/// How a record's standard errors lie in its bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Layout {
+    /// In a byte each.
+    Bytes,
+    /// As 32-bit floats: up to physics version 5.
+    Floats,
+}
+
+impl Layout {
+    /// Bytes of a record.
+    pub fn record_bytes(self, shape: RecordShape) -> usize {
+        shape.channels * shape.estimates() * self.estimate_bytes(shape.pixels)
+    }
+
+    /// The layout in which a record takes so many bytes, if it does so in one.
+    pub fn of_record(bytes: usize, shape: RecordShape) -> Option<Self> {
+        [Self::Bytes, Self::Floats].into_iter().find(|layout| layout.record_bytes(shape) == bytes)
+    }
+
+    fn estimate_bytes(self, pixels: usize) -> usize {
+        let of_errors = match self {
+            Self::Bytes => std_errors::size(pixels),
+            Self::Floats => pixels * NUMBER,
+        };
+        pixels * NUMBER + of_errors
+    }
+
+    /// The bytes of each estimate's values and standard errors.
+    fn estimates(self, record: &[u8], pixels: usize) -> impl Iterator<Item = (&[u8], &[u8])> {
+        record.chunks_exact(self.estimate_bytes(pixels)).map(move |e| e.split_at(pixels * NUMBER))
+    }
+
+    fn std_errors(self, bytes: &[u8]) -> Result<Vec<f32>> {
+        match self {
+            Self::Bytes => std_errors::read(bytes),
+            Self::Floats => Ok(numbers(bytes).collect()),
+        }
+    }
+
+    fn are_std_errors_sound(self, bytes: &[u8]) -> bool {
+        match self {
+            Self::Bytes => std_errors::is_sound(bytes),
+            Self::Floats => numbers(bytes).fold(true, |right, v| right & (0.0..=f32::MAX).contains(&v)),
+        }
+    }
+}
+
+impl RecordShape {
+    /// Bytes of one record, as it is packed today.
+    pub fn bytes(self) -> usize {
+        Layout::Bytes.record_bytes(self)
+    }
+}
+
 /// All records of a job, one after the other in their order. They are checked, and cheap to copy.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PackedRecords {
     first: usize,
     shape: RecordShape,
+    layout: Layout,
     bytes: Bytes,
 }
 
@@ -29,22 +88,28 @@ impl PackedRecords {
         job.albedo().len() * RecordShape::of_job(job).bytes()
     }
 
-    /// The records of a job from their bytes; refused if they are too many or too few, or if a value is not finite or a
-    /// standard error negative.
+    /// The records of a job from their bytes, as a worker sends them; refused if they are too many or too few, or if a
+    /// value is not finite or a standard error cannot be.
     pub fn new(job: &JobSpec, bytes: Bytes) -> Result<Self> {
+        Self::in_layout(Layout::Bytes, job, bytes)
+    }
+
+    /// The same as they were stored, by this program or an older one.
+    pub fn in_layout(layout: Layout, job: &JobSpec, bytes: Bytes) -> Result<Self> {
         let (shape, first) = (RecordShape::of_job(job), job.first_record());
-        let wanted = Self::bytes_of(job);
+        let size = layout.record_bytes(shape);
+        let wanted = job.albedo().len() * size;
         if bytes.len() != wanted {
             let allowed = format!("{wanted} are needed, for {} records", job.albedo().len());
             return Err(Invalid::new("records", format_args!("{} bytes", bytes.len()), allowed));
         }
-        for (index, record) in (first..).zip(bytes.chunks_exact(shape.bytes())) {
-            check(record, shape).map_err(|error| error.within(format!("record {index}")))?;
+        for (index, record) in (first..).zip(bytes.chunks_exact(size)) {
+            check(record, shape, layout).map_err(|error| error.within(format!("record {index}")))?;
         }
-        Ok(Self { first, shape, bytes })
+        Ok(Self { first, shape, layout, bytes })
     }
 
-    /// The records of a job that has been traced.
+    /// The records of a job that has been traced. Standard errors are rounded, as those of traced records already are.
     ///
     /// # Panics
     /// If they are not the job's: of other numbers, too few or too many, or of another shape.
@@ -56,7 +121,7 @@ impl PackedRecords {
             assert!(record.index == index && shape.check(record).is_ok(), "record {index} is the job's");
             record.extend_le_bytes(&mut bytes);
         }
-        Self { first, shape, bytes: bytes.into() }
+        Self { first, shape, layout: Layout::Bytes, bytes: bytes.into() }
     }
 
     pub fn unpack(&self) -> Vec<Record> {
@@ -65,7 +130,7 @@ impl PackedRecords {
 
     /// The numbers that the records have in the grid.
     pub fn numbers(&self) -> Range<usize> {
-        self.first..self.first + self.bytes.len() / self.shape.bytes()
+        self.first..self.first + self.bytes.len() / self.record_bytes()
     }
 
     pub fn shape(&self) -> RecordShape {
@@ -88,13 +153,13 @@ impl PackedRecords {
     pub fn radiance_factors(&self, number: usize, channel: usize) -> impl ExactSizeIterator<Item = f32> {
         let RecordShape { channels, pixels, .. } = self.shape;
         assert!(channel < channels, "channel {channel} is one of {channels}");
-        let start = channel * self.shape.bytes() / channels;
+        let start = channel * self.record_bytes() / channels;
         numbers(&self.bytes_of_record(number)[start..start + pixels * NUMBER])
     }
 
     /// The bytes of each record, in their order.
     pub fn each(&self) -> impl Iterator<Item = Bytes> {
-        let size = self.shape.bytes();
+        let size = self.record_bytes();
         (0..self.bytes.len()).step_by(size).map(move |start| self.bytes.slice(start..start + size))
     }
 
@@ -105,12 +170,16 @@ impl PackedRecords {
 
     /// The same as [`Digest::of_records`] has for the records.
     pub fn digest(&self) -> Digest {
-        Digest::of_packed(self.first, &self.bytes, self.shape.bytes())
+        Digest::of_packed(self.first, &self.bytes, self.record_bytes())
+    }
+
+    fn record_bytes(&self) -> usize {
+        self.layout.record_bytes(self.shape)
     }
 
     fn bytes_of_record(&self, number: usize) -> &[u8] {
         assert!(self.numbers().contains(&number), "record {number} is one of {:?}", self.numbers());
-        let size = self.shape.bytes();
+        let size = self.record_bytes();
         &self.bytes[(number - self.first) * size..][..size]
     }
 }
@@ -118,25 +187,24 @@ impl PackedRecords {
 impl Record {
     /// Appends all numbers, in the order that this module tells.
     pub fn extend_le_bytes(&self, bytes: &mut Vec<u8>) {
-        let estimates = self.profiles.iter().flat_map(Profile::estimates);
-        for numbers in estimates.flat_map(|e| [e.values(), e.std_errors()]) {
+        for estimate in self.profiles.iter().flat_map(Profile::estimates) {
             let start = bytes.len();
-            bytes.resize(start + size_of_val(numbers), 0);
-            for (place, number) in bytes[start..].chunks_exact_mut(NUMBER).zip(numbers) {
+            bytes.resize(start + size_of_val(estimate.values()), 0);
+            for (place, number) in bytes[start..].chunks_exact_mut(NUMBER).zip(estimate.values()) {
                 place.copy_from_slice(&number.to_le_bytes());
             }
+            std_errors::extend(estimate.std_errors(), bytes);
         }
     }
 
-    /// The record that [`Self::extend_le_bytes`] wrote; refused if the bytes cannot be one of this shape.
+    /// The record of these bytes, in either layout; refused if they cannot be one of this shape.
     pub fn from_le_bytes(index: usize, bytes: &[u8], shape: RecordShape) -> Result<Self> {
-        if bytes.len() != shape.bytes() {
+        let Some(layout) = Layout::of_record(bytes.len(), shape) else {
             let allowed = format!("{} are needed", shape.bytes());
             return Err(Invalid::new("record", format_args!("{} bytes", bytes.len()), allowed));
-        }
-        let mut estimates = bytes.chunks_exact(2 * shape.pixels * NUMBER).map(|estimate| {
-            let (values, std_errors) = estimate.split_at(estimate.len() / 2);
-            Estimate::new(numbers(values).collect(), numbers(std_errors).collect())
+        };
+        let mut estimates = layout.estimates(bytes, shape.pixels).map(|(values, std_errors)| {
+            Estimate::new(numbers(values).collect(), layout.std_errors(std_errors)?)
         });
         let mut next = |field| estimates.next().expect("the length was checked").map_err(|e| e.within(field));
         let mut profile = || -> Result<Profile> {
@@ -158,12 +226,11 @@ fn numbers(bytes: &[u8]) -> impl ExactSizeIterator<Item = f32> {
 
 /// Refuses a record with numbers that no walks can come to. Without a way out of its loops, so that they run in vectors:
 /// every number of every record passes here.
-fn check(record: &[u8], shape: RecordShape) -> Result<()> {
+fn check(record: &[u8], shape: RecordShape, layout: Layout) -> Result<()> {
     let mut right = true;
-    for estimate in record.chunks_exact(2 * shape.pixels * NUMBER) {
-        let (values, std_errors) = estimate.split_at(estimate.len() / 2);
+    for (values, std_errors) in layout.estimates(record, shape.pixels) {
         right &= numbers(values).fold(true, |right, v| right & v.is_finite());
-        right &= numbers(std_errors).fold(true, |right, v| right & (0.0..=f32::MAX).contains(&v));
+        right &= layout.are_std_errors_sound(std_errors);
     }
     // Which number is wrong is found at leisure.
     if right { Ok(()) } else { Record::from_le_bytes(0, record, shape).map(drop) }
@@ -183,13 +250,15 @@ mod tests {
         job.numbered_from(7)
     }
 
-    /// Every number another.
+    /// Every value another.
     fn records(job: &JobSpec) -> Vec<Record> {
         let shape = RecordShape::of_job(job);
         let mut count = 0.0_f32;
         let mut estimate = || {
             let mut numbers = || (0..shape.pixels).map(|_| (count += 1.0, count).1).collect::<Vec<_>>();
-            Estimate::new(numbers(), numbers()).unwrap()
+            let (values, mut std_errors) = (numbers(), numbers());
+            std_errors::round(&mut std_errors);
+            Estimate::new(values, std_errors).unwrap()
         };
         let mut profile = || Profile {
             radiance_factor: estimate(),
@@ -247,25 +316,65 @@ mod tests {
         let _ = PackedRecords::pack(&job, &swapped);
     }
 
+    /// The bytes of records as programs up to physics version 5 wrote them.
+    fn with_floats(records: &[Record]) -> Vec<u8> {
+        let estimates = records.iter().flat_map(|r| &r.profiles).flat_map(Profile::estimates);
+        let numbers = estimates.flat_map(|e| [e.values(), e.std_errors()]).flatten();
+        numbers.flat_map(|number| number.to_le_bytes()).collect()
+    }
+
+    #[test]
+    fn records_whose_errors_are_floats_are_read() {
+        for derivatives in [false, true] {
+            let job = job(derivatives);
+            let mut records = records(&job);
+            // An error that a byte would round.
+            let profile = &mut records[1].profiles[2];
+            let values = profile.radiance_factor.values().to_vec();
+            let errors = (0..values.len()).map(|pixel| 1.0 + pixel as f32 / 1024.0).collect();
+            profile.radiance_factor = Estimate::new(values, errors).unwrap();
+            let bytes = Bytes::from(with_floats(&records));
+            assert!(PackedRecords::new(&job, bytes.clone()).is_err(), "no worker sends this");
+            let packed = PackedRecords::in_layout(Layout::Floats, &job, bytes.clone()).unwrap();
+            assert_eq!((packed.unpack(), packed.numbers()), (records.clone(), 7..9));
+            let values: Vec<f32> = packed.radiance_factors(8, 2).collect();
+            assert_eq!(values, records[1].profiles[2].radiance_factor.values());
+            let shape = packed.shape();
+            assert_eq!(Layout::of_record(bytes.len() / 2, shape), Some(Layout::Floats));
+            assert_eq!(Layout::of_record(shape.bytes(), shape), Some(Layout::Bytes));
+            assert_eq!(Layout::of_record(shape.bytes() - 1, shape), None);
+        }
+    }
+
     #[test]
     fn a_number_that_cannot_be_is_named() {
         let job = job(false);
         let good = PackedRecords::pack(&job, &records(&job));
         let pixels = job.scene().sensor().pixels();
-        let with = |place: usize, number: f32| {
+        let with = |place: usize, number: &[u8]| {
             let mut bytes = good.bytes().to_vec();
-            bytes[NUMBER * place..][..NUMBER].copy_from_slice(&number.to_le_bytes());
+            bytes[place..][..number.len()].copy_from_slice(number);
             PackedRecords::new(&job, bytes.into())
         };
-        let field = |place, number| with(place, number).unwrap_err().field().to_owned();
-        let of_second = 6 * pixels;
-        assert_eq!(field(3, f32::NAN), "record 7.profiles[0].radiance_factor.values[3]");
-        assert_eq!(field(of_second + pixels + 5, -0.5), "record 8.profiles[0].radiance_factor.std_errors[5]");
+        let field = |place, number: &[u8]| with(place, number).unwrap_err().field().to_owned();
+        let errors_of_second = RecordShape::of_job(&job).bytes() + pixels * NUMBER;
         assert_eq!(
-            field(of_second + pixels, f32::INFINITY),
-            "record 8.profiles[0].radiance_factor.std_errors[0]"
+            field(3 * NUMBER, &f32::NAN.to_le_bytes()),
+            "record 7.profiles[0].radiance_factor.values[3]"
         );
-        assert!(with(0, -1.0).is_ok(), "radiance factors may be below zero");
+        assert_eq!(
+            field(errors_of_second, &f32::INFINITY.to_le_bytes()[2..]),
+            "record 8.profiles[0].radiance_factor.std_errors"
+        );
+        assert!(with(0, &(-1.0_f32).to_le_bytes()).is_ok(), "radiance factors may be below zero");
+        let floats = |place: usize, number: f32| {
+            let mut bytes = with_floats(&good.unpack());
+            bytes[place * NUMBER..][..NUMBER].copy_from_slice(&number.to_le_bytes());
+            let error = PackedRecords::in_layout(Layout::Floats, &job, bytes.into()).unwrap_err();
+            error.field().to_owned()
+        };
+        assert_eq!(floats(7 * pixels + 5, -0.5), "record 8.profiles[0].radiance_factor.std_errors[5]");
+        assert_eq!(floats(7 * pixels, f32::INFINITY), "record 8.profiles[0].radiance_factor.std_errors[0]");
     }
 
     #[test]

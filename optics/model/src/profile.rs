@@ -79,10 +79,9 @@ pub struct RecordShape {
 }
 
 impl RecordShape {
-    /// Bytes of one record's numbers.
-    pub fn bytes(&self) -> usize {
-        let estimates = if self.derivatives { 3 } else { 1 };
-        self.channels * self.pixels * estimates * 2 * size_of::<f32>()
+    /// Estimates of a channel.
+    pub fn estimates(self) -> usize {
+        if self.derivatives { 3 } else { 1 }
     }
 
     /// Refuses a record of another shape.

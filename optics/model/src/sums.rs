@@ -3,7 +3,7 @@
 use crate::grid::{BATCH_WALKS, CHUNK_BATCHES};
 use crate::invalid::{Invalid, Result};
 use crate::job::JobSpec;
-use crate::packed::PackedRecords;
+use crate::packed::{PackedRecords, std_errors};
 use crate::profile::{Derivatives, Estimate, Profile, Record};
 
 /// Bytes of what a tracer makes of a job: the sums of its block if it is divided, else its records.
@@ -102,7 +102,7 @@ impl Sums {
         let scale = 1.0 / (BATCH_WALKS as f64 * scene.light().measure());
         let estimate = |channel: usize, quantity: usize, albedo: usize| {
             let column = (channel * quantities + quantity) * albedos + albedo;
-            let (values, std_errors) = (0..pixels)
+            let (values, mut std_errors): (_, Vec<f32>) = (0..pixels)
                 .map(|pixel| {
                     let at = pixel * row + column;
                     let variance = self.deviations[at] / degrees;
@@ -110,6 +110,8 @@ impl Sums {
                     ((mean * scale) as f32, ((variance / batches).sqrt() * scale) as f32)
                 })
                 .unzip();
+            // A record is the same whether it was packed or not.
+            std_errors::round(&mut std_errors);
             Estimate::new(values, std_errors).expect("sums of finite numbers are finite")
         };
         let profile = |channel: usize, albedo: usize| Profile {

@@ -12,7 +12,7 @@ use farm_proto::wire::{
     AcquireRequest, CompleteRequest, CompletionKind, Lease, RegisterRequest, ResultHeader,
 };
 use optics_model::job::JobSpec;
-use optics_model::{Grid, PHYSICS_VERSION, PackedRecords};
+use optics_model::{Estimate, Grid, PHYSICS_VERSION, PackedRecords, Profile, Record};
 use tonic::transport::Channel;
 
 /// Longest wait for work: at the end of the load all wait in vain once.
@@ -44,8 +44,19 @@ pub struct Worker {
 
 impl Crew {
     pub fn new(jobs: usize, at_once: u32, job: Duration, grid: &Grid) -> Self {
-        let floats = PackedRecords::bytes_of(&JobSpec::of(grid, 0)) / 4;
-        let records = (0..floats).flat_map(|i| (0.1 + 1e-6 * i as f32).to_le_bytes()).collect();
+        let first = JobSpec::of(grid, 0);
+        let numbers = |from: f32| {
+            let pixels = grid.scene().sensor().pixels();
+            (0..pixels).map(|pixel| from + 1e-6 * pixel as f32).collect::<Vec<_>>()
+        };
+        let profile = |channel: usize| {
+            let radiance_factor = Estimate::new(numbers(0.1 * channel as f32), numbers(1e-3)).unwrap();
+            Profile { radiance_factor, derivatives: None }
+        };
+        let record =
+            |index| Record { index, profiles: (0..grid.scene().channels().len()).map(profile).collect() };
+        let all: Vec<Record> = (0..grid.albedo().len()).map(|i| record(first.first_record() + i)).collect();
+        let records = PackedRecords::pack(&first, &all).bytes().clone();
         Self { jobs, stored: AtomicUsize::new(0), at_once, job, records }
     }
 

@@ -68,7 +68,8 @@ async fn streams_that_are_no_results_are_refused_with_the_field_and_store_nothin
     let too_short = || whole().into_iter().take(2).collect::<Vec<_>>();
     let with = |more: Piece| whole().into_iter().chain([more]).collect::<Vec<_>>();
     let nan = || {
-        let bytes = [f32::NAN.to_le_bytes(); 12 * PIXELS].concat();
+        let mut bytes = vec![0; PackedRecords::bytes_of(&leases[0].job)];
+        bytes[..4].copy_from_slice(&f32::NAN.to_le_bytes());
         vec![header(&worker, leases[0].key, leases[0].job.identity()), Piece::Records(bytes.into())]
     };
     let cases = [

@@ -76,10 +76,10 @@ async fn a_record_under_another_albedo_is_damage() {
 async fn one_changed_bit_is_damage() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
-    // The lowest bit of the last number, a standard error of 0.1: 0x3DCCCCCD.
+    // The lowest bit of the last standard error.
     change(
         &store,
-        "UPDATE records SET profiles = cast(substr(profiles, 1, 92) || x'CCCCCC3D' AS BLOB) WHERE id = 2",
+        "UPDATE records SET profiles = cast(substr(profiles, 1, 65) || x'FE' AS BLOB) WHERE id = 2",
     )
     .await;
     assert_eq!(damage(&store, &d).await, "its records differ from what was stored");
@@ -113,17 +113,17 @@ async fn a_record_of_another_length_is_damage() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     for cut in [
-        "UPDATE records SET profiles = substr(profiles, 1, 95) WHERE id = 2",
+        "UPDATE records SET profiles = substr(profiles, 1, 65) WHERE id = 2",
         "UPDATE records SET profiles = x'' WHERE id = 2",
     ] {
         change(&store, cut).await;
         let what = damage(&store, &d).await;
         assert!(what.starts_with("table records, row 2, column profiles is corrupt: it has "), "{what}");
-        assert!(what.ends_with(": 96 are needed"), "{what}");
+        assert!(what.ends_with(": 66 are needed"), "{what}");
     }
     // As many bytes in all, but at other places.
-    change(&store, "UPDATE records SET profiles = zeroblob(90) WHERE id = 1").await;
-    change(&store, "UPDATE records SET profiles = zeroblob(102) WHERE id = 2").await;
+    change(&store, "UPDATE records SET profiles = zeroblob(60) WHERE id = 1").await;
+    change(&store, "UPDATE records SET profiles = zeroblob(72) WHERE id = 2").await;
     assert!(damage(&store, &d).await.contains("row 1"));
 }
 
