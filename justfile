@@ -78,6 +78,11 @@ audit:
     typos
     cargo deny check
 
+# The Python package: wheel, types and tests in a fresh virtual environment; needs a Python package index.
+python:
+    cargo build --release --workspace --bins
+    FARM_PROGRAMS=target/release python/check
+
 # The Python recipe of docs/python.md, exactly as it is written there; needs a Python package index.
 recipe:
     cargo build --workspace --bins

@@ -18,6 +18,7 @@ pub(crate) mod map;
 pub(crate) mod measure;
 pub(crate) mod profile;
 pub(crate) mod scale;
+pub(crate) mod serve;
 pub(crate) mod session_folder;
 pub(crate) mod show;
 pub(crate) mod similar;

@@ -70,6 +70,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Similar(args) => commands::similar::run(&args, output)?,
         Command::Simulate(args) => commands::simulate::run(args, output).await?,
         Command::Web(args) => web::run(global, args, output).await?,
+        Command::Serve(args) => commands::serve::run(global, &args, output).await?,
         Command::Status => commands::status::run(global, output).await?,
         Command::List => commands::list::run(global, output).await?,
         Command::Watch(args) => return commands::watch::watch(global, &args.name, output).await,

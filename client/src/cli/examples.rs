@@ -55,6 +55,11 @@ Examples:
   farmctl similar --sigma-t 6 --albedo 0.9991 --g 0.4
   farmctl similar --sigma-t 6 --albedo 0.9991 --g 0.4 --to 0,0.8";
 
+pub(super) const SERVE: &str = "\
+Examples:
+  farmctl serve                    the farm of ./farm-data
+  farmctl serve --data lab         that of another folder";
+
 pub(super) const WEB: &str = "\
 Examples:
   farmctl web                                  the farm of this folder

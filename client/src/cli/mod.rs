@@ -123,6 +123,9 @@ pub enum Command {
     /// Open a page in the browser: measure, look at dictionaries, run the farm, judge captures.
     #[command(after_help = examples::WEB)]
     Web(WebArgs),
+    /// Keep the farm of a folder running, for notebooks and other programs on this machine.
+    #[command(after_help = examples::SERVE)]
+    Serve(ServeArgs),
     /// Show what the farm is doing.
     #[command(after_help = examples::STATUS)]
     Status,
@@ -189,6 +192,13 @@ pub enum Command {
     /// Print completions for a shell.
     #[command(after_help = examples::COMPLETIONS)]
     Completions(CompletionsArgs),
+}
+
+#[derive(Debug, Args)]
+pub struct ServeArgs {
+    /// Stop when standard input ends, and so with the program that started this one.
+    #[arg(long)]
+    pub until_input_ends: bool,
 }
 
 #[derive(Debug, Args)]

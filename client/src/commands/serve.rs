@@ -1,0 +1,87 @@
+//! `farmctl serve`: the farm of a folder, kept running for other programs of the same user.
+
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use farm_proto::wire::StatusRequest;
+use serde::Serialize;
+use tokio::sync::oneshot;
+
+use crate::cli::{Global, ServeArgs};
+use crate::connection::{Connection, Purpose};
+use crate::interrupt::interrupted;
+use crate::output::Output;
+
+/// Pause before another look whether a farm is still there.
+const LOOK_AGAIN: Duration = Duration::from_millis(500);
+
+#[derive(Debug, Serialize)]
+struct ServeJson {
+    address: String,
+}
+
+pub(crate) async fn run(global: &Global, args: &ServeArgs, output: &Output) -> Result<()> {
+    let mut connection = Connection::open(global, Purpose::Compute).await?;
+    if connection.is_server() {
+        bail!(
+            "the farm at {} runs already: serve runs that of a folder, without --server and --access",
+            connection.address()
+        );
+    }
+    let data = ServeJson { address: connection.address().to_owned() };
+    output.print("serve", &data, || {
+        format!(
+            "the farm of {} is at {}, for farmctl and other programs of yours on this machine; Ctrl-C ends it",
+            global.data.display(),
+            data.address
+        )
+    })?;
+    let stopped = stopped(args.until_input_ends);
+    tokio::pin!(stopped);
+    loop {
+        tokio::select! {
+            () = gone(&connection) => {}
+            () = &mut stopped => return connection.close().await,
+        }
+        if connection.is_embedded() {
+            // It says why it has ended.
+            return connection.close().await;
+        }
+        // The process that held the folder has ended: now it is ours to serve.
+        connection = Connection::open(global, Purpose::Compute).await?;
+    }
+}
+
+/// Ends when the process is asked to stop.
+async fn stopped(until_input_ends: bool) {
+    tokio::select! {
+        () = interrupted() => {}
+        () = input_ends(), if until_input_ends => {}
+    }
+}
+
+/// Ends with standard input, or with the program at the other end of it.
+async fn input_ends() {
+    let (sender, ended) = oneshot::channel::<()>();
+    // Not one of the runtime's threads: those must have ended before the process can.
+    std::thread::spawn(move || {
+        let _sender = sender;
+        let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
+    });
+    let _ = ended.await;
+}
+
+/// Ends when the farm has ended.
+async fn gone(connection: &Connection) {
+    loop {
+        tokio::time::sleep(LOOK_AGAIN).await;
+        let is_gone = if connection.is_embedded() {
+            connection.has_ended()
+        } else {
+            connection.farm().status(StatusRequest {}).await.is_err()
+        };
+        if is_gone {
+            return;
+        }
+    }
+}

@@ -1,0 +1,60 @@
+"""Measures how translucent resins scatter and absorb light, from photographs of a blurred edge.
+
+    import resin_farm
+
+    with resin_farm.Farm() as farm:
+        farm.submit()                            # the paper's dictionary, half a minute on two cores
+        print(farm.measure("white.csv"))         # media with error bars
+
+Lengths are in mm, coefficients in 1/mm. Profiles are radiance factors: ratios to a perfect white Lambertian surface in
+air under the same light.
+"""
+
+from resin_farm.capture import Capture
+from resin_farm.dictionary import Dictionary
+from resin_farm.errors import FarmError, InvalidArgument, NotFound, Refused, Unavailable
+from resin_farm.farm import Farm
+from resin_farm.grid import Grid
+from resin_farm.measurement import MeasuredProfile, Measurement, read_measurements
+from resin_farm.options import FitOptions
+from resin_farm.profile import Profile, simulate
+from resin_farm.results import (
+    Candidate,
+    ChannelFit,
+    Curves,
+    Interval,
+    Likelihood,
+    MaterialFit,
+    Measured,
+    Medium,
+    NuisanceEstimate,
+    Refined,
+)
+
+__all__ = [
+    "Candidate",
+    "Capture",
+    "ChannelFit",
+    "Curves",
+    "Dictionary",
+    "Farm",
+    "FarmError",
+    "FitOptions",
+    "Grid",
+    "Interval",
+    "InvalidArgument",
+    "Likelihood",
+    "MaterialFit",
+    "Measured",
+    "MeasuredProfile",
+    "Measurement",
+    "Medium",
+    "NotFound",
+    "NuisanceEstimate",
+    "Profile",
+    "Refined",
+    "Refused",
+    "Unavailable",
+    "read_measurements",
+    "simulate",
+]

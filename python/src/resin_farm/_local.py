@@ -1,0 +1,87 @@
+"""A farm of this machine, in a process of its own that ends with this one."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import subprocess
+import tempfile
+import time
+import weakref
+
+from resin_farm import _connection, _programs
+from resin_farm.errors import FarmError, Unavailable
+
+_PATIENCE_S = 20.0
+
+
+class LocalFarm:
+    """Keeps `farmctl serve` running. It serves the folder, or finds the process that does already."""
+
+    def __init__(self, folder: pathlib.Path) -> None:
+        self.folder = folder
+        self._start()
+
+    def _start(self) -> None:
+        # Its standard input is a pipe from this process: it ends with it, however this one ends.
+        said = tempfile.TemporaryFile("w+")
+        command = [_programs.program("farmctl"), "--json", "--quiet", "--local", "--data", str(self.folder)]
+        self._process = subprocess.Popen(
+            [*command, "serve", "--until-input-ends"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=said,
+            text=True,
+            # Ctrl-C is for this process, which then ends that one.
+            process_group=0,
+        )
+        self._finalizer = weakref.finalize(self, _end, self._process)
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line or json.loads(line)["kind"] != "serve":
+            _end(self._process)
+            said.seek(0)
+            why = json.loads(line)["data"]["message"] if line else said.read().strip()
+            raise FarmError(f"the farm of {self.folder} does not start: {why}")
+        self.address: str = json.loads(line)["data"]["address"]
+
+    def connection(self) -> _connection.Connection:
+        return _connection.of_loopback(self.address)
+
+    def find_again(self) -> _connection.Connection:
+        """The farm after it has gone: the other process that served the folder has ended, or ours was killed."""
+        gone, end = self.address, time.monotonic() + _PATIENCE_S
+        while time.monotonic() < end:
+            if self._process.poll() is not None:
+                self._start()
+            try:
+                self.address = "http://" + (self.folder / "coordinator.addr").read_text().strip()
+            except FileNotFoundError:
+                self.address = gone
+            if self.address != gone:
+                return self.connection()
+            time.sleep(0.1)
+        raise Unavailable(f"the farm of {self.folder} does not answer at {gone}")
+
+    def close(self) -> None:
+        self._finalizer()
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    if process.stdin is not None:
+        try:
+            process.stdin.close()
+        except OSError:
+            pass
+    try:
+        process.wait(_PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+
+
+def folder_of(told: str | os.PathLike[str]) -> pathlib.Path:
+    return pathlib.Path(told).expanduser().resolve()

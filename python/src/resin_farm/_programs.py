@@ -1,0 +1,49 @@
+"""The farm's programs, which the wheel brings along."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Sequence
+from typing import Any
+
+from resin_farm.errors import FarmError
+
+
+def program(name: str) -> str:
+    """Where a program is: in the folder that FARM_PROGRAMS names, beside this Python, or on the path."""
+    told = os.environ.get("FARM_PROGRAMS")
+    folders = [told] if told else [sysconfig.get_path("scripts"), str(pathlib.Path(sys.executable).parent), None]
+    for folder in folders:
+        if found := shutil.which(name, path=folder):
+            return found
+    raise FarmError(f"{name} is not there: looked in {told or 'the scripts of this Python and on the path'}")
+
+
+def farmctl(arguments: Sequence[str], *, timeout: float | None = None) -> dict[str, Any]:
+    """Runs farmctl and returns the data of its answer.
+
+    Raises:
+        FarmError: with what farmctl says, if it fails.
+    """
+    command = [program("farmctl"), "--json", "--quiet", *arguments]
+    # The farm is told by its arguments alone.
+    inherited = {name: value for name, value in os.environ.items() if name not in ("FARM_SERVER", "FARM_ACCESS", "FARM_DATA")}
+    ran = subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout, check=False, env=inherited
+    )
+    if ran.returncode == 0 and not ran.stdout:
+        return {}
+    try:
+        answer = json.loads(ran.stdout)
+    except ValueError:
+        raise FarmError(ran.stderr.strip() or f"{' '.join(command)} ended with code {ran.returncode}") from None
+    if answer["kind"] == "error":
+        raise FarmError(answer["data"]["message"])
+    data: dict[str, Any] = answer["data"]
+    return data

@@ -1,0 +1,37 @@
+"""Photographs, turned into profiles."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from resin_farm.measurement import Measurement, read_measurements
+
+
+@dataclass(frozen=True)
+class Capture:
+    """The folder that photographs of a session were turned into."""
+
+    folder: pathlib.Path
+    session: dict[str, Any] = field(repr=False)
+    """What is known of the set-up, of board, camera, noise and errors by source (session.json)."""
+
+    @classmethod
+    def read(cls, folder: pathlib.Path) -> Capture:
+        return cls(folder, json.loads((folder / "session.json").read_text()))
+
+    @cached_property
+    def measurements(self) -> list[Measurement]:
+        return read_measurements(self.folder / "measurements.csv")
+
+    @property
+    def report(self) -> pathlib.Path:
+        """A page with every photograph, profile and error."""
+        return self.folder / "report.html"
+
+    def _repr_html_(self) -> str:
+        materials = "".join(m._repr_html_() for m in self.measurements)
+        return f'{materials}<p><a href="{self.report}">report</a></p>'

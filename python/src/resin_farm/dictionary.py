@@ -1,0 +1,224 @@
+"""Dictionaries: simulated profiles for a grid of parameters."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import sys
+import tempfile
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from resin_farm import _display, _programs
+from resin_farm._wire import dictionaries_pb2 as wire
+from resin_farm._wire import fits_pb2, model_pb2
+from resin_farm.errors import FarmError, Unavailable
+from resin_farm.profile import Profile
+from resin_farm.results import Medium
+
+if TYPE_CHECKING:
+    import xarray
+
+    from resin_farm.farm import Farm
+
+_ENDED = ("done", "failed", "cancelled", "outdated", "paused")
+
+
+class Dictionary:
+    """A dictionary of a farm, as it was when it was last looked at; `refresh()` looks again."""
+
+    def __init__(self, farm: Farm, status: wire.Dictionary) -> None:
+        self._farm = farm
+        self._status = status
+
+    @property
+    def name(self) -> str:
+        return self._status.name
+
+    @property
+    def state(self) -> str:
+        """running, done, failed, paused, cancelled or outdated."""
+        return wire.DictionaryState.Name(self._status.state).removeprefix("DICTIONARY_STATE_").lower()
+
+    @property
+    def records_done(self) -> int:
+        return self._status.records_done
+
+    @property
+    def records_total(self) -> int:
+        return self._status.records_total
+
+    @property
+    def work_done(self) -> float:
+        """Share of the work, 0 to 1."""
+        return self._status.work_done
+
+    @property
+    def eta_s(self) -> float | None:
+        """Seconds that the rest takes; None while that is not known."""
+        return self._status.eta_s if self._status.HasField("eta_s") else None
+
+    @property
+    def records_digest(self) -> str | None:
+        """BLAKE3 of all records, which is the same wherever they were computed; None until all are done."""
+        return self._status.records_digest or None
+
+    @property
+    def axes(self) -> dict[str, tuple[float, ...]]:
+        """The values of the grid along each axis."""
+        grid = self._status.grid
+        names = ("sigma_t_per_mm", "albedo", "g", "thickness_mm", "sample_ior")
+        return {name: tuple(getattr(grid, name)) for name in names}
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return tuple(channel.name for channel in self._status.grid.scene.channels)
+
+    def refresh(self) -> Dictionary:
+        """Looks again."""
+        self._status = self._farm._call("Dictionaries/Get", wire.GetRequest(name=self.name), wire.Dictionary)
+        return self
+
+    def wait(self, *, progress: bool = True) -> Dictionary:
+        """Waits until it is done.
+
+        Raises:
+            FarmError: if it ended otherwise: cancelled, paused, or with jobs that nobody could compute.
+        """
+        bar = _Progress(self.name) if progress else None
+        while True:
+            try:
+                for status in self._farm._stream("Dictionaries/Watch", wire.WatchRequest(name=self.name), wire.Dictionary):
+                    self._status = status
+                    if bar:
+                        bar.show(self)
+                    if self.state in _ENDED:
+                        break
+            except Unavailable:
+                self._farm._find_again()
+                continue
+            break
+        if bar:
+            bar.end()
+        if self.refresh().state != "done":
+            why = f": {self._status.reason}" if self._status.reason else ""
+            raise FarmError(f"dictionary {self.name} is {self.state}{why}; `explain()` says more")
+        return self
+
+    def explain(self) -> list[str]:
+        """Why it is not done yet, the most important first."""
+        answer = self._farm._call("Dictionaries/Explain", wire.ExplainRequest(name=self.name), wire.ExplainResponse)
+        return [reason.text for reason in answer.reasons]
+
+    def pause(self) -> Dictionary:
+        """Gives out no more of its jobs."""
+        self._status = self._farm._call("Dictionaries/Pause", wire.PauseRequest(name=self.name), wire.Dictionary)
+        return self
+
+    def resume(self) -> Dictionary:
+        """Goes on after a pause or a cancellation."""
+        self._status = self._farm._call("Dictionaries/Resume", wire.ResumeRequest(name=self.name), wire.Dictionary)
+        return self
+
+    def cancel(self, reason: str = "") -> Dictionary:
+        """Ends the work; finished records stay."""
+        request = wire.CancelRequest(name=self.name, reason=reason)
+        self._status = self._farm._call("Dictionaries/Cancel", request, wire.Dictionary)
+        return self
+
+    def delete(self) -> int:
+        """Deletes it, and the records that no other one uses; returns how many these were."""
+        answer = self._farm._call("Dictionaries/Delete", wire.DeleteRequest(name=self.name), wire.DeleteResponse)
+        return answer.records_deleted
+
+    def profile(
+        self,
+        *,
+        sigma_t: float,
+        albedo: float,
+        g: float,
+        thickness_mm: float,
+        channels: tuple[str, ...] = (),
+        sample_ior: float | None = None,
+    ) -> Profile:
+        """What a slab looks like, at the records or between them.
+
+        Args:
+            sigma_t: extinction coefficient, in 1/mm.
+            albedo: single-scattering albedo.
+            g: anisotropy.
+            thickness_mm: near one of the dictionary's, or between two.
+            channels: all of the dictionary's if there are none.
+            sample_ior: refractive index; the dictionary's first if None.
+        """
+        request = fits_pb2.ProfileRequest(
+            dictionary=self.name,
+            medium=model_pb2.Medium(sigma_t_per_mm=sigma_t, albedo=albedo, g=g),
+            thickness_mm=thickness_mm,
+            sample_ior=sample_ior,
+            channels=channels or self.channels,
+        )
+        answer = self._farm._call("Fits/Profile", request, fits_pb2.ProfileResponse)
+        pixels, count = answer.pixels, len(answer.channels[0].values)
+        return Profile(
+            medium=Medium._of_wire(answer.medium),
+            thickness_mm=answer.thickness_mm,
+            x_mm=pixels.from_mm + pixels.pitch_mm * (np.arange(count, dtype=np.float64) + 0.5),
+            channels={one.channel: np.array(one.values) for one in answer.channels},
+            std_errors={one.channel: np.array(one.std_errors) for one in answer.channels if one.std_errors},
+            recorded=answer.recorded,
+        )
+
+    def to_xarray(self) -> xarray.Dataset:
+        """All records, which must be done: `value` and `std_error`, with derivatives also these, over sample_ior,
+        sigma_t_per_mm, g, thickness_mm, albedo, channel and x_mm. The paper's dictionary takes 300 MB."""
+        import xarray
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder, "records.npz")
+            _programs.farmctl([*self._farm._arguments(), "export", self.name, "--npz", str(path)])
+            with np.load(path) as archive:
+                about = json.loads(archive["about.json"])
+                arrays = {name: archive[name] for name in archive.files if name != "about.json"}
+        dims = about["axes"]
+        coords = {name: arrays.pop(name) for name in dims}
+        units = about["units"]
+        variables = {name: (dims, values, {"units": units.get(name, "")}) for name, values in arrays.items()}
+        told = about["dictionary"]
+        attrs = {"dictionary": self.name, "records_digest": told["records_digest"], "about": json.dumps(about)}
+        dataset = xarray.Dataset(variables, coords, attrs)
+        for name in dims:
+            if name in units:
+                dataset[name].attrs["units"] = units[name]
+        return dataset
+
+    def __repr__(self) -> str:
+        return f"Dictionary({self.name!r}: {self.state}, {self.records_done:,} of {self.records_total:,} records)"
+
+    def _repr_html_(self) -> str:
+        def axis(values: tuple[float, ...]) -> str:
+            return f"{len(values)}: {values[0]:g}…{values[-1]:g}" if len(values) > 1 else f"{values[0]:g}"
+
+        rows = [[name, axis(values)] for name, values in self.axes.items()]
+        rows.append(["channels", ", ".join(self.channels)])
+        return _display.html_table(("axis", "values"), rows, repr(self))
+
+
+class _Progress:
+    """A line on standard error that is written over."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._shown = ""
+
+    def show(self, dictionary: Dictionary) -> None:
+        left = f", {dictionary.eta_s:.0f} s left" if dictionary.eta_s and dictionary.state == "running" else ""
+        line = f"{self._name}: {100 * dictionary.work_done:.0f} % of the work{left}"
+        if line != self._shown and (sys.stderr.isatty() or "ipykernel" in sys.modules):
+            print("\r" + line.ljust(len(self._shown)), end="", file=sys.stderr, flush=True)
+            self._shown = line
+
+    def end(self) -> None:
+        if self._shown:
+            print(file=sys.stderr)

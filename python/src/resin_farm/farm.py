@@ -1,0 +1,314 @@
+"""A farm: it computes dictionaries, and fits measurements to them."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import tempfile
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, TypeVar, Unpack
+
+from google.protobuf.message import Message
+
+from resin_farm import _connection, _display, _programs, options, profile, results
+from resin_farm._local import LocalFarm, folder_of
+from resin_farm._wire import dictionaries_pb2, fits_pb2, model_pb2
+from resin_farm.capture import Capture
+from resin_farm.dictionary import Dictionary
+from resin_farm.errors import FarmError, InvalidArgument, Unavailable
+from resin_farm.grid import Grid
+from resin_farm.measurement import Measurement, read_measurements
+
+if TYPE_CHECKING:
+    import pandas
+
+Answer = TypeVar("Answer", bound=Message)
+Path: TypeAlias = str | os.PathLike[str]
+Materials: TypeAlias = "list[Measurement] | tuple[Measurement, ...] | Measurement | pandas.DataFrame | Path"
+
+
+class Farm:
+    """A farm of this machine, with its data in a folder; `Farm.connect` finds one that runs elsewhere.
+
+    It starts when it is opened, with a worker on all cores, and ends with `close`, with the `with` block, or with this
+    process. Several programs may open the same folder at once.
+    """
+
+    def __init__(self, folder: Path = "farm-data") -> None:
+        """Opens the farm of a folder, which is made if it is not there.
+
+        Raises:
+            FarmError: if it does not start.
+        """
+        self._local: LocalFarm | None = LocalFarm(folder_of(folder))
+        self._access: pathlib.Path | None = None
+        self._connection = self._local.connection()
+
+    @classmethod
+    def connect(cls, where: Path) -> Self:
+        """The farm of an access file (as `client.toml`), or at a URL of this machine (as "http://127.0.0.1:7700")."""
+        farm = cls.__new__(cls)
+        farm._local = None
+        told = os.fspath(where)
+        if told.startswith("http://"):
+            farm._access, farm._connection = None, _connection.of_loopback(told)
+        elif told.startswith("https://"):
+            raise FarmError(f"{told}: an access file is needed, which holds the certificate to know the farm by")
+        else:
+            farm._access = pathlib.Path(where)
+            farm._connection = _connection.of_access_file(farm._access)
+        return farm
+
+    @property
+    def address(self) -> str:
+        return self._connection.address
+
+    # Dictionaries.
+
+    def submit(
+        self,
+        grid: Grid | Path | None = None,
+        name: str | None = None,
+        *,
+        quality: Literal["draft", "paper", "fine"] | None = None,
+        priority: int = 0,
+        wait: bool = True,
+        progress: bool = True,
+    ) -> Dictionary:
+        """Computes a dictionary; if it exists with the same grid, carries on with it.
+
+        Args:
+            grid: a grid, or the path of a grid file; the paper's if None.
+            name: the file's name or "paper" if None.
+            quality: how quiet the records are to be, instead of what the grid says.
+            priority: from -1000 to 1000; higher goes first.
+            wait: wait until it is done.
+            progress: meanwhile tell on standard error how far it is.
+        """
+        arguments = [*self._arguments(), "submit", f"--priority={priority}"]
+        arguments += [f"--quality={quality}"] if quality else []
+        if not isinstance(grid, Grid):
+            arguments += [f"--name={name}"] if name else []
+            found = _programs.farmctl(arguments + ([os.fspath(grid)] if grid is not None else []))
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                file = pathlib.Path(folder, "grid.toml")
+                file.write_text(grid.to_toml())
+                found = _programs.farmctl([*arguments, f"--name={name or 'paper'}", str(file)])
+        dictionary = self.dictionary(found["name"])
+        return dictionary.wait(progress=progress) if wait else dictionary
+
+    def dictionary(self, name: str | None = None) -> Dictionary:
+        """A dictionary by its name; without a name the only one, or "paper".
+
+        Raises:
+            NotFound: if there is none of this name.
+        """
+        request = dictionaries_pb2.GetRequest(name=self._name(name))
+        return Dictionary(self, self._call("Dictionaries/Get", request, dictionaries_pb2.Dictionary))
+
+    def dictionaries(self) -> list[Dictionary]:
+        """All dictionaries, in the order of their creation."""
+        found: list[Dictionary] = []
+        token = ""
+        while True:
+            request = dictionaries_pb2.ListRequest(page_token=token)
+            answer = self._call("Dictionaries/List", request, dictionaries_pb2.ListResponse)
+            found += [Dictionary(self, one) for one in answer.dictionaries]
+            token = answer.next_page_token
+            if not token:
+                return found
+
+    # Fits.
+
+    def fit(
+        self,
+        measurement: Materials,
+        dictionary: str | None = None,
+        *,
+        refine: bool = True,
+        **told: Unpack[options.FitOptions],
+    ) -> results.MaterialFit:
+        """The media that best explain a material's profiles, channel by channel, with error bars.
+
+        Args:
+            measurement: of one material: a `Measurement`, a frame or a file with the columns of a measurement file.
+            dictionary: its name; the only one or "paper" if None.
+            refine: go on from the best record to a continuous optimum.
+            told: as far as they are known, the options of `FitOptions`, as `g=0.4` or `sigma_t_per_mm=(4, 8)`.
+
+        Raises:
+            InvalidArgument: with what is wrong with a value; `fields` names it.
+        """
+        materials = _measurements(measurement)
+        if len(materials) != 1:
+            names = ", ".join(m.material for m in materials)
+            raise InvalidArgument(f"fit is for one material, and these are {names}: measure takes all, or fit each")
+        request = fits_pb2.FitRequest(
+            dictionary=self._name(dictionary),
+            measurement=materials[0]._wire(),
+            options=options.wire(told, refine=refine),
+        )
+        return results.material_fit(self._call("Fits/Fit", request, fits_pb2.FitResponse).fit)
+
+    def measure(
+        self,
+        materials: Materials | Capture,
+        dictionary: str | None = None,
+        *,
+        free_g: bool = False,
+        **told: Unpack[options.FitOptions],
+    ) -> results.Measured:
+        """The whole job for materials of one set-up: scale factor, common anisotropy, media with error bars.
+
+        Args:
+            materials: measurements, a frame, a measurement file, or what `capture` made of photographs. For the last, the
+                session's own dictionary is computed if it is not there, its white reference is taken for the scale
+                factor, and its report is completed.
+            dictionary: its name; the only one or "paper" if None.
+            free_g: let every channel have its own anisotropy.
+            told: as far as they are known, the options of `FitOptions`. Without `mu` it is searched for.
+        """
+        folder = materials.folder if isinstance(materials, Capture) else _folder(materials)
+        if folder is not None:
+            if told:
+                raise TypeError(f"{', '.join(told)}: what is known of a session is in its folder")
+            arguments = ["measure", str(folder)] + (["--free-g"] if free_g else [])
+            arguments += [f"--dictionary={dictionary}"] if dictionary else []
+            return results.measured_of_json(_programs.farmctl([*self._arguments(), *arguments]))
+        assert not isinstance(materials, Capture)
+        name = self._name(dictionary)
+        request = fits_pb2.MeasureRequest(
+            dictionary=name,
+            materials=[m._wire() for m in _measurements(materials)],
+            options=options.wire(told, refine=True),
+            search_mu=None if "mu" in told else fits_pb2.MuRange(),
+            common_g=not free_g,
+        )
+        return results.measured(self._call("Fits/Measure", request, fits_pb2.MeasureResponse), name)
+
+    def similar(self, medium: results.Medium, g: Sequence[float]) -> list[results.Medium]:
+        """Media that similarity theory calls equal to one, at other anisotropies (Eqs. 4 to 6 of the paper)."""
+        wire = model_pb2.Medium(sigma_t_per_mm=medium.sigma_t_per_mm, albedo=medium.albedo, g=medium.g)
+        request = fits_pb2.SimilarRequest(medium=wire, g=g)
+        answer = self._call("Fits/Similar", request, fits_pb2.SimilarResponse)
+        return [results.Medium._of_wire(one) for one in answer.media]
+
+    # What needs no dictionary.
+
+    def simulate(
+        self,
+        *,
+        sigma_t: float,
+        albedo: float,
+        g: float,
+        thickness_mm: float,
+        scene: str = "paper",
+        sample_ior: float = 1.53,
+        walks: int = 50_000,
+        seed: int = 1,
+    ) -> profile.Profile:
+        """Traces the profile of one medium on this machine; see `resin_farm.simulate`."""
+        return profile.simulate(
+            sigma_t=sigma_t,
+            albedo=albedo,
+            g=g,
+            thickness_mm=thickness_mm,
+            scene=scene,
+            sample_ior=sample_ior,
+            walks=walks,
+            seed=seed,
+        )
+
+    def capture(self, session: Path, output: Path | None = None) -> Capture:
+        """Turns the photographs of a session into profiles, with all that is known of the set-up and a report.
+
+        Args:
+            session: the session file.
+            output: the folder to write; the session file's name without its ending if None.
+
+        Raises:
+            FarmError: with what was seen, where and what to do, if the photographs cannot be used.
+        """
+        folder = pathlib.Path(output) if output is not None else pathlib.Path(session).with_suffix("")
+        _programs.farmctl(["capture", os.fspath(session), "--output", str(folder)])
+        return Capture.read(folder)
+
+    # The farm itself.
+
+    def close(self) -> None:
+        """Ends a farm of this machine, if this program started it; what is being computed goes on with the next."""
+        self._connection.close()
+        if self._local is not None:
+            self._local.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        where = self._local.folder if self._local else self._access or self.address
+        return f"Farm({str(where)!r})"
+
+    def _repr_html_(self) -> str:
+        rows = [[d.name, d.state, f"{d.records_done:,}", f"{d.records_total:,}"] for d in self.dictionaries()]
+        return _display.html_table(("dictionary", "state", "records", "of"), rows, repr(self))
+
+    def _arguments(self) -> list[str]:
+        """How farmctl finds this farm."""
+        if self._access is not None:
+            return ["--access", str(self._access)]
+        return ["--server", self.address]
+
+    def _name(self, told: str | None) -> str:
+        if told is not None:
+            return told
+        names = [dictionary.name for dictionary in self.dictionaries()]
+        if len(names) == 1:
+            return names[0]
+        if "paper" in names:
+            return "paper"
+        if not names:
+            raise FarmError("there is no dictionary yet: submit() computes the paper's")
+        raise FarmError(f"there are several dictionaries: name one, of {', '.join(names)}")
+
+    def _call(self, method: str, request: Message, answer: type[Answer]) -> Answer:
+        try:
+            return self._connection.call(method, request, answer.FromString, None)
+        except Unavailable:
+            if self._local is None:
+                raise
+        self._find_again()
+        return self._connection.call(method, request, answer.FromString, None)
+
+    def _stream(self, method: str, request: Message, answer: type[Answer]) -> Iterator[Answer]:
+        return self._connection.stream(method, request, answer.FromString)
+
+    def _find_again(self) -> None:
+        """After the farm has gone. One that is not ours may come back under its address."""
+        if self._local is None:
+            raise Unavailable(f"the farm at {self.address} does not answer")
+        self._connection.close()
+        self._connection = self._local.find_again()
+
+
+def _folder(told: object) -> pathlib.Path | None:
+    if not isinstance(told, str | os.PathLike):
+        return None
+    path = pathlib.Path(told)
+    return path if path.is_dir() else None
+
+
+def _measurements(told: Materials) -> list[Measurement]:
+    if isinstance(told, Measurement):
+        return [told]
+    if isinstance(told, str | os.PathLike):
+        return read_measurements(told)
+    if isinstance(told, list | tuple):
+        return list(told)
+    return Measurement.from_pandas(told)

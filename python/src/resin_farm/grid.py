@@ -1,0 +1,47 @@
+"""Grids of parameters that a dictionary is computed for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """A grid: the product of its axes. What is None has the values of the paper's grid.
+
+    Every axis must rise strictly.
+    """
+
+    sigma_t_per_mm: Sequence[float] | None = None
+    albedo: Sequence[float] | None = None
+    g: Sequence[float] | None = None
+    thickness_mm: Sequence[float] | None = None
+    sample_ior: Sequence[float] | None = None
+    scene: str | None = None
+    """"paper", "smooth" or the path of a scene file."""
+    quality: Literal["draft", "paper", "fine"] | None = None
+    """How quiet the records are to be; "paper" if None."""
+    walks: int | None = None
+    """Random walks at each transport point, instead of a quality: a multiple of 500 from 1,000 on."""
+    seed: int | None = None
+    derivatives: bool | None = None
+    """Also ∂/∂α and ∂/∂σ_t."""
+
+    def to_toml(self) -> str:
+        """The grid as a grid file."""
+        told = ((field.name, getattr(self, field.name)) for field in fields(self))
+        return "".join(f"{name} = {_toml(value)}\n" for name, value in told if value is not None)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, str | bool | int):
+        # Strings of JSON are strings of TOML.
+        return json.dumps(value)
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, Iterable):
+        return "[" + ", ".join(repr(float(number)) for number in value) + "]"
+    raise TypeError(f"{value!r}: an axis is a list of numbers")

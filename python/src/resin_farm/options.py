@@ -1,0 +1,79 @@
+"""Options of fits, with the names and defaults of `farmctl`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal, TypeAlias, TypedDict
+
+from resin_farm._wire import fits_pb2
+
+Range: TypeAlias = float | tuple[float | None, float | None]
+"""A value, which holds a parameter, or (lowest, highest), None where it is free."""
+
+
+class FitOptions(TypedDict, total=False):
+    """Everything that may be told of a fit. What is left out has the default of `farmctl fit`."""
+
+    sigma_t_per_mm: Range
+    albedo: Range
+    g: Range
+    mu: float
+    """Factor on the measured values."""
+    mu_std_error: float
+    objective: Literal["paper", "likelihood"]
+    """The likelihood if every profile has standard errors, else the paper's distance."""
+    lambda_: float
+    """Weight of the gradients in the paper's distance."""
+    wavelet: Literal["spline", "haar"]
+    level: int
+    top: int
+    """How many records to return for each channel."""
+    curves: bool
+    """Return the profiles that were compared, to plot them."""
+    gain_std_error: float
+    offset_std_error: float
+    slope_std_error: float
+    thickness_std_error_mm: float
+    origin_std_error_mm: float
+    blur_mm: float
+    blur_std_error_mm: float
+
+
+_OBJECTIVES = {"paper": fits_pb2.OBJECTIVE_PAPER, "likelihood": fits_pb2.OBJECTIVE_LIKELIHOOD}
+_WAVELETS = {"spline": fits_pb2.WAVELET_QUADRATIC_SPLINE, "haar": fits_pb2.WAVELET_HAAR}
+
+
+def wire(told: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
+    """The options as a message.
+
+    Raises:
+        TypeError: if there is no such option.
+        ValueError: if a name is not one of those that are allowed.
+    """
+    if unknown := set(told) - set(FitOptions.__annotations__):
+        raise TypeError(f"{', '.join(sorted(unknown))}: options are {', '.join(FitOptions.__annotations__)}")
+    fields: dict[str, Any] = {"refine": refine}
+    for name, value in told.items():
+        match name:
+            case "sigma_t_per_mm" | "albedo" | "g":
+                fields[name] = _bounds(value)
+            case "objective":
+                fields[name] = _one_of(name, value, _OBJECTIVES)
+            case "wavelet":
+                fields[name] = _one_of(name, value, _WAVELETS)
+            case "lambda_":
+                fields["lambda"] = value
+            case _:
+                fields[name] = value
+    return fits_pb2.FitOptions(**fields)
+
+
+def _bounds(told: Range) -> fits_pb2.Bounds:
+    low, high = told if isinstance(told, tuple) else (told, told)
+    return fits_pb2.Bounds(min=low, max=high)
+
+
+def _one_of(name: str, value: str, allowed: Mapping[str, int]) -> int:
+    if value not in allowed:
+        raise ValueError(f"{name} = {value!r}: allowed are {', '.join(allowed)}")
+    return allowed[value]

@@ -1,0 +1,102 @@
+"""Simulated and predicted edge profiles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resin_farm import _programs
+from resin_farm.results import Medium
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+# Arrays have no truth value of their equality.
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """What a slab of a medium looks like across the edge."""
+
+    medium: Medium
+    thickness_mm: float
+    x_mm: Array = field(repr=False)
+    channels: Mapping[str, Array] = field(repr=False)
+    """Radiance factors of each channel, one for each pixel."""
+    std_errors: Mapping[str, Array] = field(repr=False)
+    """What the noise of the walks does to them; missing for a channel if that is not known."""
+    recorded: bool = False
+    """The dictionary has a record of this medium and thickness; otherwise it lies between records."""
+
+    def __getitem__(self, channel: str) -> Array:
+        return self.channels[channel]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """One row for each pixel of each channel."""
+        import pandas
+
+        frames = []
+        for channel, values in self.channels.items():
+            errors = self.std_errors.get(channel, np.full(values.shape, np.nan))
+            columns = {"channel": channel, "x_mm": self.x_mm, "value": values, "std_error": errors}
+            frames.append(pandas.DataFrame(columns))
+        return pandas.concat(frames, ignore_index=True)
+
+    def plot(self) -> Figure:
+        """All channels, with bands of two standard errors."""
+        from resin_farm import _plots
+
+        return _plots.profile(self)
+
+
+def simulate(
+    *,
+    sigma_t: float,
+    albedo: float,
+    g: float,
+    thickness_mm: float,
+    scene: str = "paper",
+    sample_ior: float = 1.53,
+    walks: int = 50_000,
+    seed: int = 1,
+) -> Profile:
+    """Traces the profile of one medium, without a farm or a dictionary; the same numbers give the same bits everywhere.
+
+    Args:
+        sigma_t: extinction coefficient, in 1/mm.
+        albedo: single-scattering albedo.
+        g: anisotropy.
+        thickness_mm: thickness of the slab.
+        scene: "paper", "smooth" or the path of a scene file.
+        sample_ior: refractive index of the slab.
+        walks: random walks, a multiple of 500 from 1,000 on.
+        seed: of the random numbers.
+
+    Raises:
+        FarmError: with what is wrong with the arguments.
+    """
+    told: dict[str, Any] = {
+        "--sigma-t": sigma_t,
+        "--albedo": albedo,
+        "--g": g,
+        "--thickness": thickness_mm,
+        "--scene": scene,
+        "--sample-ior": sample_ior,
+        "--walks": walks,
+        "--seed": seed,
+    }
+    found = _programs.farmctl(["simulate", *(f"{option}={value}" for option, value in told.items())])
+    profiles = {one["channel"]: one for one in found["channels"]}
+    return Profile(
+        medium=Medium(sigma_t, albedo, g),
+        thickness_mm=thickness_mm,
+        x_mm=np.array(found["x_mm"]),
+        channels={name: np.array(one["values"]) for name, one in profiles.items()},
+        std_errors={name: np.array(one["std_errors"]) for name, one in profiles.items()},
+    )

@@ -1,0 +1,455 @@
+"""Answers of fits, as dataclasses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resin_farm import _display
+from resin_farm._wire import fits_pb2, model_pb2
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Medium:
+    """A homogeneous medium with a Henyey–Greenstein phase function."""
+
+    sigma_t_per_mm: float
+    """Extinction coefficient, in 1/mm."""
+    albedo: float
+    """Single-scattering albedo."""
+    g: float
+    """Anisotropy."""
+
+    @property
+    def reduced_scattering_per_mm(self) -> float:
+        """σ_s (1 − g), in 1/mm."""
+        return self.sigma_t_per_mm * self.albedo * (1 - self.g)
+
+    @property
+    def absorption_per_mm(self) -> float:
+        """σ_a = σ_t (1 − α), in 1/mm."""
+        return self.sigma_t_per_mm * (1 - self.albedo)
+
+    @classmethod
+    def _of_wire(cls, wire: model_pb2.Medium) -> Medium:
+        return cls(wire.sigma_t_per_mm, wire.albedo, wire.g)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where a quantity lies with a confidence of 95 %."""
+
+    low: float
+    high: float
+    open_low: bool = False
+    """The data allow still lower values: `low` is where the dictionary or the given range ends."""
+    open_high: bool = False
+
+    @property
+    def is_closed(self) -> bool:
+        return not (self.open_low or self.open_high)
+
+    def __contains__(self, value: float) -> bool:
+        return (self.open_low or self.low <= value) and (self.open_high or value <= self.high)
+
+    def __str__(self) -> str:
+        low, high = _display.ends(self.low, self.high)
+        match self.open_low, self.open_high:
+            case True, True:
+                return "open"
+            case True, False:
+                return f"≤ {high}"
+            case False, True:
+                return f"≥ {low}"
+        return f"{low}…{high}" if self.high > self.low else "held"
+
+    @classmethod
+    def _of_wire(cls, wire: fits_pb2.Interval) -> Interval:
+        return cls(wire.low, wire.high, wire.open_low, wire.open_high)
+
+    @classmethod
+    def _of_json(cls, found: Mapping[str, Any]) -> Interval:
+        return cls(found["low"], found["high"], found["open_low"], found["open_high"])
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A record that was compared."""
+
+    medium: Medium
+    sample_ior: float
+    error: float
+    """The objective that was made least: Eq. 1 of the paper, or by the likelihood the misfit."""
+    records: tuple[int | None, ...]
+    """Numbers of its records in the dictionary, one for each thickness."""
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate:
+    """What the data say of something that is wrong with every set-up, and what was known before."""
+
+    name: str
+    """`scale`, `blur_variance_mm2`, `thickness_mm`, `origin_mm`, `gain`, `zero` or `slope`."""
+    profile_mm: float | None
+    """The profile concerned, by its thickness; None if all are."""
+    value: float
+    std_error: float
+    told: float
+    told_std_error: float | None
+    """None if nothing was known."""
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """What the likelihood tells of a channel beside its medium."""
+
+    chi2: float
+    degrees_of_freedom: float
+    probability: float
+    """That noise alone makes χ² as large."""
+    nuisances: tuple[NuisanceEstimate, ...]
+    outliers: int
+    """Pixels that were given no weight."""
+
+
+# Arrays have no truth value of their equality.
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A continuous optimum, with error bars of 95 %."""
+
+    medium: Medium
+    sigma_t_per_mm: Interval
+    albedo: Interval
+    g: Interval
+    reduced_scattering_per_mm: Interval
+    absorption_per_mm: Interval
+    resolved: bool
+    """Whether the data determine σ_t and the albedo at this anisotropy."""
+    valley: bool
+    """σ_t and g trade off along media that similarity theory calls equal."""
+    misfit: float
+    """Root mean square of the residuals over the noise: 1 if noise explains all."""
+    error: float
+    covariance: Array = field(repr=False)
+    """Of (ln σ_t, √(1 − α), ln(1 − g)); zeros where a parameter was held."""
+    suspicion: str | None = None
+    """The likeliest single reason why the fit leaves more than noise explains."""
+    likelihood: Likelihood | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """What was compared at one thickness."""
+
+    thickness_mm: float
+    x_mm: Array
+    measured: Array
+    """Times μ, on the dictionary's pixels."""
+    best_record: Array
+    refined: Array | None
+
+
+@dataclass(frozen=True)
+class ChannelFit:
+    """One channel of a material."""
+
+    channel: str
+    candidates: tuple[Candidate, ...]
+    refined: Refined | None
+    outside: str | None
+    """`brighter` or `darker`, if a profile's mean lies beyond that of every record."""
+    curves: tuple[Curves, ...] = field(default=(), repr=False)
+
+    @property
+    def medium(self) -> Medium:
+        """The continuous optimum; without one the best record's medium."""
+        return self.refined.medium if self.refined else self.candidates[0].medium
+
+
+_HEAD = ("material", "ch", "σ_t /mm", "95 %", "α", "95 %", "g", "95 %", "σ_s(1−g)", "95 %", "σ_a", "95 %", "misfit")
+
+
+@dataclass(frozen=True)
+class MaterialFit:
+    """The media of a material, one for each channel."""
+
+    material: str
+    channels: tuple[ChannelFit, ...]
+
+    def __getitem__(self, channel: str) -> ChannelFit:
+        for fit in self.channels:
+            if fit.channel == channel:
+                return fit
+        raise KeyError(f"{channel}: the channels are {', '.join(fit.channel for fit in self.channels)}")
+
+    def __str__(self) -> str:
+        return _display.text_table(_HEAD, self._rows())
+
+    def _repr_html_(self) -> str:
+        return _display.html_table(_HEAD, self._rows())
+
+    def _rows(self) -> list[list[str]]:
+        return [_row(self.material, fit) for fit in self.channels]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """One row for each channel: parameters, ends of intervals (NaN where open), misfit."""
+        import pandas
+
+        return pandas.DataFrame([_record(self.material, fit) for fit in self.channels])
+
+    def plot(self) -> Figure:
+        """Measured profiles with their fits; needs curves, which `curves=True` asks for."""
+        from resin_farm import _plots
+
+        return _plots.fits(self)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A set of materials, measured together."""
+
+    materials: tuple[MaterialFit, ...]
+    mu: float
+    """Factor on all measured values."""
+    mu_std_error: float
+    mu_chosen: bool
+    """Searched for, not given."""
+    g: float | None
+    """The common anisotropy; None if every channel has its own."""
+    g_interval: Interval | None
+    dictionary: str
+
+    def __getitem__(self, material: str) -> MaterialFit:
+        for fit in self.materials:
+            if fit.material == material:
+                return fit
+        raise KeyError(f"{material}: the materials are {', '.join(fit.material for fit in self.materials)}")
+
+    def __str__(self) -> str:
+        return f"{self._common()}\n\n{_display.text_table(_HEAD, self._rows())}"
+
+    def _repr_html_(self) -> str:
+        return _display.html_table(_HEAD, self._rows(), self._common())
+
+    def _rows(self) -> list[list[str]]:
+        return [_row(fit.material, channel) for fit in self.materials for channel in fit.channels]
+
+    def _common(self) -> str:
+        how = "chosen with all channels together" if self.mu_chosen else "given"
+        told = f"scale factor μ = {self.mu:.3f} ± {self.mu_std_error:.3f}, {how}"
+        if self.g is not None:
+            interval = f" (95 %: {self.g_interval})" if self.g_interval else ""
+            told += f"; anisotropy g = {self.g:.3g}{interval}"
+        return told
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """One row for each channel of each material."""
+        import pandas
+
+        return pandas.concat([fit.to_pandas() for fit in self.materials], ignore_index=True)
+
+
+def _row(material: str, fit: ChannelFit) -> list[str]:
+    m, n = fit.medium, _display.number
+    if fit.refined is None:
+        values = [n(m.sigma_t_per_mm), _display.albedo(m.albedo), n(m.g), n(m.reduced_scattering_per_mm)]
+        told = [cell for value in [*values, n(m.absorption_per_mm)] for cell in (value, "")]
+        return [material, fit.channel, *told, ""]
+    r = fit.refined
+    cells = [n(m.sigma_t_per_mm), str(r.sigma_t_per_mm), _display.albedo(m.albedo), str(r.albedo)]
+    cells += [n(m.g), str(r.g), n(m.reduced_scattering_per_mm), str(r.reduced_scattering_per_mm)]
+    cells += [n(m.absorption_per_mm), str(r.absorption_per_mm), f"{r.misfit:.1f}"]
+    return [material, fit.channel, *cells]
+
+
+_QUANTITIES = ("sigma_t_per_mm", "albedo", "g", "reduced_scattering_per_mm", "absorption_per_mm")
+
+
+def _record(material: str, fit: ChannelFit) -> dict[str, Any]:
+    row: dict[str, Any] = {"material": material, "channel": fit.channel}
+    for name in _QUANTITIES:
+        row[name] = getattr(fit.medium, name)
+        interval = getattr(fit.refined, name) if fit.refined else Interval(np.nan, np.nan)
+        row[f"{name}_low"] = np.nan if interval.open_low else interval.low
+        row[f"{name}_high"] = np.nan if interval.open_high else interval.high
+    row["resolved"] = fit.refined.resolved if fit.refined else None
+    row["misfit"] = fit.refined.misfit if fit.refined else np.nan
+    return row
+
+
+# From the wire.
+
+
+def material_fit(wire: fits_pb2.MaterialFit) -> MaterialFit:
+    return MaterialFit(wire.material, tuple(map(_channel_fit, wire.channels)))
+
+
+def measured(wire: fits_pb2.MeasureResponse, dictionary: str) -> Measured:
+    common = wire.common
+    return Measured(
+        materials=tuple(map(material_fit, wire.materials)),
+        mu=common.mu,
+        mu_std_error=common.mu_std_error,
+        mu_chosen=common.mu_chosen,
+        g=common.g if common.HasField("g") else None,
+        g_interval=Interval._of_wire(common.g_interval) if common.HasField("g_interval") else None,
+        dictionary=dictionary,
+    )
+
+
+def _channel_fit(wire: fits_pb2.ChannelFit) -> ChannelFit:
+    outside = {fits_pb2.OUTSIDE_BRIGHTER: "brighter", fits_pb2.OUTSIDE_DARKER: "darker"}.get(wire.outside)
+    refined = _refined(wire.refined) if wire.HasField("refined") else None
+    return ChannelFit(
+        channel=wire.channel,
+        candidates=tuple(map(_candidate, wire.candidates)),
+        refined=refined,
+        outside=outside,
+        curves=tuple(_curves(curves) for curves in wire.curves),
+    )
+
+
+def _candidate(wire: fits_pb2.Candidate) -> Candidate:
+    records = tuple(t.record if t.HasField("record") else None for t in wire.thicknesses)
+    return Candidate(Medium._of_wire(wire.medium), wire.sample_ior, wire.error, records)
+
+
+def _curves(wire: fits_pb2.FitCurves) -> Curves:
+    refined = np.array(wire.refined.values) if wire.HasField("refined") else None
+    best = np.array(wire.candidates[0].values)
+    return Curves(wire.thickness_mm, np.array(wire.x_mm), np.array(wire.measured.values), best, refined)
+
+
+def _refined(wire: fits_pb2.Refined) -> Refined:
+    suspicion = None
+    if wire.HasField("suspicion"):
+        suspicion = fits_pb2.Cause.Name(wire.suspicion.cause).removeprefix("CAUSE_").lower()
+    return Refined(
+        medium=Medium._of_wire(wire.best.medium),
+        sigma_t_per_mm=Interval._of_wire(wire.sigma_t_per_mm),
+        albedo=Interval._of_wire(wire.albedo),
+        g=Interval._of_wire(wire.g),
+        reduced_scattering_per_mm=Interval._of_wire(wire.reduced_scattering_per_mm),
+        absorption_per_mm=Interval._of_wire(wire.absorption_per_mm),
+        resolved=wire.resolved,
+        valley=wire.valley,
+        misfit=wire.misfit,
+        error=wire.best.error,
+        covariance=np.array(wire.covariance).reshape(3, 3),
+        suspicion=suspicion,
+        likelihood=_likelihood(wire.likelihood) if wire.HasField("likelihood") else None,
+    )
+
+
+_NUISANCES = {
+    fits_pb2.NUISANCE_SCALE: "scale",
+    fits_pb2.NUISANCE_BLUR_VARIANCE: "blur_variance_mm2",
+    fits_pb2.NUISANCE_THICKNESS: "thickness_mm",
+    fits_pb2.NUISANCE_ORIGIN: "origin_mm",
+    fits_pb2.NUISANCE_GAIN: "gain",
+    fits_pb2.NUISANCE_ZERO: "zero",
+    fits_pb2.NUISANCE_SLOPE: "slope",
+}
+
+
+def _likelihood(wire: fits_pb2.Likelihood) -> Likelihood:
+    def nuisance(n: fits_pb2.NuisanceEstimate) -> NuisanceEstimate:
+        profile = n.profile_mm if n.HasField("profile_mm") else None
+        told = n.told_std_error if np.isfinite(n.told_std_error) else None
+        return NuisanceEstimate(_NUISANCES.get(n.nuisance, "unknown"), profile, n.value, n.std_error, n.told, told)
+
+    nuisances = tuple(map(nuisance, wire.nuisances))
+    return Likelihood(wire.chi2, wire.degrees_of_freedom, wire.probability, nuisances, len(wire.outliers))
+
+
+# From farmctl's JSON, for what only farmctl does.
+
+
+def measured_of_json(found: Mapping[str, Any]) -> Measured:
+    common = found["common"]
+    g_interval = common["g_interval"]
+    return Measured(
+        materials=tuple(map(_material_of_json, found["materials"])),
+        mu=common["mu"],
+        mu_std_error=common["mu_std_error"],
+        mu_chosen=common["mu_chosen"],
+        g=common["g"],
+        g_interval=Interval._of_json(g_interval) if g_interval else None,
+        dictionary=found["dictionary"],
+    )
+
+
+def _material_of_json(found: Mapping[str, Any]) -> MaterialFit:
+    return MaterialFit(found["material"], tuple(map(_channel_of_json, found["channels"])))
+
+
+def _medium_of_json(found: Mapping[str, Any]) -> Medium:
+    return Medium(found["sigma_t_per_mm"], found["albedo"], found["g"])
+
+
+def _channel_of_json(found: Mapping[str, Any]) -> ChannelFit:
+    def candidate(c: Mapping[str, Any]) -> Candidate:
+        records = tuple(t.get("record") for t in c["thicknesses"])
+        return Candidate(_medium_of_json(c), c["sample_ior"], c["error"], records)
+
+    refined = found["refined"]
+    return ChannelFit(
+        channel=found["channel"],
+        candidates=tuple(map(candidate, found["candidates"])),
+        refined=_refined_of_json(refined) if refined else None,
+        outside=found["outside"],
+        curves=tuple(_curves_of_json(curves) for curves in found.get("curves", [])),
+    )
+
+
+def _curves_of_json(found: Mapping[str, Any]) -> Curves:
+    def values(curve: Mapping[str, Any]) -> Array:
+        return np.array(curve["values"])
+
+    refined = values(found["refined"]) if found.get("refined") else None
+    best = values(found["candidates"][0])
+    return Curves(found["thickness_mm"], np.array(found["x_mm"]), values(found["measured"]), best, refined)
+
+
+def _refined_of_json(found: Mapping[str, Any]) -> Refined:
+    def interval(name: str) -> Interval:
+        return Interval._of_json(found[f"{name}_interval"])
+
+    suspicion = found["suspicion"]
+    return Refined(
+        medium=_medium_of_json(found),
+        sigma_t_per_mm=interval("sigma_t"),
+        albedo=interval("albedo"),
+        g=interval("g"),
+        reduced_scattering_per_mm=interval("reduced_scattering"),
+        absorption_per_mm=interval("absorption"),
+        resolved=found["resolved"],
+        valley=found["valley"],
+        misfit=found["misfit"],
+        error=found["error"],
+        covariance=np.array(found["covariance"]),
+        suspicion=suspicion["cause"] if suspicion else None,
+        likelihood=_likelihood_of_json(found["likelihood"]) if found.get("likelihood") else None,
+    )
+
+
+def _likelihood_of_json(found: Mapping[str, Any]) -> Likelihood:
+    def nuisance(n: Mapping[str, Any]) -> NuisanceEstimate:
+        return NuisanceEstimate(
+            n["nuisance"], n["profile_mm"], n["value"], n["std_error"], n["told"], n["told_std_error"]
+        )
+
+    nuisances: Sequence[NuisanceEstimate] = [nuisance(n) for n in found["nuisances"]]
+    return Likelihood(
+        found["chi2"], found["degrees_of_freedom"], found["probability"], tuple(nuisances), len(found["outliers"])
+    )

@@ -1,0 +1,170 @@
+"""Python tells the numbers that farmctl tells, and shows them well."""
+
+import io
+import json
+import pathlib
+import subprocess
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import resin_farm
+from conftest import WHITE
+from resin_farm import _programs, results
+
+
+def farmctl(farm: resin_farm.Farm, *arguments: str) -> dict[str, Any]:
+    return _programs.farmctl(["--server", farm.address, *arguments])
+
+
+def same(a: object, b: object, where: str = "") -> None:
+    """Equal to the last bit."""
+    if isinstance(a, tuple | list):
+        assert isinstance(b, tuple | list) and len(a) == len(b), where
+        for i, (x, y) in enumerate(zip(a, b, strict=True)):
+            same(x, y, f"{where}[{i}]")
+    elif isinstance(a, np.ndarray):
+        np.testing.assert_array_equal(a, b, where)
+    elif hasattr(a, "__dataclass_fields__"):
+        for name in a.__dataclass_fields__:
+            same(getattr(a, name), getattr(b, name), f"{where}.{name}")
+    else:
+        assert a == b, where
+
+
+def test_a_measurement_is_what_farmctl_measures(farm: resin_farm.Farm) -> None:
+    measured = farm.measure(WHITE)
+    same(measured, results.measured_of_json(farmctl(farm, "measure", str(WHITE))))
+    held = farm.measure(WHITE, mu=1.0, g=0.4)
+    same(held, results.measured_of_json(farmctl(farm, "measure", str(WHITE), "--mu", "1", "--g", "0.4")))
+    assert held["white"]["R"].refined is not None
+    assert 6.0 in held["white"]["R"].refined.sigma_t_per_mm
+    assert held["white"]["R"].refined.g.is_closed and str(held["white"]["R"].refined.g) == "held"
+
+
+@pytest.mark.parametrize(
+    ("told", "options"),
+    [
+        ({"g": 0.4}, ["--g", "0.4"]),
+        ({"sigma_t_per_mm": (None, 9.0), "objective": "paper", "lambda_": 10.0}, ["--sigma-t", "..9", "--objective", "paper", "--lambda", "10"]),
+        ({"top": 2, "blur_mm": 0.02, "wavelet": "haar", "level": 3}, ["--top", "2", "--blur-mm", "0.02", "--wavelet", "haar", "--level", "3"]),
+    ],
+)
+def test_a_fit_is_what_farmctl_fits(farm: resin_farm.Farm, told: resin_farm.FitOptions, options: list[str]) -> None:
+    found = farmctl(farm, "fit", str(WHITE), *options)
+    same(farm.fit(WHITE, **told), results._material_of_json(found["materials"][0]))
+
+
+def test_fits_say_what_is_wrong(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
+    with pytest.raises(resin_farm.InvalidArgument, match="albedo") as caught:
+        farm.fit(white, albedo=2.0)
+    assert list(caught.value.fields) == ["options.albedo"]
+    with pytest.raises(TypeError, match="anisotropy: options are"):
+        farm.fit(white, anisotropy=0.4)  # type: ignore[call-arg]
+    with pytest.raises(ValueError, match="allowed are paper, likelihood"):
+        farm.fit(white, objective="least")  # type: ignore[arg-type]
+    with pytest.raises(resin_farm.NotFound, match="nothing"):
+        farm.fit(white, "nothing")
+    other = resin_farm.Measurement("other", white.profiles)
+    frame = pd.concat([white.to_pandas(), other.to_pandas()])
+    with pytest.raises(resin_farm.InvalidArgument, match="white, other"):
+        farm.fit(frame)
+    falling = resin_farm.MeasuredProfile("R", 0.5, [3, 2, 1], [0.1, 0.2, 0.3])
+    with pytest.raises(resin_farm.InvalidArgument, match="x_mm"):
+        farm.fit(resin_farm.Measurement("falling", [falling]))
+
+
+def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement, tmp_path: pathlib.Path) -> None:
+    frame = white.to_pandas()
+    (again,) = resin_farm.Measurement.from_pandas(frame)
+    same(again, white)
+    known = [
+        resin_farm.MeasuredProfile(p.channel, p.thickness_mm, p.x_mm, p.values, np.full(p.values.shape, 0.01), origin_mm=0.1)
+        for p in white.profiles
+    ]
+    told = resin_farm.Measurement("told", known)
+    told.to_pandas().to_csv(tmp_path / "told.csv", index=False)
+    same(resin_farm.read_measurements(tmp_path / "told.csv"), [told])
+    assert told.profiles[0].set_up == {"origin_mm": 0.1}
+    (tmp_path / "bad.csv").write_text("material,channel,x_mm,value\n")
+    with pytest.raises(resin_farm.InvalidArgument, match="there is no thickness_mm"):
+        resin_farm.read_measurements(tmp_path / "bad.csv")
+    (tmp_path / "bad.csv").write_text("material,channel,thickness_mm,x_mm,value\nw,R,1,0,dark\n")
+    with pytest.raises(resin_farm.InvalidArgument, match="row 1: value = 'dark' is no number"):
+        resin_farm.read_measurements(tmp_path / "bad.csv")
+    with pytest.raises(TypeError, match="haze"):
+        resin_farm.MeasuredProfile("R", 1, [0], [0], haze=1)
+
+
+def test_a_dictionary_as_an_array_has_the_records(farm: resin_farm.Farm) -> None:
+    dictionary = farm.dictionary()
+    dataset = dictionary.to_xarray()
+    assert dict(dataset.sizes) == {"sample_ior": 1, "sigma_t_per_mm": 9, "g": 2, "thickness_mm": 2, "albedo": 4, "channel": 3, "x_mm": 360}
+    assert dataset.attrs["records_digest"] == dictionary.records_digest
+    # Against the records as farmctl prints them.
+    command = [_programs.program("farmctl"), "--server", farm.address, "--quiet", "export", dictionary.name]
+    records = pd.read_csv(io.StringIO(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+    by = ["sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"]
+    exported = xr.Dataset.from_dataframe(records.set_index(by)[["value", "std_error"]]).sel(channel=["R", "G", "B"])
+    for name in ("value", "std_error"):
+        np.testing.assert_array_equal(exported[name].values.astype(np.float32), dataset[name].values)
+    at = {"sigma_t_per_mm": 6, "albedo": 0.999, "g": 0.4, "thickness_mm": 0.5}
+    profile = dictionary.profile(sigma_t=6, albedo=0.999, g=0.4, thickness_mm=0.5)
+    assert profile.recorded
+    # By the model between the records, which does not follow each one's noise.
+    record = dataset["value"].sel(at, method="nearest").isel(sample_ior=0)
+    np.testing.assert_allclose(profile["G"], record.sel(channel="G"), atol=0.01)
+    options = "profile --sigma-t 6 --albedo 0.999 --g 0.4 --thickness 0.5 --channel G".split()
+    told = farmctl(farm, *options)
+    np.testing.assert_array_equal(profile["G"], told["channels"][0]["values"])
+    np.testing.assert_allclose(profile.x_mm, dataset["x_mm"], atol=1e-12)
+    between = dictionary.profile(sigma_t=6.5, albedo=0.9992, g=0.35, thickness_mm=0.5, channels=("R",))
+    assert not between.recorded and list(between.channels) == ["R"]
+
+
+def test_a_simulation_is_that_of_farmctl(farm: resin_farm.Farm) -> None:
+    told = {"sigma_t": 6.0, "albedo": 0.99, "g": -0.4, "thickness_mm": 0.5, "walks": 5000}
+    profile = farm.simulate(**told)  # type: ignore[arg-type]
+    frame = profile.to_pandas()
+    command = "simulate --sigma-t 6 --albedo 0.99 --g=-0.4 --thickness 0.5 --walks 5000".split()
+    ran = subprocess.run([_programs.program("farmctl"), *command], check=True, capture_output=True, text=True)
+    told_there = pd.read_csv(io.StringIO(ran.stdout))
+    np.testing.assert_array_equal(frame["value"].astype(np.float32), told_there["value"].astype(np.float32))
+    with pytest.raises(resin_farm.FarmError, match="albedo = 1.5 is not valid"):
+        resin_farm.simulate(sigma_t=1, albedo=1.5, g=0, thickness_mm=1)
+
+
+def test_similar_media(farm: resin_farm.Farm) -> None:
+    medium = resin_farm.Medium(6, 0.9991, 0.4)
+    found = farm.similar(medium, [0.0, 0.4])
+    assert found[1] == medium
+    assert found[0].reduced_scattering_per_mm == pytest.approx(medium.reduced_scattering_per_mm, rel=1e-9)
+
+
+def test_answers_show_themselves(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    measured = farm.measure(white, mu=1.0)
+    assert str(measured).startswith("scale factor μ = 1.000 ± 0.000, given; anisotropy g = ")
+    assert "<td>white</td><td>R</td>" in measured._repr_html_()
+    frame = measured.to_pandas()
+    assert list(frame["channel"]) == ["R", "G", "B"] and frame["sigma_t_per_mm"].gt(0).all()
+    fit = farm.fit(white, g=0.4, curves=True)
+    shown = [fit, white, farm.dictionary().profile(sigma_t=6, albedo=0.999, g=0.4, thickness_mm=0.5)]
+    for figure in (one.plot() for one in shown):  # type: ignore[attr-defined]
+        picture = io.BytesIO()
+        figure.savefig(picture)
+        assert picture.getvalue().startswith(b"\x89PNG")
+    with pytest.raises(ValueError, match="curves=True"):
+        farm.fit(white, g=0.4).plot()
+    for one in (farm, farm.dictionary(), white, fit):
+        assert one._repr_html_().startswith("<table>")
+    unrefined = farm.fit(white, refine=False)
+    assert unrefined["R"].refined is None and "white" in str(unrefined)
+    assert json.loads(unrefined.to_pandas().to_json())["misfit"]["0"] is None
+    with pytest.raises(KeyError, match="the channels are R, G, B"):
+        fit["X"]

@@ -1,0 +1,148 @@
+"""Farms start, end, and are found again."""
+
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import resin_farm
+from conftest import GRID, WHITE
+from resin_farm import _programs
+
+SMALL = resin_farm.Grid(sigma_t_per_mm=[4, 8], albedo=[0.9], g=[0.0], thickness_mm=[1], walks=5000)
+
+
+def test_the_farm_of_a_folder_ends_with_its_block_and_carries_on(tmp_path: pathlib.Path) -> None:
+    with resin_farm.Farm(tmp_path / "data") as farm:
+        first = farm.submit(SMALL, "small")
+        assert first.state == "done" and first.records_done == 2
+        digest = first.records_digest
+    assert not (tmp_path / "data" / "coordinator.addr").exists()
+    with resin_farm.Farm(tmp_path / "data") as farm:
+        assert farm.dictionary("small").records_digest == digest
+        assert farm.submit(SMALL, "small").records_digest == digest
+        assert [d.name for d in farm.dictionaries()] == ["small"]
+        assert farm.dictionary("small").delete() == 2
+
+
+def test_a_farm_that_another_process_holds_is_shared_and_taken_over(tmp_path: pathlib.Path) -> None:
+    first = resin_farm.Farm(tmp_path)
+    second = resin_farm.Farm(tmp_path)
+    assert second.address == first.address
+    first.submit(SMALL, "small", progress=False)
+    first.close()
+    assert second.dictionary("small").state == "done"
+    assert second.address != first.address
+    second.close()
+
+
+def test_a_farm_that_was_killed_is_started_anew(tmp_path: pathlib.Path) -> None:
+    with resin_farm.Farm(tmp_path) as farm:
+        farm.submit(SMALL, "small", progress=False)
+        assert farm._local is not None
+        farm._local._process.kill()
+        assert farm.dictionary("small").state == "done"
+
+
+def test_a_farm_ends_when_its_program_is_killed(tmp_path: pathlib.Path) -> None:
+    code = f"import resin_farm, time\nresin_farm.Farm({str(tmp_path)!r})\nprint('up', flush=True)\ntime.sleep(600)"
+    # Without a name the farm would be collected at once.
+    code = code.replace("\nresin_farm.Farm", "\nfarm = resin_farm.Farm")
+    program = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert program.stdout is not None and program.stdout.readline() == "up\n"
+    assert (tmp_path / "coordinator.addr").exists()
+    program.send_signal(signal.SIGKILL)
+    program.wait()
+    end = time.monotonic() + 30
+    while (tmp_path / "coordinator.addr").exists():
+        assert time.monotonic() < end, "the farm goes on without its program"
+        time.sleep(0.1)
+    program.stdout.close()
+
+
+def test_what_does_not_start_says_why(tmp_path: pathlib.Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("no folder")
+    with pytest.raises(resin_farm.FarmError, match="does not start"):
+        resin_farm.Farm(file)
+
+
+def test_grids_that_are_not_valid_are_refused_with_the_field(farm: resin_farm.Farm) -> None:
+    with pytest.raises(resin_farm.FarmError, match="albedo"):
+        farm.submit(resin_farm.Grid(albedo=[0.5, 1.5]), "bad")
+    with pytest.raises(resin_farm.FarmError, match="draft"):
+        farm.submit(GRID, "bad", quality="best")  # type: ignore[arg-type]
+    with pytest.raises(resin_farm.NotFound, match="bad"):
+        farm.dictionary("bad")
+
+
+def test_without_a_dictionary_the_error_says_what_to_do(tmp_path: pathlib.Path, white: resin_farm.Measurement) -> None:
+    with resin_farm.Farm(tmp_path) as farm, pytest.raises(resin_farm.FarmError, match=r"submit\(\)"):
+        farm.fit(white)
+
+
+def test_a_coordinator_is_reached_by_its_access_file(tmp_path: pathlib.Path, white: resin_farm.Measurement) -> None:
+    with resin_farm.Farm(tmp_path / "data") as farm:
+        farm.submit(GRID, "paper", progress=False)
+        expected = farm.fit(white, g=0.4)
+    access = tmp_path / "access"
+    _programs.farmctl(["access", "create", str(access), "--host", "localhost"])
+    command = [_programs.program("farm-coordinator"), "--listen", "127.0.0.1:0", "--data", str(tmp_path / "data")]
+    environment = os.environ | {"FARM_LOG": "warn"}
+    coordinator = subprocess.Popen([*command, "--access", str(access / "coordinator.toml")], env=environment)
+    try:
+        address = tmp_path / "data" / "coordinator.addr"
+        end = time.monotonic() + 30
+        while not (address.exists() and address.read_text().strip()):
+            assert time.monotonic() < end, "the coordinator does not start"
+            time.sleep(0.1)
+        port = address.read_text().strip().rpartition(":")[2]
+        file = access / "client.toml"
+        lines = [f'server = "https://localhost:{port}"' if line.startswith("server =") else line for line in file.read_text().splitlines()]
+        file.write_text("\n".join(lines))
+        farm = resin_farm.Farm.connect(file)
+        assert farm.fit(white, g=0.4)["R"].medium == expected["R"].medium
+        assert farm.dictionary("paper").explain()
+        farm.close()
+        wrong = access / "wrong.toml"
+        text = [f'token = "{"x" * 43}"' if line.startswith("token =") else line for line in file.read_text().splitlines()]
+        wrong.write_text("\n".join(text))
+        stranger = resin_farm.Farm.connect(wrong)
+        with pytest.raises(resin_farm.Refused):
+            stranger.dictionaries()
+        stranger.close()
+    finally:
+        coordinator.terminate()
+        coordinator.wait()
+    with pytest.raises(resin_farm.Unavailable):
+        resin_farm.Farm.connect(f"http://127.0.0.1:{port}").dictionaries()
+    with pytest.raises(resin_farm.FarmError, match="access file"):
+        resin_farm.Farm.connect("https://farm.example.org")
+
+
+def test_a_capture_is_measured_with_its_own_dictionary(tmp_path: pathlib.Path) -> None:
+    with resin_farm.Farm(tmp_path / "data") as farm:
+        session = WHITE.parent / "session" / "session.toml"
+        capture = farm.capture(session, tmp_path / "white")
+        (material,) = capture.measurements
+        assert material.channels == ("R", "G", "B") and capture.report.exists()
+        assert material.profiles[0].std_errors is not None and "origin_mm" in material.profiles[0].set_up
+        # A coarse grid, for the time that it takes.
+        grid = capture.folder / "grid.toml"
+        thicknesses = ", ".join(f"{t:g}" for t in material.thicknesses_mm)
+        grid.write_text(
+            'scene = "scene.toml"\nsigma_t_per_mm = [5, 6, 8, 10, 20, 28]\nalbedo = [0.998, 0.999, 0.9995, 0.9999]\n'
+            f"g = [0.3, 0.4]\nthickness_mm = [{thicknesses}]\nsample_ior = [1.53]\nwalks = 10000\n"
+        )
+        measured = farm.measure(capture)
+        assert [fit.channel for fit in measured.materials[0].channels] == ["R", "G", "B"]
+        # By the white reference, and by what the data say of it.
+        assert abs(measured.mu - 1) < 0.03 and measured.mu_std_error < 0.02
+        assert "media" in (capture.folder / "report.html").read_text()
+        assert farm.measure(str(capture.folder)).materials[0]["R"].medium == measured.materials[0]["R"].medium
+        with pytest.raises(TypeError, match="folder"):
+            farm.measure(capture, mu=1.0)
