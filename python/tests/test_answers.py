@@ -168,3 +168,27 @@ def test_answers_show_themselves(farm: resin_farm.Farm, white: resin_farm.Measur
     assert json.loads(unrefined.to_pandas().to_json())["misfit"]["0"] is None
     with pytest.raises(KeyError, match="the channels are R, G, B"):
         fit["X"]
+
+
+def test_maps_and_designs_are_those_of_farmctl(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    told = farmctl(farm, "map", str(WHITE))
+    for found, expected in zip(farm.map(white), told["maps"], strict=True):
+        assert found.channel == expected["channel"] and found.errors.shape == (2, 9, 4)
+        np.testing.assert_array_equal(found.errors.ravel(), np.ravel([layer["errors"] for layer in expected["layers"]]))
+        assert found.plot().axes
+    medium = resin_farm.Medium(6, 0.999, 0.4)
+    design = farm.design(medium, slabs=[[0.5, 1], [0.5]], shots=[1, 4])
+    expected = farmctl(farm, *"design --sigma-t 6 --albedo 0.999 --g 0.4 --slabs 0.5,1 --slabs 0.5 --shots 1,4".split())
+    assert [one.slabs_mm for one in design] == [tuple(one["slabs_mm"]) for one in expected["sets"]]
+    assert [one.g_held.albedo for one in design] == [one["g_held"]["albedo"] for one in expected["sets"]]
+    assert design.best.slabs_mm == (0.5, 1.0) and "best" in design._repr_html_()
+    assert design.to_pandas()["sigma_t"].gt(0).all()
+
+
+def test_the_scale_factor_is_found_with_its_curve(farm: resin_farm.Farm) -> None:
+    scale = farm.measure(WHITE, objective="paper").scale
+    assert scale is not None and scale.mu[scale.error.argmin()] == pytest.approx(scale.best_mu)
+    assert scale.plot().axes

@@ -11,10 +11,12 @@ air under the same light.
 """
 
 from resin_farm.capture import Capture
+from resin_farm.design import Design, HalfWidths, SlabSet
 from resin_farm.dictionary import Dictionary
 from resin_farm.errors import FarmError, InvalidArgument, NotFound, Refused, Unavailable
 from resin_farm.farm import Farm
 from resin_farm.grid import Grid
+from resin_farm.maps import DistanceMap
 from resin_farm.measurement import MeasuredProfile, Measurement, read_measurements
 from resin_farm.options import FitOptions
 from resin_farm.profile import Profile, simulate
@@ -29,6 +31,7 @@ from resin_farm.results import (
     Medium,
     NuisanceEstimate,
     Refined,
+    ScaleCurve,
 )
 
 __all__ = [
@@ -36,11 +39,14 @@ __all__ = [
     "Capture",
     "ChannelFit",
     "Curves",
+    "Design",
     "Dictionary",
+    "DistanceMap",
     "Farm",
     "FarmError",
     "FitOptions",
     "Grid",
+    "HalfWidths",
     "Interval",
     "InvalidArgument",
     "Likelihood",
@@ -54,6 +60,8 @@ __all__ = [
     "Profile",
     "Refined",
     "Refused",
+    "ScaleCurve",
+    "SlabSet",
     "Unavailable",
     "read_measurements",
     "simulate",

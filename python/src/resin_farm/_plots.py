@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from resin_farm.maps import DistanceMap
     from resin_farm.measurement import Measurement
     from resin_farm.profile import Profile
-    from resin_farm.results import MaterialFit
+    from resin_farm.results import MaterialFit, ScaleCurve
 
 _COLOURS = {"R": "#c0392b", "G": "#27803b", "B": "#2b5fb4"}
 
@@ -73,4 +76,44 @@ def fits(shown: MaterialFit) -> Figure:
             best = curves.refined if curves.refined is not None else curves.best_record
             axis.plot(curves.x_mm, best, color=colour, label=f"{fit.channel} fit", linewidth=1.2)
     axes[-1].legend(frameon=False)
+    return figure
+
+
+def scale(shown: ScaleCurve) -> Figure:
+    figure, (axis,) = _panels(["aggregate error by the scale factor (Eq. 3)"])
+    axis.plot(shown.mu, shown.error, color="black", linewidth=1.2)
+    axis.axvline(shown.best_mu, color="#c0392b", linewidth=0.8, label=f"μ = {shown.best_mu:.3f}")
+    axis.set_xlabel("μ")
+    axis.set_ylabel("error")
+    axis.legend(frameon=False)
+    return figure
+
+
+def distance_map(shown: DistanceMap) -> Figure:
+    import matplotlib.pyplot as plt
+    from matplotlib.colors import LogNorm
+
+    columns = min(4, len(shown.g))
+    rows = -(-len(shown.g) // columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(3 * columns, 2.6 * rows), sharex=True, sharey=True, squeeze=False, layout="constrained"
+    )
+    plt.close(figure)
+    norm = LogNorm(shown.errors.min(), min(shown.errors.max(), 100 * shown.errors.min()))
+    for axis in axes.flat[len(shown.g) :]:
+        axis.set_visible(False)
+    # A dictionary may hold an albedo of 1, which has no logarithm.
+    missing = np.maximum(1 - shown.albedo, 1e-6)
+    for axis, g, errors, best, similar in zip(axes.flat, shown.g, shown.errors, shown.best, shown.similar, strict=False):
+        mesh = axis.pcolormesh(missing, shown.sigma_t_per_mm, errors, norm=norm, cmap="viridis_r", shading="nearest")
+        axis.plot(max(1 - best.albedo, 1e-6), best.sigma_t_per_mm, "x", color="#c0392b")
+        if similar is not None:
+            axis.plot(max(1 - similar.albedo, 1e-6), similar.sigma_t_per_mm, "o", mfc="none", color="white")
+        axis.set(xscale="log", yscale="log", title=f"{shown.channel}, g = {g:g}")
+        axis.set_ylim(shown.sigma_t_per_mm[0], shown.sigma_t_per_mm[-1])
+    for axis in axes[-1]:
+        axis.set_xlabel("1 − α")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("σ_t / (1/mm)")
+    figure.colorbar(mesh, ax=axes, label="distance", shrink=0.8)
     return figure

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, TypeVar, Unpack
 
 from google.protobuf.message import Message
 
-from resin_farm import _connection, _display, _programs, options, profile, results
+from resin_farm import _connection, _display, _programs, design, maps, options, profile, results
 from resin_farm._local import LocalFarm, folder_of
 from resin_farm._wire import dictionaries_pb2, fits_pb2, model_pb2
 from resin_farm.capture import Capture
@@ -141,13 +141,9 @@ class Farm:
         Raises:
             InvalidArgument: with what is wrong with a value; `fields` names it.
         """
-        materials = _measurements(measurement)
-        if len(materials) != 1:
-            names = ", ".join(m.material for m in materials)
-            raise InvalidArgument(f"fit is for one material, and these are {names}: measure takes all, or fit each")
         request = fits_pb2.FitRequest(
             dictionary=self._name(dictionary),
-            measurement=materials[0]._wire(),
+            measurement=_one(measurement)._wire(),
             options=options.wire(told, refine=refine),
         )
         return results.material_fit(self._call("Fits/Fit", request, fits_pb2.FitResponse).fit)
@@ -188,10 +184,66 @@ class Farm:
         )
         return results.measured(self._call("Fits/Measure", request, fits_pb2.MeasureResponse), name)
 
+    def map(
+        self, measurement: Materials, dictionary: str | None = None, **told: Unpack[options.FitOptions]
+    ) -> list[maps.DistanceMap]:
+        """How far a material's profiles are from every medium of a dictionary, one map for each channel.
+
+        Args:
+            measurement: of one material, as for `fit`.
+            dictionary: its name; the only one or "paper" if None.
+            told: as far as they are known, the options of `FitOptions`.
+        """
+        request = fits_pb2.MapRequest(
+            dictionary=self._name(dictionary),
+            measurement=_one(measurement)._wire(),
+            options=options.wire(told, refine=False),
+        )
+        answer = self._call("Fits/Map", request, fits_pb2.MapResponse)
+        return [maps.DistanceMap._of_wire(one) for one in answer.maps]
+
+    def design(
+        self,
+        medium: results.Medium,
+        dictionary: str | None = None,
+        *,
+        slabs: Sequence[Sequence[float]] = (),
+        shots: Sequence[int] = (),
+        channel: str | None = None,
+        noise: float | None = None,
+        noise_floor: float | None = None,
+        free_mu: bool = False,
+        **told: Unpack[options.FitOptions],
+    ) -> design.Design:
+        """How well sets of slabs would determine a medium, before anything is photographed (Cramér–Rao bounds).
+
+        Args:
+            medium: a guess: how much pixels tell depends on what they look at.
+            dictionary: its name; the only one or "paper" if None.
+            slabs: sets of thicknesses in mm; sets of one to three of the dictionary's if there are none.
+            shots: photographs of each slab; 1 and 2 if there are none.
+            channel: the dictionary's first if None.
+            noise: standard error of a pixel of one photograph, as a share of its value; 0.01 if None.
+            noise_floor: that of a dark pixel, as a radiance factor; 0.0005 if None.
+            free_mu: nothing is known of the scale factor.
+            told: what is known of the set-up, as for `fit`.
+        """
+        request = fits_pb2.DesignRequest(
+            dictionary=self._name(dictionary),
+            channel=channel,
+            medium=_wire_medium(medium),
+            slab_sets=[fits_pb2.SlabThicknesses(thickness_mm=one) for one in slabs],
+            shots=shots,
+            noise=noise,
+            noise_floor=noise_floor,
+            set_up=options.wire(told, refine=False),
+            mu_free=free_mu,
+        )
+        return design.of_wire(self._call("Fits/Design", request, fits_pb2.DesignResponse))
+
     def similar(self, medium: results.Medium, g: Sequence[float]) -> list[results.Medium]:
         """Media that similarity theory calls equal to one, at other anisotropies (Eqs. 4 to 6 of the paper)."""
-        wire = model_pb2.Medium(sigma_t_per_mm=medium.sigma_t_per_mm, albedo=medium.albedo, g=medium.g)
-        request = fits_pb2.SimilarRequest(medium=wire, g=g)
+        request = fits_pb2.SimilarRequest(medium=_wire_medium(medium), g=g)
         answer = self._call("Fits/Similar", request, fits_pb2.SimilarResponse)
         return [results.Medium._of_wire(one) for one in answer.media]
 
@@ -302,6 +354,18 @@ def _folder(told: object) -> pathlib.Path | None:
         return None
     path = pathlib.Path(told)
     return path if path.is_dir() else None
+
+
+def _wire_medium(medium: results.Medium) -> model_pb2.Medium:
+    return model_pb2.Medium(sigma_t_per_mm=medium.sigma_t_per_mm, albedo=medium.albedo, g=medium.g)
+
+
+def _one(told: Materials) -> Measurement:
+    materials = _measurements(told)
+    if len(materials) != 1:
+        names = ", ".join(m.material for m in materials)
+        raise InvalidArgument(f"one material is wanted, and these are {names}: measure takes all")
+    return materials[0]
 
 
 def _measurements(told: Materials) -> list[Measurement]:

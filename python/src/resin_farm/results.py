@@ -176,6 +176,25 @@ class ChannelFit:
         return self.refined.medium if self.refined else self.candidates[0].medium
 
 
+# Arrays have no truth value of their equality.
+@dataclass(frozen=True, eq=False)
+class ScaleCurve:
+    """The aggregate error of a set of materials over the scale factor (Eq. 3 of the paper), by the best records."""
+
+    mu: Array = field(repr=False)
+    error: Array = field(repr=False)
+    best_mu: float
+    std_error: float | None
+    """Of `best_mu`, by leaving out one channel after the other; None for one."""
+    best_g: float
+    """The anisotropy with the least error common to all materials."""
+
+    def plot(self) -> Figure:
+        from resin_farm import _plots
+
+        return _plots.scale(self)
+
+
 _HEAD = ("material", "ch", "σ_t /mm", "95 %", "α", "95 %", "g", "95 %", "σ_s(1−g)", "95 %", "σ_a", "95 %", "misfit")
 
 
@@ -228,6 +247,8 @@ class Measured:
     """The common anisotropy; None if every channel has its own."""
     g_interval: Interval | None
     dictionary: str
+    scale: ScaleCurve | None = field(default=None, repr=False)
+    """None if μ was given."""
 
     def __getitem__(self, material: str) -> MaterialFit:
         for fit in self.materials:
@@ -304,6 +325,17 @@ def measured(wire: fits_pb2.MeasureResponse, dictionary: str) -> Measured:
         g=common.g if common.HasField("g") else None,
         g_interval=Interval._of_wire(common.g_interval) if common.HasField("g_interval") else None,
         dictionary=dictionary,
+        scale=_scale(wire.scale) if wire.HasField("scale") else None,
+    )
+
+
+def _scale(wire: fits_pb2.ScaleCurve) -> ScaleCurve:
+    return ScaleCurve(
+        mu=np.array([point.mu for point in wire.points]),
+        error=np.array([point.error for point in wire.points]),
+        best_mu=wire.best.mu,
+        std_error=wire.std_error if wire.HasField("std_error") else None,
+        best_g=wire.best_g,
     )
 
 
@@ -386,6 +418,17 @@ def measured_of_json(found: Mapping[str, Any]) -> Measured:
         g=common["g"],
         g_interval=Interval._of_json(g_interval) if g_interval else None,
         dictionary=found["dictionary"],
+        scale=_scale_of_json(found["scale"]) if found["scale"] else None,
+    )
+
+
+def _scale_of_json(found: Mapping[str, Any]) -> ScaleCurve:
+    return ScaleCurve(
+        mu=np.array([point["mu"] for point in found["curve"]]),
+        error=np.array([point["error"] for point in found["curve"]]),
+        best_mu=found["mu"],
+        std_error=found["std_error"],
+        best_g=found["best_g"],
     )
 
 

@@ -1,0 +1,117 @@
+"""How well sets of slabs would determine a medium, before anything is photographed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from resin_farm import _display
+from resin_farm._wire import fits_pb2
+from resin_farm.results import Medium
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True)
+class HalfWidths:
+    """Half of the widths of 95 % intervals; infinite where the pixels tell nothing."""
+
+    sigma_t_per_mm: float
+    albedo: float
+    g: float
+    reduced_scattering_per_mm: float
+    absorption_per_mm: float
+
+    @classmethod
+    def _of_wire(cls, wire: fits_pb2.HalfWidths) -> HalfWidths:
+        return cls(
+            wire.sigma_t_per_mm, wire.albedo, wire.g, wire.reduced_scattering_per_mm, wire.absorption_per_mm
+        )
+
+
+@dataclass(frozen=True)
+class SlabSet:
+    """A set of slabs, and what photographs of it would tell (Cramér–Rao bounds)."""
+
+    slabs_mm: tuple[float, ...]
+    shots: int
+    """Photographs of each slab."""
+    g_held: HalfWidths
+    """The anisotropy being known."""
+    g_free: HalfWidths | None
+    """The anisotropy being told by the same pixels; None if the dictionary has one only."""
+    best: bool
+    """No other set tells more of σ_t and 1 − α together, g held."""
+    best_of_its_effort: bool
+    """The same among sets of at most as many photographs."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """Sets of slabs, in the order of the question."""
+
+    medium: Medium
+    channel: str
+    sets: tuple[SlabSet, ...]
+
+    @property
+    def best(self) -> SlabSet:
+        return next(one for one in self.sets if one.best)
+
+    def __iter__(self) -> Iterator[SlabSet]:
+        return iter(self.sets)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """One row for each set, with half-widths of σ_t and 1 − α as shares of them."""
+        import pandas
+
+        return pandas.DataFrame([self._record(one) for one in self.sets])
+
+    def _record(self, one: SlabSet) -> dict[str, object]:
+        m, free = self.medium, one.g_free
+        return {
+            "slabs_mm": one.slabs_mm,
+            "shots": one.shots,
+            "sigma_t": one.g_held.sigma_t_per_mm / m.sigma_t_per_mm,
+            "one_minus_albedo": one.g_held.albedo / (1 - m.albedo),
+            "sigma_t_g_free": free.sigma_t_per_mm / m.sigma_t_per_mm if free else float("nan"),
+            "one_minus_albedo_g_free": free.albedo / (1 - m.albedo) if free else float("nan"),
+            "g": free.g if free else float("nan"),
+            "best": one.best,
+        }
+
+    def __str__(self) -> str:
+        return _display.text_table(_HEAD, self._rows())
+
+    def _repr_html_(self) -> str:
+        return _display.html_table(_HEAD, self._rows(), f"channel {self.channel}: half-widths of 95 % intervals")
+
+    def _rows(self) -> list[list[str]]:
+        def row(one: SlabSet) -> list[str]:
+            told = self._record(one)
+            shares = [f"{100 * share:.2g} %" for share in (told["sigma_t"], told["one_minus_albedo"]) if isinstance(share, float)]
+            slabs = " + ".join(f"{t:g}" for t in one.slabs_mm)
+            free = f"{one.g_free.g:.2g}" if one.g_free else ""
+            return [slabs, "best" if one.best else "", str(one.shots), *shares, free]
+
+        return [row(one) for one in self.sets]
+
+
+_HEAD = ("slabs / mm", "", "shots", "σ_t", "1 − α", "g, free")
+
+
+def of_wire(wire: fits_pb2.DesignResponse) -> Design:
+    sets = tuple(
+        SlabSet(
+            slabs_mm=tuple(one.slabs_mm),
+            shots=one.shots,
+            g_held=HalfWidths._of_wire(one.g_held),
+            g_free=HalfWidths._of_wire(one.g_free) if one.HasField("g_free") else None,
+            best=one.best,
+            best_of_its_effort=one.best_of_its_effort,
+        )
+        for one in wire.sets
+    )
+    return Design(Medium._of_wire(wire.medium), wire.channel, sets)
