@@ -192,3 +192,13 @@ def test_the_scale_factor_is_found_with_its_curve(farm: resin_farm.Farm) -> None
     scale = farm.measure(WHITE, objective="paper").scale
     assert scale is not None and scale.mu[scale.error.argmin()] == pytest.approx(scale.best_mu)
     assert scale.plot().axes
+
+
+def test_a_medium_for_mitsuba_is_what_farmctl_writes(farm: resin_farm.Farm, tmp_path: pathlib.Path) -> None:
+    farmctl(farm, "measure", str(WHITE), "--mu", "1", "--g", "0.4", "-o", str(tmp_path / "media"))
+    written: dict[str, Any] = {}
+    exec((tmp_path / "media" / "media.py").read_text(), written)
+    measured = farm.measure(WHITE, mu=1.0, g=0.4)["white"]
+    assert measured.to_mitsuba() == written["media"]["white"]
+    with pytest.raises(ValueError, match="one g is needed"):
+        farm.measure(WHITE, mu=1.0, free_g=True)["white"].to_mitsuba()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -225,6 +226,29 @@ class MaterialFit:
         import pandas
 
         return pandas.DataFrame([_record(self.material, fit) for fit in self.channels])
+
+    def to_mitsuba(self) -> dict[str, Any]:
+        """The medium as a dictionary for Mitsuba 3, of channels R, G and B with the same g; coefficients are per mm.
+
+        Raises:
+            ValueError: if it has other channels, or if their anisotropies differ: a homogeneous medium has one phase
+                function. Hold g, or let `farmctl measure -o` write media of their own.
+        """
+        media = {fit.channel: fit.medium for fit in self.channels}
+        if sorted(media) != ["B", "G", "R"]:
+            raise ValueError(f"R, G and B are needed, and the channels are {', '.join(media)}")
+        rgb = [media[channel] for channel in "RGB"]
+        if len({medium.g for medium in rgb}) > 1:
+            raise ValueError(f"one g is needed, and these are {', '.join(_display.number(m.g) for m in rgb)}: hold it")
+        # An rgb value above 1 is an error in Mitsuba.
+        scale = 10.0 ** max(0, math.ceil(math.log10(max(medium.sigma_t_per_mm for medium in rgb))))
+        return {
+            "type": "homogeneous",
+            "sigma_t": {"type": "rgb", "value": [medium.sigma_t_per_mm / scale for medium in rgb]},
+            "albedo": {"type": "rgb", "value": [medium.albedo for medium in rgb]},
+            "scale": scale,
+            "phase": {"type": "hg", "g": rgb[0].g},
+        }
 
     def plot(self) -> Figure:
         """Measured profiles with their fits; needs curves, which `curves=True` asks for."""
