@@ -308,6 +308,12 @@ pub struct ExportArgs {
     /// `show --json` tells.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "measurement", "json"])]
     pub npz: Option<PathBuf>,
+    /// Write a Zarr store, which xarray opens: the same arrays in a folder.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["output", "measurement", "json", "npz"])]
+    pub zarr: Option<PathBuf>,
+    /// Write a Parquet file: a row for each record and channel, with the pixels as lists.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "measurement", "json", "npz", "zarr"])]
+    pub parquet: Option<PathBuf>,
     /// Write the profiles of one medium as a measurement of the material NAME, which `farmctl measure` reads.
     #[arg(long, value_name = "NAME")]
     pub measurement: Option<String>,

@@ -5,47 +5,15 @@
 
 use std::io::{Seek, Write};
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use farm_proto::status::DictionaryStatus;
 use optics_model::Grid;
-use serde::Serialize;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 use super::Chosen;
-use crate::commands::show;
+use super::arrays::{Array, Complete, about, channels, numeric_axes};
 use crate::connection::Connection;
-use crate::records::Records;
-
-/// Axes of the arrays of records, the last one running fastest.
-const AXES: [&str; 7] = ["sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"];
-
-/// An array of records: its name and unit, and which of a profile's estimates it has.
-struct Array {
-    name: &'static str,
-    unit: &'static str,
-    estimate: usize,
-    errors: bool,
-}
-
-impl Array {
-    const fn of(name: &'static str, unit: &'static str, estimate: usize, errors: bool) -> Self {
-        Self { name, unit, estimate, errors }
-    }
-}
-
-const PER_ALBEDO: &str = "radiance factor per albedo";
-const PER_SIGMA_T: &str = "radiance factor mm";
-
-/// In the order of a profile's estimates; those after the first two are there with derivatives alone.
-const ARRAYS: [Array; 6] = [
-    Array::of("value", "radiance factor", 0, false),
-    Array::of("std_error", "radiance factor", 0, true),
-    Array::of("d_albedo", PER_ALBEDO, 1, false),
-    Array::of("d_albedo_std_error", PER_ALBEDO, 1, true),
-    Array::of("d_sigma_t", PER_SIGMA_T, 2, false),
-    Array::of("d_sigma_t_std_error", PER_SIGMA_T, 2, true),
-];
 
 /// Writes the chosen records, which must all be done.
 pub(super) async fn write(
@@ -55,7 +23,7 @@ pub(super) async fn write(
     out: impl Write + Seek,
 ) -> Result<()> {
     let grid = &status.grid;
-    let arrays = if grid.derivatives() { &ARRAYS[..] } else { &ARRAYS[..2] };
+    let arrays = Array::all(grid);
     let mut archive = ZipWriter::new(out);
     for array in arrays {
         archive.start_file(format!("{}.npy", array.name), stored())?;
@@ -63,7 +31,8 @@ pub(super) async fn write(
     }
     write_axes(grid, chosen, &mut archive)?;
     archive.start_file("about.json", stored())?;
-    archive.write_all(about(status, arrays)?.as_bytes())?;
+    let about = serde_json::to_string_pretty(&about(status, arrays)?)? + "\n";
+    archive.write_all(about.as_bytes())?;
     archive.finish()?;
     Ok(())
 }
@@ -83,25 +52,12 @@ async fn write_records(
     let grid = &status.grid;
     let (channels, pixels) = (grid.scene().channels().len(), grid.scene().sensor().pixels());
     out.write_all(&head("<f4", &[&chosen.shape()[..], &[channels, pixels]].concat()))?;
-    let indices = chosen.records(grid);
-    let mut records = Records::ask(connection, status, indices.clone()).await?;
+    let mut records = Complete::ask(connection, status, chosen).await?;
     let mut bytes = Vec::with_capacity(4 * channels * pixels);
-    for wanted in indices {
-        let record = records.next().await?.filter(|record| record.index == wanted as usize);
-        let Some(record) = record else {
-            anyhow::bail!(
-                "record {wanted} is not done yet: arrays have no place for what is missing; wait, choose others with \
-                 --sigma-t, --albedo, --g, --thickness, or write CSV"
-            );
-        };
+    while let Some(record) = records.next().await? {
         bytes.clear();
         for profile in &record.profiles {
-            let Some(estimate) = profile.estimates().nth(array.estimate) else {
-                anyhow::bail!("record {wanted} has no {}", array.name);
-            };
-            let numbers = if array.errors { estimate.std_errors() } else { estimate.values() };
-            ensure!(numbers.len() == pixels, "record {wanted} has {} pixels, not {pixels}", numbers.len());
-            bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+            bytes.extend(array.numbers(profile).iter().flat_map(|number| number.to_le_bytes()));
         }
         out.write_all(&bytes)?;
     }
@@ -110,13 +66,8 @@ async fn write_records(
 
 /// The values along each axis, as an array of its name.
 fn write_axes(grid: &Grid, chosen: &Chosen, archive: &mut ZipWriter<impl Write + Seek>) -> Result<()> {
-    let sensor = grid.scene().sensor();
-    let x_mm = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
-    let names: Vec<&str> = grid.scene().channels().iter().map(optics_model::scene::Channel::name).collect();
-    let [iors, sigmas, gs, thicknesses, albedos] = chosen.values(grid);
-    for (name, values) in
-        AXES.iter().filter(|n| **n != "channel").zip([iors, sigmas, gs, thicknesses, albedos, x_mm])
-    {
+    let names = channels(grid);
+    for (name, values) in numeric_axes(grid, chosen) {
         archive.start_file(format!("{name}.npy"), stored())?;
         archive.write_all(&head("<f8", &[values.len()]))?;
         archive.write_all(&values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())?;
@@ -130,21 +81,6 @@ fn write_axes(grid: &Grid, chosen: &Chosen, archive: &mut ZipWriter<impl Write +
         archive.write_all(&padded.flat_map(u32::to_le_bytes).collect::<Vec<u8>>())?;
     }
     Ok(())
-}
-
-/// What `show --json` tells of the dictionary, and what the arrays mean.
-fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Result<String> {
-    #[derive(Serialize)]
-    struct About<D> {
-        farmctl: &'static str,
-        axes: [&'static str; 7],
-        units: std::collections::BTreeMap<&'static str, &'static str>,
-        dictionary: D,
-    }
-    let units = arrays.iter().map(|array| (array.name, array.unit)).collect();
-    let about =
-        About { farmctl: env!("CARGO_PKG_VERSION"), axes: AXES, units, dictionary: show::data(status) };
-    Ok(serde_json::to_string_pretty(&about)? + "\n")
 }
 
 /// Bytes before the text of a head: a mark, a version, and the text's length.
