@@ -1,7 +1,7 @@
 //! Records as bytes: what goes over the wire and what is stored.
 //!
 //! In a record, for each channel: radiance factor, then ∂/∂α and ∂/∂σ_t if the job asks for derivatives; of each of these
-//! the values of all pixels as 32-bit floats, little endian, then their [standard errors](std_errors) in two bytes and one
+//! the values of all pixels as 32-bit floats, little endian, then their standard errors (`std_errors`) in two bytes and one
 //! for each pixel. Up to physics version 5 these were floats, too. Such records are read; [`Layout`] tells them apart.
 
 pub(crate) mod std_errors;
