@@ -8,6 +8,7 @@
 mod away;
 mod backups;
 mod clock;
+mod crowd;
 mod damage;
 mod disk;
 mod export;
