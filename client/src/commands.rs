@@ -14,6 +14,7 @@ pub(crate) mod fit;
 pub(crate) mod health;
 pub(crate) mod list;
 pub(crate) mod manage;
+pub(crate) mod manual;
 pub(crate) mod map;
 pub(crate) mod measure;
 pub(crate) mod profile;

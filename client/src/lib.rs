@@ -93,6 +93,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Show(args) => commands::show::run(global, args, output).await?,
         Command::Export(args) => commands::export::run(global, args, output).await?,
         Command::Completions(args) => commands::completions::run(&args),
+        Command::Manual(args) => commands::manual::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

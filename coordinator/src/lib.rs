@@ -5,6 +5,7 @@
 
 mod actor;
 pub mod authorisation;
+pub mod cli;
 pub mod clock;
 pub mod config;
 pub mod connections;

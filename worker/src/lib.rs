@@ -5,6 +5,7 @@
 //! its lease to its result, `delivery` keeps results until they are acknowledged, `heartbeat` renews the leases.
 
 mod agent;
+pub mod cli;
 mod config;
 mod delivery;
 mod heartbeat;

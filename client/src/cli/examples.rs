@@ -196,6 +196,10 @@ pub(super) const COMPLETIONS: &str = "\
 Example:
   farmctl completions bash > ~/.local/share/bash-completion/completions/farmctl";
 
+pub(super) const MANUAL: &str = "\
+Examples:
+  farmctl manual ~/.local/share/man/man1    then: man farmctl-measure";
+
 #[cfg(test)]
 mod tests {
     use clap::{Command, CommandFactory as _, Parser as _};

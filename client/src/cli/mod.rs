@@ -192,6 +192,9 @@ pub enum Command {
     /// Print completions for a shell.
     #[command(after_help = examples::COMPLETIONS)]
     Completions(CompletionsArgs),
+    /// Write the manual pages of farmctl, farm-coordinator and farm-worker.
+    #[command(after_help = examples::MANUAL)]
+    Manual(ManualArgs),
 }
 
 #[derive(Debug, Args)]
@@ -332,6 +335,12 @@ pub struct ExportArgs {
     /// Only these refractive indices of the sample.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub sample_ior: Vec<f64>,
+}
+
+#[derive(Debug, Args)]
+pub struct ManualArgs {
+    /// Folder for the pages, which is made if it is not there.
+    pub folder: PathBuf,
 }
 
 #[derive(Debug, Args)]

@@ -1,0 +1,35 @@
+//! `farmctl manual`: man pages of all three programs.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use clap::{Command, CommandFactory};
+use clap_mangen::Man;
+
+use crate::cli::{Cli, ManualArgs};
+use crate::output::write_whole;
+
+pub(crate) fn run(args: &ManualArgs) -> Result<()> {
+    let folder = &args.folder;
+    std::fs::create_dir_all(folder).with_context(|| format!("folder {}", folder.display()))?;
+    let mut farmctl = Cli::command();
+    // What holds for every verb is told with every verb, as --help does.
+    farmctl.build();
+    pages(&farmctl, "farmctl", folder)?;
+    pages(&farm_coordinator::cli::Args::command(), "farm-coordinator", folder)?;
+    pages(&farm_worker::cli::Args::command(), "farm-worker", folder)
+}
+
+/// Writes the page of a command, and of those below it: `farmctl-slurm-submit.1`.
+fn pages(command: &Command, name: &str, folder: &Path) -> Result<()> {
+    let mut page = Vec::new();
+    // clap tells names of verbs as literals alone.
+    let named: &'static str = name.to_owned().leak();
+    Man::new(command.clone().name(named)).source("resin-farm").manual("resin-farm").render(&mut page)?;
+    let file = folder.join(format!("{name}.1"));
+    write_whole(&file, &page).with_context(|| format!("output {}", file.display()))?;
+    for below in command.get_subcommands().filter(|c| c.get_name() != "help" && !c.is_hide_set()) {
+        pages(below, &format!("{name}-{}", below.get_name()), folder)?;
+    }
+    Ok(())
+}

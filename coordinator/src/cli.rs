@@ -1,0 +1,75 @@
+//! The command line of `farm-coordinator`.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Parser;
+use farm_link::logs::LogFormat;
+use farm_link::walltime::parse_time_limit;
+
+use crate::Config;
+
+/// Splits parameter grids into jobs for workers, stores the records and answers fits.
+#[derive(Debug, Parser)]
+#[command(name = "farm-coordinator", version, after_help = EXAMPLES)]
+pub struct Args {
+    /// Address to listen on. One that other machines can reach needs --access or --insecure.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7700", env = "FARM_LISTEN")]
+    pub listen: SocketAddr,
+    /// Address for metrics and health checks over HTTP: /metrics, /livez, /readyz [default: none].
+    #[arg(long, value_name = "ADDR", env = "FARM_METRICS")]
+    pub metrics: Option<SocketAddr>,
+    /// Folder for the database; it must not be on a network filesystem.
+    #[arg(long, value_name = "DIR", default_value = "farm-data", env = "FARM_DATA")]
+    pub data: PathBuf,
+    /// Seconds of silence after which a worker's leases go to other workers.
+    #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    pub lease: u64,
+    /// Failed attempts after which a job is given up.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub max_attempts: u32,
+    /// Share of the results, 0 to 1, that a second worker computes again for comparison.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.01, value_parser = share)]
+    pub verify_share: f64,
+    /// Largest number of connections; further ones are refused.
+    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub max_connections: u32,
+    /// Memory for the dictionaries that are fitted with, in MiB. What was not asked for longest makes room.
+    #[arg(long, value_name = "MIB", default_value_t = Config::FIT_MEMORY_MIB, env = "FARM_FIT_MEMORY")]
+    pub fit_memory: usize,
+    /// Make a verified backup by itself, as in 6h or 1d [default: none].
+    #[arg(long, value_name = "DURATION", env = "FARM_BACKUP_EVERY", value_parser = parse_time_limit)]
+    pub backup_every: Option<Duration>,
+    /// Scheduled backups that are kept; the oldest go.
+    #[arg(long, value_name = "N", default_value_t = 7, env = "FARM_BACKUP_KEEP", value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "backup_every")]
+    pub keep: u32,
+    /// Folder for scheduled backups, of this farm alone and best on another disk [default: backups, in the folder of the
+    /// database].
+    #[arg(long, value_name = "DIR", env = "FARM_BACKUPS", requires = "backup_every")]
+    pub backups: Option<PathBuf>,
+    /// The coordinator's access file, with its certificate and tokens; created by `farmctl access create`.
+    #[arg(long, value_name = "FILE", env = "FARM_ACCESS")]
+    pub access: Option<PathBuf>,
+    /// Log format: text, or one JSON object per line. FARM_LOG sets how much is logged, as in FARM_LOG=debug.
+    #[arg(long, value_name = "FORMAT", env = "FARM_LOG_FORMAT", default_value = "text")]
+    pub log_format: LogFormat,
+    /// Let everybody who reaches the address do everything, without encryption or tokens; only for networks, and users of
+    /// this machine, that you trust.
+    #[arg(long)]
+    pub insecure: bool,
+}
+
+const EXAMPLES: &str = "\
+Without --access it serves the user who starts it, on this machine: that user's farmctl and farm-worker get in by
+themselves, nobody else does.
+
+Examples:
+  farm-coordinator                                serve ./farm-data to this machine, at http://127.0.0.1:7700
+  farm-coordinator --listen 0.0.0.0:7700 --access access/coordinator.toml --data /var/lib/farm
+  farm-coordinator --backup-every 6h --keep 28 --backups /mnt/backup/farm";
+
+fn share(text: &str) -> Result<f64, String> {
+    let share = text.parse::<f64>().ok().filter(|s| (0.0..=1.0).contains(s));
+    share.ok_or_else(|| "a number from 0 to 1 is needed".to_owned())
+}
