@@ -3,6 +3,7 @@
 pub(crate) mod access;
 pub(crate) mod backup;
 pub(crate) mod capture;
+pub(crate) mod check;
 mod chosen_dictionary;
 pub(crate) mod completions;
 pub(crate) mod design;

@@ -61,6 +61,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
     match cli.command {
         Command::Submit(args) => return commands::submit::run(global, args, output).await,
         Command::Capture(args) => return commands::capture::run(global, args, output).await,
+        Command::Check(args) => commands::check::run(&args, output)?,
         Command::Fit(args) => commands::fit::run(global, args, output).await?,
         Command::Scale(args) => commands::scale::run(global, args, output).await?,
         Command::Measure(args) => commands::measure::run(global, args, output).await?,

@@ -166,6 +166,27 @@ fn a_dictionary_may_spell_its_colours_in_another_way() {
     );
 }
 
+#[test]
+fn a_file_is_checked_without_a_farm() {
+    let dir = folder();
+    write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));
+    let ran = say(dir.path(), "check m.csv");
+    assert_eq!((ran.code, ran.stderr.as_str()), (0, ""), "{}", ran.stdout);
+    assert!(ran.stdout.contains("nothing is wrong with it that can be seen"), "{}", ran.stdout);
+    let told = json(&say(dir.path(), "check m.csv --json"), "check");
+    let profile = &told["materials"][0]["profiles"][0];
+    assert_eq!((&profile["channel"], &profile["thickness_mm"]), (&"R".into(), &0.5.into()));
+    assert_eq!(profile["x_mm"].as_array().unwrap().len(), profile["values"].as_array().unwrap().len());
+    assert!(profile["std_errors"].is_null() && profile["origin_mm"].is_null(), "{profile}");
+    assert_eq!(told["notes"].as_array().unwrap().len(), 0);
+    // Noted: a channel in small letters. Refused: no file.
+    write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("r", 0.5)));
+    let noted = say(dir.path(), "check m.csv");
+    assert!(noted.stderr.starts_with("farmctl: note: m.csv: "), "{}", noted.stderr);
+    assert!(noted.stdout.contains("1 note, above"), "{}", noted.stdout);
+    fails(dir.path(), &["check", "none.csv"], &["measurement none.csv: No such file"]);
+}
+
 /// The shape that an npy file tells, and its numbers.
 fn array(archive: &mut zip::ZipArchive<std::fs::File>, name: &str) -> (Vec<usize>, Vec<u8>) {
     let mut bytes = Vec::new();

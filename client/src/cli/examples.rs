@@ -14,6 +14,11 @@ Examples:
   farmctl capture --check IMG_0815.dng                      is this photograph usable?
   farmctl capture --board board.pdf                         a board to print";
 
+pub(super) const CHECK: &str = "\
+Examples:
+  farmctl check examples/white.csv
+  farmctl check wax.csv --json | jq .data.notes";
+
 pub(super) const FIT: &str = "\
 Examples:
   farmctl fit examples/white.csv

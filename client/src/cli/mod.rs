@@ -96,6 +96,9 @@ pub enum Command {
     /// Turn the photographs of a session into edge profiles, with all that is known of the set-up.
     #[command(after_help = examples::CAPTURE)]
     Capture(CaptureArgs),
+    /// Check a measurement file: tell what is read, and refuse or note what may be wrong.
+    #[command(after_help = examples::CHECK)]
+    Check(CheckArgs),
     /// Find the media that best explain measured edge profiles, with error bars.
     #[command(after_help = examples::FIT)]
     Fit(FitArgs),
@@ -195,6 +198,12 @@ pub enum Command {
     /// Write the manual pages of farmctl, farm-coordinator and farm-worker.
     #[command(after_help = examples::MANUAL)]
     Manual(ManualArgs),
+}
+
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// CSV with measured profiles.
+    pub measurements: PathBuf,
 }
 
 #[derive(Debug, Args)]

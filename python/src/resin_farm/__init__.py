@@ -17,7 +17,7 @@ from resin_farm.errors import FarmError, InvalidArgument, NotFound, Refused, Una
 from resin_farm.farm import Farm
 from resin_farm.grid import Grid
 from resin_farm.maps import DistanceMap
-from resin_farm.measurement import MeasuredProfile, Measurement, read_measurements
+from resin_farm.measurement import MeasuredProfile, Measurement, MeasurementWarning, read_measurements
 from resin_farm.options import FitOptions
 from resin_farm.profile import Profile, simulate
 from resin_farm.results import (
@@ -54,6 +54,7 @@ __all__ = [
     "Measured",
     "MeasuredProfile",
     "Measurement",
+    "MeasurementWarning",
     "Medium",
     "NotFound",
     "NuisanceEstimate",

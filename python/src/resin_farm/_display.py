@@ -27,6 +27,10 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str 
     return f"<table>{told}<thead>{cells('th', head)}</thead><tbody>{body}</tbody></table>"
 
 
+def html_lines(lines: Sequence[str]) -> str:
+    return "".join(f"<p>{html.escape(line)}</p>" for line in lines)
+
+
 def number(value: float, digits: int = 3) -> str:
     """With so many digits that count."""
     return f"{value:.{digits}g}"

@@ -18,7 +18,7 @@ from resin_farm.capture import Capture
 from resin_farm.dictionary import Dictionary
 from resin_farm.errors import FarmError, InvalidArgument, Unavailable
 from resin_farm.grid import Grid
-from resin_farm.measurement import Measurement, read_measurements
+from resin_farm.measurement import Measurement, checked, read_measurements
 
 if TYPE_CHECKING:
     import pandas
@@ -370,9 +370,9 @@ def _one(told: Materials) -> Measurement:
 
 def _measurements(told: Materials) -> list[Measurement]:
     if isinstance(told, Measurement):
-        return [told]
+        return checked([told])
     if isinstance(told, str | os.PathLike):
         return read_measurements(told)
     if isinstance(told, list | tuple):
-        return list(told)
+        return checked(told)
     return Measurement.from_pandas(told)

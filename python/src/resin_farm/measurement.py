@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterable, Mapping
+import pathlib
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from resin_farm import _display
+from resin_farm import _display, _programs
 from resin_farm._wire import model_pb2
-from resin_farm.errors import InvalidArgument
+from resin_farm.errors import FarmError, InvalidArgument
 
 if TYPE_CHECKING:
     import pandas
@@ -62,6 +66,9 @@ class MeasuredProfile:
             ("set_up", dict(set_up)),
         ):
             object.__setattr__(self, name, value)
+        for name, numbers in (("values", self.values), ("std_errors", self.std_errors)):
+            if numbers is not None and numbers.shape != (self.x_mm.size,):
+                raise InvalidArgument(f"{name}: one for each of the {self.x_mm.size} pixels is needed, not {numbers.shape}")
 
     def _wire(self) -> model_pb2.MeasuredProfile:
         return model_pb2.MeasuredProfile(
@@ -80,10 +87,12 @@ class Measurement:
 
     material: str
     profiles: tuple[MeasuredProfile, ...]
+    _checked: bool = field(init=False, repr=False)
 
     def __init__(self, material: str, profiles: Iterable[MeasuredProfile]) -> None:
         object.__setattr__(self, "material", material)
         object.__setattr__(self, "profiles", tuple(profiles))
+        object.__setattr__(self, "_checked", False)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -96,8 +105,11 @@ class Measurement:
     @classmethod
     def from_pandas(cls, frame: pandas.DataFrame) -> list[Measurement]:
         """The materials of a frame with the columns of a measurement file: material, channel, thickness_mm, x_mm, value
-        and, as far as they are known, std_error and what is known of the set-up."""
-        return _materials(frame.to_dict(orient="records"), "the frame", list(frame.columns))
+        and, as far as they are known, std_error and what is known of the set-up. It is checked as a file is."""
+        with tempfile.TemporaryDirectory() as folder:
+            file = pathlib.Path(folder, "frame.csv")
+            frame.to_csv(file, index=False)
+            return _read(str(file), "the frame")
 
     def to_pandas(self) -> pandas.DataFrame:
         """One row for each pixel, as in a measurement file."""
@@ -137,62 +149,76 @@ class Measurement:
         return model_pb2.Measurement(material=self.material, profiles=[p._wire() for p in self.profiles])
 
 
-def read_measurements(path: str | os.PathLike[str]) -> list[Measurement]:
-    """The materials of a measurement file: CSV with the columns material, channel, thickness_mm, x_mm, value and, as far as
-    they are known, std_error and what is known of the set-up. Lines that begin with # are comments.
+class MeasurementWarning(UserWarning):
+    """What was assumed when a measurement was read, or is likely to be wrong with it."""
 
-    This reads the strict form alone. `farmctl` also reads decimal commas, other units and names of columns.
+
+def read_measurements(path: str | os.PathLike[str]) -> list[Measurement]:
+    """The materials of a measurement file, as farmctl reads it: CSV, also with decimal commas, other separators, units and
+    names of columns. What is assumed, or likely to be wrong, is a `MeasurementWarning`.
 
     Raises:
-        InvalidArgument: if a column is missing or something is no number.
-        OSError: if the file cannot be read.
+        InvalidArgument: with line and column, if it cannot be read, or holds what no medium can show.
     """
-    with open(path, encoding="utf-8", newline="") as file:
-        rows = csv.DictReader(line for line in file if not line.startswith("#") and line.strip())
-        return _materials(list(rows), os.fspath(path), list(rows.fieldnames or []))
+    return _read(os.fspath(path), None)
 
 
-def _materials(rows: Iterable[Mapping[Any, Any]], where: str, columns: list[str]) -> list[Measurement]:
-    missing = [name for name in _NEEDED if name not in columns]
-    unknown = [name for name in columns if name not in (*_NEEDED, "std_error", *_SET_UP)]
-    if missing or unknown:
-        wrong = f"there is no {', '.join(missing)}" if missing else f"{', '.join(map(str, unknown))} is unknown"
-        allowed = f"columns are {', '.join(_NEEDED)}, and may be std_error, {', '.join(_SET_UP)}"
-        raise InvalidArgument(f"{where}: {wrong}; {allowed}", {"columns": allowed})
-    materials: dict[str, dict[tuple[str, float], list[dict[str, float]]]] = {}
-    for number, row in enumerate(rows, start=1):
-        told = {name: _number(row[name], where, number, name) for name in columns if name not in _NEEDED[:2]}
-        profile = materials.setdefault(str(row["material"]), {})
-        profile.setdefault((str(row["channel"]), told["thickness_mm"]), []).append(told)
-    return [
-        Measurement(material, [_profile(channel, t, pixels, where) for (channel, t), pixels in profiles.items()])
-        for material, profiles in materials.items()
-    ]
+def checked(materials: Iterable[Measurement]) -> list[Measurement]:
+    """Measurements after the checks that those of a file go through; each is checked once."""
+    found = list(materials)
+    unchecked = [material for material in found if not material._checked]
+    if unchecked:
+        with tempfile.TemporaryDirectory() as folder:
+            file = pathlib.Path(folder, "measurement.csv")
+            with open(file, "w", encoding="utf-8", newline="") as out:
+                # A file tells errors of all profiles or of none; the checks need none.
+                told = all(profile.std_errors is not None for material in unchecked for profile in material.profiles)
+                columns = [*_NEEDED, *(["std_error"] if told else []), *_SET_UP]
+                writer = csv.DictWriter(out, columns, extrasaction="ignore")
+                writer.writeheader()
+                writer.writerows(row for material in unchecked for row in _rows(material))
+            _read(str(file), "the measurement")
+        for material in unchecked:
+            object.__setattr__(material, "_checked", True)
+    return found
 
 
-def _number(cell: Any, where: str, row: int, column: str) -> float:
-    if cell is None or cell == "":
-        return float("nan")
+def _rows(material: Measurement) -> Iterator[dict[str, Any]]:
+    for profile in material.profiles:
+        told = {"material": material.material, "channel": profile.channel, "thickness_mm": profile.thickness_mm}
+        told |= profile.set_up
+        errors = [None] * profile.values.size if profile.std_errors is None else profile.std_errors.tolist()
+        for x, value, error in zip(profile.x_mm.tolist(), profile.values.tolist(), errors, strict=True):
+            yield told | {"x_mm": x, "value": value, "std_error": error}
+
+
+def _read(path: str, name: str | None) -> list[Measurement]:
+    """What farmctl reads from a file; `name` is what its messages call it."""
     try:
-        return float(cell)
-    except ValueError:
-        message = f"{where}, row {row}: {column} = {cell!r} is no number"
-        raise InvalidArgument(message, {column: "a number is needed"}) from None
+        found = _programs.farmctl(["check", path])
+    except FarmError as error:
+        message = error.message.replace(f"measurement {path}", name) if name else error.message
+        raise InvalidArgument(message) from None
+    for note in found["notes"]:
+        warnings.warn(f"{name or path}: {note['text']} ({note['code']})", MeasurementWarning, stacklevel=_outside())
+    return [_material(material) for material in found["materials"]]
 
 
-def _profile(channel: str, thickness_mm: float, pixels: list[dict[str, float]], where: str) -> MeasuredProfile:
-    def column(name: str) -> Array:
-        return np.array([pixel.get(name, np.nan) for pixel in pixels])
+def _outside() -> int:
+    """How far up, from the function that calls this, the line is that used this package."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(os.path.dirname(__file__)):
+        level, frame = level + 1, frame.f_back
+    return level
 
-    set_up = {}
-    for name in _SET_UP:
-        told = column(name)
-        if not np.isnan(told).all():
-            if not (told == told[0]).all():
-                message = f"{where}: {name} differs within {channel} at {thickness_mm:g} mm"
-                raise InvalidArgument(message, {name: "the same in all rows of a profile"})
-            set_up[name] = float(told[0])
-    errors = column("std_error")
-    return MeasuredProfile(
-        channel, thickness_mm, column("x_mm"), column("value"), None if np.isnan(errors).all() else errors, **set_up
-    )
+
+def _material(found: Mapping[str, Any]) -> Measurement:
+    def profile(one: Mapping[str, Any]) -> MeasuredProfile:
+        set_up = {name: one[name] for name in _SET_UP if one[name] is not None}
+        return MeasuredProfile(
+            one["channel"], one["thickness_mm"], one["x_mm"], one["values"], one["std_errors"], **set_up
+        )
+
+    measurement = Measurement(found["material"], [profile(one) for one in found["profiles"]])
+    object.__setattr__(measurement, "_checked", True)
+    return measurement

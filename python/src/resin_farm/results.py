@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -213,10 +213,15 @@ class MaterialFit:
         raise KeyError(f"{channel}: the channels are {', '.join(fit.channel for fit in self.channels)}")
 
     def __str__(self) -> str:
-        return _display.text_table(_HEAD, self._rows())
+        return "\n".join([_display.text_table(_HEAD, self._rows()), *self.remarks])
 
     def _repr_html_(self) -> str:
-        return _display.html_table(_HEAD, self._rows())
+        return _display.html_table(_HEAD, self._rows()) + _display.html_lines(self.remarks)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What must be known of the channels before they are used: none if all is well."""
+        return [remark for fit in self.channels for remark in _remarks(self.material, fit)]
 
     def _rows(self) -> list[list[str]]:
         return [_row(self.material, fit) for fit in self.channels]
@@ -281,10 +286,15 @@ class Measured:
         raise KeyError(f"{material}: the materials are {', '.join(fit.material for fit in self.materials)}")
 
     def __str__(self) -> str:
-        return f"{self._common()}\n\n{_display.text_table(_HEAD, self._rows())}"
+        return "\n".join([self._common(), "", _display.text_table(_HEAD, self._rows()), *self.remarks])
 
     def _repr_html_(self) -> str:
-        return _display.html_table(_HEAD, self._rows(), self._common())
+        return _display.html_table(_HEAD, self._rows(), self._common()) + _display.html_lines(self.remarks)
+
+    @property
+    def remarks(self) -> list[str]:
+        """What must be known of the channels before they are used: none if all is well."""
+        return [remark for fit in self.materials for remark in fit.remarks]
 
     def _rows(self) -> list[list[str]]:
         return [_row(fit.material, channel) for fit in self.materials for channel in fit.channels]
@@ -315,6 +325,19 @@ def _row(material: str, fit: ChannelFit) -> list[str]:
     cells += [n(m.g), str(r.g), n(m.reduced_scattering_per_mm), str(r.reduced_scattering_per_mm)]
     cells += [n(m.absorption_per_mm), str(r.absorption_per_mm), f"{r.misfit:.1f}"]
     return [material, fit.channel, *cells]
+
+
+def _remarks(material: str, fit: ChannelFit) -> Iterator[str]:
+    name = f"{material} {fit.channel}"
+    if fit.outside is not None:
+        yield f"{name}: a profile is {fit.outside} than every record; levels or the dictionary are wrong"
+    if fit.refined is None:
+        return
+    if not fit.refined.resolved:
+        yield f"{name}: unresolved, the data do not determine σ_t and α even at this g"
+    if fit.refined.misfit > 2:
+        cause = f"; the likeliest cause: {fit.refined.suspicion}" if fit.refined.suspicion else ""
+        yield f"{name}: the residuals are {fit.refined.misfit:.1f} times what noise explains{cause}"
 
 
 _QUANTITIES = ("sigma_t_per_mm", "albedo", "g", "reduced_scattering_per_mm", "absorption_per_mm")

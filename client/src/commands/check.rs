@@ -1,0 +1,104 @@
+//! `farmctl check`: what a measurement file holds, as it is read, and what may be wrong with it.
+
+use anyhow::Result;
+use optics_model::measurement::ProfileSetup;
+use optics_model::{MeasuredProfile, Measurement};
+use serde::Serialize;
+
+use crate::cli::CheckArgs;
+use crate::measurement_file::{MeasurementFile, Note, read_measurements};
+use crate::output::{Output, table};
+
+pub(crate) fn run(args: &CheckArgs, output: &Output) -> Result<()> {
+    let file = read_measurements(&args.measurements)?.told(&args.measurements, output);
+    output.print("check", &data(&file), || text(&file))
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct CheckJson<'a> {
+    materials: Vec<MaterialJson<'a>>,
+    notes: &'a [Note],
+}
+
+#[derive(Debug, Serialize)]
+struct MaterialJson<'a> {
+    material: &'a str,
+    profiles: Vec<ProfileJson<'a>>,
+}
+
+impl<'a> From<&'a Measurement> for MaterialJson<'a> {
+    fn from(measurement: &'a Measurement) -> Self {
+        let profiles = measurement.profiles().iter().map(Into::into).collect();
+        Self { material: measurement.material(), profiles }
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct ProfileJson<'a> {
+    channel: &'a str,
+    thickness_mm: f64,
+    x_mm: &'a [f64],
+    values: &'a [f64],
+    std_errors: Option<&'a [f64]>,
+    thickness_std_error_mm: Option<f64>,
+    origin_mm: Option<f64>,
+    origin_std_error_mm: Option<f64>,
+    blur_mm: Option<f64>,
+    blur_std_error_mm: Option<f64>,
+}
+
+impl<'a> From<&'a MeasuredProfile> for ProfileJson<'a> {
+    fn from(profile: &'a MeasuredProfile) -> Self {
+        let ProfileSetup {
+            thickness_std_error_mm,
+            origin_mm,
+            origin_std_error_mm,
+            blur_mm,
+            blur_std_error_mm,
+        } = *profile.setup();
+        Self {
+            channel: profile.channel(),
+            thickness_mm: profile.thickness_mm(),
+            x_mm: profile.x_mm(),
+            values: profile.values(),
+            std_errors: profile.std_errors(),
+            thickness_std_error_mm,
+            origin_mm,
+            origin_std_error_mm,
+            blur_mm,
+            blur_std_error_mm,
+        }
+    }
+}
+
+pub(super) fn data(file: &MeasurementFile) -> CheckJson<'_> {
+    CheckJson { materials: file.materials.iter().map(Into::into).collect(), notes: &file.notes }
+}
+
+fn text(file: &MeasurementFile) -> String {
+    let rows = file.materials.iter().flat_map(|m| m.profiles().iter().map(move |p| row(m.material(), p)));
+    let head = ["material", "channel", "thickness / mm", "pixels", "x / mm", "values", "errors"];
+    let verdict = match file.notes.len() {
+        0 => "nothing is wrong with it that can be seen".to_owned(),
+        1 => "1 note, above; all else is as it should be".to_owned(),
+        n => format!("{n} notes, above; all else is as it should be"),
+    };
+    format!("{}\n{verdict}", table(&head, &[2, 3], rows))
+}
+
+fn row(material: &str, profile: &MeasuredProfile) -> Vec<String> {
+    let range = |values: &[f64]| {
+        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        format!("{least:.3}…{most:.3}")
+    };
+    vec![
+        material.to_owned(),
+        profile.channel().to_owned(),
+        profile.thickness_mm().to_string(),
+        profile.values().len().to_string(),
+        range(profile.x_mm()),
+        range(profile.values()),
+        profile.std_errors().map_or_else(|| "not told".to_owned(), range),
+    ]
+}
