@@ -1,11 +1,10 @@
 //! Sixty-four workers, each a process, that join, leave and die while a dictionary is computed.
 
-use std::time::Instant;
-
 use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
 use farm_tests::process::{LONG, Process, SOON, wait_for};
 use farm_tests::statistics::effort;
+use tokio::time::Instant;
 
 const WORKERS: usize = 64;
 /// 408 jobs of some hundredths of a second.
