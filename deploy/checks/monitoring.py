@@ -1,0 +1,77 @@
+"""Tries the dashboard and the alerts with a real Prometheus that scrapes a farm at work.
+
+    monitoring.py MONITORING_FOLDER METRICS_ADDRESS PROMETHEUS_ADDRESS
+
+Prometheus runs with the folder's configuration and scrapes the farm. Each query of the dashboard must be answered, and
+name metrics that the farm has; those of a farm that computes must have figures; each alert must have been evaluated.
+"""
+
+import json
+import pathlib
+import re
+import sys
+import time
+import urllib.parse
+import urllib.request
+
+# What only some farms have: none is seen while nothing fails and no backup is due.
+MAY_BE_EMPTY = ("code!=", "farm_backup_age_seconds", "farm_fit_seconds", "farm_verifications_total", "farm_jobs_failed_total")
+
+
+def fetch(url):
+    with urllib.request.urlopen(url, timeout=10) as answer:
+        return answer.read().decode()
+
+
+def ask(prometheus, path, **parameters):
+    answer = json.loads(fetch(f"http://{prometheus}/api/v1/{path}?{urllib.parse.urlencode(parameters)}"))
+    if answer["status"] != "success":
+        raise SystemExit(f"{path} {parameters}: {answer}")
+    return answer["data"]
+
+
+def queries(folder):
+    dashboard = json.loads((folder / "dashboard.json").read_text())
+    for panel in dashboard["panels"]:
+        for target in panel["targets"]:
+            # A farm that has been scraped for seconds has rates over seconds.
+            expression = target["expr"].replace("$job", "resin-farm")
+            yield panel["title"], re.sub(r"\[(5m|1h)\]", "[10s]", expression)
+
+
+def known_metrics(metrics):
+    """Names that the farm tells of, without what is added for buckets and sums of histograms."""
+    names = set(re.findall(r"^# TYPE (\S+) ", fetch(f"http://{metrics}/metrics"), flags=re.MULTILINE))
+    # Before the first backup there is no age of it.
+    return {re.sub("_total$", "", name) for name in names} | {"farm_backup_age_seconds"}
+
+
+def main():
+    folder, metrics, prometheus = pathlib.Path(sys.argv[1]), sys.argv[2], sys.argv[3]
+    known = known_metrics(metrics)
+    for title, expression in queries(folder):
+        for name in re.findall(r"\b(?:farm|process)_\w+", expression):
+            if re.sub(r"_(total|bucket|count|sum)$", "", name) not in known:
+                raise SystemExit(f"panel {title}: {name} is no metric of the farm")
+    deadline = time.monotonic() + 60
+    while True:
+        targets = ask(prometheus, "targets")["activeTargets"]
+        rules = [rule for group in ask(prometheus, "rules")["groups"] for rule in group["rules"]]
+        empty = [
+            title
+            for title, expression in queries(folder)
+            if not ask(prometheus, "query", query=expression)["result"] and not any(w in expression for w in MAY_BE_EMPTY)
+        ]
+        up = [target["health"] for target in targets]
+        evaluated = [rule["name"] for rule in rules if rule["health"] == "ok"]
+        if up == ["up"] and not empty and len(evaluated) == len(rules) > 0:
+            break
+        if time.monotonic() > deadline:
+            raise SystemExit(f"targets {up}; without figures {empty}; rules {[(r['name'], r['health']) for r in rules]}")
+        time.sleep(1)
+    count = len(list(queries(folder)))
+    print(f"target up, {len(evaluated)} alerts evaluated, {count} queries answered")
+
+
+if __name__ == "__main__":
+    main()
