@@ -5,7 +5,9 @@ import pathlib
 import signal
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -13,6 +15,10 @@ import resin_farm
 from conftest import GRID, WHITE
 from resin_farm import _programs
 
+# Some seconds of work.
+SLOW = resin_farm.Grid(
+    sigma_t_per_mm=[4, 8, 16, 24], albedo=[0.9], g=[0.0, 0.2, 0.4, 0.6], thickness_mm=[0.5, 1], walks=200_000
+)
 SMALL = resin_farm.Grid(sigma_t_per_mm=[4, 8], albedo=[0.9], g=[0.0], thickness_mm=[1], walks=5000)
 
 
@@ -45,7 +51,21 @@ def test_a_farm_that_was_killed_is_started_anew(tmp_path: pathlib.Path) -> None:
         farm.submit(SMALL, "small", progress=False)
         assert farm._local is not None
         farm._local._process.kill()
-        assert farm.dictionary("small").state == "done"
+        # Several threads notice at once.
+        with ThreadPoolExecutor(4) as threads:
+            found = list(threads.map(lambda _: farm.dictionary("small").state, range(8)))
+        assert found == ["done"] * 8
+    with pytest.raises(resin_farm.FarmError, match="is closed"):
+        farm.dictionaries()
+    farm.close()
+
+
+def test_a_farm_that_is_killed_while_it_computes_goes_on(tmp_path: pathlib.Path) -> None:
+    with resin_farm.Farm(tmp_path) as farm:
+        farm.submit(SLOW, "slow", wait=False)
+        assert farm._local is not None
+        threading.Timer(0.5, farm._local._process.kill).start()
+        assert farm.dictionary("slow").wait(progress=False).records_done == 32
 
 
 def test_a_farm_ends_when_its_program_is_killed(tmp_path: pathlib.Path) -> None:

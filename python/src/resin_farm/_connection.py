@@ -59,6 +59,9 @@ def of_loopback(url: str) -> Connection:
     key = pathlib.Path(f"/tmp/resin-farm-{os.getuid()}", address.rpartition(":")[2])
     if not key.exists():
         return Connection(grpc.insecure_channel(address, _options()), url)
+    folder = key.parent.stat()
+    if folder.st_uid != os.getuid() or folder.st_mode & 0o077:
+        raise errors.Refused(f"{key.parent}: others have a say in this folder, so its key is not used")
     token = grpc.access_token_call_credentials(key.read_text())
     credentials = grpc.composite_channel_credentials(grpc.local_channel_credentials(), token)
     return Connection(grpc.secure_channel(address, credentials, _options()), url)

@@ -13,7 +13,7 @@ import numpy as np
 from resin_farm import _display, _programs
 from resin_farm._wire import dictionaries_pb2 as wire
 from resin_farm._wire import fits_pb2, model_pb2
-from resin_farm.errors import FarmError, Unavailable
+from resin_farm.errors import FarmError
 from resin_farm.profile import Profile
 from resin_farm.results import Medium
 
@@ -87,18 +87,12 @@ class Dictionary:
             FarmError: if it ended otherwise: cancelled, paused, or with jobs that nobody could compute.
         """
         bar = _Progress(self.name) if progress else None
-        while True:
-            try:
-                for status in self._farm._stream("Dictionaries/Watch", wire.WatchRequest(name=self.name), wire.Dictionary):
-                    self._status = status
-                    if bar:
-                        bar.show(self)
-                    if self.state in _ENDED:
-                        break
-            except Unavailable:
-                self._farm._find_again()
-                continue
-            break
+        for status in self._farm._stream("Dictionaries/Watch", wire.WatchRequest(name=self.name), wire.Dictionary):
+            self._status = status
+            if bar:
+                bar.show(self)
+            if self.state in _ENDED:
+                break
         if bar:
             bar.end()
         if self.refresh().state != "done":

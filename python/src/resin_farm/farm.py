@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import pathlib
 import tempfile
+import threading
+import time
 from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, TypeVar, Unpack
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
     import pandas
 
 Answer = TypeVar("Answer", bound=Message)
+
+# Seconds for which a server may be away while a dictionary is waited for.
+_TRIES = 120
+
 Path: TypeAlias = str | os.PathLike[str]
 Materials: TypeAlias = "list[Measurement] | tuple[Measurement, ...] | Measurement | pandas.DataFrame | Path"
 
@@ -44,6 +50,12 @@ class Farm:
         self._local: LocalFarm | None = LocalFarm(folder_of(folder))
         self._access: pathlib.Path | None = None
         self._connection = self._local.connection()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._closed = False
+        # Threads may find at once that the farm has gone: one of them looks for it.
+        self._looking = threading.Lock()
 
     @classmethod
     def connect(cls, where: Path) -> Self:
@@ -58,6 +70,7 @@ class Farm:
         else:
             farm._access = pathlib.Path(where)
             farm._connection = _connection.of_access_file(farm._access)
+        farm._begin()
         return farm
 
     @property
@@ -291,6 +304,7 @@ class Farm:
 
     def close(self) -> None:
         """Ends a farm of this machine, if this program started it; what is being computed goes on with the next."""
+        self._closed = True
         self._connection.close()
         if self._local is not None:
             self._local.close()
@@ -330,23 +344,45 @@ class Farm:
         raise FarmError(f"there are several dictionaries: name one, of {', '.join(names)}")
 
     def _call(self, method: str, request: Message, answer: type[Answer]) -> Answer:
+        connection = self._open()
         try:
-            return self._connection.call(method, request, answer.FromString, None)
+            return connection.call(method, request, answer.FromString, None)
         except Unavailable:
             if self._local is None:
                 raise
-        self._find_again()
-        return self._connection.call(method, request, answer.FromString, None)
+        self._find_again(connection)
+        return self._open().call(method, request, answer.FromString, None)
 
     def _stream(self, method: str, request: Message, answer: type[Answer]) -> Iterator[Answer]:
-        return self._connection.stream(method, request, answer.FromString)
+        """The answers; goes on with a farm that was away for a while."""
+        tries = 0
+        while True:
+            connection = self._open()
+            try:
+                for one in connection.stream(method, request, answer.FromString):
+                    tries = 0
+                    yield one
+                return
+            except Unavailable:
+                tries += 1
+                if self._local is None and tries > _TRIES:
+                    raise
+            if self._local is None:
+                time.sleep(1)
+            else:
+                self._find_again(connection)
 
-    def _find_again(self) -> None:
-        """After the farm has gone. One that is not ours may come back under its address."""
-        if self._local is None:
-            raise Unavailable(f"the farm at {self.address} does not answer")
-        self._connection.close()
-        self._connection = self._local.find_again()
+    def _open(self) -> _connection.Connection:
+        if self._closed:
+            raise FarmError(f"{self!r} is closed")
+        return self._connection
+
+    def _find_again(self, gone: _connection.Connection) -> None:
+        """After a farm of this machine has gone."""
+        with self._looking:
+            if self._connection is gone and self._local is not None:
+                self._connection = self._local.find_again()
+                gone.close()
 
 
 def _folder(told: object) -> pathlib.Path | None:
