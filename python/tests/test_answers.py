@@ -15,7 +15,7 @@ import xarray as xr
 
 import resin_farm
 from conftest import WHITE
-from resin_farm import _programs, results
+from resin_farm import _decode, _programs
 
 Array: TypeAlias = np.typing.NDArray[np.float64]
 
@@ -41,9 +41,9 @@ def same(a: object, b: object, where: str = "") -> None:
 
 def test_a_measurement_is_what_farmctl_measures(farm: resin_farm.Farm) -> None:
     measured = farm.measure(WHITE)
-    same(measured, results.measured_of_json(farmctl(farm, "measure", str(WHITE))))
+    same(measured, _decode.measured_of_json(farmctl(farm, "measure", str(WHITE))))
     held = farm.measure(WHITE, mu=1.0, g=0.4)
-    same(held, results.measured_of_json(farmctl(farm, "measure", str(WHITE), "--mu", "1", "--g", "0.4")))
+    same(held, _decode.measured_of_json(farmctl(farm, "measure", str(WHITE), "--mu", "1", "--g", "0.4")))
     assert held["white"]["R"].refined is not None
     assert 6.0 in held["white"]["R"].refined.sigma_t_per_mm
     assert held["white"]["R"].refined.g.is_closed and str(held["white"]["R"].refined.g) == "held"
@@ -53,13 +53,19 @@ def test_a_measurement_is_what_farmctl_measures(farm: resin_farm.Farm) -> None:
     ("told", "options"),
     [
         ({"g": 0.4}, ["--g", "0.4"]),
-        ({"sigma_t_per_mm": (None, 9.0), "objective": "paper", "lambda_": 10.0}, ["--sigma-t", "..9", "--objective", "paper", "--lambda", "10"]),
-        ({"top": 2, "blur_mm": 0.02, "wavelet": "haar", "level": 3}, ["--top", "2", "--blur-mm", "0.02", "--wavelet", "haar", "--level", "3"]),
+        (
+            {"sigma_t_per_mm": (None, 9.0), "objective": "paper", "lambda_": 10.0},
+            ["--sigma-t", "..9", "--objective", "paper", "--lambda", "10"],
+        ),
+        (
+            {"top": 2, "blur_mm": 0.02, "wavelet": "haar", "level": 3},
+            ["--top", "2", "--blur-mm", "0.02", "--wavelet", "haar", "--level", "3"],
+        ),
     ],
 )
 def test_a_fit_is_what_farmctl_fits(farm: resin_farm.Farm, told: resin_farm.FitOptions, options: list[str]) -> None:
     found = farmctl(farm, "fit", str(WHITE), *options)
-    same(farm.fit(WHITE, **told), results._material_of_json(found["materials"][0]))
+    same(farm.fit(WHITE, **told), _decode.material_of_json(found["materials"][0]))
 
 
 def test_fits_say_what_is_wrong(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
@@ -80,20 +86,22 @@ def test_fits_say_what_is_wrong(farm: resin_farm.Farm, white: resin_farm.Measure
     ):
         farm.fit(frame)
     falling = resin_farm.MeasuredProfile("R", 0.5, [3, 2, 1], [0.1, 0.2, 0.3])
-    with pytest.raises(resin_farm.InvalidArgument, match="the measurement: .*falling"):
+    with pytest.raises(resin_farm.InvalidArgument, match=r"the measurement: .*falling"):
         farm.fit(resin_farm.Measurement("falling", [falling]))
     with pytest.raises(resin_farm.InvalidArgument, match="one for each of the 3 pixels"):
         resin_farm.MeasuredProfile("R", 0.5, [3, 2, 1], [0.1, 0.2])
 
 
 def with_values(measurement: resin_farm.Measurement, change: Callable[[Array], Array]) -> resin_farm.Measurement:
-    profiles = [resin_farm.MeasuredProfile(p.channel, p.thickness_mm, p.x_mm, change(p.values)) for p in measurement.profiles]
+    profiles = [
+        resin_farm.MeasuredProfile(p.channel, p.thickness_mm, p.x_mm, change(p.values)) for p in measurement.profiles
+    ]
     return resin_farm.Measurement("white", profiles)
 
 
 def test_numbers_in_memory_are_checked_as_files_are(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
     per_cent = with_values(white, lambda v: 100 * v)
-    with pytest.raises(resin_farm.InvalidArgument, match="per cent|%"):
+    with pytest.raises(resin_farm.InvalidArgument, match=r"per cent|%"):
         farm.measure(per_cent)
     eight_bit = with_values(white, lambda v: np.round(255 * v) / 255)
     with pytest.warns(resin_farm.MeasurementWarning, match="EIGHT_BIT"):
@@ -112,7 +120,9 @@ def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement
     (again,) = resin_farm.Measurement.from_pandas(frame)
     same(again, white)
     known = [
-        resin_farm.MeasuredProfile(p.channel, p.thickness_mm, p.x_mm, p.values, np.full(p.values.shape, 0.01), origin_mm=0.1)
+        resin_farm.MeasuredProfile(
+            p.channel, p.thickness_mm, p.x_mm, p.values, np.full(p.values.shape, 0.01), origin_mm=0.1
+        )
         for p in white.profiles
     ]
     told = resin_farm.Measurement("told", known)
@@ -129,7 +139,15 @@ def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement
 def test_a_dictionary_as_an_array_has_the_records(farm: resin_farm.Farm) -> None:
     dictionary = farm.dictionary()
     dataset = dictionary.to_xarray()
-    assert dict(dataset.sizes) == {"sample_ior": 1, "sigma_t_per_mm": 9, "g": 2, "thickness_mm": 2, "albedo": 4, "channel": 3, "x_mm": 360}
+    assert dict(dataset.sizes) == {
+        "sample_ior": 1,
+        "sigma_t_per_mm": 9,
+        "g": 2,
+        "thickness_mm": 2,
+        "albedo": 4,
+        "channel": 3,
+        "x_mm": 360,
+    }
     assert dataset.attrs["records_digest"] == dictionary.records_digest
     # Against the records as farmctl prints them.
     command = [_programs.program("farmctl"), "--server", farm.address, "--quiet", "export", dictionary.name]
@@ -160,7 +178,7 @@ def test_a_simulation_is_that_of_farmctl(farm: resin_farm.Farm) -> None:
     ran = subprocess.run([_programs.program("farmctl"), *command], check=True, capture_output=True, text=True)
     told_there = pd.read_csv(io.StringIO(ran.stdout))
     np.testing.assert_array_equal(frame["value"].astype(np.float32), told_there["value"].astype(np.float32))
-    with pytest.raises(resin_farm.FarmError, match="albedo = 1.5 is not valid"):
+    with pytest.raises(resin_farm.FarmError, match=r"albedo = 1\.5 is not valid"):
         resin_farm.simulate(sigma_t=1, albedo=1.5, g=0, thickness_mm=1)
 
 

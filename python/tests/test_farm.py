@@ -122,14 +122,19 @@ def test_a_coordinator_is_reached_by_its_access_file(tmp_path: pathlib.Path, whi
             time.sleep(0.1)
         port = address.read_text().strip().rpartition(":")[2]
         file = access / "client.toml"
-        lines = [f'server = "https://localhost:{port}"' if line.startswith("server =") else line for line in file.read_text().splitlines()]
+        lines = [
+            f'server = "https://localhost:{port}"' if line.startswith("server =") else line
+            for line in file.read_text().splitlines()
+        ]
         file.write_text("\n".join(lines))
         farm = resin_farm.Farm.connect(file)
         assert farm.fit(white, g=0.4)["R"].medium == expected["R"].medium
         assert farm.dictionary("paper").explain()
         farm.close()
         wrong = access / "wrong.toml"
-        text = [f'token = "{"x" * 43}"' if line.startswith("token =") else line for line in file.read_text().splitlines()]
+        text = [
+            f'token = "{"x" * 43}"' if line.startswith("token =") else line for line in file.read_text().splitlines()
+        ]
         wrong.write_text("\n".join(text))
         stranger = resin_farm.Farm.connect(wrong)
         with pytest.raises(resin_farm.Refused):

@@ -104,7 +104,9 @@ def distance_map(shown: DistanceMap) -> Figure:
         axis.set_visible(False)
     # A dictionary may hold an albedo of 1, which has no logarithm.
     missing = np.maximum(1 - shown.albedo, 1e-6)
-    for axis, g, errors, best, similar in zip(axes.flat, shown.g, shown.errors, shown.best, shown.similar, strict=False):
+    for axis, g, errors, best, similar in zip(
+        axes.flat, shown.g, shown.errors, shown.best, shown.similar, strict=False
+    ):
         mesh = axis.pcolormesh(missing, shown.sigma_t_per_mm, errors, norm=norm, cmap="viridis_r", shading="nearest")
         axis.plot(max(1 - best.albedo, 1e-6), best.sigma_t_per_mm, "x", color="#c0392b")
         if similar is not None:

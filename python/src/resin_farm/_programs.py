@@ -33,7 +33,9 @@ def farmctl(arguments: Sequence[str], *, timeout: float | None = None) -> dict[s
     """
     command = [program("farmctl"), "--json", "--quiet", *arguments]
     # The farm is told by its arguments alone.
-    inherited = {name: value for name, value in os.environ.items() if name not in ("FARM_SERVER", "FARM_ACCESS", "FARM_DATA")}
+    inherited = {
+        name: value for name, value in os.environ.items() if name not in ("FARM_SERVER", "FARM_ACCESS", "FARM_DATA")
+    }
     ran = subprocess.run(
         command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout, check=False, env=inherited
     )

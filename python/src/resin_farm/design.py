@@ -26,9 +26,7 @@ class HalfWidths:
 
     @classmethod
     def _of_wire(cls, wire: fits_pb2.HalfWidths) -> HalfWidths:
-        return cls(
-            wire.sigma_t_per_mm, wire.albedo, wire.g, wire.reduced_scattering_per_mm, wire.absorption_per_mm
-        )
+        return cls(wire.sigma_t_per_mm, wire.albedo, wire.g, wire.reduced_scattering_per_mm, wire.absorption_per_mm)
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,11 @@ class Design:
     def _rows(self) -> list[list[str]]:
         def row(one: SlabSet) -> list[str]:
             told = self._record(one)
-            shares = [f"{100 * share:.2g} %" for share in (told["sigma_t"], told["one_minus_albedo"]) if isinstance(share, float)]
+            shares = [
+                f"{100 * share:.2g} %"
+                for share in (told["sigma_t"], told["one_minus_albedo"])
+                if isinstance(share, float)
+            ]
             slabs = " + ".join(f"{t:g}" for t in one.slabs_mm)
             free = f"{one.g_free.g:.2g}" if one.g_free else ""
             return [slabs, "best" if one.best else "", str(one.shots), *shares, free]

@@ -9,11 +9,11 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, TypeVar, Unpack
+from typing import TYPE_CHECKING, Literal, Self, TypeAlias, TypeVar, Unpack
 
 from google.protobuf.message import Message
 
-from resin_farm import _connection, _display, _programs, design, maps, options, profile, results
+from resin_farm import _connection, _decode, _display, _programs, design, maps, options, profile, results
 from resin_farm._local import LocalFarm, folder_of
 from resin_farm._wire import dictionaries_pb2, fits_pb2, model_pb2
 from resin_farm.capture import Capture
@@ -159,7 +159,7 @@ class Farm:
             measurement=_one(measurement)._wire(),
             options=options.wire(told, refine=refine),
         )
-        return results.material_fit(self._call("Fits/Fit", request, fits_pb2.FitResponse).fit)
+        return _decode.material_fit(self._call("Fits/Fit", request, fits_pb2.FitResponse).fit)
 
     def measure(
         self,
@@ -172,9 +172,9 @@ class Farm:
         """The whole job for materials of one set-up: scale factor, common anisotropy, media with error bars.
 
         Args:
-            materials: measurements, a frame, a measurement file, or what `capture` made of photographs. For the last, the
-                session's own dictionary is computed if it is not there, its white reference is taken for the scale
-                factor, and its report is completed.
+            materials: measurements, a frame, a measurement file, or what `capture` made of photographs. For the
+                last, the session's own dictionary is computed if it is not there, its white reference is taken for
+                the scale factor, and its report is completed.
             dictionary: its name; the only one or "paper" if None.
             free_g: let every channel have its own anisotropy.
             told: as far as they are known, the options of `FitOptions`. Without `mu` it is searched for.
@@ -185,7 +185,7 @@ class Farm:
                 raise TypeError(f"{', '.join(told)}: what is known of a session is in its folder")
             arguments = ["measure", str(folder)] + (["--free-g"] if free_g else [])
             arguments += [f"--dictionary={dictionary}"] if dictionary else []
-            return results.measured_of_json(_programs.farmctl([*self._arguments(), *arguments]))
+            return _decode.measured_of_json(_programs.farmctl([*self._arguments(), *arguments]))
         assert not isinstance(materials, Capture)
         name = self._name(dictionary)
         request = fits_pb2.MeasureRequest(
@@ -195,7 +195,7 @@ class Farm:
             search_mu=None if "mu" in told else fits_pb2.MuRange(),
             common_g=not free_g,
         )
-        return results.measured(self._call("Fits/Measure", request, fits_pb2.MeasureResponse), name)
+        return _decode.measured(self._call("Fits/Measure", request, fits_pb2.MeasureResponse), name)
 
     def map(
         self, measurement: Materials, dictionary: str | None = None, **told: Unpack[options.FitOptions]

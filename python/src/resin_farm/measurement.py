@@ -68,7 +68,9 @@ class MeasuredProfile:
             object.__setattr__(self, name, value)
         for name, numbers in (("values", self.values), ("std_errors", self.std_errors)):
             if numbers is not None and numbers.shape != (self.x_mm.size,):
-                raise InvalidArgument(f"{name}: one for each of the {self.x_mm.size} pixels is needed, not {numbers.shape}")
+                raise InvalidArgument(
+                    f"{name}: one for each of the {self.x_mm.size} pixels is needed, not {numbers.shape}"
+                )
 
     def _wire(self) -> model_pb2.MeasuredProfile:
         return model_pb2.MeasuredProfile(
@@ -135,7 +137,8 @@ class Measurement:
 
     def _repr_html_(self) -> str:
         rows = [
-            [p.channel, f"{p.thickness_mm:g}", str(p.values.size), f"{p.x_mm[0]:g}…{p.x_mm[-1]:g}"] for p in self.profiles
+            [p.channel, f"{p.thickness_mm:g}", str(p.values.size), f"{p.x_mm[0]:g}…{p.x_mm[-1]:g}"]
+            for p in self.profiles
         ]
         return _display.html_table(("channel", "thickness / mm", "pixels", "x / mm"), rows, self.material)
 
@@ -154,8 +157,8 @@ class MeasurementWarning(UserWarning):
 
 
 def read_measurements(path: str | os.PathLike[str]) -> list[Measurement]:
-    """The materials of a measurement file, as farmctl reads it: CSV, also with decimal commas, other separators, units and
-    names of columns. What is assumed, or likely to be wrong, is a `MeasurementWarning`.
+    """The materials of a measurement file, as farmctl reads it: CSV, also with decimal commas, other separators, units
+    and names of columns. What is assumed, or likely to be wrong, is a `MeasurementWarning`.
 
     Raises:
         InvalidArgument: with line and column, if it cannot be read, or holds what no medium can show.

@@ -1,0 +1,211 @@
+"""Answers of fits, from messages and, for what only farmctl does, from its JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from resin_farm._wire import fits_pb2
+from resin_farm.results import (
+    Array,
+    Candidate,
+    ChannelFit,
+    Curves,
+    Interval,
+    Likelihood,
+    MaterialFit,
+    Measured,
+    Medium,
+    NuisanceEstimate,
+    Refined,
+    ScaleCurve,
+)
+
+
+def material_fit(wire: fits_pb2.MaterialFit) -> MaterialFit:
+    return MaterialFit(wire.material, tuple(map(_channel_fit, wire.channels)))
+
+
+def measured(wire: fits_pb2.MeasureResponse, dictionary: str) -> Measured:
+    common = wire.common
+    return Measured(
+        materials=tuple(map(material_fit, wire.materials)),
+        mu=common.mu,
+        mu_std_error=common.mu_std_error,
+        mu_chosen=common.mu_chosen,
+        g=common.g if common.HasField("g") else None,
+        g_interval=Interval._of_wire(common.g_interval) if common.HasField("g_interval") else None,
+        dictionary=dictionary,
+        scale=_scale(wire.scale) if wire.HasField("scale") else None,
+    )
+
+
+def _scale(wire: fits_pb2.ScaleCurve) -> ScaleCurve:
+    return ScaleCurve(
+        mu=np.array([point.mu for point in wire.points]),
+        error=np.array([point.error for point in wire.points]),
+        best_mu=wire.best.mu,
+        std_error=wire.std_error if wire.HasField("std_error") else None,
+        best_g=wire.best_g,
+    )
+
+
+def _channel_fit(wire: fits_pb2.ChannelFit) -> ChannelFit:
+    outside = {fits_pb2.OUTSIDE_BRIGHTER: "brighter", fits_pb2.OUTSIDE_DARKER: "darker"}.get(wire.outside)
+    refined = _refined(wire.refined) if wire.HasField("refined") else None
+    return ChannelFit(
+        channel=wire.channel,
+        candidates=tuple(map(_candidate, wire.candidates)),
+        refined=refined,
+        outside=outside,
+        curves=tuple(_curves(curves) for curves in wire.curves),
+    )
+
+
+def _candidate(wire: fits_pb2.Candidate) -> Candidate:
+    records = tuple(t.record if t.HasField("record") else None for t in wire.thicknesses)
+    return Candidate(Medium._of_wire(wire.medium), wire.sample_ior, wire.error, records)
+
+
+def _curves(wire: fits_pb2.FitCurves) -> Curves:
+    refined = np.array(wire.refined.values) if wire.HasField("refined") else None
+    best = np.array(wire.candidates[0].values)
+    return Curves(wire.thickness_mm, np.array(wire.x_mm), np.array(wire.measured.values), best, refined)
+
+
+def _refined(wire: fits_pb2.Refined) -> Refined:
+    suspicion = None
+    if wire.HasField("suspicion"):
+        suspicion = fits_pb2.Cause.Name(wire.suspicion.cause).removeprefix("CAUSE_").lower()
+    return Refined(
+        medium=Medium._of_wire(wire.best.medium),
+        sigma_t_per_mm=Interval._of_wire(wire.sigma_t_per_mm),
+        albedo=Interval._of_wire(wire.albedo),
+        g=Interval._of_wire(wire.g),
+        reduced_scattering_per_mm=Interval._of_wire(wire.reduced_scattering_per_mm),
+        absorption_per_mm=Interval._of_wire(wire.absorption_per_mm),
+        resolved=wire.resolved,
+        valley=wire.valley,
+        misfit=wire.misfit,
+        error=wire.best.error,
+        covariance=np.array(wire.covariance).reshape(3, 3),
+        suspicion=suspicion,
+        likelihood=_likelihood(wire.likelihood) if wire.HasField("likelihood") else None,
+    )
+
+
+_NUISANCES = {
+    fits_pb2.NUISANCE_SCALE: "scale",
+    fits_pb2.NUISANCE_BLUR_VARIANCE: "blur_variance_mm2",
+    fits_pb2.NUISANCE_THICKNESS: "thickness_mm",
+    fits_pb2.NUISANCE_ORIGIN: "origin_mm",
+    fits_pb2.NUISANCE_GAIN: "gain",
+    fits_pb2.NUISANCE_ZERO: "zero",
+    fits_pb2.NUISANCE_SLOPE: "slope",
+}
+
+
+def _likelihood(wire: fits_pb2.Likelihood) -> Likelihood:
+    def nuisance(n: fits_pb2.NuisanceEstimate) -> NuisanceEstimate:
+        profile = n.profile_mm if n.HasField("profile_mm") else None
+        told = n.told_std_error if np.isfinite(n.told_std_error) else None
+        return NuisanceEstimate(_NUISANCES.get(n.nuisance, "unknown"), profile, n.value, n.std_error, n.told, told)
+
+    nuisances = tuple(map(nuisance, wire.nuisances))
+    return Likelihood(wire.chi2, wire.degrees_of_freedom, wire.probability, nuisances, len(wire.outliers))
+
+
+# From farmctl's JSON, for what only farmctl does.
+
+
+def measured_of_json(found: Mapping[str, Any]) -> Measured:
+    common = found["common"]
+    g_interval = common["g_interval"]
+    return Measured(
+        materials=tuple(map(material_of_json, found["materials"])),
+        mu=common["mu"],
+        mu_std_error=common["mu_std_error"],
+        mu_chosen=common["mu_chosen"],
+        g=common["g"],
+        g_interval=Interval._of_json(g_interval) if g_interval else None,
+        dictionary=found["dictionary"],
+        scale=_scale_of_json(found["scale"]) if found["scale"] else None,
+    )
+
+
+def _scale_of_json(found: Mapping[str, Any]) -> ScaleCurve:
+    return ScaleCurve(
+        mu=np.array([point["mu"] for point in found["curve"]]),
+        error=np.array([point["error"] for point in found["curve"]]),
+        best_mu=found["mu"],
+        std_error=found["std_error"],
+        best_g=found["best_g"],
+    )
+
+
+def material_of_json(found: Mapping[str, Any]) -> MaterialFit:
+    return MaterialFit(found["material"], tuple(map(_channel_of_json, found["channels"])))
+
+
+def _medium_of_json(found: Mapping[str, Any]) -> Medium:
+    return Medium(found["sigma_t_per_mm"], found["albedo"], found["g"])
+
+
+def _channel_of_json(found: Mapping[str, Any]) -> ChannelFit:
+    def candidate(c: Mapping[str, Any]) -> Candidate:
+        records = tuple(t.get("record") for t in c["thicknesses"])
+        return Candidate(_medium_of_json(c), c["sample_ior"], c["error"], records)
+
+    refined = found["refined"]
+    return ChannelFit(
+        channel=found["channel"],
+        candidates=tuple(map(candidate, found["candidates"])),
+        refined=_refined_of_json(refined) if refined else None,
+        outside=found["outside"],
+        curves=tuple(_curves_of_json(curves) for curves in found.get("curves", [])),
+    )
+
+
+def _curves_of_json(found: Mapping[str, Any]) -> Curves:
+    def values(curve: Mapping[str, Any]) -> Array:
+        return np.array(curve["values"])
+
+    refined = values(found["refined"]) if found.get("refined") else None
+    best = values(found["candidates"][0])
+    return Curves(found["thickness_mm"], np.array(found["x_mm"]), values(found["measured"]), best, refined)
+
+
+def _refined_of_json(found: Mapping[str, Any]) -> Refined:
+    def interval(name: str) -> Interval:
+        return Interval._of_json(found[f"{name}_interval"])
+
+    suspicion = found["suspicion"]
+    return Refined(
+        medium=_medium_of_json(found),
+        sigma_t_per_mm=interval("sigma_t"),
+        albedo=interval("albedo"),
+        g=interval("g"),
+        reduced_scattering_per_mm=interval("reduced_scattering"),
+        absorption_per_mm=interval("absorption"),
+        resolved=found["resolved"],
+        valley=found["valley"],
+        misfit=found["misfit"],
+        error=found["error"],
+        covariance=np.array(found["covariance"]),
+        suspicion=suspicion["cause"] if suspicion else None,
+        likelihood=_likelihood_of_json(found["likelihood"]) if found.get("likelihood") else None,
+    )
+
+
+def _likelihood_of_json(found: Mapping[str, Any]) -> Likelihood:
+    def nuisance(n: Mapping[str, Any]) -> NuisanceEstimate:
+        return NuisanceEstimate(
+            n["nuisance"], n["profile_mm"], n["value"], n["std_error"], n["told"], n["told_std_error"]
+        )
+
+    nuisances = [nuisance(n) for n in found["nuisances"]]
+    return Likelihood(
+        found["chi2"], found["degrees_of_freedom"], found["probability"], tuple(nuisances), len(found["outliers"])
+    )
