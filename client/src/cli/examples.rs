@@ -17,7 +17,7 @@ Examples:
 pub(super) const CHECK: &str = "\
 Examples:
   farmctl check examples/white.csv
-  farmctl check wax.csv --json | jq .data.notes";
+  farmctl check wax.csv --json";
 
 pub(super) const FIT: &str = "\
 Examples:
