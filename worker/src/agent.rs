@@ -178,6 +178,7 @@ impl Agent {
     /// Leases for the slots that are free, with their slots; None if the worker is to end.
     async fn next_leases(&self) -> Result<Option<(Vec<Lease>, Vec<OwnedSemaphorePermit>)>, Error> {
         let mut pauses = Pauses::new(PAUSE.0, PAUSE.1);
+        let mut back = self.session.back();
         let mut idle = IdleTime::new(self.idle_exit);
         loop {
             let slots = self.free_slots().await;
@@ -195,7 +196,7 @@ impl Agent {
                 Err(status) if is_refusal(&status) => return Err(Error::Refused(status)),
                 Err(status) => {
                     log_failure(&status, "no leases");
-                    pauses.wait().await;
+                    pauses.wait(&mut back).await;
                 }
             }
         }

@@ -68,6 +68,7 @@ pub(crate) async fn deliver(
 ) {
     let mut waiting = VecDeque::new();
     let mut pauses = Pauses::new(PAUSE.0, PAUSE.1);
+    let mut back = session.back();
     while !waiting.is_empty() || queue.recv().await.map(|first| waiting.push_back(first)).is_some() {
         while let Ok(next) = queue.try_recv() {
             waiting.push_back(next);
@@ -77,7 +78,7 @@ pub(crate) async fn deliver(
         if not_stored.len() < count {
             pauses.reset();
         } else {
-            pauses.wait().await;
+            pauses.wait(&mut back).await;
         }
         // The others first: one that cannot be stored must not keep them waiting.
         waiting.extend(not_stored);

@@ -2,6 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
+use tokio::sync::watch;
 use tokio::time::Instant;
 use tonic::{Code, Status};
 
@@ -10,6 +11,8 @@ use tonic::{Code, Status};
 pub(crate) struct Reachability {
     url: String,
     state: Mutex<State>,
+    /// Changes when calls that failed may succeed.
+    back: watch::Sender<()>,
 }
 
 #[derive(Debug, Default)]
@@ -31,11 +34,22 @@ enum Change {
 
 impl Reachability {
     pub(crate) fn new(url: &str) -> Self {
-        Self { url: url.to_owned(), state: Mutex::default() }
+        Self { url: url.to_owned(), state: Mutex::default(), back: watch::Sender::default() }
     }
 
     pub(crate) fn url(&self) -> &str {
         &self.url
+    }
+
+    /// Changes from now on when calls that failed may succeed: the coordinator is found again, or knows this worker
+    /// again.
+    pub(crate) fn back(&self) -> watch::Receiver<()> {
+        self.back.subscribe()
+    }
+
+    /// The coordinator has let this worker in again. Calls that it turned away meanwhile need not wait.
+    pub(crate) fn joined_again(&self) {
+        self.back.send_replace(());
     }
 
     /// Logs that the coordinator has let this worker in, the first time.
@@ -65,6 +79,7 @@ impl Reachability {
             Some(Change::Found { lost }) => {
                 let away_s = lost.elapsed().as_secs_f64();
                 tracing::info!("found the coordinator at {url} again, after {away_s:.1} s");
+                self.back.send_replace(());
             }
         }
     }

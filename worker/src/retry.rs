@@ -2,10 +2,13 @@
 
 use std::time::Duration;
 
-use backon::{ExponentialBuilder, Retryable};
+use tokio::sync::watch;
 use tonic::{Code, Status};
 
 use crate::reachability::is_silence;
+
+/// Pause after a call that is made again, first and longest.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 
 /// A pause that doubles with every failure in a row.
 #[derive(Debug)]
@@ -25,32 +28,50 @@ impl Pauses {
         self.next = self.first;
     }
 
-    /// Waits for half to the whole of the next pause, so that workers do not come back all at once.
-    pub(crate) async fn wait(&mut self) {
+    /// Half to the whole of what is next, so that workers do not come back all at once.
+    fn next(&mut self) -> Duration {
         let pause = self.next;
         self.next = (2 * pause).min(self.longest);
         let mut byte = [0_u8];
         // Without randomness the pauses are all the same.
         let _ = getrandom::fill(&mut byte);
-        tokio::time::sleep(pause.mul_f64(0.5 + f64::from(byte[0]) / 512.0)).await;
+        pause.mul_f64(0.5 + f64::from(byte[0]) / 512.0)
+    }
+
+    /// Waits for the next pause to be over, or for the coordinator to be back.
+    pub(crate) async fn wait(&mut self, back: &mut watch::Receiver<()>) {
+        let pause = self.next();
+        wait(pause, back).await;
     }
 }
 
-/// Calls until the answer is something other than a passing fault, with growing pauses of random length.
+async fn wait(pause: Duration, back: &mut watch::Receiver<()>) {
+    let is_back = async {
+        // When the session has ended, nobody tells any more, and the pause is as long as it is.
+        if back.changed().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    };
+    let _ = tokio::time::timeout(pause, is_back).await;
+}
+
+/// Calls until the answer is something other than a passing fault, with growing pauses of random length. When the
+/// coordinator is back, whichever call finds that out, no pause goes on: others would compute again what lies here.
 pub(crate) async fn repeat<T, F: Future<Output = Result<T, Status>>>(
-    call: impl FnMut() -> F,
+    mut back: watch::Receiver<()>,
+    mut call: impl FnMut() -> F,
 ) -> Result<T, Status> {
-    let pauses = ExponentialBuilder::default()
-        .with_min_delay(Duration::from_millis(100))
-        .with_max_delay(Duration::from_secs(10))
-        .with_jitter()
-        .without_max_times();
-    call.retry(pauses)
-        .when(is_passing)
-        .notify(|status, pause| {
-            log_failure(status, &format!("the call is repeated in {pause:.1?}"));
-        })
-        .await
+    let mut pauses = Pauses::new(PAUSE.0, PAUSE.1);
+    loop {
+        match call().await {
+            Err(status) if is_passing(&status) => {
+                let pause = pauses.next();
+                log_failure(&status, &format!("the call is repeated in {pause:.1?}"));
+                wait(pause, &mut back).await;
+            }
+            answer => return answer,
+        }
+    }
 }
 
 /// Whether the same call may succeed later.
@@ -94,7 +115,8 @@ mod tests {
     /// The code of the answer of `repeat`, if calls are answered in turn, and how many calls there were.
     async fn repeated(codes: &[Code]) -> (Code, usize) {
         let calls = RefCell::new(codes.iter());
-        let answer = repeat(|| async {
+        let (_never, back) = watch::channel(());
+        let answer = repeat(back, || async {
             match calls.borrow_mut().next() {
                 Some(&Code::Ok) | None => Ok(()),
                 Some(&code) => Err(Status::new(code, "")),
@@ -119,7 +141,8 @@ mod tests {
     async fn an_hour_of_silence_is_outlasted_with_a_call_at_least_every_twenty_seconds() {
         let (start, calls) = (Instant::now(), RefCell::new(Vec::new()));
         let hour = Duration::from_hours(1);
-        let answer = repeat(|| async {
+        let (_never, back) = watch::channel(());
+        let answer = repeat(back, || async {
             calls.borrow_mut().push(start.elapsed());
             if start.elapsed() < hour { Err(Status::unavailable("")) } else { Ok(()) }
         });
@@ -131,18 +154,47 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
+    async fn nobody_waits_any_longer_when_the_coordinator_is_back() {
+        let (teller, back) = watch::channel(());
+        let (start, away) = (Instant::now(), Duration::from_secs(100));
+        let answer = repeat(back, || async {
+            if start.elapsed() < away { Err(Status::unavailable("")) } else { Ok(start.elapsed()) }
+        });
+        let tells = async {
+            tokio::time::sleep(away).await;
+            teller.send_replace(());
+        };
+        let (answer, ()) = tokio::join!(answer, tells);
+        assert!(answer.unwrap() < away + Duration::from_millis(10));
+        // Told while a call was under way, which then failed: the next comes at once, those after it do not.
+        let calls = RefCell::new(Vec::new());
+        let answer = repeat(teller.subscribe(), || async {
+            calls.borrow_mut().push(Instant::now());
+            if calls.borrow().len() == 1 {
+                teller.send_replace(());
+            }
+            if calls.borrow().len() < 4 { Err(Status::aborted("")) } else { Ok(()) }
+        });
+        answer.await.unwrap();
+        let pauses: Vec<Duration> = calls.borrow().windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let few = Duration::from_millis(10);
+        assert!(pauses[0] < few && pauses[1] > few && pauses[2] > few, "{pauses:?}");
+    }
+
+    #[tokio::test(start_paused = true)]
     async fn pauses_grow_up_to_the_longest_and_start_again() {
         let mut pauses = Pauses::new(Duration::from_secs(1), Duration::from_secs(4));
+        let (_never, mut back) = watch::channel(());
         for expected_s in [1, 2, 4, 4] {
             let start = Instant::now();
-            pauses.wait().await;
+            pauses.wait(&mut back).await;
             let (pause, expected) = (start.elapsed(), Duration::from_secs(expected_s));
             let rounding = Duration::from_millis(1);
             assert!(pause >= expected / 2 && pause <= expected + rounding, "{pause:?} of {expected:?}");
         }
         pauses.reset();
         let start = Instant::now();
-        pauses.wait().await;
+        pauses.wait(&mut back).await;
         assert!(start.elapsed() <= Duration::from_millis(1001));
     }
 }

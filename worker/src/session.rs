@@ -13,6 +13,7 @@ use farm_proto::wire::{
 };
 use farm_proto::{PROTOCOL_VERSION, RequestLimits, to_status};
 use optics_model::{Digest, PHYSICS_VERSION};
+use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tonic::{Code, Response, Status};
@@ -91,7 +92,7 @@ impl Session {
             reachability: Reachability::new(url),
         };
         tokio::select! {
-            registered = repeat(|| session.register()) => registered.map_err(Error::Refused)?,
+            registered = repeat(session.back(), || session.register()) => registered.map_err(Error::Refused)?,
             () = shutdown.cancelled() => return Ok(None),
         }
         Ok(Some(session))
@@ -100,6 +101,11 @@ impl Session {
     /// How long a lease holds without renewal.
     pub(crate) fn lease(&self) -> Duration {
         self.registration().lease
+    }
+
+    /// Changes from now on when calls that failed may succeed.
+    pub(crate) fn back(&self) -> watch::Receiver<()> {
+        self.reachability.back()
     }
 
     pub(crate) fn url(&self) -> &str {
@@ -167,7 +173,7 @@ impl Session {
         parts: impl Fn(&str) -> Vec<CompleteRequest>,
         limit: Duration,
     ) -> Result<Vec<CompletionOutcome>, Status> {
-        repeat(|| async {
+        repeat(self.back(), || async {
             let worker_id = self.worker_id();
             let parts = tokio_stream::iter(parts(&worker_id));
             let answer = self.call(self.client.clone().complete(timed(parts, limit))).await;
@@ -178,7 +184,7 @@ impl Session {
 
     /// Reports that a job could not be computed.
     pub(crate) async fn fail(&self, key: &LeaseKey, reason: &str) -> Result<(), Status> {
-        repeat(|| async {
+        repeat(self.back(), || async {
             let worker_id = self.worker_id();
             let lease = Some((*key).into());
             let request = FailRequest { worker_id: worker_id.clone(), lease, reason: reason.to_owned() };
@@ -230,6 +236,7 @@ impl Session {
                 tracing::warn!("the coordinator does not know this worker: registering again");
                 self.register().await?;
                 self.announce().await;
+                self.reachability.joined_again();
             }
         }
         answer

@@ -104,6 +104,30 @@ async fn calls_that_find_the_worker_unknown_at_once_register_it_once() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn what_waited_for_a_coordinator_is_delivered_as_soon_as_it_is_back() {
+    let coordinator = Coordinator::start();
+    let (session, held) = session(&coordinator).await;
+    hold(&held, 1);
+    coordinator.set_down(true);
+    let start = Instant::now();
+    let away = Duration::from_mins(10);
+    let key = lease(9).key;
+    let back = async {
+        tokio::time::sleep(away).await;
+        coordinator.restart(LEASE);
+        coordinator.set_down(false);
+        // Another call finds it, and is told to register again.
+        session.renew(held.all()).await.unwrap_err();
+    };
+    let delivered = async {
+        session.fail(&key, "the tracer panicked").await.unwrap();
+        start.elapsed()
+    };
+    let (delivered, ()) = tokio::join!(delivered, back);
+    assert!(delivered < away + Duration::from_millis(50), "{delivered:?}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_coordinator_of_another_version_after_a_restart_refuses_the_worker() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
