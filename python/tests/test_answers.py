@@ -65,7 +65,7 @@ def test_a_measurement_is_what_farmctl_measures(farm: resin_farm.Farm) -> None:
 )
 def test_a_fit_is_what_farmctl_fits(farm: resin_farm.Farm, told: resin_farm.FitOptions, options: list[str]) -> None:
     found = farmctl(farm, "fit", str(WHITE), *options)
-    same(farm.fit(WHITE, **told), _decode.material_of_json(found["materials"][0]))
+    same(farm.fit(WHITE, **told), _decode.material_of_json(found["materials"][0], found["assumed"]))
 
 
 def test_fits_say_what_is_wrong(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
@@ -111,8 +111,10 @@ def test_numbers_in_memory_are_checked_as_files_are(farm: resin_farm.Farm, white
         farm.fit(eight_bit, g=0.4)
     too_bright = with_values(white, lambda v: 1.1 * v)
     fit = farm.fit(too_bright, g=0.4, objective="paper")
-    assert any("times what noise explains" in remark or "brighter" in remark for remark in fit.remarks), fit.remarks
+    assert any("misfit" in remark or "brighter" in remark for remark in fit.remarks), fit.remarks
     assert fit.remarks[0] in str(fit) and "<p>white" in fit._repr_html_()
+    assert "assumed" not in str(fit), "the paper's distance assumes nothing"
+    assert "assumed, as nobody told them: thickness_std_error_mm" in str(farm.fit(white, g=0.4))
 
 
 def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement, tmp_path: pathlib.Path) -> None:

@@ -48,7 +48,10 @@ pub(crate) async fn run(global: &Global, args: &ServeArgs, output: &Output) -> R
             return connection.close().await;
         }
         // The process that held the folder has ended: now it is ours to serve.
-        connection = Connection::open(global, Purpose::Compute).await?;
+        connection = tokio::select! {
+            opened = Connection::open(global, Purpose::Compute) => opened?,
+            () = &mut stopped => return Ok(()),
+        };
     }
 }
 

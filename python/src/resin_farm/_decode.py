@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,11 +24,11 @@ from resin_farm.results import (
 )
 
 
-def material_fit(wire: fits_pb2.MaterialFit) -> MaterialFit:
-    return MaterialFit(wire.material, tuple(map(_channel_fit, wire.channels)))
+def material_fit(wire: fits_pb2.MaterialFit, assumed: tuple[str, ...] = ()) -> MaterialFit:
+    return MaterialFit(wire.material, tuple(map(_channel_fit, wire.channels)), assumed)
 
 
-def measured(wire: fits_pb2.MeasureResponse, dictionary: str) -> Measured:
+def measured(wire: fits_pb2.MeasureResponse, dictionary: str, assumed: tuple[str, ...]) -> Measured:
     common = wire.common
     return Measured(
         materials=tuple(map(material_fit, wire.materials)),
@@ -39,6 +39,7 @@ def measured(wire: fits_pb2.MeasureResponse, dictionary: str) -> Measured:
         g_interval=Interval._of_wire(common.g_interval) if common.HasField("g_interval") else None,
         dictionary=dictionary,
         scale=_scale(wire.scale) if wire.HasField("scale") else None,
+        assumed=assumed,
     )
 
 
@@ -132,6 +133,7 @@ def measured_of_json(found: Mapping[str, Any]) -> Measured:
         g_interval=Interval._of_json(g_interval) if g_interval else None,
         dictionary=found["dictionary"],
         scale=_scale_of_json(found["scale"]) if found["scale"] else None,
+        assumed=tuple(found["assumed"]),
     )
 
 
@@ -145,8 +147,8 @@ def _scale_of_json(found: Mapping[str, Any]) -> ScaleCurve:
     )
 
 
-def material_of_json(found: Mapping[str, Any]) -> MaterialFit:
-    return MaterialFit(found["material"], tuple(map(_channel_of_json, found["channels"])))
+def material_of_json(found: Mapping[str, Any], assumed: Iterable[str] = ()) -> MaterialFit:
+    return MaterialFit(found["material"], tuple(map(_channel_of_json, found["channels"])), tuple(assumed))
 
 
 def _medium_of_json(found: Mapping[str, Any]) -> Medium:

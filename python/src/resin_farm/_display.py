@@ -42,6 +42,11 @@ def ends(low: float, high: float) -> tuple[str, str]:
     return f"{low:.{places}f}", f"{high:.{places}f}"
 
 
+def end(value: float) -> str:
+    """The only end of an interval: three digits, of an albedo near 1 of what is missing to 1."""
+    return albedo(value) if 0.9 < value < 1 else number(value)
+
+
 def albedo(value: float) -> str:
     """With three digits of what is missing to 1."""
     missing = 1 - value

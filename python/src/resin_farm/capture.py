@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import pathlib
 from dataclasses import dataclass, field
@@ -34,4 +35,4 @@ class Capture:
 
     def _repr_html_(self) -> str:
         materials = "".join(m._repr_html_() for m in self.measurements)
-        return f'{materials}<p><a href="{self.report}">report</a></p>'
+        return f'{materials}<p><a href="{html.escape(str(self.report))}">report</a></p>'

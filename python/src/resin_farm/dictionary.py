@@ -178,7 +178,7 @@ class Dictionary:
         dims = about["axes"]
         coords = {name: arrays.pop(name) for name in dims}
         units = about["units"]
-        variables = {name: (dims, values, {"units": units.get(name, "")}) for name, values in arrays.items()}
+        variables = {name: (dims, values, {"units": units[name]}) for name, values in arrays.items()}
         told = about["dictionary"]
         attrs = {"dictionary": self.name, "records_digest": told["records_digest"], "about": json.dumps(about)}
         dataset = xarray.Dataset(variables, coords, attrs)

@@ -20,7 +20,7 @@ from resin_farm.capture import Capture
 from resin_farm.dictionary import Dictionary
 from resin_farm.errors import FarmError, InvalidArgument, Unavailable
 from resin_farm.grid import Grid
-from resin_farm.measurement import Measurement, checked, read_measurements
+from resin_farm.measurement import Measurement, checked, read_measurements, warn
 
 if TYPE_CHECKING:
     import pandas
@@ -93,7 +93,7 @@ class Farm:
 
         Args:
             grid: a grid, or the path of a grid file; the paper's if None.
-            name: the file's name or "paper" if None.
+            name: if None the file's name, "grid" for a `Grid`, "paper" for the paper's.
             quality: how quiet the records are to be, instead of what the grid says.
             priority: from -1000 to 1000; higher goes first.
             wait: wait until it is done.
@@ -106,9 +106,10 @@ class Farm:
             found = _programs.farmctl(arguments + ([os.fspath(grid)] if grid is not None else []))
         else:
             with tempfile.TemporaryDirectory() as folder:
-                file = pathlib.Path(folder, "grid.toml")
+                # The file's name is the dictionary's.
+                file = pathlib.Path(folder, "paper.toml" if grid == Grid() else "grid.toml")
                 file.write_text(grid.to_toml())
-                found = _programs.farmctl([*arguments, f"--name={name or 'paper'}", str(file)])
+                found = _programs.farmctl([*arguments, *([f"--name={name}"] if name else []), str(file)])
         dictionary = self.dictionary(found["name"])
         return dictionary.wait(progress=progress) if wait else dictionary
 
@@ -154,12 +155,14 @@ class Farm:
         Raises:
             InvalidArgument: with what is wrong with a value; `fields` names it.
         """
+        material = _one(measurement)
         request = fits_pb2.FitRequest(
             dictionary=self._name(dictionary),
-            measurement=_one(measurement)._wire(),
+            measurement=material._wire(),
             options=options.wire(told, refine=refine),
         )
-        return _decode.material_fit(self._call("Fits/Fit", request, fits_pb2.FitResponse).fit)
+        answer = self._call("Fits/Fit", request, fits_pb2.FitResponse)
+        return _decode.material_fit(answer.fit, options.assumed(told, [material]))
 
     def measure(
         self,
@@ -185,17 +188,20 @@ class Farm:
                 raise TypeError(f"{', '.join(told)}: what is known of a session is in its folder")
             arguments = ["measure", str(folder)] + (["--free-g"] if free_g else [])
             arguments += [f"--dictionary={dictionary}"] if dictionary else []
-            return _decode.measured_of_json(_programs.farmctl([*self._arguments(), *arguments]))
+            found = _programs.farmctl([*self._arguments(), *arguments])
+            warn(note["text"] for note in found["notes"])
+            return _decode.measured_of_json(found)
         assert not isinstance(materials, Capture)
-        name = self._name(dictionary)
+        measurements, name = _measurements(materials), self._name(dictionary)
         request = fits_pb2.MeasureRequest(
             dictionary=name,
-            materials=[m._wire() for m in _measurements(materials)],
+            materials=[m._wire() for m in measurements],
             options=options.wire(told, refine=True),
             search_mu=None if "mu" in told else fits_pb2.MuRange(),
             common_g=not free_g,
         )
-        return _decode.measured(self._call("Fits/Measure", request, fits_pb2.MeasureResponse), name)
+        answer = self._call("Fits/Measure", request, fits_pb2.MeasureResponse)
+        return _decode.measured(answer, name, options.assumed(told, measurements))
 
     def map(
         self, measurement: Materials, dictionary: str | None = None, **told: Unpack[options.FitOptions]
@@ -287,7 +293,8 @@ class Farm:
         )
 
     def capture(self, session: Path, output: Path | None = None) -> Capture:
-        """Turns the photographs of a session into profiles, with all that is known of the set-up and a report.
+        """Turns the photographs of a session into profiles, with all that is known of the set-up and a report. What is
+        not as it should be is a `MeasurementWarning`.
 
         Args:
             session: the session file.
@@ -297,7 +304,8 @@ class Farm:
             FarmError: with what was seen, where and what to do, if the photographs cannot be used.
         """
         folder = pathlib.Path(output) if output is not None else pathlib.Path(session).with_suffix("")
-        _programs.farmctl(["capture", os.fspath(session), "--output", str(folder)])
+        found = _programs.farmctl(["capture", os.fspath(session), "--output", str(folder)])
+        warn(found["warnings"])
         return Capture.read(folder)
 
     # The farm itself.
@@ -348,7 +356,8 @@ class Farm:
         try:
             return connection.call(method, request, answer.FromString, None)
         except Unavailable:
-            if self._local is None:
+            # A farm that answers has said why it cannot.
+            if self._local is None or connection.answers():
                 raise
         self._find_again(connection)
         return self._open().call(method, request, answer.FromString, None)
@@ -365,9 +374,9 @@ class Farm:
                 return
             except Unavailable:
                 tries += 1
-                if self._local is None and tries > _TRIES:
+                if tries > _TRIES:
                     raise
-            if self._local is None:
+            if self._local is None or connection.answers():
                 time.sleep(1)
             else:
                 self._find_again(connection)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pathlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Literal
@@ -32,8 +33,11 @@ class Grid:
 
     def to_toml(self) -> str:
         """The grid as a grid file."""
-        told = ((field.name, getattr(self, field.name)) for field in fields(self))
-        return "".join(f"{name} = {_toml(value)}\n" for name, value in told if value is not None)
+        told = {field.name: getattr(self, field.name) for field in fields(self)}
+        if self.scene is not None and self.scene not in ("paper", "smooth"):
+            # Wherever the grid file will lie.
+            told["scene"] = str(pathlib.Path(self.scene).resolve())
+        return "".join(f"{name} = {_toml(value)}\n" for name, value in told.items() if value is not None)
 
 
 def _toml(value: object) -> str:

@@ -60,9 +60,9 @@ class MeasuredProfile:
         for name, value in (
             ("channel", channel),
             ("thickness_mm", float(thickness_mm)),
-            ("x_mm", np.asarray(x_mm, dtype=float)),
-            ("values", np.asarray(values, dtype=float)),
-            ("std_errors", None if std_errors is None else np.asarray(std_errors, dtype=float)),
+            ("x_mm", _own(x_mm)),
+            ("values", _own(values)),
+            ("std_errors", None if std_errors is None else _own(std_errors)),
             ("set_up", dict(set_up)),
         ):
             object.__setattr__(self, name, value)
@@ -152,6 +152,13 @@ class Measurement:
         return model_pb2.Measurement(material=self.material, profiles=[p._wire() for p in self.profiles])
 
 
+def _own(numbers: ArrayLike) -> Array:
+    """A copy that stays as it is: a profile that was checked cannot become another."""
+    copy = np.array(numbers, dtype=float)
+    copy.setflags(write=False)
+    return copy
+
+
 class MeasurementWarning(UserWarning):
     """What was assumed when a measurement was read, or is likely to be wrong with it."""
 
@@ -202,9 +209,14 @@ def _read(path: str, name: str | None) -> list[Measurement]:
     except FarmError as error:
         message = error.message.replace(f"measurement {path}", name) if name else error.message
         raise InvalidArgument(message) from None
-    for note in found["notes"]:
-        warnings.warn(f"{name or path}: {note['text']} ({note['code']})", MeasurementWarning, stacklevel=_outside())
+    warn(f"{name or path}: {note['text']} ({note['code']})" for note in found["notes"])
     return [_material(material) for material in found["materials"]]
+
+
+def warn(texts: Iterable[str]) -> None:
+    """Warns at the line that used this package."""
+    for text in texts:
+        warnings.warn(text, MeasurementWarning, stacklevel=_outside())
 
 
 def _outside() -> int:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeAlias, TypedDict
 
 from resin_farm._wire import fits_pb2
+from resin_farm.measurement import Measurement
 
 Range: TypeAlias = float | tuple[float | None, float | None]
 """A value, which holds a parameter, or (lowest, highest), None where it is free."""
@@ -66,6 +67,27 @@ def wire(told: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
             case _:
                 fields[name] = value
     return fits_pb2.FitOptions(**fields)
+
+
+# In the order in which farmctl tells them; what may be told of a profile, too.
+_SET_UP = {
+    "thickness_std_error_mm": True,
+    "origin_std_error_mm": True,
+    "blur_std_error_mm": True,
+    "gain_std_error": False,
+    "offset_std_error": False,
+    "slope_std_error": False,
+}
+
+
+def assumed(told: Mapping[str, Any], materials: Iterable[Measurement]) -> tuple[str, ...]:
+    """The options about the set-up that nobody told, of one profile at least."""
+    profiles = [profile for material in materials for profile in material.profiles]
+
+    def is_assumed(name: str, of_profile: bool) -> bool:
+        return name not in told and not (of_profile and all(name in profile.set_up for profile in profiles))
+
+    return tuple(name for name, of_profile in _SET_UP.items() if is_assumed(name, of_profile))
 
 
 def _bounds(told: Range) -> fits_pb2.Bounds:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from resin_farm import _display
+from resin_farm import _display, _remarks
 from resin_farm._wire import fits_pb2, model_pb2
 
 if TYPE_CHECKING:
@@ -64,15 +64,14 @@ class Interval:
         return (self.open_low or self.low <= value) and (self.open_high or value <= self.high)
 
     def __str__(self) -> str:
-        low, high = _display.ends(self.low, self.high)
         match self.open_low, self.open_high:
             case True, True:
                 return "open"
             case True, False:
-                return f"≤ {high}"
+                return f"≤ {_display.end(self.high)}"
             case False, True:
-                return f"≥ {low}"
-        return f"{low}…{high}" if self.high > self.low else "held"
+                return f"≥ {_display.end(self.low)}"
+        return "…".join(_display.ends(self.low, self.high)) if self.high > self.low else "held"
 
     @classmethod
     def _of_wire(cls, wire: fits_pb2.Interval) -> Interval:
@@ -205,6 +204,8 @@ class MaterialFit:
 
     material: str
     channels: tuple[ChannelFit, ...]
+    assumed: tuple[str, ...] = field(default=(), repr=False)
+    """Options that nobody told, of one profile at least: they have their defaults."""
 
     def __getitem__(self, channel: str) -> ChannelFit:
         for fit in self.channels:
@@ -213,15 +214,18 @@ class MaterialFit:
         raise KeyError(f"{channel}: the channels are {', '.join(fit.channel for fit in self.channels)}")
 
     def __str__(self) -> str:
-        return "\n".join([_display.text_table(_HEAD, self._rows()), *self.remarks])
+        return "\n".join([_display.text_table(_HEAD, self._rows()), *self._notes()])
 
     def _repr_html_(self) -> str:
-        return _display.html_table(_HEAD, self._rows()) + _display.html_lines(self.remarks)
+        return _display.html_table(_HEAD, self._rows()) + _display.html_lines(self._notes())
 
     @property
     def remarks(self) -> list[str]:
         """What must be known of the channels before they are used: none if all is well."""
-        return [remark for fit in self.channels for remark in _remarks(self.material, fit)]
+        return [remark for fit in self.channels for remark in _remarks.of_channel(self.material, fit)]
+
+    def _notes(self) -> list[str]:
+        return self.remarks + _remarks.of_assumed(self.assumed, self.channels)
 
     def _rows(self) -> list[list[str]]:
         return [_row(self.material, fit) for fit in self.channels]
@@ -278,6 +282,8 @@ class Measured:
     dictionary: str
     scale: ScaleCurve | None = field(default=None, repr=False)
     """None if μ was given."""
+    assumed: tuple[str, ...] = field(default=(), repr=False)
+    """Options that nobody told, of one profile at least: they have their defaults."""
 
     def __getitem__(self, material: str) -> MaterialFit:
         for fit in self.materials:
@@ -286,15 +292,19 @@ class Measured:
         raise KeyError(f"{material}: the materials are {', '.join(fit.material for fit in self.materials)}")
 
     def __str__(self) -> str:
-        return "\n".join([self._common(), "", _display.text_table(_HEAD, self._rows()), *self.remarks])
+        return "\n".join([self._common(), "", _display.text_table(_HEAD, self._rows()), *self._notes()])
 
     def _repr_html_(self) -> str:
-        return _display.html_table(_HEAD, self._rows(), self._common()) + _display.html_lines(self.remarks)
+        return _display.html_table(_HEAD, self._rows(), self._common()) + _display.html_lines(self._notes())
 
     @property
     def remarks(self) -> list[str]:
         """What must be known of the channels before they are used: none if all is well."""
         return [remark for fit in self.materials for remark in fit.remarks]
+
+    def _notes(self) -> list[str]:
+        channels = [channel for fit in self.materials for channel in fit.channels]
+        return self.remarks + _remarks.of_assumed(self.assumed, channels)
 
     def _rows(self) -> list[list[str]]:
         return [_row(fit.material, channel) for fit in self.materials for channel in fit.channels]
@@ -325,19 +335,6 @@ def _row(material: str, fit: ChannelFit) -> list[str]:
     cells += [n(m.g), str(r.g), n(m.reduced_scattering_per_mm), str(r.reduced_scattering_per_mm)]
     cells += [n(m.absorption_per_mm), str(r.absorption_per_mm), f"{r.misfit:.1f}"]
     return [material, fit.channel, *cells]
-
-
-def _remarks(material: str, fit: ChannelFit) -> Iterator[str]:
-    name = f"{material} {fit.channel}"
-    if fit.outside is not None:
-        yield f"{name}: a profile is {fit.outside} than every record; levels or the dictionary are wrong"
-    if fit.refined is None:
-        return
-    if not fit.refined.resolved:
-        yield f"{name}: unresolved, the data do not determine σ_t and α even at this g"
-    if fit.refined.misfit > 2:
-        cause = f"; the likeliest cause: {fit.refined.suspicion}" if fit.refined.suspicion else ""
-        yield f"{name}: the residuals are {fit.refined.misfit:.1f} times what noise explains{cause}"
 
 
 _QUANTITIES = ("sigma_t_per_mm", "albedo", "g", "reduced_scattering_per_mm", "absorption_per_mm")

@@ -76,6 +76,15 @@ pub(super) fn numeric_axes(grid: &Grid, chosen: &Chosen) -> impl Iterator<Item =
     AXES.into_iter().filter(|name| *name != "channel").zip(values)
 }
 
+/// The unit of an axis, if it has one.
+pub(super) fn unit_of_axis(name: &str) -> Option<&'static str> {
+    match name {
+        "sigma_t_per_mm" => Some("1/mm"),
+        "thickness_mm" | "x_mm" => Some("mm"),
+        _ => None,
+    }
+}
+
 /// What `show --json` tells of the dictionary, and what the arrays mean.
 pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Result<serde_json::Value> {
     #[derive(Serialize)]
@@ -85,7 +94,8 @@ pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Resu
         units: BTreeMap<&'static str, &'static str>,
         dictionary: D,
     }
-    let units = arrays.iter().map(|array| (array.name, array.unit)).collect();
+    let of_axes = AXES.into_iter().filter_map(|axis| Some((axis, unit_of_axis(axis)?)));
+    let units = arrays.iter().map(|array| (array.name, array.unit)).chain(of_axes).collect();
     let about =
         About { farmctl: env!("CARGO_PKG_VERSION"), axes: AXES, units, dictionary: show::data(status) };
     Ok(serde_json::to_value(&about)?)

@@ -5,7 +5,7 @@
 //! σ_t and g. The group's `zarr.json` repeats those of its arrays, so that a reader opens one file.
 
 use std::fs::{File, create_dir_all};
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -13,7 +13,7 @@ use farm_proto::status::DictionaryStatus;
 use serde_json::{Map, Value, json};
 
 use super::Chosen;
-use super::arrays::{AXES, Array, Complete, about, channels, numeric_axes};
+use super::arrays::{AXES, Array, Complete, about, channels, numeric_axes, unit_of_axis};
 use crate::connection::Connection;
 
 /// Axes along which a chunk has the length 1: the first of [`AXES`].
@@ -45,8 +45,8 @@ pub(super) async fn write(
     }
     for (name, values) in numeric_axes(grid, chosen) {
         let length = [values.len()];
-        metadata
-            .insert(name.to_owned(), array_json("float64", &length, &length, &[name], &unit_of_axis(name)));
+        let attributes = unit_of_axis(name).map_or(json!({}), |unit| json!({ "units": unit }));
+        metadata.insert(name.to_owned(), array_json("float64", &length, &length, &[name], &attributes));
         let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         write_chunk(&draft.path().join(name), &[0], &bytes)?;
     }
@@ -119,13 +119,15 @@ fn write_chunk(array: &Path, key: &[usize], bytes: &[u8]) -> Result<()> {
     let mut path = array.join("c");
     path.extend(key.iter().map(|part| PathBuf::from(part.to_string())));
     create_dir_all(path.parent().expect("a chunk lies in its array's folder"))?;
-    Ok(std::fs::write(path, bytes)?)
+    let mut file = File::create(path)?;
+    file.write_all(bytes)?;
+    Ok(file.sync_all()?)
 }
 
 fn write_json(path: &Path, value: &Value) -> Result<()> {
-    let mut file = BufWriter::new(File::create(path)?);
-    serde_json::to_writer_pretty(&mut file, value)?;
-    Ok(file.flush()?)
+    let mut file = File::create(path)?;
+    file.write_all(&serde_json::to_vec_pretty(value)?)?;
+    Ok(file.sync_all()?)
 }
 
 fn array_json(kind: &str, shape: &[usize], chunk: &[usize], axes: &[&str], attributes: &Value) -> Value {
@@ -141,14 +143,6 @@ fn array_json(kind: &str, shape: &[usize], chunk: &[usize], axes: &[&str], attri
         "dimension_names": axes,
         "attributes": attributes,
     })
-}
-
-fn unit_of_axis(name: &str) -> Value {
-    match name {
-        "sigma_t_per_mm" => json!({ "units": "1/mm" }),
-        "thickness_mm" | "x_mm" => json!({ "units": "mm" }),
-        _ => json!({}),
-    }
 }
 
 /// Names of channels: Zarr's extension for text.

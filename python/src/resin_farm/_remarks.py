@@ -1,0 +1,48 @@
+"""What people must know of an answer before they use it, in the words of farmctl."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from resin_farm.results import ChannelFit
+
+# Below this, noise and what is known of the set-up do not explain a measurement; as farmctl has it.
+_UNLIKELY = 1e-3
+# The same for the paper's distance: residuals over noise.
+_MISFIT = 2.0
+
+
+def of_assumed(names: Sequence[str], channels: Iterable[ChannelFit]) -> list[str]:
+    """What was assumed of the set-up; the paper's distance assumes nothing."""
+    has_likelihood = any(fit.refined is not None and fit.refined.likelihood is not None for fit in channels)
+    return [f"assumed, as nobody told them: {', '.join(names)}"] if names and has_likelihood else []
+
+
+def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
+    name = f"{material} {fit.channel}"
+    refined = fit.refined
+    if fit.outside is not None:
+        yield f"{name}: outside the dictionary, {fit.outside} than every record: check levels, or compute a wider one"
+    if refined is None:
+        return
+    cause = f"; the likeliest cause: {refined.suspicion}" if refined.suspicion else ""
+    if (told := refined.likelihood) is None:
+        if refined.misfit > _MISFIT:
+            yield f"{name}: misfit {refined.misfit:.2g}: the intervals are not to be trusted{cause}"
+    else:
+        chi2 = f"χ² {told.chi2:.0f} of {told.degrees_of_freedom:.0f}"
+        if told.probability < _UNLIKELY:
+            yield (
+                f"{name}: {chi2}, p < {_UNLIKELY}: noise and what is known of the set-up do not explain the data; the "
+                f"intervals were widened, but are not to be trusted blindly{cause}"
+            )
+        elif told.degrees_of_freedom >= 100 and told.chi2 < 0.5 * told.degrees_of_freedom:
+            yield f"{name}: {chi2} is too small: neighbouring pixels share their errors, or the errors are too large"
+        if told.outliers:
+            yield f"{name}: {told.outliers} of its pixels left out"
+    if not refined.resolved and fit.outside is None:
+        yield f"{name}: unresolved, the data do not determine the medium"
+    if refined.valley:
+        yield f"{name}: σ_t and g trade off, trust σ_s(1−g) and σ_a"
