@@ -89,7 +89,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Backup(args) => commands::backup::backup(global, args, output).await?,
         Command::Restore(args) => commands::backup::restore(global, args, output).await?,
         Command::Access(command) => commands::access::run(command, output)?,
-        Command::Slurm(command) => commands::slurm::run(global, command, output)?,
+        Command::Slurm(command) => commands::slurm::run(global, command, output).await?,
         Command::Health => commands::health::run(global, output).await?,
         Command::Show(args) => commands::show::run(global, args, output).await?,
         Command::Export(args) => commands::export::run(global, args, output).await?,

@@ -207,6 +207,11 @@ pub(crate) fn utc(unix_ms: u64) -> String {
         .map_or_else(|_| unix_ms.to_string(), |t| t.to_string())
 }
 
+/// As in "1 worker" and "1,000 workers".
+pub(crate) fn counted(n: u64, what: &str) -> String {
+    format!("{} {what}{}", grouped(n), if n == 1 { "" } else { "s" })
+}
+
 /// Seconds since 1970.
 #[expect(clippy::disallowed_methods, reason = "certificates hold from now on")]
 pub(crate) fn now_unix_s() -> i64 {

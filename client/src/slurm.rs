@@ -1,6 +1,8 @@
 //! Job scripts for Slurm: an array of workers that stop before the walltime.
 
+pub(crate) mod queue;
 mod quote;
+pub(crate) mod scaling;
 
 use std::fmt::Write as _;
 use std::num::NonZeroU32;
@@ -86,6 +88,12 @@ fn one_line(text: &str) -> Result<String, InvalidOption> {
 #[derive(Debug, Clone)]
 pub struct OneLine(String);
 
+impl OneLine {
+    pub(crate) fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
 impl FromStr for OneLine {
     type Err = InvalidOption;
 
@@ -97,6 +105,12 @@ impl FromStr for OneLine {
 /// A log file's name, with a part that differs between tasks.
 #[derive(Debug, Clone)]
 pub struct LogPattern(String);
+
+impl LogPattern {
+    pub(crate) fn as_str(&self) -> &str {
+        &self.0
+    }
+}
 
 impl FromStr for LogPattern {
     type Err = InvalidOption;

@@ -52,7 +52,18 @@ def problems(objects):
             yield f"{name_of(claimed)}: serviceName must be a headless service"
         if claimed["spec"]["replicas"] != 1:
             yield f"{name_of(claimed)}: there must be one coordinator"
+    for scaled in objects.of("ScaledObject"):
+        yield from scaling_problems(objects, scaled)
     yield from policy_problems(objects)
+
+
+def scaling_problems(objects, scaled):
+    target = scaled["spec"]["scaleTargetRef"]
+    workload = objects.named(target.get("kind", "Deployment"), target["name"])
+    if workload is None:
+        yield f"{name_of(scaled)}: there is no {target.get('kind', 'Deployment')} {target['name']}"
+    elif "replicas" in workload["spec"]:
+        yield f"{name_of(workload)}: sets replicas, which each apply would set back"
 
 
 def workload_problems(objects, workload):

@@ -1,9 +1,10 @@
 """Tries the dashboard and the alerts with a real Prometheus that scrapes a farm at work.
 
-    monitoring.py MONITORING_FOLDER METRICS_ADDRESS PROMETHEUS_ADDRESS
+    monitoring.py MONITORING_FOLDER SCALED_OBJECT METRICS_ADDRESS PROMETHEUS_ADDRESS
 
-Prometheus runs with the folder's configuration and scrapes the farm. Each query of the dashboard must be answered, and
-name metrics that the farm has; those of a farm that computes must have figures; each alert must have been evaluated.
+Prometheus runs with the folder's configuration and scrapes the farm. Each query of the dashboard, and that by which KEDA
+scales the workers, must be answered, and name metrics that the farm has; those of a farm that computes must have figures;
+each alert must have been evaluated.
 """
 
 import json
@@ -13,6 +14,8 @@ import sys
 import time
 import urllib.parse
 import urllib.request
+
+import yaml
 
 # What only some farms have: none is seen while nothing fails and no backup is due.
 MAY_BE_EMPTY = ("code!=", "farm_backup_age_seconds", "farm_fit_seconds", "farm_verifications_total", "farm_jobs_failed_total")
@@ -30,7 +33,9 @@ def ask(prometheus, path, **parameters):
     return answer["data"]
 
 
-def queries(folder):
+def queries(folder, scaled_object):
+    for trigger in yaml.safe_load(scaled_object.read_text())["spec"]["triggers"]:
+        yield "of KEDA", trigger["metadata"]["query"]
     dashboard = json.loads((folder / "dashboard.json").read_text())
     for panel in dashboard["panels"]:
         for target in panel["targets"]:
@@ -47,9 +52,11 @@ def known_metrics(metrics):
 
 
 def main():
-    folder, metrics, prometheus = pathlib.Path(sys.argv[1]), sys.argv[2], sys.argv[3]
+    folder, scaled_object = map(pathlib.Path, sys.argv[1:3])
+    metrics, prometheus = sys.argv[3:]
     known = known_metrics(metrics)
-    for title, expression in queries(folder):
+    asked = list(queries(folder, scaled_object))
+    for title, expression in asked:
         for name in re.findall(r"\b(?:farm|process)_\w+", expression):
             if re.sub(r"_(total|bucket|count|sum)$", "", name) not in known:
                 raise SystemExit(f"panel {title}: {name} is no metric of the farm")
@@ -59,7 +66,7 @@ def main():
         rules = [rule for group in ask(prometheus, "rules")["groups"] for rule in group["rules"]]
         empty = [
             title
-            for title, expression in queries(folder)
+            for title, expression in asked
             if not ask(prometheus, "query", query=expression)["result"] and not any(w in expression for w in MAY_BE_EMPTY)
         ]
         up = [target["health"] for target in targets]
@@ -69,8 +76,7 @@ def main():
         if time.monotonic() > deadline:
             raise SystemExit(f"targets {up}; without figures {empty}; rules {[(r['name'], r['health']) for r in rules]}")
         time.sleep(1)
-    count = len(list(queries(folder)))
-    print(f"target up, {len(evaluated)} alerts evaluated, {count} queries answered")
+    print(f"target up, {len(evaluated)} alerts evaluated, {len(asked)} queries answered")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@
 #![expect(clippy::missing_errors_doc, clippy::unwrap_used, reason = "helpers of tests")]
 
 pub mod cli;
+pub mod cluster;
 pub mod dng;
 pub mod farm;
 pub mod grids;

@@ -31,7 +31,7 @@ pub use fit::{
 };
 pub use profile::ProfileArgs;
 pub use set_up::SetUpArgs;
-pub use slurm::{SlurmCommand, SlurmSubmitArgs};
+pub use slurm::{SlurmAutoscaleArgs, SlurmCommand, SlurmSubmitArgs, SlurmWorkerArgs};
 pub use web::WebArgs;
 use whole::whole_number;
 

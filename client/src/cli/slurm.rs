@@ -13,18 +13,13 @@ use farm_link::walltime::{Walltime, parse_span, parse_time_limit};
 pub enum SlurmCommand {
     /// Submit workers as an array job; each stops by itself before its walltime, or when it runs out of work.
     Submit(SlurmSubmitArgs),
+    /// Keep as many workers submitted as there is work for, until stopped.
+    Autoscale(SlurmAutoscaleArgs),
 }
 
+/// What each worker is, and how it gets to its place.
 #[derive(Debug, Args)]
-#[command(after_help = EXAMPLES)]
-pub struct SlurmSubmitArgs {
-    /// Number of workers; each is one task of the array.
-    #[arg(long, value_name = "N", value_parser = at_most_a_million)]
-    pub workers: NonZeroU32,
-    /// How many of them may run at the same time [default: all]. The others follow as these end, so that work
-    /// which takes longer than the walltime needs only one submission.
-    #[arg(long, value_name = "N", value_parser = at_most_a_million)]
-    pub at_once: Option<NonZeroU32>,
+pub struct SlurmWorkerArgs {
     /// Walltime of each worker: minutes, MM:SS, HH:MM:SS, D-HH, D-HH:MM or D-HH:MM:SS.
     #[arg(long, value_name = "TIME")]
     pub time: Walltime,
@@ -47,19 +42,57 @@ pub struct SlurmSubmitArgs {
     /// on the nodes' PATH].
     #[arg(long, value_name = "PATH")]
     pub worker: Option<PathBuf>,
-    /// Name of the job in Slurm.
-    #[arg(long, value_name = "NAME", default_value = "farm-worker")]
-    pub job_name: OneLine,
+    /// Name of the job in Slurm [default: farm-worker; for autoscale farm-worker@ADDRESS, by which it knows its own].
+    #[arg(long, value_name = "NAME")]
+    pub job_name: Option<OneLine>,
     /// Log file of each worker; %A is the job number, %a the task number.
     #[arg(long, value_name = "PATTERN", default_value = "farm-worker-%A_%a.log")]
     pub log: LogPattern,
     /// Additional option for sbatch, such as --sbatch-option=--account=lab; may be given several times.
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
     pub sbatch_option: Vec<SbatchOption>,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct SlurmSubmitArgs {
+    /// Number of workers; each is one task of the array.
+    #[arg(long, value_name = "N", value_parser = at_most_a_million)]
+    pub workers: NonZeroU32,
+    /// How many of them may run at the same time [default: all]. The others follow as these end, so that work
+    /// which takes longer than the walltime needs only one submission.
+    #[arg(long, value_name = "N", value_parser = at_most_a_million)]
+    pub at_once: Option<NonZeroU32>,
+    #[command(flatten)]
+    pub workers_are: SlurmWorkerArgs,
     /// Print the job script without submitting it.
     #[arg(long)]
     pub dry_run: bool,
 }
+
+#[derive(Debug, Args)]
+#[command(after_help = AUTOSCALE_EXAMPLES)]
+pub struct SlurmAutoscaleArgs {
+    /// Most workers at the same time, including those that wait in the queue.
+    #[arg(long, value_name = "N", value_parser = at_most_a_million)]
+    pub max_workers: NonZeroU32,
+    /// Submit none while those there will have done all work within this time.
+    #[arg(long, value_name = "DURATION", default_value = "2m", value_parser = parse_span)]
+    pub worth: Duration,
+    /// Pause between two looks at the farm and the queue; each at most doubles the number of workers.
+    #[arg(long, value_name = "DURATION", default_value = "30s", value_parser = parse_time_limit)]
+    pub every: Duration,
+    /// End when the farm has no work left, instead of waiting for more.
+    #[arg(long)]
+    pub until_done: bool,
+    #[command(flatten)]
+    pub workers_are: SlurmWorkerArgs,
+}
+
+const AUTOSCALE_EXAMPLES: &str = "\
+Examples:
+  farmctl slurm autoscale --max-workers 32 --time 1:00:00 --threads 16 --access ~/farm/client.toml
+  farmctl slurm autoscale --max-workers 8 --time 0:30:00 --until-done --job-name night";
 
 const EXAMPLES: &str = "\
 Examples:

@@ -1,27 +1,20 @@
-use std::io::Write;
-use std::path::{Path, PathBuf, absolute};
-use std::process::{Command, Stdio};
+//! `farmctl slurm`: workers on a Slurm cluster, once or as many as there is work for.
 
-use anyhow::{Context, Result, bail, ensure};
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf, absolute};
+
+use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 
-use crate::cli::{Global, SlurmCommand, SlurmSubmitArgs};
-use crate::output::{Output, grouped};
-use crate::slurm::{Coordinator, Submission};
+use crate::cli::{Global, SlurmCommand, SlurmSubmitArgs, SlurmWorkerArgs};
+use crate::output::{Output, counted};
+use crate::slurm::{Coordinator, OneLine, Submission, queue};
 use farm_link::walltime::span_text;
 
-/// Variables that sbatch puts above the script's lines; what the script says of these must hold.
-const OVERRIDES: [&str; 9] = [
-    "SBATCH_ARRAY_INX",
-    "SBATCH_JOB_NAME",
-    "SBATCH_NO_REQUEUE",
-    "SBATCH_OPEN_MODE",
-    "SBATCH_OUTPUT",
-    "SBATCH_REQUEUE",
-    "SBATCH_SIGNAL",
-    "SBATCH_TIMELIMIT",
-    "SBATCH_WAIT",
-];
+mod autoscale;
+
+/// Name of jobs that are given none.
+const JOB_NAME: &str = "farm-worker";
 
 #[derive(Debug, Serialize)]
 struct SubmittedJson {
@@ -31,18 +24,20 @@ struct SubmittedJson {
     script: String,
 }
 
-pub(crate) fn run(global: &Global, command: SlurmCommand, output: &Output) -> Result<()> {
+pub(crate) async fn run(global: &Global, command: SlurmCommand, output: &Output) -> Result<()> {
     match command {
         SlurmCommand::Submit(args) => submit(global, args, output),
+        SlurmCommand::Autoscale(args) => autoscale::run(global, args, output).await,
     }
 }
 
 fn submit(global: &Global, args: SlurmSubmitArgs, output: &Output) -> Result<()> {
-    let (dry_run, workers) = (args.dry_run, args.workers.get());
-    let submission = submission(global, args)?;
+    let workers = args.workers.get();
+    let submission =
+        Submission { at_once: args.at_once, ..submission(global, args.workers_are, JOB_NAME, args.workers)? };
     let script = submission.script();
     warn_of_loopback(global, &submission.coordinator);
-    let job_id = if dry_run { None } else { Some(sbatch(Path::new("sbatch"), &submission, &script)?) };
+    let job_id = if args.dry_run { None } else { Some(queue::submit(&submission, &script)?) };
     let data = SubmittedJson { job_id, workers, script };
     output.print("slurm-submit", &data, || match job_id {
         None => data.script.clone(),
@@ -52,7 +47,6 @@ fn submit(global: &Global, args: SlurmSubmitArgs, output: &Output) -> Result<()>
 }
 
 fn text(job_id: u64, submission: &Submission) -> String {
-    let counted = |n: u64, what: &str| format!("{} {what}{}", grouped(n), if n == 1 { "" } else { "s" });
     format!(
         "job {job_id}: {} with {} and a walltime of {}, told to stop at least {} before it",
         counted(submission.workers.get().into(), "worker"),
@@ -62,17 +56,22 @@ fn text(job_id: u64, submission: &Submission) -> String {
     )
 }
 
-fn submission(global: &Global, args: SlurmSubmitArgs) -> Result<Submission> {
+fn submission(
+    global: &Global,
+    args: SlurmWorkerArgs,
+    job_name: &str,
+    workers: NonZeroU32,
+) -> Result<Submission> {
     let submission = Submission {
         coordinator: coordinator(global, args.worker_access)?,
         program: program(args.worker)?,
-        workers: args.workers,
-        at_once: args.at_once,
+        workers,
+        at_once: None,
         walltime: args.time,
         threads: args.threads,
         grace: args.grace,
         idle_exit: args.idle_exit,
-        job_name: args.job_name,
+        job_name: args.job_name.map_or_else(|| job_name.parse::<OneLine>(), Ok)?,
         partition: args.partition,
         log: args.log,
         options: args.sbatch_option,
@@ -88,7 +87,6 @@ fn submission(global: &Global, args: SlurmSubmitArgs) -> Result<Submission> {
     );
     Ok(submission)
 }
-
 fn coordinator(global: &Global, worker_access: Option<PathBuf>) -> Result<Coordinator> {
     // Clients' tokens open nothing for workers; `farmctl access create` writes the files side by side.
     let beside = global.access.as_ref().map(|client| client.with_file_name("worker.toml"));
@@ -148,40 +146,4 @@ fn warn_of_loopback(global: &Global, coordinator: &Coordinator) {
             "farmctl: note: on another machine than the coordinator's, workers do not find it at a loopback address"
         );
     }
-}
-
-/// Hands the script to sbatch and reads the job's number.
-fn sbatch(program: &Path, submission: &Submission, script: &str) -> Result<u64> {
-    let mut command = Command::new(program);
-    command.arg("--parsable").stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    for variable in OVERRIDES {
-        command.env_remove(variable);
-    }
-    if submission.partition.is_some() {
-        command.env_remove("SBATCH_PARTITION");
-    }
-    let mut child = command.spawn().map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => anyhow::anyhow!(
-            "sbatch is not on PATH: run this on a login node of the cluster, or take the script from --dry-run there"
-        ),
-        _ => anyhow::Error::new(error).context("starting sbatch"),
-    })?;
-    // A program that ends without reading the script tells why by its status.
-    let written = child.stdin.take().map_or(Ok(()), |mut stdin| stdin.write_all(script.as_bytes()));
-    let answer = child.wait_with_output().context("waiting for sbatch")?;
-    let told = String::from_utf8_lossy(&answer.stderr);
-    if !answer.status.success() {
-        bail!("sbatch refused the job ({}): {}", answer.status, told.trim());
-    }
-    written.context("handing the script to sbatch")?;
-    if !told.trim().is_empty() {
-        eprintln!("{}", told.trim_end());
-    }
-    job_id(&String::from_utf8_lossy(&answer.stdout))
-}
-
-/// `--parsable` answers "NUMBER" or "NUMBER;CLUSTER".
-fn job_id(answer: &str) -> Result<u64> {
-    let number = answer.trim().split(';').next().unwrap_or_default();
-    number.parse().with_context(|| format!("sbatch answered {:?}, which is no job number", answer.trim()))
 }

@@ -1,0 +1,41 @@
+// Holds KEDA's objects among rendered ones (a JSON array on standard input) against KEDA's schema.
+//
+// usage: node scaled.mjs FOLDER      with @kubernetes-models/keda below FOLDER
+
+import { createRequire } from 'node:module';
+import { text } from 'node:stream/consumers';
+
+const require = createRequire(`${process.argv[2]}/`);
+// By its path: the package's own classes look at copies.
+const { validate } = require('./node_modules/@kubernetes-models/keda/_schemas/KedaShV1alpha1ScaledObject.js');
+
+// The schema lets unknown fields pass, as a cluster drops them without a word. A validator looks at all that it knows: what
+// it does not look at is unknown.
+function watched(value, path, unseen) {
+  if (value === null || typeof value !== 'object') return value;
+  const keys = Array.isArray(value) ? [] : Object.keys(value);
+  keys.forEach((key) => unseen.add(`${path}.${key}`));
+  const copies = new Map();
+  return new Proxy(value, {
+    get(target, key) {
+      if (typeof key === 'symbol' || !Object.hasOwn(target, key)) return target[key];
+      unseen.delete(`${path}.${key}`);
+      if (!copies.has(key)) copies.set(key, watched(target[key], `${path}.${key}`, unseen));
+      return copies.get(key);
+    },
+  });
+}
+
+const objects = JSON.parse(await text(process.stdin)).filter((object) => object?.apiVersion === 'keda.sh/v1alpha1');
+if (objects.length === 0) throw new Error('there is no object of KEDA');
+for (const object of objects) {
+  const name = `${object.kind} ${object.metadata.name}`;
+  if (object.kind !== 'ScaledObject') throw new Error(`${name}: only a ScaledObject is known here`);
+  const unseen = new Set();
+  const { spec, ...others } = object;
+  if (!validate({ ...others, spec: watched(spec, 'spec', unseen) })) {
+    throw new Error(`${name}: ${validate.errors.map((error) => `${error.instancePath} must hold "${error.keyword}"`).join(', ')}`);
+  }
+  if (unseen.size > 0) throw new Error(`${name}: unknown: ${[...unseen].join(', ')}`);
+  console.log(`${name} follows the schema of KEDA`);
+}

@@ -1,0 +1,147 @@
+//! `farmctl slurm autoscale` with real workers, on a stand-in for Slurm.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::process::Command;
+use std::time::Duration;
+
+use farm_tests::cluster::Cluster;
+use farm_tests::farm::Farm;
+use farm_tests::grids::undisturbed;
+use farm_tests::process::{LONG, Process, Ran, SOON, Signal, program, wait_for};
+use serde_json::Value;
+
+/// 24 jobs of some tenths of a second.
+const GRID: &str = "\
+sigma_t_per_mm = [6, 7, 8, 9]
+albedo = [0.5, 0.99]
+g = [0.0, 0.2, 0.4]
+walks = 300000
+";
+
+/// `farmctl slurm autoscale` that looks each second.
+fn autoscale(farm: &Farm, cluster: &Cluster, worker: &str, options: &[&str]) -> Command {
+    let mut command = farm.command(&["slurm", "autoscale", "--json", "--time", "0:10:00", "--every", "1s"]);
+    command.args(["--worth", "0s", "--worker", worker]).args(options).env("PATH", cluster.path());
+    command
+}
+
+fn worker() -> String {
+    program("farm-worker").to_str().unwrap().to_owned()
+}
+
+/// Lines so far: what was done, and the message.
+fn steps(farm: &Farm) -> Vec<(String, String)> {
+    let text = std::fs::read_to_string(farm.path("autoscale.out")).unwrap_or_default();
+    let step = |line: &str| {
+        let line: Value = serde_json::from_str(line).unwrap();
+        assert_eq!(
+            (line["api"].as_str(), line["kind"].as_str()),
+            (Some("farmctl/1"), Some("slurm-autoscale"))
+        );
+        let told = |name: &str| line["data"][name].as_str().unwrap().to_owned();
+        (told("step"), told("message"))
+    };
+    text.lines().map(step).collect()
+}
+
+fn count(farm: &Farm, step: &str) -> usize {
+    steps(farm).iter().filter(|(told, _)| told == step).count()
+}
+
+fn start(farm: &Farm, command: &mut Command) -> Process {
+    let output = std::fs::File::create(farm.path("autoscale.out")).unwrap();
+    Process::spawn_into("farmctl", command, &farm.path("autoscale.err"), output)
+}
+
+#[test]
+fn workers_come_with_the_work_and_go_without() {
+    let farm = Farm::start(&["--verify-share", "0"]);
+    let cluster = Cluster::new(farm.path("slurm"), 2);
+    let options = ["--max-workers", "4", "--idle-exit", "2s", "--until-done"];
+    farm.submit("grid", GRID);
+    let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, &worker(), &options));
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+    assert_eq!(autoscaler.exit_within(SOON), 0, "{}", autoscaler.log());
+    let steps = steps(&farm);
+    assert_eq!(steps[0], ("submitted".to_owned(), "submitted 1 worker as job 1".to_owned()));
+    assert!(steps.iter().all(|(step, _)| step != "failed" && step != "unknown"), "{steps:?}");
+    assert!(steps.last().unwrap().1.starts_with("the farm has no work left"), "{steps:?}");
+    // One, one more, two more: the other nodes are taken, so these wait in vain.
+    assert!(cluster.arrays() <= 3, "{steps:?}");
+    wait_for("all have gone", LONG, || (cluster.tasks("") == 0).then_some(()));
+    let labels: Vec<Value> = farm.events("WORKER_JOINED").iter().map(|e| e["worker"].clone()).collect();
+    assert!(labels.contains(&Value::from("slurm:1.1@node1")), "{labels:?}");
+}
+
+#[test]
+fn without_an_answer_of_slurm_nothing_is_done_and_it_is_told_once() {
+    let farm = Farm::start(&[]);
+    let cluster = Cluster::new(farm.path("slurm"), 1);
+    cluster.set("away", true);
+    let ran: Ran = autoscale(&farm, &cluster, &worker(), &["--max-workers", "2"]).output().unwrap().into();
+    assert_eq!(ran.code, 1);
+    assert!(
+        ran.stdout.contains("squeue failed") && ran.stdout.contains("slurm controller"),
+        "{}",
+        ran.stdout
+    );
+
+    cluster.set("away", false);
+    let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, &worker(), &["--max-workers", "2"]));
+    std::thread::sleep(Duration::from_millis(1500));
+    cluster.set("away", true);
+    farm.submit("grid", GRID);
+    wait_for("it is told", SOON, || (count(&farm, "unknown") == 1).then_some(()));
+    std::thread::sleep(Duration::from_secs(3));
+    assert_eq!((count(&farm, "unknown"), cluster.arrays()), (1, 0));
+    cluster.set("away", false);
+    farm.done("grid");
+    assert_eq!(autoscaler.terminate(SOON), 0, "{}", autoscaler.log());
+    assert!(steps(&farm).last().unwrap().1.starts_with("stopped; "), "workers still run");
+}
+
+#[test]
+fn workers_that_never_arrive_are_told_and_not_sent_after_each_other() {
+    let farm = Farm::start(&[]);
+    let cluster = Cluster::new(farm.path("slurm"), 4);
+    farm.submit("grid", GRID);
+    let options = ["--max-workers", "8"];
+    let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, "/bin/false", &options));
+    wait_for("it is told", SOON, || (count(&farm, "failed") == 1).then_some(()));
+    std::thread::sleep(Duration::from_secs(4));
+    assert_eq!((cluster.arrays(), count(&farm, "holding")), (1, 1), "{:?}", steps(&farm));
+    autoscaler.signal(Signal::TERM);
+    assert_eq!(autoscaler.exit_within(SOON), 0, "{}", autoscaler.log());
+}
+
+#[test]
+fn what_sbatch_refuses_at_once_ends_the_command_and_later_makes_a_pause() {
+    let farm = Farm::start(&[]);
+    let cluster = Cluster::new(farm.path("slurm"), 1);
+    farm.submit("grid", GRID);
+    cluster.set("refuses", true);
+    let ran: Ran = autoscale(&farm, &cluster, &worker(), &["--max-workers", "8"]).output().unwrap().into();
+    assert_eq!(ran.code, 1);
+    assert!(ran.stdout.contains("QOSMaxSubmitJobPerUserLimit"), "{}", ran.stdout);
+
+    cluster.set("refuses", false);
+    let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, &worker(), &["--max-workers", "8"]));
+    wait_for("one is submitted", SOON, || (cluster.arrays() == 1).then_some(()));
+    cluster.set("refuses", true);
+    wait_for("it is told", SOON, || (count(&farm, "unknown") == 1).then_some(()));
+    farm.done("grid");
+    assert!(autoscaler.is_running());
+    assert_eq!(autoscaler.terminate(SOON), 0, "{}", autoscaler.log());
+}
+
+#[test]
+fn a_coordinator_that_runs_is_needed() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["slurm", "autoscale", "--time", "5", "--max-workers", "2"];
+    for args in [&args[..], &[&args[..], &["--local", "--server", "http://127.0.0.1:7700"]].concat()] {
+        let ran = farm_tests::process::run(folder.path(), args);
+        assert_eq!(ran.code, 1);
+        assert!(ran.stderr.contains("--access FILE or --server URL"), "{}", ran.stderr);
+    }
+}
