@@ -161,3 +161,30 @@ fn the_architecture_is_a_map_of_at_most_150_lines() {
     let lines = documents()[Path::new("ARCHITECTURE.md")].lines().count();
     assert!((50..=150).contains(&lines), "ARCHITECTURE.md has {lines} lines");
 }
+
+/// What follows each `mark` in a file, up to a blank or the end of the line.
+fn after<'a>(text: &'a str, mark: &str) -> Vec<&'a str> {
+    text.split(mark).skip(1).filter_map(|rest| rest.split([' ', '\n', '}', '`']).next()).collect()
+}
+
+#[test]
+fn all_files_are_of_the_same_version() {
+    let version = env!("CARGO_PKG_VERSION");
+    let marks = [
+        ("deploy/README.md", "resin-farm:"),
+        ("deploy/README.md", "release `v"),
+        ("deploy/container/Containerfile", "-t resin-farm:"),
+        ("deploy/container/Containerfile", "ARG VERSION="),
+        ("deploy/compose/compose.yaml", "-resin-farm:"),
+        ("deploy/kubernetes/overlays/example/kustomization.yaml", "newTag: "),
+    ];
+    for (file, mark) in marks {
+        let text = std::fs::read_to_string(root().join(file)).unwrap();
+        let found = after(&text, mark);
+        assert!(!found.is_empty() && found.iter().all(|told| *told == version), "{file}: {mark}{found:?}");
+    }
+    let changelog = std::fs::read_to_string(root().join("CHANGELOG.md")).unwrap();
+    let mut released = changelog.lines().filter_map(|line| line.strip_prefix("## "));
+    let newest = released.find(|heading| *heading != "Unreleased").unwrap();
+    assert_eq!(newest.split(' ').next(), Some(version), "CHANGELOG.md");
+}
