@@ -31,7 +31,7 @@ def material_fit(wire: fits_pb2.MaterialFit, assumed: tuple[str, ...] = ()) -> M
 def measured(wire: fits_pb2.MeasureResponse, dictionary: str, assumed: tuple[str, ...]) -> Measured:
     common = wire.common
     return Measured(
-        materials=tuple(map(material_fit, wire.materials)),
+        materials=tuple(material_fit(material, assumed) for material in wire.materials),
         mu=common.mu,
         mu_std_error=common.mu_std_error,
         mu_chosen=common.mu_chosen,
@@ -125,7 +125,7 @@ def measured_of_json(found: Mapping[str, Any]) -> Measured:
     common = found["common"]
     g_interval = common["g_interval"]
     return Measured(
-        materials=tuple(map(material_of_json, found["materials"])),
+        materials=tuple(material_of_json(material, found["assumed"]) for material in found["materials"]),
         mu=common["mu"],
         mu_std_error=common["mu_std_error"],
         mu_chosen=common["mu_chosen"],

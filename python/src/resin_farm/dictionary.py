@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import pathlib
 import sys
 import tempfile
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -200,19 +201,32 @@ class Dictionary:
 
 
 class _Progress:
-    """A line on standard error that is written over."""
+    """A line that is written over: on standard error in a terminal, as a display of its own in a notebook."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._shown = ""
+        self._handle: Any = None
 
     def show(self, dictionary: Dictionary) -> None:
         left = f", {dictionary.eta_s:.0f} s left" if dictionary.eta_s and dictionary.state == "running" else ""
         line = f"{self._name}: {100 * dictionary.work_done:.0f} % of the work{left}"
-        if line != self._shown and (sys.stderr.isatty() or "ipykernel" in sys.modules):
+        if line == self._shown:
+            return
+        if "ipykernel" in sys.modules:
+            self._show_in_notebook(line)
+        elif sys.stderr.isatty():
             print("\r" + line.ljust(len(self._shown)), end="", file=sys.stderr, flush=True)
-            self._shown = line
+        self._shown = line
+
+    def _show_in_notebook(self, line: str) -> None:
+        data = {"text/plain": line}
+        if self._handle is None:
+            display = importlib.import_module("IPython.display").display
+            self._handle = display(data, raw=True, display_id=True)
+        else:
+            self._handle.update(data, raw=True)
 
     def end(self) -> None:
-        if self._shown:
+        if self._shown and self._handle is None and sys.stderr.isatty():
             print(file=sys.stderr)
