@@ -130,6 +130,14 @@ impl FromStr for LogPattern {
 #[derive(Debug, Clone)]
 pub struct SbatchOption(String);
 
+impl SbatchOption {
+    /// Whether it is the option of this name, or its beginning, which sbatch takes for the whole.
+    pub(crate) fn begins(&self, name: &str) -> bool {
+        let told = self.0.split(['=', ' ']).next().unwrap_or_default();
+        name.starts_with(told)
+    }
+}
+
 impl FromStr for SbatchOption {
     type Err = InvalidOption;
 

@@ -9,6 +9,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
 import resin_farm
@@ -98,6 +99,15 @@ def test_grids_that_are_not_valid_are_refused_with_the_field(farm: resin_farm.Fa
         farm.submit(GRID, "bad", quality="best")  # type: ignore[arg-type]
     with pytest.raises(resin_farm.NotFound, match="bad"):
         farm.dictionary("bad")
+
+
+def test_grids_take_arrays_and_can_be_compared(tmp_path: pathlib.Path) -> None:
+    grid = resin_farm.Grid(sigma_t_per_mm=np.array([4, 8]), albedo=[0.9], g=[0], thickness_mm=[1], walks=5000)
+    assert grid == SMALL and grid != resin_farm.Grid()
+    with resin_farm.Farm(tmp_path) as farm:
+        assert farm.submit(grid, progress=False).name == "grid"
+    with pytest.raises(TypeError, match=r"g: 0\.4: an axis is a list"):
+        resin_farm.Grid(g=0.4)  # type: ignore[arg-type]
 
 
 def test_without_a_dictionary_the_error_says_what_to_do(tmp_path: pathlib.Path, white: resin_farm.Measurement) -> None:

@@ -43,15 +43,20 @@ rm -f "queue/$1 $2" "running/$1-$2"
 
 const SQUEUE: &str = r#"
 [[ ! -e away ]] || { echo "slurm_load_jobs error: Unable to contact slurm controller" >&2; exit 1; }
-cd queue
-for task in *; do
-  [[ ! -e $task ]] || echo "$task $(cat "$task")"
+touch asked
+for file in queue/*; do
+  [[ -e $file ]] || continue
+  task=${file#queue/}
+  read -r state name <"$file"
+  echo "${task% *}|${task#* }|$state|None|$name"
 done
 "#;
 
 const SCANCEL: &str = r#"
-for task in "$@"; do
-  rm "queue/${task/_/ }"
+[[ $1 == --state=PENDING ]]
+for task in "${@:2}"; do
+  file="queue/${task/_/ }"
+  if [[ -e $file ]] && grep -q ^PENDING "$file"; then rm "$file"; fi
 done
 "#;
 
@@ -102,6 +107,11 @@ impl Cluster {
     pub fn tasks(&self, state: &str) -> usize {
         let text = |file: &Path| std::fs::read_to_string(file).unwrap_or_default();
         entries(&self.folder.join("queue")).iter().filter(|file| text(file).starts_with(state)).count()
+    }
+
+    /// Whether squeue was asked.
+    pub fn was_asked(&self) -> bool {
+        self.folder.join("asked").exists()
     }
 
     /// How many arrays were submitted.

@@ -172,7 +172,6 @@ fn all_files_are_of_the_same_version() {
     let version = env!("CARGO_PKG_VERSION");
     let marks = [
         ("deploy/README.md", "resin-farm:"),
-        ("deploy/README.md", "release `v"),
         ("deploy/container/Containerfile", "-t resin-farm:"),
         ("deploy/container/Containerfile", "ARG VERSION="),
         ("deploy/compose/compose.yaml", "-resin-farm:"),

@@ -10,22 +10,27 @@ use crate::reachability::is_silence;
 /// Pause after a call that is made again, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 
+/// So many pauses in a row may end early. A coordinator that is back and still turns calls away has another trouble.
+const EARLY: u32 = 3;
+
 /// A pause that doubles with every failure in a row.
 #[derive(Debug)]
 pub(crate) struct Pauses {
     first: Duration,
     longest: Duration,
     next: Duration,
+    /// How many have ended early.
+    early: u32,
 }
 
 impl Pauses {
     pub(crate) fn new(first: Duration, longest: Duration) -> Self {
-        Self { first, longest, next: first }
+        Self { first, longest, next: first, early: 0 }
     }
 
     /// The next failure will be the first in a row.
     pub(crate) fn reset(&mut self) {
-        self.next = self.first;
+        (self.next, self.early) = (self.first, 0);
     }
 
     /// Half to the whole of what is next, so that workers do not come back all at once.
@@ -41,18 +46,20 @@ impl Pauses {
     /// Waits for the next pause to be over, or for the coordinator to be back.
     pub(crate) async fn wait(&mut self, back: &mut watch::Receiver<()>) {
         let pause = self.next();
-        wait(pause, back).await;
+        self.wait_for(pause, back).await;
     }
-}
 
-async fn wait(pause: Duration, back: &mut watch::Receiver<()>) {
-    let is_back = async {
-        // When the session has ended, nobody tells any more, and the pause is as long as it is.
-        if back.changed().await.is_err() {
-            std::future::pending::<()>().await;
+    async fn wait_for(&mut self, pause: Duration, back: &mut watch::Receiver<()>) {
+        let is_back = async {
+            // When the session has ended, nobody tells any more, and the pause is as long as it is.
+            if self.early >= EARLY || back.changed().await.is_err() {
+                std::future::pending::<()>().await;
+            }
+        };
+        if tokio::time::timeout(pause, is_back).await.is_ok() {
+            self.early += 1;
         }
-    };
-    let _ = tokio::time::timeout(pause, is_back).await;
+    }
 }
 
 /// Calls until the answer is something other than a passing fault, with growing pauses of random length. When the
@@ -67,7 +74,7 @@ pub(crate) async fn repeat<T, F: Future<Output = Result<T, Status>>>(
             Err(status) if is_passing(&status) => {
                 let pause = pauses.next();
                 log_failure(&status, &format!("the call is repeated in {pause:.1?}"));
-                wait(pause, &mut back).await;
+                pauses.wait_for(pause, &mut back).await;
             }
             answer => return answer,
         }
@@ -179,6 +186,20 @@ mod tests {
         let pauses: Vec<Duration> = calls.borrow().windows(2).map(|pair| pair[1] - pair[0]).collect();
         let few = Duration::from_millis(10);
         assert!(pauses[0] < few && pauses[1] > few && pauses[2] > few, "{pauses:?}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_coordinator_that_is_back_again_and_again_and_never_satisfied_is_not_called_without_pause() {
+        let (teller, back) = watch::channel(());
+        let (start, calls) = (Instant::now(), RefCell::new(0));
+        let answer = repeat(back, || async {
+            *calls.borrow_mut() += 1;
+            teller.send_replace(());
+            if start.elapsed() < Duration::from_mins(10) { Err(Status::aborted("")) } else { Ok(()) }
+        });
+        answer.await.unwrap();
+        let calls = calls.into_inner();
+        assert!((60..150).contains(&calls), "{calls} calls in ten minutes, with pauses of ten seconds");
     }
 
     #[tokio::test(start_paused = true)]

@@ -76,10 +76,11 @@ pub struct SlurmAutoscaleArgs {
     /// Most workers at the same time, including those that wait in the queue.
     #[arg(long, value_name = "N", value_parser = at_most_a_million)]
     pub max_workers: NonZeroU32,
-    /// Submit none while those there will have done all work within this time.
+    /// Add no worker to those there if they will have finished all work within this time.
     #[arg(long, value_name = "DURATION", default_value = "2m", value_parser = parse_span)]
     pub worth: Duration,
-    /// Pause between two looks at the farm and the queue; each at most doubles the number of workers.
+    /// Pause between two looks at the farm and the queue. The first look that finds work submits one worker; each
+    /// further one at most doubles their number.
     #[arg(long, value_name = "DURATION", default_value = "30s", value_parser = parse_time_limit)]
     pub every: Duration,
     /// End when the farm has no work left, instead of waiting for more.

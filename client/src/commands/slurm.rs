@@ -26,18 +26,18 @@ struct SubmittedJson {
 
 pub(crate) async fn run(global: &Global, command: SlurmCommand, output: &Output) -> Result<()> {
     match command {
-        SlurmCommand::Submit(args) => submit(global, args, output),
+        SlurmCommand::Submit(args) => submit(global, args, output).await,
         SlurmCommand::Autoscale(args) => autoscale::run(global, args, output).await,
     }
 }
 
-fn submit(global: &Global, args: SlurmSubmitArgs, output: &Output) -> Result<()> {
+async fn submit(global: &Global, args: SlurmSubmitArgs, output: &Output) -> Result<()> {
     let workers = args.workers.get();
     let submission =
         Submission { at_once: args.at_once, ..submission(global, args.workers_are, JOB_NAME, args.workers)? };
     let script = submission.script();
     warn_of_loopback(global, &submission.coordinator);
-    let job_id = if args.dry_run { None } else { Some(queue::submit(&submission, &script)?) };
+    let job_id = if args.dry_run { None } else { Some(queue::submit(&submission, &script).await?.0) };
     let data = SubmittedJson { job_id, workers, script };
     output.print("slurm-submit", &data, || match job_id {
         None => data.script.clone(),
@@ -87,6 +87,7 @@ fn submission(
     );
     Ok(submission)
 }
+
 fn coordinator(global: &Global, worker_access: Option<PathBuf>) -> Result<Coordinator> {
     // Clients' tokens open nothing for workers; `farmctl access create` writes the files side by side.
     let beside = global.access.as_ref().map(|client| client.with_file_name("worker.toml"));

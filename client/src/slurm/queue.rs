@@ -1,9 +1,13 @@
 //! The commands of Slurm: `sbatch`, `squeue`, `scancel`.
 
-use std::io::Write;
-use std::process::{Command, Output, Stdio};
+use std::io::ErrorKind;
+use std::process::{Output, Stdio};
+use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
+use tokio::io::AsyncWriteExt;
+use tokio::process::Command;
+use tokio::time::timeout;
 
 use super::scaling::{TaskId, TaskState};
 use super::{OneLine, Submission};
@@ -20,14 +24,13 @@ const OVERRIDES: [&str; 9] = [
     "SBATCH_TIMELIMIT",
     "SBATCH_WAIT",
 ];
-/// Variables that change what squeue tells.
-const VIEWS: [&str; 6] =
-    ["SQUEUE_ALL", "SQUEUE_FORMAT", "SQUEUE_FORMAT2", "SQUEUE_PARTITION", "SQUEUE_SORT", "SQUEUE_STATES"];
+/// Longest time that a command may take: Slurm's own is a minute or two when its controller is busy.
+const PATIENCE: Duration = Duration::from_mins(3);
 /// Most tasks that one call of scancel names.
 const CANCELLED_AT_ONCE: usize = 500;
 
-/// Hands the script to sbatch and reads the job's number.
-pub(crate) fn submit(submission: &Submission, script: &str) -> Result<u64> {
+/// Hands the script to sbatch and reads the job's number, and the cluster if it is another than this one.
+pub(crate) async fn submit(submission: &Submission, script: &str) -> Result<(u64, Option<String>)> {
     let mut command = Command::new("sbatch");
     command.arg("--parsable");
     for variable in OVERRIDES {
@@ -36,61 +39,70 @@ pub(crate) fn submit(submission: &Submission, script: &str) -> Result<u64> {
     if submission.partition.is_some() {
         command.env_remove("SBATCH_PARTITION");
     }
-    let output = run(command, Some(script), ", or take the script from --dry-run there")?;
+    let output =
+        run(command, Some(script), ", or take the script from `slurm submit --dry-run` there").await?;
     let told = String::from_utf8_lossy(&output.stderr);
-    if !output.status.success() {
-        bail!("sbatch refused the job ({}): {}", output.status, told.trim());
-    }
+    ensure!(output.status.success(), "sbatch refused the job ({}): {}", output.status, told.trim());
     if !told.trim().is_empty() {
         eprintln!("{}", told.trim_end());
     }
     job_id(&String::from_utf8_lossy(&output.stdout))
 }
 
-/// This user's tasks of that name that wait or run.
-pub(crate) fn tasks(job_name: &OneLine) -> Result<Vec<(TaskId, TaskState)>> {
+/// This user's tasks of that name that are in the queue or run.
+pub(crate) async fn tasks(job_name: &OneLine) -> Result<Vec<(TaskId, TaskState)>> {
     let mut command = Command::new("squeue");
-    command.args(["--me", "--noheader", "--array", "--format=%F %K %T %j"]);
-    for variable in VIEWS {
+    // --all: a partition may be hidden, and its jobs with it.
+    command.args(["--me", "--all", "--noheader", "--array", "--format=%F|%K|%T|%r|%j"]);
+    // Some of these leave jobs out.
+    for (variable, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("SQUEUE_"))
+    {
         command.env_remove(variable);
     }
-    let output = run(command, None, "")?;
-    if !output.status.success() {
-        bail!("squeue failed ({}): {}", output.status, String::from_utf8_lossy(&output.stderr).trim());
-    }
-    let told = String::from_utf8_lossy(&output.stdout);
+    let told = answer("squeue", command).await?;
     Ok(told.lines().filter_map(|line| task(line, job_name.as_str())).collect())
 }
 
-pub(crate) fn cancel(tasks: &[TaskId]) -> Result<()> {
+/// Takes tasks out of the queue; those that have begun meanwhile go on.
+pub(crate) async fn cancel(tasks: &[TaskId]) -> Result<()> {
     for tasks in tasks.chunks(CANCELLED_AT_ONCE) {
         let mut command = Command::new("scancel");
-        command.args(tasks.iter().map(ToString::to_string));
-        let output = run(command, None, "")?;
-        if !output.status.success() {
-            bail!("scancel failed ({}): {}", output.status, String::from_utf8_lossy(&output.stderr).trim());
-        }
+        command.arg("--state=PENDING").args(tasks.iter().map(ToString::to_string));
+        answer("scancel", command).await?;
     }
     Ok(())
 }
 
-fn run(mut command: Command, input: Option<&str>, otherwise: &str) -> Result<Output> {
-    let program = command.get_program().to_string_lossy().into_owned();
+async fn answer(program: &str, command: Command) -> Result<String> {
+    let output = run(command, None, "").await?;
+    if !output.status.success() {
+        bail!("{program} failed ({}): {}", output.status, String::from_utf8_lossy(&output.stderr).trim());
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+async fn run(mut command: Command, input: Option<&str>, otherwise: &str) -> Result<Output> {
+    let program = command.as_std().get_program().to_string_lossy().into_owned();
     command.stdin(if input.is_some() { Stdio::piped() } else { Stdio::null() });
-    let mut child =
-        command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(|error| {
-            match error.kind() {
-                std::io::ErrorKind::NotFound => anyhow::anyhow!(
-                    "{program} is not on PATH: run this on a login node of the cluster{otherwise}"
-                ),
-                _ => anyhow::Error::new(error).context(format!("starting {program}")),
-            }
-        })?;
-    let written = match (child.stdin.take(), input) {
-        (Some(mut stdin), Some(text)) => stdin.write_all(text.as_bytes()),
-        _ => Ok(()),
+    command.stdout(Stdio::piped()).stderr(Stdio::piped()).kill_on_drop(true);
+    let mut child = command.spawn().map_err(|error| match error.kind() {
+        ErrorKind::NotFound => {
+            anyhow::anyhow!("{program} is not on PATH: run this on a login node of the cluster{otherwise}")
+        }
+        _ => anyhow::Error::new(error).context(format!("starting {program}")),
+    })?;
+    let stdin = child.stdin.take();
+    let talk = async {
+        let written = match (stdin, input) {
+            (Some(mut stdin), Some(text)) => stdin.write_all(text.as_bytes()).await,
+            _ => Ok(()),
+        };
+        (written, child.wait_with_output().await)
     };
-    let output = child.wait_with_output().with_context(|| format!("waiting for {program}"))?;
+    let Ok((written, output)) = timeout(PATIENCE, talk).await else {
+        bail!("{program} gave no answer in {} minutes", PATIENCE.as_secs() / 60);
+    };
+    let output = output.with_context(|| format!("waiting for {program}"))?;
     // A program that ends without reading its input tells why by its status.
     if output.status.success() {
         written.with_context(|| format!("handing the script to {program}"))?;
@@ -99,27 +111,32 @@ fn run(mut command: Command, input: Option<&str>, otherwise: &str) -> Result<Out
 }
 
 /// `--parsable` answers "NUMBER" or "NUMBER;CLUSTER".
-fn job_id(answer: &str) -> Result<u64> {
-    let number = answer.trim().split(';').next().unwrap_or_default();
-    number.parse().with_context(|| format!("sbatch answered {:?}, which is no job number", answer.trim()))
+fn job_id(answer: &str) -> Result<(u64, Option<String>)> {
+    let mut parts = answer.trim().split(';');
+    let number = parts.next().unwrap_or_default().parse();
+    let number =
+        number.with_context(|| format!("sbatch answered {:?}, which is no job number", answer.trim()))?;
+    Ok((number, parts.next().map(str::to_owned)))
 }
 
-/// A line of squeue's: the array's job, the task, its state and the job's name, which may have blanks.
+/// A line of squeue's: the array's job, the task, its state, the reason for that, and the job's name.
 fn task(line: &str, job_name: &str) -> Option<(TaskId, TaskState)> {
-    let mut words = line.splitn(4, ' ');
-    let mut next = || words.next();
-    let (job, task, state, name) = (next()?, next()?, next()?, next()?);
-    let state = match state {
-        "PENDING" | "REQUEUED" | "REQUEUE_HOLD" | "REQUEUE_FED" | "SPECIAL_EXIT" => TaskState::Waiting,
-        "RUNNING" | "CONFIGURING" | "RESIZING" | "SUSPENDED" | "STOPPED" | "SIGNALING" | "STAGE_OUT" => {
-            TaskState::Running
-        }
-        // It ends, or has ended.
-        _ => return None,
-    };
-    if name.trim_end() != job_name {
+    let mut parts = line.splitn(5, '|');
+    let mut next = || parts.next();
+    let (job, task, state, reason, name) = (next()?, next()?, next()?, next()?, next()?);
+    if name.trim_end() != job_name.trim_end() {
         return None;
     }
+    let state = match state {
+        "REQUEUE_HOLD" | "SPECIAL_EXIT" | "RESV_DEL_HOLD" => TaskState::Held,
+        // JobHeldUser, JobHeldAdmin, "launch failed requeued held".
+        "PENDING" if reason.to_lowercase().contains("held") => TaskState::Held,
+        "PENDING" | "REQUEUED" | "REQUEUE_FED" => TaskState::Waiting,
+        "BOOT_FAIL" | "CANCELLED" | "COMPLETED" | "DEADLINE" | "FAILED" | "LAUNCH_FAILED" | "NODE_FAIL"
+        | "OUT_OF_MEMORY" | "PREEMPTED" | "RECONFIG_FAIL" | "REVOKED" | "TIMEOUT" => return None,
+        // What completes may be queued again, and keeps its place until it is gone.
+        _ => TaskState::Running,
+    };
     // A job that is no array has no number of a task: it is none of these workers.
     Some((TaskId { job: job.parse().ok()?, task: task.parse().ok()? }, state))
 }

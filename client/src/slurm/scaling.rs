@@ -1,18 +1,17 @@
 //! How many workers a farm's work is worth: decided from what the farm and the queue tell, without a clock or a cluster.
 //!
-//! Nothing that was submitted is remembered: each look begins from the tasks that Slurm tells. So an answer that was
-//! lost, another copy of this program, or a start of it anew submits nothing twice.
+//! Each look begins from the tasks that Slurm tells. So an answer that was lost, or a start anew, submits nothing twice.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-/// Pause after workers ended without having reached the coordinator, first and longest.
+/// Pause after a failure, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_mins(1), Duration::from_mins(30));
-/// So many times in a row, without one that ever reached it, and nothing but a person can help.
+/// So many times in a row, without a worker that has ever reached the coordinator, and nothing but a person can help.
 const HOPELESS: u32 = 5;
-/// Workers in a row that are too many in so many looks are taken back: gaps between dictionaries are short.
+/// Who waits in vain in so many looks in a row is taken out of the queue: gaps between dictionaries are short.
 const SURPLUS_LOOKS: u32 = 2;
 /// Most tasks of an array, as clusters have it unless told otherwise.
 const MOST_TASKS: u32 = 1000;
@@ -34,8 +33,10 @@ impl fmt::Display for TaskId {
 pub(crate) enum TaskState {
     /// In the queue.
     Waiting,
-    /// On a node, or about to be.
+    /// On a node, or about to be, or about to leave it.
     Running,
+    /// In the queue until somebody releases it.
+    Held,
 }
 
 /// What the farm has to do.
@@ -57,13 +58,15 @@ pub(crate) struct Limits {
     pub(crate) worth: Duration,
 }
 
-/// Why there are fewer workers than work.
+/// Why no worker is submitted although jobs wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Hold {
     /// What is left is done soon.
     NotWorth,
-    /// Workers ended without having reached the coordinator, or the queue took none: there is a pause.
+    /// Workers ended without having reached the coordinator.
     Failing,
+    /// The queue took none.
+    Refused,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -86,21 +89,39 @@ pub(crate) struct Decision {
     pub(crate) failed: Vec<TaskId>,
 }
 
+/// A pause that doubles with each failure in a row.
+#[derive(Debug, Default)]
+struct Pause {
+    failures: u32,
+    until: Duration,
+}
+
+impl Pause {
+    fn begin(&mut self, now: Duration) {
+        self.until = now + PAUSE.0.saturating_mul(1 << self.failures.min(10)).min(PAUSE.1);
+        self.failures += 1;
+    }
+
+    fn left(&self, now: Duration) -> Duration {
+        self.until.saturating_sub(now)
+    }
+}
+
 #[derive(Debug)]
 pub(crate) struct Scaling {
     limits: Limits,
     /// Tasks of the last look, and whether they have reached the coordinator.
     tasks: BTreeMap<TaskId, bool>,
-    /// Looks in a row with more workers than wanted.
-    surplus: u32,
-    /// Times in a row that workers ended without having reached the coordinator.
-    deaths: u32,
-    /// The same, with the times that the queue took none: the pause grows with them.
-    failures: u32,
-    /// Nothing is submitted before.
-    not_before: Duration,
     has_joined: bool,
     is_first: bool,
+    /// Looks in a row in which tasks waited in vain.
+    surplus: u32,
+    /// Since workers ended without having reached the coordinator.
+    deaths: Pause,
+    /// Since the queue took none.
+    refusals: Pause,
+    /// Most tasks that the queue is likely to take at once.
+    at_once: u32,
 }
 
 impl Scaling {
@@ -108,12 +129,12 @@ impl Scaling {
         Self {
             limits,
             tasks: BTreeMap::new(),
-            surplus: 0,
-            deaths: 0,
-            failures: 0,
-            not_before: Duration::ZERO,
             has_joined: false,
             is_first: true,
+            surplus: 0,
+            deaths: Pause::default(),
+            refusals: Pause::default(),
+            at_once: MOST_TASKS,
         }
     }
 
@@ -126,65 +147,68 @@ impl Scaling {
         tasks: &[(TaskId, TaskState)],
         joined: &[TaskId],
     ) -> Decision {
+        if tasks.len() < self.tasks.len() {
+            // There may be a place again.
+            self.refusals = Pause::default();
+        }
         let failed = self.compare(tasks, joined);
         if !failed.is_empty() {
-            self.deaths += 1;
-            self.pause_from(now);
+            self.deaths.begin(now);
         }
-        let (wanted, have) = (self.wanted(demand), tasks.len() as u32);
-        self.surplus = if have > wanted { self.surplus + 1 } else { 0 };
-        let action = if self.deaths >= HOPELESS && !self.has_joined {
+        let count = |of: TaskState| tasks.iter().filter(|(_, state)| *state == of).count() as u32;
+        let (running, waiting) = (count(TaskState::Running), count(TaskState::Waiting));
+        let needed = self.needed(demand, running);
+        self.surplus = if waiting > needed { self.surplus + 1 } else { 0 };
+        let action = if self.is_hopeless() {
             Action::GiveUp
-        } else if have < wanted && demand.waiting > 0 {
-            self.grow(now, demand, wanted, have)
+        } else if waiting < needed {
+            self.grow(now, demand, needed - waiting, running + waiting)
         } else if self.surplus >= SURPLUS_LOOKS {
-            shrink(tasks, have - wanted)
+            shrink(tasks, waiting - needed)
         } else {
             Action::Nothing
         };
-        Decision { wanted, action, failed }
+        Decision { wanted: running + needed, action, failed }
     }
 
     /// That `count` tasks of `job` were submitted. Those that are gone at the next look are told as failed.
     pub(crate) fn submitted(&mut self, job: u64, count: NonZeroU32) {
-        self.failures = self.deaths;
         self.tasks.extend((1..=count.get()).map(|task| (TaskId { job, task }, false)));
+        self.refusals = Pause::default();
+        self.at_once = (2 * self.at_once).min(MOST_TASKS);
     }
 
-    /// That tasks were cancelled: nothing is wrong if they are gone.
+    /// That the queue did not take so many. There may be room for fewer; if not for one, there is a pause.
+    pub(crate) fn refused(&mut self, now: Duration, count: NonZeroU32) {
+        match count.get() / 2 {
+            0 => self.refusals.begin(now),
+            fewer => self.at_once = fewer,
+        }
+    }
+
+    /// That tasks are being cancelled: nothing is wrong if they are gone.
     pub(crate) fn cancelled(&mut self, tasks: &[TaskId]) {
         self.tasks.retain(|id, _| !tasks.contains(id));
     }
 
-    /// That the queue did not take a job: it is asked again after a pause.
-    pub(crate) fn refused(&mut self, now: Duration) {
-        self.pause_from(now);
-    }
-
-    /// How long nothing is submitted.
+    /// How long nothing is submitted since workers failed.
     pub(crate) fn pause(&self, now: Duration) -> Duration {
-        self.not_before.saturating_sub(now)
-    }
-
-    fn pause_from(&mut self, now: Duration) {
-        let pause = PAUSE.0.saturating_mul(1 << self.failures.min(10)).min(PAUSE.1);
-        self.failures += 1;
-        self.not_before = now + pause;
+        self.deaths.left(now)
     }
 
     /// Takes up what the queue tells; those that have left it without having reached the coordinator.
     fn compare(&mut self, tasks: &[(TaskId, TaskState)], joined: &[TaskId]) -> Vec<TaskId> {
         for id in joined {
-            self.tasks.entry(*id).and_modify(|has_joined| {
+            if let Some(has_joined) = self.tasks.get_mut(id).filter(|has_joined| !**has_joined) {
                 *has_joined = true;
                 self.has_joined = true;
-                (self.deaths, self.failures) = (0, 0);
-                self.not_before = Duration::ZERO;
-            });
+                self.deaths = Pause::default();
+            }
         }
         // Who ran before the first look may have joined before it.
         let known = |id: &TaskId, state: TaskState| {
-            self.tasks.get(id).copied().unwrap_or(self.is_first && state == TaskState::Running)
+            let before = self.is_first && state == TaskState::Running;
+            self.tasks.get(id).copied().unwrap_or(before) || joined.contains(id)
         };
         let now: BTreeMap<_, _> = tasks.iter().map(|(id, state)| (*id, known(id, *state))).collect();
         let gone = |(id, has_joined): (&TaskId, &bool)| (!has_joined && !now.contains_key(id)).then_some(*id);
@@ -194,22 +218,28 @@ impl Scaling {
         failed
     }
 
-    fn wanted(&self, demand: &Demand) -> u32 {
-        let jobs = demand.waiting.saturating_add(demand.computing);
-        let workers = jobs.div_ceil(self.limits.threads.max(1).into());
-        let most = self.limits.most.get();
-        u32::try_from(workers).unwrap_or(most).min(most)
+    fn is_hopeless(&self) -> bool {
+        self.deaths.failures >= HOPELESS && !self.has_joined && !self.tasks.values().any(|joined| *joined)
     }
 
-    /// Twice as many at most at each look: by the next one it may be known how soon the work is done.
-    fn grow(&self, now: Duration, demand: &Demand, wanted: u32, have: u32) -> Action {
-        let is_soon = demand.left.is_some_and(|left| left < self.limits.worth);
-        let count = (wanted - have).min(have.max(1)).min(MOST_TASKS);
-        match NonZeroU32::new(count) {
-            Some(_) if have > 0 && is_soon => Action::Hold(Hold::NotWorth),
-            Some(_) if !self.pause(now).is_zero() => Action::Hold(Hold::Failing),
-            Some(count) => Action::Submit(count),
-            None => Action::Nothing,
+    /// Workers besides those that run: for the jobs that nobody has.
+    fn needed(&self, demand: &Demand, running: u32) -> u32 {
+        let room = self.limits.most.get().saturating_sub(running);
+        let workers = demand.waiting.div_ceil(self.limits.threads.max(1).into());
+        u32::try_from(workers).unwrap_or(room).min(room)
+    }
+
+    /// At first one, then twice as many at most at each look: by the next it may be known how soon the work is done.
+    fn grow(&self, now: Duration, demand: &Demand, missing: u32, have: u32) -> Action {
+        let count = missing.min(have.max(1)).min(self.at_once);
+        if have > 0 && demand.left.is_some_and(|left| left < self.limits.worth) {
+            Action::Hold(Hold::NotWorth)
+        } else if !self.deaths.left(now).is_zero() {
+            Action::Hold(Hold::Failing)
+        } else if !self.refusals.left(now).is_zero() {
+            Action::Hold(Hold::Refused)
+        } else {
+            NonZeroU32::new(count).map_or(Action::Nothing, Action::Submit)
         }
     }
 }
@@ -220,7 +250,7 @@ fn shrink(tasks: &[(TaskId, TaskState)], count: u32) -> Action {
         tasks.iter().filter(|(_, state)| *state == TaskState::Waiting).map(|(id, _)| *id).collect();
     waiting.sort_unstable_by(|a, b| b.cmp(a));
     waiting.truncate(count as usize);
-    if waiting.is_empty() { Action::Nothing } else { Action::Cancel(waiting) }
+    Action::Cancel(waiting)
 }
 
 #[cfg(test)]

@@ -51,10 +51,13 @@ class Connection:
 
     def answers(self) -> bool:
         """Whether there is somebody at the other end."""
+        ready = grpc.channel_ready_future(self._channel)
         try:
-            grpc.channel_ready_future(self._channel).result(timeout=1)
+            ready.result(timeout=1)
         except grpc.FutureTimeoutError:
             return False
+        finally:
+            ready.cancel()
         return True
 
     def close(self) -> None:

@@ -1,12 +1,14 @@
-"""What people must know of an answer before they use it, in the words of farmctl."""
+"""What people must know of an answer before they use it, as farmctl tells it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from resin_farm import _display
+
 if TYPE_CHECKING:
-    from resin_farm.results import ChannelFit
+    from resin_farm.results import ChannelFit, Interval
 
 # Below this, noise and what is known of the set-up do not explain a measurement; as farmctl has it.
 _UNLIKELY = 1e-3
@@ -30,7 +32,8 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
     cause = f"; the likeliest cause: {refined.suspicion}" if refined.suspicion else ""
     if (told := refined.likelihood) is None:
         if refined.misfit > _MISFIT:
-            yield f"{name}: misfit {refined.misfit:.2g}: the intervals are not to be trusted{cause}"
+            meaning = "the intervals are not to be trusted" if cause else "the intervals are too narrow"
+            yield f"{name}: misfit {refined.misfit:.2g}, the fit does not explain the data: {meaning}{cause}"
     else:
         chi2 = f"χ² {told.chi2:.0f} of {told.degrees_of_freedom:.0f}"
         if told.probability < _UNLIKELY:
@@ -43,6 +46,17 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
         if told.outliers:
             yield f"{name}: {told.outliers} of its pixels left out"
     if not refined.resolved and fit.outside is None:
-        yield f"{name}: unresolved, the data do not determine the medium"
+        yield f"{name}: unresolved: {_unresolved(refined.sigma_t_per_mm)}"
     if refined.valley:
         yield f"{name}: σ_t and g trade off, trust σ_s(1−g) and σ_a"
+
+
+def _unresolved(sigma_t: Interval) -> str:
+    """Why: the data, or a dictionary that ends where they would go on."""
+    if sigma_t.high > 2 * sigma_t.low or sigma_t.open_low == sigma_t.open_high:
+        return "the data do not determine the medium"
+    side, end = ("above", sigma_t.high) if sigma_t.open_high else ("below", sigma_t.low)
+    return (
+        f"σ_t may lie {side} {_display.number(end)} /mm, where the dictionary or sigma_t_per_mm ends; compute a wider "
+        "dictionary, or tell g"
+    )

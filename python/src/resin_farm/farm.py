@@ -29,6 +29,8 @@ Answer = TypeVar("Answer", bound=Message)
 
 # Seconds for which a server may be away while a dictionary is waited for.
 _TRIES = 120
+# Seconds in which a coordinator that is asked to end turns calls away, and has then ended.
+_ABOUT_TO_END = 2.0
 
 Path: TypeAlias = str | os.PathLike[str]
 Materials: TypeAlias = "list[Measurement] | tuple[Measurement, ...] | Measurement | pandas.DataFrame | Path"
@@ -356,9 +358,16 @@ class Farm:
         try:
             return connection.call(method, request, answer.FromString, None)
         except Unavailable:
-            # A farm that answers has said why it cannot.
-            if self._local is None or connection.answers():
+            if self._local is None:
                 raise
+        if connection.answers():
+            # One that is about to end, or one that says why it cannot: then it says so again.
+            time.sleep(_ABOUT_TO_END)
+            try:
+                return connection.call(method, request, answer.FromString, None)
+            except Unavailable:
+                if connection.answers():
+                    raise
         self._find_again(connection)
         return self._open().call(method, request, answer.FromString, None)
 

@@ -6,7 +6,12 @@ import json
 import pathlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Axis: TypeAlias = Sequence[float] | NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,11 +21,11 @@ class Grid:
     Every axis must rise strictly.
     """
 
-    sigma_t_per_mm: Sequence[float] | None = None
-    albedo: Sequence[float] | None = None
-    g: Sequence[float] | None = None
-    thickness_mm: Sequence[float] | None = None
-    sample_ior: Sequence[float] | None = None
+    sigma_t_per_mm: Axis | None = None
+    albedo: Axis | None = None
+    g: Axis | None = None
+    thickness_mm: Axis | None = None
+    sample_ior: Axis | None = None
     scene: str | None = None
     """"paper", "smooth" or the path of a scene file."""
     quality: Literal["draft", "paper", "fine"] | None = None
@@ -31,6 +36,15 @@ class Grid:
     derivatives: bool | None = None
     """Also ∂/∂α and ∂/∂σ_t."""
 
+    def __post_init__(self) -> None:
+        # Axes as tuples: grids can be compared, and stay as they are.
+        for name in _AXES:
+            values = getattr(self, name)
+            if values is not None:
+                if isinstance(values, str) or not isinstance(values, Iterable):
+                    raise TypeError(f"{name}: {values!r}: an axis is a list of numbers")
+                object.__setattr__(self, name, tuple(float(value) for value in values))
+
     def to_toml(self) -> str:
         """The grid as a grid file."""
         told = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -40,12 +54,13 @@ class Grid:
         return "".join(f"{name} = {_toml(value)}\n" for name, value in told.items() if value is not None)
 
 
+_AXES = ("sigma_t_per_mm", "albedo", "g", "thickness_mm", "sample_ior")
+
+
 def _toml(value: object) -> str:
     if isinstance(value, str | bool | int):
         # Strings of JSON are strings of TOML.
         return json.dumps(value)
-    if isinstance(value, float):
-        return repr(value)
-    if isinstance(value, Iterable):
-        return "[" + ", ".join(repr(float(number)) for number in value) + "]"
-    raise TypeError(f"{value!r}: an axis is a list of numbers")
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(repr, value)) + "]"
+    raise TypeError(f"{value!r} is no value of a grid")

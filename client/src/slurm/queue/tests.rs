@@ -3,24 +3,42 @@ use super::*;
 #[test]
 fn lines_of_squeue_tell_tasks_by_the_name_of_their_job() {
     let task = |line: &str| task(line, "farm-worker@login:7700");
-    let id = TaskId { job: 1234, task: 17 };
-    let told = |state: &str| task(&format!("1234 17 {state} farm-worker@login:7700"));
-    assert_eq!(told("PENDING"), Some((id, TaskState::Waiting)));
-    assert_eq!(told("REQUEUED"), Some((id, TaskState::Waiting)));
-    assert_eq!(told("RUNNING"), Some((id, TaskState::Running)));
-    assert_eq!(told("CONFIGURING"), Some((id, TaskState::Running)));
-    for over in ["COMPLETING", "CANCELLED", "FAILED", "TIMEOUT", "COMPLETED"] {
-        assert_eq!(told(over), None, "{over}");
+    let told = |state: &str, reason: &str| {
+        let found = task(&format!("1234|17|{state}|{reason}|farm-worker@login:7700"));
+        found.map(|(id, state)| (id.to_string(), state))
+    };
+    let is = |state: TaskState| Some(("1234_17".to_owned(), state));
+    for waiting in ["PENDING", "REQUEUED"] {
+        assert_eq!(told(waiting, "Resources"), is(TaskState::Waiting));
     }
-    assert_eq!(task("1234 17 RUNNING farm-worker@login:7701"), None, "another farm's");
-    assert_eq!(task("1234 17 RUNNING my farm-worker@login:7700"), None);
-    assert_eq!(task("1234 N/A RUNNING farm-worker@login:7700"), None, "no array");
+    for held in ["JobHeldUser", "JobHeldAdmin", "launch failed requeued held"] {
+        assert_eq!(told("PENDING", held), is(TaskState::Held), "{held}");
+    }
+    assert_eq!(told("SPECIAL_EXIT", "None"), is(TaskState::Held));
+    // What completes may be queued again; a state that a later Slurm has is somebody's place, too.
+    for running in ["RUNNING", "CONFIGURING", "SUSPENDED", "COMPLETING", "EXPEDITING"] {
+        assert_eq!(told(running, "None"), is(TaskState::Running), "{running}");
+    }
+    for over in ["CANCELLED", "FAILED", "TIMEOUT", "COMPLETED", "NODE_FAIL"] {
+        assert_eq!(told(over, "None"), None, "{over}");
+    }
+    assert_eq!(task("1234|17|RUNNING|None|farm-worker@login:7701"), None, "another farm's");
+    assert_eq!(task("1234|17|RUNNING|None|my farm-worker@login:7700"), None);
+    assert_eq!(task("1234|N/A|RUNNING|None|farm-worker@login:7700"), None, "no array");
     assert_eq!(task(""), None);
 }
 
 #[test]
+fn names_may_have_blanks_and_bars() {
+    for name in ["night shift", "a|b", "blank at the end "] {
+        let found = super::task(&format!("1|2|RUNNING|None|{name}"), name);
+        assert_eq!(found, Some((TaskId { job: 1, task: 2 }, TaskState::Running)), "{name:?}");
+    }
+}
+
+#[test]
 fn sbatch_tells_the_number_of_a_job() {
-    assert_eq!(job_id("17\n").unwrap(), 17);
-    assert_eq!(job_id("17;other-cluster\n").unwrap(), 17);
+    assert_eq!(job_id("17\n").unwrap(), (17, None));
+    assert_eq!(job_id("17;other\n").unwrap(), (17, Some("other".to_owned())));
     assert!(job_id("Submitted batch job 17").is_err());
 }

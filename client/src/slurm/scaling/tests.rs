@@ -18,18 +18,32 @@ struct Cluster {
     scaling: Scaling,
     tasks: Vec<(TaskId, TaskState)>,
     room: usize,
+    /// Most tasks that the queue takes.
+    takes: usize,
     jobs: u64,
     now: Duration,
     submissions: Vec<u32>,
 }
 
 impl Cluster {
-    fn new(limits: Limits, room: usize) -> Self {
-        let scaling = Scaling::new(limits);
-        Self { scaling, tasks: Vec::new(), room, jobs: 0, now: Duration::ZERO, submissions: Vec::new() }
+    fn new(most: u32, room: usize) -> Self {
+        Self {
+            scaling: Scaling::new(limits(most)),
+            tasks: Vec::new(),
+            room,
+            takes: usize::MAX,
+            jobs: 0,
+            now: Duration::ZERO,
+            submissions: Vec::new(),
+        }
     }
 
-    fn look(&mut self, demand: &Demand) -> Decision {
+    /// So many jobs are left, of which each worker that runs has four.
+    fn look(&mut self, jobs: u64) -> Decision {
+        self.look_with(jobs, None)
+    }
+
+    fn look_with(&mut self, jobs: u64, left: Option<Duration>) -> Decision {
         self.now += LOOK;
         let mut joined = Vec::new();
         for (id, state) in self.tasks.iter_mut().take(self.room) {
@@ -38,8 +52,13 @@ impl Cluster {
                 joined.push(*id);
             }
         }
-        let decision = self.scaling.look(self.now, demand, &self.tasks, &joined);
+        let computing = jobs.min(4 * self.states().0 as u64);
+        let demand = Demand { waiting: jobs - computing, computing, left };
+        let decision = self.scaling.look(self.now, &demand, &self.tasks, &joined);
         match &decision.action {
+            Action::Submit(count) if self.tasks.len() + count.get() as usize > self.takes => {
+                self.scaling.refused(self.now, *count);
+            }
             Action::Submit(count) => {
                 self.jobs += 1;
                 self.submissions.push(count.get());
@@ -56,12 +75,13 @@ impl Cluster {
         decision
     }
 
-    fn looks(&mut self, count: usize, demand: &Demand) {
+    fn looks(&mut self, count: usize, jobs: u64) {
         for _ in 0..count {
-            self.look(demand);
+            self.look(jobs);
         }
     }
 
+    /// How many run and wait.
     fn states(&self) -> (usize, usize) {
         let running = self.tasks.iter().filter(|(_, state)| *state == TaskState::Running).count();
         (running, self.tasks.len() - running)
@@ -70,72 +90,97 @@ impl Cluster {
 
 #[test]
 fn workers_double_until_there_are_enough() {
-    let mut cluster = Cluster::new(limits(100), 100);
+    let mut cluster = Cluster::new(100, 100);
     // 45 jobs are 11.25 workers of four threads.
-    cluster.looks(10, &demand(40, 5));
+    cluster.looks(10, 45);
     assert_eq!(cluster.submissions, [1, 1, 2, 4, 4]);
     assert_eq!(cluster.states(), (12, 0));
 }
 
 #[test]
 fn there_are_never_more_than_told_and_a_full_cluster_is_not_asked_again() {
-    let mut cluster = Cluster::new(limits(6), 2);
-    cluster.looks(100, &demand(10_000, 8));
+    let mut cluster = Cluster::new(6, 2);
+    cluster.looks(100, 10_000);
     assert_eq!(cluster.states(), (2, 4));
     assert_eq!(cluster.submissions.iter().sum::<u32>(), 6);
 }
 
 #[test]
-fn work_that_is_done_soon_is_worth_no_further_worker() {
-    let mut cluster = Cluster::new(limits(64), 64);
-    cluster.looks(3, &demand(1000, 4));
-    let soon = Demand { left: Some(Duration::from_secs(100)), ..demand(1000, 16) };
-    let before = cluster.submissions.len();
-    assert_eq!(cluster.look(&soon).action, Action::Hold(Hold::NotWorth));
-    assert_eq!(cluster.submissions.len(), before);
-    // Where there is none, one is needed however little there is to do.
-    let mut cluster = Cluster::new(limits(64), 64);
-    assert_eq!(
-        cluster.look(&Demand { left: Some(LOOK), ..demand(1, 0) }).action,
-        Action::Submit(NonZeroU32::MIN)
-    );
+fn what_others_compute_brings_nobody() {
+    let mut scaling = Scaling::new(limits(64));
+    assert_eq!(scaling.look(LOOK, &demand(0, 400), &[], &[]).action, Action::Nothing);
+    let decision = scaling.look(2 * LOOK, &demand(1, 400), &[], &[]);
+    assert_eq!((decision.wanted, decision.action), (1, Action::Submit(NonZeroU32::MIN)));
 }
 
 #[test]
-fn without_work_nobody_comes() {
-    let mut cluster = Cluster::new(limits(64), 64);
-    cluster.looks(10, &demand(0, 0));
-    cluster.looks(10, &demand(0, 7));
-    assert_eq!(cluster.states(), (0, 0), "what others compute is theirs");
+fn work_that_is_done_soon_is_worth_no_further_worker() {
+    let soon = Some(Duration::from_secs(100));
+    let mut cluster = Cluster::new(64, 64);
+    cluster.looks(3, 1000);
+    let before = cluster.submissions.len();
+    assert_eq!(cluster.look_with(1000, soon).action, Action::Hold(Hold::NotWorth));
+    assert_eq!(cluster.submissions.len(), before);
+    // Where there is none, one is needed however little there is to do.
+    assert_eq!(Cluster::new(64, 64).look_with(1, soon).action, Action::Submit(NonZeroU32::MIN));
 }
 
 #[test]
 fn what_waits_in_vain_is_taken_back_once_it_is_clear_and_what_runs_is_left() {
-    let mut cluster = Cluster::new(limits(8), 3);
-    cluster.looks(6, &demand(1000, 12));
+    let mut cluster = Cluster::new(8, 3);
+    cluster.looks(6, 1000);
     assert_eq!(cluster.states(), (3, 5));
-    assert_eq!(cluster.look(&demand(0, 12)).action, Action::Nothing, "one look is a gap");
-    let Action::Cancel(tasks) = cluster.look(&demand(0, 12)).action else {
-        panic!("they are not taken back")
-    };
-    assert_eq!(tasks.len(), 5);
-    assert_eq!(tasks[0], TaskId { job: cluster.jobs, task: tasks[0].task }, "the newest first");
+    assert_eq!(cluster.look(12).action, Action::Nothing, "one look is a gap");
+    let Action::Cancel(tasks) = cluster.look(12).action else { panic!("they are not taken back") };
+    assert_eq!((tasks.len(), tasks[0].job), (5, cluster.jobs), "the newest first");
     assert_eq!(cluster.states(), (3, 0));
     // Their leave is nobody's failure.
-    assert_eq!(cluster.look(&demand(0, 12)).failed, []);
+    assert_eq!(cluster.look(12).failed, []);
 }
 
 #[test]
 fn gaps_between_dictionaries_make_nobody_come_and_go() {
-    let mut cluster = Cluster::new(limits(8), 4);
-    cluster.looks(8, &demand(1000, 16));
+    let mut cluster = Cluster::new(8, 4);
+    cluster.looks(8, 1000);
     let submitted = cluster.submissions.len();
     for _ in 0..50 {
-        cluster.look(&demand(0, 0));
-        cluster.look(&demand(1000, 16));
+        cluster.look(0);
+        cluster.look(1000);
     }
     assert_eq!(cluster.submissions.len(), submitted);
     assert_eq!(cluster.states(), (4, 4));
+}
+
+#[test]
+fn a_queue_that_takes_only_so_many_is_filled_up_and_refilled() {
+    let mut cluster = Cluster::new(32, 32);
+    cluster.takes = 10;
+    cluster.looks(12, 10_000);
+    assert_eq!(cluster.states(), (10, 0), "{:?}", cluster.submissions);
+    // Then it is asked less and less: full is full.
+    let before = cluster.now;
+    let mut asked = 0;
+    while cluster.now < before + Duration::from_hours(5) {
+        asked += u32::from(matches!(cluster.look(10_000).action, Action::Submit(_)));
+    }
+    assert!((10..=16).contains(&asked), "{asked} in five hours, with pauses of half an hour");
+    // At their walltime workers leave: there is room at once.
+    cluster.tasks.drain(..3);
+    cluster.looks(5, 10_000);
+    assert_eq!(cluster.states(), (10, 0), "{:?}", cluster.submissions);
+}
+
+#[test]
+fn tasks_that_are_held_take_no_place() {
+    let mut scaling = Scaling::new(limits(1));
+    let held = [(TaskId { job: 1, task: 1 }, TaskState::Held)];
+    let decision = scaling.look(LOOK, &demand(8, 0), &held, &[]);
+    assert_eq!((decision.wanted, decision.action), (1, Action::Submit(NonZeroU32::MIN)));
+    assert_eq!(
+        scaling.look(2 * LOOK, &demand(0, 0), &held, &[]).action,
+        Action::Nothing,
+        "nor are they cancelled"
+    );
 }
 
 #[test]
@@ -164,8 +209,8 @@ fn workers_that_never_arrive_are_tried_less_and_less_and_then_given_up() {
 
 #[test]
 fn a_node_that_swallows_workers_slows_the_others_down_but_stops_nobody() {
-    let mut cluster = Cluster::new(limits(4), 4);
-    cluster.looks(6, &demand(1000, 16));
+    let mut cluster = Cluster::new(4, 4);
+    cluster.looks(6, 1000);
     assert_eq!(cluster.states(), (4, 0));
     let mut submitted = 0;
     // One of four ends, and each that follows dies on a bad node before it has joined.
@@ -189,7 +234,7 @@ fn a_worker_that_arrives_ends_the_pause() {
     let one = TaskId { job: 1, task: 1 };
     assert_eq!(scaling.look(LOOK, &demand(100, 0), &[], &[]).action, Action::Submit(NonZeroU32::MIN));
     scaling.submitted(1, NonZeroU32::MIN);
-    scaling.refused(LOOK);
+    scaling.deaths.begin(LOOK);
     let waits = [(one, TaskState::Waiting)];
     assert_eq!(scaling.look(2 * LOOK, &demand(100, 0), &waits, &[]).action, Action::Hold(Hold::Failing));
     let runs = [(one, TaskState::Running)];
@@ -206,6 +251,13 @@ fn after_a_start_anew_nothing_is_submitted_twice_and_who_runs_is_not_blamed() {
     assert_eq!(scaling.look(LOOK, &demand(1000, 12), &tasks, &[]).action, Action::Nothing);
     let decision = scaling.look(2 * LOOK, &demand(1000, 12), &tasks[..2], &[]);
     assert_eq!((decision.action, decision.failed), (Action::Submit(NonZeroU32::MIN), vec![]));
+    // As long as these work, nobody gives up, though all that follow die.
+    for look in 3..2000 {
+        match scaling.look(look * LOOK, &demand(1000, 8), &tasks[..2], &[]).action {
+            Action::Submit(count) => scaling.submitted(look.into(), count),
+            action => assert_ne!(action, Action::GiveUp, "look {look}"),
+        }
+    }
 }
 
 proptest! {
@@ -231,7 +283,7 @@ proptest! {
             match decision.action {
                 Action::Submit(count) => {
                     let (have, count) = (tasks.len() as u32, count.get());
-                    prop_assert!(have + count <= decision.wanted);
+                    prop_assert!(have + count <= most);
                     prop_assert!(waiting > 0);
                     prop_assert!(have + count <= (2 * have).max(1));
                     let job = look as u64;
@@ -241,7 +293,7 @@ proptest! {
                 Action::Cancel(cancelled) => {
                     let of = |id: &TaskId| tasks.iter().find(|(task, _)| task == id).map(|(_, state)| *state);
                     prop_assert!(cancelled.iter().all(|id| of(id) == Some(TaskState::Waiting)));
-                    prop_assert!(tasks.len() - cancelled.len() >= decision.wanted as usize);
+                    prop_assert_eq!(tasks.len() - cancelled.len(), decision.wanted as usize);
                     scaling.cancelled(&cancelled);
                     tasks.retain(|(id, _)| !cancelled.contains(id));
                 }
