@@ -37,7 +37,7 @@ async fn submit(global: &Global, args: SlurmSubmitArgs, output: &Output) -> Resu
         Submission { at_once: args.at_once, ..submission(global, args.workers_are, JOB_NAME, args.workers)? };
     let script = submission.script();
     warn_of_loopback(global, &submission.coordinator);
-    let job_id = if args.dry_run { None } else { Some(queue::submit(&submission, &script).await?.0) };
+    let job_id = if args.dry_run { None } else { Some(queue::submit(&submission, &script).await?) };
     let data = SubmittedJson { job_id, workers, script };
     output.print("slurm-submit", &data, || match job_id {
         None => data.script.clone(),

@@ -29,8 +29,8 @@ const PATIENCE: Duration = Duration::from_mins(3);
 /// Most tasks that one call of scancel names.
 const CANCELLED_AT_ONCE: usize = 500;
 
-/// Hands the script to sbatch and reads the job's number, and the cluster if it is another than this one.
-pub(crate) async fn submit(submission: &Submission, script: &str) -> Result<(u64, Option<String>)> {
+/// Hands the script to sbatch and reads the job's number.
+pub(crate) async fn submit(submission: &Submission, script: &str) -> Result<u64> {
     let mut command = Command::new("sbatch");
     command.arg("--parsable");
     for variable in OVERRIDES {
@@ -111,12 +111,9 @@ async fn run(mut command: Command, input: Option<&str>, otherwise: &str) -> Resu
 }
 
 /// `--parsable` answers "NUMBER" or "NUMBER;CLUSTER".
-fn job_id(answer: &str) -> Result<(u64, Option<String>)> {
-    let mut parts = answer.trim().split(';');
-    let number = parts.next().unwrap_or_default().parse();
-    let number =
-        number.with_context(|| format!("sbatch answered {:?}, which is no job number", answer.trim()))?;
-    Ok((number, parts.next().map(str::to_owned)))
+fn job_id(answer: &str) -> Result<u64> {
+    let number = answer.trim().split(';').next().unwrap_or_default();
+    number.parse().with_context(|| format!("sbatch answered {:?}, which is no job number", answer.trim()))
 }
 
 /// A line of squeue's: the array's job, the task, its state, the reason for that, and the job's name.

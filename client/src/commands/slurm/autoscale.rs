@@ -4,69 +4,26 @@ use std::collections::BTreeSet;
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use farm_link::walltime::span_text;
 use farm_link::{ClientAccess, Target};
-use farm_proto::status::{DictionaryState, DictionaryStatus, WorkerState};
-use farm_proto::wire::{ListEventsRequest, StatusRequest};
-use serde::Serialize;
 use tokio::time::{Instant, sleep};
 
+use self::ask::{Told, ask, newest_events};
+use self::tell::{Seen, Step, Teller};
 use super::{JOB_NAME, submission, warn_of_loopback};
 use crate::cli::{Global, SlurmAutoscaleArgs};
-use crate::commands::{list, workers};
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::{Purpose, with_farm};
 use crate::interrupt::interrupted;
-use crate::output::{Output, counted, envelope, now_unix_s, sentence, utc};
-use crate::slurm::scaling::{Action, Decision, Demand, Hold, Limits, Scaling, TaskId, TaskState};
+use crate::output::{Output, counted, sentence};
+use crate::slurm::scaling::{Action, Decision, Hold, Limits, Scaling, TaskId, TaskState};
 use crate::slurm::{SbatchOption, Submission, queue, shell_quoted};
+
+mod ask;
+mod tell;
 
 /// Looks in a row without work after which there is none: gaps between dictionaries are short.
 const IDLE_LOOKS: u32 = 2;
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-enum Step {
-    Submitted,
-    Cancelled,
-    /// There is work for more workers, and none is submitted.
-    Holding,
-    /// Workers ended without having reached the coordinator.
-    Failed,
-    /// The queue took no workers.
-    Refused,
-    /// Tasks wait until somebody releases them.
-    Held,
-    /// The farm or Slurm did not answer.
-    Unknown,
-    /// They answer again.
-    Answering,
-    Ended,
-}
-
-/// A line of the answer.
-#[derive(Debug, Serialize)]
-struct StepJson {
-    unix_ms: u64,
-    step: Step,
-    message: String,
-    /// Of the array that was submitted.
-    job_id: Option<u64>,
-    workers_wanted: u32,
-    workers_running: usize,
-    workers_queued: usize,
-    jobs_waiting: u64,
-    jobs_computing: u64,
-}
-
-/// What a look saw.
-#[derive(Debug, Clone)]
-struct Seen {
-    demand: Demand,
-    wanted: u32,
-    running: usize,
-    queued: usize,
-}
 
 /// Nothing but a person can help.
 #[derive(Debug, thiserror::Error)]
@@ -79,20 +36,19 @@ struct Hopeless {
 }
 
 pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Output) -> Result<()> {
-    stays_on_this_cluster(&args.workers_are.sbatch_option)?;
+    is_one_cluster(&args.workers_are.sbatch_option, |name| std::env::var(name).ok())?;
     let limits = Limits { most: args.max_workers, threads: args.workers_are.threads, worth: args.worth };
     let submission = submission(global, args.workers_are, &job_name(global)?, NonZeroU32::MIN)?;
     warn_of_loopback(global, &submission.coordinator);
     let mut autoscaler = Autoscaler {
         global,
-        output,
+        teller: Teller::new(output, global.quiet),
         submission,
         scaling: Scaling::new(limits),
         start: Instant::now(),
         events: None,
-        is_right: false,
+        proven: false,
         jobs: BTreeSet::new(),
-        told: None,
     };
     let mut stopped = std::pin::pin!(interrupted());
     let mut seen = None;
@@ -111,7 +67,7 @@ pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Outp
             Err(error) if seen.is_none() || error.is::<Hopeless>() => return Err(error),
             Err(error) => {
                 idle_looks = 0;
-                autoscaler.tell(Step::Unknown, sentence(&error), None, seen.as_ref())?;
+                autoscaler.teller.tell(Step::Unknown, sentence(&error), seen.as_ref())?;
             }
         }
         if args.until_done && idle_looks >= IDLE_LOOKS {
@@ -124,16 +80,13 @@ pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Outp
     }
 }
 
-/// `squeue` and `scancel` look at the cluster of this machine alone.
-fn stays_on_this_cluster(options: &[SbatchOption]) -> Result<()> {
-    let elsewhere = options.iter().any(|option| option.begins("--clusters"));
+/// Where workers are submitted to is told in a way that `squeue` and `scancel` follow, too.
+fn is_one_cluster(options: &[SbatchOption], variable: impl Fn(&str) -> Option<String>) -> Result<()> {
     let told =
-        ["SBATCH_CLUSTERS", "SLURM_CLUSTERS"].into_iter().find(|name| std::env::var_os(name).is_some());
-    ensure!(
-        !elsewhere && told.is_none(),
-        "{} names a cluster: run autoscale on a login node of that cluster instead",
-        told.unwrap_or("--sbatch-option=--clusters")
-    );
+        variable("SBATCH_CLUSTERS").is_some() || options.iter().any(|option| option.begins("--clusters"));
+    ensure!(!told, "name the cluster by SLURM_CLUSTERS, which squeue and scancel follow as well as sbatch");
+    let several = variable("SLURM_CLUSTERS").filter(|names| names.contains(',') || names == "all");
+    ensure!(several.is_none(), "SLURM_CLUSTERS is {:?}: one cluster is needed", several.unwrap_or_default());
     Ok(())
 }
 
@@ -151,18 +104,17 @@ fn job_name(global: &Global) -> Result<String> {
 
 struct Autoscaler<'a> {
     global: &'a Global,
-    output: &'a Output,
+    teller: Teller<'a>,
     submission: Submission,
     scaling: Scaling,
     start: Instant,
     /// Where the events begin that were not looked at yet.
     events: Option<String>,
-    /// Workers were in the queue, so the queue takes such.
-    is_right: bool,
+    /// Whether what sbatch refuses is more likely the cluster's reason than a wrong command: after the first look, or if
+    /// such workers are in the queue.
+    proven: bool,
     /// Arrays that were submitted.
     jobs: BTreeSet<u64>,
-    /// What was told last: it is not told again at each look.
-    told: Option<(Step, String)>,
 }
 
 impl Autoscaler<'_> {
@@ -182,7 +134,7 @@ impl Autoscaler<'_> {
         let unseen = |id: &&TaskId| self.jobs.contains(&id.job) && !tasks.iter().any(|(seen, _)| seen == *id);
         let unseen: Vec<TaskId> = registered.iter().filter(unseen).copied().collect();
         tasks.extend(unseen.into_iter().map(|id| (id, TaskState::Running)));
-        self.is_right |= !tasks.is_empty();
+        self.proven |= !tasks.is_empty();
         let now = self.start.elapsed();
         let decision = self.scaling.look(now, &demand, &tasks, &[registered, joined].concat());
         let count = |of: TaskState| tasks.iter().filter(|(_, state)| *state == of).count();
@@ -192,21 +144,14 @@ impl Autoscaler<'_> {
             running: count(TaskState::Running),
             queued: count(TaskState::Waiting),
         };
-        if matches!(self.told, Some((Step::Unknown, _))) {
-            self.tell(Step::Answering, "the farm and Slurm answer again".to_owned(), None, Some(&seen))?;
+        if self.teller.stands(Step::Unknown) {
+            self.teller.is_over(Step::Unknown);
+            self.teller.tell(Step::Answering, "the farm and Slurm answer again".to_owned(), Some(&seen))?;
         }
         self.tell_failures(now, &decision, &seen)?;
-        match count(TaskState::Held) {
-            0 => {}
-            held => {
-                let message = format!(
-                    "{} held in the queue, and counted no more: `squeue --me` tells why; release or cancel them",
-                    if held == 1 { "1 worker is".to_owned() } else { format!("{held} workers are") }
-                );
-                self.tell(Step::Held, message, None, Some(&seen))?;
-            }
-        }
+        self.tell_held(count(TaskState::Held), &seen)?;
         self.act(now, decision.action, &seen).await?;
+        self.proven = true;
         Ok(seen)
     }
 
@@ -223,7 +168,19 @@ impl Autoscaler<'_> {
         let log = self.submission.log.as_str();
         let message =
             format!("{who} ended without having reached the coordinator, see the log ({log}){next}");
-        self.tell(Step::Failed, message, None, Some(seen))
+        self.teller.tell(Step::Failed, message, Some(seen))
+    }
+
+    fn tell_held(&mut self, held: usize, seen: &Seen) -> Result<()> {
+        if held == 0 {
+            self.teller.is_over(Step::Held);
+            return Ok(());
+        }
+        let who = if held == 1 { "1 worker is".to_owned() } else { format!("{held} workers are") };
+        let message = format!(
+            "{who} held in the queue, and counted no more: `squeue --me` tells why; release or cancel them"
+        );
+        self.teller.tell(Step::Held, message, Some(seen))
     }
 
     async fn act(&mut self, now: Duration, action: Action, seen: &Seen) -> Result<()> {
@@ -235,7 +192,7 @@ impl Autoscaler<'_> {
                 self.scaling.cancelled(&tasks);
                 queue::cancel(&tasks).await?;
                 let message = format!("took {} out of the queue", counted(tasks.len() as u64, "worker"));
-                self.tell(Step::Cancelled, message, None, Some(seen))
+                self.teller.tell(Step::Cancelled, message, Some(seen))
             }
             Action::Hold(why) => {
                 let message = match why {
@@ -243,7 +200,7 @@ impl Autoscaler<'_> {
                     Hold::Failing => "a pause, since workers ended without having reached the coordinator",
                     Hold::Refused => "a pause, since the queue takes no more workers",
                 };
-                self.tell(Step::Holding, message.to_owned(), None, Some(seen))
+                self.teller.tell(Step::Holding, message.to_owned(), Some(seen))
             }
             Action::GiveUp => Err(Hopeless { log: self.submission.log.as_str().to_owned() }.into()),
         }
@@ -251,24 +208,20 @@ impl Autoscaler<'_> {
 
     async fn submit(&mut self, now: Duration, count: NonZeroU32, seen: &Seen) -> Result<()> {
         self.submission.workers = count;
-        let submitted = queue::submit(&self.submission, &self.submission.script()).await;
-        let job = match submitted {
-            Ok((job, None)) => job,
-            Ok((job, Some(cluster))) => {
-                bail!("sbatch put job {job} on the cluster {cluster}, where squeue does not look")
-            }
-            // It never took any: the command is wrong. Later the cluster may have a reason that goes by.
-            Err(error) if !self.is_right => return Err(error),
+        let job = match queue::submit(&self.submission, &self.submission.script()).await {
+            Ok(job) => job,
+            Err(error) if !self.proven => return Err(error),
             Err(error) => {
                 self.scaling.refused(now, count);
-                return self.tell(Step::Refused, sentence(&error), None, Some(seen));
+                return self.teller.tell(Step::Refused, sentence(&error), Some(seen));
             }
         };
-        self.is_right = true;
+        self.teller.is_over(Step::Holding);
+        self.teller.is_over(Step::Refused);
         self.jobs.insert(job);
         self.scaling.submitted(job, count);
         let message = format!("submitted {} as job {job}", counted(count.get().into(), "worker"));
-        self.tell(Step::Submitted, message, Some(job), Some(seen))
+        self.teller.tell_of_job(Step::Submitted, message, Some(job), Some(seen))
     }
 
     fn end(&mut self, why: &str, seen: Option<&Seen>) -> Result<()> {
@@ -281,102 +234,8 @@ impl Autoscaler<'_> {
                 shell_quoted(self.submission.job_name.as_str())
             ),
         };
-        self.tell(Step::Ended, format!("{why}{left}"), None, seen)
+        self.teller.tell(Step::Ended, format!("{why}{left}"), seen)
     }
-
-    fn tell(&mut self, step: Step, message: String, job_id: Option<u64>, seen: Option<&Seen>) -> Result<()> {
-        use std::io::Write;
-        let told = Some((step, message.clone()));
-        if self.told == told {
-            return Ok(());
-        }
-        self.told = told;
-        let line = StepJson {
-            unix_ms: now_unix_s() as u64 * 1000,
-            step,
-            message,
-            job_id,
-            workers_wanted: seen.map_or(0, |seen| seen.wanted),
-            workers_running: seen.map_or(0, |seen| seen.running),
-            workers_queued: seen.map_or(0, |seen| seen.queued),
-            jobs_waiting: seen.map_or(0, |seen| seen.demand.waiting),
-            jobs_computing: seen.map_or(0, |seen| seen.demand.computing),
-        };
-        let is_wrong = matches!(step, Step::Failed | Step::Refused | Step::Held | Step::Unknown);
-        if self.output.is_json() {
-            writeln!(anstream::stdout(), "{}", envelope("slurm-autoscale", &line)?)?;
-        } else if !self.global.quiet || is_wrong {
-            writeln!(anstream::stdout(), "{}", text(&line))?;
-        }
-        Ok(())
-    }
-}
-
-fn text(line: &StepJson) -> String {
-    format!(
-        "{}  {} ({} running and {} queued of {} wanted; {} waiting, {} being computed)",
-        utc(line.unix_ms),
-        line.message,
-        line.workers_running,
-        line.workers_queued,
-        counted(line.workers_wanted.into(), "worker"),
-        counted(line.jobs_waiting, "job"),
-        line.jobs_computing
-    )
-}
-
-/// Where the events end now.
-async fn newest_events(connection: &Connection) -> Result<String> {
-    let request = ListEventsRequest { page_size: 1, newest: true, ..ListEventsRequest::default() };
-    Ok(connection.farm().list_events(request).await?.into_inner().next_page_token)
-}
-
-/// What the farm tells.
-struct Told {
-    demand: Demand,
-    /// Who is there.
-    registered: Vec<TaskId>,
-    /// Who has joined, and may have left again.
-    joined: Vec<TaskId>,
-    /// Where the events begin that are still to come.
-    events: String,
-}
-
-async fn ask(connection: &Connection, since: String) -> Result<Told> {
-    let status = connection.farm().status(StatusRequest {}).await?.into_inner();
-    let demand = Demand {
-        waiting: status.jobs_pending,
-        computing: status.jobs_leased,
-        left: time_left(&list::fetch(connection).await?),
-    };
-    let workers = workers::fetch(connection).await?;
-    let there = workers.iter().filter(|worker| worker.state != WorkerState::Silent);
-    let registered = there.filter_map(|worker| task(&worker.label)).collect();
-    let (mut joined, mut events) = (Vec::new(), since);
-    loop {
-        let request =
-            ListEventsRequest { page_size: 1000, page_token: events, ..ListEventsRequest::default() };
-        let page = connection.farm().list_events(request).await?.into_inner();
-        events = page.next_page_token;
-        if page.events.is_empty() {
-            return Ok(Told { demand, registered, joined, events });
-        }
-        let joins = page.events.iter().filter(|event| event.kind == "WORKER_JOINED");
-        joined.extend(joins.filter_map(|event| task(&event.worker)));
-    }
-}
-
-/// Time until the last of the running dictionaries is done; None while one does not know.
-fn time_left(dictionaries: &[DictionaryStatus]) -> Option<Duration> {
-    let running = dictionaries.iter().filter(|d| d.state == DictionaryState::Running);
-    let left_s = running.map(|d| d.eta_s).try_fold(0.0, |most: f64, eta_s| Some(most.max(eta_s?)))?;
-    Duration::try_from_secs_f64(left_s).ok()
-}
-
-/// The task by the label that the job script gives its worker: slurm:JOB.TASK@NODE.
-fn task(label: &str) -> Option<TaskId> {
-    let (job, task) = label.strip_prefix("slurm:")?.split('@').next()?.split_once('.')?;
-    Some(TaskId { job: job.parse().ok()?, task: task.parse().ok()? })
 }
 
 #[cfg(test)]
@@ -384,21 +243,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_worker_is_known_by_the_label_of_the_job_script() {
-        assert_eq!(task("slurm:17.2@node1"), Some(TaskId { job: 17, task: 2 }));
-        for label in ["node1", "slurm:17@node1", "slurm:17.x@node1", "pbs:17.2@node1"] {
-            assert_eq!(task(label), None, "{label}");
-        }
-    }
-
-    #[test]
-    fn options_that_lead_to_another_cluster_are_refused() {
-        let check = |option: &str| stays_on_this_cluster(&[option.parse().unwrap()]);
-        assert!(check("--account=lab").is_ok() && check("--cluster-constraint=gpu").is_ok());
-        for option in ["--clusters=b", "--cluster=b", "--clusters all"] {
+    fn a_cluster_is_named_in_a_way_that_all_of_slurms_commands_follow() {
+        let check = |option: &str, variable: (&str, &str)| {
+            let is = |name: &str| (name == variable.0).then(|| variable.1.to_owned());
+            is_one_cluster(&[option.parse().unwrap()], is)
+        };
+        assert!(
+            check("--account=lab", ("", "")).is_ok() && check("--cluster-constraint=gpu", ("", "")).is_ok()
+        );
+        assert!(check("--account=lab", ("SLURM_CLUSTERS", "b")).is_ok());
+        for (option, variable) in [
+            ("--clusters=b", ("", "")),
+            ("--cluster b", ("", "")),
+            ("--account=lab", ("SBATCH_CLUSTERS", "b")),
+            ("--account=lab", ("SLURM_CLUSTERS", "a,b")),
+            ("--account=lab", ("SLURM_CLUSTERS", "all")),
+        ] {
             assert!(
-                check(option).unwrap_err().to_string().contains("login node of that cluster"),
-                "{option}"
+                check(option, variable).unwrap_err().to_string().contains("SLURM_CLUSTERS"),
+                "{option} {variable:?}"
             );
         }
     }

@@ -25,6 +25,7 @@ fn lines_of_squeue_tell_tasks_by_the_name_of_their_job() {
     assert_eq!(task("1234|17|RUNNING|None|farm-worker@login:7701"), None, "another farm's");
     assert_eq!(task("1234|17|RUNNING|None|my farm-worker@login:7700"), None);
     assert_eq!(task("1234|N/A|RUNNING|None|farm-worker@login:7700"), None, "no array");
+    assert_eq!(task("CLUSTER: b"), None, "a heading where SLURM_CLUSTERS is set");
     assert_eq!(task(""), None);
 }
 
@@ -38,7 +39,7 @@ fn names_may_have_blanks_and_bars() {
 
 #[test]
 fn sbatch_tells_the_number_of_a_job() {
-    assert_eq!(job_id("17\n").unwrap(), (17, None));
-    assert_eq!(job_id("17;other\n").unwrap(), (17, Some("other".to_owned())));
+    assert_eq!(job_id("17\n").unwrap(), 17);
+    assert_eq!(job_id("17;other\n").unwrap(), 17);
     assert!(job_id("Submitted batch job 17").is_err());
 }

@@ -1,0 +1,145 @@
+//! What an autoscaler tells: a line for each thing that it does, or that changes.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+
+use anyhow::Result;
+use serde::Serialize;
+
+use crate::output::{Output, counted, envelope, now_unix_s, utc};
+use crate::slurm::scaling::Demand;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Step {
+    Submitted,
+    Cancelled,
+    /// There is work for more workers, and none is submitted.
+    Holding,
+    /// Workers ended without having reached the coordinator.
+    Failed,
+    /// The queue took no workers.
+    Refused,
+    /// Tasks wait until somebody releases them.
+    Held,
+    /// The farm or Slurm did not answer.
+    Unknown,
+    /// They answer again.
+    Answering,
+    Ended,
+}
+
+/// A line of the answer.
+#[derive(Debug, Serialize)]
+struct StepJson {
+    unix_ms: u64,
+    step: Step,
+    message: String,
+    /// Of the array that was submitted.
+    job_id: Option<u64>,
+    workers_wanted: u32,
+    workers_running: usize,
+    workers_queued: usize,
+    jobs_waiting: u64,
+    jobs_computing: u64,
+}
+
+/// What a look saw.
+#[derive(Debug, Clone)]
+pub(super) struct Seen {
+    pub(super) demand: Demand,
+    pub(super) wanted: u32,
+    pub(super) running: usize,
+    pub(super) queued: usize,
+}
+
+pub(super) struct Teller<'a> {
+    output: &'a Output,
+    quiet: bool,
+    /// How things stand: that is not told again at each look.
+    standing: BTreeMap<Step, String>,
+}
+
+impl<'a> Teller<'a> {
+    pub(super) fn new(output: &'a Output, quiet: bool) -> Self {
+        Self { output, quiet, standing: BTreeMap::new() }
+    }
+
+    /// Whether things stand like that, as far as was told.
+    pub(super) fn stands(&self, step: Step) -> bool {
+        self.standing.contains_key(&step)
+    }
+
+    /// Things no longer stand like that: when they do again, that is told again.
+    pub(super) fn is_over(&mut self, step: Step) {
+        self.standing.remove(&step);
+    }
+
+    pub(super) fn tell(&mut self, step: Step, message: String, seen: Option<&Seen>) -> Result<()> {
+        self.tell_of_job(step, message, None, seen)
+    }
+
+    pub(super) fn tell_of_job(
+        &mut self,
+        step: Step,
+        message: String,
+        job_id: Option<u64>,
+        seen: Option<&Seen>,
+    ) -> Result<()> {
+        let lasts = matches!(step, Step::Holding | Step::Refused | Step::Held | Step::Unknown);
+        if lasts && self.standing.insert(step, message.clone()).as_ref() == Some(&message) {
+            return Ok(());
+        }
+        let line = StepJson {
+            unix_ms: now_unix_s() as u64 * 1000,
+            step,
+            message,
+            job_id,
+            workers_wanted: seen.map_or(0, |seen| seen.wanted),
+            workers_running: seen.map_or(0, |seen| seen.running),
+            workers_queued: seen.map_or(0, |seen| seen.queued),
+            jobs_waiting: seen.map_or(0, |seen| seen.demand.waiting),
+            jobs_computing: seen.map_or(0, |seen| seen.demand.computing),
+        };
+        let is_wrong = matches!(step, Step::Failed | Step::Refused | Step::Held | Step::Unknown);
+        if self.output.is_json() {
+            writeln!(anstream::stdout(), "{}", envelope("slurm-autoscale", &line)?)?;
+        } else if !self.quiet || is_wrong {
+            writeln!(anstream::stdout(), "{}", text(&line))?;
+        }
+        Ok(())
+    }
+}
+
+fn text(line: &StepJson) -> String {
+    format!(
+        "{}  {} ({} running and {} queued of {} wanted; {} waiting, {} being computed)",
+        utc(line.unix_ms),
+        line.message,
+        line.workers_running,
+        line.workers_queued,
+        counted(line.workers_wanted.into(), "worker"),
+        counted(line.jobs_waiting, "job"),
+        line.jobs_computing
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_lasts_is_told_once_until_it_is_over() {
+        let output = Output::new(false);
+        let mut teller = Teller::new(&output, true);
+        let tell = |teller: &mut Teller, step| teller.tell(step, "so".to_owned(), None).unwrap();
+        for step in [Step::Held, Step::Holding, Step::Held] {
+            tell(&mut teller, step);
+            assert!(teller.stands(step));
+        }
+        teller.is_over(Step::Held);
+        assert!(teller.stands(Step::Holding) && !teller.stands(Step::Held));
+        tell(&mut teller, Step::Submitted);
+        assert!(!teller.stands(Step::Submitted), "each array is told");
+    }
+}
