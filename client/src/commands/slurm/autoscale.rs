@@ -150,6 +150,9 @@ impl Autoscaler<'_> {
         }
         self.tell_failures(now, &decision, &seen)?;
         self.tell_held(count(TaskState::Held), &seen)?;
+        if !matches!(decision.action, Action::Hold(_)) {
+            self.teller.is_over(Step::Holding);
+        }
         self.act(now, decision.action, &seen).await?;
         self.proven = true;
         Ok(seen)
@@ -216,7 +219,6 @@ impl Autoscaler<'_> {
                 return self.teller.tell(Step::Refused, sentence(&error), Some(seen));
             }
         };
-        self.teller.is_over(Step::Holding);
         self.teller.is_over(Step::Refused);
         self.jobs.insert(job);
         self.scaling.submitted(job, count);
