@@ -110,6 +110,11 @@ impl LogPattern {
     pub(crate) fn as_str(&self) -> &str {
         &self.0
     }
+
+    /// The file of one task.
+    pub(crate) fn of_task(&self, job: u64, task: u32) -> String {
+        self.0.replace("%A", &job.to_string()).replace("%a", &task.to_string())
+    }
 }
 
 impl FromStr for LogPattern {

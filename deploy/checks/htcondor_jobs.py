@@ -31,10 +31,10 @@ def main():
         for name in ("RequestCpus", "RequestMemory", "RequestDisk", "JobMaxVacateTime"):
             if not isinstance(ad.eval(name), int):
                 raise SystemExit(f"{path}: {name} is {ad[name]}, and no whole number")
-    stays = [(by, code) for by, code in ((False, 1), (False, 2), (True, 9)) if leaves(ads[0], by, code)]
-    goes = [code for code in (0, 4) if not leaves(ads[0], False, code)]
-    if stays or goes:
-        raise SystemExit(f"{path}: on_exit_remove keeps exit codes {goes} and lets go {stays}")
+    lets_go = [(by, code) for by, code in ((False, 1), (False, 2), (True, 9)) if leaves(ads[0], by, code)]
+    keeps = [code for code in (0, 4) if not leaves(ads[0], False, code)]
+    if lets_go or keeps:
+        raise SystemExit(f"{path}: on_exit_remove keeps exit codes {keeps} and lets go {lets_go}")
     print(ads[0]["KillSig"], ads[0]["Cmd"], ads[0]["Args"])
 
 

@@ -111,6 +111,8 @@ fn workers_that_never_arrive_are_told_and_not_sent_after_each_other() {
     let options = ["--max-workers", "8"];
     let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, "/bin/false", &options));
     wait_for("it is told", SOON, || (count(&farm, "failed") > 0).then_some(()));
+    let failed = steps(&farm).into_iter().find(|(step, _)| step == "failed").unwrap().1;
+    assert!(failed.contains("worker 1_1 ended") && failed.contains("(farm-worker-1_1.log)"), "{failed}");
     let submitted = cluster.arrays();
     std::thread::sleep(Duration::from_secs(4));
     assert_eq!((cluster.arrays(), count(&farm, "holding")), (submitted, 1), "{:?}", steps(&farm));

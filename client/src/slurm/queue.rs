@@ -24,7 +24,7 @@ const OVERRIDES: [&str; 9] = [
     "SBATCH_TIMELIMIT",
     "SBATCH_WAIT",
 ];
-/// Longest time that a command may take: Slurm's own is a minute or two when its controller is busy.
+/// Longest time that a command may take. Its answer is then unknown, and nothing is done.
 const PATIENCE: Duration = Duration::from_mins(3);
 /// Most tasks that one call of scancel names.
 const CANCELLED_AT_ONCE: usize = 500;

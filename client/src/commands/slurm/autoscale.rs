@@ -168,7 +168,7 @@ impl Autoscaler<'_> {
             Action::GiveUp => String::new(),
             _ => format!("; the next comes in {} at the earliest", span_text(self.scaling.pause(now))),
         };
-        let log = self.submission.log.as_str();
+        let log = self.submission.log.of_task(last.job, last.task);
         let message =
             format!("{who} ended without having reached the coordinator, see the log ({log}){next}");
         self.teller.tell(Step::Failed, message, Some(seen))
