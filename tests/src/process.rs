@@ -227,6 +227,14 @@ impl Process {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
+    /// Waits until its standard error tells this.
+    ///
+    /// # Panics
+    /// If it does not soon.
+    pub fn tells(&self, what: &str) {
+        wait_for(what, SOON, || self.log().contains(what).then_some(()));
+    }
+
     /// What it takes of the machine; None if it has ended.
     pub fn usage(&self) -> Option<Usage> {
         Usage::of(self.id())

@@ -111,9 +111,13 @@ impl Workshop {
     async fn announce(&self, jobs: Vec<(LeaseKey, Digest)>, begins: oneshot::Receiver<Start>) {
         // Otherwise the jobs were stopped before.
         let Ok(start) = begins.await else { return };
+        let keys: Vec<LeaseKey> = jobs.iter().map(|(key, _)| *key).collect();
         let mut told = pin!(self.session.begin(jobs));
         let answered = tokio::time::timeout(ON_ITS_WAY, &mut told).await.is_ok();
         let _ = start.send(());
+        for LeaseKey { dictionary, job, attempt, .. } in keys {
+            tracing::debug!(dictionary = dictionary.0, job, attempt, "job begins");
+        }
         if !answered {
             told.await;
         }

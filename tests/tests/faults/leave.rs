@@ -33,8 +33,9 @@ fn a_worker_told_to_stop_finishes_what_it_traces_and_hands_the_rest_back_at_once
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "60s"]);
-    // One is traced, the next waits.
+    // One is traced, the next waits: leased they both are before the worker knows of it.
     farm.leased("grid", 2);
+    worker.tells("job begins");
     worker.signal(Signal::TERM);
     wait_for("the one that waits is handed back", Duration::from_secs(2), || {
         (leases(&farm) == 1).then_some(())

@@ -65,8 +65,7 @@ async fn a_job_that_kills_its_worker_at_once_is_blamed_before_the_first_heartbea
     let farm = Farm::start(&["--lease", "20", "--max-attempts", "1"]);
     farm.submit("long", LONG_JOBS);
     let mut victim = farm.worker("victim", &[]);
-    farm.leased("long", 1);
-    std::thread::sleep(Duration::from_millis(500));
+    victim.tells("job begins");
     victim.kill();
     let quarantined =
         wait_for("its death is noticed", Duration::from_mins(1), || farm.events("JOB_QUARANTINED").pop());
