@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use super::records::Records;
-use super::view::{View, ViewKey};
+use super::view::{View, ViewKey, made_once};
 
 /// Views kept besides the one over all pixels with the default wavelet.
 const OTHER_VIEWS: usize = 1;
@@ -12,18 +12,18 @@ type Slot = Arc<OnceLock<Arc<View>>>;
 
 #[derive(Debug)]
 pub(super) struct ChannelRecords {
-    records: Records,
+    records: Arc<Records>,
     /// The default first, then the last other one.
     views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
 impl ChannelRecords {
     pub(super) fn new(records: Records) -> Self {
-        Self { records, views: Mutex::default() }
+        Self { records: Arc::new(records), views: Mutex::default() }
     }
 
-    pub(super) fn values(&self, record: usize) -> &[f32] {
-        self.records.values(record)
+    pub(super) fn records(&self) -> &Records {
+        &self.records
     }
 
     /// The view over all pixels, which is always at hand once it was made.
@@ -48,12 +48,6 @@ impl ChannelRecords {
                 slot
             }
         };
-        if let Some(view) = slot.get() {
-            return view.clone();
-        }
-        // Made outside of the slot: a thread that waits for parts of it may begin another question that wants the same
-        // view, and would wait for itself. At worst it is made twice.
-        let view = Arc::new(View::new(&self.records, key.clone()));
-        slot.get_or_init(|| view).clone()
+        made_once(&slot, || Arc::new(View::new(&self.records, key.clone()))).clone()
     }
 }

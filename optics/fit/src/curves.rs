@@ -24,9 +24,9 @@ pub(super) fn curves(
             .iter()
             .filter_map(|c| c.thicknesses[i].record)
             .map(|record| {
-                let (values, gradient) = question.profile(term, record);
+                let (values, gradient) = term.view.profile(record);
                 let wide = |f: &[f32]| f.iter().copied().map(f64::from).collect();
-                Curve { values: wide(values), gradient: wide(&gradient) }
+                Curve { values: wide(&values), gradient: wide(&gradient) }
             })
             .collect(),
         refined: objective.as_ref().map(|(objective, x)| {

@@ -1,5 +1,6 @@
 //! A dictionary in memory, laid out for comparison: channel by channel, so that a question loads what it needs.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use optics_model::profile::RecordShape;
@@ -7,7 +8,7 @@ use optics_model::{Grid, PackedRecords};
 use rayon::prelude::*;
 
 use super::channel::ChannelRecords;
-use super::records::Records;
+use super::records::{self, Records};
 use super::stop::{Stop, Stopped};
 use super::view::{self, View, ViewKey};
 
@@ -35,6 +36,16 @@ impl DictionaryBuilder {
         Self { grid, channels, present }
     }
 
+    /// With all values rounded, as those of a large dictionary are.
+    #[cfg(test)]
+    pub(super) fn rounded(grid: &Grid) -> Self {
+        let mut builder = Self::new(grid.clone());
+        for (_, records) in &mut builder.channels {
+            *records = Records::kept(builder.grid.clone(), false);
+        }
+        builder
+    }
+
     /// # Panics
     /// If a record is not of the grid's shape or number, or has come before.
     pub fn add(&mut self, records: &PackedRecords) {
@@ -43,13 +54,13 @@ impl DictionaryBuilder {
             let before = std::mem::replace(&mut self.present[number], true);
             assert!(!before, "record {number} comes once");
             for (index, channel) in &mut self.channels {
-                let read = records.radiance_factors(number, *index);
-                channel.values_mut(number).iter_mut().zip(read).for_each(|(value, read)| *value = read);
+                channel.set(number, records.radiance_factors(number, *index));
             }
         }
     }
 
-    /// Computes gradients and descriptions, so that the first question is as fast as the others.
+    /// Describes all records, so that the first question is as fast as the others. Gradients are taken by the first that
+    /// needs them.
     ///
     /// # Panics
     /// If records are missing.
@@ -74,11 +85,10 @@ impl DictionaryBuilder {
 pub struct FitChannel(Arc<ChannelRecords>);
 
 impl FitChannel {
-    /// Bytes that a channel of a grid takes: values, descriptions and, of smaller dictionaries, gradients, for the
+    /// Bytes that a channel of a grid takes at most: values, descriptions and, of smaller dictionaries, gradients, for the
     /// whole profiles and for one other range of pixels.
     pub fn bytes_of(grid: &Grid) -> usize {
-        let values = grid.record_count().saturating_mul(grid.scene().sensor().pixels()) * size_of::<f32>();
-        values.saturating_add(2 * view::bytes_of(grid))
+        records::bytes_of(grid).saturating_add(2 * view::bytes_of(grid))
     }
 }
 
@@ -117,12 +127,18 @@ impl FitDictionary {
         self.channels.iter().enumerate().filter_map(|(index, channel)| Some((index, channel.as_ref()?)))
     }
 
-    /// Radiance factors of a record in one channel.
+    /// Radiance factors of a record in one channel. Those of a dictionary of more than 512 MiB are rounded, by at most
+    /// √(v m)/65,535 where m is the record's greatest.
     ///
     /// # Panics
     /// If the channel is not there.
-    pub fn values(&self, record: usize, channel: usize) -> &[f32] {
-        self.channel(channel).values(record)
+    pub fn values(&self, record: usize, channel: usize) -> Cow<'_, [f32]> {
+        let records = self.records(channel);
+        records.values(record, 0..records.pixels())
+    }
+
+    pub(super) fn records(&self, channel: usize) -> &Records {
+        self.channel(channel).records()
     }
 
     /// The view over all pixels, which is always at hand.

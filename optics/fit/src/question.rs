@@ -1,8 +1,7 @@
 //! One channel of a measurement, made ready to be compared with a dictionary.
 
-use std::borrow::Cow;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use optics_model::fit::{Bounds, Candidate, FitOptions, Outside, ThicknessError};
 use optics_model::measurement::{MIN_PIXELS, colour};
@@ -13,7 +12,7 @@ use super::dictionary::FitDictionary;
 use super::resample::{Resampled, resample};
 use super::sum::rms_difference;
 use super::view::ViewKey;
-use super::view::{PairDescription, View};
+use super::view::{PairDescription, View, made_once};
 use super::wide::wide;
 
 /// Two parameters are the same if they differ by less than this share: decimals in files are rounded.
@@ -127,7 +126,7 @@ pub(super) struct Term<'a> {
     pub view: Arc<View>,
     pub values: Vec<f64>,
     pub gradient: Vec<f64>,
-    pub description: PairDescription,
+    description: OnceLock<PairDescription>,
 }
 
 impl<'a> Term<'a> {
@@ -160,7 +159,7 @@ impl<'a> Term<'a> {
         let view = dictionary.view(channel, &key);
         let values: Vec<f64> = resampled.values.iter().map(|v| settings.mu * v).collect();
         let gradient = view.slope().magnitude(&values);
-        let description = view.describe(&values, &gradient);
+        let description = OnceLock::new();
         Ok(Self { profile, resampled, thickness, view, values, gradient, description })
     }
 
@@ -168,9 +167,15 @@ impl<'a> Term<'a> {
     fn changed(&self, change: impl Fn(&[f64]) -> Vec<f64>) -> Self {
         let values = change(&self.values);
         let gradient = self.view.slope().magnitude(&values);
-        let description = self.view.describe(&values, &gradient);
-        let (resampled, view) = (self.resampled.clone(), self.view.clone());
+        let (resampled, view, description) = (self.resampled.clone(), self.view.clone(), OnceLock::new());
         Self { resampled, view, values, gradient, description, ..*self }
+    }
+}
+
+impl Term<'_> {
+    /// What searches hold against the view's sketches.
+    pub(super) fn description(&self) -> &PairDescription {
+        made_once(&self.description, || self.view.describe(&self.values, &self.gradient))
     }
 }
 
@@ -302,18 +307,12 @@ impl<'a> Question<'a> {
         grid.record_at(place.ior, place.sigma_t, place.g, term.thickness, place.albedo)
     }
 
-    /// The values and gradient magnitudes of a record on the term's pixels.
-    pub(super) fn profile(&self, term: &'a Term, record: usize) -> (&'a [f32], Cow<'a, [f32]>) {
-        let values = &self.dictionary.values(record, self.channel)[term.view.pixels()];
-        (values, term.view.gradient(record, values))
-    }
-
     /// The two norms of Eq. 2: of the values' difference and of the gradients'.
     fn norms(&self, term: &Term, place: Place) -> (f64, f64) {
-        let (values, gradient) = self.profile(term, self.record(term, place));
+        let (values, gradient) = term.view.profile(self.record(term, place));
         wide(
             #[inline(always)]
-            || (rms_difference(&term.values, values), rms_difference(&term.gradient, &gradient)),
+            || (rms_difference(&term.values, &values), rms_difference(&term.gradient, &gradient)),
         )
     }
 
@@ -349,7 +348,7 @@ impl<'a> Question<'a> {
     pub(super) fn outside(&self) -> Option<Outside> {
         self.terms.iter().find_map(|term| {
             let mean = term.values.iter().sum::<f64>() / term.values.len() as f64;
-            let (least, greatest) = term.view.sketch(term.thickness).levels;
+            let (least, greatest) = term.view.value_sketch(term.thickness).levels;
             if mean > greatest * (1.0 + OUTSIDE) {
                 Some(Outside::Brighter)
             } else if mean < least * (1.0 - OUTSIDE) {

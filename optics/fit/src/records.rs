@@ -1,38 +1,243 @@
 //! The values of all records of a dictionary in one channel.
+//!
+//! Those of a large dictionary are rounded to two bytes each, as roots: a value v of a record whose greatest is m is kept as
+//! √(v/m) to 1/65,535, so it is off by at most √(v m)/65,535. That is 1.5·10⁻⁵ of the value where the record is bright, and
+//! 1.5·10⁻⁴ where it is a hundred times as dark. Roots spread what is lost as the noise of walks is spread, of which it is
+//! a small part everywhere.
 
+use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use optics_model::Grid;
 
-/// Radiance factors as `[record][pixel]`.
+use super::wide::wide;
+
+/// Largest dictionary, by the values of all channels, of which values are kept exactly and gradients at all, in bytes. Of
+/// larger ones gradients are taken anew whenever a record is compared: most never are.
+const SMALL: usize = 512 << 20;
+
+/// Steps from 0 to the root of a record's greatest value.
+const STEPS: f32 = u16::MAX as f32;
+
+/// Whether a dictionary's values are kept exactly, and its gradients too.
+pub(super) fn is_small(grid: &Grid) -> bool {
+    let exact = grid.record_count().saturating_mul(grid.scene().sensor().pixels() * size_of::<f32>());
+    exact.saturating_mul(grid.scene().seen_channels().count()) <= SMALL
+}
+
+/// Bytes of the values of a grid's records in one channel.
+pub(super) fn bytes_of(grid: &Grid) -> usize {
+    let pixels = grid.scene().sensor().pixels();
+    let of_record =
+        if is_small(grid) { pixels * size_of::<f32>() } else { pixels * size_of::<u16>() + size_of::<f32>() };
+    grid.record_count().saturating_mul(of_record)
+}
+
+/// Radiance factors of all records.
 #[derive(Debug)]
 pub(super) struct Records {
     grid: Arc<Grid>,
+    stored: Stored,
+}
+
+#[derive(Debug)]
+pub(super) enum Stored {
+    Exact(Exact),
+    Rounded(Rounded),
+}
+
+/// Values as `[record][pixel]`.
+#[derive(Debug)]
+pub(super) struct Exact {
+    pixels: usize,
     values: Vec<f32>,
+}
+
+/// Roots in steps as `[record][pixel]`, and the square of a step by record.
+#[derive(Debug)]
+pub(super) struct Rounded {
+    pixels: usize,
+    roots: Vec<u16>,
+    units: Vec<f32>,
+}
+
+/// Records whose numbers are read where they lie.
+pub(super) trait Rows {
+    type Row<'a>: Row
+    where
+        Self: 'a;
+
+    /// A record's values on some of the pixels.
+    fn row(&self, record: usize, pixels: Range<usize>) -> Self::Row<'_>;
+}
+
+/// The values of one record.
+pub(super) trait Row: Copy {
+    /// Those of `N` pixels from one on.
+    fn block<const N: usize>(self, first: usize) -> [f32; N];
+}
+
+impl Rows for Exact {
+    type Row<'a> = &'a [f32];
+
+    fn row(&self, record: usize, pixels: Range<usize>) -> &[f32] {
+        &self.values[record * self.pixels..][pixels]
+    }
+}
+
+impl Row for &[f32] {
+    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+    #[inline(always)]
+    fn block<const N: usize>(self, first: usize) -> [f32; N] {
+        *self[first..].first_chunk().expect("the row is long enough")
+    }
+}
+
+/// A record of [`Rounded`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct RoundedRow<'a> {
+    roots: &'a [u16],
+    unit: f32,
+}
+
+impl Rows for Rounded {
+    type Row<'a> = RoundedRow<'a>;
+
+    fn row(&self, record: usize, pixels: Range<usize>) -> RoundedRow<'_> {
+        RoundedRow { roots: &self.roots[record * self.pixels..][pixels], unit: self.units[record] }
+    }
+}
+
+impl Row for RoundedRow<'_> {
+    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+    #[inline(always)]
+    fn block<const N: usize>(self, first: usize) -> [f32; N] {
+        let roots: &[u16; N] = self.roots[first..].first_chunk().expect("the row is long enough");
+        let mut values = [0.0; N];
+        for i in 0..N {
+            values[i] = square(roots[i], self.unit);
+        }
+        values
+    }
+}
+
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
+fn square(root: u16, unit: f32) -> f32 {
+    f32::from(root) * f32::from(root) * unit
 }
 
 impl Records {
     /// All values are 0 at first.
     pub(super) fn new(grid: Arc<Grid>) -> Self {
-        let numbers = grid.record_count() * grid.scene().sensor().pixels();
-        Self { grid, values: vec![0.0; numbers] }
+        let exactly = is_small(&grid);
+        Self::kept(grid, exactly)
+    }
+
+    /// The same, with values kept exactly or not, whatever their number.
+    pub(super) fn kept(grid: Arc<Grid>, exactly: bool) -> Self {
+        let (records, pixels) = (grid.record_count(), grid.scene().sensor().pixels());
+        let stored = if exactly {
+            Stored::Exact(Exact { pixels, values: vec![0.0; records * pixels] })
+        } else {
+            Stored::Rounded(Rounded { pixels, roots: vec![0; records * pixels], units: vec![0.0; records] })
+        };
+        Self { grid, stored }
     }
 
     pub(super) fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    pub(super) fn values(&self, record: usize) -> &[f32] {
-        let pixels = self.pixels();
-        &self.values[record * pixels..][..pixels]
+    pub(super) fn stored(&self) -> &Stored {
+        &self.stored
     }
 
-    pub(super) fn values_mut(&mut self, record: usize) -> &mut [f32] {
+    /// The values of a record on some of the pixels.
+    pub(super) fn values(&self, record: usize, pixels: Range<usize>) -> Cow<'_, [f32]> {
+        match &self.stored {
+            Stored::Exact(exact) => Cow::Borrowed(exact.row(record, pixels)),
+            Stored::Rounded(rounded) => {
+                let RoundedRow { roots, unit } = rounded.row(record, pixels);
+                let mut values = vec![0.0; roots.len()];
+                wide(
+                    #[inline(always)]
+                    || values.iter_mut().zip(roots).for_each(|(value, root)| *value = square(*root, unit)),
+                );
+                Cow::Owned(values)
+            }
+        }
+    }
+
+    /// Takes in the values of a record, which are not negative.
+    pub(super) fn set(&mut self, record: usize, new: impl ExactSizeIterator<Item = f32>) {
         let pixels = self.pixels();
-        &mut self.values[record * pixels..][..pixels]
+        let numbers = record * pixels..(record + 1) * pixels;
+        match &mut self.stored {
+            Stored::Exact(Exact { values, .. }) => {
+                values[numbers].iter_mut().zip(new).for_each(|(value, new)| *value = new);
+            }
+            Stored::Rounded(Rounded { roots, units, .. }) => {
+                let new: Vec<f32> = new.collect();
+                units[record] = round(&new, &mut roots[numbers]);
+            }
+        }
     }
 
     pub(super) fn pixels(&self) -> usize {
         self.grid.scene().sensor().pixels()
+    }
+}
+
+/// Writes roots in steps, and tells the square of a step.
+fn round(values: &[f32], roots: &mut [u16]) -> f32 {
+    let greatest = values.iter().copied().fold(0.0, f32::max);
+    let unit = greatest / (STEPS * STEPS);
+    if unit > 0.0 {
+        wide(
+            #[inline(always)]
+            || {
+                for (root, value) in roots.iter_mut().zip(values) {
+                    *root = ((value.max(0.0) / unit).sqrt() + 0.5).min(STEPS) as u16;
+                }
+            },
+        );
+    }
+    unit
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::Walks;
+    use optics_model::scene::{Scene, Sensor};
+
+    use super::*;
+    use crate::testing::coarse_axes;
+
+    /// From very dark to bright, over more than twice eight pixels.
+    fn profile(scale: f32) -> Vec<f32> {
+        (0..20).map(|i| scale * 1e-5 * 1.8_f32.powi(i)).chain([0.0]).collect()
+    }
+
+    #[test]
+    fn rounded_values_are_off_by_no_more_than_is_told() {
+        let scene = Scene::paper().with_sensor(Sensor::new(10.0, 21, 0.0).unwrap());
+        let grid = Arc::new(Grid::new(scene, coarse_axes(), Walks::PAPER, 1, false).unwrap());
+        let mut records = Records::kept(grid, false);
+        for (record, scale) in [1.0, 1e-3, 0.0].into_iter().enumerate() {
+            let given = profile(scale);
+            records.set(record, given.iter().copied());
+            let greatest = given.iter().copied().fold(0.0, f32::max);
+            let found = records.values(record, 0..21);
+            for (found, given) in found.iter().zip(&given) {
+                // Half a step of the root, and what single precision rounds.
+                let most = (given * greatest).sqrt() / STEPS + 1e-6 * given + 1e-9 * greatest;
+                assert!((found - given).abs() <= most, "{found} {given} {most}");
+            }
+            assert_eq!(*records.values(record, 3..9), found[3..9]);
+            let Stored::Rounded(rounded) = records.stored() else { panic!("{records:?}") };
+            assert_eq!(rounded.row(record, 2..21).block::<8>(3), found[5..13]);
+        }
     }
 }

@@ -126,13 +126,13 @@ struct Seen<'a> {
     channel: usize,
     record: usize,
     view: &'a View,
-    values: &'a [f32],
+    values: Cow<'a, [f32]>,
     gradient: Cow<'a, [f32]>,
 }
 
 impl<'a> Seen<'a> {
     fn new(question: &Question<'a>, term: &'a Term<'a>, record: usize) -> Self {
-        let (values, gradient) = question.profile(term, record);
+        let (values, gradient) = term.view.profile(record);
         Self { channel: question.channel, record, view: &term.view, values, gradient }
     }
 

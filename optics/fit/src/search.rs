@@ -88,10 +88,10 @@ fn bounds(question: &Question, g: &Range<usize>) -> Vec<(f32, u32)> {
         bounds.clear();
         bounds.resize(range.len(), 0.0_f32);
         for term in &question.terms {
-            let sketch = term.view.sketch(term.thickness);
+            let (sketch, target) = (term.view.sketch(term.thickness), term.description());
             wide(
                 #[inline(always)]
-                || sketch.add_bounds(&term.description, lambda, range.start, &mut bounds),
+                || sketch.add_bounds(target, lambda, range.start, &mut bounds),
             );
         }
         // A sum of many terms rounds by less than this.

@@ -7,7 +7,11 @@
 //!
 //! Any basis makes this true; one that holds most of the profiles' variety makes it sharp.
 
-use super::sum::dot;
+use std::borrow::Cow;
+
+use rayon::prelude::*;
+
+use super::sum::{dot, dots, mean};
 use super::wide::wide;
 
 /// Directions of a basis. More make the bound sharper and longer to compute.
@@ -35,35 +39,59 @@ impl Basis {
         }
         let centred = |s: &&[f32]| s.iter().zip(&mean).map(|(v, m)| f64::from(*v) - m).collect::<Vec<_>>();
         let mut rests: Vec<Vec<f64>> = samples.iter().map(centred).collect();
+        let mut squares: Vec<f64> = rests.iter().map(|rest| dot(rest, rest)).collect();
         let mut directions: Vec<Vec<f64>> = Vec::new();
         while directions.len() < DIRECTIONS.min(n) {
-            let by_norm = |a: &&Vec<f64>, b: &&Vec<f64>| dot(a, a).total_cmp(&dot(b, b));
-            let Some(worst) = rests.iter().max_by(by_norm) else { break };
-            let Some(direction) = orthonormal(worst, &directions) else { break };
+            let worst = (0..rests.len()).max_by(|a, b| squares[*a].total_cmp(&squares[*b]));
+            let Some(direction) = worst.and_then(|worst| orthonormal(&rests[worst], &directions)) else {
+                break;
+            };
             wide(
                 #[inline(always)]
-                || rests.iter_mut().for_each(|rest| _ = take_off(rest, &direction)),
+                || {
+                    for (rest, square) in rests.iter_mut().zip(&mut squares) {
+                        take_off(rest, &direction);
+                        *square = dot(rest, rest);
+                    }
+                },
             );
             directions.push(direction);
         }
         Self { mean, directions }
     }
 
-    /// Coefficients, and the norm of what they leave, both as root mean squares over the pixels.
-    fn describe(&self, profile: impl Iterator<Item = f64>) -> Description {
-        let mut rest: Vec<f64> = profile.zip(&self.mean).map(|(v, m)| v - m).collect();
-        let scale = 1.0 / (rest.len() as f64).sqrt();
-        let size = dot(&rest, &rest).sqrt() * scale;
-        let mut coefficients = Vec::with_capacity(self.directions.len());
+    /// Coefficients of a profile, and the norm of what they leave, both as root mean squares over the pixels.
+    pub(super) fn describe<T: Into<f64> + Copy>(&self, profile: &[T]) -> Description {
+        let mut numbers = Vec::with_capacity(self.directions.len() + 1);
+        let size = self.describe_into(profile, &mut numbers);
+        Description { numbers, size }
+    }
+
+    /// The same, behind what is there already; tells the profile's size.
+    fn describe_into<T: Into<f64> + Copy>(&self, profile: &[T], numbers: &mut Vec<f32>) -> f32 {
+        let centred: Vec<f64> = profile.iter().zip(&self.mean).map(|(v, m)| (*v).into() - m).collect();
+        let scale = 1.0 / (centred.len() as f64).sqrt();
+        let (mut square, mut rest) = (0.0, 0.0);
         wide(
             #[inline(always)]
             || {
-                for direction in &self.directions {
-                    coefficients.push((take_off(&mut rest, direction) * scale) as f32);
+                square = dot(&centred, &centred);
+                rest = square;
+                let mut add = |along: f64| {
+                    rest -= along * along;
+                    numbers.push((along * scale) as f32);
+                };
+                let (fours, others) = self.directions.as_chunks::<4>();
+                for four in fours {
+                    dots(&centred, four.each_ref().map(Vec::as_slice)).into_iter().for_each(&mut add);
+                }
+                for direction in others {
+                    add(dot(&centred, direction));
                 }
             },
         );
-        Description { coefficients, rest: (dot(&rest, &rest).sqrt() * scale) as f32, size: size as f32 }
+        numbers.push((rest.max(0.0).sqrt() * scale) as f32);
+        (square.sqrt() * scale) as f32
     }
 
     pub(super) fn mean(&self) -> &[f64] {
@@ -72,14 +100,6 @@ impl Basis {
 
     pub(super) fn directions(&self) -> &[Vec<f64>] {
         &self.directions
-    }
-
-    pub(super) fn describe_record(&self, profile: &[f32]) -> Description {
-        self.describe(profile.iter().map(|v| f64::from(*v)))
-    }
-
-    pub(super) fn describe_target(&self, profile: &[f64]) -> Description {
-        self.describe(profile.iter().copied())
     }
 }
 
@@ -118,8 +138,8 @@ fn take_off(from: &mut [f64], direction: &[f64]) -> f64 {
 /// One profile in a basis.
 #[derive(Debug)]
 pub(super) struct Description {
-    coefficients: Vec<f32>,
-    rest: f32,
+    /// The coefficients, then the norm of what they leave.
+    numbers: Vec<f32>,
     size: f32,
 }
 
@@ -130,20 +150,46 @@ pub(super) struct Sketch {
     /// `[coefficient][profile]`, the norms of the rests last.
     rows: Vec<f32>,
     largest: f32,
+    /// Least and greatest mean of a profile.
+    pub levels: (f64, f64),
 }
+
+/// Profiles that one thread describes at a time.
+const TOGETHER: usize = 256;
 
 impl Sketch {
     /// Bytes of a profile.
     pub(super) const BYTES: usize = (DIRECTIONS + 1) * size_of::<f32>();
 
-    pub(super) fn of(descriptions: &[Description]) -> Self {
-        let coefficients = descriptions.first().map_or(0, |d| d.coefficients.len());
-        let row = |k: usize| descriptions.iter().map(move |d| d.coefficients[k]);
-        let rests = descriptions.iter().map(|d| d.rest);
+    /// The profiles of these numbers.
+    pub(super) fn new<'a>(
+        basis: &Basis,
+        profiles: usize,
+        profile: impl Fn(usize) -> Cow<'a, [f32]> + Sync,
+    ) -> Self {
+        let each = basis.directions.len() + 1;
+        let described = |first: usize| {
+            let count = TOGETHER.min(profiles - first);
+            let mut numbers = Vec::with_capacity(count * each);
+            let (mut largest, mut levels) = (0.0_f32, (f64::INFINITY, f64::NEG_INFINITY));
+            for number in first..first + count {
+                let profile = profile(number);
+                largest = largest.max(basis.describe_into(&profile, &mut numbers));
+                let mean = mean(&profile);
+                levels = (levels.0.min(mean), levels.1.max(mean));
+            }
+            (numbers, largest, levels)
+        };
+        let parts: Vec<_> = (0..profiles).into_par_iter().step_by(TOGETHER).map(described).collect();
+        let row = |k: usize| parts.iter().flat_map(move |(part, ..)| part.iter().skip(k).step_by(each));
         Self {
-            profiles: descriptions.len(),
-            rows: (0..coefficients).flat_map(row).chain(rests).collect(),
-            largest: descriptions.iter().map(|d| d.size).fold(0.0, f32::max),
+            profiles,
+            rows: (0..each).flat_map(row).copied().collect(),
+            largest: parts.iter().map(|(_, largest, _)| *largest).fold(0.0, f32::max),
+            levels: parts
+                .iter()
+                .map(|(.., levels)| *levels)
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |all, part| (all.0.min(part.0), all.1.max(part.1))),
         }
     }
 
@@ -158,13 +204,12 @@ impl Sketch {
     pub(super) fn add_bounds(&self, target: &Description, weight: f32, first: usize, bounds: &mut [f32]) {
         const BLOCK: usize = 256;
         let slack = ROUNDING * (target.size + self.largest);
-        let coefficients = target.coefficients.iter().chain([&target.rest]);
         let mut squares = [0.0_f32; BLOCK];
         for (block, bounds) in bounds.chunks_mut(BLOCK).enumerate() {
             let start = first + block * BLOCK;
             let squares = &mut squares[..bounds.len()];
             squares.fill(0.0);
-            for (row, target) in self.rows.chunks_exact(self.profiles.max(1)).zip(coefficients.clone()) {
+            for (row, target) in self.rows.chunks_exact(self.profiles.max(1)).zip(&target.numbers) {
                 for (square, c) in squares.iter_mut().zip(&row[start..]) {
                     *square += (c - target) * (c - target);
                 }
@@ -195,12 +240,12 @@ mod tests {
         let profiles = profiles(300);
         let rows: Vec<&[f32]> = profiles.iter().map(Vec::as_slice).collect();
         let basis = Basis::of(&rows[..100]);
-        let sketch = Sketch::of(&rows.iter().map(|p| basis.describe_record(p)).collect::<Vec<_>>());
+        let sketch = Sketch::new(&basis, rows.len(), |i| Cow::Borrowed(rows[i]));
         let mut ratios = Vec::new();
         for target in profiles.iter().step_by(13) {
             let target: Vec<f64> = target.iter().map(|v| 1.01 * f64::from(*v)).collect();
             let mut bounds = vec![0.0; 290];
-            sketch.add_bounds(&basis.describe_target(&target), 1.0, 10, &mut bounds);
+            sketch.add_bounds(&basis.describe(&target), 1.0, 10, &mut bounds);
             for (bound, profile) in bounds.iter().zip(&profiles[10..]) {
                 let distance = rms_difference(&target, profile);
                 assert!(f64::from(*bound) <= distance, "{bound} {distance}");

@@ -19,7 +19,12 @@ fn striped<A: Into<f64> + Copy, B: Into<f64> + Copy>(a: &[A], b: &[B], f: impl F
     for (i, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
         sums[i] += f((*a).into(), (*b).into());
     }
-    let [a, b, c, d, e, f, g, h] = sums;
+    of_lanes(sums)
+}
+
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
+fn of_lanes([a, b, c, d, e, f, g, h]: [f64; LANES]) -> f64 {
     ((a + e) + (c + g)) + ((b + f) + (d + h))
 }
 
@@ -44,6 +49,11 @@ pub(super) fn mean_square<A: Into<f64> + Copy>(a: &[A]) -> f64 {
     striped(a, a, |a, b| a * b) / a.len() as f64
 }
 
+/// Mean of a_i.
+pub(super) fn mean(a: &[f32]) -> f64 {
+    a.iter().map(|v| f64::from(*v)).sum::<f64>() / a.len() as f64
+}
+
 /// Root mean square.
 pub(super) fn rms(a: &[f64]) -> f64 {
     mean_square(a).sqrt()
@@ -54,6 +64,29 @@ pub(super) fn rms(a: &[f64]) -> f64 {
 #[inline(always)]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     striped(a, b, |a, b| a * b)
+}
+
+/// Σ a_i b_i with each of `N` b. They run side by side: a sum by itself mostly waits for its last addition.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
+pub(super) fn dots<const N: usize>(a: &[f64], b: [&[f64]; N]) -> [f64; N] {
+    let whole = a.len() / LANES * LANES;
+    let mut sums = [[0.0; LANES]; N];
+    for at in (0..whole).step_by(LANES) {
+        let a: &[f64; LANES] = a[at..].first_chunk().expect("it is whole");
+        for (sums, b) in sums.iter_mut().zip(b) {
+            let b: &[f64; LANES] = b[at..].first_chunk().expect("all are as long as `a`");
+            for i in 0..LANES {
+                sums[i] += a[i] * b[i];
+            }
+        }
+    }
+    for (sums, b) in sums.iter_mut().zip(b) {
+        for (i, (a, b)) in a[whole..].iter().zip(&b[whole..]).enumerate() {
+            sums[i] += a * b;
+        }
+    }
+    sums.map(of_lanes)
 }
 
 #[cfg(test)]
@@ -71,6 +104,8 @@ mod tests {
             assert_eq!(mean_product(&a, &b), plain(&|a, b| a * b));
             assert_eq!(mean_square(&b), plain(&|_, b| b * b));
             assert_eq!(rms_difference(&a, &b), plain(&|a, b| (a - b).powi(2)).sqrt());
+            let twice: Vec<f64> = a.iter().map(|a| 2.0 * a).collect();
+            assert_eq!(dots(&a, [&a, &twice]), [dot(&a, &a), dot(&a, &twice)]);
         }
     }
 }

@@ -7,10 +7,13 @@
 
 mod noise;
 
+use std::borrow::Cow;
+
 use optics_model::{Grid, Medium};
 
 use super::dictionary::FitDictionary;
 use super::local_axis::{BACKSCATTERED, LocalAxis, Weights};
+use super::records::{Row, Rows, Stored};
 use super::wide::wide;
 
 pub(super) use noise::{NoiseFactors, NoisePlace};
@@ -119,9 +122,14 @@ impl<'a> Surrogate<'a> {
         [self.sigma_t.range(), albedo, self.g.range()]
     }
 
-    fn row(&self, sigma_t: usize, g: usize, thickness: usize, albedo: usize) -> &[f32] {
-        let record = self.dictionary.grid().record_at(self.ior, sigma_t, g, thickness, albedo);
-        self.dictionary.values(record, self.channel)
+    /// Number of a record, told by its place on the axes.
+    fn record(&self, [sigma_t, g, thickness, albedo]: [usize; 4]) -> usize {
+        self.dictionary.grid().record_at(self.ior, sigma_t, g, thickness, albedo)
+    }
+
+    /// The values of a record.
+    fn row(&self, place: [usize; 4], pixels: std::ops::Range<usize>) -> Cow<'a, [f32]> {
+        self.dictionary.records(self.channel).values(self.record(place), pixels)
     }
 
     pub(super) fn predict(
@@ -131,6 +139,19 @@ impl<'a> Surrogate<'a> {
         x: Coordinates,
     ) -> Prediction {
         self.dictionary.stop.check();
+        match self.dictionary.records(self.channel).stored() {
+            Stored::Exact(rows) => self.predict_from(rows, thickness, pixels, x),
+            Stored::Rounded(rows) => self.predict_from(rows, thickness, pixels, x),
+        }
+    }
+
+    fn predict_from<R: Rows>(
+        &self,
+        rows: &R,
+        thickness: usize,
+        pixels: std::ops::Range<usize>,
+        x: Coordinates,
+    ) -> Prediction {
         let s = self.sigma_t.weights(x[SIGMA_T]);
         let a = interpolation(&self.albedo, x[ALBEDO]);
         let g = self.g.weights(x[G]);
@@ -144,11 +165,11 @@ impl<'a> Surrogate<'a> {
         for i in 0..s.values.len() {
             nodes.clear();
             nodes.extend((0..g.values.len()).map(|k| {
-                let rows = std::array::from_fn(|j| {
+                let row = |j: usize| {
                     let albedo = a.first + j.min(a.values.len() - 1);
-                    &self.row(s.first + i, g.first + k, thickness, albedo)[pixels.clone()]
-                });
-                Node { rows, weight: g.values[k], slope: g.slopes[k] }
+                    rows.row(self.record([s.first + i, g.first + k, thickness, albedo]), pixels.clone())
+                };
+                Node { rows: std::array::from_fn(row), weight: g.values[k], slope: g.slopes[k] }
             }));
             let sigma_t = (s.values[i], s.slopes[i]);
             wide(
@@ -192,8 +213,8 @@ struct AlbedoWeights {
 }
 
 /// Records of one σ_t and g at four albedos, the weight of this g and its derivative.
-struct Node<'a> {
-    rows: [&'a [f32]; 4],
+struct Node<R> {
+    rows: [R; 4],
     weight: f64,
     slope: f64,
 }
@@ -205,8 +226,8 @@ const BLOCK: usize = 8;
 /// derivative.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-fn accumulate(
-    nodes: &[Node],
+fn accumulate<R: Row>(
+    nodes: &[Node<R>],
     albedos: &AlbedoWeights,
     sigma_t: (f64, f64),
     values: &mut [f64],
@@ -214,18 +235,18 @@ fn accumulate(
 ) {
     let whole = values.len() / BLOCK * BLOCK;
     for at in (0..whole).step_by(BLOCK) {
-        accumulate_block::<BLOCK>(nodes, albedos, sigma_t, at, values, slopes);
+        accumulate_block::<R, BLOCK>(nodes, albedos, sigma_t, at, values, slopes);
     }
     for at in whole..values.len() {
-        accumulate_block::<1>(nodes, albedos, sigma_t, at, values, slopes);
+        accumulate_block::<R, 1>(nodes, albedos, sigma_t, at, values, slopes);
     }
 }
 
 /// The same for the pixels of one block.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-fn accumulate_block<const N: usize>(
-    nodes: &[Node],
+fn accumulate_block<R: Row, const N: usize>(
+    nodes: &[Node<R>],
     albedos: &AlbedoWeights,
     sigma_t: (f64, f64),
     at: usize,
@@ -236,10 +257,11 @@ fn accumulate_block<const N: usize>(
     let (mut value, mut by_albedo, mut by_g) = ([0.0; N], [0.0; N], [0.0; N]);
     let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
     for node in nodes {
-        let rows: [&[f32; N]; 4] =
-            node.rows.map(|row| row[at..].first_chunk().expect("rows are as long as the values"));
+        // One by one: calls of closures by `map` are not all compiled into the vectors.
+        let [a, b, c, d] = node.rows;
+        let rows: [[f32; N]; 4] = [a.block(at), b.block(at), c.block(at), d.block(at)];
         for p in 0..N {
-            let v = rows.map(|row| f64::from(row[p]));
+            let v = [rows[0][p].into(), rows[1][p].into(), rows[2][p].into(), rows[3][p].into()];
             let mixed = mix(v, &albedos.values);
             value[p] += node.weight * mixed;
             by_albedo[p] += node.weight * mix(v, &albedos.slopes);

@@ -40,12 +40,19 @@ pub(super) fn dictionary(pixels: u32) -> FitDictionary {
 
 /// Records whose level is off by a normal error that all albedos of a transport point share, as walks make it.
 pub(super) fn noisy_dictionary(axes: Axes, pixels: u32, noise: f64) -> FitDictionary {
+    let (grid, record) = noisy_records(axes, pixels, noise);
+    dictionary_of(&grid, record)
+}
+
+/// Their grid, and what makes each.
+pub(super) fn noisy_records(axes: Axes, pixels: u32, noise: f64) -> (Grid, impl Fn(usize) -> Record) {
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
     let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
-    let sensor = grid.scene().sensor();
-    let record = |index: usize| {
-        let (point, medium) = grid.parameters(index);
-        let gain = 1.0 + noise * normal(index as u64 / grid.albedo().len() as u64);
+    let of = grid.clone();
+    let record = move |index: usize| {
+        let (point, medium) = of.parameters(index);
+        let sensor = of.scene().sensor();
+        let gain = 1.0 + noise * normal(index as u64 / of.albedo().len() as u64);
         let profile = |channel: usize| {
             let value = |i| {
                 let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
@@ -58,12 +65,21 @@ pub(super) fn noisy_dictionary(axes: Axes, pixels: u32, noise: f64) -> FitDictio
         };
         Record { index, profiles: (0..3).map(profile).collect() }
     };
-    dictionary_of(&grid, record)
+    (grid, record)
 }
 
-/// The dictionary of these records. Jobs come in from the last to the first.
+/// The dictionary of these records.
 pub(super) fn dictionary_of(grid: &Grid, record: impl Fn(usize) -> Record) -> FitDictionary {
-    let mut builder = DictionaryBuilder::new(grid.clone());
+    build(DictionaryBuilder::new(grid.clone()), grid, record)
+}
+
+/// The same with all values rounded.
+pub(super) fn rounded_dictionary_of(grid: &Grid, record: impl Fn(usize) -> Record) -> FitDictionary {
+    build(DictionaryBuilder::rounded(grid), grid, record)
+}
+
+/// Jobs come in from the last to the first.
+fn build(mut builder: DictionaryBuilder, grid: &Grid, record: impl Fn(usize) -> Record) -> FitDictionary {
     for job in (0..grid.job_count()).rev() {
         let first = grid.first_record(job);
         let records: Vec<Record> = (first..first + grid.albedo().len()).map(&record).collect();

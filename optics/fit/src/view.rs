@@ -1,17 +1,19 @@
-//! Gradients and descriptions of all records of a channel over some of the pixels.
+//! Descriptions of all records of a channel over some of the pixels, and their gradients.
 //!
 //! The wavelet derivative takes off the chord between the ends, so the gradients of a part are not a part of the
-//! whole's: every range of pixels needs its own.
+//! whole's: every range of pixels needs its own. Only the paper's distance looks at gradients, so they are taken, and
+//! described, at the first question that does.
 
 use std::borrow::Cow;
 use std::ops::Range;
+use std::sync::{Arc, OnceLock};
 
 use optics_model::Grid;
 use optics_model::fit::Wavelet;
 use rayon::prelude::*;
 
 use super::gradient::derivative;
-use super::records::Records;
+use super::records::{self, Records};
 use super::sketch::{Basis, Description, Sketch};
 
 /// Pixel pitch that gradients are told per, in mm: 360 pixels over 10 mm.
@@ -19,23 +21,11 @@ pub(super) const REFERENCE_PITCH_MM: f64 = 10.0 / 360.0;
 
 /// Profiles that a basis is made from.
 const SAMPLES: usize = 2000;
-/// Largest dictionary, by the values of all channels, of which gradients are kept, in bytes. Of larger ones they are taken
-/// anew whenever a record is compared: most never are.
-const GRADIENTS_KEPT: usize = 512 << 20;
 
-/// Bytes of the values of a grid's records in one channel.
-fn bytes_of_values(grid: &Grid) -> usize {
-    grid.record_count().saturating_mul(grid.scene().sensor().pixels() * size_of::<f32>())
-}
-
-fn keeps_gradients(grid: &Grid) -> bool {
-    bytes_of_values(grid).saturating_mul(grid.scene().seen_channels().count()) <= GRADIENTS_KEPT
-}
-
-/// Bytes that the view of a channel over all pixels takes.
+/// Bytes that the view of a channel over all pixels takes at most.
 pub(super) fn bytes_of(grid: &Grid) -> usize {
     let sketches = grid.record_count().saturating_mul(2 * Sketch::BYTES);
-    sketches + if keeps_gradients(grid) { bytes_of_values(grid) } else { 0 }
+    sketches + if records::is_small(grid) { records::bytes_of(grid) } else { 0 }
 }
 
 /// How gradients are taken: per sample of the reference pitch, whatever the pixels'.
@@ -77,24 +67,28 @@ pub(super) struct ViewKey {
 
 #[derive(Debug)]
 pub(super) struct View {
+    records: Arc<Records>,
     key: ViewKey,
     slope: Slope,
-    all_pixels: usize,
-    /// `[record][pixel of the view]`, if they are kept.
-    gradients: Option<Vec<f32>>,
-    value_basis: Basis,
-    gradient_basis: Basis,
-    /// By thickness.
-    sketches: Vec<PairSketch>,
+    values: Described,
+    /// `[record][pixel of the view]`, of a small dictionary.
+    gradients: OnceLock<Vec<f32>>,
+    gradients_described: OnceLock<Described>,
+}
+
+/// All records in a basis of their own.
+#[derive(Debug)]
+struct Described {
+    basis: Basis,
+    /// Of all media, by thickness.
+    sketches: Vec<Sketch>,
 }
 
 /// Descriptions of the values and gradients of all media at one thickness.
-#[derive(Debug)]
-pub(super) struct PairSketch {
-    values: Sketch,
-    gradients: Sketch,
-    /// Least and greatest mean value of a record.
-    pub levels: (f64, f64),
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PairSketch<'a> {
+    values: &'a Sketch,
+    gradients: &'a Sketch,
 }
 
 /// A measured profile in the bases of a view.
@@ -104,12 +98,7 @@ pub(super) struct PairDescription {
     gradient: Description,
 }
 
-impl PairSketch {
-    /// Coefficients of the values of all media in the view's basis.
-    pub(super) fn value_coefficients(&self) -> &Sketch {
-        &self.values
-    }
-
+impl PairSketch<'_> {
     /// Adds lower bounds of d(target, medium) for the media from `first` on.
     #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
     #[inline(always)]
@@ -119,57 +108,59 @@ impl PairSketch {
     }
 }
 
+impl Described {
+    /// The records of a grid, told by a profile for each.
+    fn new<'a>(grid: &Grid, profile: impl Fn(usize) -> Cow<'a, [f32]> + Sync) -> Self {
+        let records = grid.record_count();
+        let sampled: Vec<Cow<[f32]>> =
+            (0..records).into_par_iter().step_by(records.div_ceil(SAMPLES)).map(&profile).collect();
+        let basis = Basis::of(&sampled.iter().map(|profile| &**profile).collect::<Vec<_>>());
+        let (thicknesses, albedos) = (grid.thickness_mm().len(), grid.albedo().len());
+        let media = records / thicknesses;
+        let record = |medium: usize, thickness| {
+            (medium / albedos * thicknesses + thickness) * albedos + medium % albedos
+        };
+        let sketch = |thickness| Sketch::new(&basis, media, |medium| profile(record(medium, thickness)));
+        let sketches = (0..thicknesses).map(sketch).collect();
+        Self { basis, sketches }
+    }
+}
+
 impl View {
-    pub(super) fn new(all: &Records, key: ViewKey) -> Self {
-        let grid = all.grid();
-        let sensor = grid.scene().sensor();
-        let slope = Slope { wavelet: key.wavelet, level: key.level, pitch_mm: sensor.pitch_mm() };
-        let (records, pixels) = (grid.record_count(), key.pixels.len());
-        let values = |record: usize| &all.values(record)[key.pixels.clone()];
-        let gradients = keeps_gradients(grid).then(|| {
-            let mut gradients = vec![0.0_f32; records * pixels];
-            let rows = gradients.par_chunks_exact_mut(pixels).enumerate();
-            rows.for_each(|(record, out)| out.copy_from_slice(&gradient_of(slope, values(record))));
-            gradients
-        });
-        let sampled: Vec<&[f32]> = (0..records).step_by(records.div_ceil(SAMPLES)).map(values).collect();
-        let slopes: Vec<Vec<f32>> = sampled.par_iter().map(|values| gradient_of(slope, values)).collect();
-        let slopes: Vec<&[f32]> = slopes.iter().map(Vec::as_slice).collect();
-        let (value_basis, gradient_basis) = rayon::join(|| Basis::of(&sampled), || Basis::of(&slopes));
-        let all_pixels = sensor.pixels();
-        let mut view =
-            Self { key, slope, all_pixels, gradients, value_basis, gradient_basis, sketches: Vec::new() };
-        view.sketches =
-            (0..grid.thickness_mm().len()).map(|thickness| view.sketch_of(all, thickness)).collect();
-        view
+    pub(super) fn new(records: &Arc<Records>, key: ViewKey) -> Self {
+        let grid = records.grid();
+        let slope =
+            Slope { wavelet: key.wavelet, level: key.level, pitch_mm: grid.scene().sensor().pitch_mm() };
+        let values = Described::new(grid, |record| records.values(record, key.pixels.clone()));
+        let (gradients, gradients_described) = (OnceLock::new(), OnceLock::new());
+        Self { records: records.clone(), key, slope, values, gradients, gradients_described }
     }
 
-    fn sketch_of(&self, all: &Records, thickness: usize) -> PairSketch {
-        let grid = all.grid();
-        let (thicknesses, albedos) = (grid.thickness_mm().len(), grid.albedo().len());
-        let media = grid.record_count() / thicknesses;
-        let described: Vec<(Description, Description, f64)> = (0..media)
-            .into_par_iter()
-            .map(|medium| {
-                let record = (medium / albedos * thicknesses + thickness) * albedos + medium % albedos;
-                let values = &all.values(record)[self.key.pixels.clone()];
-                let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64;
-                let gradient = self.gradient(record, values);
-                (
-                    self.value_basis.describe_record(values),
-                    self.gradient_basis.describe_record(&gradient),
-                    mean,
-                )
-            })
-            .collect();
-        let mut levels = (f64::INFINITY, f64::NEG_INFINITY);
-        let (mut values, mut gradients) = (Vec::new(), Vec::new());
-        for (value, gradient, mean) in described {
-            levels = (levels.0.min(mean), levels.1.max(mean));
-            values.push(value);
-            gradients.push(gradient);
+    fn values(&self, record: usize) -> Cow<'_, [f32]> {
+        self.records.values(record, self.key.pixels.clone())
+    }
+
+    /// The gradient magnitudes of a record, whose values are given.
+    fn gradient(&self, record: usize, values: &[f32]) -> Cow<'_, [f32]> {
+        if !records::is_small(self.records.grid()) {
+            return Cow::Owned(gradient_of(self.slope, values));
         }
-        PairSketch { values: Sketch::of(&values), gradients: Sketch::of(&gradients), levels }
+        let pixels = self.key.pixels.len();
+        let kept = made_once(&self.gradients, || {
+            let mut kept = vec![0.0_f32; self.records.grid().record_count() * pixels];
+            let rows = kept.par_chunks_exact_mut(pixels).enumerate();
+            rows.for_each(|(record, out)| {
+                out.copy_from_slice(&gradient_of(self.slope, &self.values(record)));
+            });
+            kept
+        });
+        Cow::Borrowed(&kept[record * pixels..][..pixels])
+    }
+
+    fn gradients_described(&self) -> &Described {
+        made_once(&self.gradients_described, || {
+            Described::new(self.records.grid(), |record| self.gradient(record, &self.values(record)))
+        })
     }
 
     pub(super) fn slope(&self) -> Slope {
@@ -178,28 +169,35 @@ impl View {
 
     /// Pixels of a whole profile of the dictionary.
     pub(super) fn all_pixels(&self) -> usize {
-        self.all_pixels
+        self.records.pixels()
     }
 
-    pub(super) fn pixels(&self) -> std::ops::Range<usize> {
+    pub(super) fn pixels(&self) -> Range<usize> {
         self.key.pixels.clone()
     }
 
-    /// The gradient magnitudes of a record, whose values on the view's pixels are given.
-    pub(super) fn gradient(&self, record: usize, values: &[f32]) -> Cow<'_, [f32]> {
-        let pixels = self.key.pixels.len();
-        match &self.gradients {
-            Some(kept) => Cow::Borrowed(&kept[record * pixels..][..pixels]),
-            None => Cow::Owned(gradient_of(self.slope, values)),
+    /// The values and gradient magnitudes of a record on the view's pixels.
+    pub(super) fn profile(&self, record: usize) -> (Cow<'_, [f32]>, Cow<'_, [f32]>) {
+        let values = self.values(record);
+        let gradient = self.gradient(record, &values);
+        (values, gradient)
+    }
+
+    /// What bounds the distances of all media at a thickness from below.
+    pub(super) fn sketch(&self, thickness: usize) -> PairSketch<'_> {
+        PairSketch {
+            values: &self.values.sketches[thickness],
+            gradients: &self.gradients_described().sketches[thickness],
         }
     }
 
-    pub(super) fn sketch(&self, thickness: usize) -> &PairSketch {
-        &self.sketches[thickness]
+    /// The values of all media at a thickness in the view's basis.
+    pub(super) fn value_sketch(&self, thickness: usize) -> &Sketch {
+        &self.values.sketches[thickness]
     }
 
     pub(super) fn value_basis(&self) -> &Basis {
-        &self.value_basis
+        &self.values.basis
     }
 
     /// Factor from the coefficients of sketches to those of profiles.
@@ -209,10 +207,20 @@ impl View {
 
     pub(super) fn describe(&self, values: &[f64], gradient: &[f64]) -> PairDescription {
         PairDescription {
-            values: self.value_basis.describe_target(values),
-            gradient: self.gradient_basis.describe_target(gradient),
+            values: self.values.basis.describe(values),
+            gradient: self.gradients_described().basis.describe(gradient),
         }
     }
+}
+
+/// Made at its first use, outside of the lock: a thread that waits for parts of it may begin another question that wants
+/// the same, and would wait for itself. At worst it is made twice.
+pub(super) fn made_once<T>(cell: &OnceLock<T>, make: impl FnOnce() -> T) -> &T {
+    if let Some(made) = cell.get() {
+        return made;
+    }
+    let made = make();
+    cell.get_or_init(|| made)
 }
 
 /// |∇f| in single precision, as records are compared.

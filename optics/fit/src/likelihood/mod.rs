@@ -128,7 +128,7 @@ fn fit_channel(data: &ChannelData) -> Result<ChannelFit, Invalid> {
 fn outside(data: &ChannelData, scan: &start::Scan) -> Option<Outside> {
     let thicknesses = scan.terms.iter().map(start::Compressed::thickness);
     data.profiles.iter().zip(thicknesses).find_map(|(profile, thickness)| {
-        let levels = scan.view.sketch(thickness).levels;
+        let levels = scan.view.value_sketch(thickness).levels;
         profile.outside(levels, data.options.settings().mu)
     })
 }

@@ -131,7 +131,7 @@ impl Compressed {
     #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
     #[inline(always)]
     fn add_costs(&self, view: &View, scale: f64, costs: &mut [f32]) {
-        let sketch = view.sketch(self.thickness).value_coefficients();
+        let sketch = view.value_sketch(self.thickness);
         let n = self.data.len();
         let left = self.left(scale) as f32;
         let (mut sums, mut z) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK]);
@@ -161,7 +161,7 @@ impl Compressed {
         x: [f64; 3],
         scale: f64,
     ) -> (DVector<f64>, DMatrix<f64>) {
-        let sketch = view.sketch(self.thickness).value_coefficients();
+        let sketch = view.value_sketch(self.thickness);
         let n = self.data.len();
         let mut all = DMatrix::zeros(n, 4);
         let stencil = surrogate.stencil([x[0] + self.ln_ratio, x[1], x[2]]);

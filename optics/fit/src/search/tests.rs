@@ -1,7 +1,9 @@
 use optics_model::fit::{Bounds, Candidate, FitOptions, FitSettings, MuRange, Outside, Wavelet};
 use optics_model::{Estimate, MeasuredProfile, Measurement, Medium, Profile, Record};
 
-use crate::testing::{dictionary, dictionary_of, measured, profile_value};
+use crate::testing::{
+    coarse_axes, dictionary, dictionary_of, measured, noisy_records, profile_value, rounded_dictionary_of,
+};
 use crate::{FitDictionary, derivative, fit, scale};
 
 fn options(change: impl FnOnce(&mut FitSettings)) -> FitOptions {
@@ -60,8 +62,11 @@ fn brute_force(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions
 
 #[test]
 fn the_answer_is_that_of_brute_force() {
-    for pixels in [360, 90] {
-        let dictionary = dictionary(pixels);
+    let rounded = || {
+        let (grid, record) = noisy_records(coarse_axes(), 90, 0.0);
+        rounded_dictionary_of(&grid, record)
+    };
+    for (pixels, dictionary) in [(360, dictionary(360)), (90, dictionary(90)), (90, rounded())] {
         let m = measured(3.0, 0.7, 0.2, pixels as usize, 10.0);
         let all = options(|s| {
             s.lambda = 5.0;

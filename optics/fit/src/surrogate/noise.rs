@@ -83,8 +83,8 @@ impl Surrogate<'_> {
         let image = |n: usize| -> Vec<f64> {
             let mut image = vec![0.0; pixels];
             for (j, weight) in a.values.iter().enumerate() {
-                let row = self.row(first_s + n / ng, first_g + n % ng, thickness, a.first + j);
-                image.iter_mut().zip(row).for_each(|(v, r)| *v += weight * f64::from(*r));
+                let row = self.row([first_s + n / ng, first_g + n % ng, thickness, a.first + j], 0..pixels);
+                image.iter_mut().zip(&*row).for_each(|(v, r)| *v += weight * f64::from(*r));
             }
             image
         };
@@ -150,7 +150,7 @@ impl Surrogate<'_> {
         let image = |s: usize, g: usize| -> [f64; N] {
             let mut image = [0.0; N];
             for (j, weight) in a.values.iter().enumerate() {
-                let row = &self.row(first_s + s, first_g + g, thickness, a.first + j)[pixels.clone()];
+                let row = self.row([first_s + s, first_g + g, thickness, a.first + j], pixels.clone());
                 for (out, f) in image.iter_mut().zip(functionals) {
                     *out += weight * row.iter().zip(f).map(|(v, f)| f64::from(*v) * f).sum::<f64>();
                 }
