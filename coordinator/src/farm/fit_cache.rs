@@ -11,6 +11,7 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use optics_fit::{DictionaryBuilder, FitChannel, FitDictionary};
 use optics_model::Grid;
+use tokio::task::JoinSet;
 
 use super::{FarmError, Result, blocking};
 use crate::store::{Damaged, Store};
@@ -138,6 +139,8 @@ impl FitCache {
 }
 
 const MIB: usize = 1 << 20;
+/// Parts of a dictionary that are read side by side: half of the connections that read, so that others get through.
+const READERS: usize = 2;
 
 /// Reads a complete dictionary into memory, and compares its records with their digests.
 pub async fn load_dictionary(
@@ -161,8 +164,17 @@ async fn load_channels(
     let jobs = grid.job_count();
     let chunk = ((8 << 20) / (grid.albedo().len() * grid.record_bytes())).clamp(1, 1024);
     let mut builder = DictionaryBuilder::of_channels(grid.clone(), channels.iter().copied());
-    for first in (0..jobs).step_by(chunk) {
-        for found in store.all_jobs(id, grid, first..(first + chunk).min(jobs)).await? {
+    let mut chunks = (0..jobs).step_by(chunk).map(|first| first..(first + chunk).min(jobs));
+    let mut reading = JoinSet::new();
+    loop {
+        while reading.len() < READERS
+            && let Some(range) = chunks.next()
+        {
+            let (store, grid) = (store.clone(), grid.clone());
+            reading.spawn(async move { store.all_jobs(id, &grid, range).await });
+        }
+        let Some(read) = reading.join_next().await else { break };
+        for found in read.map_err(|_| FarmError::Defect)?? {
             let damaged = |Damaged { job, what }| FarmError::Damaged { name: name.clone(), job, what };
             builder.add(&found.map_err(damaged)?.records);
         }

@@ -150,6 +150,10 @@ impl Records {
         &self.grid
     }
 
+    pub(super) fn are_exact(&self) -> bool {
+        matches!(self.stored, Stored::Exact(_))
+    }
+
     pub(super) fn stored(&self) -> &Stored {
         &self.stored
     }

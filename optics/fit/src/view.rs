@@ -142,7 +142,7 @@ impl View {
 
     /// The gradient magnitudes of a record, whose values are given.
     fn gradient(&self, record: usize, values: &[f32]) -> Cow<'_, [f32]> {
-        if !records::is_small(self.records.grid()) {
+        if !self.records.are_exact() {
             return Cow::Owned(gradient_of(self.slope, values));
         }
         let pixels = self.key.pixels.len();
