@@ -227,7 +227,7 @@ impl Process {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
-    /// Waits until its standard error tells this.
+    /// Waits until its standard error says this.
     ///
     /// # Panics
     /// If it does not soon.

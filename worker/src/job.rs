@@ -115,11 +115,11 @@ impl Workshop {
         let mut told = pin!(self.session.begin(jobs));
         let answered = tokio::time::timeout(ON_ITS_WAY, &mut told).await.is_ok();
         let _ = start.send(());
-        for LeaseKey { dictionary, job, attempt, .. } in keys {
-            tracing::debug!(dictionary = dictionary.0, job, attempt, "job begins");
-        }
         if !answered {
             told.await;
+        }
+        for LeaseKey { dictionary, job, attempt, .. } in keys {
+            tracing::debug!(dictionary = dictionary.0, job, attempt, "job begins");
         }
     }
 

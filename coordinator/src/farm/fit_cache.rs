@@ -13,6 +13,7 @@ use optics_fit::{DictionaryBuilder, FitChannel, FitDictionary};
 use optics_model::Grid;
 use tokio::task::JoinSet;
 
+use super::records::ended_early;
 use super::{FarmError, Result, blocking};
 use crate::store::{Damaged, Store};
 
@@ -141,6 +142,8 @@ impl FitCache {
 const MIB: usize = 1 << 20;
 /// Parts of a dictionary that are read side by side: half of the connections that read, so that others get through.
 const READERS: usize = 2;
+/// Bytes of a part; tests read each job by itself.
+const PART_BYTES: usize = if cfg!(test) { 0 } else { 8 << 20 };
 
 /// Reads a complete dictionary into memory, and compares its records with their digests.
 pub async fn load_dictionary(
@@ -162,19 +165,20 @@ async fn load_channels(
     channels: &[usize],
 ) -> Result<FitDictionary> {
     let jobs = grid.job_count();
-    let chunk = ((8 << 20) / (grid.albedo().len() * grid.record_bytes())).clamp(1, 1024);
-    let mut builder = DictionaryBuilder::of_channels(grid.clone(), channels.iter().copied());
-    let mut chunks = (0..jobs).step_by(chunk).map(|first| first..(first + chunk).min(jobs));
+    let part = (PART_BYTES / (grid.albedo().len() * grid.record_bytes())).clamp(1, 1024);
+    let mut parts = (0..jobs).step_by(part).map(|first| first..(first + part).min(jobs));
     let mut reading = JoinSet::new();
-    loop {
-        while reading.len() < READERS
-            && let Some(range) = chunks.next()
-        {
+    let mut read_next = |reading: &mut JoinSet<_>| {
+        if let Some(range) = parts.next() {
             let (store, grid) = (store.clone(), grid.clone());
             reading.spawn(async move { store.all_jobs(id, &grid, range).await });
         }
-        let Some(read) = reading.join_next().await else { break };
-        for found in read.map_err(|_| FarmError::Defect)?? {
+    };
+    (0..READERS).for_each(|_| read_next(&mut reading));
+    let mut builder = DictionaryBuilder::of_channels(grid.clone(), channels.iter().copied());
+    while let Some(read) = reading.join_next().await {
+        read_next(&mut reading);
+        for found in read.map_err(|error| ended_early(&error))?? {
             let damaged = |Damaged { job, what }| FarmError::Damaged { name: name.clone(), job, what };
             builder.add(&found.map_err(damaged)?.records);
         }

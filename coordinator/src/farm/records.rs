@@ -101,11 +101,13 @@ impl Farm {
                 FarmError::Stopping
             })
         });
-        // A panic has told of itself in the log.
-        let failed =
-            |error: JoinError| if error.is_panic() { FarmError::Defect } else { FarmError::Stopping };
-        Ok(answer.await.map_err(failed)???)
+        Ok(answer.await.map_err(|error| ended_early(&error))???)
     }
+}
+
+/// Why work has no result. A panic has told of itself in the log.
+pub(super) fn ended_early(error: &JoinError) -> FarmError {
+    if error.is_panic() { FarmError::Defect } else { FarmError::Stopping }
 }
 
 /// A question whose answer somebody waits for. When it is dropped nobody does.

@@ -59,8 +59,8 @@ impl DictionaryBuilder {
         }
     }
 
-    /// Describes all records, so that the first question is as fast as the others. Gradients are taken by the first that
-    /// needs them.
+    /// Describes all records, so that the first question is as fast as the others. Gradients are taken at the
+    /// first question that needs them.
     ///
     /// # Panics
     /// If records are missing.
@@ -112,7 +112,7 @@ impl FitDictionary {
     }
 
     /// Answers a question, unless it is stopped before: then it ends within milliseconds, or once a view
-    /// that is being made is there.
+    /// that is being made is there, or its gradients are.
     pub fn ask<T>(mut self, stop: &Stop, question: impl FnOnce(&Self) -> T) -> Result<T, Stopped> {
         self.stop = stop.clone();
         stop.guard(|| question(&self))
@@ -127,8 +127,8 @@ impl FitDictionary {
         self.channels.iter().enumerate().filter_map(|(index, channel)| Some((index, channel.as_ref()?)))
     }
 
-    /// Radiance factors of a record in one channel. Those of a dictionary of more than 512 MiB are rounded, by at most
-    /// √(v m)/65,535 where m is the record's greatest.
+    /// Radiance factors of a record in one channel. Those of a dictionary of more than 512 MiB are rounded, by about
+    /// √(v m)/65,535 at most, where m is the record's greatest.
     ///
     /// # Panics
     /// If the channel is not there.

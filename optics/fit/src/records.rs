@@ -1,7 +1,7 @@
 //! The values of all records of a dictionary in one channel.
 //!
 //! Those of a large dictionary are rounded to two bytes each, as roots: a value v of a record whose greatest is m is kept as
-//! √(v/m) to 1/65,535, so it is off by at most √(v m)/65,535. That is 1.5·10⁻⁵ of the value where the record is bright, and
+//! √(v/m) to 1/65,535, so it is off by about √(v m)/65,535 at most. That is 1.5·10⁻⁵ of the value where the record is bright, and
 //! 1.5·10⁻⁴ where it is a hundred times as dark. Roots spread what is lost as the noise of walks is spread: at the paper's
 //! quality it is 0.2 % of a pixel's standard error in the median, and 1.6 % at most.
 
@@ -13,8 +13,8 @@ use optics_model::Grid;
 
 use super::wide::wide;
 
-/// Largest dictionary, by the values of all channels, of which values are kept exactly and gradients at all, in bytes. Of
-/// larger ones gradients are taken anew whenever a record is compared: most never are.
+/// Largest dictionary whose values are kept exactly, and whose gradients are kept: bytes of the values of all channels that
+/// are seen. Of larger ones gradients are taken anew whenever a record is compared: most never are.
 const SMALL: usize = 512 << 20;
 
 /// Steps from 0 to the root of a record's greatest value.
@@ -74,7 +74,7 @@ pub(super) trait Rows {
 
 /// The values of one record.
 pub(super) trait Row: Copy {
-    /// Those of `N` pixels from one on.
+    /// The values of `N` pixels, from `first` on.
     fn block<const N: usize>(self, first: usize) -> [f32; N];
 }
 
@@ -184,6 +184,7 @@ impl Records {
             }
             Stored::Rounded(Rounded { roots, units, .. }) => {
                 let new: Vec<f32> = new.collect();
+                debug_assert!(new.iter().all(|value| *value >= 0.0), "radiance factors are not negative");
                 units[record] = round(&new, &mut roots[numbers]);
             }
         }
@@ -235,8 +236,9 @@ mod tests {
             let greatest = given.iter().copied().fold(0.0, f32::max);
             let found = records.values(record, 0..21);
             for (found, given) in found.iter().zip(&given) {
-                // Half a step of the root, and what single precision rounds.
-                let most = (given * greatest).sqrt() / STEPS + 1e-6 * given + 1e-9 * greatest;
+                // Half a step of the root, its square, and what single precision rounds.
+                let half = 0.5 / STEPS;
+                let most = 2.0 * (given * greatest).sqrt() * half + greatest * half * half + 1e-6 * given;
                 assert!((found - given).abs() <= most, "{found} {given} {most}");
             }
             assert_eq!(*records.values(record, 3..9), found[3..9]);

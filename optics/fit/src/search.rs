@@ -81,6 +81,8 @@ impl Kept {
 
 /// Lower bounds of Eq. 1 for all admissible media.
 fn bounds(question: &Question, g: &Range<usize>) -> Vec<(f32, u32)> {
+    // Gradients that are not yet described are described now.
+    question.dictionary.stop.check();
     let lambda = question.options.settings().lambda;
     let mut media = Vec::new();
     let mut bounds = Vec::new();

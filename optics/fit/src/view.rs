@@ -2,7 +2,7 @@
 //!
 //! The wavelet derivative takes off the chord between the ends, so the gradients of a part are not a part of the
 //! whole's: every range of pixels needs its own. Only the paper's distance looks at gradients, so they are taken, and
-//! described, at the first question that does.
+//! described, at the first question that does: one by that distance, or one that looks for the cause of a misfit.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -21,6 +21,8 @@ pub(super) const REFERENCE_PITCH_MM: f64 = 10.0 / 360.0;
 
 /// Profiles that a basis is made from.
 const SAMPLES: usize = 2000;
+/// Records whose gradients are taken together.
+const BLOCK: usize = 256;
 
 /// Bytes that the view of a channel over all pixels takes at most.
 pub(super) fn bytes_of(grid: &Grid) -> usize {
@@ -71,8 +73,9 @@ pub(super) struct View {
     key: ViewKey,
     slope: Slope,
     values: Described,
-    /// `[record][pixel of the view]`, of a small dictionary.
-    gradients: OnceLock<Vec<f32>>,
+    /// Of a small dictionary, by blocks of records: `[record][pixel of the view]`. A block is taken when one of its records
+    /// is first looked at.
+    gradients: Vec<OnceLock<Vec<f32>>>,
     gradients_described: OnceLock<Described>,
 }
 
@@ -132,8 +135,9 @@ impl View {
         let slope =
             Slope { wavelet: key.wavelet, level: key.level, pitch_mm: grid.scene().sensor().pitch_mm() };
         let values = Described::new(grid, |record| records.values(record, key.pixels.clone()));
-        let (gradients, gradients_described) = (OnceLock::new(), OnceLock::new());
-        Self { records: records.clone(), key, slope, values, gradients, gradients_described }
+        let blocks = if records.are_exact() { grid.record_count().div_ceil(BLOCK) } else { 0 };
+        let gradients = std::iter::repeat_with(OnceLock::new).take(blocks).collect();
+        Self { records: records.clone(), key, slope, values, gradients, gradients_described: OnceLock::new() }
     }
 
     fn values(&self, record: usize) -> Cow<'_, [f32]> {
@@ -142,19 +146,17 @@ impl View {
 
     /// The gradient magnitudes of a record, whose values are given.
     fn gradient(&self, record: usize, values: &[f32]) -> Cow<'_, [f32]> {
-        if !self.records.are_exact() {
+        let Some(block) = self.gradients.get(record / BLOCK) else {
             return Cow::Owned(gradient_of(self.slope, values));
-        }
-        let pixels = self.key.pixels.len();
-        let kept = made_once(&self.gradients, || {
-            let mut kept = vec![0.0_f32; self.records.grid().record_count() * pixels];
-            let rows = kept.par_chunks_exact_mut(pixels).enumerate();
-            rows.for_each(|(record, out)| {
-                out.copy_from_slice(&gradient_of(self.slope, &self.values(record)));
-            });
-            kept
+        };
+        // One thread takes a whole block, and lends itself to no other work meanwhile: so others may wait for it.
+        let kept = block.get_or_init(|| {
+            let first = record / BLOCK * BLOCK;
+            let records = first..(first + BLOCK).min(self.records.grid().record_count());
+            records.flat_map(|record| gradient_of(self.slope, &self.values(record))).collect()
         });
-        Cow::Borrowed(&kept[record * pixels..][..pixels])
+        let pixels = self.key.pixels.len();
+        Cow::Borrowed(&kept[record % BLOCK * pixels..][..pixels])
     }
 
     fn gradients_described(&self) -> &Described {
@@ -213,8 +215,8 @@ impl View {
     }
 }
 
-/// Made at its first use, outside of the lock: a thread that waits for parts of it may begin another question that wants
-/// the same, and would wait for itself. At worst it is made twice.
+/// Made at its first use, outside the lock: a thread that waits for parts of it may begin another question that wants the
+/// same, and would wait for itself. At worst everyone who asks for it at the same time makes it.
 pub(super) fn made_once<T>(cell: &OnceLock<T>, make: impl FnOnce() -> T) -> &T {
     if let Some(made) = cell.get() {
         return made;

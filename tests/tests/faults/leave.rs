@@ -33,7 +33,7 @@ fn a_worker_told_to_stop_finishes_what_it_traces_and_hands_the_rest_back_at_once
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "60s"]);
-    // One is traced, the next waits: leased they both are before the worker knows of it.
+    // One is traced, the next waits: both are leased before the worker hears of it.
     farm.leased("grid", 2);
     worker.tells("job begins");
     worker.signal(Signal::TERM);
@@ -54,7 +54,7 @@ fn a_worker_without_grace_stops_at_once_and_its_job_is_not_blamed() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "0s"]);
-    farm.leased("grid", 2);
+    worker.tells("job begins");
     worker.signal(Signal::TERM);
     assert_eq!(worker.exit_within(Duration::from_secs(5)), 0);
     assert_eq!(jobs_done(&farm), 0);
@@ -80,7 +80,7 @@ fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
     let farm = Farm::start(&["--lease", "4"]);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("old", &["--grace", "60s"]);
-    farm.leased("grid", 2);
+    worker.tells("job begins");
     farm.ask(&["workers", "drain", "old"]);
     let second = farm.worker("young", &[]);
     assert_eq!(worker.exit_within(SOON * 2), 0);

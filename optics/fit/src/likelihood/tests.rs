@@ -69,8 +69,8 @@ fn refined_with(dictionary: &FitDictionary, measurement: &Measurement, settings:
     found.channels.into_iter().next().unwrap().refined.unwrap()
 }
 
-/// A large dictionary's rounding moves a medium by less than descents miss their minimum by: up to 0.003 in −2 ln L, some
-/// 0.03 of half an interval each. With descents to the very bottom rounding moves these by less than 0.006.
+/// A large dictionary's rounding moves a medium by less than descents stop short of their minimum: up to 0.003 in −2 ln L,
+/// about 0.03 of half an interval each. With descents to the very bottom rounding moves these by less than 0.006.
 #[test]
 fn rounded_values_answer_as_exact_ones() {
     let (grid, record) = noisy_records(dense_axes(), 120, 0.003);
