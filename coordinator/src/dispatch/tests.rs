@@ -1,6 +1,7 @@
 mod bad_machines;
 mod blame;
 mod blocks;
+mod leases;
 mod sets;
 mod shared;
 mod states;
@@ -215,67 +216,6 @@ fn after_a_restart_only_what_has_not_ended_is_left() {
 }
 
 #[test]
-fn a_silent_workers_job_goes_to_another_and_its_late_result_still_counts() {
-    let mut bench = Bench::new(&[]);
-    let old = bench.acquire(0, "a", 1);
-    assert_eq!(bench.farm.look_over(seconds(29)), 0);
-    assert_eq!(bench.farm.look_over(seconds(30)), 1);
-    let new = bench.acquire(31, "b", 1);
-    assert_eq!((new[0].key.job, new[0].key.attempt), (old[0].key.job, 2));
-    assert!(!bench.renew(32, "a", &old[0], true), "the lease is lost");
-    assert!(matches!(bench.admit("a", &old[0]), Ok(Admission::Store { .. })), "but its result is as good");
-    bench.finish(33, "a", &old[0]);
-    assert!(!bench.renew(34, "b", &new[0], true), "now nobody holds it");
-    assert!(matches!(bench.admit("b", &new[0]), Ok(Admission::Compare { stored: DIGEST, .. })));
-}
-
-#[test]
-fn renewed_leases_live_on() {
-    let mut bench = Bench::new(&[]);
-    let lease = bench.acquire(0, "a", 1);
-    assert!(bench.renew(20, "a", &lease[0], true));
-    assert_eq!(bench.farm.look_over(seconds(24)), 0);
-    assert_eq!(bench.farm.look_over(seconds(29)), 0);
-    for second in (30..50).step_by(4) {
-        assert_eq!(bench.farm.look_over(seconds(second)), 0);
-    }
-    assert_eq!(bench.farm.look_over(seconds(50)), 1);
-}
-
-#[test]
-fn a_guessed_token_is_worth_nothing() {
-    let mut bench = Bench::new(&[]);
-    let lease = bench.acquire(0, "a", 1);
-    let forged = LeaseKey { token: Token(99), ..lease[0].key };
-    assert!(bench.farm.failed(seconds(1), &worker("b"), &forged, "sabotage").is_err());
-    assert!(bench.farm.failed(seconds(1), &worker("b"), &lease[0].key, "another's").is_err());
-    bench.farm.hand_back(&[forged]);
-    assert_eq!(bench.status().jobs_leased, 1);
-}
-
-#[test]
-fn leases_survive_a_restart_of_the_coordinator() {
-    let mut before = Bench::new(&[]);
-    let lease = before.acquire(0, "a", 1);
-    let mut after = Bench::new(&[]);
-    assert!(after.renew(0, "a", &lease[0], true), "the part waits: it is the worker's again");
-    assert!(!job_of(&after.acquire(1, "b", 9)).contains(&lease[0].key.job));
-    let other_grid = vec![(lease[0].key, true, DIGEST)];
-    let lost = after.farm.renew(seconds(1), &worker("b"), other_grid).unwrap().0;
-    assert_eq!(lost.len(), 1, "what is computed must be what is wanted");
-}
-
-#[test]
-fn a_worker_that_leaves_frees_also_what_it_has_not_heard_of() {
-    let mut bench = Bench::new(&[]);
-    bench.acquire(0, "a", 2);
-    bench.farm.leave(&worker("a"));
-    assert_eq!(bench.acquire(1, "b", 10).len(), 3);
-    let late = bench.farm.acquire(seconds(2), &worker("a"), 1, &mut bench.chance);
-    assert!(late.is_err(), "one that has left gets no more");
-}
-
-#[test]
 fn a_draining_worker_gets_nothing_and_is_told() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
@@ -313,27 +253,6 @@ fn priorities_and_desires_decide_what_is_given_out() {
 }
 
 #[test]
-fn a_straggler_gets_a_second_copy_and_the_first_result_counts() {
-    let mut bench = Bench::new(&[]);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish(1, "a", &leases[1]);
-    bench.finish(1, "a", &leases[2]);
-    bench.farm.look_over(seconds(4));
-    assert!(bench.acquire(4, "b", 1).is_empty(), "not yet");
-    bench.farm.look_over(seconds(9));
-    bench.farm.look_over(seconds(14));
-    bench.farm.look_over(seconds(18));
-    assert!(bench.acquire(18, "a", 1).is_empty(), "not a second copy for the same worker");
-    let copy = bench.acquire(18, "b", 1);
-    assert_eq!(copy[0].key.job, leases[0].key.job);
-    bench.farm.look_over(seconds(19));
-    assert!(bench.acquire(19, "c", 1).is_empty(), "two are enough");
-    bench.finish(20, "b", &copy[0]);
-    assert_eq!(bench.state(), DictionaryState::Done);
-    assert!(!bench.renew(20, "a", &leases[0], true), "the slow one is told to stop");
-}
-
-#[test]
 fn what_is_missing_is_explained() {
     let mut bench = Bench::new(&[]);
     assert_eq!(bench.reasons(0), ["WAITING"]);
@@ -365,45 +284,4 @@ fn progress_counts_work_not_jobs() {
     // The longest of three jobs is more than half of the work.
     assert!(status.work_done > 0.6, "{}", status.work_done);
     assert_eq!(status.records_digest, None);
-}
-
-fn key(lease: &Lease) -> LeaseKey {
-    lease.key
-}
-
-#[test]
-fn what_is_held_stays_held_when_other_jobs_begin_again() {
-    let mut bench = Bench::new(&[]);
-    let leases = bench.acquire(0, "a", 2);
-    bench.finish(1, "a", &leases[0]);
-    bench.farm.reopen(DictionaryId(1), &[leases[0].key.job]);
-    let all = bench.acquire(2, "b", 9);
-    assert!(!job_of(&all).contains(&leases[1].key.job), "no part is computed by two: {all:?}");
-    assert_eq!(bench.status().jobs_leased, 3);
-}
-
-#[test]
-fn what_was_leased_before_a_pause_is_finished_and_nothing_else_is_given_out() {
-    let mut bench = Bench::new(&[]);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish(1, "a", &leases[1]);
-    bench.finish(1, "a", &leases[2]);
-    for second in (4..=20).step_by(4) {
-        bench.farm.look_over(seconds(second));
-    }
-    bench.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
-    assert!(bench.acquire(20, "b", 9).is_empty(), "no second copy either");
-    assert!(matches!(bench.admit("a", &leases[0]), Ok(Admission::Store { .. })));
-}
-
-#[test]
-fn a_worker_cannot_take_up_a_part_with_the_token_of_another_lease() {
-    let mut bench = Bench::new(&[]);
-    let lease = bench.acquire(0, "a", 1);
-    let other = bench.acquire(0, "b", 2);
-    bench.farm.hand_back(&[other[0].key]);
-    let forged = LeaseKey { token: lease[0].key.token, attempt: u32::MAX, ..other[0].key };
-    let held = vec![(forged, true, other[0].job.identity())];
-    assert_eq!(bench.farm.renew(seconds(1), &worker("a"), held).unwrap().0, [forged]);
-    assert_eq!(bench.acquire(2, "c", 1)[0].key.attempt, 2);
 }

@@ -11,8 +11,7 @@ use optics_model::{Grid, Invalid, MeasuredProfile, Measurement, Medium};
 use super::dictionary::FitDictionary;
 use super::resample::{Resampled, resample};
 use super::sum::rms_difference;
-use super::view::ViewKey;
-use super::view::{PairDescription, View, made_once};
+use super::view::{PairDescription, View, ViewKey, made_once};
 use super::wide::wide;
 
 /// Two parameters are the same if they differ by less than this share: decimals in files are rounded.
@@ -170,9 +169,7 @@ impl<'a> Term<'a> {
         let (resampled, view, description) = (self.resampled.clone(), self.view.clone(), OnceLock::new());
         Self { resampled, view, values, gradient, description, ..*self }
     }
-}
 
-impl Term<'_> {
     /// What searches hold against the view's sketches.
     pub(super) fn description(&self) -> &PairDescription {
         made_once(&self.description, || self.view.describe(&self.values, &self.gradient))

@@ -157,6 +157,14 @@ pub(super) struct Sketch {
 /// Profiles that one thread describes at a time.
 const TOGETHER: usize = 256;
 
+/// Of no profile.
+const NO_LEVELS: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+
+/// Least and greatest of both.
+fn together(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    (a.0.min(b.0), a.1.max(b.1))
+}
+
 impl Sketch {
     /// Bytes of a profile.
     pub(super) const BYTES: usize = (DIRECTIONS + 1) * size_of::<f32>();
@@ -171,12 +179,12 @@ impl Sketch {
         let described = |first: usize| {
             let count = TOGETHER.min(profiles - first);
             let mut numbers = Vec::with_capacity(count * each);
-            let (mut largest, mut levels) = (0.0_f32, (f64::INFINITY, f64::NEG_INFINITY));
+            let (mut largest, mut levels) = (0.0_f32, NO_LEVELS);
             for number in first..first + count {
                 let profile = profile(number);
                 largest = largest.max(basis.describe_into(&profile, &mut numbers));
                 let mean = mean(&profile);
-                levels = (levels.0.min(mean), levels.1.max(mean));
+                levels = together(levels, (mean, mean));
             }
             (numbers, largest, levels)
         };
@@ -191,10 +199,7 @@ impl Sketch {
             profiles,
             rows,
             largest: parts.iter().map(|(_, largest, _)| *largest).fold(0.0, f32::max),
-            levels: parts
-                .iter()
-                .map(|(.., levels)| *levels)
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |all, part| (all.0.min(part.0), all.1.max(part.1))),
+            levels: parts.iter().map(|(.., levels)| *levels).fold(NO_LEVELS, together),
         }
     }
 

@@ -4,7 +4,7 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::{DictionaryState, MachineFacts};
 
-use super::{Bench, DIGEST, about, job_of, key, origin, seconds, worker};
+use super::{Bench, DIGEST, about, job_of, origin, seconds, worker};
 use crate::dispatch::{Effect, Registration};
 use crate::stored::Origin;
 
@@ -116,7 +116,7 @@ fn handing_back_blames_nobody() {
     let mut bench = Bench::new(&[]);
     for _ in 0..5 {
         let lease = bench.acquire(0, "a", 1);
-        bench.farm.hand_back(&[key(&lease[0])]);
+        bench.farm.hand_back(&[lease[0].key]);
     }
     assert_eq!(bench.acquire(0, "a", 10).len(), 3);
     assert_eq!(bench.state(), DictionaryState::Running);
