@@ -27,14 +27,13 @@ def connect(farm):
     """A channel to the coordinator of an access file, or to the one at a URL that begins with http://."""
     if farm.startswith("http://"):
         address = farm.removeprefix("http://").rstrip("/")
-        # A coordinator without an access file puts a key here, which its user's programs alone can read.
-        key = pathlib.Path(f"/tmp/resin-farm-{os.getuid()}", address.rpartition(":")[2])
-        if not key.exists():
-            return grpc.insecure_channel(address)
-        token = grpc.access_token_call_credentials(key.read_text())
-        return grpc.secure_channel(
-            address, grpc.composite_channel_credentials(grpc.local_channel_credentials(), token)
-        )
+        direct = [("grpc.enable_http_proxy", 0)]
+        # A coordinator without an access file has a socket here, which its user's programs alone can reach.
+        for folder in (f"/run/user/{os.geteuid()}/resin-farm", f"/tmp/resin-farm-{os.geteuid()}"):
+            if (socket := pathlib.Path(folder, address.rpartition(":")[2])).is_socket():
+                # A path is no name of a host, which HTTP/2 wants to see.
+                return grpc.insecure_channel(f"unix:{socket}", [*direct, ("grpc.default_authority", "localhost")])
+        return grpc.insecure_channel(address, direct)
     if farm.startswith("https://"):
         sys.exit(f"{farm}: an access file is needed, which holds the certificate to know the coordinator by")
     with open(farm, "rb") as file:

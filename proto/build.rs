@@ -14,7 +14,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let descriptors = protox::compile(FILES, ["proto"])?;
     let out = std::path::PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(out.join("descriptors.bin"), prost::Message::encode_to_vec(&descriptors))?;
+    // By its name the codec finds what a message may have in it.
+    let mut config = tonic_prost_build::Config::new();
+    config.enable_type_names();
     // Results are large: they are not copied where they need not be.
-    tonic_prost_build::configure().bytes(".farm.v1.CompleteRequest").compile_fds(descriptors)?;
+    tonic_prost_build::configure()
+        .bytes(".farm.v1.CompleteRequest")
+        .codec_path("crate::codec::BoundedCodec")
+        .compile_fds_with_config(descriptors, config)?;
     Ok(())
 }

@@ -64,15 +64,15 @@ def generate(folder: pathlib.Path) -> None:
     from grpc_tools import protoc
 
     folder.mkdir(exist_ok=True)
-    (folder / "__init__.py").write_text('"""Generated from the .proto files."""\n')
+    (folder / "__init__.py").write_text('"""Generated from the .proto files."""\n', encoding="utf-8")
     include = f"-I{CHECKOUT / 'proto' / 'proto'}"
     files = [f"farm/v1/{name}.proto" for name in MESSAGES]
     if protoc.main(["protoc", include, f"--python_out={folder}", f"--pyi_out={folder}", *files]) != 0:
         raise SystemExit("protoc failed")
     made = folder / "farm" / "v1"
     for file in made.iterdir():
-        text = file.read_text().replace("from farm.v1 import", "from resin_farm._wire import")
-        (folder / file.name).write_text(text)
+        text = file.read_text(encoding="utf-8").replace("from farm.v1 import", "from resin_farm._wire import")
+        (folder / file.name).write_text(text, encoding="utf-8")
         file.unlink()
     made.rmdir()
     made.parent.rmdir()

@@ -14,14 +14,14 @@ use std::net::IpAddr;
 use std::os::unix::fs::{OpenOptionsExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
-use farm_link::{Role, token_hash};
+use farm_link::{Role, sync_folder, token_hash};
 use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
     KeyUsagePurpose,
 };
 use time::{Duration, OffsetDateTime};
 
-use crate::whole_file::{folder_of, sync_folder};
+use crate::whole_file::folder_of;
 
 /// How long certificates hold: ten years.
 const VALID: Duration = Duration::days(3653);

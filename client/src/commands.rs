@@ -12,6 +12,7 @@ pub(crate) mod events;
 pub(crate) mod explain;
 pub(crate) mod export;
 pub(crate) mod fit;
+mod following;
 pub(crate) mod health;
 pub(crate) mod list;
 pub(crate) mod manage;
@@ -32,3 +33,5 @@ pub(crate) mod submit;
 mod tests;
 pub(crate) mod watch;
 pub(crate) mod workers;
+
+pub(crate) use following::Deleted;

@@ -1,5 +1,6 @@
 //! A farm to talk to: a server's, or one that lives in this process.
 
+use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::time::Duration;
@@ -12,11 +13,12 @@ use farm_proto::RequestLimits;
 use farm_proto::wire::admin_client::AdminClient;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
-use farm_proto::wire::fits_client::FitsClient;
+use optics_model::limits::FitLimits;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::Global;
+use crate::questions::Questions;
 
 /// What a command wants of a farm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,13 +27,6 @@ pub(crate) enum Purpose {
     Ask,
     /// To compute: a local one is made if need be, with a worker.
     Compute,
-}
-
-/// A request whose answer may take as long as a large database takes to be read through.
-pub(crate) fn patient<T>(message: T) -> tonic::Request<T> {
-    let mut request = tonic::Request::new(message);
-    request.set_timeout(Duration::from_hours(12));
-    request
 }
 
 #[derive(Debug)]
@@ -116,7 +111,8 @@ pub(crate) fn kernel_name() -> Option<String> {
 
 /// Settings of the coordinator that `farmctl` runs itself.
 fn coordinator(data: &Path) -> Result<Config> {
-    let mut config = Config::new(data);
+    // No other process need be spared.
+    let mut config = Config { question_pixels: usize::MAX, ..Config::new(data) };
     if let Some(told) = std::env::var_os("FARM_FIT_MEMORY").filter(|told| !told.is_empty()) {
         let mib = told.to_str().and_then(|told| told.parse::<usize>().ok());
         let mib =
@@ -156,14 +152,23 @@ impl Connection {
     }
 
     async fn local(data: &Path, purpose: Purpose) -> Result<Self> {
-        if purpose == Purpose::Ask && !data.join("farm.db").exists() {
+        let there = match data.join("farm.db").try_exists() {
+            Err(error) if error.kind() == ErrorKind::PermissionDenied => {
+                let place =
+                    format!("looking for a farm in {}: is the folder another user's?", data.display());
+                return Err(anyhow::Error::new(error).context(place));
+            }
+            there => there.unwrap_or(false),
+        };
+        if purpose == Purpose::Ask && !there {
             bail!(
                 "there is no farm in {}: run `farmctl submit` first, or name its folder with --data or a server \
                  with --server",
                 data.display()
             );
         }
-        let config = coordinator(data)?;
+        // One that lives for a question alone is nothing to remember.
+        let config = Config { start_is_event: purpose == Purpose::Compute, ..coordinator(data)? };
         let start = tokio::time::Instant::now();
         loop {
             match Coordinator::open(&config).await {
@@ -247,8 +252,13 @@ impl Connection {
         DictionariesClient::new(self.link.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
     }
 
-    pub(crate) fn fits(&self) -> FitsClient<Link> {
-        FitsClient::new(self.link.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
+    pub(crate) fn fits(&self) -> Questions {
+        Questions::new(self.link.clone(), self.question_pixels())
+    }
+
+    /// Most pixels of one question. In this process memory alone sets a limit; a neighbour has its own.
+    fn question_pixels(&self) -> usize {
+        if self.is_server() { FitLimits::QUESTION_PIXELS } else { usize::MAX }
     }
 
     pub(crate) fn admin(&self) -> AdminClient<Link> {

@@ -14,6 +14,8 @@ pub(crate) const CANCELLED: u8 = 5;
 pub(crate) const TIMEOUT: u8 = 6;
 /// All jobs are done, and machines disagree about some of them: which result is right is not known yet.
 pub(crate) const DISPUTED: u8 = 7;
+/// Deleted, and perhaps replaced by another one of its name, while it was waited for.
+pub(crate) const DELETED: u8 = 8;
 /// Stopped by a signal.
 pub(crate) const INTERRUPTED: u8 = 130;
 

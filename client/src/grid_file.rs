@@ -6,6 +6,9 @@ use anyhow::{Context, Result, bail};
 use optics_model::{Grid, GridFile, Invalid, Scene, SceneFile, SceneRef};
 use toml::de::DeTable;
 
+use crate::bounded_file;
+use crate::measurement_file::plain;
+
 /// Largest grid or scene file that is read, in bytes.
 const LARGEST: u64 = 16 << 20;
 
@@ -18,6 +21,13 @@ pub fn read_grid(path: &Path) -> Result<Grid> {
 /// The grid that the text of a file describes, with the scenes of names.
 pub(crate) fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -> Result<Grid> {
     let file: GridFile = from_toml(text, path, "grid file")?;
+    if DeTable::parse(text).is_ok_and(|table| table.get_ref().is_empty()) {
+        bail!(
+            "grid file {} sets nothing: name at least one field, such as sigma_t_per_mm, or leave the file out for the \
+             paper's grid",
+            path.display()
+        );
+    }
     let scene = match &file.scene {
         SceneRef::Named(name) => scene(name).with_context(|| format!("grid file {}", path.display()))?,
         SceneRef::Inline(scene) => {
@@ -58,15 +68,34 @@ fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
 
 pub(crate) fn read_text(path: &Path, what: &str) -> Result<String> {
     let place = || format!("{what} {}", path.display());
-    let size = std::fs::metadata(path).with_context(place)?.len();
-    if size > LARGEST {
-        bail!("{} has {size} bytes, {LARGEST} are allowed", place());
-    }
-    std::fs::read_to_string(path).with_context(place)
+    plain(&bounded_file::read(path, LARGEST).with_context(place)?).with_context(place)
 }
 
 pub(crate) fn from_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path, what: &str) -> Result<T> {
-    toml::from_str(text).with_context(|| format!("{what} {}", path.display()))
+    toml::from_str(text).map_err(|error| {
+        let place = format!("{what} {}", path.display());
+        match error.span().and_then(|span| decimal_comma(text, span.start)) {
+            Some(told) => anyhow::Error::new(error).context(format!("{place}, {told}")),
+            None => anyhow::Error::new(error).context(place),
+        }
+    })
+}
+
+/// What is to be said of a number with a decimal comma in the line of a place, if there is one.
+fn decimal_comma(text: &str, at: usize) -> Option<String> {
+    let before = text.get(..at)?;
+    let line = before.matches('\n').count();
+    let words = text.lines().nth(line)?.split(|c: char| !(c.is_ascii_digit() || ".,".contains(c)));
+    let words = words.map(|word| word.trim_matches(','));
+    let is_number = |word: &&str| {
+        let parts = word.split_once(',');
+        parts.is_some_and(|(a, b)| {
+            [a, b].iter().all(|p| !p.is_empty() && p.bytes().all(|c| c.is_ascii_digit()))
+        })
+    };
+    let number = words.into_iter().find(is_number)?;
+    let point = number.replace(',', ".");
+    Some(format!("line {}: {number} seems to have a decimal comma; write {point}", line + 1))
 }
 
 /// Tells where in a file a value stands that is not valid.
@@ -94,6 +123,27 @@ fn line_of(text: &str, field: &str) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// It would be computed as the paper's grid, under another name.
+    #[test]
+    fn a_grid_file_that_sets_nothing_is_refused() {
+        for text in ["", "\n", "# sigma_t_per_mm = [1]\n"] {
+            let refused = grid_of(text, Path::new("g.toml"), |_| Ok(Scene::paper())).unwrap_err();
+            assert!(refused.to_string().starts_with("grid file g.toml sets nothing"), "{refused}");
+        }
+        assert!(grid_of("walks = 1000\n", Path::new("g.toml"), |_| Ok(Scene::paper())).is_ok());
+    }
+
+    #[test]
+    fn a_decimal_comma_is_named_with_its_line() {
+        let refused = |text: &str| {
+            from_toml::<GridFile>(text, Path::new("g.toml"), "grid file").unwrap_err().to_string()
+        };
+        let told = "grid file g.toml, line 2: 0,5 seems to have a decimal comma; write 0.5";
+        assert_eq!(refused("walks = 1\nquality = 0,5\n"), told);
+        assert_eq!(refused("walks = 1\nalbedo = [0,5, 0,05]\n"), told);
+        assert_eq!(refused("walks = [0.5,1\n"), "grid file g.toml");
+    }
 
     #[test]
     fn fields_have_lines() {

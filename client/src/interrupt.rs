@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM, for the commands that have something to clean up.
+//! Ctrl-C, SIGTERM and SIGHUP, for the commands that have something to clean up.
 
 use farm_link::signals::termination;
 

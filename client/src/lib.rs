@@ -1,7 +1,10 @@
 //! `farmctl`: submits grids, fits measurements, simulates profiles; on one machine or against a farm.
 
+#![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
+
 pub mod access_files;
 mod answers;
+mod bounded_file;
 mod capture;
 pub mod cli;
 mod commands;
@@ -13,14 +16,17 @@ mod grid_file;
 mod interrupt;
 mod measurement_file;
 mod mixture_file;
+mod outage;
 mod output;
 mod photograph;
 mod plot;
 mod progress;
+mod questions;
 mod records;
 mod renderers;
 mod set_up;
 mod slurm;
+mod terminal;
 #[cfg(test)]
 mod testing;
 mod web;
@@ -45,6 +51,10 @@ pub async fn run(cli: Cli) -> ExitCode {
     match dispatch(cli, &output).await {
         Ok(code) => code,
         Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) if error.is::<commands::Deleted>() => {
+            output.error(&error);
+            ExitCode::from(exit::DELETED)
+        }
         Err(error) if error.is::<interrupt::Interrupted>() => {
             output.error(&error);
             ExitCode::from(exit::INTERRUPTED)
@@ -93,7 +103,7 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Health => commands::health::run(global, output).await?,
         Command::Show(args) => commands::show::run(global, args, output).await?,
         Command::Export(args) => commands::export::run(global, args, output).await?,
-        Command::Completions(args) => commands::completions::run(&args),
+        Command::Completions(args) => commands::completions::run(&args)?,
         Command::Manual(args) => commands::manual::run(&args)?,
     }
     Ok(ExitCode::SUCCESS)

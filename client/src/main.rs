@@ -1,15 +1,16 @@
 //! `farmctl`: parses the command line and calls the library.
 
+#![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
+
 use std::process::ExitCode;
 
-use clap::Parser;
-use farm_link::logs;
 use farm_link::logs::LogFormat;
+use farm_link::{arguments, logs};
 
 fn main() -> ExitCode {
-    let cli = farmctl::cli::Cli::parse();
+    let cli: farmctl::cli::Cli = arguments::parse();
     if let Err(error) = logs::init(LogFormat::Text, "error") {
-        eprintln!("farmctl: {error}");
+        logs::tell(format_args!("farmctl: {error}"));
         return ExitCode::FAILURE;
     }
     farmctl::run(cli)

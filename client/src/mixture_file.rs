@@ -9,6 +9,7 @@ use optics_model::invalid::each;
 use serde::Deserialize;
 
 use crate::grid_file::{from_toml, read_text};
+use crate::measurement_file::normal;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -33,7 +34,12 @@ pub(crate) fn read_mixtures(path: &Path) -> Result<Mixtures> {
 }
 
 fn mixtures(file: File) -> optics_model::Result<Mixtures> {
-    Mixtures::new(each("mixture", file.mixture, |entry: Entry| Mixture::new(entry.material, entry.parts))?)
+    // Names as measurements have them.
+    let mixture = |entry: Entry| {
+        let parts = entry.parts.into_iter().map(|(ink, share)| (normal(&ink).into_owned(), share));
+        Mixture::new(normal(&entry.material), parts)
+    };
+    Mixtures::new(each("mixture", file.mixture, mixture)?)
 }
 
 #[cfg(test)]

@@ -1,12 +1,14 @@
 //! What people and programs read: tables, and JSON in one stable envelope.
 
 use std::fmt::Write as _;
-use std::io::Write;
 
 use comfy_table::{Attribute, Cell, CellAlignment, LineStyle, Table, TableStyle};
+use farm_link::logs::tell;
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use serde::Serialize;
 
+pub(crate) use crate::terminal::print_line;
+use crate::terminal::{harmless, with_escapes};
 pub(crate) use crate::whole_file::write_whole;
 
 /// Version of the JSON shapes: fields may be added to a version, never changed or removed.
@@ -42,28 +44,28 @@ impl Output {
         text: impl FnOnce() -> String,
     ) -> anyhow::Result<()> {
         let line = if self.json { envelope(kind, data)? } else { text() };
-        writeln!(anstream::stdout(), "{}", line.trim_end())?;
-        Ok(())
+        print_line(&line)
     }
 
     pub(crate) fn error(&self, error: &anyhow::Error) {
         let message = sentence(error);
         if self.json {
             let data = serde_json::json!({ "message": message });
-            println!("{}", envelope("error", &data).unwrap_or_default());
-        } else {
-            eprintln!("farmctl: {message}");
+            let line = envelope("error", &data).unwrap_or_default();
+            if print_line(&line).is_ok() {
+                return;
+            }
         }
+        tell(format_args!("farmctl: {message}"));
     }
 }
 
 /// One line: the envelope with its data.
 pub(crate) fn envelope<T: Serialize>(kind: &str, data: &T) -> anyhow::Result<String> {
-    Ok(serde_json::to_string(&Envelope { api: API, kind, data })?)
+    let text = serde_json::to_string(&Envelope { api: API, kind, data })?;
+    // What is left of these stands in strings, where JSON has an escape for it.
+    Ok(with_escapes(&text, |c| format!("\\u{:04x}", c as u32)))
 }
-
-/// Most bytes of an error that are printed: it may quote a line of a file, and that may be all of it.
-const LONGEST_ERROR: usize = 3000;
 
 /// The chain of causes as one sentence; a gRPC status of the coordinator's tells its message alone.
 pub(crate) fn sentence(error: &anyhow::Error) -> String {
@@ -86,23 +88,6 @@ pub(crate) fn sentence(error: &anyhow::Error) -> String {
     harmless(&text)
 }
 
-/// What a text quotes may come from anybody's file, so nothing in it steers a terminal or turns the direction of what
-/// follows, and its length has an end.
-fn harmless(text: &str) -> String {
-    let turns =
-        |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-    let steers = |c: char| (c.is_control() && !matches!(c, '\n' | '\t')) || turns(c);
-    let mut told = String::new();
-    for c in text.chars() {
-        if told.len() >= LONGEST_ERROR {
-            told.push('…');
-            break;
-        }
-        if steers(c) { told.extend(c.escape_unicode()) } else { told.push(c) }
-    }
-    told
-}
-
 /// Whether the reader of standard output has gone, as in `farmctl export … | head`. A broken connection to a farm has
 /// the same error at its root and is none of that.
 pub(crate) fn is_closed_pipe(error: &anyhow::Error) -> bool {
@@ -116,10 +101,22 @@ pub(crate) fn warning(text: &str) -> String {
     format!("\u{1b}[33m{text}\u{1b}[0m")
 }
 
-/// A line of text in lines of at most 80 columns.
+/// A line of text in lines of at most 80 columns; units stay with their numbers.
 pub(crate) fn wrapped(text: &str) -> String {
-    let mut lines = vec![String::new()];
+    let mut words: Vec<String> = Vec::new();
     for word in text.split(' ') {
+        let unit = ["%", "mm", "σ", "±", "/"].iter().any(|unit| word.starts_with(unit));
+        match words.last_mut() {
+            Some(number)
+                if number.ends_with('±') || (unit && number.ends_with(|c: char| c.is_ascii_digit())) =>
+            {
+                *number += &format!(" {word}");
+            }
+            _ => words.push(word.to_owned()),
+        }
+    }
+    let mut lines = vec![String::new()];
+    for word in &words {
         let last = lines.last_mut().expect("there is a line");
         let wide = last.chars().count() + 1 + word.chars().count() > 80;
         if last.is_empty() || !wide {
@@ -339,6 +336,14 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_unit_stays_with_its_number() {
+        let text = format!("{} 0.512 mm is, 3 % and 0.4 ± 0.1 σ", "word ".repeat(15).trim_end());
+        let wrapped = wrapped(&text);
+        assert!(wrapped.contains("\n  0.512 mm is, 3 % and 0.4 ± 0.1 σ"), "{wrapped}");
+        assert_eq!(super::wrapped("a b"), "a b");
+    }
+
+    #[test]
     fn numbers_and_times_read_well() {
         assert_eq!(
             [0, 999, 1000, 34_276, 1_000_000].map(grouped),
@@ -349,14 +354,11 @@ mod tests {
     }
 
     #[test]
-    fn what_an_error_quotes_steers_no_terminal_and_has_an_end() {
-        let told = |quoted: &str| sentence(&anyhow::anyhow!("line 3: {quoted}"));
-        assert_eq!(told("2 µm\n  |\t^"), "line 3: 2 µm\n  |\t^");
-        assert_eq!(told("\u{1b}[2Jgone\u{7}\u{202e}"), "line 3: \\u{1b}[2Jgone\\u{7}\\u{202e}");
-        for (long, end) in [("ä", "ä…"), ("\0", "\\u{0}…")] {
-            let told = told(&long.repeat(100_000));
-            assert!(told.len() < LONGEST_ERROR + 10 && told.ends_with(end), "{} bytes", told.len());
-        }
+    fn json_has_escapes_for_what_is_not_seen() {
+        let line = envelope("x", &"a\u{202e}b\u{9b}c\u{1b}\n").unwrap();
+        assert!(line.contains(r"a\u202eb\u009bc\u001b\n"), "{line}");
+        let back: serde_json::Value = serde_json::from_str(&line).unwrap();
+        assert_eq!(back["data"], "a\u{202e}b\u{9b}c\u{1b}\n");
     }
 
     #[test]

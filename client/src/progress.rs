@@ -3,10 +3,12 @@
 
 mod cells;
 
+use std::ffi::OsStr;
 use std::io::IsTerminal;
 use std::time::Duration;
 
 use console::Term;
+use farm_link::logs::tell;
 use farm_proto::status::DictionaryStatus;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -18,6 +20,15 @@ const LINE: Duration = Duration::from_secs(10);
 
 /// Parts of a bar.
 const STEPS: u64 = 10_000;
+
+/// Whether standard error is a terminal that lines can be written over on.
+pub(crate) fn has_bars() -> bool {
+    std::io::stderr().is_terminal() && moves_cursor(std::env::var_os("TERM").as_deref())
+}
+
+fn moves_cursor(term: Option<&OsStr>) -> bool {
+    term.is_some_and(|term| !term.is_empty() && term != "dumb")
+}
 
 /// Tells the share of the work that is done, and when the rest will be done at the farm's pace.
 #[derive(Debug)]
@@ -39,7 +50,7 @@ impl Progress {
     pub(crate) fn new(first: &DictionaryStatus, quiet: bool) -> Self {
         let look = if quiet {
             Look::Nothing
-        } else if std::io::stderr().is_terminal() {
+        } else if has_bars() {
             let bar = ProgressBar::new(STEPS);
             let style = ProgressStyle::with_template("{prefix} [{wide_bar}] {msg}");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
@@ -49,6 +60,11 @@ impl Progress {
             Look::Lines { last: None }
         };
         Self { look }
+    }
+
+    /// Whether nothing is shown.
+    pub(crate) fn is_quiet(&self) -> bool {
+        matches!(self.look, Look::Nothing)
     }
 
     /// Whether there is a place for cells.
@@ -77,10 +93,18 @@ impl Progress {
             Look::Lines { last } => {
                 if last.is_none_or(|last| last.elapsed() >= LINE) {
                     *last = Some(tokio::time::Instant::now());
-                    eprintln!("{}: {text}", status.name);
+                    tell(format_args!("{}: {text}", status.name));
                 }
             }
             Look::Nothing => {}
+        }
+    }
+
+    /// A line on standard error, above the bar. It is told to whoever wants no progress, too.
+    pub(crate) fn tell(&self, line: &str) {
+        match &self.look {
+            Look::Bar(bar, _) => bar.suspend(|| tell(line)),
+            Look::Lines { .. } | Look::Nothing => tell(line),
         }
     }
 
@@ -117,6 +141,13 @@ mod tests {
     use optics_model::{Digest, Grid};
 
     use super::*;
+
+    #[test]
+    fn a_terminal_without_a_cursor_gets_lines() {
+        assert!(moves_cursor(Some(OsStr::new("xterm"))));
+        assert!(!moves_cursor(Some(OsStr::new("dumb"))) && !moves_cursor(Some(OsStr::new(""))));
+        assert!(!moves_cursor(None));
+    }
 
     #[test]
     fn the_share_is_that_of_the_work_and_what_it_waits_for_is_told() {

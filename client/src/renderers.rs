@@ -10,10 +10,32 @@ mod pbrt;
 use std::collections::HashSet;
 
 use optics_model::Medium;
-use optics_model::fit::{ChannelFit, MaterialFit};
+use optics_model::fit::{ChannelFit, MaterialFit, Refined};
 
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
 pub(crate) use self::pbrt::pbrt;
+
+/// What a measurement determines of a channel's medium.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    Resolved,
+    /// σ_t and the albedo together with this g only.
+    GOpen,
+    /// The values are the best ones found.
+    Unresolved,
+}
+
+impl State {
+    fn of(refined: &Refined) -> Self {
+        if refined.g_is_open() {
+            Self::GOpen
+        } else if refined.resolved {
+            Self::Resolved
+        } else {
+            Self::Unresolved
+        }
+    }
+}
 
 /// One channel of a measured material, refined.
 #[derive(Debug)]
@@ -21,14 +43,13 @@ struct Channel<'a> {
     /// R, G or B, a wavelength in nm, or any name.
     name: &'a str,
     medium: Medium,
-    /// Whether the measurement determines the values; if not they are the best ones found.
-    resolved: bool,
+    state: State,
 }
 
 impl<'a> Channel<'a> {
     fn of(fit: &'a ChannelFit) -> Option<Self> {
         let refined = fit.refined.as_ref()?;
-        Some(Self { name: &fit.channel, medium: refined.best.medium, resolved: refined.resolved })
+        Some(Self { name: &fit.channel, medium: refined.best.medium, state: State::of(refined) })
     }
 }
 
@@ -72,13 +93,13 @@ fn blocks(fits: &[MaterialFit]) -> Vec<Block> {
         let joint = if common_g { rgb(&channels).or_else(|| spectrum(&channels)) } else { None };
         if let Some((values, what)) = joint {
             let mut notes = vec![format!("{:?}: {what}", fit.material)];
-            notes.extend(unresolved(&channels));
+            notes.extend(doubts(&channels));
             blocks.push(Block { name: names.take(&fit.material), notes, values, g });
             continue;
         }
         for channel in &channels {
             let mut notes = vec![format!("{:?}: channel {:?}", fit.material, channel.name)];
-            notes.extend(unresolved(std::slice::from_ref(channel)));
+            notes.extend(doubts(std::slice::from_ref(channel)));
             if !common_g {
                 notes.push(
                     "The channels differ in g and a medium takes one: one medium per channel.".to_owned(),
@@ -123,10 +144,21 @@ fn spectrum(channels: &[Channel]) -> Option<(Values, String)> {
     Some((Values::Spectrum(samples), what))
 }
 
-fn unresolved(channels: &[Channel]) -> Option<String> {
-    let names: Vec<_> = channels.iter().filter(|c| !c.resolved).map(|c| format!("{:?}", c.name)).collect();
-    (!names.is_empty())
-        .then(|| format!("Unresolved: the measurement does not determine {}; best values.", names.join(", ")))
+/// What the measurement does not determine.
+fn doubts(channels: &[Channel]) -> Vec<String> {
+    let names = |state: State| {
+        let names = channels.iter().filter(|c| c.state == state).map(|c| format!("{:?}", c.name));
+        names.collect::<Vec<_>>().join(", ")
+    };
+    let (unresolved, open) = (names(State::Unresolved), names(State::GOpen));
+    let mut doubts = Vec::new();
+    if !unresolved.is_empty() {
+        doubts.push(format!("Unresolved: the measurement does not determine {unresolved}; best values."));
+    }
+    if !open.is_empty() {
+        doubts.push(format!("g open: sigma_t and albedo of {open} hold together with this g only."));
+    }
+    doubts
 }
 
 /// The names that a file has given to its media.
@@ -183,7 +215,8 @@ mod tests {
     /// One of each kind: colours in any order of which one is unresolved, wavelengths, and a name.
     pub(super) fn three_kinds() -> Vec<MaterialFit> {
         let mut green = channel("G", 5.0, 0.99);
-        green.refined.as_mut().unwrap().resolved = false;
+        let refined = green.refined.as_mut().unwrap();
+        (refined.resolved, refined.resolved_at_g) = (false, false);
         vec![
             medium("Clear resin", vec![channel("B", 4.0, 0.98), channel("R", 6.0, 0.9991), green]),
             medium("Grey", vec![channel("650", 7.5, 0.5), channel("450", 9.0, 0.25)]),
@@ -193,6 +226,14 @@ mod tests {
 
     fn names(media: &[MaterialFit]) -> Vec<String> {
         blocks(media).into_iter().map(|b| b.name).collect()
+    }
+
+    #[test]
+    fn media_whose_g_is_open_say_so() {
+        let mut white = medium("white", vec![channel("R", 6.0, 0.9991)]);
+        white.channels[0].refined.as_mut().unwrap().resolved = false;
+        let notes = &blocks(&[white])[0].notes;
+        assert_eq!(notes[1], "g open: sigma_t and albedo of \"R\" hold together with this g only.");
     }
 
     #[test]

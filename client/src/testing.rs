@@ -2,9 +2,9 @@
 
 use optics_model::Medium;
 use optics_model::fit::{
-    Agreement, Bound, Candidate, Cause, ChannelFit, Common, Design, Ends, HalfWidths, Improvement,
-    InkChannel, InkFit, Interval, Likelihood, Limitation, MixtureFit, MixturePart, Nuisance,
-    NuisanceEstimate, OutlierPixel, PixelRow, Refined, SlabSet, Stretch, Suspicion, Unmixed,
+    Agreement, Bound, Candidate, Cause, ChannelFit, Common, Design, Ends, ErrorSource, HalfWidths,
+    Improvement, InkChannel, InkFit, Interval, Likelihood, Limitation, MixtureFit, MixturePart, Nuisance,
+    NuisanceEstimate, OutlierPixel, PixelRow, Refined, SlabSet, SourceShare, Stretch, Suspicion, Unmixed,
 };
 
 /// Two sets at σ_t = 6 / mm and 1 − α = 0.001: 0.5 mm, photographed once, and 0.5 and 1 mm, photographed twice.
@@ -67,6 +67,7 @@ pub(crate) fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFi
     let refined = Refined {
         best: candidate(sigma_t_per_mm),
         resolved: true,
+        resolved_at_g: true,
         valley: true,
         sigma_t_per_mm: closed(0.9 * sigma_t_per_mm, 1.1 * sigma_t_per_mm),
         albedo: closed(0.999_494, 0.999_986),
@@ -102,6 +103,13 @@ pub(crate) fn likelihood(chi2: f64, probability: f64) -> Likelihood {
         told_std_error,
     };
     let ends = |low, high| Ends { low, high };
+    let share = |source, sigma_t| SourceShare {
+        source,
+        sigma_t,
+        albedo: sigma_t,
+        reduced_scattering: sigma_t,
+        absorption: sigma_t,
+    };
     Likelihood {
         chi2,
         degrees_of_freedom: 716.0,
@@ -127,6 +135,12 @@ pub(crate) fn likelihood(chi2: f64, probability: f64) -> Likelihood {
             reduced_scattering_per_mm: ends(13.5, 14.5),
             absorption_per_mm: ends(0.000_25, 0.0055),
         },
+        budget: vec![
+            share(ErrorSource::Noise, 0.08),
+            share(ErrorSource::Thickness, 0.116),
+            share(ErrorSource::Zero, 0.004),
+            share(ErrorSource::G, 0.8),
+        ],
     }
 }
 

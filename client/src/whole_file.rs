@@ -1,26 +1,38 @@
-//! Files that are whole or not there.
+//! Files that are whole or not there, and devices and pipes, which are written to and never replaced.
 
 use std::ffi::OsString;
 use std::fs::{File, Permissions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
-use std::os::unix::fs::PermissionsExt as _;
+use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
+use farm_link::sync_folder;
 use tempfile::{Builder, NamedTempFile};
 
 /// What a new file may be used for, before the process's mask.
 const NEW_FILE: u32 = 0o666;
 
 /// A file that is written beside its place under a name of its own, and gets its name by [`Draft::finish`]. Dropped before,
-/// it leaves nothing.
+/// it leaves nothing. What goes to a device or a pipe is collected in a temporary file.
 #[derive(Debug)]
 pub(crate) struct Draft {
     file: BufWriter<NamedTempFile>,
-    path: PathBuf,
+    place: Place,
+}
+
+/// Where a draft goes when it is whole.
+#[derive(Debug)]
+enum Place {
+    Name(PathBuf),
+    Node(File),
 }
 
 impl Draft {
     pub(crate) fn create(path: &Path) -> io::Result<Self> {
+        if let Some(node) = open_node(path)? {
+            let file = BufWriter::new(NamedTempFile::new()?);
+            return Ok(Self { file, place: Place::Node(node) });
+        }
         // What a link leads to is replaced, not the link.
         let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
         let Some(name) = path.file_name() else {
@@ -36,16 +48,24 @@ impl Draft {
         if let Ok(before) = std::fs::metadata(&path) {
             file.as_file().set_permissions(before.permissions())?;
         }
-        Ok(Self { file: BufWriter::new(file), path })
+        Ok(Self { file: BufWriter::new(file), place: Place::Name(path) })
     }
 
     /// Gives the file its name, when all of it is on the disk.
     pub(crate) fn finish(self) -> io::Result<()> {
-        let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
-        file.as_file().sync_all()?;
-        file.persist(&self.path).map_err(|error| error.error)?;
-        // The name is on the disk when its folder is.
-        sync_folder(folder_of(&self.path))
+        let mut file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
+        match self.place {
+            Place::Name(path) => {
+                file.as_file().sync_all()?;
+                file.persist(&path).map_err(|error| error.error)?;
+                // The name is on the disk when its folder is.
+                sync_folder(folder_of(&path))
+            }
+            Place::Node(mut node) => {
+                file.rewind()?;
+                io::copy(&mut file, &mut node).map(drop)
+            }
+        }
     }
 }
 
@@ -72,17 +92,41 @@ pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     draft.finish()
 }
 
+/// Opens a character device or a pipe for what is written to it; None if a regular file is there, or nothing. Block
+/// devices, sockets and folders are refused.
+pub(crate) fn open_node(path: &Path) -> io::Result<Option<File>> {
+    let Ok(found) = std::fs::metadata(path) else { return Ok(None) };
+    let kind = found.file_type();
+    let refused = |what: &str| {
+        let allowed = "name a regular file, a character device or a pipe";
+        Err(io::Error::new(io::ErrorKind::InvalidInput, format!("is {what}: {allowed}")))
+    };
+    if kind.is_file() {
+        return Ok(None);
+    }
+    if kind.is_dir() {
+        return refused("a folder");
+    }
+    if kind.is_block_device() {
+        return refused("a block device");
+    }
+    if kind.is_socket() {
+        return refused("a socket");
+    }
+    let node = File::options().write(true).open(path)?;
+    let opened = node.metadata()?;
+    if (opened.dev(), opened.ino()) != (found.dev(), found.ino()) {
+        return refused("another file than a moment ago");
+    }
+    Ok(Some(node))
+}
+
 /// The folder that a file or folder is in.
 pub(crate) fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     }
-}
-
-/// Puts the names in a folder on the disk.
-pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
-    File::open(folder)?.sync_all()
 }
 
 #[cfg(test)]
@@ -110,6 +154,60 @@ mod tests {
         first.finish().unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"first");
         assert_eq!(names(folder.path()), ["out.csv"]);
+    }
+
+    #[test]
+    fn a_pipe_is_written_to_and_stays_a_pipe() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let reader = std::thread::spawn({
+            let path = path.clone();
+            move || std::fs::read(path).unwrap()
+        });
+        let mut draft = Draft::create(&path).unwrap();
+        draft.write_all(b"?irst").unwrap();
+        // As for the directory of a ZIP archive, which no pipe could go back for.
+        draft.rewind().unwrap();
+        draft.write_all(b"f").unwrap();
+        draft.finish().unwrap();
+        assert_eq!(reader.join().unwrap(), b"first");
+        assert!(std::fs::metadata(&path).unwrap().file_type().is_fifo());
+        assert_eq!(names(folder.path()), ["pipe"]);
+    }
+
+    #[test]
+    fn devices_stay_devices_and_block_devices_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let (null, disk) = (folder.path().join("null"), folder.path().join("disk"));
+        let mknod = |path: &Path, numbers: [&str; 3]| {
+            let made = std::process::Command::new("mknod").arg(path).args(numbers).output().unwrap();
+            made.status.success() && File::options().write(true).open(path).is_ok()
+        };
+        // Of the kind of /dev/null, and of a disk that there is none of. Only root can make and open them.
+        if !mknod(&null, ["c", "1", "3"]) {
+            return;
+        }
+        mknod(&disk, ["b", "240", "0"]);
+        write_whole(&null, b"anything").unwrap();
+        assert!(std::fs::metadata(&null).unwrap().file_type().is_char_device());
+        if disk.exists() {
+            let refused = write_whole(&disk, b"anything").unwrap_err().to_string();
+            assert_eq!(refused, "is a block device: name a regular file, a character device or a pipe");
+        }
+    }
+
+    #[test]
+    fn folders_and_sockets_are_refused_and_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let socket = folder.path().join("socket");
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        for (path, what) in [(folder.path(), "is a folder"), (&socket, "is a socket")] {
+            let refused = write_whole(path, b"anything").unwrap_err().to_string();
+            assert!(refused.starts_with(what), "{refused}");
+        }
+        assert!(std::fs::metadata(&socket).unwrap().file_type().is_socket());
+        assert_eq!(names(folder.path()), ["socket"]);
     }
 
     #[test]

@@ -5,20 +5,19 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Parser;
+use farm_link::arguments::listen_address;
 use farm_link::logs::LogFormat;
 use farm_link::walltime::parse_time_limit;
-
-use crate::Config;
 
 /// Splits parameter grids into jobs for workers, stores the records and answers fits.
 #[derive(Debug, Parser)]
 #[command(name = "farm-coordinator", version, after_help = EXAMPLES)]
 pub struct Args {
     /// Address to listen on. One that other machines can reach needs --access or --insecure.
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7700", env = "FARM_LISTEN")]
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7700", env = "FARM_LISTEN", value_parser = listen_address)]
     pub listen: SocketAddr,
     /// Address for metrics and health checks over HTTP: /metrics, /livez, /readyz [default: none].
-    #[arg(long, value_name = "ADDR", env = "FARM_METRICS")]
+    #[arg(long, value_name = "ADDR", env = "FARM_METRICS", value_parser = listen_address)]
     pub metrics: Option<SocketAddr>,
     /// Folder for the database; it must not be on a network filesystem.
     #[arg(long, value_name = "DIR", default_value = "farm-data", env = "FARM_DATA")]
@@ -35,9 +34,10 @@ pub struct Args {
     /// Largest number of connections; further ones are refused.
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub max_connections: u32,
-    /// Memory for the dictionaries that are fitted with, in MiB. What was not asked for longest makes room.
-    #[arg(long, value_name = "MIB", default_value_t = Config::FIT_MEMORY_MIB, env = "FARM_FIT_MEMORY")]
-    pub fit_memory: usize,
+    /// Memory for the dictionaries that are fitted with, in MiB. What was not asked for longest makes room [default: 4096,
+    /// or half of the memory that this process may use if that is less].
+    #[arg(long, value_name = "MIB", env = "FARM_FIT_MEMORY")]
+    pub fit_memory: Option<usize>,
     /// Make a verified backup by itself, as in 6h or 1d [default: none].
     #[arg(long, value_name = "DURATION", env = "FARM_BACKUP_EVERY", value_parser = parse_time_limit)]
     pub backup_every: Option<Duration>,

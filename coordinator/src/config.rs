@@ -3,6 +3,9 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use farm_link::memory::usable_bytes;
+use optics_model::limits::FitLimits;
+
 use crate::farm::BackupSchedule;
 
 #[derive(Debug, Clone)]
@@ -19,13 +22,23 @@ pub struct Config {
     pub max_connections: usize,
     /// Memory for the dictionaries that are fitted with, in bytes.
     pub fit_memory_bytes: usize,
+    /// Most pixels of one question about measurements.
+    pub question_pixels: usize,
+    /// Whether its start is noted among the events.
+    pub start_is_event: bool,
     /// Backups that it makes by itself.
     pub backups: Option<BackupSchedule>,
 }
 
 impl Config {
-    /// Memory for the dictionaries that are fitted with if nothing is told, in MiB.
-    pub const FIT_MEMORY_MIB: usize = 4096;
+    /// Most memory for the dictionaries that are fitted with, in bytes, if nothing is told.
+    const FIT_MEMORY_BYTES: u64 = 4 << 30;
+
+    /// Memory for the dictionaries that are fitted with if nothing is told: half of what this process may use, which leaves
+    /// room for those that are being read and for answers.
+    fn fit_memory_bytes(usable: Option<u64>) -> usize {
+        usable.map_or(Self::FIT_MEMORY_BYTES, |usable| (usable / 2).min(Self::FIT_MEMORY_BYTES)) as usize
+    }
 
     pub fn new(data_dir: impl Into<PathBuf>) -> Self {
         Self {
@@ -34,8 +47,22 @@ impl Config {
             max_attempts: 3,
             check_share: 0.01,
             max_connections: 4096,
-            fit_memory_bytes: Self::FIT_MEMORY_MIB << 20,
+            fit_memory_bytes: Self::fit_memory_bytes(usable_bytes()),
+            question_pixels: FitLimits::QUESTION_PIXELS,
+            start_is_event: true,
             backups: None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fits_take_half_of_the_memory_that_there_is() {
+        assert_eq!(Config::fit_memory_bytes(None), 4 << 30);
+        assert_eq!(Config::fit_memory_bytes(Some(64 << 30)), 4 << 30);
+        assert_eq!(Config::fit_memory_bytes(Some(1 << 30)), 512 << 20);
     }
 }

@@ -3,6 +3,7 @@
 mod backup;
 mod door;
 mod effects;
+mod event_shares;
 mod events;
 mod export;
 mod fit_cache;
@@ -18,6 +19,7 @@ mod shared;
 mod snapshot;
 #[cfg(test)]
 mod tests;
+mod upkeep;
 mod watch;
 mod watch_jobs;
 
@@ -42,7 +44,7 @@ pub(crate) use export::Export;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
 pub(crate) use intake::{Delivered, Header, Piece};
-pub(crate) use leasing::Versions;
+pub(crate) use leasing::{Versions, WorkerEnd};
 use room::Room;
 pub use scheduled_backup::BackupSchedule;
 use scheduled_backup::LastBackup;
@@ -59,6 +61,8 @@ pub enum FarmError {
     Store(#[from] StoreError),
     #[error("dictionary {name} does not exist{}", hint(known))]
     NotFound { name: String, known: Vec<String> },
+    #[error("dictionary {name} was deleted while it was watched")]
+    Deleted { name: DictionaryName },
     #[error("dictionary {name} belongs to {}: only its owner and admins may change it", owner_of(owner))]
     NotYours { name: DictionaryName, owner: String },
     #[error("dictionary {name} exists with another grid or physics version: choose another name")]
@@ -85,6 +89,8 @@ pub enum FarmError {
          allowed: delete some"
     )]
     TooMany { whose: &'static str, entries: usize, most: usize },
+    #[error("this token has {most} dictionaries already: delete some")]
+    ManyDictionaries { most: usize },
     #[error("reading the backup: {0}")]
     Backup(std::io::Error),
     #[error("the coordinator is stopping")]
@@ -172,6 +178,7 @@ impl Farm {
             store_fault: Mutex::default(),
         });
         tokio::spawn(effects::perform(Arc::downgrade(&farm), orders));
+        tokio::spawn(upkeep::keep(Arc::downgrade(&farm)));
         for id in ids {
             farm.find_blocks(id).await?;
             farm.take_over_done(id).await?;
@@ -253,6 +260,7 @@ impl Farm {
     /// Writes what is still to be written and closes the database.
     pub(crate) async fn close(&self) {
         self.door.close().await;
+        self.give_back_room_at_end().await;
         self.store.close().await;
     }
 

@@ -4,53 +4,73 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use farm_link::{CoordinatorAccess, LocalKey, Role, Tokens};
+use farm_link::{CoordinatorAccess, LocalSocket, Role, Tokens};
 use tokio::net::TcpListener;
 use tonic::transport::ServerTlsConfig;
-
-use crate::clock::random_secret;
-
-/// How often the key's file is shown to be in use: those who tidy up by age wait for days.
-const KEY_TOUCHED_S: u64 = 3600;
 
 /// Who is let in.
 #[derive(Debug, Clone)]
 pub enum Gate {
     /// Whoever reaches the port may do everything.
     Everybody,
-    /// The programs of the user that the coordinator runs as: they alone can read its key. Only on loopback.
-    OwnUser(Arc<LocalKey>),
+    /// The programs of the user that the coordinator runs as, which reach its Unix socket. Only on loopback.
+    OwnUser,
     /// Those whose tokens are in an access file, over TLS.
     File(Arc<CoordinatorAccess>),
 }
 
+/// Where a coordinator listens.
+#[derive(Debug)]
+pub struct Listener {
+    pub(crate) port: TcpListener,
+    /// The socket for the programs of its own user.
+    pub(crate) own_user: Option<LocalSocket>,
+}
+
+impl From<TcpListener> for Listener {
+    fn from(port: TcpListener) -> Self {
+        Self { port, own_user: None }
+    }
+}
+
+impl Listener {
+    pub fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.port.local_addr()
+    }
+}
+
 impl Gate {
     /// Listens on an address of loopback, for the programs of this user.
-    pub async fn own_user(address: SocketAddr) -> io::Result<(TcpListener, Self)> {
-        // The key of a port that others may know is there before anybody can be turned away for want of it.
-        let early = (address.port() != 0).then(|| publish(address.port()));
-        let listener = TcpListener::bind(address).await?;
-        let key = match early {
-            Some(key) => key,
-            None => publish(listener.local_addr()?.port()),
-        };
-        Ok((listener, Self::OwnUser(Arc::new(key?))))
+    pub async fn own_user(address: SocketAddr) -> io::Result<(Listener, Self)> {
+        let port = TcpListener::bind(address).await?;
+        let socket = LocalSocket::open(port.local_addr()?.port()).map_err(|error| {
+            let what = "making the socket for this user's programs";
+            io::Error::new(
+                error.kind(),
+                format!("{what}: {error} (FARM_SOCKETS names another folder for it)"),
+            )
+        })?;
+        Ok((Listener { port, own_user: Some(socket) }, Self::OwnUser))
     }
 
     pub(crate) fn tls(&self) -> Option<ServerTlsConfig> {
         match self {
             Self::File(access) => Some(access.server_tls()),
-            Self::Everybody | Self::OwnUser(_) => None,
+            Self::Everybody | Self::OwnUser => None,
         }
     }
 
-    /// The tokens of those who are let in; none if everybody is.
+    /// The tokens of those who are let in; none where there are no tokens.
     pub(crate) fn tokens(&self) -> Option<Arc<Tokens>> {
         match self {
-            Self::Everybody => None,
-            Self::OwnUser(key) => Some(key.tokens()),
+            Self::Everybody | Self::OwnUser => None,
             Self::File(access) => Some(access.tokens()),
         }
+    }
+
+    /// Whether some are turned away.
+    pub(crate) fn has_strangers(&self) -> bool {
+        !matches!(self, Self::Everybody)
     }
 
     /// Whether each worker's token has one vote about results: with one token for all, each machine has.
@@ -61,7 +81,7 @@ impl Gate {
     /// What to tell those who are not let in.
     pub(crate) fn advice(&self) -> &'static str {
         match self {
-            Self::OwnUser(_) => {
+            Self::OwnUser => {
                 "this coordinator serves its own user's programs on its own machine: for others it needs access files \
                  (farmctl access create, farm-coordinator --access)"
             }
@@ -69,11 +89,10 @@ impl Gate {
         }
     }
 
-    /// Takes up what has changed: tokens that were added or removed. `seconds` counts the calls, one a second.
-    pub(crate) fn look_over(&self, seconds: u64) {
+    /// Takes up what has changed: tokens that were added or removed.
+    pub(crate) fn look_over(&self) {
         match self {
-            Self::OwnUser(key) if seconds.is_multiple_of(KEY_TOUCHED_S) => key.touch(),
-            Self::Everybody | Self::OwnUser(_) => {}
+            Self::Everybody | Self::OwnUser => {}
             Self::File(access) => match access.refresh() {
                 Ok(false) => {}
                 Ok(true) => {
@@ -90,13 +109,4 @@ impl Gate {
             },
         }
     }
-}
-
-fn publish(port: u16) -> io::Result<LocalKey> {
-    LocalKey::publish(port, random_secret().0).map_err(|error| {
-        let what = format!(
-            "making the key for this user's programs: {error} (FARM_KEYS names another folder for it)"
-        );
-        io::Error::new(error.kind(), what)
-    })
 }

@@ -3,6 +3,8 @@
 //! `rpc → farm → (dispatch, store, optics-fit)`, never back; dispatch and store do not know each other. The caller
 //! owns the port and the stop signal.
 
+#![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
+
 mod actor;
 pub mod authorisation;
 pub mod cli;
@@ -17,6 +19,7 @@ mod rpc;
 pub mod store;
 pub mod stored;
 mod throttle;
+mod turns;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,7 +30,7 @@ use tokio_util::sync::CancellationToken;
 pub use config::Config;
 use farm::Farm;
 pub use farm::{BackupSchedule, FarmError, load_dictionary};
-pub use gate::Gate;
+pub use gate::{Gate, Listener};
 use metrics::{BuildInfo, Metrics, MetricsServer};
 use optics_model::PHYSICS_VERSION;
 pub use store::StoreError;
@@ -74,16 +77,19 @@ impl Coordinator {
     /// listener of their own, if there is one.
     pub async fn serve(
         self,
-        listener: TcpListener,
+        listener: impl Into<Listener>,
         gate: Gate,
         metrics: Option<TcpListener>,
         shutdown: CancellationToken,
     ) -> Result<(), Error> {
+        let listener = listener.into();
         let address = listener.local_addr().map_err(Error::Address)?;
         if let Err(error) = self.farm.store().dir().publish_address(address) {
             tracing::warn!(%error, "commands in the same folder will not find this coordinator");
         }
-        self.farm.started();
+        if self.config.start_is_event {
+            self.farm.started();
+        }
         tracing::info!(%address, "coordinator is serving");
         let metrics = metrics
             .map(|listener| tokio::spawn(metrics::serve(listener, self.metrics_server(), shutdown.clone())));
@@ -104,6 +110,7 @@ impl Coordinator {
         }
         self.farm.store().dir().forget_address();
         self.farm.close().await;
+        self.farm.store().check_place()?;
         Ok(served?)
     }
 
@@ -116,12 +123,16 @@ impl Coordinator {
 async fn look_over(farm: Arc<Farm>, gate: Gate, shutdown: CancellationToken) {
     let mut tick = tokio::time::interval(LOOK_OVER);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    for seconds in 1.. {
+    loop {
         tokio::select! {
             () = shutdown.cancelled() => return,
             _ = tick.tick() => {}
         }
-        gate.look_over(seconds);
+        if let Err(error) = farm.store().check_place() {
+            tracing::error!(%error, "stopping");
+            return shutdown.cancel();
+        }
+        gate.look_over();
         let freed = farm.look_over();
         if freed > 0 {
             tracing::warn!(freed, "leases have expired: their workers were silent too long");

@@ -1,23 +1,24 @@
 //! `farm-coordinator`: opens the port, runs the library until a signal.
 
+#![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
+
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
-use clap::Parser;
 use farm_coordinator::cli::Args;
 use farm_coordinator::store::DataDir;
 use farm_coordinator::{BackupSchedule, Config, Coordinator, Gate};
-use farm_link::{CoordinatorAccess, logs, signals};
+use farm_link::{CoordinatorAccess, arguments, logs, signals};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 #[tokio::main]
 async fn main() -> ExitCode {
-    match run(Args::parse()).await {
+    match run(arguments::parse::<Args>()).await {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("farm-coordinator: {error}");
+            logs::tell(format_args!("farm-coordinator: {error}"));
             ExitCode::FAILURE
         }
     }
@@ -33,14 +34,17 @@ async fn run(args: Args) -> anyhow::Result<()> {
     );
     let folder = args.backups.unwrap_or_else(|| args.data.join(DataDir::BACKUPS));
     let schedule = |every| BackupSchedule { every, keep: args.keep as usize, folder: folder.clone() };
+    let defaults = Config::new(args.data);
     let config = Config {
         backups: args.backup_every.map(schedule),
-        data_dir: args.data,
         lease: Duration::from_secs(args.lease),
         max_attempts: args.max_attempts,
         check_share: args.verify_share,
         max_connections: args.max_connections as usize,
-        fit_memory_bytes: args.fit_memory.saturating_mul(1 << 20),
+        fit_memory_bytes: args
+            .fit_memory
+            .map_or(defaults.fit_memory_bytes, |mib| mib.saturating_mul(1 << 20)),
+        ..defaults
     };
     let access = args.access.as_deref().map(CoordinatorAccess::read).transpose()?.map(Arc::new);
     let coordinator = Coordinator::open(&config).await?;
@@ -48,7 +52,7 @@ async fn run(args: Args) -> anyhow::Result<()> {
         None if !args.insecure => Gate::own_user(args.listen).await,
         access => {
             let gate = access.map_or(Gate::Everybody, Gate::File);
-            TcpListener::bind(args.listen).await.map(|listener| (listener, gate))
+            TcpListener::bind(args.listen).await.map(|listener| (listener.into(), gate))
         }
     };
     let (listener, gate) =
@@ -67,6 +71,6 @@ async fn run(args: Args) -> anyhow::Result<()> {
 
 async fn stop_on_signal(shutdown: CancellationToken) {
     signals::termination().await;
-    tracing::info!("stopping");
     shutdown.cancel();
+    tracing::info!("stopping");
 }

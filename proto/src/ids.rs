@@ -70,6 +70,9 @@ pub struct RequestLimits;
 impl RequestLimits {
     /// Largest gRPC message in bytes: a record with 64 channels of 8192 pixels and derivatives has 12 MiB.
     pub const MESSAGE_BYTES: usize = 16 << 20;
+    /// Largest question about measurements for each pixel that it may have, in bytes: three numbers, and as much again as
+    /// one, so that a question with too many pixels is refused with their number rather than with bytes.
+    pub const PIXEL_BYTES: usize = 32;
     /// Most leases of one call.
     pub const LEASES: u32 = 1024;
     /// Most records that one call names by their numbers.

@@ -3,12 +3,13 @@
 //! The generated wire types are in [`wire`]; `convert` is the only place that turns them into the types of
 //! `optics-model` and of this crate, and back.
 
+pub mod codec;
 mod convert;
 pub mod ids;
 pub mod lease;
 pub mod status;
 
-pub use convert::{mixtures, to_status};
+pub use convert::{check_pixels, is_printable, mixtures, to_status};
 pub use ids::{DictionaryName, RequestLimits};
 
 /// Version of the messages between workers and coordinator. Whoever changes them so that older programs would

@@ -165,6 +165,19 @@ fn the_answer_of_a_fit_is_understood() {
     }
 }
 
+/// Release 0.2 called a medium resolved if it was so at its g, and had no field for that: it has the same meaning here.
+#[test]
+fn an_answer_of_release_0_2_is_resolved_at_its_g() {
+    let [fit]: [wire::FitResponse; 1] = messages(6, "fit_response_0.2").try_into().unwrap();
+    let [measured]: [wire::MeasureResponse; 1] = messages(6, "measure_response_0.2").try_into().unwrap();
+    let media: Vec<MaterialFit> =
+        fit.fit.into_iter().chain(measured.materials).map(|fit| fit.try_into().unwrap()).collect();
+    let channels = media.iter().flat_map(|material| &material.channels);
+    let flags: Vec<(bool, bool)> =
+        channels.map(|c| c.refined.as_ref().unwrap()).map(|r| (r.resolved, r.resolved_at_g)).collect();
+    assert_eq!(flags, [(true, true), (false, false), (true, true), (true, true)]);
+}
+
 /// The answer of a measurement: scale, media, and what they have in common.
 type Measured = (Option<ScaleCurve>, (f64, f64, Option<f64>), Vec<MaterialFit>, Option<Common>);
 

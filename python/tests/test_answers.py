@@ -131,7 +131,7 @@ def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement
     told.to_pandas().to_csv(tmp_path / "told.csv", index=False)
     same(resin_farm.read_measurements(tmp_path / "told.csv"), [told])
     assert told.profiles[0].set_up == {"origin_mm": 0.1}
-    (tmp_path / "bad.csv").write_text("material,channel,x_mm,value\n")
+    (tmp_path / "bad.csv").write_text("material,channel,x_mm,value\n", encoding="utf-8")
     with pytest.raises(resin_farm.InvalidArgument, match="thickness_mm"):
         resin_farm.read_measurements(tmp_path / "bad.csv")
     with pytest.raises(TypeError, match="haze"):
@@ -153,7 +153,9 @@ def test_a_dictionary_as_an_array_has_the_records(farm: resin_farm.Farm) -> None
     assert dataset.attrs["records_digest"] == dictionary.records_digest
     # Against the records as farmctl prints them.
     command = [_programs.program("farmctl"), "--server", farm.address, "--quiet", "export", dictionary.name]
-    records = pd.read_csv(io.StringIO(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+    records = pd.read_csv(
+        io.StringIO(subprocess.run(command, check=True, capture_output=True, encoding="utf-8").stdout)
+    )
     by = ["sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"]
     exported = xr.Dataset.from_dataframe(records.set_index(by)[["value", "std_error"]]).sel(channel=["R", "G", "B"])
     for name in ("value", "std_error"):
@@ -177,7 +179,7 @@ def test_a_simulation_is_that_of_farmctl(farm: resin_farm.Farm) -> None:
     profile = farm.simulate(**told)  # type: ignore[arg-type]
     frame = profile.to_pandas()
     command = "simulate --sigma-t 6 --albedo 0.99 --g=-0.4 --thickness 0.5 --walks 5000".split()
-    ran = subprocess.run([_programs.program("farmctl"), *command], check=True, capture_output=True, text=True)
+    ran = subprocess.run([_programs.program("farmctl"), *command], check=True, capture_output=True, encoding="utf-8")
     told_there = pd.read_csv(io.StringIO(ran.stdout))
     np.testing.assert_array_equal(frame["value"].astype(np.float32), told_there["value"].astype(np.float32))
     with pytest.raises(resin_farm.FarmError, match=r"albedo = 1\.5 is not valid"):
@@ -244,7 +246,7 @@ def test_the_scale_factor_is_found_with_its_curve(farm: resin_farm.Farm) -> None
 def test_a_medium_for_mitsuba_is_what_farmctl_writes(farm: resin_farm.Farm, tmp_path: pathlib.Path) -> None:
     farmctl(farm, "measure", str(WHITE), "--mu", "1", "--g", "0.4", "-o", str(tmp_path / "media"))
     written: dict[str, Any] = {}
-    exec((tmp_path / "media" / "media.py").read_text(), written)
+    exec((tmp_path / "media" / "media.py").read_text(encoding="utf-8"), written)
     measured = farm.measure(WHITE, mu=1.0, g=0.4)["white"]
     assert measured.to_mitsuba() == written["media"]["white"]
     with pytest.raises(ValueError, match="one g is needed"):

@@ -26,7 +26,7 @@ def small(farm: resin_farm.Farm) -> resin_farm.Dictionary:
 
 def export(farm: resin_farm.Farm, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [_programs.program("farmctl"), "--server", farm.address, "export", "derivatives", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
 
 
 def test_zarr_npz_and_parquet_hold_the_same_numbers(

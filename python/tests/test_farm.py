@@ -73,7 +73,7 @@ def test_a_farm_ends_when_its_program_is_killed(tmp_path: pathlib.Path) -> None:
     code = f"import resin_farm, time\nresin_farm.Farm({str(tmp_path)!r})\nprint('up', flush=True)\ntime.sleep(600)"
     # Without a name the farm would be collected at once.
     code = code.replace("\nresin_farm.Farm", "\nfarm = resin_farm.Farm")
-    program = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    program = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, encoding="utf-8")
     assert program.stdout is not None and program.stdout.readline() == "up\n"
     assert (tmp_path / "coordinator.addr").exists()
     program.send_signal(signal.SIGKILL)
@@ -87,7 +87,7 @@ def test_a_farm_ends_when_its_program_is_killed(tmp_path: pathlib.Path) -> None:
 
 def test_what_does_not_start_says_why(tmp_path: pathlib.Path) -> None:
     file = tmp_path / "file"
-    file.write_text("no folder")
+    file.write_text("no folder", encoding="utf-8")
     with pytest.raises(resin_farm.FarmError, match="does not start"):
         resin_farm.Farm(file)
 
@@ -127,25 +127,26 @@ def test_a_coordinator_is_reached_by_its_access_file(tmp_path: pathlib.Path, whi
     try:
         address = tmp_path / "data" / "coordinator.addr"
         end = time.monotonic() + 30
-        while not (address.exists() and address.read_text().strip()):
+        while not (address.exists() and address.read_text(encoding="utf-8").strip()):
             assert time.monotonic() < end, "the coordinator does not start"
             time.sleep(0.1)
-        port = address.read_text().strip().rpartition(":")[2]
+        port = address.read_text(encoding="utf-8").strip().rpartition(":")[2]
         file = access / "client.toml"
         lines = [
             f'server = "https://localhost:{port}"' if line.startswith("server =") else line
-            for line in file.read_text().splitlines()
+            for line in file.read_text(encoding="utf-8").splitlines()
         ]
-        file.write_text("\n".join(lines))
+        file.write_text("\n".join(lines), encoding="utf-8")
         farm = resin_farm.Farm.connect(file)
         assert farm.fit(white, g=0.4)["R"].medium == expected["R"].medium
         assert farm.dictionary("paper").explain()
         farm.close()
         wrong = access / "wrong.toml"
         text = [
-            f'token = "{"x" * 43}"' if line.startswith("token =") else line for line in file.read_text().splitlines()
+            f'token = "{"x" * 43}"' if line.startswith("token =") else line
+            for line in file.read_text(encoding="utf-8").splitlines()
         ]
-        wrong.write_text("\n".join(text))
+        wrong.write_text("\n".join(text), encoding="utf-8")
         stranger = resin_farm.Farm.connect(wrong)
         with pytest.raises(resin_farm.Refused):
             stranger.dictionaries()
@@ -171,13 +172,14 @@ def test_a_capture_is_measured_with_its_own_dictionary(tmp_path: pathlib.Path) -
         thicknesses = ", ".join(f"{t:g}" for t in material.thicknesses_mm)
         grid.write_text(
             'scene = "scene.toml"\nsigma_t_per_mm = [5, 6, 8, 10, 20, 28]\nalbedo = [0.998, 0.999, 0.9995, 0.9999]\n'
-            f"g = [0.3, 0.4]\nthickness_mm = [{thicknesses}]\nsample_ior = [1.53]\nwalks = 10000\n"
+            f"g = [0.3, 0.4]\nthickness_mm = [{thicknesses}]\nsample_ior = [1.53]\nwalks = 10000\n",
+            encoding="utf-8",
         )
         measured = farm.measure(capture)
         assert [fit.channel for fit in measured.materials[0].channels] == ["R", "G", "B"]
         # By the white reference, and by what the data say of it.
         assert abs(measured.mu - 1) < 0.03 and measured.mu_std_error < 0.02
-        assert "media" in (capture.folder / "report.html").read_text()
+        assert "media" in (capture.folder / "report.html").read_text(encoding="utf-8")
         assert farm.measure(str(capture.folder)).materials[0]["R"].medium == measured.materials[0]["R"].medium
         with pytest.raises(TypeError, match="folder"):
             farm.measure(capture, mu=1.0)

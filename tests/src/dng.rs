@@ -50,7 +50,7 @@ pub fn dng(photo: &Photo) -> Vec<u8> {
         tags.extend(exposure.iso.map(|iso| (34_855, SHORT, shorts(&[iso as u16]))));
     }
     tags.extend(photo.levels.black.map(|levels| (50_714, LONG, longs(&[levels[0] as u32]))));
-    tags.extend(photo.levels.white.map(|white| (50_717, LONG, longs(&[white as u32]))));
+    tags.extend(photo.levels.white.map(|white| (50_717, LONG, longs(&[white[0] as u32]))));
     tags.sort_by_key(|tag| tag.0);
     file(&strip, &tags)
 }

@@ -1,12 +1,12 @@
 //! A farm of real processes: a coordinator that keeps its port over restarts, workers, and all who talk to them.
 
+mod ending;
 mod figures;
 mod tokens;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use farm_link::{ClientAccess, Link, Target};
@@ -154,19 +154,6 @@ impl Farm {
     /// Whether it has not ended by itself.
     pub fn coordinator_runs(&mut self) -> bool {
         self.coordinator.as_mut().is_some_and(Process::is_running)
-    }
-
-    /// `kill -9`.
-    pub fn kill_coordinator(&mut self) {
-        self.coordinator.take().expect("the coordinator runs").kill();
-    }
-
-    /// SIGTERM; the exit code.
-    ///
-    /// # Panics
-    /// If it does not end in time.
-    pub fn stop_coordinator(&mut self) -> i32 {
-        self.coordinator.take().expect("the coordinator runs").terminate(Duration::from_secs(10))
     }
 
     /// Stops the coordinator and starts it on other data.

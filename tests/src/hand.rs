@@ -107,7 +107,7 @@ impl HandWorker {
 
     /// Leaves the farm.
     pub async fn leave(mut self) -> Result<(), Status> {
-        let request = HandBackRequest { worker_id: self.id, leases: vec![], leaving: true };
+        let request = HandBackRequest { worker_id: self.id, leases: vec![], leaving: true, stopping: true };
         self.client.hand_back(request).await.map(drop)
     }
 }

@@ -170,12 +170,22 @@ impl Process {
     /// # Panics
     /// If it does not start.
     pub fn spawn_into(name: &str, command: &mut Command, log: &Path, output: impl Into<Stdio>) -> Self {
+        let file = File::options().create(true).append(true).open(log).expect("the log can be written to");
+        let mut process = Self::logging_to(name, command.stdout(output), file);
+        log.clone_into(&mut process.log);
+        process
+    }
+
+    /// The same with a place for standard error that may take nothing.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn logging_to(name: &str, command: &mut Command, log: impl Into<Stdio>) -> Self {
         for variable in ["FARM_SERVER", "FARM_ACCESS", "FARM_DATA", "FARM_LISTEN", "FARM_METRICS"] {
             command.env_remove(variable);
         }
-        let file = File::options().create(true).append(true).open(log).expect("the log can be written to");
-        let child = command.stdin(Stdio::null()).stdout(output).stderr(file).spawn();
-        Self { name: name.to_owned(), child: child.expect("the program starts"), log: log.to_owned() }
+        let child = command.stdin(Stdio::null()).stderr(log).spawn().expect("the program starts");
+        Self { name: name.to_owned(), child, log: PathBuf::new() }
     }
 
     pub fn id(&self) -> u32 {

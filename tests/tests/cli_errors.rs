@@ -102,7 +102,7 @@ fn bad_measurements_are_refused() {
     for (text, message) in [
         ("material,channel,x_mm,value\n".to_owned() + &good, "missing column thickness_mm"),
         (HEAD.to_owned(), "no rows"),
-        (HEAD.to_owned() + &good.replacen(",0.10004", ",NaN", 1), "value = NaN"),
+        (HEAD.to_owned() + &good.replacen(",0.10004", ",inf", 1), "value = inf"),
         (HEAD.to_owned() + &good.replacen(",0.10004", ",black", 1), "is not a number"),
         (HEAD.to_owned() + &good + &good, "x must be strictly rising"),
         (HEAD.to_owned() + &rows("X", 0.5), "channel = X is not valid: the dictionary has R, G, B"),

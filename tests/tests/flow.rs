@@ -216,6 +216,24 @@ async fn a_dictionary_that_is_not_complete_is_not_fitted_with() -> Result<()> {
     Ok(())
 }
 
+/// Refused by the number of pixels, and not by that of a message's bytes.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_question_with_too_many_pixels_is_refused() -> Result<()> {
+    let mut farm = Farm::start(&[]);
+    let x: Vec<f64> = (0..100_000).map(|i| f64::from(i) * 1e-4 - 5.0).collect();
+    let profile =
+        |i: usize| MeasuredProfile::new(i.to_string(), 0.5, x.clone(), x.clone(), Some(vec![0.1; x.len()]));
+    let profiles = (0..11).map(profile).collect::<Result<_, _>>()?;
+    let measurement = Some((&Measurement::new("m", profiles)?).into());
+    let request = FitRequest { dictionary: "small".to_owned(), measurement, options: None };
+    let refused = farm.fits().fit(request).await.unwrap_err();
+    assert_eq!(refused.code(), Code::InvalidArgument);
+    let wanted = "measurement = 1100000 pixels is not valid: a coordinator takes at most 1048576";
+    assert!(refused.message().starts_with(wanted), "{}", refused.message());
+    assert_eq!(farm.stop_coordinator(), 0);
+    Ok(())
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn workers_outlive_a_coordinator_that_is_away_for_a_while() -> Result<()> {
     let grid = small_grid();

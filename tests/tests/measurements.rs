@@ -20,8 +20,10 @@ fn what_simulate_and_export_write_is_measured_without_a_note() {
     let farm = farm();
     let dir = farm.path();
     let medium = "--sigma-t 6 --albedo 0.999 --g 0.4";
-    let ran =
-        say(dir, &format!("simulate {medium} --thickness 0.5,1 --walks 5000 --measurement white -o s.csv"));
+    let ran = say(
+        dir,
+        &format!("simulate {medium} --thickness 0.5,1 --walks 5000 --noise 0 --measurement white -o s.csv"),
+    );
     assert_eq!((ran.code, ran.stdout.as_str(), ran.stderr.as_str()), (0, "", ""));
     assert!(!dir.join("s.csv.partial").exists());
     let ran = say(dir, "export grid --sigma-t 6 --albedo 0.999 --measurement white -o e.csv");

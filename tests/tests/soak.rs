@@ -61,6 +61,7 @@ fn a_farm_that_is_maltreated_keeps_its_records_and_does_not_grow() {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
     // Links are made within it.
     let _within = runtime.enter();
+    runtime.block_on(farm.join_from_afar());
     let (start, tally) = (Instant::now(), Arc::new(Tally::default()));
     let clients: Vec<_> = (0..CLIENTS)
         .map(|number| {

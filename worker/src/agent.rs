@@ -212,9 +212,10 @@ impl Agent {
     /// Hands back what has not begun, lets the rest end within the grace, and delivers.
     async fn wind_up(&self, jobs: JoinSet<()>, mut delivery: JoinHandle<()>, grace: Duration) {
         let waiting = self.held.give_up_waiting();
-        if !waiting.is_empty()
+        // Also if none waits: whoever wants it to stop may kill it before the grace is over.
+        if !self.held.is_empty()
             && grace > Duration::ZERO
-            && let Err(status) = self.session.hand_back(waiting, false).await
+            && let Err(status) = self.session.stop(waiting).await
         {
             tracing::warn!(message = status.message(), "leases could not be handed back yet");
         }
@@ -243,7 +244,7 @@ impl Agent {
     /// Takes leave of the coordinator, handing back what is left.
     async fn leave(&self, reason: Ended) {
         let url = self.session.url();
-        match self.session.hand_back(self.held.untraced(), true).await {
+        match self.session.leave(self.held.untraced()).await {
             Ok(()) => tracing::info!("left the coordinator at {url}: {reason}"),
             Err(status) => {
                 let message = status.message();

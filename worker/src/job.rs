@@ -61,9 +61,9 @@ impl Workshop {
         let (end, ()) = tokio::join!(self.pool.trace(jobs.clone(), switches.clone(), begun), announced);
         let ends = match end {
             TraceEnd::Finished(results) => results.into_iter().map(Ok).collect(),
-            TraceEnd::Panicked(reason) if jobs.len() == 1 => vec![Err(reason)],
+            TraceEnd::Failed(reason) if jobs.len() == 1 => vec![Err(reason)],
             // One of them is to blame, and not the others.
-            TraceEnd::Panicked(_) => self.trace_one_by_one(jobs, &switches).await,
+            TraceEnd::Failed(_) => self.trace_one_by_one(jobs, &switches).await,
             TraceEnd::Stopped => return,
         };
         let all = about.into_iter().zip(ends).zip(room).zip(switches);
@@ -99,7 +99,7 @@ impl Workshop {
             let (unheard, _) = oneshot::channel();
             ends.push(match self.pool.trace(vec![job], vec![switches.clone()], unheard).await {
                 TraceEnd::Finished(results) => results.into_iter().next().ok_or_else(String::new),
-                TraceEnd::Panicked(reason) => Err(reason),
+                TraceEnd::Failed(reason) => Err(reason),
                 TraceEnd::Stopped => Err("stopped".to_owned()),
             });
         }

@@ -4,6 +4,8 @@
 //! them, so that no walk ever blocks an async thread. `agent` ties them together: it leases jobs, `job` takes each from
 //! its lease to its result, `delivery` keeps results until they are acknowledged, `heartbeat` renews the leases.
 
+#![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
+
 mod agent;
 pub mod cli;
 mod config;

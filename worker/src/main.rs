@@ -1,9 +1,10 @@
 //! `farm-worker`: runs the library until a signal.
 
+#![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
+
 use std::process::ExitCode;
 
-use clap::Parser;
-use farm_link::{AccessError, ClientAccess, Target, logs, signals};
+use farm_link::{AccessError, ClientAccess, Target, arguments, logs, signals};
 use farm_worker::cli::Args;
 use farm_worker::{Config, Error};
 use tokio_util::sync::CancellationToken;
@@ -13,15 +14,15 @@ const REFUSED: u8 = 4;
 
 #[tokio::main]
 async fn main() -> ExitCode {
-    let args = Args::parse();
+    let args: Args = arguments::parse();
     if let Err(error) = logs::init(args.log_format, "info") {
-        eprintln!("farm-worker: {error}");
+        logs::tell(format_args!("farm-worker: {error}"));
         return ExitCode::FAILURE;
     }
     let config = match config(args) {
         Ok(config) => config,
         Err(error) => {
-            eprintln!("farm-worker: {error}");
+            logs::tell(format_args!("farm-worker: {error}"));
             return ExitCode::FAILURE;
         }
     };
@@ -30,7 +31,7 @@ async fn main() -> ExitCode {
     match farm_worker::run(config, shutdown).await {
         Ok(_) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("farm-worker: {error}");
+            logs::tell(format_args!("farm-worker: {error}"));
             if matches!(error, Error::Refused(_)) { ExitCode::from(REFUSED) } else { ExitCode::FAILURE }
         }
     }
@@ -56,6 +57,6 @@ fn config(args: Args) -> Result<Config, AccessError> {
 
 async fn stop_on_signal(shutdown: CancellationToken) {
     signals::termination().await;
-    tracing::info!("stopping");
     shutdown.cancel();
+    tracing::info!("stopping");
 }

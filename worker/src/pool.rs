@@ -4,6 +4,7 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
+use farm_link::memory::usable_bytes;
 use optics_model::PackedRecords;
 use optics_model::job::JobSpec;
 use optics_model::sums::Sums;
@@ -29,8 +30,8 @@ pub(crate) enum TraceEnd {
     /// What every job yields.
     Finished(Vec<JobResult>),
     Stopped,
-    /// The tracer panicked, which is a defect. The coordinator is given this text.
-    Panicked(String),
+    /// The tracer panicked, which is a defect, or the jobs are too large. The coordinator is given this text.
+    Failed(String),
 }
 
 #[derive(Debug, Clone)]
@@ -65,6 +66,9 @@ fn trace_now(jobs: &[JobSpec], switches: &[Arc<JobSwitches>], begun: oneshot::Se
     let Some(stop) = switches.first().filter(|_| wanted > 0).map(|switches| switches.all_stopped()) else {
         return TraceEnd::Stopped;
     };
+    if let Err(reason) = fits(jobs) {
+        return TraceEnd::Failed(reason);
+    }
     let (start, started) = oneshot::channel();
     // Nobody waits to be told, or is there to give the start: it begins at once.
     if begun.send(start).is_ok() {
@@ -81,12 +85,34 @@ fn trace_now(jobs: &[JobSpec], switches: &[Arc<JobSwitches>], begun: oneshot::Se
     })
 }
 
+/// Whether this process may use the memory that jobs need. Without it the process would end.
+fn fits(jobs: &[JobSpec]) -> Result<(), String> {
+    /// Jobs of less memory are not looked at.
+    const SMALL: usize = 256 << 20;
+    /// Sums of threads that have not been merged yet, and the records that are made of them.
+    const COPIES: usize = 4;
+    let needed = jobs.iter().map(Sums::bytes).fold(0, usize::saturating_add).saturating_mul(COPIES);
+    if needed <= SMALL {
+        return Ok(());
+    }
+    let usable = usable_bytes().map_or(usize::MAX, |bytes| bytes as usize);
+    if needed <= usable {
+        return Ok(());
+    }
+    Err(format!(
+        "it takes {} MiB of memory, this worker may use {}: a grid with fewer albedos or a scene with fewer pixels or \
+         channels takes less",
+        needed >> 20,
+        usable >> 20
+    ))
+}
+
 /// A panic ends the job and not the thread.
 fn guarded(trace: impl FnOnce() -> Result<Vec<JobResult>, Stopped>) -> TraceEnd {
     match catch_unwind(AssertUnwindSafe(trace)) {
         Ok(Ok(result)) => TraceEnd::Finished(result),
         Ok(Err(Stopped)) => TraceEnd::Stopped,
-        Err(panic) => TraceEnd::Panicked(panic_text(panic.as_ref())),
+        Err(panic) => TraceEnd::Failed(panic_text(panic.as_ref())),
     }
 }
 
@@ -100,6 +126,8 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use optics_model::Scene;
+    use optics_model::scene::Sensor;
     use optics_tracer::trace;
 
     use super::*;
@@ -121,6 +149,19 @@ mod tests {
         assert!(!traced.is_finished(), "it does not wait");
         start.send(()).unwrap();
         assert!(matches!(traced.await.unwrap(), TraceEnd::Finished(_)));
+    }
+
+    /// 786 GB of sums would end the process.
+    #[tokio::test]
+    async fn a_job_that_does_not_fit_into_memory_fails() {
+        let scene = Scene::paper().with_sensor(Sensor::new(10.0, 4096, 0.0).unwrap());
+        let albedo = (1..=4_000_000).map(|i| f64::from(i) / 4_000_001.0).collect();
+        let small = job(1);
+        let large = JobSpec::new(scene, small.point(), albedo, small.walks(), 1, false).unwrap();
+        let pool = Pool::new(1).unwrap();
+        let end = pool.trace(vec![large], vec![Arc::default()], unheard()).await;
+        let TraceEnd::Failed(text) = end else { panic!("{end:?}") };
+        assert!(text.contains("MiB of memory, this worker may use"), "{text}");
     }
 
     #[tokio::test]
@@ -158,9 +199,9 @@ mod tests {
     #[test]
     fn a_panic_becomes_a_text_for_the_coordinator() {
         let end = guarded(|| panic!("σ_t is {}", -1));
-        let TraceEnd::Panicked(text) = end else { panic!("{end:?}") };
+        let TraceEnd::Failed(text) = end else { panic!("{end:?}") };
         assert_eq!(text, "the tracer panicked: σ_t is -1");
         let end = guarded(|| std::panic::panic_any(7));
-        assert!(matches!(end, TraceEnd::Panicked(text) if text.ends_with("no message")));
+        assert!(matches!(end, TraceEnd::Failed(text) if text.ends_with("no message")));
     }
 }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use farm_link::is_passing;
 use tokio::sync::watch;
 use tonic::{Code, Status};
 
@@ -79,20 +80,6 @@ pub(crate) async fn repeat<T, F: Future<Output = Result<T, Status>>>(
             answer => return answer,
         }
     }
-}
-
-/// Whether the same call may succeed later.
-fn is_passing(status: &Status) -> bool {
-    matches!(
-        status.code(),
-        Code::Unavailable
-            | Code::DeadlineExceeded
-            | Code::Aborted
-            | Code::Cancelled
-            | Code::Internal
-            | Code::ResourceExhausted
-            | Code::Unknown
-    )
 }
 
 /// Whether the coordinator does not want this worker, now or later.

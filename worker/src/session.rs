@@ -194,10 +194,19 @@ impl Session {
         .await
     }
 
-    /// Hands leases back, for good if the worker leaves. One try: if it does not get through, they expire.
-    pub(crate) async fn hand_back(&self, leases: Vec<LeaseKey>, leaving: bool) -> Result<(), Status> {
+    /// Hands leases back, and says that the worker was asked to stop. One try: if it does not get through, they expire.
+    pub(crate) async fn stop(&self, leases: Vec<LeaseKey>) -> Result<(), Status> {
+        self.hand_back(leases, false).await
+    }
+
+    /// Hands all leases back for good. One try: if it does not get through, they expire.
+    pub(crate) async fn leave(&self, leases: Vec<LeaseKey>) -> Result<(), Status> {
+        self.hand_back(leases, true).await
+    }
+
+    async fn hand_back(&self, leases: Vec<LeaseKey>, leaving: bool) -> Result<(), Status> {
         let leases = leases.into_iter().map(Into::into).collect();
-        let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving };
+        let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving, stopping: true };
         self.call(self.client.clone().hand_back(timed(request, LEAVE))).await.map(drop)
     }
 

@@ -3,20 +3,23 @@
 //! The authority's key is gone, so one more has the certificates of its role's first file, if there are any: what they say
 //! is that their holder belongs to the farm. What it may do, and who it is, its token says.
 
-use std::fs::{self, Permissions};
-use std::io::{self, Write as _};
-use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, fchown};
+use std::fs::{self, File, Permissions};
+use std::io::{self, Read as _, Write as _};
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _, fchown};
 use std::path::{Path, PathBuf};
 
-use farm_link::{Role, is_token_name, token_hash};
+use farm_link::{Role, is_token_name, sync_folder, token_hash};
 use tempfile::Builder;
 use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, value};
 
 use super::{CreateError, random_hex, write_secret};
-use crate::whole_file::sync_folder;
 
 /// The coordinator's file in a set's folder.
 const COORDINATOR: &str = "coordinator.toml";
+/// Whoever changes the set holds a lock on this.
+const LOCK: &str = ".farm-access.lock";
+/// The longest that a coordinator reads.
+const LONGEST_BYTES: u64 = 1 << 20;
 
 #[derive(Debug, thiserror::Error)]
 pub enum MemberError {
@@ -45,6 +48,7 @@ pub fn add(folder: &Path, role: Role, name: &str) -> Result<PathBuf, MemberError
         return Err(MemberError::Name(name.to_owned()));
     }
     let coordinator_file = folder.join(COORDINATOR);
+    let _alone = alone(folder)?;
     let mut coordinator = read(&coordinator_file)?;
     if entries(&mut coordinator, &coordinator_file)?.iter().any(|entry| name_of(entry) == name) {
         return Err(MemberError::Taken { file: coordinator_file, name: name.to_owned() });
@@ -73,6 +77,7 @@ pub fn add(folder: &Path, role: Role, name: &str) -> Result<PathBuf, MemberError
 /// Shuts out whoever has a name.
 pub fn revoke(folder: &Path, name: &str) -> Result<(), MemberError> {
     let file = folder.join(COORDINATOR);
+    let _alone = alone(folder)?;
     let mut coordinator = read(&file)?;
     let entries = entries(&mut coordinator, &file)?;
     if !entries.iter().any(|entry| name_of(entry) == name) {
@@ -94,8 +99,27 @@ pub fn list(folder: &Path) -> Result<Vec<(String, String)>, MemberError> {
     Ok(entries(&mut coordinator, &file)?.iter().map(|e| (text(e, "role"), text(e, "name"))).collect())
 }
 
+/// Waits until nobody else changes the set, so that what is read is still there when it is replaced.
+fn alone(folder: &Path) -> Result<File, MemberError> {
+    // A folder without a set is left as it is.
+    fs::metadata(folder.join(COORDINATOR)).map_err(failed("reading", &folder.join(COORDINATOR)))?;
+    let path = folder.join(LOCK);
+    let lock = || {
+        let file = File::options().create(true).truncate(false).write(true).mode(0o600).open(&path)?;
+        file.lock()?;
+        Ok(file)
+    };
+    lock().map_err(failed("locking", &path))
+}
+
 fn read(path: &Path) -> Result<DocumentMut, MemberError> {
-    let text = fs::read_to_string(path).map_err(failed("reading", path))?;
+    let mut text = String::new();
+    let file = File::open(path).map_err(failed("reading", path))?;
+    file.take(LONGEST_BYTES + 1).read_to_string(&mut text).map_err(failed("reading", path))?;
+    if text.len() as u64 > LONGEST_BYTES {
+        let problem = format!("it is longer than {LONGEST_BYTES} bytes");
+        return Err(MemberError::Content { path: path.to_owned(), problem });
+    }
     // The parser's message shows the line, which may be a secret.
     let wrong =
         |_| MemberError::Content { path: path.to_owned(), problem: "it is not valid TOML".to_owned() };
@@ -178,6 +202,33 @@ mod tests {
             assert_eq!(coordinator.tokens().role_of(&token(&file)), None);
             assert_eq!(fs::read_to_string(folder.join(COORDINATOR)).unwrap(), before, "comments and all");
         }
+    }
+
+    #[test]
+    fn changes_at_the_same_time_do_not_undo_each_other() {
+        let (_place, folder) = set(false);
+        let names = |kind: &str| (0..8).map(|i| format!("{kind}{i}")).collect::<Vec<_>>();
+        for name in names("old") {
+            add(&folder, Role::Client, &name).unwrap();
+        }
+        std::thread::scope(|scope| {
+            for (old, new) in names("old").into_iter().zip(names("new")) {
+                scope.spawn({
+                    let folder = &folder;
+                    move || revoke(folder, &old).unwrap()
+                });
+                scope.spawn({
+                    let folder = &folder;
+                    move || drop(add(folder, Role::Client, &new).unwrap())
+                });
+            }
+        });
+        let mut left: Vec<String> = list(&folder).unwrap().into_iter().map(|(_, name)| name).collect();
+        left.sort();
+        let mut expected = names("new");
+        expected.extend(["admin", "client", "worker"].map(str::to_owned));
+        expected.sort();
+        assert_eq!(left, expected);
     }
 
     #[test]

@@ -107,8 +107,11 @@ fn media(fits: &[MaterialFit]) -> String {
         fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref()).any(is)
     };
     let mut note = String::new();
-    if any(|r| !r.resolved) {
-        note += "\n(…) unresolved: these data leave the medium open within the bounds told";
+    if any(|r| !r.resolved_at_g) {
+        note += "\n(…) unresolved: these data leave the medium open within the given bounds";
+    }
+    if any(Refined::g_is_open) {
+        note += "\n(…) g open: σ_t and α hold together with this g only";
     }
     if any(|r| r.from_mixtures) {
         note += "\n* from mixtures with other inks";
@@ -183,7 +186,8 @@ mod tests {
         let mut channels =
             vec![channel("R", 11.53, 3.42), channel("G", 27.61, 0.96), channel("B", 19.87, 0.93)];
         for channel in &mut channels[1..] {
-            channel.refined.as_mut().unwrap().resolved = false;
+            let refined = channel.refined.as_mut().unwrap();
+            (refined.resolved, refined.resolved_at_g) = (false, false);
         }
         let fits = [MaterialFit { material: "Vero White Plus".into(), channels }];
         let text = text(&Report { fits: &fits, assumed: Some("assumed: much".to_owned()), bound: false });

@@ -86,12 +86,21 @@ fn blur(variance: f64, std_error: f64) -> String {
     }
 }
 
-/// `4 pixels left out: 0.5 mm at x = −1.23, 0.48, 0.51 mm; 1 mm at x = 2.1 mm`.
-fn outliers(pixels: &[OutlierPixel]) -> Option<String> {
+/// Deviation in σ below which a pixel was left out for its neighbours: it may be the rim of a speck.
+const RIM: f64 = 3.5;
+
+/// `4 pixels left out: 0.5 mm at x = −1.23, 0.48, 0.51 mm; 1 mm at x = 2.1 mm; and 2 at their rims`.
+fn outliers(all: &[OutlierPixel]) -> Option<String> {
+    let (pixels, rims): (Vec<OutlierPixel>, Vec<_>) = all.iter().partition(|p| p.deviation.abs() >= RIM);
     let count = match pixels.len() {
         0 => return None,
         1 => "1 pixel".to_owned(),
         n => format!("{n} pixels"),
+    };
+    let rims = match (rims.len(), pixels.len()) {
+        (0, _) => String::new(),
+        (n, 1) => format!("; and {n} at its rim"),
+        (n, _) => format!("; and {n} at their rims"),
     };
     let mut profiles: Vec<(f64, Vec<String>)> = Vec::new();
     for pixel in &pixels[..pixels.len().min(MOST)] {
@@ -103,7 +112,7 @@ fn outliers(pixels: &[OutlierPixel]) -> Option<String> {
     }
     let profiles: Vec<String> =
         profiles.iter().map(|(t, x)| format!("{t} mm at x = {} mm", x.join(", "))).collect();
-    Some(format!("{count} left out: {}{}", profiles.join("; "), more(pixels.len())))
+    Some(format!("{count} left out: {}{}{rims}", profiles.join("; "), more(pixels.len())))
 }
 
 /// `0.5 mm: x = 1.2…1.6 mm is too bright by 4.1 σ together`.
@@ -193,6 +202,10 @@ mod tests {
         assert_eq!(outliers(&many).unwrap(), told);
         assert_eq!(outliers(&many[..1]).unwrap(), "1 pixel left out: 0.5 mm at x = 1 mm");
         assert_eq!(outliers(&[]), None);
+        let rim = |x_mm| OutlierPixel { deviation: -1.1, ..pixel(0.5, x_mm) };
+        let told = "1 pixel left out: 0.5 mm at x = 1 mm; and 2 at its rim";
+        assert_eq!(outliers(&[rim(0.9), pixel(0.5, 1.0), rim(1.1)]).unwrap(), told);
+        assert!(outliers(&[rim(0.9), many[0], many[1]]).unwrap().ends_with("; and 1 at their rims"));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use super::numbers::significant;
 
 /// `misfit 3.4: …` or `χ² 1130 of 716, …` with the likeliest reason; none if noise explains the fit.
 pub(crate) fn misfit(refined: &Refined) -> Option<String> {
-    let told = told(refined)?;
+    let Some(told) = told(refined) else { return absorbed(refined) };
     let meaning = match (&refined.likelihood, &refined.suspicion) {
         (Some(_), _) => {
             "noise and what is known of the set-up do not explain the data; the intervals were widened, but are not to \
@@ -26,14 +26,28 @@ pub(crate) fn misfit(refined: &Refined) -> Option<String> {
     Some(format!("{told}: {meaning}{}", reason.unwrap_or_default()))
 }
 
+/// An error that the media absorb, so that χ² does not show it.
+fn absorbed(refined: &Refined) -> Option<String> {
+    let suspicion = absorbed_by_media(refined)?;
+    let text = "the intervals are not to be trusted, although χ² is small";
+    Some(format!("{text}: all materials together contradict the set-up as given; {}", reason(suspicion)))
+}
+
+fn absorbed_by_media(refined: &Refined) -> Option<&Suspicion> {
+    refined.likelihood.as_ref().and(refined.suspicion.as_ref())
+}
+
 /// The same in few words, for pictures.
 pub(crate) fn misfit_short(refined: &Refined) -> Option<String> {
-    let told = told(refined)?;
-    let Some(s) = &refined.suspicion else { return Some(format!("{told}: not explained")) };
+    let goodness = match told(refined) {
+        Some(goodness) => goodness,
+        None => absorbed_by_media(refined).map(|_| "not to be trusted".to_owned())?,
+    };
+    let Some(s) = &refined.suspicion else { return Some(format!("{goodness}: not explained")) };
     let amount = |unit: &str| format!("{} {unit}", significant(s.amount, 2));
     let percent = format!("{} %", significant(100.0 * s.amount, 2));
     let short = match s.cause {
-        Cause::Unknown => return Some(format!("{told}: not explained")),
+        Cause::Unknown => return Some(format!("{goodness}: not explained")),
         Cause::EdgeOffset => format!("edge {} off?", amount("mm")),
         Cause::Gain => format!("values {percent} off?"),
         Cause::Zero => format!("zero {} off?", significant(s.amount, 2)),
@@ -41,9 +55,10 @@ pub(crate) fn misfit_short(refined: &Refined) -> Option<String> {
         Cause::Blur => format!("blur {}?", amount("mm")),
         Cause::Outliers => format!("{} outliers?", s.amount),
         Cause::GammaCoded => "sRGB, not linear?".to_owned(),
+        Cause::Exponent => format!("power {} of linear values?", significant(s.amount, 2)),
         Cause::ThicknessesSwapped => "thicknesses exchanged?".to_owned(),
     };
-    Some(format!("{told}: {short}"))
+    Some(format!("{goodness}: {short}"))
 }
 
 /// How much is left over, if it is more than noise explains.
@@ -90,6 +105,11 @@ fn reason(s: &Suspicion) -> String {
         Cause::GammaCoded => {
             "likeliest are values coded for a screen (sRGB): develop the photographs linearly".to_owned()
         }
+        Cause::Exponent => format!(
+            "likeliest are values that are the power {} of linear ones, as a camera's curve or coding for a screen (sRGB: \
+             0.45) makes them: develop the photographs linearly",
+            size(2)
+        ),
         Cause::ThicknessesSwapped => {
             "likeliest are thicknesses that were exchanged: check thickness_mm".to_owned()
         }
@@ -113,6 +133,17 @@ mod tests {
         refined.suspicion = None;
         assert!(misfit(&refined).unwrap().ends_with("not to be trusted blindly"));
         assert_eq!(misfit_short(&refined).unwrap(), "χ² 1130 of 716, p < 0.001: not explained");
+        refined.likelihood = Some(likelihood(712.0, 0.5));
+        let (cause, amount) = (Cause::Exponent, 0.9);
+        refined.suspicion = Some(Suspicion { cause, amount, thickness_mm: None, misfit_left: 1.0 });
+        let absorbed = misfit(&refined).unwrap();
+        assert!(
+            absorbed.starts_with("the intervals are not to be trusted, although χ² is small"),
+            "{absorbed}"
+        );
+        assert!(absorbed.contains("the power 0.9 of linear ones"), "{absorbed}");
+        assert_eq!(misfit_short(&refined).unwrap(), "not to be trusted: power 0.9 of linear values?");
+        refined.suspicion = None;
         refined.likelihood = Some(likelihood(712.0, 0.001));
         assert_eq!((misfit(&refined), misfit_short(&refined)), (None, None));
     }

@@ -1,6 +1,7 @@
 //! Answers of the fit as people and programs read them.
 
 mod bound;
+mod budget;
 mod design;
 mod fits;
 mod inks;
@@ -13,6 +14,7 @@ mod scale;
 mod table;
 mod told;
 
+pub(crate) use budget::budget_text;
 pub(crate) use design::{design_text, slabs};
 pub(crate) use fits::{Report, fits_text, neighbours, objective};
 pub(crate) use inks::inks_text;

@@ -1,6 +1,6 @@
 //! What a reader of a fit's numbers must know.
 
-use optics_model::fit::{ChannelFit, Interval, Outside};
+use optics_model::fit::{ChannelFit, Interval, Outside, Refined};
 
 use super::likelihood::{findings, too_quiet};
 use super::misfit::misfit;
@@ -11,7 +11,9 @@ pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {
     let valley = channel.refined.as_ref().is_some_and(|r| r.valley);
     let findings = channel.refined.as_ref().map(findings).unwrap_or_default();
     let advice = valley.then(|| "σ_t and g trade off: trust σ_s(1−g) and σ_a".to_owned());
-    warnings(channel).into_iter().chain(findings).chain(advice).collect()
+    let g_is_open = channel.refined.as_ref().is_some_and(Refined::g_is_open);
+    let open = g_is_open.then(|| "g open: σ_t and α hold together with this g only".to_owned());
+    warnings(channel).into_iter().chain(findings).chain(open).chain(advice).collect()
 }
 
 /// Why the numbers may not be trusted.
@@ -20,7 +22,7 @@ pub(super) fn warnings(channel: &ChannelFit) -> Vec<String> {
     if let Some(r) = &channel.refined {
         warnings.extend(misfit(r));
         warnings.extend(too_quiet(r));
-        if !r.resolved && channel.outside.is_none() {
+        if !r.resolved_at_g && channel.outside.is_none() {
             warnings.push(unresolved(&r.sigma_t_per_mm));
         }
     }

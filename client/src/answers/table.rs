@@ -1,5 +1,7 @@
 //! The table of a measurement as CSV.
 
+use std::borrow::Cow;
+
 use optics_model::fit::{Interval, MaterialFit};
 
 use super::remarks::remarks;
@@ -36,6 +38,7 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
         "chi2",
         "degrees_of_freedom",
         "probability",
+        "resolved_at_g",
     ])?;
     for fit in fits {
         for channel in &fit.channels {
@@ -60,8 +63,31 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
             row.push(r.misfit.to_string());
             let likelihood = r.likelihood.as_ref().map(|l| [l.chi2, l.degrees_of_freedom, l.probability]);
             row.extend(likelihood.map_or_else(Default::default, |l| l.map(|v| v.to_string())));
-            writer.write_record(&row)?;
+            row.push(r.resolved_at_g.to_string());
+            writer.write_record(row.iter().map(|cell| as_text(cell).into_owned()))?;
         }
     }
     Ok(String::from_utf8(writer.into_inner()?)?)
+}
+
+/// A cell as spreadsheets show it: one that begins like a formula and is no number would be computed there, whoever wrote
+/// it.
+fn as_text(cell: &str) -> Cow<'_, str> {
+    let is_formula = cell.starts_with(['=', '+', '-', '@', '\t', '\r']) && cell.parse::<f64>().is_err();
+    if is_formula { format!("'{cell}").into() } else { cell.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn formulas_are_text_and_numbers_are_numbers() {
+        for formula in ["=HYPERLINK(\"http://x\")", "+1+1", "-2+3", "@SUM(A1)", "\t=1"] {
+            assert_eq!(as_text(formula), format!("'{formula}"));
+        }
+        for plain in ["", "white", "-0.5", "+1", "-inf", "1e-3", "a=b"] {
+            assert_eq!(as_text(plain), plain);
+        }
+    }
 }

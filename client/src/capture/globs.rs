@@ -1,8 +1,12 @@
 //! Names of files with wildcards: `*` for any letters and `?` for one, within a folder's name or a file's.
 
+use std::ffi::OsStr;
+use std::fs::Metadata;
+use std::io::{Error, ErrorKind};
 use std::path::{Component, Path, PathBuf};
 
 use optics_model::Invalid;
+use unicode_normalization::UnicodeNormalization as _;
 
 /// Most files that the patterns of one field may find.
 const MOST_FILES: usize = 10_000;
@@ -34,8 +38,9 @@ fn shown(folder: &Path) -> String {
 fn find(folder: &Path, pattern: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut places = vec![folder.to_owned()];
     for part in pattern.components() {
-        let name = part.as_os_str().to_string_lossy();
-        let is_wild = matches!(part, Component::Normal(_)) && name.contains(['*', '?']);
+        let name = composed(part.as_os_str());
+        // A name with other letters than ASCII's may be written in composed characters here and in decomposed ones there.
+        let is_wild = matches!(part, Component::Normal(_)) && (name.contains(['*', '?']) || !name.is_ascii());
         let mut next = Vec::new();
         for place in places {
             if !is_wild {
@@ -43,38 +48,73 @@ fn find(folder: &Path, pattern: &Path) -> std::io::Result<Vec<PathBuf>> {
                 continue;
             }
             let folder = if place.as_os_str().is_empty() { Path::new(".") } else { &place };
-            // What is no folder holds nothing.
-            let Ok(entries) = std::fs::read_dir(folder) else { continue };
-            for entry in entries {
+            if !is(folder, Metadata::is_dir)? {
+                continue;
+            }
+            for entry in std::fs::read_dir(folder)? {
                 let entry = entry?.file_name();
-                if matches(name.as_bytes(), entry.to_string_lossy().as_bytes()) {
+                if matches(name.as_bytes(), composed(&entry).as_bytes()) {
                     next.push(place.join(entry));
                 }
             }
         }
         places = next;
     }
-    places.retain(|path| path.is_file());
-    places.sort();
-    Ok(places)
+    let mut files = Vec::new();
+    for place in places {
+        if is(&place, Metadata::is_file)? {
+            files.push(place);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// What is not there is nothing, but a link to what is not there, or what cannot be looked at, would be left out of the
+/// session in silence.
+fn is(path: &Path, kind: fn(&Metadata) -> bool) -> std::io::Result<bool> {
+    let error = match std::fs::metadata(path) {
+        Ok(metadata) => return Ok(kind(&metadata)),
+        Err(error) => error,
+    };
+    if let Ok(target) = std::fs::read_link(path) {
+        let (path, target) = (path.display(), target.display());
+        return Err(Error::other(format!("{path} is a link to {target}, which cannot be read ({error})")));
+    }
+    match error.kind() {
+        ErrorKind::NotFound | ErrorKind::NotADirectory => Ok(false),
+        kind => Err(Error::new(kind, format!("{}: {error}", path.display()))),
+    }
+}
+
+/// A name in composed characters, whatever the filesystem makes of it.
+fn composed(name: &OsStr) -> String {
+    name.to_string_lossy().nfc().collect()
 }
 
 /// Whether a name is what a pattern stands for; names that begin with a dot are hidden from wildcards.
 fn matches(pattern: &[u8], name: &[u8]) -> bool {
-    fn rest(pattern: &[u8], name: &[u8]) -> bool {
-        match (pattern, name) {
-            ([], []) => true,
-            ([b'*', after @ ..], _) => (0..=name.len()).any(|skipped| rest(after, &name[skipped..])),
-            ([b'?', after @ ..], [_, left @ ..]) => rest(after, left),
-            ([p, after @ ..], [n, left @ ..]) => p == n && rest(after, left),
-            _ => false,
+    if name.first() == Some(&b'.') && pattern.first() != Some(&b'.') {
+        return false;
+    }
+    let (mut at, mut read) = (0, 0);
+    // Behind the last star, and how far that one reaches: if what follows does not fit, only that one need reach further.
+    let mut star = None;
+    while read < name.len() {
+        match (pattern.get(at), star) {
+            (Some(b'*'), _) => {
+                at += 1;
+                star = Some((at, read));
+            }
+            (Some(&p), _) if p == b'?' || p == name[read] => (at, read) = (at + 1, read + 1),
+            (_, Some((behind, reach))) => {
+                star = Some((behind, reach + 1));
+                (at, read) = (behind, reach + 1);
+            }
+            (_, None) => return false,
         }
     }
-    let hidden = name.first() == Some(&b'.') && pattern.first() != Some(&b'.');
-    // Stars side by side are one.
-    let mut pattern = pattern.to_vec();
-    pattern.dedup_by(|a, b| *a == b'*' && *b == b'*');
-    !hidden && rest(&pattern, name)
+    pattern[at..].iter().all(|p| *p == b'*')
 }
 
 #[cfg(test)]
@@ -90,8 +130,54 @@ mod tests {
             ("*", ".hidden", false),
             ("**a*", "bab", true),
             ("a", "A", false),
+            ("*a*b", "xaxbxb", true),
+            ("*a*b", "xaxbx", false),
+            ("a?*", "a", false),
+            ("a*", "a", true),
         ] {
             assert_eq!(matches(pattern.as_bytes(), name.as_bytes()), expected, "{pattern} {name}");
+        }
+    }
+
+    /// Where every star was tried against every letter this took longer than anybody lives.
+    #[test]
+    fn many_stars_take_no_time() {
+        let pattern = "*a".repeat(60) + "*b";
+        assert!(!matches(pattern.as_bytes(), "a".repeat(250).as_bytes()));
+        assert!(matches(pattern.as_bytes(), ("a".repeat(250) + "b").as_bytes()));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_to_nothing_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        std::fs::create_dir(path("a")).unwrap();
+        std::fs::write(path("a/x.dng"), "").unwrap();
+        let refused = |pattern: &str| {
+            files_of(folder.path(), "camera.dark", &[pattern.to_owned()]).unwrap_err().to_string()
+        };
+        std::os::unix::fs::symlink("x.dng", path("a/y.dng")).unwrap();
+        assert_eq!(files_of(folder.path(), "shots", &["*/*.dng".to_owned()]).unwrap().len(), 2);
+        std::os::unix::fs::symlink("gone.dng", path("a/z.dng")).unwrap();
+        for pattern in ["a/*.dng", "*/z.dng", "a/z.dng"] {
+            let error = refused(pattern);
+            assert!(error.contains("a/z.dng is a link to gone.dng, which cannot be read"), "{error}");
+        }
+        std::os::unix::fs::symlink("disk", path("b")).unwrap();
+        let error = refused("*/x*.dng");
+        assert!(error.contains("b is a link to disk, which cannot be read"), "{error}");
+    }
+
+    #[test]
+    fn patterns_find_names_in_composed_and_decomposed_characters() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("wei\u{df}_u\u{308}.dng"), "").unwrap();
+        std::fs::create_dir(folder.path().join("\u{fc}")).unwrap();
+        std::fs::write(folder.path().join("\u{fc}/1.dng"), "").unwrap();
+        for pattern in ["wei\u{df}_\u{fc}.dng", "wei\u{df}_u\u{308}*", "u\u{308}/1.dng", "*_\u{fc}.*"] {
+            let found = files_of(folder.path(), "shots", &[pattern.to_owned()]);
+            assert_eq!(found.map(|files| files.len()), Ok(1), "{pattern}");
         }
     }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use farm_link::sync_folder;
 use optics_capture::{Colour, EdgeProfile, Estimate, Source};
 use optics_model::{GridFile, SceneFile, SceneRef, scene::Channel};
 use serde::Serialize;
@@ -11,8 +12,8 @@ use serde_json::{Value, json};
 use super::budget::{SessionErrors, sum, thickness_std_error_mm};
 use super::report;
 use super::stage::{Captured, CapturedSample};
-use crate::measurement_file::COLUMNS;
-use crate::whole_file::{folder_of, sync_folder};
+use crate::measurement_file::{self, COLUMNS, Note};
+use crate::whole_file::folder_of;
 
 /// The files of a folder, in the order in which they are told.
 pub(crate) const FILES: [&str; 5] =
@@ -21,10 +22,14 @@ pub(crate) const FILES: [&str; 5] =
 /// Thicknesses that differ by less share a thickness of the dictionary: the fit allows for much more.
 const ALIKE: f64 = 1.04;
 
-/// Writes the folder: nothing if anything cannot be made, and each file whole.
-pub(crate) fn write_folder(folder: &Path, captured: &Captured) -> Result<()> {
+/// Writes the folder: nothing if anything cannot be made, and each file whole. Returns what reading its measurements
+/// notes.
+pub(crate) fn write_folder(folder: &Path, captured: &Captured) -> Result<Vec<Note>> {
+    let measurements = measurements(captured)?;
+    let read = measurement_file::read(&measurements)
+        .context("profiles of these photographs (as in measurements.csv)")?;
     let contents = [
-        measurements(captured)?,
+        measurements,
         with_end(serde_json::to_string_pretty(&session(captured))?),
         with_end(scene(captured)?),
         with_end(grid(captured)?),
@@ -45,7 +50,8 @@ pub(crate) fn write_folder(folder: &Path, captured: &Captured) -> Result<()> {
     for name in FILES {
         std::fs::rename(draft.path().join(name), folder.join(name)).with_context(place)?;
     }
-    sync_folder(folder).with_context(place)
+    sync_folder(folder).with_context(place)?;
+    Ok(read.notes)
 }
 
 fn with_end(mut text: String) -> Vec<u8> {
@@ -53,8 +59,13 @@ fn with_end(mut text: String) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// A folder with other things in it may be a slip of the hand.
+/// A folder with other things in it may be a slip of the hand. Of what is to be replaced all are regular files.
 fn check_folder(folder: &Path) -> Result<()> {
+    for path in FILES.iter().map(|name| folder.join(name)) {
+        if path.metadata().is_ok_and(|found| !found.is_file()) {
+            bail!("{} is no regular file: name another folder with --output", path.display());
+        }
+    }
     let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
     let mut entries = entries.peekable();
     if entries.peek().is_some() && !folder.join("session.json").exists() {
@@ -65,7 +76,7 @@ fn check_folder(folder: &Path) -> Result<()> {
 
 /// The profiles in the strict format, with what is known of each.
 fn measurements(captured: &Captured) -> Result<Vec<u8>> {
-    let mut rows = csv::Writer::from_writer(Vec::new());
+    let mut rows = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(Vec::new());
     rows.write_record(COLUMNS)?;
     for sample in &captured.samples {
         for (c, profile) in sample.profile.profiles.iter().enumerate() {
@@ -264,10 +275,13 @@ fn sample(captured: &Captured, sample: &CapturedSample) -> Value {
         let errors = by_channel(|c| json!(line.std_error[c]));
         (line.source.name().to_owned(), json!({"unit": line.source.unit(), "std_error": errors}))
     });
+    let light =
+        sample.profile.shots.iter().map(|shot| shot.light.map(|light| by_channel(|c| estimate(light[c]))));
     json!({
         "material": sample.about.material,
         "thickness_mm": sample.about.thickness_mm,
         "shots": sample.profile.shots.iter().map(|shot| shot.label.clone()).collect::<Vec<_>>(),
+        "light": light.collect::<Vec<_>>(),
         "budget": Value::Object(budget.chain([thickness, blur]).collect()),
         "warnings": report::texts(&sample.profile.warnings),
     })
@@ -305,5 +319,8 @@ mod tests {
         assert!(check_folder(folder.path()).unwrap_err().to_string().contains("holds other files"));
         std::fs::write(folder.path().join("session.json"), "").unwrap();
         assert!(check_folder(folder.path()).is_ok());
+        let pipe = folder.path().join("scene.toml");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        assert!(check_folder(folder.path()).unwrap_err().to_string().contains("is no regular file"));
     }
 }

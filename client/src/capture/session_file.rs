@@ -1,5 +1,7 @@
 //! Session files: which photographs there are, and what is known of patches, board and slabs, as TOML.
 
+mod doubts;
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -10,6 +12,7 @@ use serde::Deserialize;
 
 use super::globs::files_of;
 use crate::grid_file::{from_toml, in_file, read_scene_beside, read_text};
+use crate::measurement_file::normal;
 
 const WHAT: &str = "session file";
 
@@ -26,6 +29,8 @@ pub(crate) struct Session {
     pub(crate) target: Target,
     pub(crate) samples: Vec<Sample>,
     pub(crate) scene: optics_model::Scene,
+    /// Numbers that are hardly meant.
+    pub(crate) doubts: Vec<String>,
     /// The file's own bytes.
     pub(crate) text: String,
 }
@@ -134,6 +139,7 @@ const THICKNESS_STD_ERROR_MM: f64 = 0.005;
 
 impl SessionFile {
     fn checked(self, folder: &Path, scene: optics_model::Scene, text: String) -> Result<Session, Invalid> {
+        let doubts = doubts::of(&self);
         let pattern = self.camera.pattern.as_deref().map(pattern).transpose()?;
         let neutral = neutral(&self.neutral)?;
         let target = target(&self.target)?;
@@ -154,6 +160,7 @@ impl SessionFile {
             target,
             samples: samples.collect::<Result<_, _>>()?,
             scene,
+            doubts,
             text,
         };
         check_once(&session)?;
@@ -174,7 +181,7 @@ fn sample(folder: &Path, table: SampleTable) -> Result<Sample, Invalid> {
         return Err(Invalid::new("material", format_args!("{material:?}"), allowed));
     }
     Ok(Sample {
-        material,
+        material: normal(&material).into_owned(),
         thickness_mm: within("thickness_mm", thickness_mm, 0.01, 100.0)?,
         thickness_std_error_mm: within(
             "thickness_std_error_mm",
@@ -264,13 +271,16 @@ fn target(table: &TargetTable) -> Result<Target, Invalid> {
     Ok(Target { square_mm, square_std_error_mm, dark_side })
 }
 
-/// "RGGB", row by row.
+/// "RGGB", row by row. The pixels of a monochrome camera are shared out among three channels that are one.
 pub(crate) fn pattern(text: &str) -> Result<[Colour; 4], Invalid> {
+    if text.eq_ignore_ascii_case("mono") {
+        return pattern("RGGB");
+    }
     let colour = |c: char| Colour::ALL.into_iter().find(|colour| colour.letter().starts_with(c));
     let colours: Option<Vec<Colour>> = text.to_uppercase().chars().map(colour).collect();
     let refused = || {
-        let allowed =
-            "allowed are \"RGGB\", \"BGGR\", \"GRBG\" and \"GBRG\": the colours of 2 × 2 pixels, row by row";
+        let allowed = "allowed are \"RGGB\", \"BGGR\", \"GRBG\" and \"GBRG\", the \
+                       colours of 2 × 2 pixels, row by row, and \"mono\"";
         Invalid::new("camera.pattern", format_args!("{text:?}"), allowed)
     };
     let colours: [Colour; 4] = colours.and_then(|c| c.try_into().ok()).ok_or_else(refused)?;

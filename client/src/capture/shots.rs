@@ -25,6 +25,10 @@ pub(crate) struct Shots {
 pub(crate) struct Input {
     pub(crate) label: String,
     pub(crate) digest: String,
+    /// Digest of the samples, which a copy under another format's tags shares.
+    picture: blake3::Hash,
+    /// What the photograph is of.
+    group: String,
     pub(crate) about: About,
     pub(crate) thumbnail: Thumbnail,
 }
@@ -34,16 +38,19 @@ impl Shots {
         Self { pattern, folder: folder.to_owned(), ..Self::default() }
     }
 
-    /// Reads the next one.
-    pub(crate) fn read(&mut self, path: &Path) -> Result<Photo> {
+    /// Reads the next one, which shows the same as others of its group.
+    pub(crate) fn read(&mut self, path: &Path, group: &str) -> Result<Photo> {
         let label = path.strip_prefix(&self.folder).unwrap_or(path).display().to_string();
         let (photograph, digest) = photograph::read(path)?;
         self.check_camera(&photograph.about, &label)?;
+        let picture = digest_of(&photograph.samples);
+        self.check_another(picture, &label)?;
         let about = photograph.about.clone();
         let photo =
             self.photo(photograph, &label).with_context(|| format!("photograph {}", path.display()))?;
         let thumbnail = Thumbnail::of(&photo.frame);
-        self.read.push(Input { label, digest: digest.to_hex().to_string(), about, thumbnail });
+        let (digest, group) = (digest.to_hex().to_string(), group.to_owned());
+        self.read.push(Input { label, digest, picture, group, about, thumbnail });
         Ok(photo)
     }
 
@@ -62,6 +69,14 @@ impl Shots {
         Ok(())
     }
 
+    /// Two shots never have the same noise: such files are one photograph, which would agree with itself.
+    fn check_another(&self, picture: blake3::Hash, label: &str) -> Result<()> {
+        let same = self.read.iter().find(|input| input.picture == picture);
+        same.map_or(Ok(()), |Input { label: other, .. }| {
+            bail!("{label} holds the same photograph as {other}, sample by sample: each may be used once")
+        })
+    }
+
     fn photo(&self, photograph: Photograph, label: &str) -> Result<Photo> {
         let pattern = match (photograph.layout, self.pattern) {
             (Layout::Rgb, None) => Pattern::Rgb,
@@ -77,7 +92,8 @@ impl Shots {
             }
             (Layout::Mosaic(None), None) => bail!(
                 "the file does not tell the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
-                 under [camera] (`dcraw -i -v` tells it as \"Filter pattern\")"
+                 under [camera], `--pattern` beside --check (`dcraw -i -v` tells it as \"Filter pattern\"); of a \
+                 monochrome camera set `pattern = \"mono\"`, which gives three channels that are one"
             ),
             (Layout::Rgb, Some(_)) => {
                 bail!("the file has three colours in each pixel, so camera.pattern must be left out")
@@ -96,6 +112,36 @@ impl Shots {
     }
 }
 
+/// Shots of one subject whose Orientation differs from that of the first. A viewer that turns files leaves such tags, but
+/// so does a camera that looks straight down; whether samples are turned shows in the shots' agreement.
+pub(crate) fn turned(inputs: &[Input]) -> Vec<String> {
+    let stated = |input: &Input| input.about.orientation.filter(|o| !o.is_as_stored());
+    let name = |input: &Input| input.about.orientation.map_or_else(|| "none".to_owned(), |o| o.to_string());
+    let of = |input: &Input| {
+        let first = inputs.iter().find(|other| other.group == input.group)?;
+        (stated(first) != stated(input)).then(|| {
+            format!(
+                "{} has Orientation {}, {} has {}; all are used as stored: if a viewer turned some, take the files as they \
+                 left the camera",
+                input.label,
+                name(input),
+                first.label,
+                name(first)
+            )
+        })
+    };
+    inputs.iter().filter_map(of).collect()
+}
+
+fn digest_of(samples: &[u16]) -> blake3::Hash {
+    let mut hasher = blake3::Hasher::new();
+    for part in samples.chunks(1 << 16) {
+        let bytes: Vec<u8> = part.iter().flat_map(|v| v.to_le_bytes()).collect();
+        hasher.update(&bytes);
+    }
+    hasher.finalize()
+}
+
 fn colour(colour: photograph::Colour) -> Colour {
     match colour {
         photograph::Colour::Red => Colour::Red,
@@ -103,3 +149,6 @@ fn colour(colour: photograph::Colour) -> Colour {
         photograph::Colour::Blue => Colour::Blue,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -9,7 +9,7 @@ use optics_capture::{
 use optics_tracer::BareBoard;
 
 use super::session_file::{Sample, Session};
-use super::shots::{Input, Shots};
+use super::shots::{Input, Shots, turned};
 use super::strip::Strip;
 
 /// All that a session's photographs tell.
@@ -34,24 +34,31 @@ pub(crate) struct CapturedSample {
 /// Runs all steps; `tell` hears what is being done, with the share of photographs that are read.
 pub(crate) fn capture(path: &Path, mut tell: impl FnMut(&str, f64)) -> Result<Captured> {
     let mut session = Session::read(path)?;
-    let folder = path.parent().unwrap_or(Path::new(""));
     let mut run = Run {
-        shots: Shots::new(session.pattern, folder),
+        shots: Shots::new(session.pattern, path.parent().unwrap_or(Path::new(""))),
         total: session.shots().count(),
         done: 0,
         tell: &mut tell,
     };
-    let calibration = run.calibrate(&session)?;
-    let board = run.board(&session, &calibration)?;
-    // The same light and the same coat for all channels.
-    let seen = BareBoard::of(&session.scene).context("the session's scene")?;
-    let shown = Shown { s: seen.specular, a: seen.gain, b: seen.returned };
-    let rho = board.rho(&[shown; 3], calibration.reference_std_error)?;
-    let slabs = std::mem::take(&mut session.samples);
-    let samples =
-        slabs.into_iter().map(|slab| run.sample(slab, &calibration, &board)).collect::<Result<_>>()?;
+    let stages = run.stages(&mut session);
     let inputs = run.shots.into_inputs();
-    Ok(Captured { session, calibration, board, rho, samples, inputs })
+    session.doubts.extend(turned(&inputs));
+    match stages {
+        Ok(Stages { calibration, board, rho, samples }) => {
+            Ok(Captured { session, calibration, board, rho, samples, inputs })
+        }
+        // They may be why.
+        Err(error) if session.doubts.is_empty() => Err(error),
+        Err(error) => Err(error.context(format!("doubtful: {}", session.doubts.join("; ")))),
+    }
+}
+
+/// What the photographs give.
+struct Stages {
+    calibration: Calibration,
+    board: Board,
+    rho: [BoardRho; 3],
+    samples: Vec<CapturedSample>,
 }
 
 struct Run<'a> {
@@ -62,11 +69,24 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
+    fn stages(&mut self, session: &mut Session) -> Result<Stages> {
+        let calibration = self.calibrate(session)?;
+        let board = self.board(session, &calibration)?;
+        // The same light and the same coat for all channels.
+        let seen = BareBoard::of(&session.scene).context("the session's scene")?;
+        let shown = Shown { s: seen.specular, a: seen.gain, b: seen.returned };
+        let rho = board.rho(&[shown; 3], calibration.reference_std_error)?;
+        let slabs = std::mem::take(&mut session.samples);
+        let samples =
+            slabs.into_iter().map(|slab| self.sample(slab, &calibration, &board)).collect::<Result<_>>()?;
+        Ok(Stages { calibration, board, rho, samples })
+    }
+
     fn read(&mut self, path: &Path, what: &str) -> Result<Photo> {
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
         (self.tell)(&format!("{what}: {name}"), self.done as f64 / self.total as f64);
         self.done += 1;
-        self.shots.read(path)
+        self.shots.read(path, what)
     }
 
     fn calibrate(&mut self, session: &Session) -> Result<Calibration> {

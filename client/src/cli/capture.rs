@@ -22,6 +22,9 @@ pub struct CaptureArgs {
     /// Colours of 2 × 2 pixels, row by row, of mosaics that --check reads and whose files do not tell them.
     #[arg(long, value_name = "RGGB", requires = "check")]
     pub pattern: Option<String>,
+    /// Dark shots for --check, of photographs whose files do not tell the black level (TIFF, PNG, PGM).
+    #[arg(long, value_name = "SHOT", num_args = 1.., requires = "check")]
+    pub darks: Vec<PathBuf>,
     /// Write a board to print: FILE.svg or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     pub board: Option<PathBuf>,

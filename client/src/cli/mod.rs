@@ -57,7 +57,8 @@ Examples:
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
 
 Exit codes: 0 success, 1 error, 2 wrong usage, 130 interrupted; for a dictionary: 3 some jobs
-failed, 4 some jobs are in quarantine, 5 cancelled, 6 still running when --timeout ran out.";
+failed, 4 some jobs are in quarantine, 5 cancelled, 6 still running when --timeout ran out, 7 machines
+disagree about some jobs, 8 deleted while it was waited for.";
 
 #[derive(Debug, Clone, Args)]
 pub struct Global {
@@ -256,6 +257,10 @@ pub struct SimulateArgs {
     /// Write a measurement of the material NAME, which `farmctl measure` reads.
     #[arg(long, value_name = "NAME")]
     pub measurement: Option<String>,
+    /// Noise of a camera in a measurement: standard deviation as a share of each pixel's value, up to 0.5 [default: 0.005].
+    /// With 0 the profiles are written as simulated; their errors are then alike in neighbouring pixels.
+    #[arg(long, value_name = "SHARE", requires = "measurement", allow_negative_numbers = true)]
+    pub noise: Option<f64>,
     /// "paper", "smooth" or a scene file in TOML.
     #[arg(long, value_name = "SCENE", default_value = "paper")]
     pub scene: String,
@@ -274,9 +279,9 @@ pub struct SimulateArgs {
     /// Number of pixels [default: the scene's].
     #[arg(long, value_name = "N")]
     pub pixels: Option<u32>,
-    /// Random walks: a multiple of 500, at least 1000.
-    #[arg(long, value_name = "N", default_value_t = 50_000, value_parser = whole_number)]
-    pub walks: u64,
+    /// Random walks: a multiple of 500, at least 1000 [default: 50000, of a measurement 500000].
+    #[arg(long, value_name = "N", value_parser = whole_number)]
+    pub walks: Option<u64>,
     /// Seed of the random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,

@@ -9,8 +9,9 @@ use farm_proto::wire::{BackupHeader, BackupRequest};
 use serde::Serialize;
 
 use crate::cli::{BackupArgs, Global, RestoreArgs};
-use crate::connection::{Connection, Purpose, patient, with_farm};
+use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{Output, grouped};
+use crate::questions::patient;
 
 #[derive(Debug, Serialize)]
 struct BackupJson {

@@ -1,6 +1,6 @@
 mod check;
 
-use std::io::IsTerminal as _;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -14,7 +14,9 @@ use serde_json::{Value, json};
 use super::measure;
 use crate::capture::{self, Captured, FILES, SessionErrors};
 use crate::cli::{CaptureArgs, Cli, Command, Global};
-use crate::output::{Output, table, warning, write_whole};
+use crate::measurement_file::Note;
+use crate::output::{Output, table, warning, wrapped, write_whole};
+use crate::progress::has_bars;
 
 pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> Result<ExitCode> {
     if let Some(path) = &args.board {
@@ -37,14 +39,16 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     });
     bar.finish_and_clear();
     let captured = captured?;
-    capture::write_folder(&folder, &captured)?;
+    let notes = capture::write_folder(&folder, &captured)?;
+    let warnings = warnings(&captured, &folder, &notes);
     // One object on standard output: with --measure it is that of the media.
     if !(args.measure && output.is_json()) {
-        output.print("capture", &data(&captured, &folder), || text(&captured, &folder))?;
+        output
+            .print("capture", &data(&captured, &folder, &warnings), || text(&captured, &folder, &warnings))?;
     }
     if args.measure {
-        let folder = folder.to_str().context("the folder's name is no text")?;
-        let cli = Cli::try_parse_from(["farmctl", "measure", "--", folder])?;
+        let words = ["farmctl", "measure", "--"].map(OsStr::new);
+        let cli = Cli::try_parse_from(words.into_iter().chain([folder.as_os_str()]))?;
         let Command::Measure(measure) = cli.command else { bail!("the folder's name was misread") };
         measure::run(global, measure, output).await?;
     }
@@ -55,7 +59,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
 const STEPS: u64 = 1000;
 
 fn bar(quiet: bool) -> ProgressBar {
-    if quiet || !std::io::stderr().is_terminal() {
+    if quiet || !has_bars() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(STEPS);
@@ -65,8 +69,8 @@ fn bar(quiet: bool) -> ProgressBar {
     bar
 }
 
-fn text(captured: &Captured, folder: &Path) -> String {
-    let head = ["sample", "", "shots", "dark", "light", "noise", "rejected", "blur [µm]", "origin [µm]"];
+fn text(captured: &Captured, folder: &Path, warnings: &[String]) -> String {
+    let head = ["sample", "", "shots", "dark", "light", "noise", "rejected", "blur\n[µm]", "origin\n[µm]"];
     let rows = rows(captured).into_iter().map(|row| {
         vec![
             row.sample,
@@ -82,8 +86,8 @@ fn text(captured: &Captured, folder: &Path) -> String {
     });
     let mut text = table(&head, &[2, 3, 4, 5, 6, 7, 8], rows);
     text += &format!("\n{}", set_up_text(captured));
-    for told in warnings(captured) {
-        text += &format!("\n{}", warning(&told));
+    for told in warnings {
+        text += &format!("\n{}", warning(&wrapped(told)));
     }
     text + &format!("\nwritten to {}: {}", folder.display(), FILES.join(", "))
 }
@@ -92,15 +96,19 @@ fn set_up_text(captured: &Captured) -> String {
     let errors = SessionErrors::of(captured);
     let rho = captured.rho.map(|rho| format!("{:.3}/{:.4}", rho.light.value, rho.dark.value)).join(", ");
     let percent = |share: f64| format!("{:.2} %", 100.0 * share);
-    format!(
-        "board: {:.3} px/mm, turned by {:.2}°, ρ {rho}\nerrors: gain {}, white reference {}, zero {:.5}, slope {} per 10 mm",
+    let board = format!(
+        "board: {:.3} px/mm, turned by {:.2}°, ρ {rho}",
         1.0 / captured.board.mm_per_px.value,
         captured.board.edge.angle_deg.value,
+    );
+    let errors = format!(
+        "errors: gain {}, white reference {}, zero {:.5}, slope {} per 10 mm",
         percent(errors.gain_std_error),
         percent(errors.mu_std_error),
         errors.offset_std_error,
         percent(errors.slope_std_error),
-    )
+    );
+    format!("{}\n{}", wrapped(&board), wrapped(&errors))
 }
 
 /// What was found of one channel of a sample.
@@ -145,8 +153,9 @@ fn rows(captured: &Captured) -> Vec<Row> {
     rows.collect()
 }
 
-/// Everything doubtful, the set-up's first.
-fn warnings(captured: &Captured) -> Vec<String> {
+/// Everything doubtful: the session's numbers, the set-up's, the samples', and what the profiles show when they are read as
+/// `measure` reads them.
+fn warnings(captured: &Captured, folder: &Path, notes: &[Note]) -> Vec<String> {
     let set_up =
         captured.calibration.warnings.iter().chain(&captured.board.warnings).map(ToString::to_string);
     let samples = captured.samples.iter().flat_map(|sample| {
@@ -155,16 +164,18 @@ fn warnings(captured: &Captured) -> Vec<String> {
             if text.starts_with(&label) { text } else { format!("{label}: {text}") }
         })
     });
-    set_up.chain(samples).collect()
+    let file = folder.join(FILES[0]);
+    let notes = notes.iter().map(|note| format!("{}: {}", file.display(), note.text));
+    captured.session.doubts.iter().cloned().chain(set_up).chain(samples).chain(notes).collect()
 }
 
-fn data(captured: &Captured, folder: &Path) -> Value {
+fn data(captured: &Captured, folder: &Path, warnings: &[String]) -> Value {
     json!({
-        "output": folder,
+        "output": folder.display().to_string(),
         "files": FILES,
         "profiles": rows(captured),
         "errors": SessionErrors::of(captured),
-        "warnings": warnings(captured),
+        "warnings": warnings,
     })
 }
 
@@ -174,7 +185,7 @@ fn board(path: &Path, output: &Output) -> Result<()> {
         bail!("board {}: the file's name must end with .svg or .pdf", path.display());
     };
     write_whole(path, &bytes).with_context(|| format!("board {}", path.display()))?;
-    output.print("board", &json!({"board": path}), || {
+    output.print("board", &json!({"board": path.display().to_string()}), || {
         format!("written: {}; print it at 100 % and measure its scale", path.display())
     })
 }

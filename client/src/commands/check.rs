@@ -6,11 +6,13 @@ use optics_model::{MeasuredProfile, Measurement};
 use serde::Serialize;
 
 use crate::cli::CheckArgs;
-use crate::measurement_file::{MeasurementFile, Note, read_measurements};
+use crate::measurement_file::{MeasurementFile, Note, beyond_limits, read_measurements};
 use crate::output::{Output, table};
 
 pub(crate) fn run(args: &CheckArgs, output: &Output) -> Result<()> {
-    let file = read_measurements(&args.measurements)?.told(&args.measurements, output);
+    let mut file = read_measurements(&args.measurements)?;
+    file.notes.extend(beyond_limits(&file.materials));
+    let file = file.told(&args.measurements, output);
     output.print("check", &data(&file), || text(&file))
 }
 

@@ -11,9 +11,10 @@ use serde::Serialize;
 
 use super::workers;
 use crate::cli::{DoctorArgs, Global};
-use crate::connection::{Purpose, kernel_name, patient, with_farm};
+use crate::connection::{Purpose, kernel_name, with_farm};
 use crate::exit;
 use crate::output::{Output, grouped};
+use crate::questions::patient;
 
 #[derive(Debug, Serialize)]
 struct DoctorJson {

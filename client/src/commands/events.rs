@@ -1,12 +1,14 @@
 use std::time::Duration;
 
 use anyhow::Result;
+use farm_link::logs::tell;
 use farm_proto::wire::{Event, ListEventsRequest};
 use serde::Serialize;
 
 use crate::cli::{EventsArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::output::{Output, envelope, utc};
+use crate::outage::Outage;
+use crate::output::{Output, envelope, print_line, utc};
 
 /// Pause before another look for new events.
 const LOOK: Duration = Duration::from_secs(1);
@@ -71,9 +73,17 @@ async fn follow(
     output: &Output,
 ) -> Result<()> {
     request.newest = false;
+    let mut outage = Outage::new(connection);
     loop {
         request.page_token.clone_from(&page_token);
-        let page = connection.farm().list_events(request.clone()).await?.into_inner();
+        let page = match connection.farm().list_events(request.clone()).await {
+            Ok(page) => page.into_inner(),
+            Err(error) => {
+                outage.outlast(error.into(), tell).await?;
+                continue;
+            }
+        };
+        outage.is_over(tell);
         if page.events.is_empty() {
             tokio::time::sleep(LOOK).await;
         }
@@ -86,10 +96,7 @@ async fn follow(
 
 /// One event a line, also as JSON.
 fn show(event: &EventJson, output: &Output) -> Result<()> {
-    use std::io::Write;
-    let line = if output.is_json() { envelope("event", event)? } else { line(event) };
-    writeln!(anstream::stdout(), "{line}")?;
-    Ok(())
+    print_line(&if output.is_json() { envelope("event", event)? } else { line(event) })
 }
 
 fn line(event: &EventJson) -> String {

@@ -7,6 +7,7 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use farm_link::logs::tell;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::GetRequest;
@@ -19,7 +20,7 @@ use crate::interrupt::{Interrupted, interrupted};
 use crate::measurement_file::MeasurementWriter;
 use crate::output::{Output, envelope};
 use crate::records::Records;
-use crate::whole_file::Draft;
+use crate::whole_file::{Draft, open_node};
 
 pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name.as_str())?;
@@ -46,9 +47,8 @@ async fn to_file(
     file: &Path,
 ) -> Result<()> {
     let place = || format!("output {}", file.display());
-    if std::fs::metadata(file).is_ok_and(|m| !m.is_file()) {
-        let out = std::io::BufWriter::new(std::fs::File::create(file).with_context(place)?);
-        return export(connection, name, args, json, out).await;
+    if let Some(node) = open_node(file).with_context(place)? {
+        return export(connection, name, args, json, std::io::BufWriter::new(node)).await;
     }
     let mut draft = Draft::create(file).with_context(place)?;
     tokio::select! {
@@ -147,7 +147,9 @@ async fn export(
         bail!("none of the records asked for is done yet");
     }
     if count < wanted {
-        eprintln!("farmctl: {count} of the {wanted} records asked for are done, the others are left out");
+        tell(format_args!(
+            "farmctl: {count} of the {wanted} records asked for are done, the others are left out"
+        ));
     }
     Ok(())
 }

@@ -10,8 +10,9 @@ use serde::Serialize;
 
 use super::watch::line;
 use crate::cli::{CancelArgs, DeleteArgs, Global, PriorityArgs};
-use crate::connection::{Connection, Purpose, patient, with_farm};
+use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, grouped};
+use crate::questions::patient;
 
 pub(crate) async fn pause(global: &Global, name: &str, output: &Output) -> Result<()> {
     change(global, name, "pause", output, async |connection, name| {

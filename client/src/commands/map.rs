@@ -8,7 +8,7 @@ use super::chosen_dictionary;
 use crate::answers::{UsedOptions, albedo, significant};
 use crate::cli::{Global, MapArgs};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::measurement_file::{MeasurementFile, Note, read_measurements};
+use crate::measurement_file::{MeasurementFile, Note, normal, read_measurements};
 use crate::output::{Output, table};
 use crate::plot::{self, Picture};
 use crate::set_up::SetUp;
@@ -42,7 +42,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
 /// The materials and channels that were asked for.
 fn chosen(materials: Vec<Measurement>, args: &MapArgs) -> Result<Vec<Measurement>> {
     let names: Vec<String> = materials.iter().map(|m| m.material().to_owned()).collect();
-    let wanted = |m: &Measurement| args.material.as_deref().is_none_or(|name| name == m.material());
+    let wanted = |m: &Measurement| args.material.as_deref().is_none_or(|name| normal(name) == m.material());
     let mut found = Vec::new();
     for material in materials.into_iter().filter(wanted) {
         let profiles = material.profiles().iter();

@@ -2,15 +2,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use farm_proto::wire::{MeasureRequest, MeasureResponse};
-use optics_model::Measurement;
 use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, Mixtures, ScaleCurve, Unmixed};
 use serde::Serialize;
 
-use super::session_folder::{MediumErrors, SessionFolder, medium_errors, sources_text};
+use super::session_folder::SessionFolder;
 use super::{chosen_dictionary, submit};
-use crate::answers::{Report, UsedOptions, common_text, fits_text, inks_text, table_csv};
+use crate::answers::{Report, UsedOptions, budget_text, common_text, fits_text, inks_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::{Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::mixture_file::read_mixtures;
 use crate::output::{Output, write_whole};
@@ -43,7 +42,7 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
     let materials = set_up.told_of(materials)?;
     let own = folder.as_ref().and_then(|folder| folder.dictionary.as_ref());
     let purpose = if own.is_some() { Purpose::Compute } else { Purpose::Ask };
-    let (dictionary, found, errors) = with_farm(global, purpose, async |connection| {
+    let (dictionary, found) = with_farm(global, purpose, async |connection| {
         if let Some((name, grid)) = own {
             submit::ensure(connection, name, grid, global.quiet).await?;
         }
@@ -57,13 +56,7 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
             mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
         };
         let found = Found::try_from(connection.fits().measure(request).await?.into_inner())?;
-        let errors = match &folder {
-            Some(_) => {
-                errors_of(connection, &dictionary, &found, &materials, &set_up, options.settings()).await?
-            }
-            None => Vec::new(),
-        };
-        Ok((dictionary, found, errors))
+        Ok((dictionary, found))
     })
     .await?;
     if mixtures.is_some() && found.unmixed.is_none() {
@@ -82,11 +75,12 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
     let told = || {
         let assumed = assumed.text(options.settings());
         let report = Report { fits: &found.materials, assumed, bound: args.bound };
-        let sources = sources_text(&errors).map_or_else(String::new, |text| format!("\n\n{text}"));
-        text(&found, &report, args.output.as_deref(), &pictures) + &sources
+        let budget = folder.as_ref().and_then(|_| budget_text(&found.materials));
+        let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
+        text(&found, &report, args.output.as_deref(), &pictures) + &budget
     };
     let report = match &folder {
-        Some(folder) => folder.complete(&found.materials, found.common.mu, &errors, &told())?,
+        Some(folder) => folder.complete(&found.materials, found.common.mu, &told())?,
         None => None,
     };
     let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
@@ -96,32 +90,13 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
     })
 }
 
-/// What the media's errors are made of, for the channels that the data determine.
-async fn errors_of(
-    connection: &Connection,
-    dictionary: &str,
-    found: &Found,
-    measured: &[Measurement],
-    set_up: &SetUp,
-    known: &FitSettings,
-) -> Result<Vec<MediumErrors>> {
-    let mut errors = Vec::new();
-    for fit in &found.materials {
-        let Some(measured) = measured.iter().find(|m| m.material() == fit.material) else { continue };
-        for channel in &fit.channels {
-            errors.extend(medium_errors(connection, dictionary, measured, channel, set_up, known).await?);
-        }
-    }
-    Ok(errors)
-}
-
 /// Why an answer may lack what this program shows.
 pub(super) const OLDER: &str = "the farm's answer does not tell what was chosen for all channels: its coordinator is \
                                 older than this farmctl; upgrade it";
 
 /// A checked answer.
 pub(crate) struct Found {
-    /// The paper's curve; none if the scale factor was given.
+    /// The paper's curve; none if the scale factor was given or the likelihood was maximised.
     pub(crate) scale: Option<ScaleCurve>,
     pub(crate) common: Common,
     pub(crate) materials: Vec<MaterialFit>,
@@ -180,7 +155,7 @@ pub(super) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [N
         /// Null if every channel has its own.
         common_g: Option<f64>,
         common: &'a Common,
-        /// Null if the scale factor was given.
+        /// Null if the scale factor was given or the likelihood was maximised.
         scale: Option<&'a ScaleCurve>,
         materials: &'a [MaterialFit],
         /// What was assumed when the file was read, and what looks suspicious in it.

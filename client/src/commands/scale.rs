@@ -40,7 +40,7 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let fits: Vec<MaterialFit> =
         answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?;
     if let Some(path) = &args.plot {
-        scale_figure(&scale, &common)?.write(path)?;
+        scale_figure(&scale, &common, optics_fit::objective(&options, &materials))?.write(path)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
     let used = UsedOptions::new(&dictionary, &options, &assumed);

@@ -1,20 +1,18 @@
 //! A folder that `capture` wrote, and what `measure` makes of it.
 
-mod sources;
-
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use farm_proto::DictionaryName;
 use optics_model::Grid;
-use optics_model::fit::{FitCurves, MaterialFit};
+use optics_model::fit::{FitCurves, Interval, MaterialFit, Refined, SourceShare};
+use serde::Serialize;
 
 use crate::capture::{Simulated, with_fits};
 use crate::cli::MeasureArgs;
 use crate::grid_file::read_grid;
 use crate::output::write_whole;
 use crate::plot::fit_figure;
-pub(super) use sources::{MediumErrors, medium_errors, text as sources_text};
 
 /// The session whose folder is to be measured.
 #[derive(Debug)]
@@ -52,15 +50,9 @@ impl SessionFolder {
         Ok(Some(Self { folder, dictionary }))
     }
 
-    /// Adds the errors by source to the session, and the fits to the report, if there is one. Returns its path.
-    pub(super) fn complete(
-        &self,
-        fits: &[MaterialFit],
-        mu: f64,
-        errors: &[MediumErrors],
-        text: &str,
-    ) -> Result<Option<PathBuf>> {
-        add_to_session(&self.folder.join("session.json"), errors)?;
+    /// Adds the error budgets to the session, and the fits to the report, if there is one. Returns its path.
+    pub(super) fn complete(&self, fits: &[MaterialFit], mu: f64, text: &str) -> Result<Option<PathBuf>> {
+        add_to_session(&self.folder.join("session.json"), fits)?;
         let path = self.folder.join("report.html");
         let Ok(page) = std::fs::read_to_string(&path) else { return Ok(None) };
         let figures =
@@ -73,10 +65,34 @@ impl SessionFolder {
     }
 }
 
-/// Writes the media's errors by source into the session's file, beside what `capture` wrote.
-fn add_to_session(path: &Path, errors: &[MediumErrors]) -> Result<()> {
+/// A channel's 95 % intervals, and what they are made of.
+#[derive(Debug, Serialize)]
+struct MediumErrors<'a> {
+    material: &'a str,
+    channel: &'a str,
+    sigma_t_per_mm: Interval,
+    albedo: Interval,
+    budget: &'a [SourceShare],
+}
+
+impl<'a> MediumErrors<'a> {
+    fn of(material: &'a str, channel: &'a str, refined: &'a Refined) -> Self {
+        let budget = refined.likelihood.as_ref().map_or(&[][..], |l| &l.budget);
+        Self { material, channel, sigma_t_per_mm: refined.sigma_t_per_mm, albedo: refined.albedo, budget }
+    }
+}
+
+/// Writes the media's error budgets into the session's file, beside what `capture` wrote.
+fn add_to_session(path: &Path, fits: &[MaterialFit]) -> Result<()> {
     let Ok(text) = std::fs::read_to_string(path) else { return Ok(()) };
     let place = || format!("session file {}", path.display());
+    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(|channel| (&fit.material, channel)));
+    let errors: Vec<MediumErrors> = channels
+        .filter_map(|(material, channel)| {
+            let refined = channel.refined.as_ref()?;
+            Some(MediumErrors::of(material, &channel.channel, refined))
+        })
+        .collect();
     let mut session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
     if let Some(fields) = session.as_object_mut() {
         fields.insert("media_errors_95".to_owned(), serde_json::to_value(errors)?);

@@ -1,3 +1,4 @@
+mod camera;
 mod changes;
 
 use std::io::Write;
@@ -10,14 +11,21 @@ use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
 
 use serde::Serialize;
 
+use camera::{Camera, NOISE};
+
 use crate::cli::SimulateArgs;
 use crate::grid_file::read_scene;
 use crate::measurement_file::{MeasurementWriter, check_name};
 use crate::output::{Output, envelope, write_whole};
 use crate::plot::Picture;
+use crate::whole_file::open_node;
 
 /// Most profiles of one command: more are the work of a farm.
 const MOST_PROFILES: usize = 1000;
+/// Walks if none are given; of a measurement so many that the error of the simulation, which all pixels share, is small
+/// beside what a profile's gain is not known by.
+const WALKS: u64 = 50_000;
+const MEASUREMENT_WALKS: u64 = 500_000;
 
 pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
     let jobs = jobs(&args)?;
@@ -41,9 +49,8 @@ fn simulate(args: &SimulateArgs, style: &Style, jobs: &[JobSpec]) -> Result<()> 
         return write(style, jobs, std::io::BufWriter::new(std::io::stdout().lock()));
     };
     let place = || format!("output {}", path.display());
-    if std::fs::symlink_metadata(path).is_ok_and(|m| !m.is_file()) {
-        // A device or pipe takes what comes.
-        return write(style, jobs, std::fs::File::create(path).with_context(place)?);
+    if let Some(node) = open_node(path).with_context(place)? {
+        return write(style, jobs, node);
     }
     let mut bytes = Vec::new();
     write(style, jobs, &mut bytes)?;
@@ -65,7 +72,7 @@ fn jobs(args: &SimulateArgs) -> Result<Vec<JobSpec>> {
         return Err(Invalid::new("profiles", count, allowed).into());
     }
     let scene = scene(args)?;
-    let walks = Walks::new(args.walks)?;
+    let walks = Walks::new(walks(args))?;
     let mut jobs = Vec::new();
     for &sigma_t in &args.sigma_t {
         for &g in &args.g {
@@ -80,6 +87,10 @@ fn jobs(args: &SimulateArgs) -> Result<Vec<JobSpec>> {
         }
     }
     Ok(jobs)
+}
+
+fn walks(args: &SimulateArgs) -> u64 {
+    args.walks.unwrap_or(if args.measurement.is_some() { MEASUREMENT_WALKS } else { WALKS })
 }
 
 fn scene(args: &SimulateArgs) -> Result<Scene> {
@@ -112,8 +123,12 @@ enum Style {
     /// A table that names every medium and thickness.
     Several,
     Json(JsonStyle),
-    /// A measurement of the material of this name.
-    Measurement(String),
+    /// A measurement of the material of this name, with the noise of a camera of this seed.
+    Measurement {
+        material: String,
+        noise: f64,
+        seed: u64,
+    },
 }
 
 pub(super) struct JsonStyle {
@@ -125,7 +140,7 @@ pub(super) struct JsonStyle {
 fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Style> {
     let several = jobs.len() * args.albedo.len() > 1;
     let Some(material) = &args.measurement else {
-        let json = JsonStyle { several, walks: args.walks, seed: args.seed };
+        let json = JsonStyle { several, walks: walks(args), seed: args.seed };
         return Ok(match (output.is_json(), several) {
             (true, _) => Style::Json(json),
             (false, true) => Style::Several,
@@ -140,18 +155,25 @@ fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Style
             "--measurement writes one material: give one --sigma-t, --albedo and --g; --thickness may be a list"
         );
     }
-    Ok(Style::Measurement(check_name(material)?.to_owned()))
+    let (noise, seed) = (args.noise.unwrap_or(NOISE), args.seed);
+    Camera::new(noise, seed)?;
+    Ok(Style::Measurement { material: check_name(material)?.to_owned(), noise, seed })
 }
 
 /// Profile by profile as they are traced.
 fn write(style: &Style, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
     let each = |job: &JobSpec| anyhow::Ok(optics_tracer::trace(job, &AtomicBool::new(false))?);
     match style {
-        Style::Measurement(material) => {
+        Style::Measurement { material, noise, seed } => {
+            let mut camera = Camera::new(*noise, *seed)?;
             let mut measurement = MeasurementWriter::new(&mut out, material)?;
             for job in jobs {
-                for record in each(job)? {
-                    measurement.add(job.scene(), job.point().thickness_mm(), &record.profiles)?;
+                for Record { profiles, .. } in each(job)? {
+                    let profiles = match &mut camera {
+                        Some(camera) => camera.photograph(&profiles)?,
+                        None => profiles,
+                    };
+                    measurement.add(job.scene(), job.point().thickness_mm(), &profiles)?;
                 }
             }
             measurement.finish()?;

@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::{list, workers};
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::output::{DictionaryJson, Output, WorkerJson, grouped};
+use crate::output::{DictionaryJson, Output, WorkerJson, counted, grouped};
 
 #[derive(Debug, Serialize)]
 pub(super) struct StatusJson {
@@ -20,6 +20,7 @@ pub(super) struct StatusJson {
     database_bytes: u64,
     checks_agreed: u64,
     checks_disputed: u64,
+    checks_waiting: u64,
     store_fault: Option<String>,
     workers: Vec<WorkerJson>,
     dictionaries: Vec<DictionaryJson>,
@@ -48,6 +49,7 @@ pub(super) fn data(
         database_bytes: status.database_bytes,
         checks_agreed: status.checks_agreed,
         checks_disputed: status.checks_disputed,
+        checks_waiting: status.checks_waiting,
         store_fault: (!status.store_fault.is_empty()).then(|| status.store_fault.clone()),
         workers: workers.iter().map(Into::into).collect(),
         dictionaries: dictionaries.iter().map(Into::into).collect(),
@@ -82,7 +84,16 @@ fn text(
         "" => String::new(),
         fault => format!("\nresults cannot be stored: {fault}"),
     };
-    let mut text = format!("{place}\n{jobs}{fault}\n\n{}", list::text(dictionaries));
+    let checks = match status.checks_waiting {
+        0 => String::new(),
+        waiting => {
+            format!(
+                "\n{} to be compared on another machine: see `farmctl explain`",
+                counted(waiting, "result")
+            )
+        }
+    };
+    let mut text = format!("{place}\n{jobs}{checks}{fault}\n\n{}", list::text(dictionaries));
     if !workers.is_empty() {
         text += &format!("\n\n{}", workers::text(workers));
     }

@@ -7,13 +7,15 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
 use optics_model::Grid;
 
-use super::watch::{self, follow};
+use super::following::{self, follow};
+use super::watch::line;
 use crate::cli::{Global, SubmitArgs};
-use crate::connection::{Connection, Purpose, patient, with_farm};
+use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
 use crate::grid_file::read_grid;
 use crate::interrupt::Interrupted;
 use crate::output::{DictionaryJson, Output, duration, grouped, is_closed_pipe};
+use crate::questions::patient;
 
 pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> Result<ExitCode> {
     let (grid, default_name) = match &args.grid {
@@ -30,8 +32,8 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
     })
     .await?;
     let code = match end {
-        End::Left | End::Followed(watch::End::Interrupted) => ExitCode::from(exit::INTERRUPTED),
-        End::Followed(watch::End::Ended(_)) => exit::code_of(&status),
+        End::Left | End::Followed(following::End::Interrupted) => ExitCode::from(exit::INTERRUPTED),
+        End::Followed(following::End::Ended(_)) => exit::code_of(&status),
         End::Submitted => ExitCode::SUCCESS,
     };
     match output.print("submit", &DictionaryJson::from(&status), || {
@@ -53,7 +55,7 @@ enum End {
     Submitted,
     /// Not waited for any longer; another process goes on with it.
     Left,
-    Followed(watch::End),
+    Followed(following::End),
 }
 
 /// Computes a dictionary if it is not there, and waits for it.
@@ -66,8 +68,8 @@ pub(super) async fn ensure(
     let args = SubmitArgs { grid: None, name: None, quality: None, wait: true, priority: 0 };
     let (status, end) = submit(connection, name, grid, &args, quiet).await?;
     match (&end, status.state()) {
-        (End::Followed(watch::End::Ended(_)), DictionaryState::Done) => Ok(()),
-        (End::Left | End::Followed(watch::End::Interrupted), _) => Err(Interrupted.into()),
+        (End::Followed(following::End::Ended(_)), DictionaryState::Done) => Ok(()),
+        (End::Left | End::Followed(following::End::Interrupted), _) => Err(Interrupted.into()),
         _ => bail!("the session's dictionary was not computed: {}", text(&status, &end)),
     }
 }
@@ -81,13 +83,13 @@ async fn submit(
 ) -> Result<(DictionaryStatus, End)> {
     let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()), priority: args.priority };
     let submitted = connection.dictionaries().submit(patient(request)).await?.into_inner();
-    let status = DictionaryStatus::try_from(submitted)?;
+    let mut status = DictionaryStatus::try_from(submitted)?;
     if !args.wait && connection.is_server() {
         return Ok((status, End::Submitted));
     }
-    match follow(connection, status, quiet).await? {
-        (status, watch::End::Interrupted) if !connection.is_embedded() => Ok((status, End::Left)),
-        (status, end) => Ok((status, End::Followed(end))),
+    match follow(connection, &mut status, quiet).await? {
+        following::End::Interrupted if !connection.is_embedded() => Ok((status, End::Left)),
+        end => Ok((status, End::Followed(end))),
     }
 }
 
@@ -100,10 +102,10 @@ fn text(status: &DictionaryStatus, end: &End) -> String {
             "{name}: {done} of {total} records are done, and the farm goes on computing: `farmctl watch {name}` to \
              look again, `farmctl cancel {name}` to stop"
         ),
-        End::Followed(watch::End::Interrupted) => {
+        End::Followed(following::End::Interrupted) => {
             format!("{name}: stopped, {done} of {total} records are stored; submit again to go on")
         }
-        End::Followed(watch::End::Ended(elapsed)) if status.state() == DictionaryState::Done => {
+        End::Followed(following::End::Ended(elapsed)) if status.state() == DictionaryState::Done => {
             let digest = status.records_digest.map(|d| d.to_string()).unwrap_or_default();
             let disputed = match status.jobs_disputed {
                 0 => String::new(),
@@ -114,10 +116,10 @@ fn text(status: &DictionaryStatus, end: &End) -> String {
                 duration(*elapsed)
             )
         }
-        End::Followed(watch::End::Ended(_)) if status.state() == DictionaryState::Cancelled => {
-            watch::line(status)
+        End::Followed(following::End::Ended(_)) if status.state() == DictionaryState::Cancelled => {
+            line(status)
         }
-        End::Followed(watch::End::Ended(_)) => {
+        End::Followed(following::End::Ended(_)) => {
             let reasons = status.failed.iter().map(|f| format!("\n  job {}: {}", f.job, f.reason));
             format!(
                 "{name}: {done} of {total} records are done, {} jobs failed{}",

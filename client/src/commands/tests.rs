@@ -188,6 +188,7 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         correlation: 0.98,
         valley: true,
         resolved: false,
+        resolved_at_g: false,
         measurement_noise: 0.01,
         dictionary_share: 0.1,
         misfit: 3.42,

@@ -6,112 +6,23 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
-use farm_proto::wire::{GetRequest, JobStates, WatchJobsRequest, WatchRequest};
 use serde::Serialize;
-use tonic::{Code, Streaming};
 
+use super::following::{End, Fixed, follow, follow_jobs, get};
 use crate::cli::{Global, WaitArgs};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
-use crate::interrupt::{Interrupted, interrupted};
+use crate::interrupt::Interrupted;
 use crate::output::{DictionaryJson, Output, grouped, state};
-use crate::progress::{Cells, Progress};
-
-/// How following a dictionary ended.
-pub(crate) enum End {
-    /// It is done, failed or cancelled.
-    Ended(Duration),
-    Interrupted,
-}
-
-/// Shows progress until the dictionary has ended or somebody interrupts; its last state.
-pub(crate) async fn follow(
-    connection: &Connection,
-    status: DictionaryStatus,
-    quiet: bool,
-) -> Result<(DictionaryStatus, End)> {
-    let progress = Progress::new(&status, quiet);
-    follow_with(connection, status, progress, None).await
-}
-
-/// The same with each job's state, where there is a terminal to show them.
-async fn follow_jobs(
-    connection: &Connection,
-    status: DictionaryStatus,
-    quiet: bool,
-) -> Result<(DictionaryStatus, End)> {
-    let progress = Progress::new(&status, quiet);
-    let jobs = if progress.has_room() {
-        let request = WatchJobsRequest { name: status.name.to_string() };
-        match connection.dictionaries().watch_jobs(request).await {
-            Ok(states) => Some(states.into_inner()),
-            // An older coordinator.
-            Err(error) if error.code() == Code::Unimplemented => None,
-            Err(error) => return Err(error.into()),
-        }
-    } else {
-        None
-    };
-    follow_with(connection, status, progress, jobs).await
-}
-
-async fn follow_with(
-    connection: &Connection,
-    mut status: DictionaryStatus,
-    mut progress: Progress,
-    mut jobs: Option<Streaming<JobStates>>,
-) -> Result<(DictionaryStatus, End)> {
-    let start = tokio::time::Instant::now();
-    let name = status.name.to_string();
-    let request = WatchRequest { name: name.clone() };
-    let mut updates = connection.dictionaries().watch(request).await?.into_inner();
-    let mut cells = Cells::new(&status.grid);
-    let mut interrupt = std::pin::pin!(interrupted());
-    loop {
-        let update = tokio::select! {
-            update = updates.message() => update?,
-            run = next_run(&mut jobs) => {
-                if let Some(run) = run {
-                    let (first, states) = run.read()?;
-                    cells.set(first, &states);
-                    progress.show_cells(&cells);
-                }
-                continue;
-            }
-            () = &mut interrupt => {
-                progress.end();
-                return Ok((status, End::Interrupted));
-            }
-        };
-        let Some(update) = update else { break };
-        status = update.try_into()?;
-        progress.show(&status);
-    }
-    progress.end();
-    if status.state().is_open() {
-        let message =
-            format!("the coordinator stopped before {name} was done: run the same command again to go on");
-        return Err(tonic::Status::unavailable(message).into());
-    }
-    Ok((status, End::Ended(start.elapsed())))
-}
-
-/// The next states of jobs. Once there are no more it waits for ever: how the dictionary ends is told elsewhere.
-async fn next_run(jobs: &mut Option<Streaming<JobStates>>) -> Option<JobStates> {
-    let Some(states) = jobs else { return std::future::pending().await };
-    let run = states.message().await.ok().flatten();
-    if run.is_none() {
-        *jobs = None;
-    }
-    run
-}
 
 pub(crate) async fn watch(global: &Global, name: &str, output: &Output) -> Result<ExitCode> {
     let name = DictionaryName::new(name)?;
+    let fixed = Fixed::default();
     let (status, end) = with_farm(global, Purpose::Ask, async |connection| {
-        let status = get(connection, &name).await?;
+        let mut status = fixed.get(connection, &name).await?;
         must_progress(connection, &status)?;
-        follow_jobs(connection, status, global.quiet).await
+        let end = follow_jobs(connection, &mut status, global.quiet).await?;
+        Ok((status, end))
     })
     .await?;
     let code = match end {
@@ -133,23 +44,25 @@ pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Re
         args.names.into_iter().map(DictionaryName::new).collect::<Result<_, _>>()?;
     let limit = Duration::from_secs(args.timeout.unwrap_or(u32::MAX.into()));
     let deadline = tokio::time::Instant::now() + limit;
+    let fixed = Fixed::default();
     let (statuses, timed_out) = with_farm(global, Purpose::Ask, async |connection| {
         let mut statuses = Vec::new();
-        let mut timed_out = false;
         for name in &names {
-            let status = get(connection, name).await?;
+            let status = fixed.get(connection, name).await?;
             must_progress(connection, &status)?;
+            statuses.push(status);
+        }
+        let mut timed_out = false;
+        for status in &mut statuses {
             let followed = tokio::time::timeout_at(deadline, follow(connection, status, true)).await;
             let Ok(followed) = followed else {
                 timed_out = true;
-                statuses.push(get(connection, name).await?);
+                look_again(connection, status).await;
                 continue;
             };
-            let (status, end) = followed?;
-            if matches!(end, End::Interrupted) {
+            if matches!(followed?, End::Interrupted) {
                 return Err(Interrupted.into());
             }
-            statuses.push(status);
         }
         Ok((statuses, timed_out))
     })
@@ -160,9 +73,15 @@ pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Re
     Ok(ExitCode::from(if timed_out { exit::TIMEOUT } else { worst }))
 }
 
-pub(crate) async fn get(connection: &Connection, name: &DictionaryName) -> Result<DictionaryStatus> {
-    let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
-    Ok(answer.into_inner().try_into()?)
+/// Brings a state up to date, if that can be done at once.
+async fn look_again(connection: &Connection, status: &mut DictionaryStatus) {
+    const AT_ONCE: Duration = Duration::from_secs(2);
+    let name = status.name.clone();
+    if let Ok(Ok(now)) = tokio::time::timeout(AT_ONCE, get(connection, &name)).await
+        && now.grid_digest == status.grid_digest
+    {
+        *status = now;
+    }
 }
 
 /// A coordinator that this command has just started for itself computes nothing.

@@ -79,8 +79,9 @@ fn machine(facts: &MachineFacts) -> String {
     if facts.kernel.is_empty() {
         return String::new();
     }
-    let gib = (facts.memory_bytes as f64 / f64::from(1 << 30)).round();
-    format!("{} cores, {gib} GiB, {}", facts.cores, facts.kernel)
+    let gib = facts.memory_bytes as f64 / f64::from(1 << 30);
+    let memory = if gib < 4.0 { format!("{gib:.1} GiB") } else { format!("{gib:.0} GiB") };
+    format!("{} cores, {memory}, {}", facts.cores, facts.kernel)
 }
 
 pub(crate) fn text(workers: &[WorkerStatus]) -> String {
@@ -108,4 +109,18 @@ pub(crate) fn text(workers: &[WorkerStatus]) -> String {
     };
     let head = ["worker", "id", "state", "threads", "leases", "jobs done", "heard of", "machine", "version"];
     table(&head, &[3, 4, 5, 6], workers.iter().map(row))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn little_memory_is_told_more_exactly() {
+        let of = |mib: u64| {
+            let kernel = "avx2".to_owned();
+            machine(&MachineFacts { cores: 2, memory_bytes: mib << 20, kernel, log: String::new() })
+        };
+        assert_eq!([of(64 << 10), of(300)], ["2 cores, 64 GiB, avx2", "2 cores, 0.3 GiB, avx2"]);
+    }
 }

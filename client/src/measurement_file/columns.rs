@@ -20,7 +20,7 @@ pub(crate) const NAMES: [&str; 11] = [
 ];
 
 /// How many of them must be there.
-const NEEDED: usize = 5;
+pub(super) const NEEDED: usize = 5;
 
 /// The names of what is known of a profile's set-up.
 pub(super) const SETUP: [&str; 5] = [NAMES[6], NAMES[7], NAMES[8], NAMES[9], NAMES[10]];
@@ -110,6 +110,14 @@ impl Columns {
 /// How many of these names are understood.
 pub(super) fn understood(header: &csv::StringRecord) -> usize {
     header.iter().filter(|name| meaning(name).is_some()).count()
+}
+
+/// Whether cells hold units, or nothing, where numbers are wanted.
+pub(super) fn are_units(cells: &[&str]) -> bool {
+    let unit =
+        |cell: &str| Unit::of(&cell.trim_matches(['(', ')', '[', ']']).trim().to_lowercase()).is_some();
+    let none = |cell: &str| ["", "-", "1", "a.u."].contains(&cell);
+    cells.iter().any(|cell| unit(cell)) && cells.iter().all(|cell| unit(cell) || none(cell))
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,8 +3,10 @@
 //! ways is refused.
 
 mod columns;
+mod names;
 mod note;
 mod number;
+mod pixels;
 mod rows;
 mod suspicions;
 mod table;
@@ -14,13 +16,17 @@ mod write;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use farm_link::logs::tell;
 use optics_model::Measurement;
 
 use crate::output::Output;
 pub(crate) use columns::NAMES as COLUMNS;
+pub(crate) use names::normal;
 pub use note::Note;
 use number::Decimal;
+pub(crate) use suspicions::beyond_limits;
 use table::Table;
+pub(crate) use text::plain;
 pub(crate) use write::{MeasurementWriter, check_name};
 
 /// What a file holds.
@@ -37,7 +43,7 @@ impl MeasurementFile {
     pub(crate) fn told(self, path: &Path, output: &Output) -> Self {
         if !output.is_json() {
             for note in &self.notes {
-                eprintln!("farmctl: note: {}: {}", path.display(), note.text);
+                tell(format_args!("farmctl: note: {}: {}", path.display(), note.text));
             }
         }
         self
@@ -46,7 +52,10 @@ impl MeasurementFile {
 
 /// Reads and checks the measurements of a file. Errors name line, material, channel and thickness.
 pub fn read_measurements(path: &Path) -> Result<MeasurementFile> {
-    let place = || format!("measurement {}", path.display());
+    let place = || match path.to_str() {
+        Some(text::STDIN) => "measurement of standard input".to_owned(),
+        _ => format!("measurement {}", path.display()),
+    };
     let bytes = text::read(path).with_context(place)?;
     read(&bytes).with_context(place)
 }
@@ -54,17 +63,19 @@ pub fn read_measurements(path: &Path) -> Result<MeasurementFile> {
 /// Reads and checks the measurements of a file's bytes.
 pub(crate) fn read(bytes: &[u8]) -> Result<MeasurementFile> {
     let mut notes = Vec::new();
-    let text = text::decode(bytes, &mut notes)?;
+    let bytes = text::unpacked(bytes, &mut notes)?;
+    let text = text::decode(&bytes, &mut notes)?;
     let table = Table::open(&text, &mut notes)?;
     let decimal = Decimal::of(&table, &mut notes)?;
-    let mut drafts = rows::drafts(&table, decimal)?;
+    let mut drafts = rows::drafts(&table, decimal, &mut notes)?;
     let blank = table.blank_rows();
     if blank > 0 {
         notes.push(Note::new("BLANK_ROWS", format!("rows without any entry are left out ({blank})")));
     }
     rows::name_colours(&mut drafts, &mut notes)?;
+    rows::look_alike(&drafts, &mut notes);
     rows::sort(&mut drafts, &mut notes)?;
-    let profiles = rows::profiles(drafts, table.columns.std_error.is_some())?;
+    let profiles = rows::profiles(drafts, &mut notes)?;
     suspicions::examine(&profiles, &mut notes)?;
     Ok(MeasurementFile { materials: profiles.materials, notes })
 }

@@ -81,6 +81,13 @@ impl Decimal {
     }
 }
 
+/// Whether a cell stands for a number that is not there, as programs write masked and missing ones.
+pub(super) fn is_missing(text: &str) -> bool {
+    ["", "nan", "na", "n/a", "null", "none", "--", "masked"]
+        .iter()
+        .any(|word| text.eq_ignore_ascii_case(word))
+}
+
 /// A number and where it stands.
 struct Cell {
     line: u64,

@@ -1,12 +1,16 @@
 //! From rows to profiles.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Context, Result, bail};
 use optics_model::measurement::{ProfileSetup, colour};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
 
-use super::columns::{Column, SETUP};
+use super::columns::{Column, SETUP, are_units};
+use super::names::{Spellings, alike, alike_thicknesses};
 use super::note::Note;
-use super::number::Decimal;
+use super::number::{Decimal, is_missing};
+use super::pixels::{Assumed, Pixels, Row};
 use super::table::Table;
 
 /// One profile while its rows are being read.
@@ -19,21 +23,6 @@ pub(super) struct Draft {
     rows: Vec<Row>,
 }
 
-struct Row {
-    line: u64,
-    /// None in the one row of a patch.
-    x_mm: Option<f64>,
-    value: f64,
-    std_error: f64,
-}
-
-impl Row {
-    /// Of a patch it does not matter.
-    fn x(&self) -> f64 {
-        self.x_mm.unwrap_or_default()
-    }
-}
-
 /// Profiles of a file, ordered by material, and the line of each of their pixels.
 pub(super) struct Profiles {
     pub materials: Vec<Measurement>,
@@ -42,12 +31,20 @@ pub(super) struct Profiles {
 }
 
 /// All rows, sorted into profiles in the order of their first rows.
-pub(super) fn drafts(table: &Table, decimal: Decimal) -> Result<Vec<Draft>> {
-    let mut drafts: Vec<Draft> = Vec::new();
+pub(super) fn drafts(table: &Table, decimal: Decimal, notes: &mut Vec<Note>) -> Result<Vec<Draft>> {
+    let (mut drafts, mut spellings) = (Vec::new(), Spellings::default());
     for row in table.rows() {
         let (line, row) = row?;
-        add(&mut drafts, line, &row, table, decimal).with_context(|| format!("line {line}"))?;
+        let cells = || table.columns.numbers().map(|c| &row[c.place]).collect::<Vec<_>>();
+        if drafts.is_empty() && are_units(&cells()) {
+            bail!(
+                "line {line} seems to hold units: leave it out, and write them in the columns' names, as in x (µm)"
+            );
+        }
+        add(&mut drafts, &mut spellings, line, &row, table, decimal)
+            .with_context(|| format!("line {line}"))?;
     }
+    notes.extend(spellings.note());
     if drafts.is_empty() {
         bail!("no rows");
     }
@@ -56,6 +53,7 @@ pub(super) fn drafts(table: &Table, decimal: Decimal) -> Result<Vec<Draft>> {
 
 fn add(
     drafts: &mut Vec<Draft>,
+    spellings: &mut Spellings,
     line: u64,
     row: &csv::StringRecord,
     table: &Table,
@@ -63,13 +61,14 @@ fn add(
 ) -> Result<()> {
     let columns = &table.columns;
     let number = |c: Column| Ok::<_, anyhow::Error>(decimal.read(&row[c.place], c.name)? * c.factor);
-    let (material, channel) = (&row[columns.material.place], &row[columns.channel.place]);
+    let material = spellings.read(&row[columns.material.place], line);
+    let channel = spellings.read(&row[columns.channel.place], line);
     let thickness_mm = number(columns.thickness)?;
     let entry = Row {
         line,
         x_mm: Some(columns.x).filter(|c| !row[c.place].is_empty()).map(number).transpose()?,
-        value: number(columns.value)?,
-        std_error: columns.std_error.map_or(Ok(0.0), number)?,
+        value: Some(columns.value).filter(|c| !is_missing(&row[c.place])).map(number).transpose()?,
+        std_error: columns.std_error.filter(|c| !is_missing(&row[c.place])).map(number).transpose()?,
     };
     let mut setup = [None; 5];
     for (known, column) in setup.iter_mut().zip(columns.setup) {
@@ -84,8 +83,8 @@ fn add(
             drafts[place].rows.push(entry);
         }
         None => drafts.push(Draft {
-            material: material.to_owned(),
-            channel: channel.to_owned(),
+            material: material.into_owned(),
+            channel: channel.into_owned(),
             thickness_mm,
             setup,
             rows: vec![entry],
@@ -141,6 +140,23 @@ pub(super) fn name_colours(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Resul
     Ok(())
 }
 
+/// Notes of names and thicknesses that may be meant to be one.
+pub(super) fn look_alike(drafts: &[Draft], notes: &mut Vec<Note>) {
+    notes.extend(alike("materials", drafts.iter().map(|d| (d.material.as_str(), d.rows[0].line))));
+    notes.extend(alike("channels", drafts.iter().map(|d| (d.channel.as_str(), d.rows[0].line))));
+    let mut slabs: BTreeMap<&str, Vec<(f64, u64)>> = BTreeMap::new();
+    for draft in drafts {
+        slabs.entry(&draft.material).or_default().push((draft.thickness_mm, draft.rows[0].line));
+    }
+    let told = slabs
+        .iter_mut()
+        .filter_map(|(material, of)| Some(format!("material {material}: {}", alike_thicknesses(of)?)));
+    let told: Vec<String> = told.collect();
+    if !told.is_empty() {
+        notes.push(Note::new("ALIKE_THICKNESSES", told.join("; ")));
+    }
+}
+
 /// Rows that do not rise in x are sorted.
 pub(super) fn sort(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
     let (mut falling, mut mixed) = (0, 0);
@@ -178,21 +194,11 @@ pub(super) fn sort(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
 }
 
 /// Checked profiles, grouped by material.
-pub(super) fn profiles(drafts: Vec<Draft>, with_errors: bool) -> Result<Profiles> {
+pub(super) fn profiles(drafts: Vec<Draft>, notes: &mut Vec<Note>) -> Result<Profiles> {
     type Group = (String, Vec<MeasuredProfile>, Vec<Vec<u64>>);
-    let mut groups: Vec<Group> = Vec::new();
+    let (mut groups, mut told): (Vec<Group>, Assumed) = (Vec::new(), Assumed::default());
     for draft in drafts {
-        let mut lines: Vec<u64> = draft.rows.iter().map(|r| r.line).collect();
-        let made = made(&draft, with_errors)?;
-        if let Ok(profile) = &made {
-            // All pixels of a patch are of its one row.
-            lines.resize(profile.values().len(), lines[0]);
-        }
-        let profile = made.map_err(|e| {
-            let line = lines[element(&e).unwrap_or(0).min(lines.len() - 1)];
-            let place = place_of(line, &draft.material, &draft.channel, draft.thickness_mm);
-            anyhow::Error::new(e).context(place)
-        })?;
+        let (profile, lines) = draft.made(&mut told)?;
         match groups.iter_mut().find(|(name, _, _)| *name == draft.material) {
             Some((_, profiles, all)) => {
                 profiles.push(profile);
@@ -201,6 +207,7 @@ pub(super) fn profiles(drafts: Vec<Draft>, with_errors: bool) -> Result<Profiles
             None => groups.push((draft.material, vec![profile], vec![lines])),
         }
     }
+    notes.extend(told.notes());
     let mut found = Profiles { materials: Vec::new(), lines: Vec::new() };
     for (material, profiles, lines) in groups {
         let place = format!("material {material}");
@@ -210,29 +217,47 @@ pub(super) fn profiles(drafts: Vec<Draft>, with_errors: bool) -> Result<Profiles
     Ok(found)
 }
 
-/// The profile of a draft, or what is wrong with its numbers; a patch if it has no x.
-fn made(draft: &Draft, with_errors: bool) -> Result<optics_model::Result<MeasuredProfile>> {
-    let Draft { channel, thickness_mm, rows, setup, .. } = draft;
-    if let Some(patch) = rows.iter().find(|r| r.x_mm.is_none()) {
-        if rows.len() > 1 {
-            let place = place_of(patch.line, &draft.material, channel, *thickness_mm);
+impl Draft {
+    fn place(&self, line: u64) -> String {
+        place_of(line, &self.material, &self.channel, self.thickness_mm)
+    }
+
+    /// The profile, and the line of each of its pixels.
+    fn made(&self, told: &mut Assumed) -> Result<(MeasuredProfile, Vec<u64>)> {
+        if let Some(patch) = self.rows.iter().find(|r| r.x_mm.is_none()) {
+            let made = self.patch(patch)?.with_context(|| self.place(patch.line))?;
+            let lines = vec![patch.line; made.values().len()];
+            return Ok((made, lines));
+        }
+        let pixels = Pixels::of(&self.rows).with_context(|| self.place(self.rows[0].line))?;
+        let Pixels { x_mm, values, std_errors, lines, missing } = pixels;
+        let first = x_mm.clone();
+        let made = MeasuredProfile::new(&self.channel, self.thickness_mm, x_mm, values, std_errors);
+        let profile = made.and_then(|p| with_setup(p, self.setup)).map_err(|e| {
+            let line = lines[element(&e).unwrap_or(0).min(lines.len() - 1)];
+            anyhow::Error::new(e).context(self.place(line))
+        })?;
+        told.add(&profile, &first, missing, lines[0]);
+        Ok((profile, lines))
+    }
+
+    fn patch(&self, patch: &Row) -> Result<optics_model::Result<MeasuredProfile>> {
+        if self.rows.len() > 1 {
             bail!(
-                "{place}: x_mm is empty, which means a patch on the light base, but there are {} rows: a patch has one, and another thickness than a profile over the edge",
-                rows.len()
+                "{}: x_mm is empty, which means a patch on the light base, but there are {} rows: a patch has one, and another thickness than a profile over the edge",
+                self.place(patch.line),
+                self.rows.len()
             );
         }
-        let std_error = if with_errors { patch.std_error } else { 0.0 };
-        let made = MeasuredProfile::patch(channel, *thickness_mm, patch.value, std_error);
-        return Ok(made.and_then(|p| {
-            let known = ProfileSetup { thickness_std_error_mm: setup[0], ..*p.setup() };
+        let value =
+            patch.value.with_context(|| format!("{}: the patch has no value", self.place(patch.line)))?;
+        let std_error = patch.std_error.unwrap_or_default();
+        let made = MeasuredProfile::patch(&self.channel, self.thickness_mm, value, std_error);
+        Ok(made.and_then(|p| {
+            let known = ProfileSetup { thickness_std_error_mm: self.setup[0], ..*p.setup() };
             p.with_setup(known)
-        }));
+        }))
     }
-    let take = |f: fn(&Row) -> f64| rows.iter().map(f).collect::<Vec<f64>>();
-    let (x, values) = (take(Row::x), take(|r| r.value));
-    let errors = with_errors.then(|| take(|r| r.std_error));
-    let made = MeasuredProfile::new(channel, *thickness_mm, x, values, errors);
-    Ok(made.and_then(|p| with_setup(p, *setup)))
 }
 
 /// The profile with what is known of its set-up, in the order of [`SETUP`].

@@ -2,19 +2,24 @@
 
 use anyhow::{Result, bail};
 
-use super::columns::{Columns, understood};
+use super::columns::{Columns, NEEDED, understood};
 use super::note::Note;
 
 /// Most rows of one file.
 const MOST_ROWS: usize = 5_000_000;
 
+/// Lines in which a header is looked for.
+const LONGEST_PREAMBLE: usize = 200;
+
 /// A file's text, with the places of its columns.
 #[derive(Debug)]
 pub(super) struct Table<'a> {
-    /// From the header on.
+    /// From the header on, or from the first row if a comment is the header.
     body: &'a str,
-    /// Lines before the header.
+    /// Lines before that.
     before: u64,
+    /// Rows of the body that are the header: one or none.
+    header_rows: usize,
     separator: u8,
     width: usize,
     pub columns: Columns,
@@ -26,23 +31,38 @@ impl<'a> Table<'a> {
             bail!("the file is empty");
         }
         let (body, before, told) = header_of(text);
-        let (separator, header) = match told {
+        let (mut separator, mut header) = match told {
             Some(separator) => (separator, first_row(body, separator)?),
             None => separator_of(body)?,
         };
+        let mut header_rows = 1;
+        if understood(&header) < NEEDED {
+            if let Some((line, commented)) = commented_header(&text[..text.len() - body.len()])? {
+                let note = format!("the comment in line {line} is read as the columns' names");
+                notes.push(Note::new("COMMENTED_HEADER", note));
+                ((separator, header), header_rows) = (commented, 0);
+            } else {
+                refuse_preamble(body, before, &header)?;
+            }
+        }
         if separator != b',' {
-            let name = if separator == b';' { "semicolons".to_owned() } else { "tabs".to_owned() };
-            let name = if b";\t".contains(&separator) { name } else { format!("{:?}", separator as char) };
+            let name = match separator {
+                b';' => "semicolons".to_owned(),
+                b'\t' => "tabs".to_owned(),
+                b' ' => "blanks".to_owned(),
+                other => format!("{:?}", other as char),
+            };
             notes.push(Note::new("SEPARATOR", format!("columns are separated by {name}, not by commas")));
         }
         let columns = Columns::find(&header, notes)?;
-        Ok(Self { body, before, separator, width: header.len(), columns })
+        notes.extend(commented_rows(body, before, separator, header.len()));
+        Ok(Self { body, before, header_rows, separator, width: header.len(), columns })
     }
 
     /// Rows below the header with their line numbers, all as long as the header; those without any entry are left
     /// out, see [`Self::blank_rows`].
     pub fn rows(&self) -> impl Iterator<Item = Result<(u64, csv::StringRecord)>> {
-        let rows = reader(self.body, self.separator).into_records().skip(1).enumerate();
+        let rows = reader(self.body, self.separator).into_records().skip(self.header_rows).enumerate();
         rows.filter_map(|(count, row)| self.row(count, row).transpose())
     }
 
@@ -118,17 +138,59 @@ fn header_of(text: &str) -> (&str, u64, Option<u8>) {
     (&text[start..], lines, told)
 }
 
+/// A note of comments that hold a whole row of the table, as a material called `#2` makes them.
+fn commented_rows(body: &str, before: u64, separator: u8, width: usize) -> Option<Note> {
+    let is_row = |line: &str| {
+        let cells: Vec<&str> = line.split(separator as char).collect();
+        let numbers = cells.iter().filter(|cell| cell.trim().parse::<f64>().is_ok()).count();
+        line.starts_with('#') && cells.len() == width && numbers >= 2
+    };
+    let mut rows = body.lines().zip(before + 1..).filter(|(line, _)| is_row(line));
+    let (_, first) = rows.next()?;
+    let text = format!(
+        "{} lines that begin with # hold whole rows and are left out as comments, the first of them line {first}; if # \
+         begins a material's name, put the name in quotes",
+        1 + rows.count()
+    );
+    Some(Note::new("COMMENTED_ROWS", text))
+}
+
 /// The separator that makes most of the header understood.
 fn separator_of(body: &str) -> Result<(u8, csv::StringRecord)> {
     let mut best = (b',', first_row(body, b',')?);
-    for separator in *b";\t" {
+    for separator in *b";\t| " {
         let header = first_row(body, separator)?;
         if understood(&header) > understood(&best.1) {
             best = (separator, header);
         }
     }
-    if understood(&best.1) == 0 && best.1.iter().filter(|cell| cell.parse::<f64>().is_ok()).count() >= 2 {
+    Ok(best)
+}
+
+/// The last comment that names the columns, as some programs write their header, with its line and separator.
+fn commented_header(before: &str) -> Result<Option<(u64, (u8, csv::StringRecord))>> {
+    for (text, line) in before.lines().zip(1..).collect::<Vec<_>>().into_iter().rev() {
+        let Some(comment) = text.trim_start().strip_prefix('#') else { continue };
+        let found = separator_of(comment.trim_start_matches('#').trim())?;
+        if understood(&found.1) >= NEEDED {
+            return Ok(Some((line, found)));
+        }
+    }
+    Ok(None)
+}
+
+/// Refuses a file whose header stands further below, or is not there.
+fn refuse_preamble(body: &str, before: u64, first: &csv::StringRecord) -> Result<()> {
+    for (text, line) in body.lines().take(LONGEST_PREAMBLE).zip(before + 1..) {
+        if separator_of(text).is_ok_and(|(_, header)| understood(&header) >= NEEDED) {
+            bail!(
+                "line {} does not name the columns; line {line} seems to: delete the lines before it, or begin them with #",
+                before + 1
+            );
+        }
+    }
+    if understood(first) == 0 && first.iter().filter(|cell| cell.parse::<f64>().is_ok()).count() >= 2 {
         bail!("the first line holds numbers, where a line with the columns' names is wanted");
     }
-    Ok(best)
+    Ok(())
 }

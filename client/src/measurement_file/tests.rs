@@ -1,3 +1,7 @@
+mod forms;
+mod pixels;
+mod spellings;
+
 use super::*;
 
 /// Pixels of a profile whose edge is blurred over the slab's thickness and loses contrast with it.
@@ -155,8 +159,8 @@ fn bad_files_are_refused_with_line_and_column() {
     assert!(error("material,hue\n").contains("column \"hue\" is not known"));
     assert_eq!(error(&text(&(start() + "w,R,0.5,zero,1,0\n"))), "line 5: x_mm = \"zero\" is not a number");
     assert_eq!(
-        error(&text(&(start() + "w,R,0.5,0.2,NaN,0\n"))),
-        "line 5: value = NaN is not a finite number"
+        error(&text(&(start() + "w,R,0.5,0.2,inf,0\n"))),
+        "line 5: value = inf is not a finite number"
     );
     assert!(error(&text("")).contains("no rows"));
     assert_eq!(error("\n \n"), "the file is empty");
@@ -333,6 +337,29 @@ fn suspicions_are_notes_one_of_a_kind() {
         "{told}"
     );
     assert!(told.ends_with("if it is cm, multiply by 10 (the same in 5 more profiles)"), "{told}");
+}
+
+/// Lines of old spreadsheets end in CR; a comment among them ends with its line.
+#[test]
+fn a_comment_among_lines_ending_in_cr_ends_with_its_line() {
+    let lines: Vec<String> = strict().lines().map(ToOwned::to_owned).collect();
+    let half = lines.len() / 2;
+    let text = [&lines[..half], &["# second half".to_owned()], &lines[half..]].concat().join("\r");
+    assert_eq!(parse(&text).materials, parse(&strict()).materials);
+}
+
+/// A material called `#2` makes rows that look like comments.
+#[test]
+fn whole_rows_among_the_comments_are_noted() {
+    let other = strict().lines().skip(2).map(|line| format!("#2 {line}\n")).collect::<String>();
+    let count = 360;
+    let file = parse(&format!("{}{other}# an end\n", strict()));
+    let note = &file.notes[0];
+    assert_eq!((file.materials.len(), note.code), (1, "COMMENTED_ROWS"));
+    let wanted = format!(
+        "{count} lines that begin with # hold whole rows and are left out as comments, the first of them"
+    );
+    assert!(note.text.starts_with(&wanted), "{}", note.text);
 }
 
 #[test]

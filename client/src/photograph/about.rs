@@ -1,5 +1,7 @@
 //! What a file tells of how the photograph was taken (EXIF 2.3).
 
+use std::fmt;
+
 use super::directory::{Bytes, Directory, Tag};
 
 /// How a photograph was taken, as far as its file tells.
@@ -11,11 +13,45 @@ pub(crate) struct About {
     pub(crate) f_number: Option<f64>,
     /// Time of the shot in seconds of the camera's own clock.
     pub(crate) taken_s: Option<f64>,
+    /// How viewers are to turn the picture.
+    pub(crate) orientation: Option<Orientation>,
+}
+
+/// How viewers are to turn a picture: 1 as it is stored, 3, 6 and 8 turned, others mirrored (TIFF 6.0, Sec. 8). Samples
+/// are used as they are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Orientation(u8);
+
+impl Orientation {
+    fn new(value: u64) -> Option<Self> {
+        (1..=8).contains(&value).then_some(Self(value as u8))
+    }
+
+    pub(crate) fn number(self) -> u8 {
+        self.0
+    }
+
+    pub(crate) fn is_as_stored(self) -> bool {
+        self.0 == 1
+    }
+}
+
+impl fmt::Display for Orientation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let means = match self.0 {
+            1 => "as stored",
+            3 => "turned by 180°",
+            6 => "turned by 90° clockwise",
+            8 => "turned by 90° counterclockwise",
+            _ => "mirrored",
+        };
+        write!(f, "{} ({means})", self.0)
+    }
 }
 
 impl About {
-    /// From the directories of a file, the first that tells something winning.
-    pub(super) fn of(bytes: Bytes, directories: &[Directory]) -> Self {
+    /// From the directories of a file, the first that tells something winning; which way up first from the picture's.
+    pub(super) fn of(bytes: Bytes, picture: &Directory, directories: &[Directory]) -> Self {
         let exif = directories.iter().filter_map(|d| {
             let at = d.whole_of(Tag::EXIF).ok()??;
             Directory::read(bytes, at).ok()
@@ -25,6 +61,8 @@ impl About {
         // Numbers that cannot be are as good as none.
         let positive = |tag: Tag| all().find_map(|d| d.number_of(tag).ok().flatten().filter(|v| *v > 0.0));
         let text = |tag: Tag| all().find_map(|d| d.text(tag));
+        let orientation = [Some(picture), directories.first()].into_iter().flatten();
+        let mut orientation = orientation.filter_map(|d| d.whole_of(Tag::ORIENTATION).ok().flatten());
         let taken = text(Tag::DATE_TIME_ORIGINAL).or_else(|| text(Tag::DATE_TIME));
         let fraction = text(Tag::SUBSEC_ORIGINAL).and_then(|digits| format!("0.{digits}").parse().ok());
         let camera = match (text(Tag::MAKE), text(Tag::MODEL)) {
@@ -38,6 +76,7 @@ impl About {
             iso: positive(Tag::ISO),
             f_number: positive(Tag::F_NUMBER),
             taken_s: taken.and_then(|t| seconds(&t)).map(|s| s + fraction.unwrap_or(0.0)),
+            orientation: orientation.find_map(Orientation::new),
         }
     }
 
@@ -47,7 +86,9 @@ impl About {
             let bytes = Bytes::new(exif)?;
             Some((bytes, Directory::read(bytes, bytes.first().ok()?).ok()?))
         };
-        read().map_or_else(Self::default, |(bytes, directory)| Self::of(bytes, &[directory]))
+        read().map_or_else(Self::default, |(bytes, directory)| {
+            Self::of(bytes, &directory, std::slice::from_ref(&directory))
+        })
     }
 }
 

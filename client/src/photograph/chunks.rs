@@ -4,20 +4,30 @@ use std::io::Read as _;
 
 use flate2::read::ZlibDecoder;
 use rayon::prelude::*;
+use weezl::decode::Decoder;
+use weezl::{BitOrder, LzwStatus};
 
 use super::directory::{Bytes, Directory, Tag};
+use super::lossless_jpeg::LosslessJpeg;
 use super::unreadable::Unreadable;
-use super::{checked_size, lossless_jpeg};
+use super::{checked_samples, checked_size};
 
-/// Deflate makes nothing more than this many times smaller; of lossless JPEG, every sample takes a bit at least.
-const MOST_DEFLATED: u64 = 1032;
-const MOST_SAMPLES_A_BYTE: u64 = 8;
+/// LZW makes nothing more than so many times smaller.
+const MOST_LZW: usize = 4096;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Compression {
     None,
     Deflate,
+    Lzw,
     LosslessJpeg,
+}
+
+/// Decoded samples of a strip or tile.
+struct Decoded {
+    samples: Vec<u16>,
+    /// Samples of a row: those of the whole tile, or of what of it is within the picture.
+    row: usize,
 }
 
 /// A picture's samples as they lie in a file.
@@ -46,7 +56,8 @@ impl<'a> Chunks<'a> {
     ) -> Result<Self, Unreadable> {
         let (width, height) = checked_size(picture.needed(Tag::WIDTH)?, picture.needed(Tag::HEIGHT)?)?;
         let compression = compression(picture)?;
-        let tiled = picture.has(Tag::TILE_WIDTH);
+        // Some writers tell the size of tiles beside the places of strips.
+        let tiled = picture.has(Tag::TILE_WIDTH) && picture.has(Tag::TILE_OFFSETS);
         let (chunk_width, chunk_height) = if tiled {
             // A tile may reach beyond a small picture.
             let (w, h) = (picture.needed(Tag::TILE_WIDTH)?, picture.needed(Tag::TILE_HEIGHT)?);
@@ -67,7 +78,7 @@ impl<'a> Chunks<'a> {
             chunk_height,
             stored: stored(bytes, picture, tiled)?,
         };
-        chunks.check()?;
+        chunks.check(bytes.all.len())?;
         Ok(chunks)
     }
 
@@ -80,8 +91,9 @@ impl<'a> Chunks<'a> {
     }
 
     /// Refuses what cannot be in so few bytes, before memory is taken for it.
-    fn check(&self) -> Result<(), Unreadable> {
-        let wanted = self.width.div_ceil(self.chunk_width) * self.height.div_ceil(self.chunk_height);
+    fn check(&self, file_bytes: usize) -> Result<(), Unreadable> {
+        let (across, down) = (self.width.div_ceil(self.chunk_width), self.height.div_ceil(self.chunk_height));
+        let wanted = across * down;
         if self.stored.len() != wanted {
             let given = format!("{} strips or tiles", self.stored.len());
             return Err(Unreadable::tag(
@@ -90,137 +102,237 @@ impl<'a> Chunks<'a> {
                 format!("{wanted} make the picture"),
             ));
         }
-        let stored: u64 = self.stored.iter().map(|bytes| bytes.len() as u64).sum();
-        let samples = (self.width * self.height * self.samples_per_pixel) as u64;
-        let most = match self.compression {
-            Compression::None => return Ok(()),
-            Compression::Deflate => stored.saturating_mul(MOST_DEFLATED) / 2,
-            Compression::LosslessJpeg => stored.saturating_mul(MOST_SAMPLES_A_BYTE),
-        };
-        if samples > most {
-            return Err(Unreadable::Damaged(format!("{stored} bytes cannot hold {samples} samples")));
-        }
-        Ok(())
+        // Tiles are decoded whole, and several may lie at one place of the file.
+        let [width, height] = [across * self.chunk_width, down * self.chunk_height].map(|side| side as u64);
+        checked_samples(
+            file_bytes,
+            width.saturating_mul(height).saturating_mul(self.samples_per_pixel as u64),
+        )
     }
 
     /// All samples, row by row.
     pub(super) fn read(&self) -> Result<Vec<u16>, Unreadable> {
         if self.compression == Compression::None {
             // Each is looked at before memory is taken for all.
-            for (i, stored) in self.stored.iter().enumerate() {
-                self.whole(stored, self.rows_of(i))?;
+            for (chunk, stored) in self.stored.iter().enumerate() {
+                self.packing(chunk, stored)?;
             }
         }
         let across = self.width.div_ceil(self.chunk_width);
         let row = self.width * self.samples_per_pixel;
         let mut samples = vec![0; row * self.height];
         let bands = samples.par_chunks_mut(row * self.chunk_height).enumerate();
-        bands.try_for_each(|(band, target)| {
+        let bands = bands.map(|(band, target)| {
             for column in 0..across {
                 let chunk = band * across + column;
-                let decoded = self.decode(self.stored[chunk], self.rows_of(chunk))?;
-                let left = column * self.chunk_width;
-                let kept = (self.width - left).min(self.chunk_width) * self.samples_per_pixel;
-                let lines = decoded.chunks_exact(self.chunk_width * self.samples_per_pixel);
-                for (target, line) in target.chunks_exact_mut(row).zip(lines) {
-                    let left = left * self.samples_per_pixel;
+                let decoded = self.decode(chunk).map_err(|e| self.within_picture(e, band))?;
+                let left = column * self.chunk_width * self.samples_per_pixel;
+                let kept = self.within(chunk).0 * self.samples_per_pixel;
+                for (target, line) in
+                    target.chunks_exact_mut(row).zip(decoded.samples.chunks_exact(decoded.row))
+                {
                     target[left..left + kept].copy_from_slice(&line[..kept]);
                 }
             }
             Ok(())
-        })?;
+        });
+        // The first that fails is told, whichever fails first.
+        bands.collect::<Vec<_>>().into_iter().collect::<Result<(), _>>()?;
         Ok(samples)
     }
 
-    /// Rows that a strip or tile holds: the last strip is as high as what is left, tiles are all alike.
-    fn rows_of(&self, chunk: usize) -> usize {
-        if self.chunk_width == self.width {
-            (self.height - (chunk * self.chunk_height).min(self.height)).min(self.chunk_height)
-        } else {
-            self.chunk_height
+    /// Columns and rows of a strip or tile that are within the picture.
+    fn within(&self, chunk: usize) -> (usize, usize) {
+        let across = self.width.div_ceil(self.chunk_width);
+        let left = |at: usize, side: usize, whole: usize| (whole - (at * side).min(whole)).min(side);
+        (
+            left(chunk % across, self.chunk_width, self.width),
+            left(chunk / across, self.chunk_height, self.height),
+        )
+    }
+
+    /// A strip's or tile's missing rows as those of the picture.
+    fn within_picture(&self, error: Unreadable, band: usize) -> Unreadable {
+        match error {
+            Unreadable::EndsEarly { rows, .. } => {
+                let rows = (band * self.chunk_height + rows).min(self.height);
+                Unreadable::EndsEarly { rows, height: self.height }
+            }
+            other => other,
         }
     }
 
-    fn bytes_of_row(&self) -> usize {
-        (self.chunk_width * self.samples_per_pixel * self.bits as usize).div_ceil(8)
-    }
-
-    /// The bytes of so many rows.
-    fn whole<'b>(&self, bytes: &'b [u8], rows: usize) -> Result<&'b [u8], Unreadable> {
-        let wanted = self.bytes_of_row() * rows;
-        let damaged =
-            || Unreadable::Damaged(format!("a strip or tile has {} bytes, {wanted} are needed", bytes.len()));
-        bytes.get(..wanted).ok_or_else(damaged)
-    }
-
-    fn decode(&self, stored: &[u8], rows: usize) -> Result<Vec<u16>, Unreadable> {
-        let mut samples = match self.compression {
-            Compression::None => self.unpack(self.whole(stored, rows)?),
-            Compression::Deflate => {
-                let mut bytes = Vec::new();
-                let most = (self.bytes_of_row() * rows) as u64;
-                let read = ZlibDecoder::new(stored).take(most).read_to_end(&mut bytes);
-                read.map_err(|e| Unreadable::Damaged(format!("a strip or tile: {e}")))?;
-                self.unpack(self.whole(&bytes, rows)?)
-            }
-            Compression::LosslessJpeg => {
-                let wanted = self.chunk_width * self.samples_per_pixel * rows;
-                lossless_jpeg::decode(stored, wanted)?
-            }
+    fn decode(&self, chunk: usize) -> Result<Decoded, Unreadable> {
+        let stored = self.stored[chunk];
+        let mut decoded = match self.compression {
+            Compression::None => self.unpack(chunk, stored)?,
+            Compression::Deflate => self.unpack(chunk, &inflate(stored, self.most_bytes())?)?,
+            Compression::Lzw => self.unpack(chunk, &unlzw(stored, self.most_bytes())?)?,
+            Compression::LosslessJpeg => self.unjpeg(chunk, stored)?,
         };
         if self.differences {
             let n = self.samples_per_pixel;
-            for row in samples.chunks_exact_mut(self.chunk_width * n) {
+            for row in decoded.samples.chunks_exact_mut(decoded.row) {
                 for i in n..row.len() {
                     row[i] = row[i].wrapping_add(row[i - n]);
                 }
             }
         }
-        Ok(samples)
+        Ok(decoded)
     }
 
-    /// Samples of 16 bits in the file's order of bytes; those of fewer bits are packed, the highest bit first, and rows
-    /// begin with a byte.
-    fn unpack(&self, bytes: &[u8]) -> Vec<u16> {
-        if self.bits == 16 {
-            let one = if self.big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
-            return bytes.chunks_exact(2).map(|b| one([b[0], b[1]])).collect();
+    fn most_bytes(&self) -> usize {
+        2 * self.chunk_width * self.samples_per_pixel * self.chunk_height
+    }
+
+    /// A tile's JPEG is as large as the tile, or as what of it is within the picture; rows of the same samples may be
+    /// arranged otherwise.
+    fn unjpeg(&self, chunk: usize, stored: &[u8]) -> Result<Decoded, Unreadable> {
+        let (width, height) = self.within(chunk);
+        let samples = |width: usize, height: usize| width * height * self.samples_per_pixel;
+        let whole = samples(self.chunk_width, self.chunk_height);
+        let last = samples(self.chunk_width, height);
+        let jpeg = LosslessJpeg::new(stored)?;
+        let row = if [whole, last].contains(&jpeg.samples()) {
+            self.chunk_width * self.samples_per_pixel
+        } else {
+            jpeg.row()
+        };
+        let rows = jpeg.samples() / row.max(1);
+        let fits = row >= samples(width, 1) && rows >= height && jpeg.samples() <= whole;
+        if !fits {
+            let has = jpeg.samples();
+            return Err(Unreadable::Damaged(format!("a lossless JPEG has {has} samples, {last} are wanted")));
         }
-        let a_row = self.chunk_width * self.samples_per_pixel;
-        let mut samples = Vec::with_capacity(bytes.len() * 8 / self.bits as usize);
-        for row in bytes.chunks_exact(self.bytes_of_row()) {
-            let (mut word, mut held, mut rest) = (0_u32, 0, row.iter());
-            for _ in 0..a_row {
-                while held < self.bits {
-                    word = word << 8 | u32::from(*rest.next().unwrap_or(&0));
-                    held += 8;
-                }
-                held -= self.bits;
-                samples.push((word >> held & ((1 << self.bits) - 1)) as u16);
+        Ok(Decoded { samples: jpeg.decode()?, row })
+    }
+
+    fn unpack(&self, chunk: usize, bytes: &[u8]) -> Result<Decoded, Unreadable> {
+        let (row, bits) = self.packing(chunk, bytes)?;
+        Ok(Decoded { samples: unpacked(bytes, row, bits, self.big_endian), row })
+    }
+
+    /// Samples of a row and bits of a sample as they are stored: the last tiles may be whole or cut to the picture, and
+    /// samples of 9 to 15 bits may stand in words of 16 bits, which the tags do not tell.
+    fn packing(&self, chunk: usize, bytes: &[u8]) -> Result<(usize, u32), Unreadable> {
+        let whole_row = self.chunk_width * self.samples_per_pixel;
+        let (width, height) = self.within(chunk);
+        let rows = [whole_row, width * self.samples_per_pixel];
+        let is_exact = |row: usize, bits: u32| {
+            [self.chunk_height, height].iter().any(|rows| bytes.len() == bytes_of_row(row, bits) * rows)
+        };
+        if self.bits < 16 {
+            let has_surplus = |row| row == whole_row && bytes.len() > 2 * row * self.chunk_height;
+            let mut words = rows.into_iter().filter(|row| is_exact(*row, 16) || has_surplus(*row));
+            let fits = |row| unpacked(bytes, row, 16, self.big_endian).iter().all(|v| v >> self.bits == 0);
+            if let Some(row) = words.find(|row| fits(*row)) {
+                return Ok((row, 16));
             }
         }
-        samples
+        if let Some(row) = rows.into_iter().find(|row| is_exact(*row, self.bits)) {
+            return self.packed(row, bytes.len());
+        }
+        let (has, wanted) = (bytes.len(), bytes_of_row(whole_row, self.bits) * height);
+        if has < wanted {
+            return Err(Unreadable::Damaged(format!("a strip or tile has {has} bytes, {wanted} are needed")));
+        }
+        self.packed(whole_row, has)
     }
+
+    /// Refuses words of 16 bits whose values need more bits than the tags tell.
+    fn packed(&self, row: usize, has: usize) -> Result<(usize, u32), Unreadable> {
+        if self.bits < 16 && has >= 2 * row * self.chunk_height {
+            let given = format!("{} with 16 bits stored for each sample", self.bits);
+            let allowed = "larger values are stored: convert with a DNG converter or `dcraw -E -4 -T`";
+            return Err(Unreadable::tag(Tag::BITS.name, given, allowed));
+        }
+        Ok((row, self.bits))
+    }
+}
+
+fn bytes_of_row(row: usize, bits: u32) -> usize {
+    (row * bits as usize).div_ceil(8)
+}
+
+/// Samples of 16 bits in the file's order of bytes; those of fewer bits are packed, the highest bit first, and rows
+/// begin with a byte.
+fn unpacked(bytes: &[u8], row: usize, bits: u32, big_endian: bool) -> Vec<u16> {
+    if bits == 16 {
+        let one = if big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
+        return bytes.chunks_exact(2).map(|b| one([b[0], b[1]])).collect();
+    }
+    let mut samples = Vec::with_capacity(bytes.len() * 8 / bits as usize);
+    for line in bytes.chunks_exact(bytes_of_row(row, bits)) {
+        let (mut word, mut held, mut rest) = (0_u32, 0, line.iter());
+        for _ in 0..row {
+            while held < bits {
+                word = word << 8 | u32::from(*rest.next().unwrap_or(&0));
+                held += 8;
+            }
+            held -= bits;
+            samples.push((word >> held & ((1 << bits) - 1)) as u16);
+        }
+    }
+    samples
+}
+
+fn inflate(stored: &[u8], most: usize) -> Result<Vec<u8>, Unreadable> {
+    let mut bytes = Vec::new();
+    let read = ZlibDecoder::new(stored).take(most as u64).read_to_end(&mut bytes);
+    read.map_err(|e| Unreadable::Damaged(format!("a strip or tile: {e}")))?;
+    Ok(bytes)
+}
+
+fn unlzw(stored: &[u8], most: usize) -> Result<Vec<u8>, Unreadable> {
+    let mut bytes = vec![0; most.min(stored.len().saturating_mul(MOST_LZW))];
+    let mut decoder = Decoder::with_tiff_size_switch(BitOrder::Msb, 8);
+    let (mut from, mut to) = (0, 0);
+    while to < bytes.len() {
+        let read = decoder.decode_bytes(&stored[from..], &mut bytes[to..]);
+        from += read.consumed_in;
+        to += read.consumed_out;
+        match read.status {
+            Ok(LzwStatus::Ok) if read.consumed_in + read.consumed_out > 0 => {}
+            Ok(_) => break,
+            Err(error) => return Err(Unreadable::Damaged(format!("a strip or tile: {error}"))),
+        }
+    }
+    bytes.truncate(to);
+    Ok(bytes)
 }
 
 fn compression(picture: &Directory) -> Result<Compression, Unreadable> {
     match picture.whole_of(Tag::COMPRESSION)?.unwrap_or(1) {
         1 => Ok(Compression::None),
+        5 => Ok(Compression::Lzw),
         8 | 32_946 => Ok(Compression::Deflate),
         7 => Ok(Compression::LosslessJpeg),
-        34_892 | 6 => Err(Unreadable::Jpeg),
-        other => {
-            let allowed = "allowed are 1 (none), 7 (lossless JPEG), 8 (deflate): convert with a DNG converter or `dcraw -E -4 -T`";
-            Err(Unreadable::tag(Tag::COMPRESSION.name, other, allowed))
-        }
+        6 => Err(Unreadable::Jpeg),
+        34_892 => Err(Unreadable::LossyDng),
+        other => Err(refused(other)),
     }
+}
+
+fn refused(compression: u64) -> Unreadable {
+    let name = match compression {
+        32_767 => " (Sony's own)",
+        32_773 => " (PackBits)",
+        34_713 => " (Nikon's own)",
+        52_546 => " (JPEG XL of DNG 1.7)",
+        65_000 => " (Kodak's own)",
+        65_535 => " (Pentax's own)",
+        _ => "",
+    };
+    let allowed = "allowed are 1 (none), 5 (LZW), 7 (lossless JPEG), 8 (deflate): convert with a DNG converter, \
+                   compatible with DNG 1.4 and without lossy compression, or `dcraw -E -4 -T`";
+    Unreadable::tag(Tag::COMPRESSION.name, format_args!("{compression}{name}"), allowed)
 }
 
 fn differences(picture: &Directory, compression: Compression, bits: u32) -> Result<bool, Unreadable> {
     match picture.whole_of(Tag::PREDICTOR)?.unwrap_or(1) {
-        2 if compression == Compression::Deflate && bits == 16 => Ok(true),
-        // Without compression the tag means nothing.
-        2 if compression != Compression::Deflate => Ok(false),
+        // Without compression, or with that of JPEG, the tag means nothing.
+        2 if matches!(compression, Compression::None | Compression::LosslessJpeg) => Ok(false),
+        2 if bits == 16 => Ok(true),
         1 => Ok(false),
         other => Err(Unreadable::tag(Tag::PREDICTOR.name, other, "allowed are 1 and, with 16 bits, 2")),
     }

@@ -1,4 +1,4 @@
-//! Directories of TIFF files: tags with their values (TIFF 6.0, Sec. 2).
+//! Directories of TIFF files: tags with their values (TIFF 6.0, Sec. 2, and BigTIFF).
 
 use super::unreadable::Unreadable;
 
@@ -8,16 +8,20 @@ const MOST_VALUES: u64 = 1 << 20;
 /// The bytes of a TIFF file and their order.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bytes<'a> {
-    all: &'a [u8],
+    pub(super) all: &'a [u8],
     pub(super) big_endian: bool,
+    /// BigTIFF: places and counts have 64 bits.
+    big: bool,
 }
 
 impl<'a> Bytes<'a> {
     /// None if the file does not begin as a TIFF.
     pub(super) fn new(all: &'a [u8]) -> Option<Self> {
         match all {
-            [b'I', b'I', 42, 0, ..] => Some(Self { all, big_endian: false }),
-            [b'M', b'M', 0, 42, ..] => Some(Self { all, big_endian: true }),
+            [b'I', b'I', 42, 0, ..] => Some(Self { all, big_endian: false, big: false }),
+            [b'M', b'M', 0, 42, ..] => Some(Self { all, big_endian: true, big: false }),
+            [b'I', b'I', 43, 0, 8, 0, 0, 0, ..] => Some(Self { all, big_endian: false, big: true }),
+            [b'M', b'M', 0, 43, 0, 8, 0, 0, ..] => Some(Self { all, big_endian: true, big: true }),
             _ => None,
         }
     }
@@ -44,9 +48,20 @@ impl<'a> Bytes<'a> {
         Ok(if self.big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
     }
 
+    fn u64(self, what: &str, at: u64) -> Result<u64, Unreadable> {
+        let (first, second) = (self.u32(what, at)?, self.u32(what, at.saturating_add(4))?);
+        let (high, low) = if self.big_endian { (first, second) } else { (second, first) };
+        Ok(u64::from(high) << 32 | u64::from(low))
+    }
+
+    /// A place or count.
+    fn word(self, what: &str, at: u64) -> Result<u64, Unreadable> {
+        if self.big { self.u64(what, at) } else { self.u32(what, at).map(u64::from) }
+    }
+
     /// Where the first directory begins.
     pub(super) fn first(self) -> Result<u64, Unreadable> {
-        Ok(u64::from(self.u32("the place of the first directory", 4)?))
+        self.word("the place of the first directory", if self.big { 8 } else { 4 })
     }
 }
 
@@ -65,9 +80,13 @@ impl Entry {
         match self.kind {
             3 | 8 => 2,
             4 | 9 | 11 | 13 => 4,
-            5 | 10 | 12 => 8,
+            5 | 10 | 12 | 16..=18 => 8,
             _ => 1,
         }
+    }
+
+    fn bytes(self) -> u64 {
+        self.size().saturating_mul(self.count)
     }
 }
 
@@ -82,18 +101,24 @@ pub(super) struct Directory<'a> {
 
 impl<'a> Directory<'a> {
     pub(super) fn read(bytes: Bytes<'a>, at: u64) -> Result<Self, Unreadable> {
-        let count = u64::from(bytes.u16("a directory", at)?);
+        const WHAT: &str = "a directory";
+        let (count, head, word) = if bytes.big {
+            (bytes.u64(WHAT, at)?.min(u64::from(u16::MAX)), 8, 8)
+        } else {
+            (u64::from(bytes.u16(WHAT, at)?), 2, 4)
+        };
+        let (from, step) = (at.saturating_add(head), 4 + 2 * word);
         let mut entries = Vec::new();
         for i in 0..count {
-            let at = at + 2 + 12 * i;
-            let (tag, kind) = (bytes.u16("a directory", at)?, bytes.u16("a directory", at + 2)?);
-            let entry = Entry { tag, kind, count: u64::from(bytes.u32("a directory", at + 4)?), at: at + 8 };
-            let inline = entry.size() * entry.count <= 4;
-            let place = if inline { at + 8 } else { u64::from(bytes.u32("a directory", at + 8)?) };
+            let at = from.saturating_add(step * i);
+            let (tag, kind) = (bytes.u16(WHAT, at)?, bytes.u16(WHAT, at + 2)?);
+            let entry = Entry { tag, kind, count: bytes.word(WHAT, at + 4)?, at: at + 4 + word };
+            let inline = entry.bytes() <= word;
+            let place = if inline { entry.at } else { bytes.word(WHAT, entry.at)? };
             entries.push(Entry { at: place, ..entry });
         }
         // Some writers leave out the end of the last directory.
-        let next = bytes.u32("a directory", at + 2 + 12 * count).map_or(0, u64::from);
+        let next = bytes.word(WHAT, from.saturating_add(step * count)).unwrap_or(0);
         Ok(Self { bytes, entries, next })
     }
 
@@ -112,7 +137,7 @@ impl<'a> Directory<'a> {
             let allowed = format!("at most {MOST_VALUES} are read");
             return Err(Unreadable::tag(tag.name, format_args!("{} values", entry.count), allowed));
         }
-        let bytes = self.bytes.slice(tag.name, entry.at, entry.size() * entry.count)?;
+        let bytes = self.bytes.slice(tag.name, entry.at, entry.bytes())?;
         let size = entry.size() as usize;
         bytes.chunks_exact(size).map(|value| self.number(tag, entry.kind, value)).collect()
     }
@@ -121,6 +146,11 @@ impl<'a> Directory<'a> {
         let u32_at = |i: usize| {
             let b = [value[i], value[i + 1], value[i + 2], value[i + 3]];
             if self.bytes.big_endian { u32::from_be_bytes(b) } else { u32::from_le_bytes(b) }
+        };
+        let u64_at = |i: usize| {
+            let (first, second) = (u64::from(u32_at(i)), u64::from(u32_at(i + 4)));
+            let (high, low) = if self.bytes.big_endian { (first, second) } else { (second, first) };
+            high << 32 | low
         };
         let u16_at =
             |b: [u8; 2]| if self.bytes.big_endian { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) };
@@ -134,11 +164,9 @@ impl<'a> Directory<'a> {
             5 => f64::from(u32_at(0)) / f64::from(u32_at(4)),
             10 => f64::from(u32_at(0) as i32) / f64::from(u32_at(4) as i32),
             11 => f64::from(f32::from_bits(u32_at(0))),
-            12 => {
-                let (first, second) = (u64::from(u32_at(0)), u64::from(u32_at(4)));
-                let (high, low) = if self.bytes.big_endian { (first, second) } else { (second, first) };
-                f64::from_bits(high << 32 | low)
-            }
+            12 => f64::from_bits(u64_at(0)),
+            16 | 18 => u64_at(0) as f64,
+            17 => u64_at(0) as i64 as f64,
             _ => return Err(Unreadable::tag(tag.name, format_args!("type {kind}"), "numbers are wanted")),
         })
     }
@@ -181,7 +209,7 @@ impl<'a> Directory<'a> {
     /// The bytes of a tag's values.
     pub(super) fn raw(&self, tag: Tag) -> Option<&'a [u8]> {
         let entry = self.entry(tag)?;
-        self.bytes.slice(tag.name, entry.at, entry.size() * entry.count).ok()
+        self.bytes.slice(tag.name, entry.at, entry.bytes()).ok()
     }
 }
 
@@ -207,9 +235,11 @@ tags! {
     BITS = 258 "BitsPerSample";
     COMPRESSION = 259 "Compression";
     PHOTOMETRIC = 262 "PhotometricInterpretation";
+    DESCRIPTION = 270 "ImageDescription";
     MAKE = 271 "Make";
     MODEL = 272 "Model";
     STRIP_OFFSETS = 273 "StripOffsets";
+    ORIENTATION = 274 "Orientation";
     SAMPLES = 277 "SamplesPerPixel";
     ROWS_PER_STRIP = 278 "RowsPerStrip";
     STRIP_BYTES = 279 "StripByteCounts";

@@ -2,19 +2,47 @@
 
 use super::unreadable::Unreadable;
 
-/// Decodes one strip or tile: rows after rows, the components of a pixel side by side.
-pub(super) fn decode(bytes: &[u8], wanted: usize) -> Result<Vec<u16>, Unreadable> {
-    let head = Head::read(bytes)?;
-    let has = head.width * head.height * head.components;
-    if has != wanted {
-        return Err(damaged(format!("a lossless JPEG has {has} samples, {wanted} are wanted")));
+/// Fewest zero bytes at the end of coded data without an end marker that are no data.
+const SHORTEST_HOLE: usize = 16;
+
+/// One strip or tile: rows after rows, the components of a pixel side by side.
+#[derive(Debug)]
+pub(super) struct LosslessJpeg<'a> {
+    head: Head,
+    scan: &'a [u8],
+}
+
+impl<'a> LosslessJpeg<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Result<Self, Unreadable> {
+        let head = Head::read(bytes)?;
+        let scan = without_hole(bytes.get(head.scan..).unwrap_or_default());
+        Ok(Self { head, scan })
     }
-    let scan = bytes.get(head.scan..).unwrap_or_default();
-    // A sample takes a bit at least.
-    if wanted > scan.len().saturating_mul(8) {
-        return Err(damaged(format!("{} bytes cannot hold {wanted} samples", scan.len())));
+
+    pub(super) fn samples(&self) -> usize {
+        self.head.width * self.head.height * self.head.components
     }
-    head.samples(scan)
+
+    /// Samples of a row.
+    pub(super) fn row(&self) -> usize {
+        self.head.width * self.head.components
+    }
+
+    pub(super) fn decode(&self) -> Result<Vec<u16>, Unreadable> {
+        // A sample takes a bit at least.
+        if self.samples() > self.scan.len().saturating_mul(8) {
+            let (has, wanted) = (self.scan.len(), self.samples());
+            return Err(damaged(format!("{has} bytes cannot hold {wanted} samples")));
+        }
+        self.head.samples(self.scan)
+    }
+}
+
+/// Coded data without the zeros of an interrupted copy: they would decode, and coded data do not end in so many.
+fn without_hole(scan: &[u8]) -> &[u8] {
+    let data = scan.len() - scan.iter().rev().take_while(|b| **b == 0).count();
+    let ends = scan[..data].ends_with(&[0xff, 0xd9]);
+    if ends || scan.len() - data < SHORTEST_HOLE { scan } else { &scan[..data] }
 }
 
 fn damaged(what: impl Into<String>) -> Unreadable {
@@ -132,7 +160,9 @@ impl Head {
             let (y, x) = (pixel / self.width, pixel % self.width);
             let restarts = self.restart > 0 && pixel > 0 && pixel.is_multiple_of(self.restart);
             if restarts {
-                bits.restart();
+                if !bits.restart(pixel / self.restart - 1) {
+                    return Err(Unreadable::EndsEarly { rows: y, height: self.height });
+                }
                 first_row = y;
             }
             for (component, code) in codes.iter().enumerate() {
@@ -150,8 +180,12 @@ impl Head {
                         i32::from(samples[at - row - self.components]),
                     ),
                 };
-                let difference = bits.difference(code)?;
+                let difference = bits.difference(code);
+                let difference = if bits.is_beyond_end() { Ok(0) } else { difference }?;
                 samples[at] = (prediction + difference) as u16;
+            }
+            if bits.is_beyond_end() {
+                return Err(Unreadable::EndsEarly { rows: y, height: self.height });
             }
         }
         if self.shift > 0 {
@@ -200,17 +234,20 @@ fn code(counts: &[u8], values: &[u8]) -> Result<Code, Unreadable> {
     Ok(table)
 }
 
-/// Bits of coded data, the highest first; a zero byte after 0xff is stuffing. Beyond the end come zeros.
+/// Bits of coded data, the highest first; a zero byte after 0xff is stuffing. Beyond the end come zeros,
+/// to look ahead with.
 struct Bits<'a> {
     bytes: &'a [u8],
     at: usize,
     word: u64,
     held: u32,
+    /// How many of the bits that are held lie beyond the end.
+    beyond: u32,
 }
 
 impl<'a> Bits<'a> {
     fn new(bytes: &'a [u8]) -> Self {
-        Self { bytes, at: 0, word: 0, held: 0 }
+        Self { bytes, at: 0, word: 0, held: 0, beyond: 0 }
     }
 
     fn fill(&mut self) {
@@ -221,7 +258,10 @@ impl<'a> Bits<'a> {
                     0xff
                 }
                 // A marker: nothing is taken beyond it.
-                (Some(0xff) | None, _) => 0,
+                (Some(0xff) | None, _) => {
+                    self.beyond += 8;
+                    0
+                }
                 (Some(byte), _) => {
                     self.at += 1;
                     *byte
@@ -255,15 +295,18 @@ impl<'a> Bits<'a> {
         })
     }
 
-    /// Goes on behind the next restart marker.
-    fn restart(&mut self) {
-        (self.word, self.held) = (0, 0);
-        while let Some(pair) = self.bytes.get(self.at..self.at + 2) {
-            if pair[0] == 0xff && (0xd0..=0xd7).contains(&pair[1]) {
-                self.at += 2;
-                return;
-            }
-            self.at += 1;
-        }
+    /// Whether more bits were taken than there are.
+    fn is_beyond_end(&self) -> bool {
+        self.held < self.beyond
+    }
+
+    /// Goes on behind the next restart marker, the one of a number; false if it is not there.
+    fn restart(&mut self, number: usize) -> bool {
+        (self.word, self.held, self.beyond) = (0, 0, 0);
+        let rest = self.bytes.get(self.at..).unwrap_or_default();
+        let marker = rest.windows(2).position(|pair| pair[0] == 0xff && pair[1] != 0);
+        let Some(at) = marker else { return false };
+        self.at += at + 2;
+        usize::from(rest[at + 1]) == 0xd0 + number % 8
     }
 }

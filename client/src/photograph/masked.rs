@@ -36,12 +36,10 @@ pub(super) fn black(
         return Err(refused());
     }
     for area in areas.chunks(4) {
-        let &[top, left, bottom, right] = area else { return Err(refused()) };
-        if top >= bottom || left >= right || bottom > whole.height as u64 || right > whole.width as u64 {
-            return Err(refused());
-        }
-        for y in top as usize..bottom as usize {
-            for x in left as usize..right as usize {
+        let area = <[u64; 4]>::try_from(area).map_err(|_| refused())?;
+        let [top, left, bottom, right] = within(area, whole).ok_or_else(refused)?;
+        for y in top..bottom {
+            for x in left..right {
                 let place = (y + corner[0]) % 2 * 2 + (x + corner[1]) % 2;
                 found[place].push(whole.samples[y * whole.width + x]);
             }
@@ -51,8 +49,8 @@ pub(super) fn black(
         return Ok(None);
     }
     let levels = found.map(middle);
-    let range = whole.white.unwrap_or(65_535.0);
-    let dark = (0..4).all(|i| (levels[i] - told[i]).abs() < LIT * (range - told[i]).max(1.0));
+    let range = whole.white.unwrap_or([65_535.0; 4]);
+    let dark = (0..4).all(|i| (levels[i] - told[i]).abs() < LIT * (range[i] - told[i]).max(1.0));
     Ok(dark.then_some(levels))
 }
 
@@ -62,4 +60,13 @@ fn middle(mut samples: Vec<u16>) -> f64 {
     let out = (ODD * samples.len() as f64) as usize;
     let kept = &samples[out..samples.len() - out];
     kept.iter().map(|v| f64::from(*v)).sum::<f64>() / kept.len() as f64
+}
+
+/// What of a rectangle is within the picture: top, left, bottom, right. None if it reaches beyond by more than a
+/// fiftieth; cameras' files are a few pixels off.
+pub(super) fn within([top, left, bottom, right]: [u64; 4], picture: &Photograph) -> Option<[usize; 4]> {
+    let (width, height) = (picture.width as u64, picture.height as u64);
+    let near =
+        bottom <= height + height / 50 && right <= width + width / 50 && top <= bottom && left <= right;
+    near.then(|| [top.min(height), left.min(width), bottom.min(height), right.min(width)].map(|v| v as usize))
 }

@@ -16,16 +16,19 @@ mod tests;
 mod tiff;
 mod unreadable;
 
-use std::io::Read as _;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 
-pub(crate) use about::About;
+pub(crate) use about::{About, Orientation};
 pub(crate) use unreadable::Unreadable;
+
+use crate::bounded_file;
 
 /// Most pixels of a photograph.
 pub(crate) const MOST_PIXELS: usize = 150_000_000;
+/// Most directories of a TIFF that are looked at; a loop of them ends there.
+const MOST_DIRECTORIES: usize = 64;
 
 /// Largest file that is read, in bytes: three samples of 16 bits for each pixel, and something for the rest.
 const LARGEST: u64 = 1_000_000_000;
@@ -65,28 +68,34 @@ pub(crate) struct Photograph {
     pub(crate) samples: Vec<u16>,
     /// Black level by row and column modulo 2, or by colour.
     pub(crate) black: Option<[f64; 4]>,
-    /// Level at which the sensor saturates.
-    pub(crate) white: Option<f64>,
+    /// Level at which the sensor saturates, likewise.
+    pub(crate) white: Option<[f64; 4]>,
     pub(crate) about: About,
 }
 
 /// Reads a photograph; the digest is that of the file.
 pub(crate) fn read(path: &Path) -> Result<(Photograph, blake3::Hash)> {
     let place = || format!("photograph {}", path.display());
-    let bytes = read_bytes(path).with_context(place)?;
+    let bytes = bounded_file::read(path, LARGEST).with_context(place)?;
     let digest = blake3::hash(&bytes);
-    Ok((decode(&bytes).with_context(place)?, digest))
+    let photograph = decode(&bytes).and_then(whole).with_context(place)?;
+    Ok((photograph, digest))
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    let file = std::fs::File::open(path)?;
-    let size = file.metadata()?.len();
-    if size > LARGEST {
-        bail!("the file has {size} bytes, {LARGEST} are allowed");
+/// Most samples that are zero, as a share, of a picture that ends in zeros because its copy was interrupted. Where
+/// light and dark shots have their black level subtracted, zeros are many.
+const FEW_ZEROS: f64 = 0.1;
+
+/// Refuses what ends in rows of exact zeros.
+fn whole(photograph: Photograph) -> Result<Photograph, Unreadable> {
+    let samples = &photograph.samples;
+    let row = photograph.width * photograph.layout.samples_per_pixel();
+    let there = samples.len() - samples.iter().rev().take_while(|v| **v == 0).count();
+    let zeros = samples[..there].iter().filter(|v| **v == 0).count();
+    if samples.len() - there < row || zeros as f64 >= FEW_ZEROS * there as f64 {
+        return Ok(photograph);
     }
-    let mut bytes = Vec::with_capacity(size as usize);
-    file.take(LARGEST).read_to_end(&mut bytes)?;
-    Ok(bytes)
+    Err(Unreadable::ZeroRows { from: there.div_ceil(row) + 1, to: photograph.height })
 }
 
 /// Decodes a file of any format that is known, told by its first bytes.
@@ -95,8 +104,8 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
         [] => Err(Unreadable::Empty),
         [0xff, 0xd8, ..] => Err(Unreadable::Jpeg),
         [0x89, b'P', b'N', b'G', ..] => png::decode(bytes),
-        [b'P', b'5' | b'6', ..] => netpbm::decode(bytes),
-        [b'P', b'1'..=b'4', ..] => Err(Unreadable::EightBit { bits: 8 }),
+        [b'P', b'2' | b'3' | b'5' | b'6', ..] => netpbm::decode(bytes),
+        [b'P', b'1' | b'4', ..] => Err(Unreadable::EightBit { bits: 1 }),
         // Canon, Olympus, Panasonic, Fujifilm.
         [_, _, _, _, _, _, _, _, b'C', b'R', ..] if tiff::is_tiff(bytes) => {
             Err(Unreadable::CamerasOwn("CR2"))
@@ -108,6 +117,20 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
         _ if tiff::is_tiff(bytes) => tiff::decode(bytes),
         _ => Err(Unreadable::UnknownFormat),
     }
+}
+
+/// Samples of a photograph hold noise, so that none is compressed to so small a part of its two bytes a sample. Small ones
+/// are made by programs, and may be.
+const MOST_COMPRESSED: u64 = 64;
+const SMALL_BYTES: u64 = 64 << 20;
+
+/// Refuses more samples than a photograph's file can hold, before memory is taken.
+fn checked_samples(file_bytes: usize, samples: u64) -> Result<(), Unreadable> {
+    let most = MOST_COMPRESSED.saturating_mul(file_bytes as u64).max(SMALL_BYTES);
+    if samples.saturating_mul(2) > most {
+        return Err(Unreadable::Compressed { file_bytes, samples });
+    }
+    Ok(())
 }
 
 /// Refuses sizes that no photograph has, before memory is taken.

@@ -1,33 +1,99 @@
-//! PGM and PPM, as `dcraw -E -4`, `dcraw -4` and LibRaw's `unprocessed_raw` write them.
+//! PGM and PPM, as `dcraw -E -4`, `dcraw -4` and LibRaw's `unprocessed_raw` write them, or with numbers as text.
 
 use super::unreadable::Unreadable;
 use super::{About, Layout, Photograph, checked_size};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
-    let layout = if bytes[1] == b'6' { Layout::Rgb } else { Layout::Mosaic(None) };
-    let mut head = Head { bytes, at: 2 };
-    let width = head.number("width")?;
-    let height = head.number("height")?;
-    let most = head.number("greatest value")?;
-    if most > 65_535 {
-        return Err(Unreadable::Damaged(format!("the greatest value is {most}, at most 65535 is allowed")));
+    let picture = Picture::read(bytes)?;
+    let (samples, rest) = if picture.is_text { picture.text(bytes)? } else { picture.binary(bytes)? };
+    let count = 1 + pictures(rest);
+    if count > 1 {
+        return Err(Unreadable::Pictures { count });
     }
-    if most < 256 {
-        return Err(Unreadable::EightBit { bits: 8 });
-    }
-    let (width, height) = checked_size(width, height)?;
-    let from = head.at + 1;
-    let length = 2 * width * height * layout.samples_per_pixel();
-    let cut = || Unreadable::Truncated {
-        what: "the pixels".to_owned(),
-        from: from as u64,
-        to: (from + length) as u64,
-        has: bytes.len() as u64,
-    };
-    let pixels = bytes.get(from..from + length).ok_or_else(cut)?;
-    let samples = pixels.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();
-    let white = (most < 65_535).then_some(most as f64);
+    let Picture { layout, width, height, most, .. } = picture;
+    let white = (most < 65_535).then_some([most as f64; 4]);
     Ok(Photograph { width, height, layout, samples, black: None, white, about: About::default() })
+}
+
+/// Pictures may stand one after the other.
+fn pictures(mut rest: &[u8]) -> usize {
+    let mut count = 0;
+    while let [b'P', b'5' | b'6', ..] = rest.trim_ascii_start() {
+        count += 1;
+        rest = rest.trim_ascii_start();
+        rest = Picture::read(rest).ok().and_then(|picture| rest.get(picture.end()..)).unwrap_or_default();
+    }
+    count
+}
+
+/// What a head tells, and where the pixels begin.
+struct Picture {
+    layout: Layout,
+    width: usize,
+    height: usize,
+    most: u64,
+    /// Numbers in decimal digits.
+    is_text: bool,
+    from: usize,
+}
+
+impl Picture {
+    fn read(bytes: &[u8]) -> Result<Self, Unreadable> {
+        let layout = if matches!(bytes[1], b'3' | b'6') { Layout::Rgb } else { Layout::Mosaic(None) };
+        let mut head = Head { bytes, at: 2 };
+        let width = head.number("width")?;
+        let height = head.number("height")?;
+        let most = head.number("greatest value")?;
+        if most > 65_535 {
+            let told = format!("the greatest value is {most}, at most 65535 is allowed");
+            return Err(Unreadable::Damaged(told));
+        }
+        if most < 256 {
+            return Err(Unreadable::EightBit { bits: 8 });
+        }
+        let (width, height) = checked_size(width, height)?;
+        Ok(Self { layout, width, height, most, is_text: matches!(bytes[1], b'2' | b'3'), from: head.at + 1 })
+    }
+
+    fn count(&self) -> usize {
+        self.width * self.height * self.layout.samples_per_pixel()
+    }
+
+    /// Where binary samples end.
+    fn end(&self) -> usize {
+        self.from + 2 * self.count()
+    }
+
+    /// The samples, and what follows them.
+    fn binary<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), Unreadable> {
+        let cut = || Unreadable::Truncated {
+            what: "the pixels".to_owned(),
+            from: self.from as u64,
+            to: self.end() as u64,
+            has: bytes.len() as u64,
+        };
+        let pixels = bytes.get(self.from..self.end()).ok_or_else(cut)?;
+        let samples = pixels.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();
+        Ok((samples, &bytes[self.end()..]))
+    }
+
+    /// Nothing may follow, since only one picture of numbers as text is allowed in a file.
+    fn text<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), Unreadable> {
+        let mut body = Head { bytes, at: self.from };
+        let mut samples = Vec::with_capacity(self.count().min(bytes.len()));
+        for i in 0..self.count() {
+            let ends = || Unreadable::Damaged(format!("{i} of {} samples are there", self.count()));
+            let value = body.number("sample").map_err(|_| ends())?;
+            if value > self.most {
+                return Err(Unreadable::Damaged(format!(
+                    "a sample is {value}, the greatest is {}",
+                    self.most
+                )));
+            }
+            samples.push(value as u16);
+        }
+        Ok((samples, &[]))
+    }
 }
 
 struct Head<'a> {

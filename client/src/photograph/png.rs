@@ -4,10 +4,7 @@ use std::io::Cursor;
 
 use super::icc::tone_curve;
 use super::unreadable::Unreadable;
-use super::{About, Layout, Photograph, checked_size};
-
-/// Deflate makes nothing more than this many times smaller.
-const MOST_DEFLATED: u64 = 1032;
+use super::{About, Layout, Photograph, checked_samples, checked_size};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
     let damaged = |e: png::DecodingError| Unreadable::Damaged(e.to_string());
@@ -31,10 +28,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
         }
     };
     let about = info.exif_metadata.as_deref().map_or_else(About::default, About::of_exif);
+    checked_samples(bytes.len(), (width * height * layout.samples_per_pixel()) as u64)?;
     let length = 2 * width * height * layout.samples_per_pixel();
-    if length as u64 > MOST_DEFLATED * bytes.len() as u64 {
-        return Err(Unreadable::Damaged(format!("{} bytes cannot hold {length}", bytes.len())));
-    }
     let mut pixels = vec![0; length];
     reader.next_frame(&mut pixels).map_err(damaged)?;
     let samples = pixels.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();

@@ -3,11 +3,9 @@
 use super::chunks::Chunks;
 use super::directory::{Bytes, Directory, Tag};
 use super::icc::tone_curve;
+use super::masked::{self, within};
 use super::unreadable::Unreadable;
-use super::{About, Colour, Layout, Photograph, masked};
-
-/// Most directories of a file that are looked at; a loop of them ends there.
-const MOST_DIRECTORIES: usize = 64;
+use super::{About, Colour, Layout, MOST_DIRECTORIES, Photograph};
 
 /// PhotometricInterpretation of a mosaic, and of a demosaiced picture without a tone curve.
 const CFA: u64 = 32_803;
@@ -23,6 +21,10 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
     let is_dng = directories.iter().any(|d| d.has(Tag::DNG_VERSION));
     let picture = photograph_of(&directories, is_dng)?;
     let bits = bits(picture)?;
+    let count = pictures(&directories, picture);
+    if count > 1 {
+        return Err(Unreadable::Pictures { count });
+    }
     let layout = layout(picture)?;
     if let Some(seen) = not_linear(picture) {
         return Err(Unreadable::NotLinear { seen });
@@ -32,7 +34,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
     let mut samples = chunks.read()?;
     let table = picture.numbers(Tag::LINEARIZATION)?;
     linearize(&mut samples, &table);
-    let white = picture.number_of(Tag::WHITE)?.filter(|v| *v > 0.0);
+    let white = white(picture, layout)?;
     let mut whole = Photograph {
         width,
         height,
@@ -40,8 +42,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
         samples,
         black: black(picture, layout)?,
         // DNG: 2^bits − 1 where nothing is said.
-        white: white.or_else(|| is_dng.then(|| f64::from((1_u32 << bits) - 1))),
-        about: About::of(bytes, &directories),
+        white: white.or_else(|| is_dng.then(|| [f64::from((1_u32 << bits) - 1); 4])),
+        about: About::of(bytes, picture, &directories),
     };
     let active = picture.whole(Tag::ACTIVE_AREA)?;
     if let Some(measured) = masked::black(&whole, &picture.whole(Tag::MASKED_AREAS)?, &active)? {
@@ -74,9 +76,7 @@ fn directories(bytes: Bytes) -> Result<Vec<Directory>, Unreadable> {
 
 /// The mosaic, else the linear picture; of files that are no DNG any picture that is no preview.
 fn photograph_of<'d, 'a>(all: &'d [Directory<'a>], is_dng: bool) -> Result<&'d Directory<'a>, Unreadable> {
-    let whole = |d: &&Directory| {
-        d.has(Tag::WIDTH) && !matches!(d.whole_of(Tag::SUBFILE_TYPE), Ok(Some(kind)) if kind != 0)
-    };
+    let whole = |d: &&Directory| is_whole(d);
     let of = |kind: u64| {
         all.iter().filter(whole).find(|d| d.whole_of(Tag::PHOTOMETRIC).ok().flatten() == Some(kind))
     };
@@ -93,6 +93,23 @@ fn photograph_of<'d, 'a>(all: &'d [Directory<'a>], is_dng: bool) -> Result<&'d D
         Some(6 | 7) => Err(Unreadable::Jpeg),
         _ => Ok(first),
     }
+}
+
+/// Whether a directory's picture is no preview, mask or map of another one; a page of several (2) is none of them.
+fn is_whole(directory: &Directory) -> bool {
+    let kind = directory.whole_of(Tag::SUBFILE_TYPE).ok().flatten();
+    directory.has(Tag::WIDTH) && matches!(kind, None | Some(0 | 2))
+}
+
+/// How many pictures could be the photograph as well as the one that was chosen: pages, and those that ImageJ writes
+/// one after the other behind a single directory.
+fn pictures(all: &[Directory], chosen: &Directory) -> usize {
+    let told = chosen.text(Tag::DESCRIPTION).filter(|text| text.starts_with("ImageJ="));
+    let digits = |text: &str| text.chars().take_while(char::is_ascii_digit).collect::<String>();
+    let told = told.and_then(|text| digits(text.split_once("images=")?.1).parse().ok());
+    let kind = |d: &Directory| d.whole_of(Tag::PHOTOMETRIC).ok().flatten();
+    let alike = |d: &&Directory| is_whole(d) && kind(d) == kind(chosen) && bits(d).is_ok();
+    all.iter().filter(alike).count().max(told.unwrap_or(1))
 }
 
 /// Bits of each sample.
@@ -125,7 +142,8 @@ fn layout(picture: &Directory) -> Result<Layout, Unreadable> {
     let kind = picture.needed(Tag::PHOTOMETRIC)?;
     match (kind, samples) {
         (CFA, 1) => pattern(picture).map(|pattern| Layout::Mosaic(Some(pattern))),
-        (1, 1) => Ok(Layout::Mosaic(None)),
+        // Grey may be a mosaic whose colours the file does not tell, or of a monochrome camera.
+        (1 | LINEAR_RAW, 1) => Ok(Layout::Mosaic(None)),
         (2 | LINEAR_RAW, 3) => match picture.whole_of(Tag::PLANAR)? {
             None | Some(1) => Ok(Layout::Rgb),
             Some(other) => {
@@ -212,6 +230,18 @@ fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unread
     })
 }
 
+/// Level at which the sensor is full, by row and column modulo 2, or by colour; the lowest where the tag has other
+/// counts.
+fn white(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unreadable> {
+    let levels: Vec<f64> = picture.numbers(Tag::WHITE)?.into_iter().filter(|level| *level > 0.0).collect();
+    Ok(match (layout, levels.as_slice()) {
+        (_, []) => None,
+        (Layout::Rgb, [r, g, b]) => Some([*r, *g, *b, *g]),
+        (Layout::Mosaic(_), [a, b, c, d]) => Some([*a, *b, *c, *d]),
+        (_, levels) => Some([levels.iter().copied().fold(f64::INFINITY, f64::min); 4]),
+    })
+}
+
 /// Companded values as what they stand for.
 fn linearize(samples: &mut [u16], table: &[f64]) {
     let Some(last) = table.len().checked_sub(1) else { return };
@@ -222,13 +252,11 @@ fn linearize(samples: &mut [u16], table: &[f64]) {
 
 /// Without the masked margins: pattern and black level count from the active area's corner.
 fn cropped(whole: Photograph, area: &[u64]) -> Result<Photograph, Unreadable> {
-    let &[top, left, bottom, right] = area else { return Ok(whole) };
-    let inside = top < bottom && left < right && bottom <= whole.height as u64 && right <= whole.width as u64;
-    if !inside {
+    let Ok(area) = <[u64; 4]>::try_from(area) else { return Ok(whole) };
+    let Some([top, left, bottom, right]) = within(area, &whole).filter(|[t, l, b, r]| t < b && l < r) else {
         let allowed = format!("it must lie within {} × {} pixels", whole.width, whole.height);
         return Err(Unreadable::tag(Tag::ACTIVE_AREA.name, format_args!("{area:?}"), allowed));
-    }
-    let [top, left, bottom, right] = [top, left, bottom, right].map(|v| v as usize);
+    };
     if (top, left, bottom, right) == (0, 0, whole.height, whole.width) {
         return Ok(whole);
     }

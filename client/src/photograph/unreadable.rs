@@ -1,6 +1,6 @@
 //! Why a file is no photograph that can be measured.
 
-use super::MOST_PIXELS;
+use super::{MOST_COMPRESSED, MOST_DIRECTORIES, MOST_PIXELS};
 
 /// Why a file cannot be used: what was seen, and what to do.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -16,6 +16,11 @@ pub(crate) enum Unreadable {
     )]
     Jpeg,
     #[error(
+        "the DNG is compressed with loss, to 8 bits after a tone curve: convert the raw file again without lossy \
+         compression"
+    )]
+    LossyDng,
+    #[error(
         "{0} files, a camera's own format, are not read: convert them with a DNG converter or `dcraw -E -4 -T`"
     )]
     CamerasOwn(&'static str),
@@ -27,8 +32,29 @@ pub(crate) enum Unreadable {
     NotLinear { seen: String },
     #[error("{width} × {height} pixels are not read: allowed are 1 to {most}", most = MOST_PIXELS)]
     Size { width: u64, height: u64 },
+    #[error(
+        "{file_bytes} bytes are said to hold {samples} samples: those of a photograph are not compressed more than \
+         {most}-fold", most = MOST_COMPRESSED
+    )]
+    Compressed { file_bytes: usize, samples: u64 },
     #[error("the file is cut off or damaged: {what} should be at bytes {from} to {to}, the file has {has}")]
     Truncated { what: String, from: u64, to: u64, has: u64 },
+    #[error(
+        "the file holds {}{count} pictures, of which one would be used: save each as a file of its own (`tiffsplit \
+         FILE`; ImageJ: Stack to Images); red, green and blue as pages are to be merged to RGB (ImageJ: Merge Channels, or \
+         `convert FILE -combine`)", if *count >= MOST_DIRECTORIES { "at least " } else { "" }
+    )]
+    Pictures { count: usize },
+    #[error(
+        "the picture ends early, as after an interrupted copy: {rows} of its {height} rows are there; copy the file \
+         anew"
+    )]
+    EndsEarly { rows: usize, height: usize },
+    #[error(
+        "rows {from} to {to}, the last ones, hold nothing but zeros, as after an interrupted copy: copy the file anew, \
+         or cut a margin that is no picture off"
+    )]
+    ZeroRows { from: usize, to: usize },
     #[error("tag {tag} = {given} is not valid: {allowed}")]
     Tag { tag: String, given: String, allowed: String },
     #[error("tag {tag} is missing: {needed}")]

@@ -1,7 +1,7 @@
-//! Fig. 6: the aggregate error over the scaling factor μ, and over g.
+//! Fig. 6: over the scaling factor μ the error of the best records (Eq. 3); over g the objective of refined media.
 
 use anyhow::ensure;
-use optics_model::fit::{Common, ScaleCurve};
+use optics_model::fit::{Common, Objective, ScaleCurve};
 
 use super::axis::{Axis, extent};
 use super::canvas::{Area, Canvas, Stroke, at};
@@ -20,14 +20,20 @@ const NAME: f64 = 18.0;
 const BETWEEN: f64 = 26.0;
 const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
 const LINE: Stroke = Stroke::solid(Color::BLUE, 1.5);
+const REFINED: Stroke = Stroke::dashed(Color::GREEN, 1.2, "5 3");
 const BAND: Color = Color(0xf8, 0xe2, 0xd2);
 
 /// How well all materials together fit when measurements are scaled by μ, by records; and with each g, refined.
-pub(crate) fn scale_figure(curve: &ScaleCurve, common: &Common) -> anyhow::Result<Picture> {
+/// These are two quantities: records are compared by the paper's distance, media by the objective of the fit.
+pub(crate) fn scale_figure(
+    curve: &ScaleCurve,
+    common: &Common,
+    objective: Objective,
+) -> anyhow::Result<Picture> {
     ensure!(!curve.points.is_empty(), "no errors to draw");
-    let mut panels = vec![over_mu(curve)];
+    let mut panels = vec![over_mu(curve, common)];
     if !common.by_g.is_empty() {
-        panels.push(over_g(common));
+        panels.push(over_g(common, objective));
     }
     let mut left = MARGIN;
     for panel in &mut panels {
@@ -52,21 +58,25 @@ pub(crate) fn scale_figure(curve: &ScaleCurve, common: &Common) -> anyhow::Resul
 struct Panel {
     frame: Frame,
     name: &'static str,
+    /// The quantity that is drawn.
+    error: &'static str,
     keys: Vec<Key>,
     x: Vec<f64>,
     y: Vec<f64>,
     dots: bool,
     /// The best value and its standard error.
     best: Option<(f64, Option<f64>)>,
+    /// The value that the answer has, if another than the best.
+    refined: Option<f64>,
 }
 
 impl Panel {
-    fn new(name: &'static str, width: f64, x: Vec<f64>, y: Vec<f64>) -> Self {
+    fn new(name: &'static str, error: &'static str, width: f64, x: Vec<f64>, y: Vec<f64>) -> Self {
         let area = Area { left: 0.0, top: 0.0, width, height: HEIGHT };
         let x_axis = Axis::around(extent(x.iter().copied()), 1e-3);
         let y_axis = Axis::around(extent(y.iter().copied()), 0.01);
         let frame = Frame { area, x: x_axis, y: y_axis };
-        Self { frame, name, keys: Vec::new(), x, y, dots: false, best: None }
+        Self { frame, name, error, keys: Vec::new(), x, y, dots: false, best: None, refined: None }
     }
 
     fn draw(&self, canvas: &mut Canvas) {
@@ -93,11 +103,15 @@ impl Panel {
             canvas.line(at(x, y), at(x, bottom), Stroke::dashed(Color::VERMILLION, 0.9, "3 2"));
             Mark::Dot.draw(canvas, at(x, y));
         }
+        if let Some(refined) = self.refined.filter(|x| (0.0..=1.0).contains(&frame.x.fraction(*x))) {
+            let x = frame.across(refined);
+            canvas.line(at(x, area.top), at(x, area.bottom()), REFINED);
+        }
         frame.axes(canvas, Labels { x: true, y: true });
         let middle = area.center();
         let name = Text::new(self.name, LABEL).anchor(Anchor::Middle);
         canvas.text(at(middle.x, area.bottom() + TICKS_BELOW + 1.3 * LABEL), &name);
-        let name = Text::new("aggregate error", LABEL).anchor(Anchor::Middle);
+        let name = Text::new(self.error, LABEL).anchor(Anchor::Middle);
         canvas.text_upwards(at(area.left - ticks_beside(&frame.y_ticks()) - 6.0, middle.y), &name);
     }
 
@@ -111,11 +125,18 @@ impl Panel {
     }
 }
 
-fn over_mu(curve: &ScaleCurve) -> Panel {
+fn over_mu(curve: &ScaleCurve, common: &Common) -> Panel {
     let (mu, error) = curve.points.iter().map(|point| (point.mu, point.error)).unzip();
-    let mut panel = Panel::new("scaling factor μ", MU_WIDTH, mu, error);
-    let (best, std_error) = (curve.best.mu, curve.std_error.filter(|e| e.is_finite() && *e > 0.0));
-    panel.keys.push(Key::mark(Mark::Dot, format!("minimum: μ = {}", value_with_error(best, std_error))));
+    let mut panel = Panel::new("scaling factor μ", "error of the best records, Eq. 3", MU_WIDTH, mu, error);
+    let positive = |e: &f64| e.is_finite() && *e > 0.0;
+    let (best, std_error) = (curve.best.mu, curve.std_error.filter(positive));
+    let by_records = value_with_error(best, std_error);
+    panel.keys.push(Key::mark(Mark::Dot, format!("minimum, by records alone: μ* = {by_records}")));
+    if common.mu_chosen {
+        let refined = value_with_error(common.mu, Some(common.mu_std_error).filter(positive));
+        panel.refined = common.mu.is_finite().then_some(common.mu);
+        panel.keys.push(Key::line(REFINED, format!("of the answer, by refined media: μ = {refined}")));
+    }
     if std_error.is_some() {
         panel.keys.push(Key { sample: Sample::Patch(BAND), label: "± standard error".into() });
     }
@@ -123,9 +144,13 @@ fn over_mu(curve: &ScaleCurve) -> Panel {
     panel
 }
 
-fn over_g(common: &Common) -> Panel {
+fn over_g(common: &Common, objective: Objective) -> Panel {
     let (g, error) = common.by_g.iter().map(|at| (at.g, at.error)).unzip();
-    let mut panel = Panel::new("anisotropy g", G_WIDTH, g, error);
+    let name = match objective {
+        Objective::Likelihood => "−2 ln L of all channels",
+        Objective::Paper => "error of refined media, Eq. 1",
+    };
+    let mut panel = Panel::new("anisotropy g", name, G_WIDTH, g, error);
     panel.dots = true;
     // One that was given is no minimum.
     if let Some(g) = common.g_interval.and(common.g) {
@@ -181,7 +206,7 @@ mod tests {
     }
 
     fn figure((curve, common): &(ScaleCurve, Common)) -> Picture {
-        scale_figure(curve, common).unwrap()
+        scale_figure(curve, common, Objective::Likelihood).unwrap()
     }
 
     #[test]
@@ -189,8 +214,15 @@ mod tests {
         let picture = figure(&answer());
         assert_well_laid_out(&picture);
         let texts = texts(&picture);
-        for label in ["minimum: μ = 0.9130 ± 0.0042", "minimum: g = 0.4", "scaling factor μ", "anisotropy g"]
-        {
+        for label in [
+            "minimum, by records alone: μ* = 0.9130 ± 0.0042",
+            "of the answer, by refined media: μ = 0.900 ± 0.010",
+            "minimum: g = 0.4",
+            "scaling factor μ",
+            "error of the best records, Eq. 3",
+            "anisotropy g",
+            "−2 ln L of all channels",
+        ] {
             assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
         }
     }
@@ -209,7 +241,7 @@ mod tests {
         answer.0.points[7].error = f64::NAN;
         let picture = figure(&answer);
         assert_well_laid_out(&picture);
-        assert!(texts(&picture).iter().any(|text| text == "minimum: μ = 0.913"));
+        assert!(texts(&picture).iter().any(|text| text == "minimum, by records alone: μ* = 0.913"));
         answer.0.points = vec![answer.0.best];
         assert_well_laid_out(&figure(&answer));
         let none = ScalePoint { mu: f64::NAN, error: f64::NAN };
@@ -219,13 +251,13 @@ mod tests {
         assert_well_laid_out(&picture);
         assert!(!texts(&picture).iter().any(|text| text == "± standard error"));
         answer.0.points.clear();
-        let refused = scale_figure(&answer.0, &answer.1).unwrap_err();
+        let refused = scale_figure(&answer.0, &answer.1, Objective::Paper).unwrap_err();
         assert_eq!(refused.to_string(), "no errors to draw");
     }
 
     #[test]
     fn the_mark_lies_on_the_curve() {
-        let panel = over_mu(&answer().0);
+        let panel = over_mu(&answer().0, &answer().1);
         assert!((panel.error_at(0.9131).unwrap() - 0.2801).abs() < 1e-9);
         assert_eq!(panel.error_at(0.7), None);
     }

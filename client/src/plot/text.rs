@@ -72,7 +72,9 @@ impl Text {
         if self.width() <= width {
             return self;
         }
-        let mut kept: Vec<char> = self.content.chars().collect();
+        // No letter that is seen is narrower than a tenth of its height.
+        let most = (10.0 * width / self.size).max(0.0) as usize;
+        let mut kept: Vec<char> = self.content.chars().take(most).collect();
         while kept.pop().is_some() {
             let content = kept.iter().collect::<String>().trim_end().to_owned() + "…";
             let shorter = Self { content, ..self.clone() };

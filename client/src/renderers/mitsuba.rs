@@ -48,6 +48,7 @@ pub(crate) fn mitsuba_xml(fits: &[MaterialFit]) -> String {
     let mut text = format!(
         "<!-- Measured media for Mitsuba 3: put <include filename=\"media.xml\"/> into a scene, and into a shape
      <ref name=\"interior\" id=\"…\"/> with the id of a medium. -->
+<!-- Render with <integrator type=\"volpathmis\"/>: sigma_t differs between channels, with which volpath is noisy. -->
 <!-- {UNITS} -->
 <scene version=\"3.0.0\">\n"
     );
@@ -170,6 +171,7 @@ media = {
     fn xml_of_each_kind() {
         let expected = r#"<!-- Measured media for Mitsuba 3: put <include filename="media.xml"/> into a scene, and into a shape
      <ref name="interior" id="…"/> with the id of a medium. -->
+<!-- Render with <integrator type="volpathmis"/>: sigma_t differs between channels, with which volpath is noisy. -->
 <!-- Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000. -->
 <scene version="3.0.0">
     <!-- "Clear resin": R, G, B -->

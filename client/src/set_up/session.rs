@@ -1,12 +1,14 @@
 //! Session files: what all measurements of one session share, as JSON.
 
-use std::io::Read as _;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use optics_model::Invalid;
 use optics_model::measurement::colour;
 use serde_json::{Map, Value};
+
+use crate::bounded_file;
+use crate::measurement_file::plain;
 
 /// The `format` of the files that are understood.
 const FORMAT: &str = "farmctl-session/1";
@@ -56,12 +58,8 @@ pub(crate) struct Session {
 impl Session {
     pub fn read(path: &Path) -> Result<Self> {
         let place = || format!("session file {}", path.display());
-        let mut text = String::new();
-        let file = std::fs::File::open(path).with_context(place)?;
-        file.take(LARGEST + 1).read_to_string(&mut text).with_context(place)?;
-        if text.len() as u64 > LARGEST {
-            bail!("{} has more than {LARGEST} bytes, which is the most that is read", place());
-        }
+        let bytes = bounded_file::read(path, LARGEST).with_context(place)?;
+        let text = plain(&bytes).with_context(place)?;
         let value: Value = serde_json::from_str(&text).with_context(place)?;
         Self::parse(&value).with_context(place)
     }

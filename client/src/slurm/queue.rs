@@ -5,6 +5,7 @@ use std::process::{Output, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+use farm_link::logs::tell;
 use tokio::io::AsyncWriteExt;
 use tokio::process::Command;
 use tokio::time::timeout;
@@ -44,7 +45,7 @@ pub(crate) async fn submit(submission: &Submission, script: &str) -> Result<u64>
     let told = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "sbatch refused the job ({}): {}", output.status, told.trim());
     if !told.trim().is_empty() {
-        eprintln!("{}", told.trim_end());
+        tell(told.trim_end());
     }
     job_id(&String::from_utf8_lossy(&output.stdout))
 }

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
-
+use rustix::fs::OFlags;
+use tokio::io::AsyncReadExt as _;
 use tonic::Status;
 
 use super::api::Capture;
@@ -55,26 +56,45 @@ impl Captures {
     /// A capture by the name that `list` gives it.
     pub fn folder(&self, name: &str) -> Result<PathBuf, Status> {
         let found = self.folders.iter().find(|folder| shown(folder) == name);
-        found
-            .cloned()
-            .ok_or_else(|| Status::not_found(format!("capture = {name:?}: this page has no such folder")))
+        let folder = found
+            .ok_or_else(|| Status::not_found(format!("capture = {name:?}: this page has no such folder")))?;
+        match link_in(folder) {
+            None => Ok(folder.clone()),
+            Some(link) => Err(Status::failed_precondition(format!(
+                "capture = {name:?}: {} is a link, which the page does not follow: put the file itself there",
+                link.display()
+            ))),
+        }
     }
 
     /// A file of a capture, if there is such a one.
     pub async fn file(&self, number: &str, name: &str) -> Option<Response> {
         let folder = self.folders.get(number.parse::<usize>().ok()?)?;
         let kind = kind(name)?;
-        let path = folder.join(name);
-        let about = tokio::fs::metadata(&path).await.ok()?;
-        if !about.is_file() || about.len() > LARGEST {
-            return None;
-        }
+        let file = open_own(&folder.join(name)).await?;
+        let mut bytes = Vec::new();
         let headers = [(CONTENT_TYPE, kind), (CONTENT_SECURITY_POLICY, POLICY), (CACHE_CONTROL, "no-store")];
-        Some(match tokio::fs::read(&path).await {
-            Ok(bytes) => (headers, bytes).into_response(),
+        Some(match file.take(LARGEST).read_to_end(&mut bytes).await {
+            Ok(_) => (headers, bytes).into_response(),
             Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
         })
     }
+}
+
+/// Opens a file that is not too large. What a link leads to is not the capture's: whoever may write to its folder would
+/// read there what its owner may.
+async fn open_own(path: &Path) -> Option<tokio::fs::File> {
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    let file =
+        tokio::fs::OpenOptions::new().read(true).custom_flags(flags.bits() as i32).open(path).await.ok()?;
+    let about = file.metadata().await.ok()?;
+    (about.is_file() && about.len() <= LARGEST).then_some(file)
+}
+
+/// The name of a link in a folder, if there is one.
+fn link_in(folder: &Path) -> Option<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).find(|path| path.is_symlink())
 }
 
 fn shown(folder: &Path) -> String {
@@ -125,7 +145,20 @@ mod tests {
         assert_eq!([".", "./a", "a/b"].map(|folder| shown(Path::new(folder))), [".", "a", "a/b"]);
         let report = captures.file("0", "report.html").await.unwrap();
         assert_eq!(report.headers()[CONTENT_TYPE], "text/html; charset=utf-8");
+        std::os::unix::fs::symlink("../secret.json", captures.folders[0].join("link.json")).unwrap();
+        rustix::fs::mknodat(
+            rustix::fs::CWD,
+            captures.folders[0].join("pipe.json"),
+            rustix::fs::FileType::Fifo,
+            0o600.into(),
+            0,
+        )
+        .unwrap();
+        let refused = captures.folder(&captures.list()[0].folder).unwrap_err();
+        assert!(refused.message().contains("link.json is a link"), "{refused}");
         for (number, name) in [
+            ("0", "link.json"),
+            ("0", "pipe.json"),
             ("1", "report.html"),
             ("-1", "report.html"),
             ("0", "../secret.json"),

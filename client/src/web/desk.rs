@@ -172,9 +172,9 @@ async fn answer<T: Send + 'static>(
 
 /// The grid of a file that comes from a browser: it must not name other files, which would be this machine's.
 fn grid(file: &File) -> Result<Grid> {
-    let text = std::str::from_utf8(&file.content)
+    let text = measurement_file::plain(&file.content)
         .map_err(|_| Invalid::new("file", &file.name, "a grid file is text in UTF-8"))?;
-    grid_of(text, Path::new(&file.name), |name| match name {
+    grid_of(&text, Path::new(&file.name), |name| match name {
         "paper" => Ok(Scene::paper()),
         "smooth" => Ok(Scene::smooth()),
         _ => bail!(
@@ -201,6 +201,7 @@ fn channels(found: &Found) -> Vec<ToldChannel> {
         if let Some(refined) = &channel.refined {
             let numbers = answers::ToldChannel::of(refined);
             empty.resolved = refined.resolved;
+            empty.resolved_at_g = refined.resolved_at_g;
             empty.reduced_scattering_per_mm = told(numbers.reduced_scattering_per_mm);
             empty.absorption_per_mm = told(numbers.absorption_per_mm);
             empty.sigma_t_per_mm = told(numbers.sigma_t_per_mm);

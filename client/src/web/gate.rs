@@ -41,7 +41,8 @@ impl Refusal {
     pub fn reason(self) -> &'static str {
         match self {
             Self::Host => {
-                "This page is served for another host name. Behind a proxy, name its URL with --behind."
+                "This page is served for another host or port than those of the address in this browser. Behind a proxy or \
+                 ssh -L, name that address with --behind, as in `farmctl web --behind http://localhost:9000/`."
             }
             Self::Origin => "This request comes from another site.",
             Self::Token => "Open the address that `farmctl web` has printed: it lets this browser in.",

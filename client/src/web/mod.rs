@@ -11,6 +11,7 @@ mod desk;
 mod farm;
 mod forward;
 mod gate;
+mod listen;
 mod server;
 
 use std::net::{Ipv4Addr, SocketAddr};

@@ -3,6 +3,7 @@
 use std::future::ready;
 use std::sync::Arc;
 
+use axum::Router;
 use axum::extract::{Path, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, HeaderName, LOCATION, REFERRER_POLICY, SET_COOKIE,
@@ -12,8 +13,6 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::get;
-use axum::{Router, ServiceExt};
-use farm_proto::RequestLimits;
 use tokio::net::TcpListener;
 use tonic_web::GrpcWebLayer;
 use tower::Layer as _;
@@ -24,6 +23,7 @@ use super::desk::TheDesk;
 use super::farm::FarmAccess;
 use super::forward::Forward;
 use super::gate::{Gate, Refusal, token_of};
+use super::listen;
 
 /// What the page may load: its own files, and nothing that stands within it.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
@@ -45,13 +45,12 @@ impl Server {
         let (gate, routes) = (Arc::clone(&self.gate), self.routes());
         // Around all routes: what they see is the address within the page's folder.
         let guarded = from_fn_with_state(gate, guard).layer(routes);
-        axum::serve(listener, ServiceExt::<Request>::into_make_service(guarded)).await
+        listen::serve(listener, guarded).await
     }
 
     fn routes(self) -> Router {
-        let desk = DeskServer::from_arc(Arc::clone(&self.desk))
-            .max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
-            .max_encoding_message_size(RequestLimits::MESSAGE_BYTES);
+        // A page of this process: measurements may be as long as they are for its commands.
+        let desk = DeskServer::from_arc(Arc::clone(&self.desk)).max_decoding_message_size(usize::MAX);
         let web = GrpcWebLayer::new();
         let mut router = Router::new()
             .route("/", get(|request: Request| ready(file("", &request))))

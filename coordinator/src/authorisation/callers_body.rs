@@ -1,24 +1,106 @@
-//! What a caller says, as long as their token is let in: a stream of results may be long.
+//! What a caller says: as long as their token is let in, in time, and within what their calls may hold.
 
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
+use std::time::Duration;
 
 use http_body::{Body as HttpBody, Frame, SizeHint};
+use tokio::time::{Instant, Sleep, sleep};
 use tonic::Status;
 use tonic::body::Body;
 
+use super::LOOK;
+use super::budget::Account;
+use super::message::Message;
 use super::permission::{self, Caller};
 use crate::gate::Gate;
 
+/// Longest time until a message has come whole, beside that for its bytes.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Bytes that must come in a second beyond that.
+const SLOWEST: usize = 64 << 10;
+
+/// Whose token is to be looked at while a call is under way.
+pub(super) type LetIn = Option<(Gate, Caller)>;
+
 struct CallersBody {
     inner: Body,
-    gate: Gate,
-    caller: Caller,
+    let_in: LetIn,
+    account: Account,
+    /// Whether there are many messages, each of which is handed on before the next.
+    streamed: bool,
+    message: Message,
+    /// When the message began to be waited for; none between the messages of a stream.
+    begun: Option<Instant>,
+    look: Option<Pin<Box<Sleep>>>,
+    /// What has come of a stream, and waits until there is room for it.
+    waits: Option<Frame<bytes::Bytes>>,
 }
 
-/// The body of a caller's request, which ends with an error when the token is revoked.
-pub(super) fn watched(inner: Body, gate: Gate, caller: Caller) -> Body {
-    Body::new(CallersBody { inner, gate, caller })
+/// The body of a caller's request, which ends with an error when the token is revoked, when it does not come in time, and
+/// when it goes beyond what the token's calls may hold.
+pub(super) fn watched(inner: Body, let_in: LetIn, account: Account, streamed: bool) -> Body {
+    let (message, begun) = (Message::default(), Some(Instant::now()));
+    Body::new(CallersBody { inner, let_in, account, streamed, message, begun, look: None, waits: None })
+}
+
+impl CallersBody {
+    /// Why nothing more is taken.
+    fn ended(&self) -> Option<Status> {
+        if let Some((gate, caller)) = &self.let_in
+            && !permission::is_let_in_still(gate, caller)
+        {
+            return Some(permission::revoked(caller));
+        }
+        let time = PATIENCE + Duration::from_secs((self.message.bytes() / SLOWEST) as u64);
+        let overdue = self.begun.is_some_and(|begun| begun.elapsed() >= time);
+        overdue.then(|| {
+            let seconds = time.as_secs();
+            Status::deadline_exceeded(format!(
+                "the message of this call did not come whole within {seconds} s"
+            ))
+        })
+    }
+
+    /// Takes note of what has come, and of when the next message begins.
+    fn count(&mut self, data: &[u8]) {
+        let ended = self.message.take(data);
+        if self.streamed {
+            let begun = self.begun.filter(|_| !ended);
+            self.begun = (!self.message.is_between()).then(|| begun.unwrap_or_else(Instant::now));
+        }
+    }
+
+    /// Makes room for what has come. In a stream, messages that are whole are handed on, and are no longer the call's.
+    fn hold(&self, data: &[u8]) -> Result<(), Status> {
+        if !self.streamed {
+            return self.account.hold(data.len());
+        }
+        self.account.release();
+        self.account.hold(if self.message.is_between() { 0 } else { self.message.bytes() })
+    }
+
+    /// What has come, when there is room for it.
+    fn poll_inner(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<bytes::Bytes>, Status>>> {
+        let frame = match self.waits.take() {
+            Some(frame) => frame,
+            None => match ready!(Pin::new(&mut self.inner).poll_frame(cx)) {
+                Some(Ok(frame)) => {
+                    frame.data_ref().into_iter().for_each(|data| self.count(data));
+                    frame
+                }
+                ended => return Poll::Ready(ended),
+            },
+        };
+        match frame.data_ref().map_or(Ok(()), |data| self.hold(data)) {
+            Ok(()) => Poll::Ready(Some(Ok(frame))),
+            Err(_) if self.streamed => {
+                self.waits = Some(frame);
+                Poll::Pending
+            }
+            Err(status) => Poll::Ready(Some(Err(status))),
+        }
+    }
 }
 
 impl HttpBody for CallersBody {
@@ -29,18 +111,105 @@ impl HttpBody for CallersBody {
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Self::Data>, Status>>> {
-        let frame = ready!(Pin::new(&mut self.inner).poll_frame(cx));
-        if frame.is_some() && !permission::is_let_in_still(&self.gate, &self.caller) {
-            return Poll::Ready(Some(Err(permission::revoked(&self.caller))));
+        let this = &mut *self;
+        loop {
+            if let Some(status) = this.ended() {
+                return Poll::Ready(Some(Err(status)));
+            }
+            if let Poll::Ready(frame) = this.poll_inner(cx) {
+                return Poll::Ready(frame);
+            }
+            let look = this.look.get_or_insert_with(|| Box::pin(sleep(LOOK)));
+            ready!(look.as_mut().poll(cx));
+            this.look = None;
         }
-        Poll::Ready(frame)
     }
 
     fn is_end_stream(&self) -> bool {
-        self.inner.is_end_stream()
+        self.waits.is_none() && self.inner.is_end_stream()
     }
 
     fn size_hint(&self) -> SizeHint {
         self.inner.size_hint()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use bytes::Bytes;
+    use http_body_util::{BodyExt as _, StreamBody};
+    use tokio_stream::StreamExt as _;
+    use tonic::Code;
+
+    use super::super::budget::Budget;
+    use super::*;
+
+    /// A message of so many bytes, with its prefix.
+    fn message(bytes: u32) -> Vec<u8> {
+        [&[0][..], &bytes.to_be_bytes(), &vec![7; bytes as usize]].concat()
+    }
+
+    fn body(pieces: Vec<Vec<u8>>, pause: Duration, account: &Account, streamed: bool) -> Body {
+        let frames = tokio_stream::iter(pieces).then(move |piece| async move {
+            sleep(pause).await;
+            Ok::<_, Status>(Frame::data(Bytes::from(piece)))
+        });
+        watched(Body::new(StreamBody::new(frames)), None, account.clone(), streamed)
+    }
+
+    fn account(bytes: usize) -> Account {
+        Account::new(Arc::new(Budget::of(bytes)), "alice".to_owned())
+    }
+
+    async fn read(body: Body) -> Result<usize, Code> {
+        body.collect().await.map(|all| all.to_bytes().len()).map_err(|status| status.code())
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_message_comes_whole_in_time() {
+        let trickle = |n| message(n).chunks(1).map(<[u8]>::to_vec).collect::<Vec<_>>();
+        let second = Duration::from_secs(1);
+        assert_eq!(read(body(trickle(20), second, &account(1000), false)).await, Ok(25));
+        assert_eq!(read(body(trickle(40), second, &account(1000), false)).await, Err(Code::DeadlineExceeded));
+        assert_eq!(read(body(trickle(40), second, &account(1000), true)).await, Err(Code::DeadlineExceeded));
+        let nothing = tokio_stream::pending::<Result<Frame<Bytes>, Status>>();
+        let never = watched(Body::new(StreamBody::new(nothing)), None, account(9), false);
+        let begun = Instant::now();
+        assert_eq!(read(never).await, Err(Code::DeadlineExceeded));
+        assert!(begun.elapsed() < PATIENCE + 2 * LOOK, "{:?}", begun.elapsed());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_stream_may_pause_between_messages() {
+        let pieces = vec![message(10), message(20), message(30)];
+        assert_eq!(read(body(pieces, PATIENCE / 2, &account(1000), true)).await, Ok(75));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn what_is_held_is_counted_until_it_is_handed_on() {
+        let pieces = || vec![message(60), message(60)];
+        assert_eq!(read(body(pieces(), Duration::ZERO, &account(100), true)).await, Ok(130));
+        assert_eq!(
+            read(body(pieces(), Duration::ZERO, &account(100), false)).await,
+            Err(Code::ResourceExhausted)
+        );
+        let two = account(100);
+        let budget = Arc::new(Budget::of(100));
+        let [stream, other] = [(); 2].map(|()| Account::new(budget.clone(), "alice".to_owned()));
+        other.hold(90).unwrap();
+        let pieces =
+            body(vec![message(30)[..20].to_vec(), message(30)[20..].to_vec()], Duration::ZERO, &stream, true);
+        let reading = tokio::spawn(read(pieces));
+        sleep(PATIENCE / 2).await;
+        assert!(!reading.is_finished(), "a stream waits for room");
+        other.release();
+        assert_eq!(reading.await.unwrap(), Ok(35));
+        let _held = body(vec![message(80)], Duration::ZERO, &two, false).collect().await.unwrap();
+        assert_eq!(
+            read(body(vec![message(60)], Duration::ZERO, &two, false)).await,
+            Err(Code::ResourceExhausted)
+        );
     }
 }

@@ -3,7 +3,10 @@
 //! [`AuthorisationLayer`] goes around all services (`Server::builder().layer(…)`), so that a service added later is guarded
 //! without a word: what is not known to be for others is for admins.
 
+mod answer;
+mod budget;
 mod callers_body;
+mod message;
 mod open_call;
 mod permission;
 mod report;
@@ -24,6 +27,7 @@ use tower::{Layer, Service};
 use tracing::Instrument as _;
 
 use crate::clock::Clock;
+use crate::connections::Admission;
 use crate::gate::Gate;
 use crate::throttle::Throttle;
 
@@ -32,11 +36,18 @@ pub(crate) use permission::{actor, machine};
 pub use report::ObservedBody;
 pub use request_id::RequestId;
 
+use budget::{Account, Budget};
 use permission::Admitted;
 use report::Report;
 
 /// The method that observers are told of calls which no service has answered: their paths are whatever callers like.
 pub const OTHER_METHOD: &str = "other";
+
+/// The method whose calls bring many messages: each is handed on before the next.
+const STREAMED: &str = "/farm.v1.Leases/Complete";
+
+/// How often a call that waits looks whether its token is let in, and whether it is overdue.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Refused calls are told of in the log at most this often.
 const TELL_REFUSED: Duration = Duration::from_secs(10);
@@ -55,14 +66,21 @@ struct Shared {
     observer: Box<Observer>,
     clock: Clock,
     refused: Throttle,
+    budget: Arc<Budget>,
 }
 
 impl AuthorisationLayer {
     /// `observer` is told of every call once, when it has ended: the method's path or [`OTHER_METHOD`], the gRPC code
-    /// (1, cancelled, if the caller has gone before the end), and how long it took.
-    pub fn new(gate: Gate, observer: impl Fn(&str, i32, Duration) + Send + Sync + 'static) -> Self {
-        let observer = Box::new(observer);
-        let shared = Shared { gate, observer, clock: Clock::start(), refused: Throttle::new(TELL_REFUSED) };
+    /// (1, cancelled, if the caller has gone before the end), and how long it took. The calls of one token may hold so many
+    /// bytes of questions that are not answered and of answers that are not read.
+    pub fn new(
+        gate: Gate,
+        held_bytes: usize,
+        observer: impl Fn(&str, i32, Duration) + Send + Sync + 'static,
+    ) -> Self {
+        let (observer, budget) = (Box::new(observer), Arc::new(Budget::of(held_bytes)));
+        let (clock, refused) = (Clock::start(), Throttle::new(TELL_REFUSED));
+        let shared = Shared { gate, observer, clock, refused, budget };
         Self { shared: Arc::new(shared) }
     }
 }
@@ -112,24 +130,30 @@ where
         let method = request.uri().path().to_owned();
         let id = RequestId::of(request.headers());
         let span = tracing::info_span!("call", %method, request_id = %id, caller = tracing::field::Empty);
-        let admitted = permission::admit(&self.shared.gate, request.uri().path(), request.headers())
-            .and_then(|admitted| let_in(admitted, &self.shared.gate, &mut request));
+        let admitted = permission::admit(&self.shared.gate, &request)
+            .and_then(|admitted| let_in(admitted, &self.shared, &mut request));
         let caller = match &admitted {
             Ok(_) => request.extensions().get::<Caller>().cloned(),
             Err(_) => None,
         };
-        let report = Report::start(self.shared.clone(), method, span.clone(), caller);
+        let connection = permission::connection(request.extensions()).map(|peer| peer.admission.clone());
+        let report = Report::start(self.shared.clone(), method, span.clone(), caller, connection);
         // Handlers need not see it, and what they do not see they cannot log.
         request.headers_mut().remove(AUTHORIZATION);
         match admitted {
-            Ok(place) => {
+            Ok(means) => {
                 if let Some(caller) = request.extensions().get::<Caller>() {
                     span.record("caller", caller.name());
                 }
                 request.extensions_mut().insert(id.clone());
                 // The call itself may do work before it gives its future.
                 let answer = span.in_scope(|| self.inner.call(request));
-                Box::pin(async move { report.pass(answer.await, &id, place) }.instrument(span))
+                let answered = async move {
+                    let response = report.pass(answer.await, &id, means)?;
+                    let (head, body) = response.into_parts();
+                    Ok(Response::from_parts(head, body.fetched().await))
+                };
+                Box::pin(answered.instrument(span))
             }
             Err(status) => {
                 span.in_scope(|| self.shared.tell_refused(&request, &status));
@@ -140,37 +164,56 @@ where
     }
 }
 
-/// Prepares a call for its service: who calls, and what it may take. Gives its place among the open calls of its connection
-/// if it is one.
-fn let_in(
-    admitted: Admitted,
-    gate: &Gate,
-    request: &mut Request<Body>,
-) -> Result<Option<OwnedSemaphorePermit>, Status> {
+/// What a call has been given, until it has ended.
+struct Means {
+    /// Its place among the open calls of its connection, if it is one.
+    _place: Option<OwnedSemaphorePermit>,
+    account: Account,
+}
+
+/// Prepares a call for its service: who calls, and what it may take.
+fn let_in(admitted: Admitted, shared: &Shared, request: &mut Request<Body>) -> Result<Means, Status> {
     let connection = permission::connection(request.extensions()).map(|peer| peer.admission.clone());
     if let (Some(connection), Admitted::Caller(_) | Admitted::Anybody | Admitted::Open { known: true }) =
         (&connection, &admitted)
     {
         connection.admit();
     }
-    match admitted {
-        Admitted::Caller(caller) => {
-            let body = std::mem::take(request.body_mut());
-            *request.body_mut() = callers_body::watched(body, gate.clone(), caller.clone());
-            request.extensions_mut().insert(caller);
-            Ok(None)
-        }
-        Admitted::Anybody => Ok(None),
-        Admitted::Open { .. } => {
-            let body = std::mem::take(request.body_mut());
-            *request.body_mut() = open_call::limited(body);
-            let Some(connection) = connection else { return Ok(None) };
-            let place = connection.open_call().ok_or_else(|| {
-                Status::resource_exhausted("too many calls without a token are under way on this connection")
-            })?;
-            Ok(Some(place))
-        }
+    let caller = match admitted {
+        Admitted::Caller(caller) => Some(caller),
+        Admitted::Anybody => None,
+        Admitted::Open { .. } => return open(connection, shared, request),
+    };
+    let name =
+        caller.as_ref().map_or_else(|| permission::machine(request.extensions()).address, Caller::label);
+    let account = Account::new(shared.budget.clone(), name);
+    let streamed = request.uri().path() == STREAMED;
+    let gate_and_caller = caller.clone().map(|caller| (shared.gate.clone(), caller));
+    if let (Some(connection), Some((gate, caller))) = (connection, gate_and_caller.clone()) {
+        connection.stays_while(caller.hash(), move || permission::is_let_in_still(&gate, &caller));
     }
+    let body = std::mem::take(request.body_mut());
+    *request.body_mut() = callers_body::watched(body, gate_and_caller, account.clone(), streamed);
+    if let Some(caller) = caller {
+        request.extensions_mut().insert(caller);
+    }
+    Ok(Means { _place: None, account })
+}
+
+/// The same for a call that needs no token.
+fn open(
+    connection: Option<Admission>,
+    shared: &Shared,
+    request: &mut Request<Body>,
+) -> Result<Means, Status> {
+    let account = Account::new(shared.budget.clone(), permission::machine(request.extensions()).address);
+    let body = std::mem::take(request.body_mut());
+    *request.body_mut() = open_call::limited(body);
+    let Some(connection) = connection else { return Ok(Means { _place: None, account }) };
+    let place = connection.open_call().ok_or_else(|| {
+        Status::resource_exhausted("too many calls without a token are under way on this connection")
+    })?;
+    Ok(Means { _place: Some(place), account })
 }
 
 impl Shared {

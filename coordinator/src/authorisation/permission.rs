@@ -2,10 +2,11 @@
 
 use std::net::SocketAddr;
 
-use farm_link::{Role, token_hash};
+use farm_link::{Role, Tokens, token_hash};
 use http::header::AUTHORIZATION;
-use http::{Extensions, HeaderMap};
+use http::{Extensions, HeaderMap, Request};
 use tonic::Status;
+use tonic::body::Body;
 use tonic::transport::server::TlsConnectInfo;
 
 use crate::actor::Actor;
@@ -31,6 +32,15 @@ impl Caller {
     pub fn role(&self) -> Role {
         self.role
     }
+
+    /// As two tokens are told from each other in messages: names alone may stand twice.
+    pub(super) fn label(&self) -> String {
+        format!("{} {}", self.role, self.name)
+    }
+
+    pub(super) fn hash(&self) -> blake3::Hash {
+        self.hash
+    }
 }
 
 /// Who asks, by what has let the call in and where it came from.
@@ -39,6 +49,9 @@ pub(crate) fn actor(extensions: &Extensions) -> Actor {
     let address = remote(extensions).map(|address| address.ip().to_canonical().to_string());
     Actor { token, address: address.unwrap_or_default() }
 }
+
+/// The name of the coordinator's own user, in logs and events.
+const OWN_USER: &str = "local";
 
 /// Paths begin with these. The first that fits counts, and what fits none is for admins.
 const RULES: [(&str, Needed); 5] = [
@@ -72,8 +85,29 @@ pub(super) enum Admitted {
 }
 
 /// Who the caller is, or why the call is refused.
-pub(super) fn admit(gate: &Gate, path: &str, headers: &HeaderMap) -> Result<Admitted, Status> {
-    let Some(tokens) = gate.tokens() else { return Ok(Admitted::Anybody) };
+pub(super) fn admit(gate: &Gate, request: &Request<Body>) -> Result<Admitted, Status> {
+    let path = request.uri().path();
+    match gate {
+        Gate::Everybody => Ok(Admitted::Anybody),
+        Gate::OwnUser => admit_own_user(gate, path, request.extensions()),
+        Gate::File(access) => admit_token(gate, &access.tokens(), path, request.headers()),
+    }
+}
+
+/// Programs of the coordinator's own user, which come through its Unix socket, are let in.
+fn admit_own_user(gate: &Gate, path: &str, extensions: &Extensions) -> Result<Admitted, Status> {
+    let is_own = connection(extensions).is_some_and(|peer| peer.admission.is_own_user());
+    match needed(path) {
+        _ if is_own => {
+            let name = OWN_USER.to_owned();
+            Ok(Admitted::Caller(Caller { name, role: Role::Admin, hash: token_hash("") }))
+        }
+        Needed::Nothing => Ok(Admitted::Open { known: false }),
+        Needed::OneOf(_) => Err(Status::unauthenticated(gate.advice())),
+    }
+}
+
+fn admit_token(gate: &Gate, tokens: &Tokens, path: &str, headers: &HeaderMap) -> Result<Admitted, Status> {
     let Needed::OneOf(roles) = needed(path) else {
         let known = bearer_token(headers).is_some_and(|token| tokens.role_of(token).is_some());
         return Ok(Admitted::Open { known });

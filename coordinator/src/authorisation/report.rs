@@ -7,18 +7,16 @@ use std::time::Duration;
 
 use http::{HeaderMap, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
-use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Sleep, sleep};
 use tonic::body::Body;
 use tonic::{Code, Status};
 use tracing::Span;
 
+use super::answer::Answer;
 use super::permission::{self, Caller};
 use super::request_id::RequestId;
-use super::{OTHER_METHOD, Shared};
-
-/// How often a stream that waits looks whether its token is let in.
-const LOOK: Duration = Duration::from_secs(1);
+use super::{LOOK, Means, OTHER_METHOD, Shared};
+use crate::connections::Admission;
 
 /// A call under way. If it is dropped, the caller has gone.
 pub(super) struct Report {
@@ -30,15 +28,22 @@ pub(super) struct Report {
     code: Option<i32>,
     told: bool,
     /// Given back when the call has ended.
-    place: Option<OwnedSemaphorePermit>,
+    means: Option<Means>,
     /// By whose token it was let in.
     caller: Option<Caller>,
+    connection: Option<Admission>,
 }
 
 impl Report {
-    pub(super) fn start(shared: Arc<Shared>, method: String, span: Span, caller: Option<Caller>) -> Self {
+    pub(super) fn start(
+        shared: Arc<Shared>,
+        method: String,
+        span: Span,
+        caller: Option<Caller>,
+        connection: Option<Admission>,
+    ) -> Self {
         let started = shared.clock.now();
-        Self { shared, method, span, started, code: None, told: false, place: None, caller }
+        Self { shared, method, span, started, code: None, told: false, means: None, caller, connection }
     }
 
     /// What the caller is told if their token has been revoked since the call began.
@@ -52,11 +57,13 @@ impl Report {
         mut self,
         answer: Result<Response<Body>, E>,
         id: &RequestId,
-        place: Option<OwnedSemaphorePermit>,
+        means: Means,
     ) -> Result<Response<ObservedBody>, E> {
         match answer {
             Ok(response) => {
-                self.place = place;
+                // The question is answered.
+                means.account.release();
+                self.means = Some(means);
                 let response = self.revoked().map_or(response, Status::into_http);
                 Ok(self.watch(response, id))
             }
@@ -80,7 +87,16 @@ impl Report {
         if response.body().is_end_stream() {
             self.tell_end();
         }
-        response.map(|inner| ObservedBody { inner, report: self, look: None, ended: false })
+        let (means, connection) = (self.means.as_ref(), self.connection.take());
+        let answer = means.map(|means| Answer::new(means.account.clone(), connection));
+        response.map(|inner| ObservedBody {
+            inner,
+            answer,
+            first: Poll::Pending,
+            report: self,
+            look: None,
+            ended: false,
+        })
     }
 
     /// The stream has ended without trailers.
@@ -111,6 +127,9 @@ fn code(headers: &HeaderMap) -> Option<i32> {
 /// A response's body, watched.
 pub struct ObservedBody {
     inner: Body,
+    answer: Option<Answer>,
+    /// What came before anybody asked.
+    first: Poll<Option<Result<Frame<bytes::Bytes>, Status>>>,
     report: Report,
     /// When to look again at the token of a stream that waits.
     look: Option<Pin<Box<Sleep>>>,
@@ -122,11 +141,48 @@ impl ObservedBody {
     /// Ends the stream with a status.
     fn end(&mut self, status: &Status) -> Frame<bytes::Bytes> {
         self.ended = true;
+        self.answer = None;
         self.report.tell(status.code() as i32);
         let mut trailers = HeaderMap::new();
         // What is told is plain text.
         let _ = status.add_header(&mut trailers);
         Frame::trailers(trailers)
+    }
+
+    /// Fetches what is there of the answer, so that it counts even if its caller never asks for it.
+    pub(super) async fn fetched(mut self) -> Self {
+        std::future::poll_fn(|cx| {
+            let _entered = self.report.span.enter();
+            self.first = Pin::new(&mut self.inner).poll_frame(cx);
+            Poll::Ready(())
+        })
+        .await;
+        if let Poll::Ready(first) = self.take_first() {
+            self.first = self.counted(first);
+        }
+        self
+    }
+
+    fn take_first(&mut self) -> Poll<Option<Result<Frame<bytes::Bytes>, Status>>> {
+        std::mem::replace(&mut self.first, Poll::Pending)
+    }
+
+    /// A frame of the answer; none yet if it is a message, which is counted and handed on in pieces.
+    fn counted(
+        &mut self,
+        frame: Option<Result<Frame<bytes::Bytes>, Status>>,
+    ) -> Poll<Option<Result<Frame<bytes::Bytes>, Status>>> {
+        let (answer, frame) = match (&mut self.answer, frame) {
+            (Some(answer), Some(Ok(frame))) => (answer, frame),
+            (_, frame) => return Poll::Ready(frame),
+        };
+        match frame.into_data() {
+            Ok(message) => match answer.take(message) {
+                Ok(()) => Poll::Pending,
+                Err(status) => Poll::Ready(Some(Ok(self.end(&status)))),
+            },
+            Err(frame) => Poll::Ready(Some(Ok(frame))),
+        }
     }
 
     /// The next frame of the answer; while there is none, a look at the token each second.
@@ -135,10 +191,21 @@ impl ObservedBody {
             if let Some(status) = self.report.revoked() {
                 return Poll::Ready(Some(Ok(self.end(&status))));
             }
+            if let Poll::Ready(first) = self.take_first() {
+                return Poll::Ready(first);
+            }
+            if let Some(piece) = self.answer.as_mut().and_then(Answer::next) {
+                return Poll::Ready(Some(Ok(piece)));
+            }
             // Streams do their work while they are asked for the next message.
-            let _entered = self.report.span.enter();
-            if let Poll::Ready(frame) = Pin::new(&mut self.inner).poll_frame(cx) {
-                return Poll::Ready(frame);
+            let entered = self.report.span.clone().entered();
+            let polled = Pin::new(&mut self.inner).poll_frame(cx);
+            drop(entered);
+            if let Poll::Ready(frame) = polled {
+                match self.counted(frame) {
+                    Poll::Ready(frame) => return Poll::Ready(frame),
+                    Poll::Pending => continue,
+                }
             }
             if self.report.caller.is_none() {
                 return Poll::Pending;
@@ -166,7 +233,9 @@ impl HttpBody for ObservedBody {
     ) -> Poll<Option<Result<Frame<Self::Data>, Status>>> {
         let this = self.get_mut();
         if this.ended {
-            return Poll::Ready(None);
+            // Whoever has ended it before anybody asked has left the reason.
+            let Poll::Ready(reason) = this.take_first() else { return Poll::Ready(None) };
+            return Poll::Ready(reason);
         }
         let frame = ready!(this.poll_inner(cx));
         match &frame {
@@ -182,10 +251,18 @@ impl HttpBody for ObservedBody {
     }
 
     fn is_end_stream(&self) -> bool {
-        self.ended || self.inner.is_end_stream()
+        if self.answer.as_ref().is_some_and(Answer::has_more) {
+            return false;
+        }
+        // An answer that is a status alone ends with its head: clients refuse one that ends with an empty frame.
+        match &self.first {
+            Poll::Ready(first) => first.is_none(),
+            Poll::Pending => self.ended || self.inner.is_end_stream(),
+        }
     }
 
     fn size_hint(&self) -> SizeHint {
-        self.inner.size_hint()
+        // What was fetched before is not the inner body's any more.
+        SizeHint::default()
     }
 }

@@ -1,17 +1,20 @@
 use std::convert::Infallible;
 use std::sync::Mutex;
 
-use http_body::Frame;
+use http_body::{Body as _, Frame};
 use http_body_util::{BodyExt as _, StreamBody};
 
 use super::*;
+
+/// What the calls of one caller may hold.
+const HELD: usize = 1 << 20;
 
 type Told = Arc<Mutex<Vec<(String, i32)>>>;
 
 fn guarded<S>(service: S) -> (Authorised<S>, Told) {
     let told = Told::default();
     let into = told.clone();
-    let layer = AuthorisationLayer::new(Gate::Everybody, move |method, code, _| {
+    let layer = AuthorisationLayer::new(Gate::Everybody, HELD, move |method, code, _| {
         into.lock().unwrap().push((method.to_owned(), code));
     });
     (layer.layer(service), told)
@@ -71,10 +74,13 @@ async fn a_call_that_is_let_go_of_before_its_answer_is_cancelled() {
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1)]);
 }
 
+/// It ends with its head: gRPC's own library takes no empty frame in place of its end.
 #[tokio::test]
 async fn an_answer_without_body_is_told_of_by_its_header() {
     let (mut service, told) = guarded(answering(|_| Status::not_found("no").into_http()));
-    drop(service.call(request("/a")).await.unwrap());
+    let answer = service.call(request("/a")).await.unwrap();
+    assert!(answer.body().is_end_stream());
+    drop(answer);
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 5)]);
 }
 
@@ -97,4 +103,71 @@ async fn handlers_see_the_request_id_and_not_the_token() {
     request.headers_mut().insert("x-request-id", "my-id".parse().unwrap());
     let response = service.call(request).await.unwrap();
     assert_eq!(response.headers().get("x-request-id").unwrap(), "my-id");
+}
+
+/// A message of so many bytes and its trailers.
+fn answer(bytes: usize) -> Response<Body> {
+    let frames = [
+        Frame::data(bytes::Bytes::from(vec![7; bytes])),
+        Frame::trailers(http::HeaderMap::from_iter([(Status::GRPC_STATUS, 0.into())])),
+    ];
+    Response::new(Body::new(StreamBody::new(tokio_stream::iter(frames.map(Ok::<_, Status>)))))
+}
+
+#[tokio::test]
+async fn answers_that_are_not_read_have_a_bound() {
+    let (mut service, told) = guarded(answering(|_| answer(HELD * 2 / 3)));
+    let unread = service.call(request("/a")).await.unwrap();
+    let refused = service.call(request("/b")).await.unwrap().into_body().collect().await.unwrap();
+    assert_eq!(refused.trailers().unwrap().get(Status::GRPC_STATUS).unwrap(), "8");
+    assert!(refused.to_bytes().is_empty());
+    let read = unread.into_body().collect().await.unwrap();
+    assert_eq!(read.trailers().unwrap().get(Status::GRPC_STATUS).unwrap(), "0");
+    assert_eq!(read.to_bytes().len(), HELD * 2 / 3);
+    service.call(request("/c")).await.unwrap().into_body().collect().await.unwrap();
+    let codes: Vec<i32> = told.lock().unwrap().iter().map(|(_, code)| *code).collect();
+    assert_eq!(codes, [8, 0, 0]);
+}
+
+/// A body that tells its size must not tell what is left of it after the first look.
+#[tokio::test]
+async fn an_answer_of_known_size_is_not_told_as_empty() {
+    let whole = || Response::new(Body::new(http_body_util::Full::new(bytes::Bytes::from_static(b"whole"))));
+    let (mut service, _) = guarded(answering(move |_| whole()));
+    let body = service.call(request("/a")).await.unwrap().into_body();
+    assert_ne!(body.size_hint().exact(), Some(0));
+    assert_eq!(body.collect().await.unwrap().to_bytes(), "whole");
+}
+
+#[tokio::test]
+async fn an_answer_is_handed_on_in_pieces() {
+    let (mut service, _) = guarded(answering(|_| answer(HELD / 2)));
+    let mut body = service.call(request("/a")).await.unwrap().into_body();
+    let (mut bytes, mut trailers) = (0, false);
+    while let Some(frame) = body.frame().await {
+        match frame.unwrap().into_data() {
+            Ok(piece) => {
+                assert!(piece.len() <= 64 << 10, "{}", piece.len());
+                bytes += piece.len();
+            }
+            Err(_) => trailers = true,
+        }
+    }
+    assert_eq!((bytes, trailers), (HELD / 2, true));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_connection_ends_whose_answer_is_not_read() {
+    let (mut service, _) = guarded(answering(|_| answer(1000)));
+    let admission = Admission::admitted();
+    let mut request = request("/a");
+    let tcp = tonic::transport::server::TcpConnectInfo { local_addr: None, remote_addr: None };
+    request.extensions_mut().insert(crate::connections::Peer { tcp, admission: admission.clone() });
+    let mut body = service.call(request).await.unwrap().into_body();
+    let later = tokio::time::Instant::now() + Duration::from_secs(200);
+    assert!(admission.is_over(later).is_some(), "nothing was read");
+    body.frame().await.unwrap().unwrap();
+    assert!(admission.is_over(later).is_some(), "the end was not read");
+    body.frame().await.unwrap().unwrap();
+    assert!(admission.is_over(later).is_none());
 }

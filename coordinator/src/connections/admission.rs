@@ -3,15 +3,20 @@
 //! Strangers may ask for the farm's health and for its interface. Nothing else is theirs: of one address only so many
 //! connections are open at a time, each for so long and with so many calls, until one of them shows a token.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::fmt;
 use std::net::IpAddr;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::Instant;
 use tonic::transport::server::TcpConnectInfo;
 
 /// Open calls of a connection, such as for the farm's health, that are under way at a time.
 const OPEN_CALLS: usize = 8;
+/// How long the calls of a connection may take to hear that its token is revoked, before it is cut.
+const LAST_WORDS: std::time::Duration = std::time::Duration::from_secs(3);
 
 /// What the calls on a connection know of it.
 #[derive(Debug, Clone)]
@@ -26,11 +31,57 @@ pub struct Admission {
     /// Its place among the strangers of its address, until then.
     stranger: Arc<Mutex<Option<Stranger>>>,
     open_calls: Arc<Semaphore>,
+    is_own_user: bool,
+    stay: Arc<Mutex<Stay>>,
+}
+
+/// How long an admitted connection stays.
+#[derive(Default)]
+struct Stay {
+    /// The token that was shown last, and whether it is let in still.
+    let_in: Option<(blake3::Hash, Box<dyn Fn() -> bool + Send + Sync>)>,
+    revoked: Option<Instant>,
+    /// By when the answers on it have to be read.
+    unread: BTreeMap<u64, Instant>,
+    answers: u64,
+}
+
+impl fmt::Debug for Stay {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Stay").field("unread", &self.unread.len()).finish_non_exhaustive()
+    }
+}
+
+/// An answer that waits to be read; it does no longer when this is dropped.
+#[derive(Debug)]
+pub(crate) struct Unread {
+    stay: Arc<Mutex<Stay>>,
+    number: u64,
+}
+
+impl Drop for Unread {
+    fn drop(&mut self) {
+        lock(&self.stay).unread.remove(&self.number);
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Admission {
     fn new(stranger: Option<Stranger>) -> Self {
-        Self { stranger: Arc::new(Mutex::new(stranger)), open_calls: Arc::new(Semaphore::new(OPEN_CALLS)) }
+        let (stranger, open_calls) = (Arc::new(Mutex::new(stranger)), Arc::new(Semaphore::new(OPEN_CALLS)));
+        Self { stranger, open_calls, is_own_user: false, stay: Arc::default() }
+    }
+
+    /// A program of the user that the coordinator runs as.
+    pub(super) fn own_user() -> Self {
+        Self { is_own_user: true, ..Self::new(None) }
+    }
+
+    pub(crate) fn is_own_user(&self) -> bool {
+        self.is_own_user
     }
 
     /// One who needs none.
@@ -40,42 +91,75 @@ impl Admission {
 
     /// A call has shown a token.
     pub(crate) fn admit(&self) {
-        self.lock().take();
+        lock(&self.stranger).take();
+    }
+
+    /// A call has shown a token that is let in as long as this holds.
+    pub(crate) fn stays_while(&self, token: blake3::Hash, let_in: impl Fn() -> bool + Send + Sync + 'static) {
+        let mut stay = lock(&self.stay);
+        if stay.let_in.as_ref().is_none_or(|(last, _)| *last != token) {
+            stay.let_in = Some((token, Box::new(let_in)));
+        }
+    }
+
+    /// An answer that has to be read by then.
+    pub(crate) fn unread(&self, until: Instant) -> Unread {
+        let mut stay = lock(&self.stay);
+        stay.answers += 1;
+        let number = stay.answers;
+        stay.unread.insert(number, until);
+        Unread { stay: self.stay.clone(), number }
+    }
+
+    /// Why the connection ends now, if it does.
+    pub(crate) fn is_over(&self, now: Instant) -> Option<&'static str> {
+        if lock(&self.stranger).as_ref().is_some_and(|stranger| stranger.evicted.load(Ordering::Relaxed)) {
+            return Some("others of this address wait, and the other end has shown no token");
+        }
+        let stay = &mut *lock(&self.stay);
+        if stay.unread.values().any(|until| *until <= now) {
+            return Some("the other end does not read an answer");
+        }
+        if stay.let_in.as_ref().is_none_or(|(_, let_in)| let_in()) {
+            stay.revoked = None;
+            return None;
+        }
+        let revoked = *stay.revoked.get_or_insert(now);
+        (revoked + LAST_WORDS <= now).then_some("the token is not let in any more")
     }
 
     pub(crate) fn is_admitted(&self) -> bool {
-        self.lock().is_none()
+        lock(&self.stranger).is_none()
     }
 
     /// A place for a call that needs no token; none if too many are under way on this connection.
     pub(crate) fn open_call(&self) -> Option<OwnedSemaphorePermit> {
         self.open_calls.clone().try_acquire_owned().ok()
     }
-
-    fn lock(&self) -> MutexGuard<'_, Option<Stranger>> {
-        self.stranger.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
-/// Connections without a token, by address.
+/// Connections without a token, by address, the oldest first: whether each has lost its place.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Strangers(Arc<Mutex<HashMap<String, usize>>>);
+pub(super) struct Strangers(Arc<Mutex<HashMap<String, VecDeque<Arc<AtomicBool>>>>>);
 
 impl Strangers {
-    /// A place among the connections of an address without a token, of which there may be so many.
-    pub fn admission(&self, address: IpAddr, most: usize) -> Option<Admission> {
-        let address = network(address);
-        let mut counts = self.lock();
-        let count = counts.entry(address.clone()).or_default();
-        if *count >= most {
-            return None;
+    /// A place among the connections of an address without a token, of which there may be so many. Where all are taken, the
+    /// oldest has to go: those who have a token show it soon, and idle connections do not shut them out.
+    pub fn admission(&self, address: IpAddr, most: usize) -> Admission {
+        let (address, evicted) = (network(address), Arc::new(AtomicBool::new(false)));
+        let mut of_all = self.lock();
+        let of_address = of_all.entry(address.clone()).or_default();
+        if of_address.len() >= most
+            && let Some(oldest) = of_address.pop_front()
+        {
+            oldest.store(true, Ordering::Relaxed);
         }
-        *count += 1;
-        Some(Admission::new(Some(Stranger { address, strangers: self.clone() })))
+        of_address.push_back(evicted.clone());
+        Admission::new(Some(Stranger { address, evicted, strangers: self.clone() }))
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, usize>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, VecDeque<Arc<AtomicBool>>>> {
+        lock(&self.0)
     }
 }
 
@@ -83,16 +167,18 @@ impl Strangers {
 #[derive(Debug)]
 struct Stranger {
     address: String,
+    /// Whether another one has its place.
+    evicted: Arc<AtomicBool>,
     strangers: Strangers,
 }
 
 impl Drop for Stranger {
     fn drop(&mut self) {
-        let mut counts = self.strangers.lock();
-        if let Some(count) = counts.get_mut(&self.address) {
-            *count -= 1;
-            if *count == 0 {
-                counts.remove(&self.address);
+        let mut of_all = self.strangers.lock();
+        if let Some(of_address) = of_all.get_mut(&self.address) {
+            of_address.retain(|other| !Arc::ptr_eq(other, &self.evicted));
+            if of_address.is_empty() {
+                of_all.remove(&self.address);
             }
         }
     }
@@ -115,21 +201,47 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_has_so_many_strangers_and_each_that_is_admitted_or_gone_makes_room() {
+    fn the_oldest_stranger_of_an_address_makes_room() {
         let strangers = Strangers::default();
         let [here, there]: [IpAddr; 2] = ["10.0.0.7", "10.0.0.8"].map(|a| a.parse().unwrap());
-        let first = strangers.admission(here, 2).unwrap();
-        let second = strangers.admission(here, 2).unwrap();
-        assert!(strangers.admission(here, 2).is_none() && strangers.admission(there, 2).is_some());
+        let is_over = |admission: &Admission| admission.is_over(Instant::now()).is_some();
+        let first = strangers.admission(here, 2);
+        let second = strangers.admission(here, 2);
         assert!(!first.is_admitted());
         first.clone().admit();
-        assert!(first.is_admitted() && !second.is_admitted());
-        let third = strangers.admission(here, 2).unwrap();
-        assert!(strangers.admission(here, 2).is_none());
-        drop(second);
-        assert!(strangers.admission(here, 2).is_some());
-        drop(third);
+        let [third, elsewhere] = [strangers.admission(here, 2), strangers.admission(there, 2)];
+        assert!(first.is_admitted() && ![&second, &third, &elsewhere].into_iter().any(is_over));
+        let fourth = strangers.admission(here, 2);
+        assert_eq!([&first, &second, &third, &fourth].map(is_over), [false, true, false, false]);
+        drop((second, third));
+        let fifth = strangers.admission(here, 2);
+        assert!(!is_over(&fourth) && !is_over(&fifth));
+        drop((fourth, fifth, elsewhere));
         assert!(strangers.lock().is_empty(), "nothing is left of those who have gone");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_connection_ends_when_an_answer_is_not_read_in_time() {
+        let (admission, now) = (Admission::admitted(), Instant::now());
+        let read = admission.unread(now + LAST_WORDS);
+        let _later = admission.unread(now + 2 * LAST_WORDS);
+        drop(read);
+        assert_eq!(admission.is_over(now + LAST_WORDS), None);
+        assert!(admission.is_over(now + 2 * LAST_WORDS).is_some());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_connection_ends_soon_after_its_token_is_revoked() {
+        let (admission, now) = (Admission::admitted(), Instant::now());
+        let let_in = Arc::new(std::sync::atomic::AtomicBool::new(true));
+        let is_let_in = let_in.clone();
+        admission.stays_while(blake3::hash(b"token"), move || {
+            is_let_in.load(std::sync::atomic::Ordering::Relaxed)
+        });
+        assert_eq!(admission.is_over(now + LAST_WORDS), None);
+        let_in.store(false, std::sync::atomic::Ordering::Relaxed);
+        assert_eq!(admission.is_over(now), None, "its calls hear why");
+        assert!(admission.is_over(now + LAST_WORDS).is_some());
     }
 
     #[test]

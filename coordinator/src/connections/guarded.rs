@@ -14,6 +14,8 @@ use super::{Admission, Limits, Peer};
 /// Length of the greeting that begins every HTTP/2 connection. That of TLS is longer. A first byte alone would not do: it
 /// costs nothing to send.
 const GREETING_BYTES: usize = 24;
+/// How often a connection is asked whether it ends for what is on it.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// A connection and its deadline. Under TLS it is what TLS runs on.
 #[derive(Debug)]
@@ -32,6 +34,8 @@ struct Watch {
     silence: Duration,
     /// When it ends if nobody on it has shown a token by then.
     strangers_end: Option<Instant>,
+    /// When it was last asked whether it ends for what is on it.
+    looked: Instant,
     /// Wakes the reader. May be early, since it is set anew only when it has rung: reads are many, deadlines few.
     alarm: Pin<Box<Sleep>>,
 }
@@ -39,10 +43,18 @@ struct Watch {
 impl<IO> Guarded<IO> {
     pub(super) fn new(io: IO, limits: Limits, admission: Admission) -> Self {
         let Limits { hello, silence, strangers, .. } = limits;
-        let alarm = Box::pin(tokio::time::sleep(hello.min(silence)));
+        let alarm = Box::pin(tokio::time::sleep(hello.min(silence).min(LOOK)));
         let heard = Instant::now();
         let strangers_end = strangers.map(|strangers| heard + strangers.patience);
-        let watch = Watch { heard, greeting_left: GREETING_BYTES, hello, silence, strangers_end, alarm };
+        let watch = Watch {
+            heard,
+            greeting_left: GREETING_BYTES,
+            hello,
+            silence,
+            strangers_end,
+            looked: heard,
+            alarm,
+        };
         Self { io, watch, admission }
     }
 }
@@ -55,7 +67,17 @@ impl Watch {
         }
     }
 
-    /// Ready when the other end has been silent for too long.
+    /// Why the connection ends for what is on it; now and then, since reads are many.
+    fn look(&mut self, admission: &Admission) -> Option<io::Error> {
+        let now = Instant::now();
+        if now < self.looked + LOOK {
+            return None;
+        }
+        self.looked = now;
+        admission.is_over(now).map(|why| io::Error::new(io::ErrorKind::TimedOut, why))
+    }
+
+    /// Ready when the other end has been silent for too long, or the connection ends for what is on it.
     fn poll_overdue(&mut self, cx: &mut Context<'_>, admission: &Admission) -> Poll<io::Error> {
         let (limit, mut what) = match self.greeting_left {
             0 => (self.silence, "the other end is silent"),
@@ -69,8 +91,11 @@ impl Watch {
             if Instant::now() >= deadline {
                 return Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, what));
             }
+            if let Some(error) = self.look(admission) {
+                return Poll::Ready(error);
+            }
             ready!(self.alarm.as_mut().poll(cx));
-            self.alarm.as_mut().reset(deadline);
+            self.alarm.as_mut().reset(deadline.min(Instant::now() + LOOK));
         }
     }
 }
@@ -78,6 +103,9 @@ impl Watch {
 impl<IO: AsyncRead + Unpin> AsyncRead for Guarded<IO> {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
+        if let Some(error) = this.watch.look(&this.admission) {
+            return Poll::Ready(Err(error));
+        }
         let before = buf.filled().len();
         // What has come counts, even if it is fetched late: then it was this end that had no time.
         match Pin::new(&mut this.io).poll_read(cx, buf) {
@@ -230,7 +258,7 @@ mod tests {
     async fn a_stranger_has_so_long_to_show_a_token() {
         for admitted in [false, true] {
             let (here, mut there) = tokio::io::duplex(1024);
-            let admission = Strangers::default().admission([10, 0, 0, 7].into(), 1).unwrap();
+            let admission = Strangers::default().admission([10, 0, 0, 7].into(), 1);
             let mut guarded = Guarded::new(here, LIMITS, admission.clone());
             there.write_all(&[0; GREETING_BYTES]).await.unwrap();
             guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();
@@ -250,12 +278,30 @@ mod tests {
         }
     }
 
+    /// However much it says: an answer that it does not read ends it.
+    #[tokio::test(start_paused = true)]
+    async fn who_does_not_read_an_answer_is_cut_off() {
+        let (mut guarded, mut there) = pair();
+        let _unread = guarded.admission.unread(Instant::now() + PATIENCE);
+        there.write_all(&[0; GREETING_BYTES]).await.unwrap();
+        let chatter = tokio::spawn(async move {
+            for _ in 0..200 {
+                tokio::time::sleep(SILENCE / 100).await;
+                let _ = there.write_all(b".").await;
+            }
+            there
+        });
+        let found = overdue_after(&mut guarded).await;
+        assert!((PATIENCE..PATIENCE + 2 * LOOK).contains(&found), "{found:?}");
+        drop(chatter.await);
+    }
+
     /// One who reads nothing holds what is written to him, and is not asked for more.
     #[tokio::test(start_paused = true)]
     async fn who_does_not_read_is_overdue_too() {
         for (admitted, expected) in [(true, SILENCE), (false, PATIENCE)] {
             let (here, mut there) = tokio::io::duplex(1024);
-            let admission = Strangers::default().admission([10, 0, 0, 7].into(), 1).unwrap();
+            let admission = Strangers::default().admission([10, 0, 0, 7].into(), 1);
             let mut guarded = Guarded::new(here, LIMITS, admission.clone());
             there.write_all(&[0; GREETING_BYTES]).await.unwrap();
             guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();

@@ -9,22 +9,26 @@ mod guarded;
 mod parting;
 
 use std::io;
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use farm_link::LocalSocket;
+use tokio::net::{TcpListener, TcpStream, UnixStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::Sleep;
 use tokio_stream::Stream;
+use tokio_util::either::Either;
 
 use crate::clock::Clock;
+use crate::gate::Listener;
 use crate::throttle::Throttle;
 
 use admission::Strangers;
+pub(crate) use admission::Unread;
 pub(crate) use admission::network;
 pub use admission::{Admission, Peer};
 pub use guarded::Guarded;
@@ -34,6 +38,9 @@ pub use parting::Parting;
 const PAUSE: Duration = Duration::from_millis(100);
 /// Connections sent away, and errors, are told of in the log at most this often.
 const TELL: Duration = Duration::from_secs(10);
+
+/// The address of programs that come through the Unix socket.
+pub(super) const OWN_USER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
 /// What connections may take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -87,7 +94,7 @@ impl Connections {
         self.counts.most - self.counts.places.available_permits()
     }
 
-    /// Connections sent away since the start because all places were taken, or all of strangers at their address.
+    /// Connections sent away since the start because all places were taken.
     pub fn refused(&self) -> u64 {
         self.counts.refused.load(Ordering::Relaxed)
     }
@@ -97,6 +104,7 @@ impl Connections {
 #[derive(Debug)]
 pub struct Incoming {
     listener: TcpListener,
+    own_user: Option<LocalSocket>,
     limits: Limits,
     counts: Arc<Counts>,
     strangers: Strangers,
@@ -107,12 +115,14 @@ pub struct Incoming {
 }
 
 impl Incoming {
-    pub fn new(listener: TcpListener, limits: Limits) -> Self {
+    pub fn new(listener: impl Into<Listener>, limits: Limits) -> Self {
+        let Listener { port: listener, own_user } = listener.into();
         let most = limits.connections.clamp(1, Semaphore::MAX_PERMITS);
         let places = Arc::new(Semaphore::new(most));
         let counts = Arc::new(Counts { most, places, refused: AtomicU64::new(0) });
         Self {
             listener,
+            own_user,
             limits,
             counts,
             strangers: Strangers::default(),
@@ -129,31 +139,34 @@ impl Incoming {
 
     /// A place for the connection; if there is none, it is closed. Left to the system's queue it would wait without knowing
     /// for what, and those behind it too.
-    fn admit(&self, stream: TcpStream, peer: std::net::SocketAddr) -> Option<Guarded<Parting>> {
-        let Ok(place) = self.counts.places.clone().try_acquire_owned() else {
-            self.refuse(self.counts.most, peer, "there are too many");
-            return None;
-        };
-        let Some(admission) = self.admission(peer.ip()) else {
-            let most = self.limits.strangers.map_or(0, |strangers| strangers.connections);
-            self.refuse(most, peer, "there are too many of this address that have shown no token");
-            return None;
+    fn admit(&self, stream: TcpStream, peer: SocketAddr) -> Option<Guarded<Parting>> {
+        let place = self.place(peer)?;
+        let admission = match self.limits.strangers {
+            None => Admission::admitted(),
+            Some(limits) => self.strangers.admission(peer.ip(), limits.connections),
         };
         if let Err(error) = stream.set_nodelay(true) {
             // It has most likely gone already, which its first read will tell.
             tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
         }
-        Some(Guarded::new(Parting::new(stream, place), self.limits, admission))
+        Some(Guarded::new(Parting::new(Either::Left(stream), place), self.limits, admission))
     }
 
-    fn admission(&self, address: IpAddr) -> Option<Admission> {
-        match self.limits.strangers {
-            None => Some(Admission::admitted()),
-            Some(limits) => self.strangers.admission(address, limits.connections),
+    /// As `admit`, for a program of the coordinator's own user.
+    fn admit_own(&self, stream: UnixStream) -> Option<Guarded<Parting>> {
+        let place = self.place(OWN_USER)?;
+        Some(Guarded::new(Parting::new(Either::Right(stream), place), self.limits, Admission::own_user()))
+    }
+
+    fn place(&self, peer: SocketAddr) -> Option<OwnedSemaphorePermit> {
+        let place = self.counts.places.clone().try_acquire_owned().ok();
+        if place.is_none() {
+            self.refuse(self.counts.most, peer, "there are too many");
         }
+        place
     }
 
-    fn refuse(&self, limit: usize, peer: std::net::SocketAddr, why: &str) {
+    fn refuse(&self, limit: usize, peer: SocketAddr, why: &str) {
         self.counts.refused.fetch_add(1, Ordering::Relaxed);
         if let Some(connections) = self.refusals.count(self.clock.now()) {
             tracing::warn!(connections, limit, %peer, "connections have been refused: {why}");
@@ -182,6 +195,16 @@ impl Stream for Incoming {
             if let Some(pause) = &mut this.pause {
                 ready!(pause.as_mut().poll(cx));
                 this.pause = None;
+            }
+            if let Some(Poll::Ready(accepted)) = this.own_user.as_mut().map(|socket| socket.poll_accept(cx)) {
+                match accepted.map(|stream| this.admit_own(stream)) {
+                    Ok(None) => continue,
+                    Ok(Some(connection)) => return Poll::Ready(Some(Ok(connection))),
+                    Err(error) => {
+                        this.failed(&error);
+                        continue;
+                    }
+                }
             }
             match ready!(this.listener.poll_accept(cx)) {
                 Ok((stream, peer)) => {

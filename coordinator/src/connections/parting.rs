@@ -6,58 +6,72 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _, ReadBuf};
-use tokio::net::TcpStream;
-use tokio::sync::OwnedSemaphorePermit;
-use tonic::transport::server::Connected;
+use tokio::net::{TcpStream, UnixStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio_util::either::Either;
+use tonic::transport::server::{Connected, TcpConnectInfo};
+
+use super::OWN_USER;
 
 /// A connection that has said more than this has been let in: whatever ends it then is not the last word of a handshake.
 const HANDSHAKE_BYTES: usize = 32 << 10;
 /// How long and how much of the other end's words is listened to after the last of ours.
-const LINGER: Duration = Duration::from_secs(1);
+const LINGER_TIME: Duration = Duration::from_secs(1);
 const MOST_BYTES: u64 = 64 << 10;
 
-/// A TCP connection and its place among those allowed.
+/// Connections that are listened to at a time after their last word. Others are closed at once: a farm that is flooded with
+/// bad greetings needs its places.
+const LINGERING: usize = 64;
+static LINGER: Semaphore = Semaphore::const_new(LINGERING);
+
+/// A connection by TCP or of the Unix socket.
+type Stream = Either<TcpStream, UnixStream>;
+
+/// A connection and its place among those allowed.
 ///
 /// A socket that is closed with unread bytes is reset, and a reset makes the other end forget what it has not read yet.
 /// With TLS 1.3 a client's first call is under way before it hears that its certificate is missing, so that it would
 /// mostly be reset and not told. Hence a connection that ends young stops sending, and listens for a moment.
 #[derive(Debug)]
 pub struct Parting {
-    stream: Option<TcpStream>,
+    stream: Option<Stream>,
     heard: usize,
-    /// Given back when the connection is closed.
-    place: Option<OwnedSemaphorePermit>,
+    /// Given back when the connection ends, also while its other end's last words are listened to.
+    _place: OwnedSemaphorePermit,
 }
 
 impl Parting {
-    pub(super) fn new(stream: TcpStream, place: OwnedSemaphorePermit) -> Self {
-        Self { stream: Some(stream), heard: 0, place: Some(place) }
+    pub(super) fn new(stream: Stream, place: OwnedSemaphorePermit) -> Self {
+        Self { stream: Some(stream), heard: 0, _place: place }
     }
 
-    fn stream(&mut self) -> Pin<&mut TcpStream> {
+    fn stream(&mut self) -> Pin<&mut Stream> {
         Pin::new(self.stream.as_mut().expect("it is there until it is dropped"))
     }
 
     #[cfg(test)]
     pub(super) fn nodelay(&self) -> bool {
-        self.stream.as_ref().unwrap().nodelay().unwrap()
+        let Some(Either::Left(stream)) = &self.stream else { panic!("it is no TCP connection") };
+        stream.nodelay().unwrap()
     }
 }
 
 impl Drop for Parting {
     fn drop(&mut self) {
-        let (stream, place) = (self.stream.take(), self.place.take());
         let young = (1..HANDSHAKE_BYTES).contains(&self.heard);
-        if let (true, Some(mut stream), Ok(runtime)) = (young, stream, tokio::runtime::Handle::try_current())
-        {
+        let (Some(mut stream), Ok(runtime)) = (self.stream.take(), tokio::runtime::Handle::try_current())
+        else {
+            return;
+        };
+        if let Some(lingers) = young.then(|| LINGER.try_acquire().ok()).flatten() {
             runtime.spawn(async move {
                 let listen = async {
                     stream.shutdown().await?;
                     tokio::io::copy(&mut stream.take(MOST_BYTES), &mut tokio::io::sink()).await
                 };
                 // The other end may go as it likes.
-                let _ = tokio::time::timeout(LINGER, listen).await;
-                drop(place);
+                let _ = tokio::time::timeout(LINGER_TIME, listen).await;
+                drop(lingers);
             });
         }
     }
@@ -100,10 +114,13 @@ impl AsyncWrite for Parting {
 }
 
 impl Connected for Parting {
-    type ConnectInfo = <TcpStream as Connected>::ConnectInfo;
+    type ConnectInfo = TcpConnectInfo;
 
-    fn connect_info(&self) -> Self::ConnectInfo {
-        self.stream.as_ref().expect("it is there until it is dropped").connect_info()
+    fn connect_info(&self) -> TcpConnectInfo {
+        match self.stream.as_ref().expect("it is there until it is dropped") {
+            Either::Left(stream) => stream.connect_info(),
+            Either::Right(_) => TcpConnectInfo { local_addr: None, remote_addr: Some(OWN_USER) },
+        }
     }
 }
 
@@ -116,6 +133,26 @@ mod tests {
 
     use super::*;
 
+    /// However many end at once, their places are free at once.
+    #[tokio::test]
+    async fn places_do_not_wait_for_last_words() {
+        let places = Arc::new(Semaphore::new(2 * LINGERING));
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let (mut ends, mut others) = (Vec::new(), Vec::new());
+        for _ in 0..2 * LINGERING {
+            let mut there = TcpStream::connect(address).await.unwrap();
+            there.write_all(b"no greeting").await.unwrap();
+            let (stream, _) = listener.accept().await.unwrap();
+            let mut here = Parting::new(Either::Left(stream), places.clone().try_acquire_owned().unwrap());
+            here.read_exact(&mut [0; 5]).await.unwrap();
+            ends.push(here);
+            others.push(there);
+        }
+        drop(ends);
+        assert_eq!(places.available_permits(), 2 * LINGERING);
+    }
+
     /// A last word reaches the other end although what that sent was never read, and the place is given back.
     #[tokio::test]
     async fn the_last_word_is_heard_though_not_all_was_read() {
@@ -123,7 +160,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let mut there = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
         let (stream, _) = listener.accept().await.unwrap();
-        let mut here = Parting::new(stream, places.clone().try_acquire_owned().unwrap());
+        let mut here = Parting::new(Either::Left(stream), places.clone().try_acquire_owned().unwrap());
         there.write_all(&[7; 5000]).await.unwrap();
         here.read_exact(&mut [0; 10]).await.unwrap();
         here.write_all(b"no").await.unwrap();

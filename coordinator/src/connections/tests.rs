@@ -1,5 +1,5 @@
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 use tokio_stream::StreamExt as _;
 use tonic::transport::server::Connected as _;
 
@@ -49,21 +49,24 @@ async fn one_too_many_is_closed_and_the_others_go_on() {
 }
 
 #[tokio::test]
-async fn strangers_of_one_address_have_so_many_places_until_one_shows_a_token() {
+async fn the_oldest_stranger_of_an_address_makes_room() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let limits = StrangerLimits { connections: 1, patience: SOON };
     let mut incoming = Incoming::new(listener, Limits::new(8, Some(limits)));
     let connections = incoming.connections();
     let _first = TcpStream::connect(address).await.unwrap();
-    let stranger = next(&mut incoming).await;
-    let waiting = tokio::spawn(async move { (next(&mut incoming).await, incoming) });
-    assert!(is_closed(&mut TcpStream::connect(address).await.unwrap()).await);
-    assert_eq!((connections.open(), connections.refused()), (1, 1));
-    stranger.connect_info().admission.admit();
+    let mut stranger = next(&mut incoming).await;
     let _second = TcpStream::connect(address).await.unwrap();
-    let (_place, _incoming) = timeout(SOON, waiting).await.unwrap().unwrap();
-    assert_eq!((connections.open(), connections.refused()), (2, 1));
+    let friend = next(&mut incoming).await;
+    let error = timeout(SOON, stranger.read(&mut [0])).await.unwrap().unwrap_err();
+    assert_eq!(error.kind(), io::ErrorKind::TimedOut, "the oldest goes");
+    drop(stranger);
+    friend.connect_info().admission.admit();
+    let _third = TcpStream::connect(address).await.unwrap();
+    let _other = next(&mut incoming).await;
+    assert!(friend.connect_info().admission.is_over(Instant::now()).is_none(), "who is in stays in");
+    assert_eq!((connections.open(), connections.refused()), (2, 0));
 }
 
 #[tokio::test]

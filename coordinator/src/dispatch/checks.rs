@@ -197,7 +197,7 @@ impl Checks {
     }
 }
 
-fn is_disputed(votes: &[Vote]) -> bool {
+pub(super) fn is_disputed(votes: &[Vote]) -> bool {
     votes.iter().any(|vote| vote.digest != votes[0].digest)
 }
 

@@ -6,7 +6,9 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::DictionaryState;
 
+use super::checks::is_disputed;
 use super::{Dictionary, Dispatcher, PartId, Purpose};
+use crate::stored::{Origin, Vote};
 
 /// A reason, with a code that programs can rely on.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -27,6 +29,7 @@ impl Dispatcher {
         match dictionary.state() {
             DictionaryState::Done => {
                 self.explain_disputes(dictionary, &mut reasons);
+                self.explain_checks(now, dictionary, &mut reasons);
                 reasons.push(reason("DONE", "all of its jobs are done"));
             }
             DictionaryState::Cancelled if dictionary.too_large.is_some() => {
@@ -50,6 +53,7 @@ impl Dispatcher {
         }
         if dictionary.state() != DictionaryState::Done {
             self.explain_disputes(dictionary, &mut reasons);
+            self.explain_checks(now, dictionary, &mut reasons);
         }
         let (_, given_up) = dictionary.ended();
         if let Some(first) = dictionary.given_up(0, 1).first() {
@@ -72,6 +76,24 @@ impl Dispatcher {
                 "machines disagree about {count} jobs, the first is job {job}: one that has not computed it must decide"
             );
             reasons.push(reason("DISPUTED", text));
+        }
+    }
+
+    /// Results that are to be compared, where every machine that works has been heard about them.
+    fn explain_checks(&self, now: Duration, dictionary: &Dictionary, reasons: &mut Vec<Reason>) {
+        let able: Vec<Origin> = self.able(now).collect();
+        let machines = &self.workers.machines;
+        let heard = |machine: Origin, votes: &[Vote]| {
+            votes.iter().any(|vote| vote.by.is_some_and(|by| machines.share_a_vote(machine, by)))
+        };
+        let stuck = |votes: &[Vote]| !is_disputed(votes) && able.iter().all(|machine| heard(*machine, votes));
+        let count = self.checks.of_dictionary(dictionary.id()).filter(|(_, votes)| stuck(votes)).count();
+        if count > 0 {
+            let text = format!(
+                "{count} results wait to be compared, and no machine is there that has not computed them: start a worker \
+                 on another one"
+            );
+            reasons.push(reason("CHECKS_WAIT", text));
         }
     }
 

@@ -47,7 +47,8 @@ impl Dispatcher {
         self.outbox.effects.extend(again);
     }
 
-    /// Frees leases past their deadline. A job that was being computed is blamed for its worker's silence.
+    /// Frees leases past their deadline. A job that was being computed is blamed for its worker's silence, unless the worker
+    /// was asked to stop before.
     fn free_expired(&mut self, now: Duration) -> usize {
         let expired = self.leases.expired(now);
         for token in &expired {
@@ -56,6 +57,9 @@ impl Dispatcher {
                 continue;
             }
             let Ok(worker) = self.workers.get(&held.worker) else { continue };
+            if worker.stopping {
+                continue;
+            }
             let (machine, process) = (worker.origin, worker.about.instance.clone());
             let log = worker.log_note();
             let label = self.workers.label_of(machine);

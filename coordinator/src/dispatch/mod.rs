@@ -83,6 +83,10 @@ pub enum DispatchError {
     Fenced(String),
     #[error("lease of job {job} (attempt {attempt}) is no longer held: drop the result")]
     LeaseLost { job: u32, attempt: u32 },
+    #[error(
+        "{most} workers with this token are registered already: give some a token of their own (farmctl access add)"
+    )]
+    ManyWorkers { most: usize },
     #[error("dictionary number {0} has no such job: drop the result")]
     UnknownJob(i64),
 }

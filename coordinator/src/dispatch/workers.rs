@@ -36,6 +36,8 @@ pub(super) struct Worker {
     pub last_seen: Duration,
     pub jobs_done: u64,
     pub draining: bool,
+    /// It was asked to stop, and may be killed at any moment.
+    pub stopping: bool,
 }
 
 impl Worker {
@@ -55,7 +57,15 @@ pub(super) struct Workers {
     blamed: BTreeMap<(Origin, Process), Vec<(DictionaryId, u32)>>,
 }
 
+/// Most workers of one token.
+pub(super) const WORKERS_OF_ONE: usize = if cfg!(test) { 500 } else { 10_000 };
+
 impl Workers {
+    /// How many of a token are known.
+    fn count_of(&self, token: &str) -> usize {
+        self.known.values().filter(|worker| worker.about.machine.token == token).count()
+    }
+
     pub fn get(&self, id: &WorkerId) -> Result<&Worker, DispatchError> {
         let worker = self.known.get(id).ok_or_else(|| DispatchError::UnknownWorker(id.clone()))?;
         match self.machines.reason(worker.origin) {
@@ -153,6 +163,8 @@ impl Dispatcher {
             for token in self.leases.of_worker(&before) {
                 self.free(token);
             }
+        } else if self.workers.count_of(&about.machine.token) >= WORKERS_OF_ONE {
+            return Err(DispatchError::ManyWorkers { most: WORKERS_OF_ONE });
         } else {
             let s = if about.threads == 1 { "" } else { "s" };
             let message = format!("{} thread{s}, version {}", about.threads, about.version);
@@ -160,7 +172,9 @@ impl Dispatcher {
         }
         self.workers.machines.met(origin, about.machine.clone(), &about.label);
         self.workers.by_process.insert(process, id.clone());
-        self.workers.known.insert(id, Worker { about, origin, last_seen: now, jobs_done, draining });
+        self.workers
+            .known
+            .insert(id, Worker { about, origin, last_seen: now, jobs_done, draining, stopping: false });
         Ok(())
     }
 
@@ -220,6 +234,13 @@ impl Dispatcher {
                 "several machines have this label: name one as TOKEN@ADDRESS of {}",
                 fenced.join(", ")
             ),
+        }
+    }
+
+    /// Notes that a worker was asked to stop: nobody is to blame if it falls silent.
+    pub fn stopping(&mut self, id: &WorkerId) {
+        if let Some(worker) = self.workers.known.get_mut(id) {
+            worker.stopping = true;
         }
     }
 

@@ -6,6 +6,7 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
+use super::event_shares::EventShares;
 use crate::clock::Clock;
 use crate::dispatch::Event;
 use crate::store::{Store, StoredEvent};
@@ -20,6 +21,8 @@ const PAUSE: Duration = Duration::from_millis(200);
 #[derive(Debug)]
 pub(super) struct Recorder {
     queue: Mutex<Option<mpsc::Sender<StoredEvent>>>,
+    clock: Clock,
+    shares: Mutex<EventShares>,
     writer: tokio::sync::Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -27,13 +30,25 @@ impl Recorder {
     pub(super) fn start(store: Store) -> Self {
         let (queue, events) = mpsc::channel(QUEUE);
         let writer = tokio::spawn(write(store, events));
-        Self { queue: Mutex::new(Some(queue)), writer: tokio::sync::Mutex::new(Some(writer)) }
+        Self {
+            queue: Mutex::new(Some(queue)),
+            clock: Clock::start(),
+            shares: Mutex::default(),
+            writer: tokio::sync::Mutex::new(Some(writer)),
+        }
     }
 
     /// Notes an event.
     pub(super) fn record(&self, event: &Event) {
         let Event { kind, dictionary, job, worker, message, actor } = event;
         tracing::info!(kind = kind.as_str(), dictionary, job, worker, actor, "{message}");
+        // What workers bring about has no actor. What the farm does by itself always counts.
+        let whose = if actor.is_empty() && !worker.is_empty() { "workers" } else { actor.as_str() };
+        let whose = whose.split_once(" at ").map_or(whose, |(token, _)| token);
+        let is_kept = |shares: &mut EventShares| whose.is_empty() || shares.take(whose, self.clock.now());
+        if !is_kept(&mut self.shares.lock().unwrap_or_else(PoisonError::into_inner)) {
+            return;
+        }
         let stored = StoredEvent {
             id: 0,
             unix_ms: Clock::unix_ms() as i64,

@@ -17,7 +17,7 @@ use super::room::{Guest, Taken};
 use super::{Farm, FarmError, Result};
 use crate::dispatch::DispatchError;
 use crate::store::StoreError;
-use crate::stored::{JobResult, Outcome};
+use crate::stored::{JobResult, Machine, Outcome};
 
 /// How long a worker may take for the next piece of a result.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -62,14 +62,14 @@ impl Farm {
     /// order.
     pub(crate) async fn receive<S, E>(
         self: &Arc<Self>,
-        machine: String,
+        machine: &Machine,
         stream: S,
     ) -> Result<Vec<Delivered>, E>
     where
         S: Stream<Item = Result<Piece, E>> + Unpin,
         E: From<FarmError>,
     {
-        let mut pieces = Pieces { stream, guest: self.room.enter(machine) };
+        let mut pieces = Pieces { stream, guest: self.room.enter(&machine.token, machine.identity()) };
         let mut tasks = Vec::new();
         let mut next = pieces.next().await?;
         if next.is_none() {

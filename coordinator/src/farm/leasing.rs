@@ -12,6 +12,14 @@ use super::{Farm, FarmError, Result};
 use crate::clock::{Random, random_token};
 use crate::dispatch::{Admission, Dispatcher, Grant, Registration, Settings, Wish};
 
+/// How a worker comes to its end.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum WorkerEnd {
+    /// It was asked to stop, and has little time left.
+    Stopping,
+    Left,
+}
+
 /// What a worker and the coordinator must agree on.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Versions {
@@ -106,11 +114,13 @@ impl Farm {
     }
 
     /// Takes leases back; a worker that leaves gives all of its leases back, also those it has not heard of.
-    pub(crate) fn hand_back(&self, worker: &WorkerId, leases: &[LeaseKey], leaving: bool) {
+    pub(crate) fn hand_back(&self, worker: &WorkerId, leases: &[LeaseKey], end: Option<WorkerEnd>) {
         self.door.transition(|dispatcher, _| {
             dispatcher.hand_back(leases);
-            if leaving {
-                dispatcher.leave(worker);
+            match end {
+                Some(WorkerEnd::Left) => dispatcher.leave(worker),
+                Some(WorkerEnd::Stopping) => dispatcher.stopping(worker),
+                None => {}
             }
         });
     }

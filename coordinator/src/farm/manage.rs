@@ -18,6 +18,8 @@ use crate::stored::{DesiredState, StoredDictionary};
 /// some 100 MB.
 const ENTRIES: usize = 20_000_000;
 const ENTRIES_OF_ONE: usize = 8_000_000;
+/// Most dictionaries of one token.
+const DICTIONARIES_OF_ONE: usize = 2000;
 
 impl Farm {
     /// Creates a dictionary, or finds the one of the same name and grid. Records that exist already are used.
@@ -58,6 +60,10 @@ impl Farm {
     /// The coordinator keeps account of every job of every dictionary: all together have a limit, and what one token has
     /// submitted leaves room for others.
     fn check_room(&self, by: &Actor, plan: &Plan) -> Result<()> {
+        let of_one = self.door.query(|d, _| d.dictionaries().filter(|d| d.owner() == by.name()).count());
+        if !by.shares_as().is_empty() && of_one >= DICTIONARIES_OF_ONE {
+            return Err(FarmError::ManyDictionaries { most: DICTIONARIES_OF_ONE });
+        }
         let (own, all) = self.door.query(|dispatcher, _| {
             dispatcher.dictionaries().fold((plan.entries(), plan.entries()), |(own, all), dictionary| {
                 let is_own = dictionary.owner() == by.name();

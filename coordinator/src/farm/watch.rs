@@ -4,10 +4,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use farm_proto::DictionaryName;
+use farm_proto::ids::DictionaryId;
 use farm_proto::status::DictionaryStatus;
 use tokio::sync::watch;
+use tokio::time::{Instant, timeout_at};
 
-use super::{Farm, Result};
+use super::{Farm, FarmError, Result};
+
+/// After so long without news the last are repeated: proxies and routers cut connections that are silent for as little as
+/// 20 s, and a client sees by the silence that its connection leads nowhere.
+pub(super) const REPEAT: Duration = Duration::from_secs(10);
 
 /// Least time between two states.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -16,39 +22,55 @@ const PAUSE: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub(crate) struct Watch {
     farm: Arc<Farm>,
+    /// Which it is; another one may take its name.
+    id: DictionaryId,
     name: DictionaryName,
     changes: watch::Receiver<()>,
-    /// The state that was told last.
+    /// The state that was told last,
     last: Option<DictionaryStatus>,
+    /// and when.
+    told: Instant,
 }
 
 impl Farm {
     pub(crate) fn watch(self: &Arc<Self>, name: DictionaryName) -> Result<Watch> {
         // Before the first look, so that no change falls between the two.
         let changes = self.door.changes();
-        self.found(&name)?;
-        Ok(Watch { farm: self.clone(), name, changes, last: None })
+        let (id, _) = self.found(&name)?;
+        Ok(Watch { farm: self.clone(), id, name, changes, last: None, told: Instant::now() })
     }
 }
 
 impl Watch {
-    /// The next state that differs from the last; None after the one in which the dictionary has ended.
+    /// The next state that differs from the last, or the same again after [`REPEAT`]; None after the one in which the dictionary has ended.
     pub(crate) async fn next(&mut self) -> Result<Option<DictionaryStatus>> {
         if self.last.as_ref().is_some_and(|last| !last.state().is_open()) {
             return Ok(None);
         }
         loop {
-            let now = self.farm.status(&self.name)?;
-            if !self.last.as_ref().is_some_and(|last| same(&now, last)) {
-                self.last = Some(now.clone());
+            let now = self.look()?;
+            let repeat = self.told + REPEAT;
+            if Instant::now() >= repeat || !self.last.as_ref().is_some_and(|last| same(&now, last)) {
+                (self.last, self.told) = (Some(now.clone()), Instant::now());
                 return Ok(Some(now));
             }
-            if self.changes.changed().await.is_err() {
-                return Ok(None);
+            match timeout_at(repeat, self.changes.changed()).await {
+                Ok(Ok(())) => {
+                    tokio::time::sleep(PAUSE).await;
+                    self.changes.mark_unchanged();
+                }
+                Ok(Err(_)) => return Ok(None),
+                Err(_) => {}
             }
-            tokio::time::sleep(PAUSE).await;
-            self.changes.mark_unchanged();
         }
+    }
+
+    fn look(&self) -> Result<DictionaryStatus> {
+        self.farm.door.query(|dispatcher, now| {
+            let dictionary = dispatcher.by_id(self.id);
+            let status = dictionary.map(|dictionary| dispatcher.status_of(now, dictionary));
+            status.ok_or_else(|| FarmError::Deleted { name: self.name.clone() })
+        })
     }
 }
 

@@ -8,7 +8,9 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::JobState;
 use tokio::sync::watch;
+use tokio::time::{Instant, timeout_at};
 
+use super::watch::REPEAT;
 use super::{Farm, Result};
 
 /// Least time between two looks, for every hundred thousand jobs begun: a look takes the scheduler's lock.
@@ -36,6 +38,8 @@ pub(crate) struct JobWatch {
     last: Vec<JobState>,
     /// and what of it is still to be told.
     runs: VecDeque<JobRun>,
+    /// When something was told last.
+    told: Instant,
     /// The dictionary has ended: there will be no other look.
     ended: bool,
 }
@@ -52,26 +56,37 @@ impl Farm {
             changes,
             last: Vec::new(),
             runs: VecDeque::new(),
+            told: Instant::now(),
             ended: false,
         })
     }
 }
 
 impl JobWatch {
-    /// The next states that differ from those told last; None after those with which the dictionary has ended.
+    /// The next states that differ from those told last, or the first job's again after [`REPEAT`]; None after those with which the dictionary has ended.
     pub(crate) async fn next(&mut self) -> Result<Option<JobRun>> {
         loop {
-            if let Some(run) = self.runs.pop_front() {
+            let repeat = self.told + REPEAT;
+            let due = || self.last.first().filter(|_| !self.ended && Instant::now() >= repeat);
+            let again = || due().map(|state| JobRun { first: 0, states: vec![*state] });
+            if let Some(run) = self.runs.pop_front().or_else(again) {
+                self.told = Instant::now();
                 return Ok(Some(run));
             }
-            if self.ended || self.changes.changed().await.is_err() {
+            if self.ended {
                 return Ok(None);
             }
-            if !self.last.is_empty() {
-                tokio::time::sleep(PAUSE * (1 + self.last.len() / JOBS_A_PAUSE) as u32).await;
-                self.changes.mark_unchanged();
+            match timeout_at(repeat, self.changes.changed()).await {
+                Ok(Ok(())) => {
+                    if !self.last.is_empty() {
+                        tokio::time::sleep(PAUSE * (1 + self.last.len() / JOBS_A_PAUSE) as u32).await;
+                        self.changes.mark_unchanged();
+                    }
+                    self.look();
+                }
+                Ok(Err(_)) => return Ok(None),
+                Err(_) => {}
             }
-            self.look();
         }
     }
 

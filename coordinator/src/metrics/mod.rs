@@ -10,6 +10,7 @@ mod snapshot;
 #[cfg(test)]
 mod tests;
 
+use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,8 +25,7 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
-use tokio::task::{JoinError, JoinSet};
+use tokio::task::{AbortHandle, JoinError, JoinSet};
 use tokio_util::sync::CancellationToken;
 
 use self::exposition::Format;
@@ -39,7 +39,7 @@ const HEADER_TIMEOUT: Duration = Duration::from_secs(5);
 const CONNECTION_TIMEOUT: Duration = Duration::from_secs(30);
 /// What a running answer may take after the signal to stop.
 const STOP_TIMEOUT: Duration = Duration::from_secs(1);
-/// Further ones wait to be accepted.
+/// Where there are as many, the oldest makes room: a probe is answered whatever else is connected.
 const MOST_CONNECTIONS: usize = 64;
 const BUFFER_BYTES: usize = 16_384;
 const MOST_HEADERS: usize = 64;
@@ -80,18 +80,20 @@ impl fmt::Debug for MetricsServer {
 /// Answers until the token is cancelled, and ends within two seconds then, whatever is connected.
 pub async fn serve(listener: TcpListener, state: MetricsServer, shutdown: CancellationToken) {
     let router = router(state);
-    let room = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     let mut connections = JoinSet::new();
+    let mut oldest_first: VecDeque<AbortHandle> = VecDeque::new();
     loop {
         tokio::select! {
             () = shutdown.cancelled() => break,
             Some(ended) = connections.join_next() => report(ended),
-            (stream, permit) = accept(&listener, &room) => {
-                let connection = converse(stream, router.clone(), shutdown.clone());
-                connections.spawn(async move {
-                    connection.await;
-                    drop(permit);
-                });
+            stream = accept(&listener) => {
+                oldest_first.retain(|connection| !connection.is_finished());
+                if oldest_first.len() >= MOST_CONNECTIONS
+                    && let Some(oldest) = oldest_first.pop_front()
+                {
+                    oldest.abort();
+                }
+                oldest_first.push_back(connections.spawn(converse(stream, router.clone(), shutdown.clone())));
             }
         }
     }
@@ -135,18 +137,10 @@ async fn ready(State(state): State<MetricsServer>) -> Response {
     }
 }
 
-/// The permit comes first: who cannot be served is not taken from the queue.
-async fn accept(
-    listener: &TcpListener,
-    room: &Arc<Semaphore>,
-) -> (TcpStream, tokio::sync::OwnedSemaphorePermit) {
+async fn accept(listener: &TcpListener) -> TcpStream {
     loop {
-        let Ok(permit) = Arc::clone(room).acquire_owned().await else {
-            // Nobody closes the semaphore.
-            std::future::pending().await
-        };
         match listener.accept().await {
-            Ok((stream, _)) => return (stream, permit),
+            Ok((stream, _)) => return stream,
             Err(error) => {
                 tracing::warn!(%error, "metrics port: a connection was not accepted");
                 // Out of files, for example: asking again at once would only burn time.
@@ -178,7 +172,9 @@ async fn converse(stream: TcpStream, router: Router, shutdown: CancellationToken
 }
 
 fn report(ended: Result<(), JoinError>) {
-    if let Err(error) = ended {
+    if let Err(error) = ended
+        && !error.is_cancelled()
+    {
         tracing::error!(%error, "metrics port: an answer failed");
     }
 }

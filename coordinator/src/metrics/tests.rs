@@ -217,6 +217,19 @@ async fn it_stops_at_once_whatever_is_connected() {
 }
 
 #[tokio::test]
+async fn a_probe_is_answered_whatever_is_connected() {
+    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
+    let mut halting = Vec::new();
+    for _ in 0..4 * MOST_CONNECTIONS {
+        let mut stream = TcpStream::connect(served.address).await.unwrap();
+        stream.write_all(b"GET /livez HTTP/1.1\r\nHost:").await.unwrap();
+        halting.push(stream);
+    }
+    let probe = timeout(HEADER_TIMEOUT / 2, served.get("/livez", "")).await;
+    assert_eq!(probe.expect("it waits for requests that do not arrive").1, "ok");
+}
+
+#[tokio::test]
 async fn idle_connections_alone_do_not_delay_the_stop() {
     let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let mut idle = TcpStream::connect(served.address).await.unwrap();

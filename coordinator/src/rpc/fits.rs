@@ -6,7 +6,7 @@ use farm_proto::wire::{
     MeasureResponse, ProfileRequest, ProfileResponse, ScaleRequest, ScaleResponse, SimilarRequest,
     SimilarResponse,
 };
-use farm_proto::{DictionaryName, to_status, wire};
+use farm_proto::{DictionaryName, check_pixels, to_status, wire};
 use optics_fit as fit;
 use optics_fit::{FitDictionary, MeasurePlan};
 use optics_model::fit::{DesignQuestion, FitOptions, MaterialFit, MuRange, ProfileQuestion};
@@ -16,6 +16,7 @@ use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::status::{OrStatus, required};
+use super::work::{check_answer, check_design};
 use crate::actor::Actor;
 use crate::authorisation::actor;
 
@@ -29,9 +30,14 @@ impl Fits for Context {
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
-        let measurement = measurement(request.measurement)?;
+        let measurement = self.measurement(request.measurement)?;
         let channels = channels([&measurement]);
-        let answer = self.ask(&by, &name, &channels, move |d| fit::fit(d, &measurement, &options)).await?;
+        let most = self.answer_bytes;
+        let question = move |d: &FitDictionary| {
+            check_answer(d.grid(), std::slice::from_ref(&measurement), &options, most)?;
+            fit::fit(d, &measurement, &options)
+        };
+        let answer = self.ask(&by, &name, &channels, question).await?;
         Ok(Response::new(FitResponse { fit: Some(answer.into()) }))
     }
 
@@ -42,10 +48,12 @@ impl Fits for Context {
         let options = options(request.options.as_ref()).or_status()?;
         let range =
             MuRange::try_from(request.mu.unwrap_or_default()).map_err(|e| e.within("mu")).or_status()?;
-        let materials = materials(request.materials).or_status()?;
+        let materials = self.materials(request.materials).or_status()?;
         let plan = MeasurePlan { search_mu: Some(range), common_g: true };
         let channels = channels(&materials);
+        let most = self.answer_bytes;
         let question = move |d: &fit::FitDictionary| {
+            check_answer(d.grid(), &materials, &options, most)?;
             let curve = fit::scale(d, &materials, &options, &range)?;
             let common = fit::measure_refined(d, &materials, &options, &plan)?.common;
             let options = options.with_mu(curve.best.mu, curve.std_error.unwrap_or(0.0))?;
@@ -81,7 +89,7 @@ impl Fits for Context {
         let request = request.into_inner();
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
-        let measurement = measurement(request.measurement)?;
+        let measurement = self.measurement(request.measurement)?;
         let channels = channels([&measurement]);
         let maps =
             self.ask(&by, &name, &channels, move |d| fit::distance_map(d, &measurement, &options)).await?;
@@ -96,10 +104,12 @@ impl Fits for Context {
         let search_mu = request.search_mu.map(MuRange::try_from).transpose();
         let search_mu = search_mu.map_err(|e| e.within("search_mu")).or_status()?;
         let plan = MeasurePlan { search_mu, common_g: request.common_g };
-        let materials = materials(request.materials).or_status()?;
+        let materials = self.materials(request.materials).or_status()?;
         let mixtures = farm_proto::mixtures(request.mixtures).or_status()?;
         let channels = channels(&materials);
+        let most = self.answer_bytes;
         let question = move |d: &fit::FitDictionary| {
+            check_answer(d.grid(), &materials, &options, most)?;
             let mut measured = fit::measure(d, &materials, &options, &plan)?;
             let unmixed =
                 mixtures.map(|m| fit::unmix(d, &materials, &m, &measured, &options, &plan)).transpose()?;
@@ -126,7 +136,11 @@ impl Fits for Context {
         let name = dictionary_name(std::mem::take(&mut request.dictionary)).or_status()?;
         let question = DesignQuestion::try_from(request).or_status()?;
         let channels = Vec::from_iter(question.settings().channel.clone());
-        let answer = self.ask(&by, &name, &channels, move |d| fit::design(d, &question)).await?;
+        let question = move |d: &FitDictionary| {
+            check_design(d.grid(), &question)?;
+            fit::design(d, &question)
+        };
+        let answer = self.ask(&by, &name, &channels, question).await?;
         Ok(Response::new(answer.into()))
     }
 
@@ -156,6 +170,25 @@ impl Context {
         self.farm.metrics().fitted(start.elapsed());
         Ok(answer)
     }
+
+    fn measurement(&self, measurement: Option<wire::Measurement>) -> Result<Measurement, Status> {
+        let measurement = required("measurement", measurement)?;
+        check_pixels("measurement", std::slice::from_ref(&measurement), self.question_pixels).or_status()?;
+        Measurement::try_from(measurement).map_err(|e| e.within("measurement")).or_status()
+    }
+
+    fn materials(&self, materials: Vec<wire::Measurement>) -> Result<Vec<Measurement>, Invalid> {
+        let n = materials.len();
+        if !(1..=FitLimits::MATERIALS).contains(&n) {
+            let allowed = format!("1 to {} are allowed", FitLimits::MATERIALS);
+            return Err(Invalid::new("materials", n, allowed));
+        }
+        check_pixels("materials", &materials, self.question_pixels)?;
+        let decode = |(i, m): (usize, wire::Measurement)| {
+            Measurement::try_from(m).map_err(|e| e.within(format_args!("materials[{i}]")))
+        };
+        materials.into_iter().enumerate().map(decode).collect()
+    }
 }
 
 fn dictionary_name(name: String) -> Result<DictionaryName, Invalid> {
@@ -164,23 +197,6 @@ fn dictionary_name(name: String) -> Result<DictionaryName, Invalid> {
 
 fn options(options: Option<&wire::FitOptions>) -> Result<FitOptions, Invalid> {
     FitOptions::try_from(options.copied().unwrap_or_default()).map_err(|e| e.within("options"))
-}
-
-fn measurement(measurement: Option<wire::Measurement>) -> Result<Measurement, Status> {
-    let measurement = required("measurement", measurement)?;
-    Measurement::try_from(measurement).map_err(|e| e.within("measurement")).or_status()
-}
-
-fn materials(materials: Vec<wire::Measurement>) -> Result<Vec<Measurement>, Invalid> {
-    let n = materials.len();
-    if !(1..=FitLimits::MATERIALS).contains(&n) {
-        let allowed = format!("1 to {} are allowed", FitLimits::MATERIALS);
-        return Err(Invalid::new("materials", n, allowed));
-    }
-    let decode = |(i, m): (usize, wire::Measurement)| {
-        Measurement::try_from(m).map_err(|e| e.within(format_args!("materials[{i}]")))
-    };
-    materials.into_iter().enumerate().map(decode).collect()
 }
 
 /// The channels that were measured.

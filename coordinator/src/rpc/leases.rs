@@ -18,10 +18,10 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::Context;
 use super::status::{OrStatus, required};
-use super::text::one_line;
+use super::text::{one_line, short_line};
 use crate::authorisation::machine;
 use crate::dispatch::{Grant, Registration, Wish};
-use crate::farm::{Delivered, Farm, Header, Piece, Versions};
+use crate::farm::{Delivered, Farm, Header, Piece, Versions, WorkerEnd};
 use crate::stored::{Machine, Outcome};
 
 /// Longest instance that a worker may choose.
@@ -49,9 +49,9 @@ impl Leases for Context {
         let about = Registration {
             instance: request.instance,
             machine: Machine { host: one_line(&request.host), ..machine },
-            label: one_line(&request.label),
+            label: short_line(&request.label),
             threads: request.threads,
-            version: one_line(&request.version),
+            version: short_line(&request.version),
             facts: facts(request.facts.unwrap_or_default()),
         };
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
@@ -95,9 +95,9 @@ impl Leases for Context {
         &self,
         request: Request<Streaming<CompleteRequest>>,
     ) -> Result<Response<CompleteResponse>, Status> {
-        let machine = machine(request.extensions()).identity();
+        let machine = machine(request.extensions());
         let pieces = request.into_inner().map(|message| piece(message?, &self.farm));
-        let delivered = self.farm.receive(machine, pieces).await?;
+        let delivered = self.farm.receive(&machine, pieces).await?;
         Ok(Response::new(CompleteResponse { outcomes: delivered.into_iter().map(outcome).collect() }))
     }
 
@@ -107,7 +107,12 @@ impl Leases for Context {
     ) -> Result<Response<HandBackResponse>, Status> {
         let request = request.into_inner();
         let keys: Vec<LeaseKey> = request.leases.into_iter().map(Into::into).collect();
-        self.farm.hand_back(&self.farm.bearer(&request.worker_id)?, &keys, request.leaving);
+        let end = match (request.leaving, request.stopping) {
+            (true, _) => Some(WorkerEnd::Left),
+            (false, true) => Some(WorkerEnd::Stopping),
+            (false, false) => None,
+        };
+        self.farm.hand_back(&self.farm.bearer(&request.worker_id)?, &keys, end);
         Ok(Response::new(HandBackResponse {}))
     }
 
@@ -126,7 +131,7 @@ fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
 }
 
 fn facts(told: wire::MachineFacts) -> MachineFacts {
-    MachineFacts { kernel: one_line(&told.kernel), log: one_line(&told.log), ..told.into() }
+    MachineFacts { kernel: short_line(&told.kernel), log: one_line(&told.log), ..told.into() }
 }
 
 /// A piece of the stream in which results come.

@@ -10,6 +10,7 @@ mod outgoing;
 mod page;
 mod status;
 mod text;
+mod work;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,7 +21,6 @@ use farm_proto::wire::farm_server::FarmServer;
 use farm_proto::wire::fits_server::FitsServer;
 use farm_proto::wire::leases_server::LeasesServer;
 use farm_proto::{RequestLimits, wire};
-use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 use tonic::transport::Server;
@@ -32,12 +32,14 @@ use crate::config::Config;
 use crate::connections;
 use crate::connections::{Connections, Incoming, StrangerLimits};
 use crate::farm::Farm;
-use crate::gate::Gate;
+use crate::gate::{Gate, Listener};
 use crate::metrics::Metrics;
 use limits::Limits;
 
-/// HTTP/2 pings find links that were cut without a word.
-const KEEPALIVE: Duration = Duration::from_secs(20);
+/// HTTP/2 pings find links that were cut without a word, and keep those busy that would be cut for their silence.
+const PING: Duration = Duration::from_secs(10);
+/// How long one may be without an answer.
+const PONG: Duration = Duration::from_secs(20);
 
 /// How often the number of refused connections is looked at.
 const LOOK: Duration = Duration::from_secs(1);
@@ -48,6 +50,9 @@ const GRACE: Duration = Duration::from_secs(3);
 /// Calls under way on one connection.
 const STREAMS: u32 = 256;
 
+/// Least that the questions and unread answers of one token may hold: several of the largest messages.
+const HELD_BYTES: usize = 128 << 20;
+
 /// Largest piece of a message that comes at once: results of some 100 kB are read in few pieces.
 const FRAME_BYTES: u32 = 64 << 10;
 
@@ -57,6 +62,10 @@ struct Context {
     farm: Arc<Farm>,
     shutdown: CancellationToken,
     limits: Limits,
+    /// Most pixels of one question about measurements.
+    question_pixels: usize,
+    /// Largest answer to one: half of what the calls of one token may hold.
+    answer_bytes: usize,
     gate: Gate,
 }
 
@@ -83,13 +92,24 @@ pub(crate) async fn serve(
     farm: Arc<Farm>,
     config: &Config,
     gate: Gate,
-    listener: TcpListener,
+    listener: Listener,
     shutdown: CancellationToken,
 ) -> Result<(), tonic::transport::Error> {
     let metrics = farm.metrics().clone();
-    let context = Context { farm, shutdown: shutdown.clone(), limits: Limits::default(), gate: gate.clone() };
+    let question_pixels = config.question_pixels;
+    let (limits, shutdown_of_calls) = (Limits::default(), shutdown.clone());
     let limit = RequestLimits::MESSAGE_BYTES;
-    let strangers = gate.tokens().map(|_| StrangerLimits::default());
+    let question_limit = question_pixels.saturating_mul(RequestLimits::PIXEL_BYTES);
+    let held = HELD_BYTES.max(question_limit.saturating_mul(4));
+    let context = Context {
+        farm,
+        shutdown: shutdown_of_calls,
+        limits,
+        question_pixels,
+        answer_bytes: held / 2,
+        gate: gate.clone(),
+    };
+    let strangers = gate.has_strangers().then(StrangerLimits::default);
     let connections = Incoming::new(listener, connections::Limits::new(config.max_connections, strangers));
     tokio::spawn(count_refused(connections.connections(), metrics.clone(), shutdown.clone()));
     let (health, health_service) = tonic_health::server::health_reporter();
@@ -107,11 +127,11 @@ pub(crate) async fn serve(
     let reflection = descriptors().build_v1().expect("the descriptors were made by the compiler");
     let older_reflection = descriptors().build_v1alpha().expect("the descriptors were made by the compiler");
     let mut server = Server::builder()
-        .http2_keepalive_interval(Some(KEEPALIVE))
-        .http2_keepalive_timeout(Some(KEEPALIVE))
+        .http2_keepalive_interval(Some(PING))
+        .http2_keepalive_timeout(Some(PONG))
         .max_concurrent_streams(STREAMS)
         .max_frame_size(FRAME_BYTES)
-        .layer(AuthorisationLayer::new(gate.clone(), move |method, code, took| {
+        .layer(AuthorisationLayer::new(gate.clone(), held, move |method, code, took| {
             metrics.rpc(method, code, took);
         }));
     if let Some(tls) = gate.tls() {
@@ -123,7 +143,7 @@ pub(crate) async fn serve(
         .add_service(older_reflection)
         .add_service(DictionariesServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(LeasesServer::new(context.clone()).max_decoding_message_size(limit))
-        .add_service(FitsServer::new(context.clone()).max_decoding_message_size(limit))
+        .add_service(FitsServer::new(context.clone()).max_decoding_message_size(question_limit))
         .add_service(AdminServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(FarmServer::new(context).max_decoding_message_size(limit))
         .serve_with_incoming_shutdown(connections, shutdown.clone().cancelled_owned());

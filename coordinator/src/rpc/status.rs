@@ -12,6 +12,7 @@ impl From<FarmError> for Status {
         let code = match &error {
             FarmError::Invalid(invalid) => return to_status(invalid),
             FarmError::NotFound { .. }
+            | FarmError::Deleted { .. }
             | FarmError::Worker { .. }
             | FarmError::Dispatch(DispatchError::UnknownJob(_)) => Code::NotFound,
             FarmError::NameTaken { .. } => Code::AlreadyExists,
@@ -26,7 +27,10 @@ impl From<FarmError> for Status {
             | FarmError::OtherVersion { .. } => Code::FailedPrecondition,
             FarmError::Stopping => Code::Unavailable,
             FarmError::Overdue(_) | FarmError::Slow(_) => Code::DeadlineExceeded,
-            FarmError::TooLarge { .. } | FarmError::TooMany { .. } => Code::ResourceExhausted,
+            FarmError::TooLarge { .. }
+            | FarmError::TooMany { .. }
+            | FarmError::ManyDictionaries { .. }
+            | FarmError::Dispatch(DispatchError::ManyWorkers { .. }) => Code::ResourceExhausted,
             FarmError::Damaged { .. } => Code::DataLoss,
             FarmError::Unreadable { .. } => {
                 tracing::error!(%error, "the database gave back something else, or nothing");

@@ -1,6 +1,9 @@
 //! Texts that others write, and that people read in logs, events and terminals.
 
-use farm_proto::RequestLimits;
+use farm_proto::{RequestLimits, is_printable};
+
+/// Longest label of a worker, and whatever else a list shows of it.
+const SHORT_BYTES: usize = 200;
 
 /// One line of printable text, as long as texts may be. Whoever writes it could else pretend to be other lines of a log,
 /// or steer a terminal.
@@ -9,11 +12,11 @@ pub(super) fn one_line(text: &str) -> String {
     text[..most].chars().map(|c| if is_printable(c) { c } else { ' ' }).collect::<String>().trim().to_owned()
 }
 
-/// Whether it is seen as it stands: no control, and nothing that turns the direction of what follows or hides.
-fn is_printable(c: char) -> bool {
-    let hidden =
-        matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}');
-    !c.is_control() && !hidden
+/// The same of what stands in every list of workers.
+pub(super) fn short_line(text: &str) -> String {
+    let mut line = one_line(text);
+    line.truncate(line.floor_char_boundary(SHORT_BYTES));
+    line
 }
 
 #[cfg(test)]
@@ -29,5 +32,6 @@ mod tests {
         );
         let long = "ä".repeat(RequestLimits::TEXT_BYTES);
         assert_eq!(one_line(&long).len(), RequestLimits::TEXT_BYTES);
+        assert_eq!(short_line(&long).len(), SHORT_BYTES);
     }
 }

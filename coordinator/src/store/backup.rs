@@ -84,14 +84,17 @@ pub struct RestoreReport {
 /// Copies the database behind `pool` to a new file while it is being written to.
 ///
 /// Everything that was committed before the call is in the copy. The log of the database cannot be merged while this
-/// runs, and grows. `newest_schema` is the newest migration that this program knows.
+/// runs, and grows. `newest_schema` is the newest migration that this program knows. Ends early, with an error, when the
+/// pool is closed.
 pub async fn backup(pool: &SqlitePool, destination: &Path, newest_schema: i64) -> Result<BackupReport> {
     let destination =
         std::path::absolute(destination).map_err(failed(destination, "cannot be made absolute"))?;
     let target = destination.clone();
     let draft = blocking(move || Draft::create(&target)).await?;
-    sqlx::query("VACUUM INTO ?").bind(address(draft.path())).execute(pool).await.map_err(|source| {
-        BackupError::Query { file: destination.clone(), what: "copying the database", source }
+    copy_database(pool, draft.path()).await.map_err(|source| BackupError::Query {
+        file: destination.clone(),
+        what: "copying the database",
+        source,
     })?;
     let verified = publish_verified(draft, &destination, None, newest_schema).await?;
     Ok(BackupReport {
@@ -100,6 +103,20 @@ pub async fn backup(pool: &SqlitePool, destination: &Path, newest_schema: i64) -
         blake3_hex: verified.digest.to_hex().to_string(),
         counts: verified.counts,
     })
+}
+
+/// On a connection of its own, which looks again and again whether the pool is being closed: nobody waits then for a slow
+/// disk.
+async fn copy_database(pool: &SqlitePool, file: &Path) -> sqlx::Result<()> {
+    /// Steps of SQLite's between two looks: some tens of records.
+    const STEPS: i32 = 100;
+    let mut connection = pool.acquire().await?;
+    connection.close_on_drop();
+    let closing = pool.clone();
+    connection.lock_handle().await?.set_progress_handler(STEPS, move || !closing.is_closed());
+    let copied = sqlx::query("VACUUM INTO ?").bind(address(file)).execute(&mut *connection).await;
+    connection.lock_handle().await?.remove_progress_handler();
+    copied.map(drop)
 }
 
 /// A backup that comes in piece by piece, in a draft beside the file that it will be.

@@ -82,11 +82,11 @@ impl Store {
         let what = "reading the secret of the database";
         sqlx::query("INSERT OR IGNORE INTO secrets (name, value) VALUES ('checks', ?)")
             .bind(&fresh.0[..])
-            .execute(&self.write)
+            .execute(self.writer()?)
             .await
             .map_err(doing(what))?;
         let value: Vec<u8> = sqlx::query_scalar("SELECT value FROM secrets WHERE name = 'checks'")
-            .fetch_one(&self.write)
+            .fetch_one(self.writer()?)
             .await
             .map_err(doing(what))?;
         let why = format!("{} bytes", value.len());

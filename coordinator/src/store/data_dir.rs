@@ -2,7 +2,7 @@
 
 use std::fs::{DirBuilder, File, Permissions, TryLockError};
 use std::io::Write;
-use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _, PermissionsExt as _};
+use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
 use super::{Result, StoreError, filesystem};
@@ -24,6 +24,9 @@ impl DataDir {
             tracing::warn!("{warning}");
         }
         DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(fault("cannot be created"))?;
+        for taken in [path.to_owned(), path.join("farm.db")] {
+            refuse_other_users(&taken)?;
+        }
         close_folder(path);
         let lock = File::options()
             .create(true)
@@ -100,6 +103,18 @@ impl DataDir {
     pub fn forget_address(&self) {
         // What is not there need not be removed, and a stale address is noticed when nobody answers.
         let _ = std::fs::remove_file(self.path.join(ADDRESS_FILE));
+    }
+}
+
+/// Refuses what another user made, who could read and change all that is in it. Root may use everything, and what root has
+/// made may be meant for this user, as a volume of a container is.
+fn refuse_other_users(path: &Path) -> Result<()> {
+    let own = rustix::process::geteuid().as_raw();
+    match std::fs::metadata(path).map(|about| about.uid()) {
+        Ok(owner) if own != 0 && owner != own && owner != 0 => {
+            Err(StoreError::OtherUser { path: path.to_owned(), owner })
+        }
+        _ => Ok(()),
     }
 }
 

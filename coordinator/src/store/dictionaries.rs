@@ -88,7 +88,7 @@ impl Store {
         .bind(&grid_digest.as_bytes()[..])
         .bind(priority)
         .bind(owner)
-        .execute(&self.write)
+        .execute(self.writer()?)
         .await;
         let done = insert.map_err(|source| match &source {
             sqlx::Error::Database(e) if e.is_unique_violation() => StoreError::NameTaken,
@@ -112,7 +112,7 @@ impl Store {
             .bind(desire.as_str())
             .bind(reason)
             .bind(id.0)
-            .execute(&self.write)
+            .execute(self.writer()?)
             .await
             .map_err(doing("storing what is wanted of a dictionary"))?;
         Ok(())
@@ -122,7 +122,7 @@ impl Store {
         sqlx::query("UPDATE dictionaries SET priority = ? WHERE id = ?")
             .bind(priority)
             .bind(id.0)
-            .execute(&self.write)
+            .execute(self.writer()?)
             .await
             .map_err(doing("storing a priority"))?;
         Ok(())

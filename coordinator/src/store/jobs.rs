@@ -95,7 +95,7 @@ impl Store {
         .bind(job)
         .bind(reason)
         .bind(quarantined)
-        .execute(&self.write)
+        .execute(self.writer()?)
         .await
         .map_err(doing("storing the failure of a job"))?;
         Ok(())
@@ -105,7 +105,7 @@ impl Store {
     pub async fn retry_jobs(&self, dictionary: DictionaryId) -> Result<u64> {
         let deleted = sqlx::query("DELETE FROM jobs WHERE dictionary_id = ? AND failure IS NOT NULL")
             .bind(dictionary.0)
-            .execute(&self.write)
+            .execute(self.writer()?)
             .await
             .map_err(doing("trying jobs again"))?;
         Ok(deleted.rows_affected())

@@ -17,7 +17,7 @@ impl Store {
         let table: Option<(i64,)> = sqlx::query_as(
             "SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = 'records_of_dictionaries'",
         )
-        .fetch_optional(&self.write)
+        .fetch_optional(self.writer()?)
         .await
         .map_err(doing(WHAT))?;
         if table.is_none() {

@@ -14,9 +14,11 @@ mod events;
 pub mod filesystem;
 mod jobs;
 mod migration;
+mod place;
 mod points;
 mod records;
 mod reuse;
+mod room;
 mod sums;
 mod workers;
 mod writer;
@@ -25,12 +27,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::sqlite::{
+    SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
+};
 use sqlx::{ConnectOptions, Connection, Row, SqliteConnection, SqlitePool};
 use tokio::sync::mpsc;
 
 pub use data_dir::{ADDRESS_FILE, DataDir};
 pub use events::StoredEvent;
+use place::Place;
 pub use records::{Damaged, Found, JobRecords};
 pub use writer::Commit;
 
@@ -46,12 +51,22 @@ pub enum StoreError {
     DataDir { dir: PathBuf, what: &'static str, source: std::io::Error },
     #[error("data directory {dir} is in use by another coordinator{at}")]
     InUse { dir: PathBuf, at: String },
+    #[error(
+        "{path} belongs to another user of this machine (number {owner}), who could read and change what is in it: name \
+         a folder of your own with --data"
+    )]
+    OtherUser { path: PathBuf, owner: u32 },
     #[error("database {file}: {what}: {source}")]
     Open { file: PathBuf, what: &'static str, source: sqlx::Error },
     #[error("database {file} cannot be brought to this version's schema: {source}")]
     Migrate { file: PathBuf, source: sqlx::migrate::MigrateError },
     #[error("SQLite {found} is too old: {OLDEST_SQLITE} or later is needed")]
     TooOld { found: String },
+    #[error(
+        "database {file}: it was deleted, moved or replaced while the coordinator had it open, so that nothing is stored \
+         any more: put its folder back, or restore a backup, and start the coordinator again"
+    )]
+    Lost { file: PathBuf },
     #[error("{what}: {source}")]
     Query { what: &'static str, source: sqlx::Error },
     #[error("table {table}, row {row}, column {column} is corrupt: {why}")]
@@ -85,6 +100,7 @@ fn doing(what: &'static str) -> impl FnOnce(sqlx::Error) -> StoreError {
 pub struct Store {
     write: SqlitePool,
     read: SqlitePool,
+    place: Place,
     dir: Arc<DataDir>,
     completions: mpsc::Sender<writer::Request>,
 }
@@ -95,16 +111,21 @@ impl Store {
     pub async fn open(dir: DataDir, committed: impl Fn(Commit) + Send + 'static) -> Result<Self> {
         let file = dir.database_file();
         dir.create_database()?;
-        let options = SqliteConnectOptions::new().filename(&file).busy_timeout(Duration::from_secs(10));
+        // What a file's schema calls is not trusted.
+        let options = SqliteConnectOptions::new()
+            .filename(&file)
+            .busy_timeout(Duration::from_secs(10))
+            .pragma("trusted_schema", "OFF");
         let open = |what| {
             let file = file.clone();
             move |source| StoreError::Open { file, what, source }
         };
         let writer = options
             .clone()
-            .create_if_missing(true)
             .page_size(PAGE_BYTES)
+            .auto_vacuum(SqliteAutoVacuum::Incremental)
             .journal_mode(SqliteJournalMode::Wal)
+            .pragma("journal_size_limit", room::LOG_BYTES.to_string())
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true);
         let write = SqlitePoolOptions::new()
@@ -122,14 +143,18 @@ impl Store {
             .run(&write)
             .await
             .map_err(|source| StoreError::Migrate { file: file.clone(), source })?;
+        room::convert(&write).await?;
         let read = SqlitePoolOptions::new()
             .max_connections(4)
             .connect_with(options.read_only(true))
             .await
             .map_err(open("opening for reading"))?;
+        let fault =
+            |source| StoreError::DataDir { dir: dir.path().to_owned(), what: "cannot be looked at", source };
+        let place = Place::of(&file).map_err(fault)?;
         let (completions, queue) = writer::queue();
-        tokio::spawn(writer::run(write.clone(), queue, committed));
-        let store = Self { write, read, dir: Arc::new(dir), completions };
+        tokio::spawn(writer::run(write.clone(), place.clone(), queue, committed));
+        let store = Self { write, read, place, dir: Arc::new(dir), completions };
         store.move_records_of_first_schema().await?;
         store.forget_useless_workers().await?;
         Ok(store)
@@ -137,7 +162,18 @@ impl Store {
 
     /// A transaction of the one connection that writes.
     async fn begin(&self) -> Result<sqlx::Transaction<'static, sqlx::Sqlite>> {
-        self.write.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to write"))
+        self.writer()?.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to write"))
+    }
+
+    /// The one connection that writes, if what it writes can be found again.
+    fn writer(&self) -> Result<&SqlitePool> {
+        self.place.check()?;
+        Ok(&self.write)
+    }
+
+    /// An error if the database's file was deleted, moved or replaced.
+    pub fn check_place(&self) -> Result<()> {
+        self.place.check()
     }
 
     /// A connection that has nothing in memory yet, for reading.
@@ -154,7 +190,12 @@ impl Store {
 
     /// A verified copy of the database as it is now, in a new file.
     pub async fn backup(&self, destination: &Path) -> Result<backup::BackupReport> {
-        Ok(backup::backup(&self.read, destination, newest_schema()).await?)
+        let report = backup::backup(&self.read, destination, newest_schema()).await?;
+        // It has grown meanwhile.
+        if let Err(error) = self.empty_log().await {
+            tracing::warn!(%error, "the database's log is not shortened yet");
+        }
+        Ok(report)
     }
 
     /// The folder whose lock this store holds.

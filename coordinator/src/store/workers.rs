@@ -36,7 +36,7 @@ impl Store {
         .bind(&machine.token)
         .bind(&machine.address)
         .bind(&machine.host)
-        .fetch_one(&self.write)
+        .fetch_one(self.writer()?)
         .await
         .map_err(doing("storing a worker"))?;
         Ok(Origin(id))
@@ -61,7 +61,7 @@ impl Store {
         .bind(machine.0)
         .bind(dictionary.0)
         .bind(job)
-        .execute(&self.write)
+        .execute(self.writer()?)
         .await
         .map_err(doing("noting that a result was checked"))?;
         Ok(())
@@ -74,7 +74,7 @@ impl Store {
              AND id NOT IN (SELECT worker_id FROM votes WHERE worker_id IS NOT NULL) \
              AND id NOT IN (SELECT worker_id FROM set_aside WHERE worker_id IS NOT NULL)",
         )
-        .execute(&self.write)
+        .execute(self.writer()?)
         .await
         .map_err(doing("forgetting workers of which nothing is left"))?;
         Ok(())

@@ -14,7 +14,7 @@ use std::time::Duration;
 use sqlx::{Connection, SqliteConnection};
 use tokio::sync::{mpsc, oneshot};
 
-use super::{Result, Store, StoreError, batch, doing};
+use super::{Place, Result, Store, StoreError, batch, doing};
 use crate::stored::{Completion, Outcome};
 
 /// Results of one transaction.
@@ -50,6 +50,7 @@ pub(super) fn queue() -> (mpsc::Sender<Request>, mpsc::Receiver<Request>) {
 /// Writes until all senders are gone.
 pub(super) async fn run(
     pool: sqlx::SqlitePool,
+    place: Place,
     mut queue: mpsc::Receiver<Request>,
     committed: impl Fn(Commit) + Send,
 ) {
@@ -66,7 +67,11 @@ pub(super) async fn run(
         }
         let start = tokio::time::Instant::now();
         let (completions, senders): (Vec<_>, Vec<_>) = requests.drain(..).unzip();
-        let results = write_all(&pool, &completions).await;
+        let mut results = write_all(&pool, &completions).await;
+        if let Err(lost) = place.check() {
+            let lost = Arc::new(lost);
+            results.fill_with(|| Err(StoreError::Together(lost.clone())));
+        }
         let finished = |(completion, result): (&Completion, &Result<Outcome>)| match result {
             Ok(Outcome::Finished { .. }) => completion.job.albedo().len(),
             _ => 0,

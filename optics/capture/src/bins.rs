@@ -5,6 +5,7 @@
 
 use rayon::prelude::*;
 
+use crate::blemishes::{Blemish, Mask, Residual};
 use crate::board::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
 use crate::frame::{Colour, Site};
@@ -59,6 +60,8 @@ impl Grid {
 pub(crate) struct Binning {
     pub profile: EdgeProfile,
     pub rejected_px: Vec<[u32; 2]>,
+    /// How many of them lie in blemishes.
+    pub masked: usize,
     pub thirds: Vec<Third>,
     pub clipped_share: f64,
     /// Scatter in bins over the noise that the sensor explains.
@@ -93,24 +96,88 @@ pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, ori
     bin_on(Grid { bins: BINS }, radiance, edge, colour, origin_mm)
 }
 
+/// Bins all channels of a shot without specks and scratches, which are returned.
+pub(crate) fn bin_clean(
+    radiance: &Radiance<'_>,
+    edge: &EdgeFrame,
+    origins_mm: [f64; 3],
+) -> ([Binning; 3], Vec<Blemish>) {
+    let grid = Grid { bins: BINS };
+    let mut channels = Colour::ALL.map(|c| Channel::new(grid, radiance, edge, c, origins_mm[c.index()]));
+    let mut blemishes = Vec::new();
+    // A blemish that is gone may uncover the rim of another.
+    for _ in 0..3 {
+        let residuals = channels.each_ref().map(Channel::residuals);
+        let mask = Mask::find(&residuals, edge.mm_per_px());
+        if mask.blemishes.is_empty() {
+            break;
+        }
+        for channel in &mut channels {
+            channel.mask(&mask);
+        }
+        blemishes.extend(mask.blemishes);
+    }
+    (channels.map(Channel::binning), blemishes)
+}
+
 fn bin_on(grid: Grid, radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
-    let sites: Vec<Site> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
-    let (bins, clipped) = collect(grid, radiance, edge, &sites, origin_mm);
-    let steps = steps(&bins);
-    let fits: Vec<Option<Fit>> =
-        bins.par_iter().zip(&steps).map(|(samples, step)| Fit::of(samples, *step, grid)).collect();
-    let ratios = |f: &Fit| f.scatter / f.sigma;
-    let mut known: Vec<f64> = fits.iter().flatten().map(ratios).collect();
-    let scatter = if known.is_empty() { 1.0 } else { median(&mut known) };
-    let total: usize = bins.iter().map(Vec::len).sum();
-    let rejected_px =
-        bins.iter().zip(&fits).flat_map(|(samples, fit)| rejected(samples, fit.as_ref())).collect();
-    Binning {
-        profile: profile(grid, colour, &bins, &fits, scatter.max(1.0)),
-        rejected_px,
-        thirds: thirds(&bins, &fits),
-        clipped_share: clipped as f64 / (total + clipped).max(1) as f64,
-        scatter,
+    Channel::new(grid, radiance, edge, colour, origin_mm).binning()
+}
+
+/// Samples of one channel in their bins, with the lines through them.
+struct Channel {
+    grid: Grid,
+    colour: Colour,
+    bins: Vec<Vec<Binned>>,
+    fits: Vec<Option<Fit>>,
+    masked_px: Vec<[u32; 2]>,
+    clipped: usize,
+}
+
+impl Channel {
+    fn new(grid: Grid, radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Self {
+        let sites: Vec<Site> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
+        let (bins, clipped) = collect(grid, radiance, edge, &sites, origin_mm);
+        let fits = fits(&bins, grid);
+        Self { grid, colour, bins, fits, masked_px: Vec::new(), clipped }
+    }
+
+    fn residuals(&self) -> Vec<Residual> {
+        let of = |(samples, fit): (&Vec<Binned>, &Option<Fit>)| {
+            let fit = fit.as_ref()?;
+            let residual = |s: &Binned| {
+                let off = s.residual(fit.value, fit.slope);
+                Residual { x: s.x, y: s.y, z: off / fit.scale(), share: off / fit.value.max(1e-6) }
+            };
+            Some(samples.iter().map(residual).collect::<Vec<_>>())
+        };
+        self.bins.iter().zip(&self.fits).filter_map(of).flatten().collect()
+    }
+
+    fn mask(&mut self, mask: &Mask) {
+        for samples in &mut self.bins {
+            let masked = samples.extract_if(.., |s| mask.holds(s.x, s.y));
+            self.masked_px.extend(masked.map(|s| [s.x, s.y]));
+        }
+        self.fits = fits(&self.bins, self.grid);
+    }
+
+    fn binning(self) -> Binning {
+        let Self { grid, colour, bins, fits, masked_px, clipped } = self;
+        let ratios = |f: &Fit| f.scatter / f.sigma;
+        let mut known: Vec<f64> = fits.iter().flatten().map(ratios).collect();
+        let scatter = if known.is_empty() { 1.0 } else { median(&mut known) };
+        let total = bins.iter().map(Vec::len).sum::<usize>() + masked_px.len();
+        let masked = masked_px.len();
+        let rejected = bins.iter().zip(&fits).flat_map(|(samples, fit)| rejected(samples, fit.as_ref()));
+        Binning {
+            profile: profile(grid, colour, &bins, &fits, scatter.max(1.0)),
+            rejected_px: masked_px.into_iter().chain(rejected).collect(),
+            masked,
+            thirds: thirds(&bins, &fits),
+            clipped_share: clipped as f64 / (total + clipped).max(1) as f64,
+            scatter,
+        }
     }
 }
 
@@ -194,6 +261,14 @@ fn steps(bins: &[Vec<Binned>]) -> Vec<f64> {
     (0..bins.len()).map(|k| step(k, k.saturating_sub(1)).max(step(k, (k + 1).min(last)))).collect()
 }
 
+fn fits(bins: &[Vec<Binned>], grid: Grid) -> Vec<Option<Fit>> {
+    let steps = steps(bins);
+    bins.par_iter().zip(&steps).map(|(samples, step)| Fit::of(samples, *step, grid)).collect()
+}
+
+/// Residuals from which on samples are rejected, in standard deviations: where Tukey's weights end.
+const REJECTED: f64 = 4.685;
+
 /// Fewest samples of a bin.
 const SAMPLES: usize = 8;
 
@@ -230,7 +305,7 @@ impl Fit {
             value = (sxx * sy - sx * sxy) / determinant;
             slope = (n * sxy - sx * sy) / determinant;
         }
-        let limit = 4.685 * scale;
+        let limit = REJECTED * scale;
         let kept = samples.iter().zip(&residuals).filter(|(_, r)| r.abs() < limit);
         let (mut n, mut sx, mut sxx) = (0.0, 0.0, 0.0);
         for (s, _) in kept {
@@ -244,6 +319,11 @@ impl Fit {
         let lost = TUKEY_VARIANCE - 1.0;
         let leverage = leverage * (1.0 + lost * (sigma / scale).powi(4));
         Some(Self { value, slope, sigma, scatter, limit, leverage, kept: n as usize })
+    }
+
+    /// Standard deviation of residuals: noise, and what an edge that wavers adds.
+    fn scale(&self) -> f64 {
+        self.limit / REJECTED
     }
 }
 

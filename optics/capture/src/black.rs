@@ -6,12 +6,13 @@ use crate::kind::Kind;
 use crate::least_squares::robust_mean;
 use crate::noise::Pairs;
 use crate::refusal::{Refusal, Warning};
+use crate::saturation::Full;
 
 /// Share of zeros in a dark shot that shows noise to be cut off, in percent.
 const ZEROS_PERCENT: f64 = 2.0;
 
 /// Dark shots, one after the other.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub struct Darks {
     last: Option<Photo>,
     sum: Vec<u32>,
@@ -53,7 +54,7 @@ impl Darks {
         self.means.push(sites.iter().map(|s| site_mean(&photo.frame, *s)).collect());
         if let Some(last) = self.last.take() {
             let levels: Vec<_> = self.means[0].iter().map(|m| Estimate::new(*m, 0.0)).collect();
-            self.pairs.add(&last.frame, &photo.frame, &levels, f64::INFINITY);
+            self.pairs.add(&last.frame, &photo.frame, &levels, Full::all(f64::INFINITY));
             self.covariances.push(sites.iter().map(|s| covariance(&last.frame, &photo.frame, *s)).collect());
         }
         self.last = Some(photo);

@@ -6,13 +6,15 @@ use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Photo};
 use crate::least_squares::{Normal, Solution};
-use crate::refusal::{Refusal, Side, Warning};
+use crate::refusal::{ONE_TURNED, Refusal, Side, Warning};
 use crate::report::ShotReport;
+use crate::saturation::Full;
 
 mod blurs;
 mod cells;
 pub(crate) mod edge;
 mod find;
+mod light;
 mod lines;
 mod movement;
 mod pose;
@@ -20,7 +22,8 @@ mod scan;
 
 pub(crate) use cells::Cells;
 pub use edge::EdgeLine;
-pub(crate) use movement::{check as check_moved, check_blur};
+pub(crate) use light::{Reading, check as check_light, factor as light_factor};
+pub(crate) use movement::{FreeParts, check as check_moved, check_blur};
 
 pub use find::FreeEdge;
 pub(crate) use find::free_edges;
@@ -45,6 +48,8 @@ pub struct BareShots<'a> {
     target: Target,
     found: Option<Found>,
     cells: Vec<Cells>,
+    /// Light of each shot at the patches of the first.
+    readings: Vec<Vec<Reading>>,
     shots: Vec<ShotReport>,
     /// In finer bins, per shot.
     fine: Vec<[EdgeProfile; 3]>,
@@ -75,6 +80,10 @@ pub struct Board {
     pub slope: [Estimate; 3],
     pub(crate) found: Found,
     pub(crate) cells: Cells,
+    /// Light at the patches of `found`.
+    pub(crate) readings: Vec<Reading>,
+    /// Relative error of the light that the bare shots have in common: their spread, and how uneven it is.
+    pub(crate) light_std_error: [f64; 3],
 }
 
 impl Target {
@@ -93,30 +102,42 @@ impl Target {
 impl<'a> BareShots<'a> {
     pub fn new(calibration: &'a Calibration, target: Target) -> Result<Self, Invalid> {
         target.check()?;
-        let (cells, shots, fine) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { calibration, target, found: None, cells, shots, fine, warnings: Vec::new() })
+        let (cells, readings, shots, fine) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { calibration, target, found: None, cells, readings, shots, fine, warnings: Vec::new() })
     }
 
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
         self.calibration.kind.check(&photo)?;
         let found = find(self.calibration.view(&photo), self.target)?;
-        let mut moved_px = [None; 2];
+        let mut seen = FreeParts::default();
         if let Some(first) = &self.found {
-            moved_px = first.seen.movement(&found.seen);
-            movement::check(&photo.label, &moved_px)?;
+            seen = first.seen.compare(&found.seen);
+            if seen.moved_px == [None, None] {
+                let seen = format!("the board's edges are not where {} shows them", self.shots[0].label);
+                return Err(Refusal::Unlike { label: photo.label.clone(), seen, cause: ONE_TURNED });
+            }
+            movement::check(&photo.label, &seen.moved_px)?;
             movement::check_focus(&photo.label, &first.seen, &found.seen)?;
         }
         movement::check_shake(&photo.label, &found.seen)?;
         let blur_px = found.seen.blur_of(found.edge_frame.run);
-        let edge_frame = self.found.get_or_insert(found).edge_frame;
+        let found = self.found.get_or_insert(found);
+        let edge_frame = found.edge_frame;
         let radiance = Radiance::new(self.calibration, &photo);
+        let readings: Vec<Reading> = found.seen.patches().map(|p| p.read(&radiance)).collect();
+        let light =
+            self.readings.first().and_then(|bare| light::factor(bare, &readings, seen.free.as_deref()?));
+        if let Some(light) = &light {
+            light::check(&photo.label, light)?;
+        }
         let binnings = Colour::ALL.map(|c| bin(&radiance, &edge_frame, c, 0.0));
         check_clipped(&photo, &binnings, radiance.full)?;
         self.check_slanted(&photo, &binnings)?;
         self.fine.push(Colour::ALL.map(|c| fine(&radiance, &edge_frame, c)));
         self.cells.push(Cells::of(&radiance, &edge_frame));
-        self.shots.push(ShotReport::new(&photo.label, moved_px, blur_px, binnings));
+        self.readings.push(readings);
+        self.shots.push(ShotReport::new(&photo.label, seen.moved_px, light, blur_px, binnings));
         Ok(())
     }
 
@@ -174,6 +195,8 @@ impl<'a> BareShots<'a> {
             slope: profiles.each_ref().map(slope),
             profiles,
             cells: Cells::mean(&self.cells),
+            light_std_error: light::spread_of(&self.readings),
+            readings: Reading::mean(&self.readings),
             shots: self.shots,
             warnings: self.warnings,
             found,
@@ -196,7 +219,7 @@ impl Board {
 /// Share of clipped samples that refuses.
 const CLIPPED: f64 = 1e-3;
 
-pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], level: f64) -> Result<(), Refusal> {
+pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], full: Full) -> Result<(), Refusal> {
     match binnings.iter().find(|b| b.clipped_share > CLIPPED) {
         None => Ok(()),
         Some(b) => Err(Refusal::Clipped {
@@ -204,7 +227,7 @@ pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], level: f64) 
             colour: b.profile.colour,
             place: "the crop".to_owned(),
             share: 100.0 * b.clipped_share,
-            level,
+            level: full.of_colour(&photo.frame, b.profile.colour),
         }),
     }
 }

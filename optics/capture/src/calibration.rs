@@ -7,7 +7,7 @@ use crate::frame::{Area, Colour, Frame, Photo, Site};
 use crate::kind::Kind;
 use crate::noise::SiteNoise;
 use crate::refusal::Warning;
-use crate::saturation::saturation;
+use crate::saturation::{Full, saturation};
 use crate::view::View;
 
 /// From numbers to radiance factors, with all errors: v = ((S − D) − γ M) / (f k), see [`crate::Patches`].
@@ -91,7 +91,7 @@ impl Light {
 pub(crate) struct Radiance<'a> {
     pub frame: &'a Frame,
     calibration: &'a Calibration,
-    pub full: f64,
+    pub full: Full,
     /// M per channel.
     means: [f64; 3],
     /// γ M per channel.
@@ -116,6 +116,14 @@ impl<'a> Radiance<'a> {
         Self { frame: &photo.frame, calibration, full: saturation(photo), means, veil, gain }
     }
 
+    /// The same under light that is brighter by a factor than its time says.
+    pub fn under(mut self, light: &[Estimate; 3]) -> Self {
+        for (gain, light) in self.gain.iter_mut().zip(light) {
+            *gain *= light.value;
+        }
+        self
+    }
+
     /// Radiance factor of the frame's mean, by which an error of the glare is multiplied.
     pub fn mean(&self, colour: Colour) -> f64 {
         self.means[colour.index()] / self.gain[colour.index()]
@@ -129,7 +137,7 @@ impl<'a> Radiance<'a> {
         Sample {
             value: (signal - self.veil[c]) / per_unit,
             variance: self.calibration.noise[site.index].variance(signal) / (per_unit * per_unit),
-            clipped: f64::from(self.frame.at(site, x, y)) >= self.full,
+            clipped: self.full.is_at(self.frame, site, x, y),
         }
     }
 }

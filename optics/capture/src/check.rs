@@ -1,11 +1,12 @@
 //! A single photograph, while the slab still lies there.
 
-use crate::black::Black;
+use crate::black::{Black, Darks};
 use crate::board::{FreeEdge, free_edges};
 use crate::flat::Flat;
 use crate::frame::{Colour, Frame, Photo, Site};
+use crate::one_colour;
 use crate::refusal::{Refusal, Warning};
-use crate::saturation::saturation;
+use crate::saturation::{Full, saturation};
 use crate::view::View;
 
 /// What one photograph shows without its session.
@@ -26,9 +27,10 @@ const CLIPPED: f64 = 1e-3;
 /// Brightest hundredth below which noise is needlessly large.
 const DIM: f64 = 0.15;
 
-/// Checks what a photograph shows by itself: clipping, black level, exposure, and sharpness of free edges.
+/// Checks what a photograph shows by itself: clipping, black level, exposure, and sharpness of free edges. Without dark
+/// shots, the black level is what its file tells.
 /// Against its session a shot is checked by [`crate::Mountings::add`].
-pub fn check_shot(photo: &Photo) -> Result<ShotCheck, Refusal> {
+pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
     let full = saturation(photo);
     let mut check = ShotCheck {
         clipped_share: [0.0; 3],
@@ -42,10 +44,11 @@ pub fn check_shot(photo: &Photo) -> Result<ShotCheck, Refusal> {
         check.clipped_share[colour.index()] = clipped;
         if clipped > CLIPPED {
             let (label, place) = (photo.label.clone(), "the frame's middle".to_owned());
-            return Err(Refusal::Clipped { label, colour, place, share: 100.0 * clipped, level: full });
+            let level = full.of_colour(&photo.frame, colour);
+            return Err(Refusal::Clipped { label, colour, place, share: 100.0 * clipped, level });
         }
     }
-    let black = Black::told(photo)?;
+    let black = darks.finish(photo)?;
     for colour in Colour::ALL {
         let brightest = brightness_share(photo, &black, colour, full);
         check.brightness_share[colour.index()] = brightest;
@@ -53,6 +56,9 @@ pub fn check_shot(photo: &Photo) -> Result<ShotCheck, Refusal> {
             let (label, percent) = (photo.label.clone(), 100.0 * brightest);
             check.warnings.push(Warning::Dim { label, colour, percent });
         }
+    }
+    if one_colour::are_one(&photo.frame, black.levels(), full) {
+        check.warnings.push(Warning::OneColour { label: photo.label.clone() });
     }
     check.edges = free_edges(View { photo, black: &black, flat: &Flat::even() })?;
     if check.edges.iter().flatten().all(|edge| edge.blur_px.is_none()) {
@@ -68,20 +74,20 @@ pub fn find_edges(photo: &Photo) -> Result<[Option<FreeEdge>; 2], Refusal> {
 }
 
 /// Share of clipped samples in the middle half of the frame.
-fn clipped_share(photo: &Photo, colour: Colour, full: f64) -> f64 {
+fn clipped_share(photo: &Photo, colour: Colour, full: Full) -> f64 {
     let (mut clipped, mut total) = (0.0, 0.0);
     for_middle(&photo.frame, colour, |site, x, y| {
-        clipped += f64::from(u8::from(f64::from(photo.frame.at(site, x, y)) >= full));
+        clipped += f64::from(u8::from(full.is_at(&photo.frame, site, x, y)));
         total += 1.0;
     });
     clipped / f64::max(total, 1.0)
 }
 
 /// The brightest hundredth over the full range, in the middle half of the frame.
-fn brightness_share(photo: &Photo, black: &Black, colour: Colour, full: f64) -> f64 {
-    let (mut signals, mut range) = (Vec::new(), full);
+fn brightness_share(photo: &Photo, black: &Black, colour: Colour, full: Full) -> f64 {
+    let (mut signals, mut range) = (Vec::new(), 1.0);
     for_middle(&photo.frame, colour, |site, x, y| {
-        range = full - black.levels()[site.index].value;
+        range = full.of(site) - black.levels()[site.index].value;
         signals.push(black.signal(&photo.frame, site, x, y));
     });
     if signals.is_empty() {

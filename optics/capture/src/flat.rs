@@ -8,10 +8,10 @@ use rayon::prelude::*;
 use crate::black::Black;
 use crate::frame::{Colour, Frame, Photo};
 use crate::kind::Kind;
-use crate::least_squares::{Normal, robust_mean, spread, tukey};
+use crate::least_squares::{Normal, median, robust_mean, spread, tukey};
 use crate::noise::Pairs;
-use crate::refusal::{Refusal, Warning};
-use crate::saturation::saturation;
+use crate::refusal::{Refusal, TURNED, UNLIKE, Warning};
+use crate::saturation::{Full, saturation};
 
 /// Cells of the grid on which a flat is fitted.
 const ACROSS: usize = 36;
@@ -28,6 +28,7 @@ pub struct Flats {
     black: Black,
     last: Option<Photo>,
     cells: Vec<[Vec<f64>; 3]>,
+    labels: Vec<String>,
     pairs: Pairs,
 }
 
@@ -44,7 +45,8 @@ pub struct Flat {
 
 impl Flats {
     pub fn new(black: &Black) -> Self {
-        Self { black: black.clone(), last: None, cells: Vec::new(), pairs: Pairs::default() }
+        let (cells, labels) = (Vec::new(), Vec::new());
+        Self { black: black.clone(), last: None, cells, labels, pairs: Pairs::default() }
     }
 
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
@@ -59,13 +61,15 @@ impl Flats {
         }
         if let Ok(cells) = cells.try_into() {
             self.cells.push(cells);
+            self.labels.push(photo.label.clone());
         }
         self.last = Some(photo);
         Ok(())
     }
 
     /// Without shots: even light, with a warning.
-    pub fn finish(self) -> Result<Flat, Refusal> {
+    pub fn finish(mut self) -> Result<Flat, Refusal> {
+        let warnings = self.leave_out()?;
         let Some(last) = self.last else { return Ok(Flat::even()) };
         let size = [last.frame.width() as f64, last.frame.height() as f64];
         let mut coefficients = [const { Vec::new() }; 3];
@@ -78,8 +82,61 @@ impl Flats {
                 slope_std_error[c] = slope_error(&cells);
             }
         }
-        Ok(Flat { size, coefficients, slope_std_error, pairs: self.pairs, warnings: Vec::new() })
+        Ok(Flat { size, coefficients, slope_std_error, pairs: self.pairs, warnings })
     }
+}
+
+impl Flats {
+    /// Takes out shots that are unlike the others; none may be left that are few and disagree.
+    fn leave_out(&mut self) -> Result<Vec<Warning>, Refusal> {
+        let mut warnings = Vec::new();
+        while self.cells.len() > 1 {
+            let [apart, turned] = [false, true].map(|turn| -> Vec<f64> {
+                (0..self.cells.len()).map(|j| apart(&self.cells, j, turn)).collect()
+            });
+            let worst = (0..apart.len()).max_by(|a, b| apart[*a].total_cmp(&apart[*b])).unwrap_or(0);
+            let is_turned = apart[worst] > TURNED_APART && turned[worst] < 0.5 * apart[worst];
+            if apart[worst] < APART && !is_turned {
+                break;
+            }
+            let seen = format!(
+                "light over the frame differs from the other flat shots' by {:.1} %",
+                100.0 * apart[worst]
+            );
+            let cause = if is_turned { TURNED } else { UNLIKE };
+            let refusal = Refusal::Unlike { label: self.labels[worst].clone(), seen, cause };
+            if self.cells.len() < 3 {
+                return Err(refusal);
+            }
+            self.cells.remove(worst);
+            self.labels.remove(worst);
+            warnings.push(Warning::LeftOut { why: Box::new(refusal) });
+        }
+        Ok(warnings)
+    }
+}
+
+/// Departure of a flat shot from the others, root of the mean square, that leaves it out: paper is more even than that.
+const APART: f64 = 0.03;
+
+/// The same where the shot turned by 180° departs by less than half.
+const TURNED_APART: f64 = 0.008;
+
+/// Departure of a shot's green light from the middle of the others, as it is or turned by 180°.
+fn apart(shots: &[[Vec<f64>; 3]], j: usize, turn: bool) -> f64 {
+    let green = Colour::Green.index();
+    let levelled = |cells: &[f64]| {
+        let level = robust_mean(cells).0;
+        cells.iter().map(|v| v - level).collect::<Vec<_>>()
+    };
+    let others: Vec<Vec<f64>> =
+        shots.iter().enumerate().filter(|(i, _)| *i != j).map(|(_, s)| levelled(&s[green])).collect();
+    let mut own = levelled(&shots[j][green]);
+    if turn {
+        own.reverse();
+    }
+    let off = |(k, v): (usize, &f64)| v - median(&mut others.iter().map(|o| o[k]).collect::<Vec<_>>());
+    spread(&own.iter().enumerate().map(off).collect::<Vec<_>>())
 }
 
 impl Flat {
@@ -91,6 +148,11 @@ impl Flat {
             pairs: Pairs::default(),
             warnings: vec![Warning::NoFlat { slope_percent: 100.0 * UNKNOWN_SLOPE }],
         }
+    }
+
+    /// Whether no shots of a flat were given.
+    pub(crate) fn is_missing(&self) -> bool {
+        self.coefficients.iter().all(Vec::is_empty)
     }
 
     /// Light at a place of the frame over its mean.
@@ -132,7 +194,7 @@ fn places() -> impl Iterator<Item = (f64, f64)> {
 }
 
 /// ln of the mean light of each cell.
-fn grid(photo: &Photo, black: &Black, colour: Colour, full: f64) -> Result<Vec<f64>, Refusal> {
+fn grid(photo: &Photo, black: &Black, colour: Colour, full: Full) -> Result<Vec<f64>, Refusal> {
     let frame = &photo.frame;
     let cells: Vec<_> =
         (0..ACROSS * DOWN).into_par_iter().map(|k| cell(frame, black, colour, full, k)).collect();
@@ -140,12 +202,13 @@ fn grid(photo: &Photo, black: &Black, colour: Colour, full: f64) -> Result<Vec<f
     if clipped > 0 {
         let share = 100.0 * clipped as f64 / cells.len() as f64;
         let place = "the sheet".to_owned();
-        return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level: full });
+        let level = full.of_colour(frame, colour);
+        return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level });
     }
     Ok(cells.into_iter().flatten().collect())
 }
 
-fn cell(frame: &Frame, black: &Black, colour: Colour, full: f64, k: usize) -> Option<f64> {
+fn cell(frame: &Frame, black: &Black, colour: Colour, full: Full, k: usize) -> Option<f64> {
     let range = |i: usize, n: usize, side: usize| i * side / n..(i + 1) * side / n;
     let (columns, rows) = (range(k % ACROSS, ACROSS, frame.width()), range(k / ACROSS, DOWN, frame.height()));
     // A few thousand samples tell a cell's mean to 0.01 %.
@@ -154,7 +217,7 @@ fn cell(frame: &Frame, black: &Black, colour: Colour, full: f64, k: usize) -> Op
     for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
         for y in (site.row_from(rows.start)..rows.end).step_by(site.step * skip) {
             for x in (site.column_from(columns.start)..columns.end).step_by(site.step * skip) {
-                if f64::from(frame.at(site, x, y)) >= full {
+                if full.is_at(frame, site, x, y) {
                     return None;
                 }
                 sum += black.signal(frame, site, x, y);

@@ -81,8 +81,8 @@ pub struct Area {
 pub struct Levels {
     /// Number without light, for each place of the mosaic, row by row (R, G, B and nothing for [`Pattern::Rgb`]).
     pub black: Option<[f64; 4]>,
-    /// Number at which the sensor is full.
-    pub white: Option<f64>,
+    /// Number at which the sensor is full, likewise.
+    pub white: Option<[f64; 4]>,
 }
 
 /// How a shot was exposed; shots of a session must agree.

@@ -4,8 +4,10 @@
 //! [`Darks`] → [`Flats`] → [`Patches`] → [`BareShots`] → [`Mountings`], one of those for each sample. Each step has
 //! `add(photo)`, which checks and may refuse, and `finish()`, whose result the next one uses.
 
+mod agreement;
 mod bins;
 mod black;
+mod blemishes;
 mod blur;
 mod board;
 mod calibration;
@@ -18,6 +20,7 @@ mod kind;
 mod least_squares;
 mod mountings;
 mod noise;
+mod one_colour;
 mod patches;
 mod refusal;
 mod report;

@@ -1,9 +1,13 @@
 //! Shots of a sample: checks, profiles, and the budget of their errors.
 
-use crate::bins::{Binning, EdgeProfile, bin};
-use crate::board::{Board, Cells, check_blur, check_clipped, check_moved};
+use crate::agreement::{self, check_sides};
+use crate::bins::{Binning, EdgeProfile, bin_clean};
+use crate::blemishes::Blemish;
+use crate::board::{
+    Board, Cells, FreeParts, Reading, check_blur, check_clipped, check_light, check_moved, light_factor,
+};
 use crate::calibration::{Calibration, Radiance};
-use crate::estimate::{Contribution, Source};
+use crate::estimate::{Contribution, Estimate, Source};
 use crate::frame::{Colour, Photo};
 use crate::join::{Joined, join};
 use crate::refusal::{Refusal, Warning};
@@ -18,6 +22,8 @@ pub struct Mountings<'a> {
     shots: Vec<ShotReport>,
     /// Radiance factor of the frame's mean, per shot.
     means: Vec<[f64; 3]>,
+    /// Why other shots are left out.
+    left_out: Vec<Refusal>,
     warnings: Vec<Warning>,
 }
 
@@ -36,7 +42,8 @@ impl<'a> Mountings<'a> {
     /// `what` names the sample in messages.
     pub fn new(calibration: &'a Calibration, board: &'a Board, what: &str) -> Self {
         let what = what.to_owned();
-        Self { calibration, board, what, shots: Vec::new(), means: Vec::new(), warnings: Vec::new() }
+        let (shots, means, left_out, warnings) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { calibration, board, what, shots, means, left_out, warnings }
     }
 
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
@@ -47,6 +54,56 @@ impl<'a> Mountings<'a> {
         let free = found.seen.free_parts(self.calibration.view(&photo));
         check_moved(label, &free.moved_px)?;
         check_blur(label, &found.seen, &free.blur_px)?;
+        let radiance = Radiance::new(self.calibration, &photo);
+        let cells = Cells::of(&radiance, &found.edge_frame);
+        let light = self.light(&free, &radiance, &cells);
+        self.warn(label, &free, light);
+        let known = light;
+        let light = light.unwrap_or([Estimate::new(1.0, 0.0); 3]);
+        check_light(label, &light)?;
+        let radiance = radiance.under(&light);
+        self.board.cells.check_covered(label, &cells.under(&light))?;
+        let origins_mm = self.board.origin_mm.map(|o| o.value);
+        let (binnings, blemishes) = bin_clean(&radiance, &found.edge_frame, origins_mm);
+        check_clipped(&photo, &binnings, radiance.full)?;
+        if let Some(refusal) = binnings.iter().find_map(|binning| self.check_thirds(label, binning).err()) {
+            self.left_out.push(refusal);
+            return Ok(());
+        }
+        self.warn_of_blemishes(label, &binnings, &blemishes);
+        let mean = Colour::ALL.map(|c| radiance.mean(c));
+        let blur_px =
+            free.blur_px.iter().flatten().copied().min_by(|a, b| a.std_error.total_cmp(&b.std_error));
+        let masked: usize = binnings.iter().map(|b| b.masked).sum();
+        let shot = ShotReport::new(label, free.moved_px, known, blur_px, binnings);
+        // What is masked has a warning of its own.
+        let single = 1.0 - masked as f64 / shot.rejected_px.len().max(1) as f64;
+        if single * shot.rejected_share() > MANY {
+            let share = 100.0 * single * shot.rejected_share();
+            self.warnings.push(Warning::ManyRejected { label: label.clone(), share });
+        }
+        match check_sides(&shot, self.board) {
+            Ok(()) => {
+                self.shots.push(shot);
+                self.means.push(mean);
+            }
+            Err(refusal) => self.left_out.push(refusal),
+        }
+        Ok(())
+    }
+
+    /// Brightness of the free board over that of the bare shots. A crop that looks like it was not covered, or is by a
+    /// slab that only dims, as its other parts may be: then nothing is free for certain.
+    fn light(&self, free: &FreeParts, radiance: &Radiance<'_>, cells: &Cells) -> Option<[Estimate; 3]> {
+        let patches: Vec<Reading> = self.board.found.seen.patches().map(|p| p.read(radiance)).collect();
+        let light = light_factor(&self.board.readings, &patches, free.free.as_deref()?)?;
+        let changed = light.iter().any(|l| (l.value - 1.0).abs() > NOTED);
+        let same = changed && self.board.cells.is_bare(&cells.clone().under(&light));
+        (!same).then_some(light)
+    }
+
+    fn warn(&mut self, label: &str, free: &FreeParts, light: Option<[Estimate; 3]>) {
+        let label = label.to_owned();
         match free.moved_px {
             [None, None] => self.warnings.push(Warning::Unchecked { label: label.clone() }),
             [None, _] => {
@@ -57,30 +114,69 @@ impl<'a> Mountings<'a> {
             }
             _ => {}
         }
-        let radiance = Radiance::new(self.calibration, &photo);
-        self.board.cells.check_covered(label, &Cells::of(&radiance, &found.edge_frame))?;
-        let binnings =
-            Colour::ALL.map(|c| bin(&radiance, &found.edge_frame, c, self.board.origin_mm[c.index()].value));
-        check_clipped(&photo, &binnings, radiance.full)?;
-        for binning in &binnings {
-            check_thirds(label, binning, self.board)?;
+        let Some(light) = light else {
+            if free.moved_px != [None, None] {
+                self.warnings.push(Warning::LightUnchecked { label });
+            }
+            return;
+        };
+        let off = |l: &Estimate| (l.value - 1.0).abs();
+        let most = Colour::ALL.into_iter().zip(&light).max_by(|a, b| off(a.1).total_cmp(&off(b.1)));
+        if let Some((colour, most)) = most.filter(|(_, most)| off(most) > NOTED) {
+            let percent = 100.0 * (most.value - 1.0);
+            self.warnings.push(Warning::LightDividedOut { label, colour, percent });
         }
-        self.means.push(Colour::ALL.map(|c| radiance.mean(c)));
-        let blur_px =
-            free.blur_px.iter().flatten().copied().min_by(|a, b| a.std_error.total_cmp(&b.std_error));
-        let shot = ShotReport::new(label, free.moved_px, blur_px, binnings);
-        if shot.rejected_share() > MANY {
-            let share = 100.0 * shot.rejected_share();
-            self.warnings.push(Warning::ManyRejected { label: label.clone(), share });
+    }
+
+    fn warn_of_blemishes(&mut self, label: &str, binnings: &[Binning; 3], blemishes: &[Blemish]) {
+        let masked: usize = binnings.iter().map(|b| b.masked).sum();
+        let total: u32 = binnings.iter().flat_map(|b| &b.profile.counts).sum();
+        let share = masked as f64 / (masked as f64 + f64::from(total)).max(1.0);
+        let largest = blemishes.iter().max_by(|a, b| a.area_mm2.total_cmp(&b.area_mm2));
+        if let Some(largest) = largest.filter(|_| share > MASKED) {
+            let [x_mm, _] = self.board.to_mm(largest.at_px[0], largest.at_px[1]);
+            let (label, share, area_mm2) = (label.to_owned(), 100.0 * share, largest.area_mm2);
+            self.warnings.push(Warning::Masked { label, count: blemishes.len(), share, area_mm2, x_mm });
         }
-        self.shots.push(shot);
-        Ok(())
+    }
+
+    fn check_thirds(&self, label: &str, binning: &Binning) -> Result<(), Refusal> {
+        let colour = binning.profile.colour;
+        let c = colour.index();
+        let bound = THIRDS * (self.board.light[c].value - self.board.dark[c].value);
+        let worst = binning.thirds.iter().max_by(|a, b| a.departure.abs().total_cmp(&b.departure.abs()));
+        match worst {
+            Some(t) if t.departure.abs() > bound && t.departure.abs() > 6.0 * t.std_error => {
+                Err(Refusal::ThirdsDisagree {
+                    label: label.to_owned(),
+                    colour,
+                    x_mm: t.x_mm,
+                    deviation: t.departure,
+                    z: (t.departure / t.std_error).abs(),
+                    advice: if self.calibration.flat().is_missing() {
+                        "no flat shots were given: add them, since uneven light does this; or look"
+                    } else {
+                        "look"
+                    },
+                })
+            }
+            _ => Ok(()),
+        }
     }
 
     pub fn finish(mut self) -> Result<SampleProfile, Refusal> {
+        for (index, refusal) in agreement::leave_out(&mut self.shots, self.board)? {
+            self.means.remove(index);
+            self.left_out.push(refusal);
+        }
+        if self.shots.len() < agreement::LEAST && !self.left_out.is_empty() {
+            return Err(self.left_out.swap_remove(0));
+        }
         if self.shots.is_empty() {
             return Err(Refusal::Missing { what: "shots of the sample" });
         }
+        let left_out = self.left_out.drain(..).map(|why| Warning::LeftOut { why: Box::new(why) });
+        self.warnings.extend(left_out);
         if self.shots.len() < 2 {
             let count = self.shots.len();
             self.warnings.push(Warning::FewShots { what: self.what.clone(), count });
@@ -130,8 +226,15 @@ impl<'a> Mountings<'a> {
         let gain = self.calibration.gain[c];
         let one = self.calibration.light.std_error[c];
         let of_reference = one / (self.calibration.light.shots.max(1) as f64).sqrt();
-        let of_shot = if self.shots.len() < 2 { one } else { 0.0 };
-        of_reference.hypot(of_shot).hypot(gain.std_error / gain.value)
+        let of_shots = self.shots.iter().map(|shot| match &shot.light {
+            Some(light) => light[c].std_error / light[c].value,
+            None if self.shots.len() < 2 => one,
+            None => 0.0,
+        });
+        let of_shots = of_shots.fold(0.0, f64::hypot) / self.shots.len() as f64;
+        let compared = self.shots.iter().any(|shot| shot.light.is_some());
+        let of_bare = if compared { self.board.light_std_error[c] } else { 0.0 };
+        of_reference.hypot(of_shots).hypot(of_bare).hypot(gain.std_error / gain.value)
     }
 
     /// Of the light across the crop, per 10 mm: what shots of the flat leave open, and what the bare board tells that is
@@ -160,6 +263,12 @@ const BOARD_SLOPE: f64 = 0.001;
 /// Where a movement across the edge cannot be seen, one of this many pixels is allowed for: half of what would refuse.
 const UNSEEN_PX: f64 = 0.05;
 
+/// Relative change of the light that is noted when it is divided out.
+const NOTED: f64 = 0.005;
+
+/// Share of masked samples that is noted.
+const MASKED: f64 = 1e-3;
+
 /// Share of rejected samples that is told.
 const MANY: f64 = 0.05;
 
@@ -170,23 +279,4 @@ const THIRDS: f64 = 0.02;
 fn noise(profile: &EdgeProfile) -> f64 {
     let known: Vec<f64> = profile.std_errors.iter().copied().filter(|e| e.is_finite()).collect();
     known.iter().sum::<f64>() / known.len().max(1) as f64
-}
-
-fn check_thirds(label: &str, binning: &Binning, board: &Board) -> Result<(), Refusal> {
-    let colour = binning.profile.colour;
-    let c = colour.index();
-    let bound = THIRDS * (board.light[c].value - board.dark[c].value);
-    let worst = binning.thirds.iter().max_by(|a, b| a.departure.abs().total_cmp(&b.departure.abs()));
-    match worst {
-        Some(t) if t.departure.abs() > bound && t.departure.abs() > 6.0 * t.std_error => {
-            Err(Refusal::ThirdsDisagree {
-                label: label.to_owned(),
-                colour,
-                x_mm: t.x_mm,
-                deviation: t.departure,
-                z: (t.departure / t.std_error).abs(),
-            })
-        }
-        _ => Ok(()),
-    }
 }

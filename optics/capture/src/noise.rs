@@ -5,6 +5,7 @@
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Frame, Site};
 use crate::least_squares::{Normal, median};
+use crate::saturation::Full;
 
 /// Noise of the samples of one site.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +25,7 @@ impl SiteNoise {
 }
 
 /// Side of the blocks whose differences are looked at, in samples of a site.
-const SIDE: usize = 16;
+pub(crate) const SIDE: usize = 16;
 
 /// Most blocks of a pair and site: enough for 1 % of K.
 const BLOCKS: usize = 3000;
@@ -33,9 +34,9 @@ const BLOCKS: usize = 3000;
 const GROUPS: usize = 24;
 
 #[derive(Debug, Clone, Copy)]
-struct Block {
-    signal: f64,
-    variance: f64,
+pub(crate) struct Block {
+    pub signal: f64,
+    pub variance: f64,
 }
 
 /// Differences of pairs, and of neighbours in single shots in case there are none.
@@ -47,12 +48,12 @@ pub(crate) struct Pairs {
 
 impl Pairs {
     /// Two shots of the same thing; `black` is the level of each site, and what reaches `saturation` is left out.
-    pub fn add(&mut self, a: &Frame, b: &Frame, black: &[Estimate], saturation: f64) {
+    pub fn add(&mut self, a: &Frame, b: &Frame, black: &[Estimate], saturation: Full) {
         for site in a.sites() {
             let found = corners(a, site).filter_map(|(i, j)| {
                 let (first, second) = (block(a, site, i, j), block(b, site, i, j));
                 let level = black[site.index].value;
-                let clipped = first.iter().chain(&second).any(|v| *v >= saturation);
+                let clipped = first.iter().chain(&second).any(|v| saturation.holds(site, *v));
                 if clipped { None } else { pair(&first, &second, level) }
             });
             self.blocks.resize(a.sites().len(), Vec::new());
@@ -61,11 +62,11 @@ impl Pairs {
     }
 
     /// One shot: second differences along rows.
-    pub fn add_single(&mut self, a: &Frame, black: &[Estimate], saturation: f64) {
+    pub fn add_single(&mut self, a: &Frame, black: &[Estimate], saturation: Full) {
         for site in a.sites() {
             let found = corners(a, site).filter_map(|(i, j)| {
                 let values = block(a, site, i, j);
-                let clipped = values.iter().any(|v| *v >= saturation);
+                let clipped = values.iter().any(|v| saturation.holds(site, *v));
                 (!clipped).then(|| single(&values, black[site.index].value))
             });
             self.singles.resize(a.sites().len(), Vec::new());
@@ -106,14 +107,14 @@ impl Pairs {
 }
 
 /// Corners of evenly spread blocks.
-fn corners(frame: &Frame, site: Site) -> impl Iterator<Item = (usize, usize)> {
+pub(crate) fn corners(frame: &Frame, site: Site) -> impl Iterator<Item = (usize, usize)> {
     let (columns, rows) = frame.extent(site);
     let (across, down) = (columns / SIDE, rows / SIDE);
     let skip = (across * down).div_ceil(BLOCKS).max(1);
     (0..across * down).step_by(skip).map(move |k| (k % across * SIDE, k / across * SIDE))
 }
 
-fn block(frame: &Frame, site: Site, i: usize, j: usize) -> Vec<f64> {
+pub(crate) fn block(frame: &Frame, site: Site, i: usize, j: usize) -> Vec<f64> {
     let mut values = Vec::with_capacity(SIDE * SIDE);
     for row in j..j + SIDE {
         for column in i..i + SIDE {
@@ -138,7 +139,7 @@ fn pair(a: &[f64], b: &[f64], black: f64) -> Option<Block> {
     (structure < 3.0 * variance + 1.0).then_some(Block { signal: f64::midpoint(of_a, of_b), variance })
 }
 
-fn single(values: &[f64], black: f64) -> Block {
+pub(crate) fn single(values: &[f64], black: f64) -> Block {
     let mut sum = 0.0;
     let mut count = 0.0;
     for row in values.chunks_exact(SIDE) {
@@ -220,7 +221,7 @@ mod tests {
     fn pairs_tell_noise_without_light_and_numbers_per_electron() {
         let (a, b) = (frame(1), frame(2));
         let mut pairs = Pairs::default();
-        pairs.add(&a, &b, &[Estimate::new(100.0, 0.0); 4], 60_000.0);
+        pairs.add(&a, &b, &[Estimate::new(100.0, 0.0); 4], Full::all(60_000.0));
         for noise in pairs.fit(&a.sites()).unwrap() {
             // Rounding adds a twelfth to the variance.
             let read = (16.0_f64 + 1.0 / 12.0).sqrt();
@@ -234,7 +235,7 @@ mod tests {
     fn a_single_frame_serves_where_nothing_was_taken_twice() {
         let a = frame(3);
         let mut pairs = Pairs::default();
-        pairs.add_single(&a, &[Estimate::new(100.0, 0.0); 4], 60_000.0);
+        pairs.add_single(&a, &[Estimate::new(100.0, 0.0); 4], Full::all(60_000.0));
         assert!(!pairs.has_pairs());
         let found = pairs.fit(&a.sites()).unwrap();
         assert!(found.iter().all(|n| (n.gain.value / 0.7 - 1.0).abs() < 0.05), "{found:?}");

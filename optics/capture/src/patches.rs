@@ -10,10 +10,11 @@ use crate::calibration::{Calibration, frame_means};
 use crate::flat::Flat;
 use crate::frame::{Area, Colour, Photo};
 use crate::kind::Kind;
-use crate::least_squares::robust_mean;
+use crate::least_squares::{median, robust_mean};
 use crate::noise::Pairs;
-use crate::refusal::Refusal;
-use crate::saturation::saturation;
+use crate::one_colour;
+use crate::refusal::{ONE_TURNED, Refusal, Warning};
+use crate::saturation::{Full, saturation};
 use crate::view::View;
 
 mod find;
@@ -37,6 +38,7 @@ pub struct Patches {
     last: Option<Photo>,
     shots: Vec<Shot>,
     pairs: Pairs,
+    warnings: Vec<Warning>,
 }
 
 /// What one shot shows.
@@ -63,6 +65,9 @@ struct Reading {
     std_error: f64,
     veil: f64,
 }
+
+/// Ratio of one patch in two shots against the other patches' that is no noise: another patch lies there.
+const OTHER_PATCH: f64 = 1.5;
 
 /// Least side of an area, in pixels.
 const LEAST_PX: f64 = 8.0;
@@ -112,7 +117,15 @@ fn check_areas(areas: &[Area], patches: usize) -> Result<(), Invalid> {
 
 impl Patches {
     pub fn new(black: Black, flat: Flat, neutral: Neutral) -> Self {
-        Self { black, flat, neutral, last: None, shots: Vec::new(), pairs: Pairs::default() }
+        Self {
+            black,
+            flat,
+            neutral,
+            last: None,
+            shots: Vec::new(),
+            pairs: Pairs::default(),
+            warnings: Vec::new(),
+        }
     }
 
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
@@ -122,6 +135,9 @@ impl Patches {
             self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
         } else {
             self.pairs.add_single(&photo.frame, self.black.levels(), full);
+            if one_colour::are_one(&photo.frame, self.black.levels(), full) {
+                self.warnings.push(Warning::OneColour { label: photo.label.clone() });
+            }
         }
         let shot = self.read(&photo, full)?;
         self.shots.push(shot);
@@ -129,7 +145,7 @@ impl Patches {
         Ok(())
     }
 
-    fn read(&self, photo: &Photo, full: f64) -> Result<Shot, Refusal> {
+    fn read(&self, photo: &Photo, full: Full) -> Result<Shot, Refusal> {
         let frame = &photo.frame;
         let sites = frame.sites();
         let means = frame_means(&self.black, frame);
@@ -164,7 +180,7 @@ impl Patches {
         area: Area,
         index: usize,
         colour: Colour,
-        full: f64,
+        full: Full,
     ) -> Result<Samples, Refusal> {
         let frame = &photo.frame;
         let (right, bottom) = (area.x + area.width, area.y + area.height);
@@ -181,7 +197,7 @@ impl Patches {
             let mut own = Vec::new();
             for y in (site.row_from(area.y.ceil() as usize)..bottom as usize).step_by(step) {
                 for x in (site.column_from(area.x.ceil() as usize)..right as usize).step_by(step) {
-                    clipped += usize::from(f64::from(frame.at(site, x, y)) >= full);
+                    clipped += usize::from(full.is_at(frame, site, x, y));
                     let light = self.flat.at(colour, x as f64 + 0.5, y as f64 + 0.5);
                     own.push(self.black.signal(frame, site, x, y) / light);
                 }
@@ -192,14 +208,34 @@ impl Patches {
         if clipped * 1000 > samples.len() {
             let share = 100.0 * clipped as f64 / samples.len() as f64;
             let place = format!("patch {}", index + 1);
-            return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level: full });
+            let level = full.of_colour(frame, colour);
+            return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level });
         }
         Ok(Samples { light: samples, per_site })
+    }
+
+    /// Refuses shots that differ by more than one factor of the light for all patches.
+    fn check_alike(&self) -> Result<(), Refusal> {
+        let Some((first, others)) = self.shots.split_first() else { return Ok(()) };
+        for shot in others {
+            let ratio =
+                |(a, b): (&[Reading; 3], &[Reading; 3])| b[1].light / a[1].light.max(f64::MIN_POSITIVE);
+            let ratios: Vec<f64> = first.readings.iter().zip(&shot.readings).map(ratio).collect();
+            let common = median(&mut ratios.clone());
+            let is_other = |ratio: &f64| !(1.0 / OTHER_PATCH..=OTHER_PATCH).contains(&(ratio / common));
+            if let Some(i) = ratios.iter().position(is_other) {
+                let (patch, times) = (i + 1, ratios[i]);
+                let seen = format!("patch {patch} is {times:.2} times as bright as in {}", first.label);
+                return Err(Refusal::Unlike { label: shot.label.clone(), seen, cause: ONE_TURNED });
+            }
+        }
+        Ok(())
     }
 
     pub fn finish(self) -> Result<Calibration, Refusal> {
         let Some(last) = &self.last else { return Err(Refusal::Missing { what: "shots of the patches" }) };
         let sites = last.frame.sites();
+        self.check_alike()?;
         let fitted = line::fit(&self.neutral, &self.shots)?;
         // Shots of the patches are alike; flats show moved paper. Those serve where nothing better was taken twice.
         let mut pairs = self.black.pairs.clone();
@@ -211,12 +247,13 @@ impl Patches {
         let mean =
             |s: usize| self.shots.iter().map(|shot| shot.sites[s]).sum::<f64>() / self.shots.len() as f64;
         let site_gain = (0..sites.len()).map(mean).collect();
-        let mut warnings = [self.black.warnings.as_slice(), &self.flat.warnings, &fitted.warnings].concat();
+        let parts = [&self.black.warnings, &self.flat.warnings, &fitted.warnings, &self.warnings];
+        let mut warnings = parts.map(Vec::as_slice).concat();
         if !pairs.has_pairs() {
-            warnings.push(crate::Warning::NoPairs);
+            warnings.push(Warning::NoPairs);
         }
         if last.frame.pattern() == crate::Pattern::Rgb {
-            warnings.push(crate::Warning::Demosaiced);
+            warnings.push(Warning::Demosaiced);
         }
         let kind = Kind::of(last);
         Ok(Calibration {

@@ -6,6 +6,14 @@ use optics_model::Invalid;
 
 use crate::frame::Colour;
 
+/// Likely causes of [`Refusal::Unlike`], with what to do.
+pub(crate) const TURNED: &str = "the picture is turned, most likely by a viewer's automatic rotation; give the file as the \
+                                 camera wrote it";
+pub(crate) const UNLIKE: &str =
+    "look for another slab or a turned picture (a viewer's automatic rotation), and shoot again";
+pub(crate) const ONE_TURNED: &str = "one of the two is turned (a viewer's automatic rotation), or something moved; give \
+                                     the files as the camera wrote them, or shoot again";
+
 /// What makes a session worthless: what was seen, where, and what to do.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Refusal {
@@ -33,7 +41,10 @@ pub enum Refusal {
          off; give the raw file"
     )]
     BlackSubtracted { label: String, share: f64 },
-    #[error("{label}: the black level is unknown: add dark shots, or files that tell it")]
+    #[error(
+        "{label}: the black level is unknown: add dark shots (`dark` under [camera], `--darks` beside --check), or \
+         give files that tell it"
+    )]
     BlackUnknown { label: String },
     #[error(
         "{label}: the edge is blurred by {blur_px:.2} px, {times:.2} times the session's {session_px:.2} px, 1.3 times \
@@ -47,7 +58,8 @@ pub enum Refusal {
     Shaken { label: String, across_px: f64, along_px: f64 },
     #[error(
         "{label}: the board lies ({dx_px:+.2}, {dy_px:+.2}) px from where the bare shots show it, {allowed_px:.2} px \
-         are allowed; camera or board moved: shoot the bare board again"
+         are allowed; camera or board moved: shoot the bare board again; or a viewer turned one of the pictures: give \
+         the files as the camera wrote them"
     )]
     Moved { label: String, dx_px: f64, dy_px: f64, allowed_px: f64 },
     #[error(
@@ -62,9 +74,9 @@ pub enum Refusal {
     BorderInCrop { label: String, room_mm: f64, needed_mm: f64 },
     #[error(
         "{label}: thirds of the crop disagree in {colour}: {deviation:+.4} at {x_mm:+.1} mm, {z:.0} standard errors; \
-         look for bubbles, dust, a tilted slab"
+         {advice} for bubbles, dust, a tilted slab"
     )]
-    ThirdsDisagree { label: String, colour: Colour, x_mm: f64, deviation: f64, z: f64 },
+    ThirdsDisagree { label: String, colour: Colour, x_mm: f64, deviation: f64, z: f64, advice: &'static str },
     #[error(
         "{label}: the edge bends by {bend_px:.2} px within the crop, {allowed_px:.2} px are allowed; lay the board \
          flat, move the edge to the frame's middle"
@@ -81,7 +93,13 @@ pub enum Refusal {
     )]
     LightDrifted { colour: Colour, percent: f64, first: String, last: String },
     #[error(
-        "{label}: the dark side of the edge is {found}, not {told} as the session says; swap `dark_side`"
+        "{label}: the free board's light differs by {percent:+.1} % in {colour} from the bare shots', up to {allowed} % are \
+         divided out: light or exposure changed; fix both, and shoot again what differs, this shot or the bare board"
+    )]
+    LightChanged { label: String, colour: Colour, percent: f64, allowed: f64 },
+    #[error(
+        "{label}: the dark side of the edge is {found}, not {told} as the session says; swap `dark_side`, or give the \
+         file as the camera wrote it, if a viewer turned it"
     )]
     SidesSwapped { label: String, found: Side, told: Side },
     #[error(
@@ -100,6 +118,8 @@ pub enum Refusal {
         "{label}: {what} is {found}, but {expected} in the shots before; use one camera with fixed settings"
     )]
     Mixed { label: String, what: &'static str, found: String, expected: String },
+    #[error("{label}: {seen}: {cause}")]
+    Unlike { label: String, seen: String, cause: &'static str },
     #[error("no {what} were given, and nothing can take their place")]
     Missing { what: &'static str },
 }
@@ -121,10 +141,26 @@ pub enum Warning {
         "no flat shots: uneven light is not divided out; a slope of {slope_percent} % per 10 mm is allowed for"
     )]
     NoFlat { slope_percent: f64 },
-    #[error("{label}: the slab leaves nothing of the board free, so it was not checked that nothing moved")]
+    #[error(
+        "{label}: the slab leaves nothing of the board free, so it was not checked that nothing moved and that the \
+         light was the bare shots'"
+    )]
     Unchecked { label: String },
     #[error("{label}: the free parts of the board do not tell whether it moved {direction}")]
     HalfChecked { label: String, direction: &'static str },
+    #[error("{label}: the free parts of the board do not show whether its light was the bare shots'")]
+    LightUnchecked { label: String },
+    #[error(
+        "{label}: the free board's light differs by {percent:+.1} % in {colour} from the bare shots'; that is divided out"
+    )]
+    LightDividedOut { label: String, colour: Colour, percent: f64 },
+    #[error(
+        "{label}: {share:.1} % of the crop masked for {} of up to {area_mm2:.2} mm², {x_mm:+.1} mm from the edge",
+        if *count == 1 { "a speck or scratch".to_owned() } else { format!("{count} specks or scratches") }
+    )]
+    Masked { label: String, count: usize, share: f64, area_mm2: f64, x_mm: f64 },
+    #[error("left out: {why}")]
+    LeftOut { why: Box<Refusal> },
     #[error("{label}: {share:.1} % of the crop's samples were rejected as dust or scratches")]
     ManyRejected { label: String, share: f64 },
     #[error(
@@ -135,6 +171,11 @@ pub enum Warning {
     NoFreeEdge { label: String },
     #[error("the photographs are demosaiced: their neighbours are correlated and their errors too small")]
     Demosaiced,
+    #[error(
+        "{label}: red, green and blue agree within noise: they are one channel under three names, as of a monochrome \
+         camera or of grey stored as RGB; use one of the three results"
+    )]
+    OneColour { label: String },
     #[error("noise was told from single photographs, since none was taken twice")]
     NoPairs,
     #[error("times of the shots are unknown: the white reference is the mean of its shots")]

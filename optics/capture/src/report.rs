@@ -11,6 +11,8 @@ pub struct ShotReport {
     pub rejected_px: Vec<[u32; 2]>,
     /// Movement against the first bare shot sideways and up and down, where it could be told.
     pub moved_px: [Option<Estimate>; 2],
+    /// Brightness of the free board over that in the bare shots, per channel, where it is known.
+    pub light: Option<[Estimate; 3]>,
     /// σ of lens and pixel, where a bare edge tells it.
     pub blur_px: Option<Estimate>,
     /// Scatter of samples within bins over what the sensor's noise explains, per channel.
@@ -23,6 +25,7 @@ impl ShotReport {
     pub(crate) fn new(
         label: &str,
         moved_px: [Option<Estimate>; 2],
+        light: Option<[Estimate; 3]>,
         blur_px: Option<Estimate>,
         binnings: [Binning; 3],
     ) -> Self {
@@ -30,7 +33,7 @@ impl ShotReport {
         let mut rejected_px: Vec<[u32; 2]> = binnings.iter().flat_map(|b| b.rejected_px.clone()).collect();
         rejected_px.sort_unstable();
         let profiles = binnings.map(|b| b.profile);
-        Self { label: label.to_owned(), rejected_px, moved_px, blur_px, scatter, profiles }
+        Self { label: label.to_owned(), rejected_px, moved_px, light, blur_px, scatter, profiles }
     }
 
     /// Share of the crop's samples that were rejected.

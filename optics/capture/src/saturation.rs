@@ -2,28 +2,137 @@
 
 use rayon::prelude::*;
 
-use crate::frame::Photo;
+use crate::frame::{Colour, Frame, Photo, Site};
 
-/// Samples from this number on are clipped: the lower one of what the file tells and what the picture shows. A full
-/// sensor piles up samples at the highest number that occurs.
-pub(crate) fn saturation(photo: &Photo) -> f64 {
-    let told = photo.levels.white.unwrap_or(f64::from(u16::MAX));
-    let count = |chunk: &[u16]| {
-        let mut counts = vec![0_u32; 1 << 16];
-        for s in chunk {
-            counts[usize::from(*s)] += 1;
+/// Numbers from which on the samples of each site are clipped.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Full([f64; 4]);
+
+impl Full {
+    pub fn all(level: f64) -> Self {
+        Self([level; 4])
+    }
+
+    pub fn is_at(self, frame: &Frame, site: Site, x: usize, y: usize) -> bool {
+        self.holds(site, f64::from(frame.at(site, x, y)))
+    }
+
+    pub fn holds(self, site: Site, number: f64) -> bool {
+        number >= self.of(site)
+    }
+
+    pub fn of(self, site: Site) -> f64 {
+        self.0[site.index]
+    }
+
+    /// The lowest of a colour's sites.
+    pub fn of_colour(self, frame: &Frame, colour: Colour) -> f64 {
+        let sites = frame.sites().into_iter().filter(|site| site.colour == colour);
+        sites.map(|site| self.of(site)).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Clipped are samples from the lower one of what the file tells and what the picture shows. A full sensor piles
+/// samples up at the highest numbers that occur; raw converters may have scaled the colours, so that each is full at another.
+pub(crate) fn saturation(photo: &Photo) -> Full {
+    let told = photo.levels.white.unwrap_or([f64::from(u16::MAX); 4]);
+    let mut full = Full(told);
+    let sites = photo.frame.sites();
+    let found: Vec<f64> = sites.par_iter().map(|site| shown(&counts(&photo.frame, *site))).collect();
+    for (site, shown) in sites.iter().zip(found) {
+        full.0[site.index] = told[site.index].min(shown);
+    }
+    full
+}
+
+fn counts(frame: &Frame, site: Site) -> Vec<u32> {
+    let mut counts = vec![0; 1 << 16];
+    for y in (site.row..frame.height()).step_by(site.step) {
+        for x in (site.column..frame.width()).step_by(site.step) {
+            counts[usize::from(frame.at(site, x, y))] += 1;
         }
-        counts
+    }
+    counts
+}
+
+/// Widths of a pile: that of a number, with the rounding of a scale, and that of full pixels that differ a little.
+const WIDTHS: [f64; 2] = [0.002, 0.005];
+
+/// Where samples pile up; infinite if they do not.
+fn shown(counts: &[u32]) -> f64 {
+    let total: u32 = counts.iter().sum();
+    let few = 20.max(total / 20_000);
+    let highest = counts.iter().rposition(|n| *n > 0).unwrap_or(0);
+    // A few pixels that are odd may lie above.
+    let mut above = 0;
+    let most = counts.iter().rposition(|n| {
+        above += n;
+        above > few
+    });
+    let between = |from: f64, to: f64| counts[from.ceil() as usize..to.ceil() as usize].iter().sum::<u32>();
+    let pile = |(top, width): (usize, f64)| {
+        let near = (1.0 - width) * top as f64;
+        let (piled, below) =
+            (between(near, counts.len() as f64), between((1.0 - 7.5 * width) * top as f64, near));
+        // Above any brightness there are fewer samples than below, but where they pile up.
+        (piled > few && piled > 2 * below).then_some(near)
     };
-    let samples = photo.frame.samples();
-    let parts: Vec<Vec<u32>> = samples.par_chunks(samples.len() / 4 + 1).map(count).collect();
-    let counts: Vec<u32> = (0..1 << 16).map(|k| parts.iter().map(|p| p[k]).sum()).collect();
-    let highest = counts.iter().rposition(|n| *n > 0).unwrap_or(0) as f64;
-    let between =
-        |from: f64, to: f64| counts[from.ceil() as usize..to.ceil() as usize].iter().sum::<u32>() as usize;
-    let near = 0.998 * highest;
-    let (piled, below) = (between(near, highest + 1.0), between(0.985 * highest, near));
-    // Above any brightness there are fewer samples than below, but where they pile up.
-    let full = piled > 20.max(samples.len() / 20_000) && piled > 2 * below;
-    if full { told.min(near) } else { told }
+    let tops = [Some(highest), most].into_iter().flatten();
+    let piles = tops.flat_map(|top| WIDTHS.map(|width| (top, width)));
+    piles.filter_map(pile).fold(f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{Levels, Pattern};
+
+    /// Numbers by a linear congruence, summed to nearly normal ones.
+    fn normal(state: &mut u64) -> f64 {
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            sum += (*state >> 11) as f64 / (1_u64 << 53) as f64;
+        }
+        sum
+    }
+
+    /// Light that rises to the right; red is full at `red`, with a relative scatter.
+    fn photo(white: Option<[f64; 4]>, red: f64, scatter: f64) -> Photo {
+        let mut state = 3;
+        let samples = (0..200 * 150 * 3).map(|i| {
+            let light = 2000.0 + 200.0 * f64::from(i / 3 % 200);
+            let seen = light + light.sqrt() * normal(&mut state);
+            let full = if i % 3 == 0 { red * (1.0 + scatter * normal(&mut state)) } else { f64::INFINITY };
+            seen.min(full).round() as u16
+        });
+        let frame = Frame::new(200, 150, Pattern::Rgb, samples.collect()).unwrap();
+        let levels = Levels { black: Some([0.0; 4]), white };
+        Photo { label: "it".to_owned(), frame, levels, seconds: None, exposure: None }
+    }
+
+    #[test]
+    fn each_colour_is_full_where_its_samples_pile_up() {
+        let full = |photo: &Photo| saturation(photo).0;
+        assert_eq!(full(&photo(None, f64::INFINITY, 0.0)), [65_535.0; 4]);
+        // A plateau of one number, and those of a scatter, the widest of which its file does not tell.
+        for scatter in [0.0, 2e-4, 6e-4] {
+            let [red, green, blue, _] = full(&photo(None, 30_000.0, scatter));
+            let lowest = 30_000.0 * (1.0 - 3.0 * scatter);
+            assert!(red > 29_700.0 && red <= lowest, "{scatter}: {red}");
+            assert_eq!([green, blue], [65_535.0; 2], "{scatter}");
+        }
+        // Odd pixels above the plateau.
+        let mut odd = photo(None, 30_000.0, 6e-4);
+        let mut samples = odd.frame.samples().to_vec();
+        samples[3 * 777] = 65_000;
+        odd.frame = Frame::new(200, 150, Pattern::Rgb, samples).unwrap();
+        assert!(full(&odd)[0] < 30_000.0);
+    }
+
+    #[test]
+    fn each_colour_is_full_where_its_file_tells() {
+        let told = [50_000.0, 40_000.0, 20_000.0, 40_000.0];
+        assert_eq!(saturation(&photo(Some(told), f64::INFINITY, 0.0)).0, told);
+    }
 }

@@ -19,20 +19,20 @@ pub(super) fn curves(
     let curves = |(i, term): (usize, &Term)| FitCurves {
         thickness_mm: question.dictionary.grid().thickness_mm()[term.thickness],
         x_mm: term.view.pixels().map(|pixel| sensor.centre_mm(pixel)).collect(),
-        measured: Curve { values: term.values.clone(), gradient: term.gradient.clone() },
+        measured: curve(term, term.values.clone()),
         candidates: candidates
             .iter()
             .filter_map(|c| c.thicknesses[i].record)
             .map(|record| {
-                let (values, gradient) = term.view.profile(record);
-                let wide = |f: &[f32]| f.iter().copied().map(f64::from).collect();
-                Curve { values: wide(&values), gradient: wide(&gradient) }
+                let (values, _) = term.view.profile(record);
+                curve(term, values.iter().copied().map(f64::from).collect())
             })
             .collect(),
-        refined: objective.as_ref().map(|(objective, x)| {
-            let values = objective.predict(term, *x).values;
-            Curve { gradient: term.view.slope().magnitude(&values), values }
-        }),
+        refined: objective.as_ref().map(|(objective, x)| curve(term, objective.predict(term, *x).values)),
     };
     question.terms.iter().enumerate().map(curves).collect()
+}
+
+fn curve(term: &Term, values: Vec<f64>) -> Curve {
+    Curve { gradient: term.view.slope().shown(&values), values }
 }

@@ -44,7 +44,8 @@ use rayon::prelude::*;
 
 pub use design::design;
 pub use dictionary::{DictionaryBuilder, FitChannel, FitDictionary};
-pub use gradient::derivative;
+pub use gradient::{derivative, shown_derivative};
+pub use likelihood::objective;
 pub use map::distance_map;
 pub use measure::{MeasurePlan, Measured, measure, measure_refined, unmix};
 pub use profile::profile;

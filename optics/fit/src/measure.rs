@@ -23,7 +23,8 @@ use super::uncertainty::{Analysis, Company};
 /// What was found for a set of materials.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
-    /// The paper's search of the scale factor, by the errors of records; none if it was given.
+    /// The paper's search of the scale factor, by the errors of records; none if it was given, or if the likelihood was
+    /// maximised, which estimates it itself.
     pub scale: Option<ScaleCurve>,
     /// What was chosen for all channels, by refined errors.
     pub common: Common,
@@ -46,7 +47,9 @@ pub fn measure(
     options: &FitOptions,
     plan: &MeasurePlan,
 ) -> Result<Measured, Invalid> {
-    let scale = plan.search_mu.map(|range| scale(dictionary, materials, options, &range)).transpose()?;
+    let by_records = likelihood::objective(options, materials) == Objective::Paper;
+    let range = plan.search_mu.filter(|_| by_records);
+    let scale = range.map(|range| scale(dictionary, materials, options, &range)).transpose()?;
     Ok(Measured { scale, ..measure_refined(dictionary, materials, options, plan)? })
 }
 

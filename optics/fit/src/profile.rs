@@ -5,7 +5,7 @@ use optics_model::{Grid, Invalid, Medium};
 use rayon::prelude::*;
 
 use super::dictionary::FitDictionary;
-use super::gradient::derivative;
+use super::gradient::shown_derivative;
 use super::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
 use super::question::find_channel;
 use super::surrogate::{Surrogate, coordinates};
@@ -56,7 +56,7 @@ fn of_channel(surrogate: &Surrogate, medium: &Medium, thickness_mm: f64) -> Pred
     let known = noise.degrees >= LEAST_DEGREES;
     let FitSettings { wavelet, level, .. } = FitSettings::default();
     let per_mm = surrogate.grid().scene().sensor().pitch_mm().recip();
-    let gradient = derivative(&values, wavelet, level).into_iter().map(|d| d * per_mm).collect();
+    let gradient = shown_derivative(&values, wavelet, level).into_iter().map(|d| d * per_mm).collect();
     PredictedChannel {
         channel: String::new(),
         std_errors: known.then(|| (0..values.len()).map(at).collect()),

@@ -72,14 +72,14 @@ impl<'a> Analysis<'a> {
         let total = company.map_or(spread.total, |c| c.shared.of(c.channel, &self.part()));
         let [sigma_t, albedo, g] = self.intervals(&spread, free, company.map(|c| (c.shared, c.channel)));
         let (x, chosen_g) = (self.optimum.x, company.and_then(|c| c.g));
-        let resolved = if free[G] || chosen_g.is_some() {
+        let resolved = is_resolved(&sigma_t, &albedo);
+        let at_its_g = || {
             let free = [free[SIGMA_T], free[ALBEDO], false, false];
             let at_g = company.map(|c| (c.at_g, c.channel));
             let [sigma_t, albedo, _] = self.intervals(&self.noise.spread(free), free, at_g);
             is_resolved(&sigma_t, &albedo)
-        } else {
-            is_resolved(&sigma_t, &albedo)
         };
+        let resolved_at_g = resolved || ((free[G] || chosen_g.is_some()) && at_its_g());
         let deviation = |i: usize| total.col(i)[i].max(0.0).sqrt();
         let both = deviation(SIGMA_T) * deviation(G);
         let correlation = if both > 0.0 { total.col(SIGMA_T)[G] / both } else { 0.0 };
@@ -94,6 +94,7 @@ impl<'a> Analysis<'a> {
             correlation,
             valley: (free[G] || chosen_g.is_some()) && correlation.abs() > VALLEY,
             resolved,
+            resolved_at_g,
             measurement_noise: self.noise.measured_rms,
             dictionary_share: spread.dictionary_share,
             misfit: self.noise.misfit,
@@ -176,13 +177,20 @@ fn reduced_scattering(objective: &Objective, x: Unknowns, covariance: DMat4) -> 
     log_interval(value, slope, covariance, (corner(s.0, a.1, g.0), corner(s.1, a.0, g.1)))
 }
 
-/// σ_a = σ_t (1 − α), from its root u √σ_t, which may come down to zero.
+/// σ_a = σ_t (1 − α), from its root u √σ_t, which may come down to zero if the dictionary does.
 fn absorption(objective: &Objective, x: Unknowns, covariance: DMat4) -> Interval {
     let (u, root) = (x[ALBEDO], (0.5 * x[SIGMA_T]).exp());
     let slope = DVec4::new(0.5 * u * root, root, 0.0, 0.0);
     let half = Z * slope.dot(covariance * slope).max(0.0).sqrt();
-    let [(_, s), (_, a), _] = objective.surrogate.limits();
-    let greatest = a * (0.5 * s).exp();
-    let (low, high) = ((u * root - half).max(0.0), u * root + half);
-    Interval { low: low * low, high: high.min(greatest).powi(2), open_low: false, open_high: high > greatest }
+    let [(least_s, s), (least_a, a), _] = objective.surrogate.limits();
+    let (least, greatest) = (least_a * (0.5 * least_s).exp(), a * (0.5 * s).exp());
+    let (low, high) = (u * root - half, u * root + half);
+    // At the dictionary's greatest albedo less absorption is not excluded, unless that is 1.
+    let open_low = least_a > 0.0 && (low < least || u <= least_a);
+    Interval {
+        low: low.max(least).powi(2),
+        high: high.min(greatest).powi(2),
+        open_low,
+        open_high: high > greatest,
+    }
 }

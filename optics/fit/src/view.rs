@@ -12,7 +12,7 @@ use optics_model::Grid;
 use optics_model::fit::Wavelet;
 use rayon::prelude::*;
 
-use super::gradient::derivative;
+use super::gradient::{derivative, shown_derivative};
 use super::records::{self, Records};
 use super::sketch::{Basis, Description, Sketch};
 
@@ -56,6 +56,12 @@ impl Slope {
             *d = d.abs();
         }
         slope
+    }
+
+    /// |∇f| as it is shown.
+    pub(super) fn shown(self, f: &[f64]) -> Vec<f64> {
+        let scale = REFERENCE_PITCH_MM / self.pitch_mm;
+        shown_derivative(f, self.wavelet, self.level).into_iter().map(|d| (scale * d).abs()).collect()
     }
 }
 

@@ -17,6 +17,11 @@ impl FitLimits {
     pub const PROFILES: usize = 1024;
     /// Most pixels of one measured profile.
     pub const PIXELS: usize = 100_000;
+    /// Most pixels of one question to a coordinator in another process, of all its profiles together.
+    pub const QUESTION_PIXELS: usize = 1 << 20;
+    /// What to do about more.
+    pub const MANY_PIXELS_ADVICE: &str = "ask about fewer materials at a time, average neighbouring pixels, or use a \
+                                          farm in the same process (--local), which takes any number";
     /// Most sets of slabs that are compared.
     pub const SLAB_SETS: usize = 256;
     /// Most slabs of one set.

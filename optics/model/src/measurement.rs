@@ -2,6 +2,7 @@
 
 pub mod checks;
 mod colour;
+mod spacing;
 
 pub use colour::colour;
 
@@ -62,7 +63,7 @@ pub struct MeasuredProfile {
 
 impl MeasuredProfile {
     /// `x_mm` are pixel centres at a constant pitch, rising from the dark side to the light side with
-    /// the edge at 0; `values` are linear radiance factors.
+    /// the edge at 0; where they are rounded, the even ones are taken. `values` are linear radiance factors.
     pub fn new(
         channel: impl Into<String>,
         thickness_mm: f64,
@@ -76,7 +77,7 @@ impl MeasuredProfile {
             let allowed = format!("{MIN_PIXELS} to {} are allowed", FitLimits::PIXELS);
             return Err(Invalid::new("x_mm", format_args!("{n} pixels"), allowed));
         }
-        check_pitch(&x_mm)?;
+        let x_mm = spacing::even(x_mm)?;
         check_numbers("values", n, &values, |v| v.abs() <= 1e6, "numbers of size up to 1e6 are allowed")?;
         if let Some(errors) = &std_errors {
             let allowed = "0, and numbers from 1e-9 to 1e6 are allowed";
@@ -148,23 +149,6 @@ fn lies_beside_the_edge(x_mm: &[f64]) -> bool {
 
 fn pitch(x: &[f64]) -> f64 {
     (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64
-}
-
-/// Steps may differ from the mean by 2 %, so that rounded decimals pass.
-fn check_pitch(x: &[f64]) -> Result<()> {
-    if let Some(i) = x.iter().position(|v| !v.is_finite()) {
-        return Err(Invalid::new(format!("x_mm[{i}]"), x[i], "numbers must be finite"));
-    }
-    if let Some(i) = x.windows(2).position(|w| w[1] <= w[0]) {
-        return Err(Invalid::new(format!("x_mm[{}]", i + 1), x[i + 1], "x must be strictly rising"));
-    }
-    let mean = pitch(x);
-    if let Some(i) = x.windows(2).position(|w| ((w[1] - w[0]) / mean - 1.0).abs() > 0.02) {
-        let given = format!("{} after {}", x[i + 1], x[i]);
-        let allowed = format!("pixels must be equally spaced (mean pitch {mean:.5} mm)");
-        return Err(Invalid::new(format!("x_mm[{}]", i + 1), given, allowed));
-    }
-    Ok(())
 }
 
 fn check_numbers(field: &str, n: usize, v: &[f64], ok: impl Fn(f64) -> bool, allowed: &str) -> Result<()> {

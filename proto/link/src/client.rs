@@ -66,19 +66,15 @@ impl ClientAccess {
         Bearer::of(self.fields.token.expose_secret())
     }
 
-    /// The coordinator, or the one at `override_url`, with encryption. A URL without is taken on loopback only, since the
-    /// token would be there for all to read.
+    /// The coordinator, or the one at `override_url`, with encryption: without it the token would be there for all to
+    /// read, and on loopback for those who take a port that is free.
     pub fn endpoint(&self, override_url: Option<&str>) -> Result<Endpoint, AccessError> {
         let url = override_url.unwrap_or(&self.fields.server);
         let (endpoint, security) = checked_endpoint(url)?;
         if security.encrypted {
             return endpoint.tls_config(self.tls()).map_err(|error| self.unusable(&error));
         }
-        if security.loopback {
-            return Ok(endpoint);
-        }
-        let problem =
-            "is not encrypted, so that the token could be read on the way: it must begin with https://";
+        let problem = "is not encrypted, so that others could read the token: it must begin with https://";
         Err(AccessError::Url { url: url.to_owned(), problem: problem.to_owned() })
     }
 
@@ -211,13 +207,12 @@ mod tests {
     }
 
     #[test]
-    fn another_url_must_be_encrypted_too_unless_it_is_loopback() {
+    fn another_url_must_be_encrypted_too() {
         let access = read(&content("")).unwrap();
         assert!(access.endpoint(Some("https://10.0.0.1:7700")).is_ok());
-        for url in ["http://127.0.0.1:7700", "http://localhost:7700", "http://[::1]:7700"] {
-            assert!(access.endpoint(Some(url)).is_ok(), "{url}");
-        }
-        for url in ["http://10.0.0.1:7700", "http://localhost.example.org", "http://[::2]:7700"] {
+        for url in
+            ["http://10.0.0.1:7700", "http://localhost:7700", "http://127.0.0.1:7700", "http://[::1]:7700"]
+        {
             let error = access.endpoint(Some(url)).unwrap_err().to_string();
             assert!(error.contains(url) && error.contains("not encrypted"), "{error}");
         }

@@ -1,9 +1,7 @@
 //! The coordinator's access file.
 
-use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::SystemTime;
 
 use secrecy::{ExposeSecret as _, SecretString};
 use serde::Deserialize;
@@ -35,7 +33,8 @@ pub struct CoordinatorAccess {
     key: SecretString,
     client_ca: Option<String>,
     tokens: RwLock<Arc<Tokens>>,
-    stamp: Mutex<Option<Stamp>>,
+    /// Digest of what was read last. Times and sizes do not say enough: they can be set, and be the same.
+    digest: Mutex<Option<blake3::Hash>>,
 }
 
 #[derive(Deserialize)]
@@ -52,7 +51,7 @@ impl CoordinatorAccess {
     /// Reads and checks a file, down to the key's belonging to the certificate.
     pub fn read(path: &Path) -> Result<Self, AccessError> {
         // Looked at first: what changes meanwhile is read again.
-        let stamp = Stamp::of(path);
+        let digest = file::digest(path);
         let (fields, tokens) = read_fields(path)?;
         let wrong = |field: &str, problem| AccessError::Field {
             path: path.to_owned(),
@@ -70,7 +69,7 @@ impl CoordinatorAccess {
             key: fields.key,
             client_ca: fields.client_ca,
             tokens: RwLock::new(Arc::new(tokens)),
-            stamp: Mutex::new(stamp),
+            digest: Mutex::new(digest),
         };
         access.check_tls()?;
         Ok(access)
@@ -99,9 +98,9 @@ impl CoordinatorAccess {
     /// Reads the file's tokens again, if it has changed since it was last read: whether they are others now. A file that
     /// cannot be used changes nothing. Certificates are not read again: connections that were made by them are open.
     pub fn refresh(&self) -> Result<bool, AccessError> {
-        let stamp = Stamp::of(&self.path);
-        if std::mem::replace(&mut *self.stamp.lock().unwrap_or_else(PoisonError::into_inner), stamp) == stamp
-        {
+        let digest = file::digest(&self.path);
+        let last = &mut *self.digest.lock().unwrap_or_else(PoisonError::into_inner);
+        if std::mem::replace(last, digest) == digest {
             return Ok(false);
         }
         let tokens = read_fields(&self.path)?.1;
@@ -126,21 +125,6 @@ fn read_fields(path: &Path) -> Result<(CoordinatorFields, Tokens), AccessError> 
     let tokens = tokens::checked(std::mem::take(&mut fields.tokens))
         .map_err(|(field, problem)| AccessError::Field { path: path.to_owned(), field, problem })?;
     Ok((fields, tokens))
-}
-
-/// What tells that a file is another one than before.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Stamp {
-    modified: Option<SystemTime>,
-    inode: u64,
-    bytes: u64,
-}
-
-impl Stamp {
-    fn of(path: &Path) -> Option<Self> {
-        let about = std::fs::metadata(path).ok()?;
-        Some(Self { modified: about.modified().ok(), inode: about.ino(), bytes: about.len() })
-    }
 }
 
 #[cfg(test)]
@@ -224,6 +208,17 @@ mod tests {
         std::fs::write(file.path(), content(&entry("client", "b", &other(1)))).unwrap();
         assert!(access.refresh().unwrap());
         assert_eq!((name(TOKEN), name(&other(1)).as_deref()), (None, Some("b")));
+    }
+
+    #[test]
+    fn a_change_is_seen_though_size_and_times_are_the_same() {
+        let file = private_file(&content(&entry("worker", "a", TOKEN)));
+        let access = CoordinatorAccess::read(file.path()).unwrap();
+        let before = std::fs::metadata(file.path()).unwrap().modified().unwrap();
+        std::fs::write(file.path(), content(&entry("worker", "a", &other(1)))).unwrap();
+        file.as_file().set_modified(before).unwrap();
+        assert!(access.refresh().unwrap());
+        assert_eq!(access.tokens().role_of(TOKEN), None);
     }
 
     #[test]

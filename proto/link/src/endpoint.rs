@@ -7,7 +7,7 @@ use tonic::codegen::http::header::{AUTHORIZATION, HeaderMap, HeaderValue};
 use tonic::transport::Endpoint;
 
 use crate::error::{AccessError, root_cause};
-use crate::local_key;
+use crate::loopback::Loopback;
 
 const CONNECT: Duration = Duration::from_secs(10);
 /// HTTP/2 pings find links that were cut without a word.
@@ -15,38 +15,17 @@ const KEEPALIVE: Duration = Duration::from_secs(20);
 
 /// Adds `authorization: Bearer TOKEN` to every call; without a token, nothing.
 #[derive(Debug, Clone, Default)]
-pub struct Bearer(Source);
-
-/// Where the token comes from.
-#[derive(Debug, Clone, Default)]
-enum Source {
-    #[default]
-    Nowhere,
-    AccessFile(Option<HeaderValue>),
-    /// The key of this user's coordinator on a port of loopback. Looked for at every call: one that is started anew has
-    /// another, and if there is none, whoever listens there must not see it.
-    LocalKey(u16),
-}
+pub struct Bearer(Option<HeaderValue>);
 
 impl Bearer {
     /// A token that has been checked to consist of visible characters.
     pub(crate) fn of(token: &str) -> Self {
-        Self(Source::AccessFile(header(token)))
-    }
-
-    /// The key of this user's coordinator on a port.
-    pub(crate) fn local(port: u16) -> Self {
-        Self(Source::LocalKey(port))
+        Self(header(token))
     }
 
     pub(crate) fn mark(&self, headers: &mut HeaderMap) {
-        let header = match &self.0 {
-            Source::Nowhere => None,
-            Source::AccessFile(header) => header.clone(),
-            Source::LocalKey(port) => local_key::token(*port).and_then(|token| header(&token)),
-        };
-        if let Some(header) = header {
-            headers.insert(AUTHORIZATION, header);
+        if let Some(header) = &self.0 {
+            headers.insert(AUTHORIZATION, header.clone());
         }
     }
 }
@@ -92,19 +71,18 @@ pub(crate) fn checked_endpoint(url: &str) -> Result<(Endpoint, UrlSecurity), Acc
     Ok((endpoint, security))
 }
 
-/// The endpoint at a URL without an access file, and what to show there.
-pub(crate) fn bare_endpoint(url: &str) -> Result<(Endpoint, Bearer), AccessError> {
+/// The endpoint at a URL without an access file, and the port if it is one of loopback.
+pub(crate) fn bare_endpoint(url: &str) -> Result<(Endpoint, Option<Loopback>), AccessError> {
     let (endpoint, security) = checked_endpoint(url)?;
     if security.encrypted {
         let problem = "is encrypted, which needs an access file (--access FILE or FARM_ACCESS): it holds the \
                        certificate to know the coordinator by, and a token";
         return Err(AccessError::Url { url: url.to_owned(), problem: problem.to_owned() });
     }
-    let bearer = match endpoint.uri().port_u16() {
-        Some(port) if security.loopback => Bearer::local(port),
-        _ => Bearer::default(),
-    };
-    Ok((endpoint, bearer))
+    let host = endpoint.uri().host().unwrap_or_default().to_owned();
+    let loopback =
+        security.loopback.then(|| Loopback { host, port: endpoint.uri().port_u16().unwrap_or(80) });
+    Ok((endpoint, loopback))
 }
 
 fn is_loopback(host: &str) -> bool {

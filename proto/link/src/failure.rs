@@ -12,10 +12,32 @@ use crate::error::root_cause;
 /// encryption.
 const NOT_HTTP2: [&str; 2] = ["frame with invalid size", "frame received is malformed"];
 
+/// What tonic says of an answer by HTTP/2 that is a page and no message: the page's port, or that of the figures.
+const NO_MESSAGE: [&str; 2] = ["invalid compression flag", "grpc-status header missing"];
+
+/// What hyper says of a connection whose other end answers no ping.
+const SILENT: &str = "keep-alive timed out";
+
 /// Why the coordinator at a URL does not answer, and what to look at; None for a failure of another kind.
 pub fn failure(error: &(dyn Error + 'static), url: &str) -> Option<String> {
     if refusal(error).is_some() {
         return None;
+    }
+    let text = root_cause(error);
+    let mut chain = std::iter::successors(Some(error), |&cause| cause.source());
+    if chain.any(|cause| cause.to_string().contains(SILENT)) {
+        return Some(
+            "it takes connections and does not answer: was farm-coordinator stopped (SIGSTOP, a machine asleep), or is it \
+             overloaded?"
+                .to_owned(),
+        );
+    }
+    if NO_MESSAGE.iter().any(|no_message| text.contains(no_message)) {
+        return Some(
+            "what answers there is no coordinator but a web server: is this the port of `farmctl web`, of --metrics, or of \
+             a proxy that does not pass gRPC on? The coordinator's is the one of --listen, 7700 if it was not given"
+                .to_owned(),
+        );
     }
     let mut causes = std::iter::successors(Some(error), |&cause| cause.source());
     let known = causes.find_map(|cause| {
@@ -35,6 +57,21 @@ pub fn failure(error: &(dyn Error + 'static), url: &str) -> Option<String> {
         }
         NOT_HTTP2.iter().any(|text| cause.contains(text)).then(|| of_other_language(url))
     })
+}
+
+/// Whether the same call may succeed later.
+pub fn is_passing(status: &tonic::Status) -> bool {
+    use tonic::Code;
+    matches!(
+        status.code(),
+        Code::Unavailable
+            | Code::DeadlineExceeded
+            | Code::Aborted
+            | Code::Cancelled
+            | Code::Internal
+            | Code::ResourceExhausted
+            | Code::Unknown
+    )
 }
 
 fn of_connection(error: &io::Error, url: &str) -> Option<String> {
@@ -57,6 +94,8 @@ fn of_connection(error: &io::Error, url: &str) -> Option<String> {
             let hint = if is_plain(url) { ", or it listens for https:// and wants an access file" } else { "" };
             format!("the connection was cut ({error}): the coordinator may have ended{hint}")
         }
+        // Another user's: this program's own words.
+        ErrorKind::PermissionDenied if error.get_ref().is_some() => error.to_string(),
         _ => return None,
     };
     Some(text)
@@ -159,6 +198,18 @@ mod tests {
         assert!(text.contains("--access FILE"), "{text}");
         let lookup = io::Error::other("failed to lookup address information: Name or service not known");
         assert!(told(lookup).unwrap().contains("by the name farm:"));
+    }
+
+    #[test]
+    fn pages_and_silence_are_told_from_coordinators() {
+        let told = |status: &tonic::Status| failure(status, "http://farm:7780").unwrap();
+        let page =
+            "protocol error: received message with invalid compression flag: 60 (valid flags are 0 and 1)";
+        assert!(told(&tonic::Status::internal(page)).contains("the port of `farmctl web`"));
+        let missing = "grpc-status header missing, mapped from HTTP status code 404";
+        assert!(told(&tonic::Status::unknown(missing)).contains("--metrics"));
+        let silent = "http2 error: keep-alive timed out: operation timed out";
+        assert!(told(&tonic::Status::unavailable(silent)).contains("SIGSTOP"));
     }
 
     #[test]

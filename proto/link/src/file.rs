@@ -16,6 +16,14 @@ const LONGEST_BYTES: u64 = 1 << 20;
 /// Kubernetes mounts a secret for a user that is not root.
 const OTHERS: u32 = 0o007;
 
+/// Digest of what is in a file; none if it cannot be read, or is no regular file.
+pub(crate) fn digest(path: &Path) -> Option<blake3::Hash> {
+    let file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|about| about.is_file()))?;
+    let mut bytes = Vec::new();
+    file.take(LONGEST_BYTES + 1).read_to_end(&mut bytes).ok()?;
+    Some(blake3::hash(&bytes))
+}
+
 /// Reads a file that only its owner and group can open. `expected` says whose it should be.
 pub(crate) fn read_secret<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T, AccessError> {
     let failed = |source| AccessError::Read { path: path.to_owned(), source };

@@ -15,24 +15,31 @@
 //! accepts. Everybody else has a file for a [`Role`] ([`ClientAccess`]): the coordinator's URL, the authority that
 //! vouches for its certificate, and a token.
 //!
-//! A coordinator on loopback without a file has a [`LocalKey`], which the programs of its user find by themselves.
+//! A coordinator on loopback without a file has a [`LocalSocket`], which the programs of its user find by themselves.
 //!
 //! # Besides
 //!
-//! [`logs`] sets up what the programs log, [`signals`] ends them in good order, [`walltime`] reads times as Slurm and
-//! people write them.
+//! [`arguments`] reads what programs are given, [`logs`] sets up what they log, [`memory`] finds how much they may use,
+//! [`signals`] ends them in good order, [`walltime`] reads times as Slurm and
+//! people write them, [`sync_folder`] puts the names in a folder on the disk.
+
+#![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 
 mod alert;
+pub mod arguments;
 mod client;
 mod coordinator;
 mod endpoint;
 mod error;
 mod failure;
 mod file;
+mod folder;
 mod handshake;
 mod link;
-mod local_key;
+mod local_socket;
 pub mod logs;
+mod loopback;
+pub mod memory;
 mod pem;
 pub mod signals;
 mod target;
@@ -47,9 +54,10 @@ pub use client::ClientAccess;
 pub use coordinator::CoordinatorAccess;
 pub use endpoint::Bearer;
 pub use error::AccessError;
-pub use failure::failure;
+pub use failure::{failure, is_passing};
+pub use folder::sync_folder;
 pub use link::Link;
-pub use local_key::LocalKey;
+pub use local_socket::LocalSocket;
 pub use target::Target;
 pub use tokens::{Tokens, is_token_name};
 

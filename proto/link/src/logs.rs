@@ -1,16 +1,24 @@
 //! Logs of the programs: text for people or JSON lines for machines, on standard error.
 
+mod patient;
+
 use std::fmt;
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::str::FromStr;
+use std::sync::OnceLock;
 
 use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, filter};
 
+use patient::Patient;
+
 /// Variable that tells what is logged, such as `info,farm_coordinator=debug`.
 pub const FILTER_VARIABLE: &str = "FARM_LOG";
+
+/// They would be printed to standard error, which panics where that is what failed.
+const LOG_ERRORS_OF_LOGGING: bool = false;
 
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
@@ -63,6 +71,20 @@ impl fmt::Display for LogFormat {
     }
 }
 
+/// Writes a line for people to standard error. That it may be full, closed or not read is no reason to end or to wait.
+pub fn tell(line: impl fmt::Display) {
+    let _ = standard_error().write_all(format!("{line}\n").as_bytes());
+}
+
+/// The one way to standard error.
+fn standard_error() -> Box<dyn Write> {
+    static OUTPUT: OnceLock<Option<Patient>> = OnceLock::new();
+    match OUTPUT.get_or_init(|| Patient::new(std::io::stderr())) {
+        Some(output) => Box::new(output.clone()),
+        None => Box::new(std::io::stderr()),
+    }
+}
+
 /// Starts logging to standard error: what `FARM_LOG` asks for or, without it, `default_filter`.
 pub fn init(format: LogFormat, default_filter: &str) -> Result<(), LogError> {
     let asked = match std::env::var(FILTER_VARIABLE) {
@@ -74,8 +96,8 @@ pub fn init(format: LogFormat, default_filter: &str) -> Result<(), LogError> {
     let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let color = std::io::stderr().is_terminal() && !no_color;
     match format {
-        LogFormat::Text => text(filter, color, std::io::stderr).try_init(),
-        LogFormat::Json => json(filter, std::io::stderr).try_init(),
+        LogFormat::Text => text(filter, color, standard_error).try_init(),
+        LogFormat::Json => json(filter, standard_error).try_init(),
     }
     .map_err(|_| LogError::Twice)
 }
@@ -97,7 +119,12 @@ fn text<W>(filter: EnvFilter, color: bool, writer: W) -> impl tracing::Subscribe
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(color).with_writer(writer).finish()
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(color)
+        .log_internal_errors(LOG_ERRORS_OF_LOGGING)
+        .with_writer(writer)
+        .finish()
 }
 
 /// The list of spans holds the current one too, so that this is not written a second time.
@@ -110,6 +137,7 @@ where
         .with_current_span(false)
         .with_span_list(true)
         .with_env_filter(filter)
+        .log_internal_errors(LOG_ERRORS_OF_LOGGING)
         .with_writer(writer)
         .finish()
 }

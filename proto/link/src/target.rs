@@ -7,11 +7,14 @@ use crate::endpoint::{Bearer, bare_endpoint};
 use crate::error::AccessError;
 use crate::handshake::Handshake;
 use crate::link::{Link, was_cut};
+use crate::loopback::Loopback;
 
 /// A coordinator that can be connected to.
 #[derive(Debug, Clone)]
 pub struct Target {
     endpoint: Endpoint,
+    /// Where it is a port of this machine without an access file.
+    loopback: Option<Loopback>,
     bearer: Bearer,
     handshake: Option<Handshake>,
     url: String,
@@ -19,17 +22,18 @@ pub struct Target {
 
 impl Target {
     /// The coordinator of an access file, or at a URL, or both: then the URL counts, and the file says how to know the
-    /// coordinator there. A bare URL is never encrypted, for there is nothing to know the other side by; on loopback the key
-    /// of the user's own coordinator is shown.
+    /// coordinator there. A bare URL is never encrypted, for there is nothing to know the other side by; on loopback it stands
+    /// for the user's own coordinator.
     pub fn new(access: Option<&ClientAccess>, url: Option<&str>) -> Result<Self, AccessError> {
-        let (endpoint, bearer) = match (access, url) {
-            (Some(access), url) => (access.endpoint(url)?, access.bearer()),
+        let (endpoint, loopback) = match (access, url) {
+            (Some(access), url) => (access.endpoint(url)?, None),
             (None, Some(url)) => bare_endpoint(url)?,
             (None, None) => return Err(AccessError::NoServer),
         };
+        let bearer = access.map(ClientAccess::bearer).unwrap_or_default();
         let handshake = access.and_then(|access| access.handshake(&endpoint));
         let url = url.or(access.map(ClientAccess::server)).unwrap_or_default().to_owned();
-        Ok(Self { endpoint, bearer, handshake, url })
+        Ok(Self { endpoint, loopback, bearer, handshake, url })
     }
 
     pub fn url(&self) -> &str {
@@ -38,7 +42,11 @@ impl Target {
 
     /// Connects now.
     pub async fn connect(&self) -> Result<Link, tonic::transport::Error> {
-        match self.endpoint.connect().await {
+        let connected = match self.loopback.clone() {
+            Some(loopback) => self.endpoint.connect_with_connector(loopback).await,
+            None => self.endpoint.connect().await,
+        };
+        match connected {
             Ok(channel) => Ok(self.link(channel)),
             // The first call finds out why.
             Err(error) if was_cut(&error) => Ok(self.connect_lazy()),
@@ -48,7 +56,10 @@ impl Target {
 
     /// Connects at the first call. Must be called within a tokio runtime.
     pub fn connect_lazy(&self) -> Link {
-        self.link(self.endpoint.connect_lazy())
+        self.link(match self.loopback.clone() {
+            Some(loopback) => self.endpoint.connect_with_connector_lazy(loopback),
+            None => self.endpoint.connect_lazy(),
+        })
     }
 
     #[cfg(test)]

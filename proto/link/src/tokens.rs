@@ -33,11 +33,6 @@ pub(crate) struct TokenTable {
 }
 
 impl Tokens {
-    /// One token.
-    pub(crate) fn of_one(role: Role, name: &str, token: &str) -> Self {
-        Self(vec![Token { role, name: name.to_owned(), hash: token_hash(token) }])
-    }
-
     /// Role and name that belong to a token. Takes the same time wherever the token differs from those that are known, and
     /// whichever of them it is.
     pub fn role_of(&self, presented: &str) -> Option<(Role, &str)> {

@@ -217,6 +217,7 @@ impl From<Refined> for wire::Refined {
             correlation: r.correlation,
             valley: r.valley,
             resolved: r.resolved,
+            resolved_at_g: r.resolved_at_g,
             measurement_noise: r.measurement_noise,
             dictionary_share: r.dictionary_share,
             misfit: r.misfit,
@@ -251,6 +252,8 @@ impl TryFrom<wire::Refined> for Refined {
             correlation: r.correlation,
             valley: r.valley,
             resolved: r.resolved,
+            // Older coordinators send one flag only.
+            resolved_at_g: r.resolved_at_g || r.resolved,
             measurement_noise: r.measurement_noise,
             dictionary_share: r.dictionary_share,
             misfit: r.misfit,
@@ -259,7 +262,7 @@ impl TryFrom<wire::Refined> for Refined {
     }
 }
 
-const CAUSES: [(Cause, wire::Cause); 9] = [
+const CAUSES: [(Cause, wire::Cause); 10] = [
     (Cause::Unknown, wire::Cause::Unspecified),
     (Cause::EdgeOffset, wire::Cause::EdgeOffset),
     (Cause::Gain, wire::Cause::Gain),
@@ -268,6 +271,7 @@ const CAUSES: [(Cause, wire::Cause); 9] = [
     (Cause::Blur, wire::Cause::Blur),
     (Cause::Outliers, wire::Cause::Outliers),
     (Cause::GammaCoded, wire::Cause::GammaCoded),
+    (Cause::Exponent, wire::Cause::Exponent),
     (Cause::ThicknessesSwapped, wire::Cause::ThicknessesSwapped),
 ];
 

@@ -2,7 +2,9 @@
 
 use super::required;
 use crate::wire;
-use optics_model::fit::{Bound, Ends, Likelihood, Nuisance, NuisanceEstimate, OutlierPixel, Stretch};
+use optics_model::fit::{
+    Bound, Ends, ErrorSource, Likelihood, Nuisance, NuisanceEstimate, OutlierPixel, SourceShare, Stretch,
+};
 use optics_model::invalid::{Invalid, Result};
 
 impl From<Likelihood> for wire::Likelihood {
@@ -15,6 +17,7 @@ impl From<Likelihood> for wire::Likelihood {
             outliers: l.outliers.into_iter().map(Into::into).collect(),
             stretches: l.stretches.into_iter().map(Into::into).collect(),
             bound: Some(l.bound.into()),
+            budget: l.budget.into_iter().map(Into::into).collect(),
         }
     }
 }
@@ -31,6 +34,7 @@ impl TryFrom<wire::Likelihood> for Likelihood {
             outliers: l.outliers.into_iter().map(Into::into).collect(),
             stretches: l.stretches.into_iter().map(Into::into).collect(),
             bound: required("bound", l.bound)?.try_into()?,
+            budget: l.budget.into_iter().map(Into::into).collect(),
         })
     }
 }
@@ -124,6 +128,48 @@ impl TryFrom<wire::Bound> for Bound {
     }
 }
 
+const SOURCES: [(ErrorSource, wire::ErrorSource); 12] = [
+    (ErrorSource::Unknown, wire::ErrorSource::Unspecified),
+    (ErrorSource::Noise, wire::ErrorSource::Noise),
+    (ErrorSource::Dictionary, wire::ErrorSource::Dictionary),
+    (ErrorSource::Thickness, wire::ErrorSource::Thickness),
+    (ErrorSource::Origin, wire::ErrorSource::Origin),
+    (ErrorSource::Blur, wire::ErrorSource::Blur),
+    (ErrorSource::Gain, wire::ErrorSource::Gain),
+    (ErrorSource::Zero, wire::ErrorSource::Zero),
+    (ErrorSource::Slope, wire::ErrorSource::Slope),
+    (ErrorSource::Scale, wire::ErrorSource::Scale),
+    (ErrorSource::OtherChannels, wire::ErrorSource::OtherChannels),
+    (ErrorSource::G, wire::ErrorSource::G),
+];
+
+impl From<SourceShare> for wire::SourceShare {
+    fn from(s: SourceShare) -> Self {
+        let source = SOURCES.into_iter().find(|(source, _)| *source == s.source);
+        Self {
+            source: source.map_or(wire::ErrorSource::Unspecified, |(_, wire)| wire).into(),
+            sigma_t: s.sigma_t,
+            albedo: s.albedo,
+            reduced_scattering: s.reduced_scattering,
+            absorption: s.absorption,
+        }
+    }
+}
+
+/// A source that only a newer coordinator has stays, without its name: the shares still add up to 1.
+impl From<wire::SourceShare> for SourceShare {
+    fn from(s: wire::SourceShare) -> Self {
+        let source = SOURCES.into_iter().find(|(_, wire)| *wire == s.source());
+        Self {
+            source: source.map_or(ErrorSource::Unknown, |(source, _)| source),
+            sigma_t: s.sigma_t,
+            albedo: s.albedo,
+            reduced_scattering: s.reduced_scattering,
+            absorption: s.absorption,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -141,6 +187,16 @@ mod tests {
             }
         };
         let ends = |low| Ends { low, high: 2.0 * low };
+        let share = |(i, (source, _)): (usize, (ErrorSource, wire::ErrorSource))| {
+            let n = i as f64;
+            SourceShare {
+                source,
+                sigma_t: n + 0.1,
+                albedo: n + 0.2,
+                reduced_scattering: n + 0.3,
+                absorption: n + 0.4,
+            }
+        };
         Likelihood {
             chi2: 712.5,
             degrees_of_freedom: 716.0,
@@ -155,6 +211,7 @@ mod tests {
                 reduced_scattering_per_mm: ends(2.0),
                 absorption_per_mm: ends(0.01),
             },
+            budget: SOURCES.into_iter().enumerate().map(share).collect(),
         }
     }
 

@@ -2,6 +2,7 @@
 
 use crate::wire;
 use optics_model::invalid::{Invalid, Result, each};
+use optics_model::limits::FitLimits;
 use optics_model::measurement::{MeasuredProfile, Measurement, ProfileSetup};
 
 impl From<&Measurement> for wire::Measurement {
@@ -44,9 +45,33 @@ impl TryFrom<wire::Measurement> for Measurement {
     }
 }
 
+/// Refuses a question with more pixels than `most`, in all its profiles together.
+pub fn check_pixels(field: &str, materials: &[wire::Measurement], most: usize) -> Result<()> {
+    let profiles = materials.iter().flat_map(|m| &m.profiles);
+    let pixels: usize = profiles.map(|p| p.x_mm.len().max(p.values.len()).max(p.std_errors.len())).sum();
+    if pixels > most {
+        let allowed =
+            format!("a coordinator takes at most {most} in one question; {}", FitLimits::MANY_PIXELS_ADVICE);
+        return Err(Invalid::new(field, format_args!("{pixels} pixels"), allowed));
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pixels_are_counted_over_all_profiles() {
+        let one = wire::Measurement::from(&measurement(ProfileSetup::default()));
+        let both = [one.clone(), one];
+        assert!(check_pixels("materials", &both, 16).is_ok());
+        let refused = check_pixels("materials", &both, 15).unwrap_err().to_string();
+        assert!(
+            refused.starts_with("materials = 16 pixels is not valid: a coordinator takes at most 15"),
+            "{refused}"
+        );
+    }
 
     fn measurement(setup: ProfileSetup) -> Measurement {
         let x: Vec<f64> = (0..8).map(f64::from).collect();

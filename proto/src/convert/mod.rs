@@ -11,9 +11,13 @@ mod model;
 mod profile;
 mod scale;
 mod status;
+mod text;
 
+pub use measurement::check_pixels;
 pub use mixtures::mixtures;
 use optics_model::{Invalid, Result};
+pub use text::is_printable;
+pub(crate) use text::{check_text, shortened};
 use tonic_types::{ErrorDetails, StatusExt};
 
 /// A refusal as status `INVALID_ARGUMENT`, with a `google.rpc.BadRequest` that names the field.

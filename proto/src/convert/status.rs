@@ -1,6 +1,6 @@
 //! Progress of dictionaries and workers.
 
-use super::required;
+use super::{required, shortened};
 use crate::ids::{DictionaryName, WorkerId};
 use crate::status::{
     DictionaryState, DictionaryStatus, FAILED_JOBS, FailedJob, JobState, MachineFacts, WorkerState,
@@ -82,7 +82,7 @@ impl From<&DictionaryStatus> for wire::Dictionary {
     fn from(status: &DictionaryStatus) -> Self {
         Self {
             name: status.name.to_string(),
-            grid: Some((&status.grid).into()),
+            grid: Some(listed(&status.grid)),
             grid_digest: status.grid_digest.to_string(),
             records_digest: status.records_digest.map(|d| d.to_string()).unwrap_or_default(),
             created_unix_ms: status.created_unix_ms,
@@ -106,6 +106,16 @@ impl From<&DictionaryStatus> for wire::Dictionary {
             jobs_failed: status.jobs_failed as u64,
         }
     }
+}
+
+/// A grid as lists show it: one that was stored by an older version may have names of megabytes.
+fn listed(grid: &Grid) -> wire::Grid {
+    let mut grid = wire::Grid::from(grid);
+    if let Some(scene) = &mut grid.scene {
+        scene.layers.iter_mut().for_each(|layer| shortened(&mut layer.name));
+        scene.channels.iter_mut().for_each(|channel| shortened(&mut channel.name));
+    }
+    grid
 }
 
 impl TryFrom<wire::Dictionary> for DictionaryStatus {

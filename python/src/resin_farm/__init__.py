@@ -13,7 +13,7 @@ air under the same light.
 from resin_farm.capture import Capture
 from resin_farm.design import Design, HalfWidths, SlabSet
 from resin_farm.dictionary import Dictionary
-from resin_farm.errors import FarmError, InvalidArgument, NotFound, Refused, Unavailable
+from resin_farm.errors import Deleted, FarmError, InvalidArgument, NotFound, Refused, Unavailable
 from resin_farm.farm import Farm
 from resin_farm.grid import Grid
 from resin_farm.maps import DistanceMap
@@ -32,6 +32,7 @@ from resin_farm.results import (
     NuisanceEstimate,
     Refined,
     ScaleCurve,
+    SourceShare,
 )
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "Capture",
     "ChannelFit",
     "Curves",
+    "Deleted",
     "Design",
     "Dictionary",
     "DistanceMap",
@@ -63,6 +65,7 @@ __all__ = [
     "Refused",
     "ScaleCurve",
     "SlabSet",
+    "SourceShare",
     "Unavailable",
     "read_measurements",
     "simulate",

@@ -21,6 +21,7 @@ from resin_farm.results import (
     NuisanceEstimate,
     Refined,
     ScaleCurve,
+    SourceShare,
 )
 
 
@@ -88,6 +89,8 @@ def _refined(wire: fits_pb2.Refined) -> Refined:
         reduced_scattering_per_mm=Interval._of_wire(wire.reduced_scattering_per_mm),
         absorption_per_mm=Interval._of_wire(wire.absorption_per_mm),
         resolved=wire.resolved,
+        # Older coordinators send one flag only.
+        resolved_at_g=wire.resolved_at_g or wire.resolved,
         valley=wire.valley,
         misfit=wire.misfit,
         error=wire.best.error,
@@ -114,8 +117,18 @@ def _likelihood(wire: fits_pb2.Likelihood) -> Likelihood:
         told = n.told_std_error if np.isfinite(n.told_std_error) else None
         return NuisanceEstimate(_NUISANCES.get(n.nuisance, "unknown"), profile, n.value, n.std_error, n.told, told)
 
-    nuisances = tuple(map(nuisance, wire.nuisances))
-    return Likelihood(wire.chi2, wire.degrees_of_freedom, wire.probability, nuisances, len(wire.outliers))
+    def share(s: fits_pb2.SourceShare) -> SourceShare:
+        source = fits_pb2.ErrorSource.Name(s.source).removeprefix("ERROR_SOURCE_").lower()
+        return SourceShare(source, s.sigma_t, s.albedo, s.reduced_scattering, s.absorption)
+
+    return Likelihood(
+        wire.chi2,
+        wire.degrees_of_freedom,
+        wire.probability,
+        tuple(map(nuisance, wire.nuisances)),
+        len(wire.outliers),
+        tuple(map(share, wire.budget)),
+    )
 
 
 # From farmctl's JSON, for what only farmctl does.
@@ -192,6 +205,7 @@ def _refined_of_json(found: Mapping[str, Any]) -> Refined:
         reduced_scattering_per_mm=interval("reduced_scattering"),
         absorption_per_mm=interval("absorption"),
         resolved=found["resolved"],
+        resolved_at_g=found["resolved_at_g"],
         valley=found["valley"],
         misfit=found["misfit"],
         error=found["error"],
@@ -207,7 +221,11 @@ def _likelihood_of_json(found: Mapping[str, Any]) -> Likelihood:
             n["nuisance"], n["profile_mm"], n["value"], n["std_error"], n["told"], n["told_std_error"]
         )
 
-    nuisances = [nuisance(n) for n in found["nuisances"]]
     return Likelihood(
-        found["chi2"], found["degrees_of_freedom"], found["probability"], tuple(nuisances), len(found["outliers"])
+        found["chi2"],
+        found["degrees_of_freedom"],
+        found["probability"],
+        tuple(map(nuisance, found["nuisances"])),
+        len(found["outliers"]),
+        tuple(SourceShare(**share) for share in found.get("budget", ())),
     )

@@ -25,18 +25,19 @@ class LocalFarm:
 
     def _start(self) -> None:
         # Its standard input is a pipe from this process: it ends with it, however this one ends.
-        said = tempfile.TemporaryFile("w+")
+        said = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
         command = [_programs.program("farmctl"), "--json", "--quiet", "--local", "--data", str(self.folder)]
         self._process = subprocess.Popen(
             [*command, "serve", "--until-input-ends"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=said,
-            text=True,
+            encoding="utf-8",
             # Ctrl-C is for this process, which then ends that one.
             process_group=0,
         )
         self._finalizer = weakref.finalize(self, _end, self._process)
+        _running.add(self)
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line or json.loads(line)["kind"] != "serve":
@@ -56,7 +57,7 @@ class LocalFarm:
             if self._process.poll() is not None:
                 self._start()
             try:
-                self.address = "http://" + (self.folder / "coordinator.addr").read_text().strip()
+                self.address = "http://" + (self.folder / "coordinator.addr").read_text(encoding="utf-8").strip()
             except FileNotFoundError:
                 self.address = gone
             if self.address != gone:
@@ -66,6 +67,18 @@ class LocalFarm:
 
     def close(self) -> None:
         self._finalizer()
+
+
+def _let_go() -> None:
+    """In a fork: the farm ends with the process that started it, which alone is to hold its standard input."""
+    for farm in _running:
+        farm._finalizer.detach()
+        if farm._process.stdin is not None:
+            farm._process.stdin.close()
+
+
+_running: weakref.WeakSet[LocalFarm] = weakref.WeakSet()
+os.register_at_fork(after_in_child=_let_go)
 
 
 def _end(process: subprocess.Popen[str]) -> None:

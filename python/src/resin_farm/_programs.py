@@ -37,7 +37,14 @@ def farmctl(arguments: Sequence[str], *, timeout: float | None = None) -> dict[s
         name: value for name, value in os.environ.items() if name not in ("FARM_SERVER", "FARM_ACCESS", "FARM_DATA")
     }
     ran = subprocess.run(
-        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout, check=False, env=inherited
+        command,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        encoding="utf-8",
+        errors="replace",
+        timeout=timeout,
+        check=False,
+        env=inherited,
     )
     if ran.returncode == 0 and not ran.stdout:
         return {}

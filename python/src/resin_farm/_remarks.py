@@ -41,12 +41,19 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
                 f"{name}: {chi2}, p < {_UNLIKELY}: noise and what is known of the set-up do not explain the data; the "
                 f"intervals were widened, but are not to be trusted blindly{cause}"
             )
+        elif refined.suspicion:
+            yield (
+                f"{name}: {chi2}, but all materials together contradict the set-up as given: the intervals are not to "
+                f"be trusted{cause}"
+            )
         elif told.degrees_of_freedom >= 100 and told.chi2 < 0.5 * told.degrees_of_freedom:
             yield f"{name}: {chi2} is too small: neighbouring pixels share their errors, or the errors are too large"
         if told.outliers:
             yield f"{name}: {told.outliers} of its pixels left out"
-    if not refined.resolved and fit.outside is None:
+    if not refined.resolved_at_g and fit.outside is None:
         yield f"{name}: unresolved: {_unresolved(refined.sigma_t_per_mm)}"
+    elif not refined.resolved and fit.outside is None:
+        yield f"{name}: g open: σ_t and α hold together with this g only"
     if refined.valley:
         yield f"{name}: σ_t and g trade off, trust σ_s(1−g) and σ_a"
 

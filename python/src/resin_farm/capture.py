@@ -22,7 +22,7 @@ class Capture:
 
     @classmethod
     def read(cls, folder: pathlib.Path) -> Capture:
-        return cls(folder, json.loads((folder / "session.json").read_text()))
+        return cls(folder, json.loads((folder / "session.json").read_text(encoding="utf-8")))
 
     @cached_property
     def measurements(self) -> list[Measurement]:

@@ -14,7 +14,7 @@ import numpy as np
 from resin_farm import _display, _programs
 from resin_farm._wire import dictionaries_pb2 as wire
 from resin_farm._wire import fits_pb2, model_pb2
-from resin_farm.errors import FarmError
+from resin_farm.errors import Deleted, FarmError, NotFound
 from resin_farm.profile import Profile
 from resin_farm.results import Medium
 
@@ -32,6 +32,9 @@ class Dictionary:
     def __init__(self, farm: Farm, status: wire.Dictionary) -> None:
         self._farm = farm
         self._status = status
+
+    def __reduce__(self) -> tuple[object, tuple[Farm, bytes]]:
+        return _of_bytes, (self._farm, self._status.SerializeToString())
 
     @property
     def name(self) -> str:
@@ -86,20 +89,32 @@ class Dictionary:
 
         Raises:
             FarmError: if it ended otherwise: cancelled, paused, or with jobs that nobody could compute.
+            Deleted: if it was deleted; another one of its name is not waited for in its place.
         """
         bar = _Progress(self.name) if progress else None
-        for status in self._farm._stream("Dictionaries/Watch", wire.WatchRequest(name=self.name), wire.Dictionary):
-            self._status = status
+        try:
+            for status in self._farm._stream("Dictionaries/Watch", wire.WatchRequest(name=self.name), wire.Dictionary):
+                self._take(status)
+                if bar:
+                    bar.show(self)
+                if self.state in _ENDED:
+                    break
+            request = wire.GetRequest(name=self.name)
+            self._take(self._farm._call("Dictionaries/Get", request, wire.Dictionary))
+        except NotFound:
+            raise Deleted(f"dictionary {self.name} was deleted, or replaced, while it was waited for") from None
+        finally:
             if bar:
-                bar.show(self)
-            if self.state in _ENDED:
-                break
-        if bar:
-            bar.end()
-        if self.refresh().state != "done":
+                bar.end()
+        if self.state != "done":
             why = f": {self._status.reason}" if self._status.reason else ""
             raise FarmError(f"dictionary {self.name} is {self.state}{why}; `explain()` says more")
         return self
+
+    def _take(self, status: wire.Dictionary) -> None:
+        if status.grid_digest != self._status.grid_digest:
+            raise NotFound(f"dictionary {self.name} has another grid")
+        self._status = status
 
     def explain(self) -> list[str]:
         """Why it is not done yet, the most important first."""
@@ -198,6 +213,10 @@ class Dictionary:
         rows = [[name, axis(values)] for name, values in self.axes.items()]
         rows.append(["channels", ", ".join(self.channels)])
         return _display.html_table(("axis", "values"), rows, repr(self))
+
+
+def _of_bytes(farm: Farm, status: bytes) -> Dictionary:
+    return Dictionary(farm, wire.Dictionary.FromString(status))
 
 
 class _Progress:

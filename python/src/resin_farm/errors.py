@@ -27,6 +27,10 @@ class NotFound(FarmError, LookupError):
     """There is no dictionary of this name."""
 
 
+class Deleted(NotFound):
+    """The dictionary was deleted, or replaced by another one of its name, while it was waited for."""
+
+
 class Refused(FarmError):
     """The farm does not let this token do that, or the state of a dictionary does not allow it."""
 

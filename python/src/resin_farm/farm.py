@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import pathlib
 import tempfile
@@ -18,7 +19,7 @@ from resin_farm._local import LocalFarm, folder_of
 from resin_farm._wire import dictionaries_pb2, fits_pb2, model_pb2
 from resin_farm.capture import Capture
 from resin_farm.dictionary import Dictionary
-from resin_farm.errors import FarmError, InvalidArgument, Unavailable
+from resin_farm.errors import Deleted, FarmError, InvalidArgument, Unavailable
 from resin_farm.grid import Grid
 from resin_farm.measurement import Measurement, checked, read_measurements, warn
 
@@ -27,8 +28,16 @@ if TYPE_CHECKING:
 
 Answer = TypeVar("Answer", bound=Message)
 
-# Seconds for which a server may be away while a dictionary is waited for.
-_TRIES = 120
+# Without a handler its warnings go to standard error.
+_log = logging.getLogger("resin_farm")
+
+# Seconds that a call may take, and one that may read a large database or fit a million pixels.
+_CALL_S = 300.0
+_PATIENT_S = 12 * 3600.0
+_PATIENT = ("Fits/Fit", "Fits/Map", "Fits/Measure", "Dictionaries/Delete")
+# A stream is asked for anew after so many seconds: a link that leads nowhere is found out, whatever answers its pings.
+_STREAM_S = 60.0
+_PAUSE_S = 1.0
 # Seconds in which a coordinator that is asked to end turns calls away, and has then ended.
 _ABOUT_TO_END = 2.0
 
@@ -41,6 +50,9 @@ class Farm:
 
     It starts when it is opened, with a worker on all cores, and ends with `close`, with the `with` block, or with this
     process. Several programs may open the same folder at once.
+
+    A farm that is handed to another process of `multiprocessing` ("spawn" or "forkserver") is opened there anew. In a
+    fork of this process its calls raise a `FarmError`.
     """
 
     def __init__(self, folder: Path = "farm-data") -> None:
@@ -49,12 +61,15 @@ class Farm:
         Raises:
             FarmError: if it does not start.
         """
-        self._local: LocalFarm | None = LocalFarm(folder_of(folder))
-        self._access: pathlib.Path | None = None
-        self._connection = self._local.connection()
-        self._begin()
+        self._begin(folder_of(folder), None)
+        self._open()
 
-    def _begin(self) -> None:
+    def _begin(self, folder: pathlib.Path | None, where: str | None) -> None:
+        """One of a folder, or one at a URL or of an access file, that is opened when it is used."""
+        self._folder = folder
+        self._where = where
+        self._local: LocalFarm | None = None
+        self._connection: _connection.Connection | None = None
         self._closed = False
         # Threads may find at once that the farm has gone: one of them looks for it.
         self._looking = threading.Lock()
@@ -63,21 +78,13 @@ class Farm:
     def connect(cls, where: Path) -> Self:
         """The farm of an access file (as `client.toml`), or at a URL of this machine (as "http://127.0.0.1:7700")."""
         farm = cls.__new__(cls)
-        farm._local = None
-        told = os.fspath(where)
-        if told.startswith("http://"):
-            farm._access, farm._connection = None, _connection.of_loopback(told)
-        elif told.startswith("https://"):
-            raise FarmError(f"{told}: an access file is needed, which holds the certificate to know the farm by")
-        else:
-            farm._access = pathlib.Path(where)
-            farm._connection = _connection.of_access_file(farm._access)
-        farm._begin()
+        farm._begin(None, os.fspath(where))
+        farm._open()
         return farm
 
     @property
     def address(self) -> str:
-        return self._connection.address
+        return (self._connection or self._open()).address
 
     # Dictionaries.
 
@@ -110,9 +117,11 @@ class Farm:
             with tempfile.TemporaryDirectory() as folder:
                 # The file's name is the dictionary's.
                 file = pathlib.Path(folder, "paper.toml" if grid == Grid() else "grid.toml")
-                file.write_text(grid.to_toml())
+                file.write_text(grid.to_toml(), encoding="utf-8")
                 found = _programs.farmctl([*arguments, *([f"--name={name}"] if name else []), str(file)])
         dictionary = self.dictionary(found["name"])
+        if dictionary._status.grid_digest != found["grid_digest"]:
+            raise Deleted(f"dictionary {dictionary.name} was replaced as soon as it was submitted")
         return dictionary.wait(progress=progress) if wait else dictionary
 
     def dictionary(self, name: str | None = None) -> Dictionary:
@@ -315,7 +324,8 @@ class Farm:
     def close(self) -> None:
         """Ends a farm of this machine, if this program started it; what is being computed goes on with the next."""
         self._closed = True
-        self._connection.close()
+        if self._connection is not None:
+            self._connection.close()
         if self._local is not None:
             self._local.close()
 
@@ -327,9 +337,12 @@ class Farm:
     ) -> None:
         self.close()
 
+    def __reduce__(self) -> tuple[object, tuple[pathlib.Path | None, str | None]]:
+        """As what opens it again, in another process that finds it running."""
+        return _opened_later, (self._folder, self._where)
+
     def __repr__(self) -> str:
-        where = self._local.folder if self._local else self._access or self.address
-        return f"Farm({str(where)!r})"
+        return f"Farm({str(self._folder or self._where)!r})"
 
     def _repr_html_(self) -> str:
         rows = [[d.name, d.state, f"{d.records_done:,}", f"{d.records_total:,}"] for d in self.dictionaries()]
@@ -337,8 +350,8 @@ class Farm:
 
     def _arguments(self) -> list[str]:
         """How farmctl finds this farm."""
-        if self._access is not None:
-            return ["--access", str(self._access)]
+        if self._where is not None and not self._where.startswith("http://"):
+            return ["--access", self._where]
         return ["--server", self.address]
 
     def _name(self, told: str | None) -> str:
@@ -354,9 +367,9 @@ class Farm:
         raise FarmError(f"there are several dictionaries: name one, of {', '.join(names)}")
 
     def _call(self, method: str, request: Message, answer: type[Answer]) -> Answer:
-        connection = self._open()
+        connection, timeout_s = self._open(), _PATIENT_S if method in _PATIENT else _CALL_S
         try:
-            return connection.call(method, request, answer.FromString, None)
+            return connection.call(method, request, answer.FromString, timeout_s)
         except Unavailable:
             if self._local is None:
                 raise
@@ -364,36 +377,67 @@ class Farm:
             # One that is about to end, or one that says why it cannot: then it says so again.
             time.sleep(_ABOUT_TO_END)
             try:
-                return connection.call(method, request, answer.FromString, None)
+                return connection.call(method, request, answer.FromString, timeout_s)
             except Unavailable:
                 if connection.answers():
                     raise
         self._find_again(connection)
-        return self._open().call(method, request, answer.FromString, None)
+        return self._open().call(method, request, answer.FromString, timeout_s)
 
     def _stream(self, method: str, request: Message, answer: type[Answer]) -> Iterator[Answer]:
-        """The answers; goes on with a farm that was away for a while."""
-        tries = 0
+        """The answers; goes on with a farm that was away, for as long as that takes, and says so."""
+        away = False
         while True:
-            connection = self._open()
+            connection, begun, came = self._open(), time.monotonic(), False
             try:
-                for one in connection.stream(method, request, answer.FromString):
-                    tries = 0
+                for one in connection.stream(method, request, answer.FromString, _STREAM_S):
+                    if away:
+                        _log.warning("%r answers again", self)
+                    away, came = False, True
                     yield one
                 return
-            except Unavailable:
-                tries += 1
-                if tries > _TRIES:
-                    raise
+            except Unavailable as error:
+                if came and time.monotonic() - begun >= _STREAM_S:
+                    continue
+                if not away:
+                    _log.warning("%r does not answer and is waited for: %s", self, error.message)
+                away = True
+            time.sleep(_PAUSE_S)
             if self._local is None or connection.answers():
-                time.sleep(1)
-            else:
+                self._connect_anew(connection)
+                continue
+            try:
                 self._find_again(connection)
+            except Unavailable:
+                # One that is frozen may go on.
+                continue
 
     def _open(self) -> _connection.Connection:
         if self._closed:
             raise FarmError(f"{self!r} is closed")
+        if self._connection is None:
+            with self._looking:
+                if self._connection is None:
+                    self._connection = self._connect()
         return self._connection
+
+    def _connect(self) -> _connection.Connection:
+        _connection.not_in_a_fork()
+        if self._folder is not None:
+            self._local = LocalFarm(self._folder)
+            return self._local.connection()
+        where = self._where or ""
+        if where.startswith("http://"):
+            return _connection.of_loopback(where)
+        if where.startswith("https://"):
+            raise FarmError(f"{where}: an access file is needed, which holds the certificate to know the farm by")
+        return _connection.of_access_file(pathlib.Path(where))
+
+    def _connect_anew(self, gone: _connection.Connection) -> None:
+        """Leaves a connection that may lead nowhere; calls that wait on it are not broken off."""
+        with self._looking:
+            if self._connection is gone:
+                self._connection = self._local.connection() if self._local else self._connect()
 
     def _find_again(self, gone: _connection.Connection) -> None:
         """After a farm of this machine has gone."""
@@ -401,6 +445,13 @@ class Farm:
             if self._connection is gone and self._local is not None:
                 self._connection = self._local.find_again()
                 gone.close()
+
+
+def _opened_later(folder: pathlib.Path | None, where: str | None) -> Farm:
+    """A farm from another process. Whoever unpickles it is not the one to learn that it cannot be opened."""
+    farm = Farm.__new__(Farm)
+    farm._begin(folder, where)
+    return farm
 
 
 def _folder(told: object) -> pathlib.Path | None:

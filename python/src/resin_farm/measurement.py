@@ -110,7 +110,8 @@ class Measurement:
         and, as far as they are known, std_error and what is known of the set-up. It is checked as a file is."""
         with tempfile.TemporaryDirectory() as folder:
             file = pathlib.Path(folder, "frame.csv")
-            frame.to_csv(file, index=False)
+            # In quotes a name may begin with #, which begins a comment otherwise.
+            frame.to_csv(file, index=False, encoding="utf-8", quoting=csv.QUOTE_NONNUMERIC)
             return _read(str(file), "the frame")
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -181,10 +182,10 @@ def checked(materials: Iterable[Measurement]) -> list[Measurement]:
         with tempfile.TemporaryDirectory() as folder:
             file = pathlib.Path(folder, "measurement.csv")
             with open(file, "w", encoding="utf-8", newline="") as out:
-                # A file tells errors of all profiles or of none; the checks need none.
-                told = all(profile.std_errors is not None for material in unchecked for profile in material.profiles)
+                # In the rows of a profile that has none they are empty.
+                told = any(profile.std_errors is not None for material in unchecked for profile in material.profiles)
                 columns = [*_NEEDED, *(["std_error"] if told else []), *_SET_UP]
-                writer = csv.DictWriter(out, columns, extrasaction="ignore")
+                writer = csv.DictWriter(out, columns, extrasaction="ignore", quoting=csv.QUOTE_NONNUMERIC)
                 writer.writeheader()
                 writer.writerows(row for material in unchecked for row in _rows(material))
             _read(str(file), "the measurement")

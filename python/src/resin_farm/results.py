@@ -110,6 +110,18 @@ class NuisanceEstimate:
 
 
 @dataclass(frozen=True)
+class SourceShare:
+    """Shares of the variances of ln σ_t, √(1 - α), ln σ_s(1 - g) and √σ_a that a source of error makes: 1 in all."""
+
+    source: str
+    """`noise`, `dictionary`, `thickness`, `origin`, `blur`, `gain`, `zero`, `slope`, `scale`, `other_channels`, `g`."""
+    sigma_t: float
+    albedo: float
+    reduced_scattering: float
+    absorption: float
+
+
+@dataclass(frozen=True)
 class Likelihood:
     """What the likelihood tells of a channel beside its medium."""
 
@@ -120,6 +132,8 @@ class Likelihood:
     nuisances: tuple[NuisanceEstimate, ...]
     outliers: int
     """Pixels that were given no weight."""
+    budget: tuple[SourceShare, ...] = ()
+    """What the variances of the medium are made of; empty if the data determine nothing."""
 
 
 # Arrays have no truth value of their equality.
@@ -134,7 +148,9 @@ class Refined:
     reduced_scattering_per_mm: Interval
     absorption_per_mm: Interval
     resolved: bool
-    """Whether the data determine σ_t and the albedo at this anisotropy."""
+    """Whether the data determine σ_t and the albedo: both intervals are bounded and narrow."""
+    resolved_at_g: bool
+    """Whether they would with g held at its best value; if this alone is true, g is open."""
     valley: bool
     """σ_t and g trade off along media that similarity theory calls equal."""
     misfit: float
@@ -348,5 +364,6 @@ def _record(material: str, fit: ChannelFit) -> dict[str, Any]:
         row[f"{name}_low"] = np.nan if interval.open_low else interval.low
         row[f"{name}_high"] = np.nan if interval.open_high else interval.high
     row["resolved"] = fit.refined.resolved if fit.refined else None
+    row["resolved_at_g"] = fit.refined.resolved_at_g if fit.refined else None
     row["misfit"] = fit.refined.misfit if fit.refined else np.nan
     return row

@@ -227,7 +227,7 @@ pub fn develop(camera: &Camera, light: &[f64], shot: &Shot) -> Photo {
     let frame = Frame::new(camera.width, camera.height, pattern, samples);
     let levels = Levels {
         black: camera.tells_black.then_some([camera.black * fine; 4]),
-        white: Some(camera.clip * fine),
+        white: Some([camera.clip * fine; 4]),
     };
     let exposure = Some(Exposure { time_s: 0.05, f_number: Some(11.0), iso: Some(100.0) });
     Photo { label: shot.label.clone(), frame: frame.unwrap(), levels, seconds: shot.seconds, exposure }

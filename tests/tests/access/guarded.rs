@@ -24,6 +24,9 @@ use tonic::{Code, Request, Response, Status};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
+/// What the calls of one token may hold.
+pub const HELD: usize = 4 << 20;
+
 /// How often the server pings.
 pub const PING: Duration = Duration::from_millis(300);
 
@@ -57,7 +60,7 @@ impl GuardedServer {
         let observed = Arc::new(Mutex::new(vec![]));
         let into = observed.clone();
         let gate = coordinator.clone().map_or(Gate::Everybody, Gate::File);
-        let gate = AuthorisationLayer::new(gate, move |method, code, took| {
+        let gate = AuthorisationLayer::new(gate, HELD, move |method, code, took| {
             assert!(took < Duration::from_mins(1));
             into.lock().unwrap().push((method.to_owned(), code));
         });

@@ -3,7 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 mod guarded;
+mod questions;
 mod strangers;
+mod unfinished;
 
 use std::time::Duration;
 

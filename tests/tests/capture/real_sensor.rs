@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use optics_capture::{Colour, Frame, Levels, Pattern, Photo, Refusal, check_shot, find_edges};
+use optics_capture::{Colour, Darks, Frame, Levels, Pattern, Photo, Refusal, check_shot, find_edges};
 
 const WIDTH: usize = 1920;
 const HEIGHT: usize = 1080;
@@ -49,7 +49,7 @@ fn part(file: &Path, [columns, rows]: Area) -> Photo {
         label: "openisp".to_owned(),
         frame: Frame::new(columns[1] - columns[0], rows[1] - rows[0], pattern, samples)
             .expect("parts are large enough"),
-        levels: Levels { black: Some([BLACK; 4]), white: Some(FULL) },
+        levels: Levels { black: Some([BLACK; 4]), white: Some([FULL; 4]) },
         seconds: None,
         exposure: None,
     }
@@ -59,7 +59,7 @@ fn part(file: &Path, [columns, rows]: Area) -> Photo {
 #[ignore = "needs a photograph: FARM_TEST_OPENISP"]
 fn a_real_photograph_that_clips_is_refused_and_its_slanted_square_is_measured() {
     let file = std::env::var_os("FARM_TEST_OPENISP").expect("FARM_TEST_OPENISP names openISP's test.RAW");
-    let refusal = check_shot(&part(file.as_ref(), WHOLE)).unwrap_err();
+    let refusal = check_shot(&part(file.as_ref(), WHOLE), Darks::new()).unwrap_err();
     println!("{refusal}");
     assert!(matches!(refusal, Refusal::Clipped { .. }), "{refusal}");
     for told in &SQUARE {

@@ -239,6 +239,6 @@ fn nonsense_is_refused_without_a_panic() {
         assert!(refused, "as patches: {k}");
         let mut flats = optics_capture::Flats::new(calibration.black());
         let _ = flats.add(photo.clone()).and_then(|()| flats.finish().map(|_| ()));
-        let _ = optics_capture::check_shot(&photo);
+        let _ = optics_capture::check_shot(&photo, optics_capture::Darks::new());
     }
 }

@@ -79,6 +79,7 @@ fn every_answer_of_the_fit_has_its_json_shape() {
         "misfit",
         "reduced_scattering_interval",
         "resolved",
+        "resolved_at_g",
         "sample_ior",
         "sigma_t_interval",
         "sigma_t_per_mm",
@@ -121,7 +122,7 @@ fn chart(dir: &Path) -> String {
     let mut all = String::new();
     for (material, sigma_t, albedo) in media {
         let medium = format!("simulate --sigma-t {sigma_t} --albedo {albedo} --g 0.4 --thickness 0.5,1");
-        let slab = format!("{medium} --walks 20000 --seed 7 --measurement {material}");
+        let slab = format!("{medium} --walks 20000 --seed 7 --noise 0 --measurement {material}");
         let ran = run(dir, &slab.split(' ').collect::<Vec<_>>());
         let rows = ran.stdout.lines().filter(|line| !line.starts_with('#'));
         all.extend(rows.skip(usize::from(!all.is_empty())).map(|line| format!("{line}\n")));

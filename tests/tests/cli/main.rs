@@ -1,7 +1,9 @@
 //! `farmctl` as a user meets it: output, JSON shapes, exit codes, and how commands get along.
 
 mod fit;
+mod surroundings;
 
+use std::io::{BufRead as _, BufReader};
 use std::process::Command;
 
 use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, keys, rows, write};
@@ -47,6 +49,7 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
         "address",
         "checks_agreed",
         "checks_disputed",
+        "checks_waiting",
         "database_bytes",
         "dictionaries",
         "jobs_done",
@@ -128,6 +131,16 @@ fn reflectances_on_the_command_line_make_one_channel() {
 }
 
 #[test]
+fn commands_that_only_ask_leave_no_events() {
+    let farm = farm();
+    for verb in ["list", "status", "events"] {
+        assert_eq!(run(farm.path(), &[verb]).code, 0);
+    }
+    let events = run(farm.path(), &["events"]).stdout;
+    assert_eq!(events.matches("COORDINATOR_STARTED").count(), 1, "{events}");
+}
+
+#[test]
 fn a_second_command_joins_the_farm_that_is_running() {
     let dir = folder();
     // Some seconds of work, so that the farm is there to be joined.
@@ -175,14 +188,18 @@ fn commands_in_one_folder_do_not_get_in_each_others_way() {
 fn an_interrupted_submission_says_so_and_goes_on_later() {
     let dir = folder();
     write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 1500000"));
-    let submit = farmctl(dir.path())
+    let mut submit = farmctl(dir.path())
         .args(["submit", "long.toml"])
         .stdout(std::process::Stdio::piped())
-        .stderr(std::process::Stdio::null())
+        .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap();
     let pid = submit.id().to_string();
-    std::thread::sleep(std::time::Duration::from_millis(700));
+    // Its first progress: from then on there is something to interrupt. The rest of the pipe holds until it ends.
+    let mut progress = BufReader::new(submit.stderr.take().unwrap());
+    let mut line = String::new();
+    progress.read_line(&mut line).unwrap();
+    assert!(line.contains("of the work"), "{line}");
     assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
     let ran: Ran = submit.wait_with_output().unwrap().into();
     assert_eq!(ran.code, 130, "{}", ran.stdout);

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
-use farm_tests::process::{SOON, Signal, wait_for};
+use farm_tests::process::{Process, SOON, Signal, program, wait_for};
 use tokio::time::Instant;
 
 use super::{GRID, LONG_JOBS};
@@ -47,6 +47,59 @@ fn a_worker_told_to_stop_finishes_what_it_traces_and_hands_the_rest_back_at_once
     let second = farm.worker("second", &[]);
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
     drop(second);
+}
+
+/// As when its terminal is closed, or a connection to it is lost.
+#[test]
+fn a_worker_that_is_hung_up_on_hands_back_and_ends() {
+    let farm = Farm::start(&LEASE);
+    farm.submit("grid", LONG_JOBS);
+    let mut worker = farm.worker("worker", &["--grace", "0s"]);
+    worker.tells("job begins");
+    worker.signal(Signal::HUP);
+    assert_eq!(worker.exit_within(Duration::from_secs(5)), 0);
+    nobody_is_blamed(&farm);
+}
+
+#[test]
+fn a_coordinator_that_is_hung_up_on_ends_well() {
+    let mut farm = Farm::start(&[]);
+    farm.coordinator().signal(Signal::HUP);
+    wait_for("the coordinator ends", SOON, || (!farm.coordinator_runs()).then_some(()));
+    assert!(farm.coordinator().log().contains("stopping"), "{}", farm.coordinator().log());
+}
+
+/// `nohup` is for programs that go on when the terminal is closed.
+#[test]
+fn a_worker_that_is_to_ignore_hang_ups_does() {
+    let farm = Farm::start(&LEASE);
+    farm.submit("grid", GRID);
+    let mut shell = std::process::Command::new("sh");
+    shell
+        .args(["-c", "trap '' HUP; exec \"$0\" --server \"$1\""])
+        .arg(program("farm-worker"))
+        .arg(farm.url());
+    let worker = Process::spawn("worker", &mut shell, &farm.folder().join("worker.log"));
+    worker.tells("joined");
+    worker.signal(Signal::HUP);
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
+}
+
+/// A host that is preempted asks its worker to stop, and kills it before the grace is over.
+#[test]
+fn a_worker_that_is_killed_while_it_stops_is_not_blamed() {
+    let farm = Farm::start(&["--lease", "2", "--max-attempts", "1"]);
+    farm.submit("grid", LONG_JOBS);
+    let mut worker = farm.worker("worker", &["--grace", "60s"]);
+    farm.leased("grid", 2);
+    worker.tells("job begins");
+    worker.signal(Signal::TERM);
+    wait_for("the one that waits is handed back", SOON, || (leases(&farm) < 2).then_some(()));
+    worker.kill();
+    wait_for("the other lease expires", SOON, || (leases(&farm) == 0).then_some(()));
+    for kind in ["ATTEMPT_FAILED", "JOB_FAILED", "JOB_QUARANTINED"] {
+        assert!(farm.events(kind).is_empty(), "{kind}");
+    }
 }
 
 #[test]

@@ -1,7 +1,10 @@
 //! On a machine that many share, a coordinator on loopback serves its own user alone.
 
+use std::net::TcpStream;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use farm_proto::wire::ListRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
@@ -12,8 +15,8 @@ use tonic::transport::Endpoint;
 
 use super::GRID;
 
-/// Asks for the list of dictionaries, as a program does that shows no key.
-async fn ask_without_key(farm: &Farm) -> Result<(), tonic::Status> {
+/// Asks for the list of dictionaries, as a program does that comes to the port.
+async fn ask_at_the_port(farm: &Farm) -> Result<(), tonic::Status> {
     let channel = Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap();
     DictionariesClient::new(channel).list(ListRequest::default()).await.map(drop)
 }
@@ -22,10 +25,10 @@ async fn ask_without_key(farm: &Farm) -> Result<(), tonic::Status> {
 async fn other_users_of_the_machine_neither_read_nor_command_a_farm_on_loopback() {
     let mut farm = Farm::start(&[]);
     farm.submit("grid", GRID);
-    let status = ask_without_key(&farm).await.unwrap_err();
+    let status = ask_at_the_port(&farm).await.unwrap_err();
     assert_eq!(status.code(), Code::Unauthenticated);
     assert!(status.message().contains("serves its own user's programs"), "{status}");
-    // Its key follows the coordinator over restarts, however it ends, and a worker follows, too.
+    // Its socket follows the coordinator over restarts, however it ends, and a worker follows, too.
     let worker = farm.worker("worker", &[]);
     let digest = farm.done("grid");
     farm.kill_coordinator();
@@ -38,11 +41,92 @@ async fn other_users_of_the_machine_neither_read_nor_command_a_farm_on_loopback(
     assert!(joined[0]["actor"].as_str().unwrap().starts_with("local at 127.0.0.1"), "{joined:?}");
     drop(worker);
 
-    let key = format!("/tmp/resin-farm-{}/{}", rustix::process::getuid().as_raw(), farm.port());
-    let about = std::fs::metadata(&key).unwrap();
-    assert_eq!(about.mode() & 0o777, 0o600);
+    let socket = socket_of(&farm);
+    assert_eq!(std::fs::metadata(socket.parent().unwrap()).unwrap().mode() & 0o777, 0o700);
     assert_eq!(farm.stop_coordinator(), 0);
-    assert!(std::fs::metadata(&key).is_err(), "the key goes with its coordinator");
+    assert!(!socket.exists(), "the socket goes with its coordinator");
+}
+
+/// Where the farm's own user finds it.
+fn socket_of(farm: &Farm) -> PathBuf {
+    let user = rustix::process::getuid().as_raw();
+    let folders = [format!("/run/user/{user}/resin-farm"), format!("/tmp/resin-farm-{user}")];
+    let found = folders.iter().map(|folder| Path::new(folder).join(farm.port().to_string()));
+    found.into_iter().find(|path| path.exists()).expect("the socket is there")
+}
+
+/// As those do who tidy up `/tmp`.
+#[test]
+fn a_socket_that_was_removed_is_there_again() {
+    let farm = Farm::start(&[]);
+    let socket = socket_of(&farm);
+    std::fs::remove_file(&socket).unwrap();
+    wait_for("the socket is there again", SOON, || socket.exists().then_some(()));
+    let own: Ran = farmctl(farm.folder()).args(["list", "--server", &farm.url()]).output().unwrap().into();
+    assert_eq!(own.code, 0, "{}", own.stderr);
+}
+
+/// Neighbours that listen on the other addresses of the port, or hold idle connections, change nothing for its user.
+#[tokio::test(flavor = "multi_thread")]
+async fn neighbours_neither_hear_nor_shut_out_the_own_user() {
+    let farm = Farm::start(&[]);
+    let port = farm.port();
+    let ear = std::net::TcpListener::bind(("::1", port)).unwrap();
+    ear.set_nonblocking(true).unwrap();
+    let crowd: Vec<_> = (0..300).map(|_| TcpStream::connect(("127.0.0.1", port))).collect();
+    for host in ["localhost", "127.0.0.1", "[::1]"] {
+        let url = format!("http://{host}:{port}");
+        let ran: Ran = farmctl(farm.folder()).args(["list", "--server", &url]).output().unwrap().into();
+        assert_eq!(ran.code, 0, "{url}: {}", ran.stderr);
+    }
+    assert!(ear.accept().is_err(), "none of them has come here");
+    drop(crowd);
+}
+
+/// Only root can try it as somebody else: a port that another user has taken is not believed, whatever it says.
+#[test]
+fn a_port_that_another_user_has_taken_is_not_believed() {
+    if !rustix::process::getuid().is_root() {
+        return;
+    }
+    let elsewhere = tempfile::tempdir().unwrap();
+    std::fs::set_permissions(elsewhere.path(), std::fs::Permissions::from_mode(0o777)).unwrap();
+    let [coordinator, farmctl] = ["farm-coordinator", "farmctl"].map(|name| {
+        let program = elsewhere.path().join(name);
+        std::fs::copy(farm_tests::process::program(name), &program).unwrap();
+        program
+    });
+    let port = {
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        free.local_addr().unwrap().port()
+    };
+    let mut theirs = std::process::Command::new(coordinator);
+    theirs.args(["--insecure", "--listen", &format!("127.0.0.1:{port}")]);
+    let theirs = theirs.current_dir(elsewhere.path()).env_clear().uid(65533).stderr(Stdio::null());
+    let mut theirs = theirs.spawn().unwrap();
+    wait_for("it listens", SOON, || TcpStream::connect(("127.0.0.1", port)).ok());
+    let mut list = std::process::Command::new(farmctl);
+    list.args(["list", "--server", &format!("http://127.0.0.1:{port}")]);
+    let ran: Ran = list.current_dir(elsewhere.path()).env_clear().uid(65534).output().unwrap().into();
+    let joined: Ran = list_in(&elsewhere.path().join("farm-data"), 65534);
+    theirs.kill().unwrap();
+    theirs.wait().unwrap();
+    assert_eq!(ran.code, 1, "{} {}", ran.stdout, ran.stderr);
+    assert!(ran.stderr.contains("is held by another user of this machine (number 65533)"), "{}", ran.stderr);
+    assert!(
+        joined.stderr.contains("belongs to another user of this machine (number 65533)"),
+        "{}",
+        joined.stderr
+    );
+}
+
+/// What `list` says as another user of a data folder.
+fn list_in(data: &Path, user: u32) -> Ran {
+    // The folder is closed to others: as where its owner has opened it.
+    std::fs::set_permissions(data, std::fs::Permissions::from_mode(0o777)).unwrap();
+    let program = data.parent().unwrap().join("farmctl");
+    let mut list = std::process::Command::new(program);
+    list.arg("list").arg("--data").arg(data).current_dir("/").env_clear().uid(user).output().unwrap().into()
 }
 
 /// Only root can try it as somebody else.
@@ -74,5 +158,5 @@ fn another_user_is_told_why_and_what_would_help() {
 #[tokio::test(flavor = "multi_thread")]
 async fn whoever_wants_everybody_in_says_so() {
     let farm = Farm::start(&["--insecure"]);
-    ask_without_key(&farm).await.unwrap();
+    ask_at_the_port(&farm).await.unwrap();
 }

@@ -17,13 +17,16 @@ mod kill;
 mod leave;
 mod limits;
 mod links;
+mod logs;
 mod loopback;
+mod lost;
 mod owners;
 mod poison;
 mod refused;
 mod slow;
 mod trust;
 mod votes;
+mod waiting;
 
 use std::time::Duration;
 

@@ -9,6 +9,7 @@ mod imperfect;
 mod misfit;
 mod mixtures;
 mod plain;
+mod response;
 mod table_1;
 mod there_and_back;
 

@@ -174,6 +174,18 @@ fn sessions_that_cannot_be_are_refused_with_file_and_field_and_nothing_is_writte
     spoilt(&edited("white_05_*", "board_1"), &["each may be used once"]);
 }
 
+/// The thicker slab blurs the edge more: what `measure` would refuse to read is not written.
+#[test]
+fn profiles_are_checked_as_measure_checks_them() {
+    let folder = copy();
+    let session = std::fs::read_to_string(folder.path().join("session.toml")).unwrap();
+    let swapped = session.replace("= 0.512", "= x").replace("= 1.006", "= 0.512").replace("= x", "= 1.006");
+    write(folder.path(), "session.toml", &swapped);
+    let told = ["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"];
+    fails(folder.path(), &["capture", "session.toml", "-o", "out"], &told);
+    assert!(!folder.path().join("out").exists(), "half a result");
+}
+
 #[test]
 fn single_photographs_are_checked_and_a_board_can_be_printed() {
     let folder = copy();
@@ -185,6 +197,22 @@ fn single_photographs_are_checked_and_a_board_can_be_printed() {
     let data = json(&bad, "check");
     assert_eq!((data["usable"].as_bool(), data["shots"][0]["usable"].as_bool()), (Some(false), Some(true)));
     assert!(data["shots"][1]["reason"].as_str().unwrap().starts_with("the file is no DNG"), "{data}");
+    // Files that do not tell the black level: BlackLevel (50714) becomes DefaultScale (50718).
+    for name in ["board_1.dng", "dark_1.dng", "dark_2.dng"] {
+        let path = folder.path().join(name);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let tag = [0x1a, 0xc6, 4, 0, 1, 0, 0, 0];
+        let at = bytes.windows(8).position(|w| w == tag).unwrap();
+        bytes[at] = 0x1e;
+        std::fs::write(path, bytes).unwrap();
+    }
+    let unknown = run(folder.path(), &["capture", "--check", "board_1.dng"]);
+    assert!(unknown.stdout.contains("`--darks` beside --check"), "{}", unknown.stdout);
+    let args = ["capture", "--check", "board_1.dng", "--darks", "dark_1.dng", "dark_2.dng"];
+    let told = run(folder.path(), &args);
+    assert_eq!(told.code, 0, "{}", told.stdout);
+    let brightest = |out: &str| out.split(" % of full").next().map(str::to_owned);
+    assert_eq!(brightest(&told.stdout), brightest(&good.stdout));
     for name in ["board.svg", "board.pdf"] {
         assert_eq!(run(folder.path(), &["capture", "--board", name]).code, 0);
         assert!(folder.path().join(name).metadata().unwrap().len() > 1000);

@@ -1,13 +1,15 @@
 //! A farm whose processes are killed, stopped, continued and started again.
 
-use std::io::Write;
+use std::io::{Write, pipe};
 use std::net::TcpStream;
 use std::path::PathBuf;
+use std::process::Command;
 use std::time::Duration;
 
 use farm_link::Link;
 use farm_tests::farm::Farm;
-use farm_tests::process::{Process, Signal};
+use farm_tests::process::{Process, Signal, program};
+use farm_tests::proxy::Proxy;
 use farm_tests::statistics::Normal;
 use farm_tests::usage::Usage;
 
@@ -26,6 +28,12 @@ pub enum Fault {
     StopCoordinator,
     /// SIGTERM, and a new worker in its place.
     TerminateWorker,
+    /// SIGHUP, as when a terminal is closed, and a new worker in its place.
+    HangUpWorker,
+    /// A new worker in the place of one that was asked to end, with a log that has no reader any more.
+    AbandonLog,
+    /// The link of the worker afar is half open: no end learns that nothing arrives any more.
+    FreezeLink,
     /// A connection that never says a word, or stops in the middle of its greeting.
     HalfOpen,
     /// Random bytes to the port.
@@ -34,11 +42,14 @@ pub enum Fault {
 
 impl Fault {
     /// Those of a running farm; the coordinator is killed by whoever knows when that is due.
-    pub const LIST: [Self; 6] = [
+    pub const LIST: [Self; 9] = [
         Self::KillWorker,
         Self::StopWorker,
         Self::StopCoordinator,
         Self::TerminateWorker,
+        Self::HangUpWorker,
+        Self::AbandonLog,
+        Self::FreezeLink,
         Self::HalfOpen,
         Self::Garbage,
     ];
@@ -51,6 +62,7 @@ pub struct Maltreated {
     lease_s: u64,
     workers: Vec<Process>,
     silent: Vec<TcpStream>,
+    afar: Option<(Proxy, Process)>,
 }
 
 impl Maltreated {
@@ -58,11 +70,23 @@ impl Maltreated {
         // Kills are many here, and jobs few: none is to be given up.
         let options = ["--lease", &lease_s.to_string(), "--verify-share", "0.1", "--max-attempts", "100"];
         // A token for each, so that they check each other's results.
-        let names: Vec<String> = (0..workers).map(|n| format!("machine-{n}")).collect();
+        let names: Vec<String> = (0..=workers).map(|n| format!("machine-{n}")).collect();
         let tokens: Vec<&str> = names.iter().map(String::as_str).collect();
         let farm = Farm::with_tokens(&tokens, &options);
         let workers = (0..workers).map(|n| worker(&farm, n)).collect();
-        Self { farm, lease_s, workers, silent: Vec::new() }
+        Self { farm, lease_s, workers, silent: Vec::new(), afar: None }
+    }
+
+    /// Lets one more worker in, by a link of its own.
+    pub async fn join_from_afar(&mut self) {
+        let proxy = Proxy::start(([127, 0, 0, 1], self.farm.port()).into()).await;
+        let name = format!("machine-{}", self.workers.len());
+        let (keys, log) = (self.farm.path(&format!("keys/{name}.toml")), self.farm.path("afar.log"));
+        let (keys, url) = (keys.to_str().expect("a path of text"), proxy.url().replace("http:", "https:"));
+        let args = ["--access", keys, "--server", &url, "--label", &name, "--threads", "1"];
+        let worker = Process::start("farm-worker", &args, &log);
+        worker.tells("joined the coordinator");
+        self.afar = Some((proxy, worker));
     }
 
     pub fn link(&self) -> Link {
@@ -82,7 +106,8 @@ impl Maltreated {
     /// If a process has ended that nobody ended.
     pub fn assert_all_run(&mut self) {
         assert!(self.farm.coordinator_runs(), "the coordinator ended by itself");
-        assert!(self.workers.iter_mut().all(Process::is_running), "a worker ended by itself");
+        let afar = self.afar.iter_mut().map(|(_, worker)| worker);
+        assert!(self.workers.iter_mut().chain(afar).all(Process::is_running), "a worker ended by itself");
     }
 
     /// # Panics
@@ -109,6 +134,16 @@ impl Maltreated {
                 assert_eq!(self.workers[victim].terminate(END), 0, "a worker that was asked to leave");
                 self.workers[victim] = worker(&self.farm, victim);
             }
+            Fault::HangUpWorker => {
+                self.workers[victim].signal(Signal::HUP);
+                assert_eq!(self.workers[victim].exit_within(END), 0, "a worker that was hung up on");
+                self.workers[victim] = worker(&self.farm, victim);
+            }
+            Fault::AbandonLog => {
+                assert_eq!(self.workers[victim].terminate(END), 0, "a worker that was asked to leave");
+                self.workers[victim] = worker_without_log(&self.farm, victim);
+            }
+            Fault::FreezeLink => self.afar.iter().for_each(|(proxy, _)| proxy.freeze()),
             Fault::HalfOpen => self.say_half_a_word(chance),
             Fault::Garbage => self.send_garbage(chance),
         }
@@ -137,6 +172,10 @@ impl Maltreated {
     /// # Panics
     /// If one of them does not, or with an error.
     pub fn stop(&mut self) {
+        // It may be waiting for a link that is dead.
+        if let Some((_, mut worker)) = self.afar.take() {
+            worker.kill();
+        }
         for mut worker in self.workers.drain(..) {
             assert_eq!(worker.terminate(END), 0, "a worker that was asked to end");
         }
@@ -147,6 +186,16 @@ impl Maltreated {
 fn worker(farm: &Farm, number: usize) -> Process {
     let name = format!("machine-{number}");
     farm.worker_with(&format!("keys/{name}.toml"), &name, &["--grace", "2s"])
+}
+
+/// The same with a log whose reader has ended.
+fn worker_without_log(farm: &Farm, number: usize) -> Process {
+    let name = format!("machine-{number}");
+    let mut command = Command::new(program("farm-worker"));
+    command.arg("--access").arg(farm.path(&format!("keys/{name}.toml")));
+    command.args(["--label", &name, "--threads", "1", "--grace", "2s"]);
+    let (_, log) = pipe().expect("there can be another pipe");
+    Process::logging_to("farm-worker", &mut command, log)
 }
 
 fn pause_for(process: &Process, pause: Duration) {

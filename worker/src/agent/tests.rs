@@ -160,6 +160,22 @@ async fn a_lost_lease_makes_room_for_the_next_job() {
     assert_eq!(handed_back(&coordinator), [(vec![1], true)]);
 }
 
+/// Whoever asks it to stop may kill it before its grace is over.
+#[tokio::test]
+async fn a_worker_announces_that_it_stops_before_its_grace() {
+    let coordinator = coordinator();
+    coordinator.offer([lease_of(0, endless_job())]);
+    let grace = Duration::from_millis(200);
+    let working = Working::start(&coordinator, |config| Config { grace, ..config });
+    working.runs(&[0]).await;
+    working.shutdown.cancel();
+    assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
+    let calls = coordinator.calls(Call::hand_back);
+    let announced: Vec<_> =
+        calls.iter().map(|call| (call.stopping, call.leaving, call.leases.len())).collect();
+    assert_eq!(announced, [(true, false, 0), (true, true, 1)]);
+}
+
 #[tokio::test]
 async fn a_restarted_coordinator_interrupts_no_job_and_gets_its_result() {
     let coordinator = coordinator();

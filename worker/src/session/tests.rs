@@ -211,7 +211,7 @@ async fn leaving_is_tried_once_and_keeps_nobody_waiting() {
     let (session, _) = session(&coordinator).await;
     coordinator.answer(Method::HandBack, Answer::Never);
     let start = Instant::now();
-    session.hand_back(vec![lease(1).key], true).await.unwrap_err();
+    session.leave(vec![lease(1).key]).await.unwrap_err();
     assert!(start.elapsed() < 2 * LEAVE, "{:?}", start.elapsed());
     assert_eq!(coordinator.calls(Call::hand_back).len(), 1);
 }

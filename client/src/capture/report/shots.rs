@@ -19,6 +19,8 @@ pub(super) fn figure(captured: &Captured, shot: &ShotReport) -> String {
     if shot.moved_px.iter().any(Option::is_some) {
         words.push(told("moved", format!("{} px", moved.join(", "))));
     }
+    let light = shot.light.map(|light| light.map(|l| format!("{:+.2}", 100.0 * (l.value - 1.0))).join(", "));
+    words.extend(light.map(|percent| told("light", format!("{percent} %"))));
     words.push(told("rejected", shot.rejected_px.len().to_string()));
     format!(
         "<figure><div class=\"shot\"><img src=\"{picture}\" alt=\"{}\" width=\"{}\" height=\"{}\">\

@@ -95,3 +95,47 @@ fn a_slab_has_one_entry() {
     let told = refused("[[sample]]", twice).replace("white_*", "white_2");
     assert!(told.contains("also in sample[0].shots"), "{told}");
 }
+
+#[test]
+fn a_monochrome_camera_has_a_pattern_of_its_own() {
+    assert_eq!(pattern("mono").unwrap(), pattern("RGGB").unwrap());
+    let refused = pattern("grey").unwrap_err().to_string();
+    assert!(refused.ends_with("and \"mono\""), "{refused}");
+}
+
+#[test]
+fn numbers_that_are_hardly_meant_are_named() {
+    let doubts = |from: &str, to: &str| read((from, to)).unwrap().doubts.join("; ");
+    assert_eq!(doubts("", ""), "");
+    for (from, to, told) in [
+        ("[neutral]", "[neutral]\nstd_error = 0.5", "neutral.std_error = 0.5 is 50 % of each reflectance"),
+        ("[target]", "[target]\nsquare_mm = 2", "target.square_mm = 2: boards have squares of 5 to 100 mm"),
+        ("0.512", "51.2", "sample[0].thickness_mm = 51.2: slabs have about 0.5 to 2 mm"),
+        ("0.512", "0.512\nthickness_std_error_mm = 0.1", "sample[0].thickness_std_error_mm = 0.1 is 20 %"),
+    ] {
+        assert!(doubts(from, to).starts_with(told), "{}", doubts(from, to));
+    }
+    let other = |name: &str, mm: f64| {
+        let table =
+            format!("[[sample]]\nmaterial = \"{name}\"\nthickness_mm = {mm}\nshots = [\"white_2.pgm\"]\n");
+        let first = "shots = [\"white_*.pgm\"]\n";
+        doubts(first, &format!("shots = [\"white_1*.pgm\"]\n{table}"))
+    };
+    assert_eq!(other("White", 1.0), "sample[1].material = \"White\" differs from \"white\" only in case");
+    assert!(
+        other("white", 0.5121)
+            .starts_with("sample[1].thickness_mm = 0.5121 is nearly that of another slab, 0.512")
+    );
+    assert_eq!(other("white", 1.0), "");
+}
+
+/// As editors of Windows, and users of decimal commas, write them.
+#[test]
+fn byte_order_marks_are_read_and_decimal_commas_named() {
+    assert_eq!(read(("\n[camera]", "\u{feff}[camera]")).unwrap().dark.len(), 2);
+    let comma = refused("0.512", "0,512");
+    assert!(
+        comma.contains("session.toml, line 16: 0,512 seems to have a decimal comma; write 0.512"),
+        "{comma}"
+    );
+}

@@ -4,24 +4,34 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Result;
-use optics_capture::{Photo, ShotCheck, check_shot};
+use optics_capture::{Darks, Photo, ShotCheck, check_shot};
 use serde_json::{Value, json};
 
 use crate::capture::{Shots, pattern};
 use crate::cli::CaptureArgs;
 use crate::output::{Output, warning};
+use crate::photograph::Orientation;
 
 /// A photograph that is usable.
 struct Seen {
     exposure: Option<String>,
+    orientation: Option<Orientation>,
     check: ShotCheck,
 }
 
 pub(super) fn run(args: &CaptureArgs, output: &Output) -> Result<ExitCode> {
     let colours = args.pattern.as_deref().map(pattern).transpose().map_err(|e| e.renamed("pattern"))?;
+    let mut darks = Darks::new();
+    let mut dark_shots = Shots::new(colours, Path::new(""));
+    for path in &args.darks {
+        darks.add(dark_shots.read(path, "dark")?)?;
+    }
     let look = |path: &Path| -> Result<Seen> {
-        let photo: Photo = Shots::new(colours, Path::new("")).read(path)?;
-        Ok(Seen { exposure: photo.exposure.map(|e| e.to_string()), check: check_shot(&photo)? })
+        let mut shots = Shots::new(colours, Path::new(""));
+        let photo: Photo = shots.read(path, "")?;
+        let exposure = photo.exposure.map(|e| e.to_string());
+        let orientation = shots.into_inputs().pop().and_then(|input| input.about.orientation);
+        Ok(Seen { exposure, orientation, check: check_shot(&photo, darks.clone())? })
     };
     let shots: Vec<(&Path, Result<Seen>)> =
         args.check.iter().map(|path| (path.as_path(), look(path))).collect();
@@ -34,12 +44,14 @@ pub(super) fn run(args: &CaptureArgs, output: &Output) -> Result<ExitCode> {
 }
 
 fn data(path: &Path, seen: &Result<Seen>) -> Value {
+    let photograph = path.display().to_string();
     match seen {
-        Err(error) => json!({"photograph": path, "usable": false, "reason": reason(path, error)}),
-        Ok(Seen { exposure, check }) => json!({
-            "photograph": path,
+        Err(error) => json!({"photograph": photograph, "usable": false, "reason": reason(path, error)}),
+        Ok(Seen { exposure, orientation, check }) => json!({
+            "photograph": photograph,
             "usable": true,
             "exposure": exposure,
+            "orientation": orientation.map(Orientation::number),
             "clipped_share": check.clipped_share,
             "brightness_share": check.brightness_share,
             "blur_px": check.edges.map(|edge| Some(edge?.blur_px?.value)),
@@ -59,7 +71,7 @@ fn reason(path: &Path, error: &anyhow::Error) -> String {
 
 fn text(path: &Path, seen: &Result<Seen>) -> String {
     let name = path.display();
-    let Seen { exposure, check } = match seen {
+    let Seen { exposure, orientation, check } = match seen {
         Err(error) => return format!("{name}: {}", warning(&format!("not usable: {}", reason(path, error)))),
         Ok(seen) => seen,
     };
@@ -73,6 +85,8 @@ fn text(path: &Path, seen: &Result<Seen>) -> String {
         Some(format!("longest edge {blur:.2} px {way}, turned by {angle:+.2}°"))
     }));
     words.extend(exposure.clone());
+    let turned = orientation.filter(|orientation| !orientation.is_as_stored());
+    words.extend(turned.map(|orientation| format!("Orientation {orientation}, used as stored")));
     let prefix = format!("{name}: ");
     let warnings = check.warnings.iter().map(ToString::to_string);
     let warnings = warnings.map(|w| format!("\n  {}", warning(w.strip_prefix(&prefix).unwrap_or(&w))));

@@ -3,7 +3,7 @@
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
-use optics_fit::derivative;
+use optics_fit::shown_derivative;
 use optics_model::fit::{Curve, FitSettings};
 use optics_model::job::JobSpec;
 use optics_model::{Medium, Record, TransportPoint};
@@ -68,6 +68,6 @@ fn profile(job: &JobSpec, medium: &Medium) -> Result<Curve> {
         record.profiles[0].radiance_factor.values().iter().copied().map(f64::from).collect();
     let settings = FitSettings::default();
     let scale = 10.0 / 360.0 / job.scene().sensor().pitch_mm();
-    let slope = derivative(&values, settings.wavelet, settings.level);
+    let slope = shown_derivative(&values, settings.wavelet, settings.level);
     Ok(Curve { gradient: slope.iter().map(|d| d.abs() * scale).collect(), values })
 }

@@ -5,7 +5,7 @@ use farm_proto::ids::DictionaryId;
 use farm_proto::status::{DictionaryState, MachineFacts};
 
 use super::{Bench, DIGEST, about, job_of, origin, seconds, worker};
-use crate::dispatch::{Effect, Registration};
+use crate::dispatch::{Effect, EventKind, Registration};
 use crate::stored::Origin;
 
 #[test]
@@ -31,6 +31,29 @@ fn a_job_is_given_up_after_the_allowed_failures_with_all_reasons() {
     assert!(bench.reasons(3).contains(&"JOBS_GIVEN_UP"));
     assert_eq!(bench.farm.retry(DictionaryId(1)), 1);
     assert_eq!(job_of(&bench.acquire(4, "c", 10)), [job]);
+}
+
+/// A host that is preempted lets a worker know, and kills it when its time is up.
+#[test]
+fn silence_after_a_request_to_stop_is_nobodys_fault() {
+    let mut bench = Bench::new(&[]);
+    let mut at = 0;
+    // More often than a job may fail.
+    for round in 0..5 {
+        let id = format!("a{round}");
+        bench.farm.register(seconds(at), worker(&id), origin("a"), about(&id)).unwrap();
+        let lease = bench.acquire(at, &id, 1);
+        assert!(bench.renew(at, &id, &lease[0], true));
+        bench.farm.stopping(&worker(&id));
+        for second in (at..at + 40).step_by(4) {
+            bench.farm.look_over(seconds(second));
+        }
+        at += 40;
+        assert_eq!(bench.status().jobs_leased, 0, "its lease has ended");
+        let events = bench.farm.take_outbox().events;
+        assert!(events.iter().all(|event| event.kind != EventKind::AttemptFailed), "{events:?}");
+    }
+    assert_eq!(bench.state(), DictionaryState::Running);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Walks};
 
-use super::{Bench, DIGEST, about, arrive, job_of, seconds, worker};
+use super::{Bench, DIGEST, about, arrive, job_of, origin, seconds, worker};
 use crate::dispatch::{DispatchError, Effect};
 use crate::stored::{EndedJob, Origin};
 
@@ -117,4 +117,44 @@ fn of_two_results_that_come_together_and_differ_the_second_asks_for_a_check() {
     bench.finish_with(1, "a", &lease[0], wrong);
     assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not by itself");
     assert_eq!(job_of(&bench.acquire(2, "b", 1)), job_of(&lease));
+}
+
+#[test]
+fn checks_that_no_machine_can_take_are_explained() {
+    let mut bench = Bench::with_checks(&[], 1.0);
+    for name in ["b", "c"] {
+        bench.farm.leave(&worker(name));
+    }
+    let leases = bench.acquire(0, "a", 9);
+    for lease in &leases {
+        bench.finish(1, "a", lease);
+    }
+    assert!(bench.acquire(2, "a", 9).is_empty(), "it has computed all of them");
+    assert_eq!(bench.reasons(2), ["CHECKS_WAIT", "DONE"]);
+    bench.farm.register(seconds(3), worker("b"), origin("b"), about("b")).unwrap();
+    assert_eq!(bench.reasons(3), ["DONE"]);
+}
+
+/// The workers of one token leave room for those of others, and what was registered can register again.
+#[test]
+fn one_token_has_so_many_workers() {
+    use crate::dispatch::workers::WORKERS_OF_ONE;
+    let mut bench = Bench::with_checks(&[], 1.0);
+    let of = |token: &str, instance: usize| {
+        let mut about = about(&instance.to_string());
+        about.instance = instance.to_string();
+        about.machine.token = token.to_owned();
+        about
+    };
+    let mut register = |token: &str, instance: usize| {
+        let id = worker(&format!("{token}{instance}"));
+        bench.farm.register(seconds(0), id, Origin(9), of(token, instance))
+    };
+    for instance in 0..WORKERS_OF_ONE {
+        register("mallory", instance).unwrap();
+    }
+    let refused = register("mallory", WORKERS_OF_ONE).unwrap_err();
+    assert!(matches!(refused, DispatchError::ManyWorkers { .. }), "{refused}");
+    register("mallory", 7).unwrap();
+    register("alice", WORKERS_OF_ONE).unwrap();
 }

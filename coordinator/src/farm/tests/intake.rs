@@ -7,6 +7,7 @@ use optics_model::Digest;
 use super::*;
 use crate::actor::Actor;
 use crate::farm::{Delivered, Header, Piece};
+use crate::stored::Machine;
 
 async fn begun() -> (Arc<Farm>, WorkerId, Vec<Lease>, tempfile::TempDir) {
     let dir = tempfile::tempdir().unwrap();
@@ -31,7 +32,8 @@ fn pieces(worker: &WorkerId, lease: &Lease, value: f32) -> Vec<Piece> {
 }
 
 async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Delivered>, FarmError> {
-    farm.receive("node1@10.0.0.1".to_owned(), tokio_stream::iter(pieces.into_iter().map(Ok))).await
+    let machine = Machine { token: "node1".to_owned(), address: "10.0.0.1".to_owned(), ..Machine::default() };
+    farm.receive(&machine, tokio_stream::iter(pieces.into_iter().map(Ok))).await
 }
 
 #[tokio::test]

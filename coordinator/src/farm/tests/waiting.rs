@@ -6,6 +6,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::*;
 use crate::actor::Actor;
+use crate::farm::WorkerEnd;
 
 const SOON: Duration = Duration::from_millis(20);
 const LONG: Duration = Duration::from_mins(1);
@@ -58,7 +59,7 @@ async fn a_job_that_its_worker_gives_back_goes_to_one_that_waits() {
         tokio::spawn(async move { farm.acquire(&second, 1, LONG, &CancellationToken::new()).await })
     };
     tokio::time::sleep(SOON).await;
-    farm.hand_back(&first, &[all[3].key], false);
+    farm.hand_back(&first, &[all[3].key], None);
     let grant = waiting.await.unwrap().unwrap().unwrap();
     assert_eq!(grant.leases[0].key.job, all[3].key.job);
 }
@@ -116,13 +117,13 @@ async fn what_could_not_be_made_durable_is_tried_again_at_the_next_look() {
     let worker = worker(&farm, "worker").await;
     change(&dir, "ALTER TABLE jobs RENAME TO elsewhere").await;
     let job = farm.acquire_now(&worker, 1).unwrap().leases[0].key.job;
-    farm.hand_back(&worker, &[], true);
+    farm.hand_back(&worker, &[], Some(WorkerEnd::Left));
     for round in 0..3 {
         let worker = super::worker(&farm, &format!("worker {round}")).await;
         let leases = farm.acquire_now(&worker, JOBS as usize).unwrap().leases;
         let of_job = leases.iter().find(|lease| lease.key.job == job).unwrap();
         farm.failed(&worker, &of_job.key, "no luck").await.unwrap();
-        farm.hand_back(&worker, &[], true);
+        farm.hand_back(&worker, &[], Some(WorkerEnd::Left));
     }
     assert_eq!(farm.status(&name()).unwrap().failed.len(), 1, "it is given up");
     change(&dir, "ALTER TABLE elsewhere RENAME TO jobs").await;
@@ -131,4 +132,35 @@ async fn what_could_not_be_made_durable_is_tried_again_at_the_next_look() {
     farm.door.settled().await;
     let ended = farm.store.ended_jobs(id, &grid()).await.unwrap();
     assert_eq!(ended.iter().map(crate::stored::EndedJob::job).collect::<Vec<_>>(), [job]);
+}
+
+#[tokio::test]
+async fn a_watch_is_of_one_dictionary_and_not_of_a_name() {
+    let (farm, _dir) = empty().await;
+    let by = Actor::default();
+    farm.submit(&by, name(), grid(), 0).await.unwrap();
+    let mut watch = farm.watch(name()).unwrap();
+    watch.next().await.unwrap().unwrap();
+    farm.cancel(&by, &name(), "").await.unwrap();
+    farm.delete(&by, &name()).await.unwrap();
+    farm.submit(&by, name(), grid(), 0).await.unwrap();
+    assert!(matches!(watch.next().await, Err(FarmError::Deleted { .. })));
+}
+
+#[tokio::test]
+async fn a_watch_without_news_says_something_every_fifteen_seconds() {
+    let (farm, _dir) = empty().await;
+    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
+    tokio::time::pause();
+    let (mut watch, mut jobs) = (farm.watch(name()).unwrap(), farm.watch_jobs(&name()).unwrap());
+    let (first, of_jobs) = (watch.next().await.unwrap().unwrap(), jobs.next().await.unwrap().unwrap());
+    for _ in 0..3 {
+        let start = tokio::time::Instant::now();
+        assert_eq!(watch.next().await.unwrap().unwrap(), first);
+        assert!(start.elapsed() <= Duration::from_secs(15), "{:?}", start.elapsed());
+        // Part of what was told before, so that it changes nothing for a client that takes it for news.
+        let (start, again) = (tokio::time::Instant::now(), jobs.next().await.unwrap().unwrap());
+        assert!(start.elapsed() <= Duration::from_secs(15), "{:?}", start.elapsed());
+        assert_eq!((again.first, again.states.as_slice()), (of_jobs.first, &of_jobs.states[..1]));
+    }
 }

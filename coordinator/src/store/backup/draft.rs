@@ -6,6 +6,8 @@ use std::io::ErrorKind;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
+use farm_link::sync_folder;
+
 use super::{BackupError, Result, failed};
 
 pub(super) fn with_suffix(file: &Path, suffix: &str) -> PathBuf {
@@ -67,8 +69,7 @@ impl Draft {
         })?;
         self.published = true;
         let dir = target.parent().unwrap_or(Path::new("."));
-        let sync = File::open(dir).and_then(|dir| dir.sync_all());
-        sync.map_err(failed(dir, "writing the folder to disk"))
+        sync_folder(dir).map_err(failed(dir, "writing the folder to disk"))
     }
 }
 

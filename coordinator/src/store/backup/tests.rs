@@ -256,6 +256,23 @@ async fn another_programs_database_is_refused() {
     assert!(error.ends_with("its application_id is 0x00000007, not 0x4641524d"), "{error}");
 }
 
+/// Triggers and views act when others read and write, and no farm has one.
+#[tokio::test]
+async fn a_database_with_foreign_triggers_or_views_is_refused() {
+    for foreign in [
+        "CREATE TRIGGER t AFTER INSERT ON jobs BEGIN DELETE FROM records; END",
+        "CREATE VIEW v AS SELECT * FROM records",
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("other.db");
+        let pool = open(&file).await;
+        run(&pool, foreign).await;
+        pool.close().await;
+        let error = refusal(&file).await.to_string();
+        assert!(error.contains("which would act on what is read or written"), "{error}");
+    }
+}
+
 #[tokio::test]
 async fn the_farms_number_survives_a_backup() {
     let dir = tempfile::tempdir().unwrap();

@@ -125,6 +125,7 @@ fn compare(path: &Path, digest: blake3::Hash) -> Result<Checksum> {
 async fn verify_tables(path: &Path, newest_schema: i64) -> Result<BackupCounts> {
     let reader = Reader { path };
     let options = SqliteConnectOptions::new().filename(path).read_only(true).immutable(true);
+    let options = options.pragma("trusted_schema", "OFF");
     let mut connection = reader.outcome("opening", options.connect().await)?;
     let counts = reader.check(&mut connection, newest_schema).await;
     // All is read by now; a connection that cannot be closed changes nothing about the file.
@@ -158,6 +159,17 @@ impl Reader<'_> {
         )?;
         if tables != 4 {
             return Err(not_ours(self.path, "a farm's tables are not in it"));
+        }
+        let foreign = "SELECT type || ' ' || name FROM sqlite_schema WHERE type NOT IN ('table', 'index') \
+                       OR sql LIKE 'CREATE VIRTUAL%' LIMIT 1";
+        let foreign: Option<String> = self.outcome(
+            "reading the schema",
+            sqlx::query_scalar(foreign).fetch_optional(&mut *connection).await,
+        )?;
+        if let Some(foreign) = foreign {
+            let why =
+                format!("{foreign:?} is in it, which would act on what is read or written; a farm has none");
+            return Err(not_ours(self.path, &why));
         }
         let version = "SELECT coalesce(max(version), 0) FROM _sqlx_migrations";
         let found: i64 = self.outcome(

@@ -125,3 +125,20 @@ async fn a_panic_while_writing_is_an_error_and_leaves_nothing_behind() {
     assert_eq!(all_records(&store, &d).await, records(2, 0.5));
     assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }));
 }
+
+#[tokio::test]
+async fn nothing_is_acknowledged_once_the_file_has_lost_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let [data, away] = ["data", "away"].map(|name| folder.path().join(name));
+    let store = open(&data).await;
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
+    let dictionary = dictionary(&store).await;
+    store.complete(completion(&dictionary, 0, 0.5)).await.unwrap();
+    std::fs::rename(&data, &away).unwrap();
+    let error = store.complete(completion(&dictionary, 1, 0.5)).await.unwrap_err().to_string();
+    assert!(error.contains("deleted, moved or replaced"), "{error}");
+    let error = store.set_priority(dictionary.id, 3).await.unwrap_err();
+    assert!(matches!(error, StoreError::Lost { .. }), "{error}");
+    std::fs::rename(&away, &data).unwrap();
+    store.complete(completion(&dictionary, 1, 0.5)).await.unwrap();
+}

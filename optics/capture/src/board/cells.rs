@@ -2,6 +2,7 @@
 
 use super::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
+use crate::estimate::Estimate;
 use crate::frame::Colour;
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
@@ -36,21 +37,38 @@ impl Cells {
         Self([0, 1, 2].map(|c| (0..CELLS * CELLS).map(|k| of(c, k)).collect()))
     }
 
+    /// The same under light that is brighter by a factor.
+    pub fn under(mut self, light: &[Estimate; 3]) -> Self {
+        for (cells, light) in self.0.iter_mut().zip(light) {
+            for cell in cells {
+                *cell = Cell { value: cell.value / light.value, std_error: cell.std_error / light.value };
+            }
+        }
+        self
+    }
+
+    /// Shares of the dark and the light side of the crop that look as without a slab, `self` being the bare board.
+    fn free_shares(&self, sample: &Self) -> [f64; 2] {
+        let share = |side: bool| {
+            let free = (0..CELLS * CELLS).filter(|k| is_light(*k) == side && self.is_free(sample, *k));
+            free.count() as f64 / (CELLS * CELLS / 2) as f64
+        };
+        [share(false), share(true)]
+    }
+
+    /// Whether the whole crop looks as without a slab.
+    pub fn is_bare(&self, sample: &Self) -> bool {
+        self.free_shares(sample).iter().all(|share| *share > 0.9)
+    }
+
     /// Refuses a crop that a slab does not cover, `self` being the bare board.
     pub fn check_covered(&self, label: &str, sample: &Self) -> Result<(), Refusal> {
-        let free: Vec<bool> = (0..CELLS * CELLS).map(|k| self.is_free(sample, k)).collect();
-        let half = CELLS / 2;
-        let light = |k: usize| k % CELLS >= half;
-        let share = |side: bool| {
-            free.iter().enumerate().filter(|(k, f)| **f && light(*k) == side).count() as f64
-                / (half * CELLS) as f64
-        };
-        if share(true) > 0.9 && share(false) > 0.9 {
+        if self.is_bare(sample) {
             return Err(Refusal::NoSlab { label: label.to_owned() });
         }
         // A slab that lets no light through looks like the bare dark side.
-        let dark_tells = share(false) < 0.6;
-        let counts = |k: &usize| free[*k] && (light(*k) || dark_tells);
+        let dark_tells = self.free_shares(sample)[0] < 0.6;
+        let counts = |k: &usize| self.is_free(sample, *k) && (is_light(*k) || dark_tells);
         let corner = |k: usize| [(k % CELLS) as f64, (k / CELLS) as f64];
         let border = |k: &usize| [k % CELLS, k / CELLS].iter().any(|i| *i == 0 || *i == CELLS - 1);
         let open: Vec<usize> = (0..CELLS * CELLS).filter(border).filter(counts).collect();
@@ -75,6 +93,11 @@ impl Cells {
             (now.value - bare.value).abs() < (FREE * bare.value).max(3.0 * noise)
         })
     }
+}
+
+/// Whether a cell lies on the light side.
+fn is_light(k: usize) -> bool {
+    k % CELLS >= CELLS / 2
 }
 
 fn cell(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, k: usize) -> Cell {

@@ -1,6 +1,7 @@
 //! Whether camera and board are where the bare shots show them.
 
 use super::blurs::blur_px;
+use super::light::{FLICKER, Patch, brightest};
 use super::lines::Stretch;
 use super::scan::{Point, Run, Scan};
 use crate::estimate::Estimate;
@@ -29,6 +30,8 @@ pub(crate) struct Seen {
 pub(crate) struct FreeParts {
     pub moved_px: [Option<Estimate>; 2],
     pub blur_px: [Option<Estimate>; 2],
+    /// Which of [`Seen::patches`] are free; none if the light of the free board is unknown.
+    pub free: Option<Vec<bool>>,
 }
 
 const RUNS: [Run; 2] = [Run::Down, Run::Across];
@@ -55,20 +58,60 @@ impl Seen {
         self.blur_px.iter().flatten().map(|b| b.value).reduce(f64::max)
     }
 
-    /// Displacement sideways and up and down of another photograph of the bare board.
-    pub fn movement(&self, other: &Self) -> [Option<Estimate>; 2] {
-        std::array::from_fn(|i| {
-            let points: Vec<Point> = other.stretches[i].iter().flat_map(|s| s.points.clone()).collect();
-            let square = self.scan.reach_px * 6.0;
-            displacement(&self.stretches[i], &points, square, self.scan.contrast.range())
-        })
+    /// Displacement sideways and up and down of another photograph of the bare board, and which patches it shows.
+    pub fn compare(&self, other: &Self) -> FreeParts {
+        let points = other.stretches.each_ref().map(|s| s.iter().flat_map(|s| s.points.clone()).collect());
+        let within = self.scan.reach_px * 6.0;
+        let light = self.light(&points, within);
+        let moved_px = std::array::from_fn(|i| {
+            displacement(&self.stretches[i], &points[i], within, self.levels(light.unwrap_or(1.0)))
+        });
+        let free = light.map(|light| self.free(&points, light));
+        FreeParts { moved_px, blur_px: other.blur_px, free }
+    }
+
+    /// Places by which the light of shots is compared.
+    pub fn patches(&self) -> impl Iterator<Item = Patch<'_>> {
+        (0..2).flat_map(|i| self.patches_of(i))
+    }
+
+    fn patches_of(&self, i: usize) -> impl Iterator<Item = Patch<'_>> {
+        self.stretches[i].iter().flat_map(|s| Patch::of(s, self.scan.reach_px + 1.0))
     }
 
     /// Looks for the board's edges where a slab leaves them free.
     pub fn free_parts(&self, view: View<'_>) -> FreeParts {
-        let mut parts = FreeParts::default();
-        let (scan, range) = (self.scan, self.scan.contrast.range());
-        for (i, run) in RUNS.into_iter().enumerate() {
+        let mut points = self.edges(view, 1.0);
+        let mut light = self.light(&points, NEAR_PX);
+        for brightness in OTHER_LIGHT {
+            if light.is_some() {
+                break;
+            }
+            let others = self.edges(view, brightness);
+            light = self.light(&others, NEAR_PX);
+            if light.is_some() {
+                points = others;
+            }
+        }
+        let levels = self.levels(light.unwrap_or(1.0));
+        let free = light.map(|light| self.free(&points, light));
+        let mut parts = FreeParts { free, ..FreeParts::default() };
+        for (i, (run, points)) in RUNS.into_iter().zip(points).enumerate() {
+            let is_own =
+                |p: &Point| near(&self.stretches[i], p, NEAR_PX).is_some_and(|bare| bare.fits(p, levels));
+            let mut own: Vec<Point> = points.into_iter().filter(is_own).collect();
+            parts.moved_px[i] = displacement(&self.stretches[i], &own, NEAR_PX, levels);
+            own.sort_by(|a, b| a.on.total_cmp(&b.on));
+            parts.blur_px[i] = self.blur_of_free(view, i, run, &own);
+        }
+        parts
+    }
+
+    /// Edges near those of the bare board, under light of this brightness.
+    fn edges(&self, view: View<'_>, brightness: f64) -> [Vec<Point>; 2] {
+        let scan = Scan { contrast: self.scan.contrast.under(brightness), ..self.scan };
+        std::array::from_fn(|i| {
+            let run = RUNS[i];
             let end = if run == Run::Down { view.frame().width() } else { view.frame().height() };
             let ranges = |on: f64| {
                 let of = |s: &Stretch| {
@@ -78,28 +121,51 @@ impl Seen {
                 let along = |s: &&Stretch| (s.from() - 2.0..=s.to() + 2.0).contains(&on);
                 self.stretches[i].iter().filter(along).map(of).collect::<Vec<_>>()
             };
-            let points = scan.within(view, run, ranges);
-            let own: Vec<Point> = points
-                .into_iter()
-                .filter(|p| near(&self.stretches[i], p, NEAR_PX, range).is_some())
-                .collect();
-            parts.moved_px[i] = displacement(&self.stretches[i], &own, NEAR_PX, range);
-            let slope = self.stretches[i].first().map_or(0.0, |s| s.slope);
-            let mut sorted = own;
-            sorted.sort_by(|a, b| a.on.total_cmp(&b.on));
-            let mut free = super::lines::stretches(&sorted, run, 0.0);
-            free.sort_by(|a, b| b.length().total_cmp(&a.length()));
-            for stretch in free.iter().take(LONGEST) {
-                let blur = blur_px(view, run, &stretch.points, slope, self.scan.reach_px + 4.0);
-                if let Some(blur) = blur.filter(|b| b.std_error < 0.07 * b.value) {
-                    let best = parts.blur_px[i].get_or_insert(blur);
-                    if blur.std_error < best.std_error {
-                        *best = blur;
-                    }
+            scan.within(view, run, ranges)
+        })
+    }
+
+    /// Brightness of the free board over that of the bare shot.
+    fn light(&self, points: &[Vec<Point>; 2], within: f64) -> Option<f64> {
+        let mut ratios = Vec::new();
+        for (stretches, points) in self.stretches.iter().zip(points) {
+            for point in points {
+                let Some(bare) = near(stretches, point, within) else { continue };
+                let ratio = point.high / bare.high;
+                if bare.is_dark(point, self.levels(ratio)) {
+                    ratios.push(ratio);
                 }
             }
         }
-        parts
+        brightest(ratios)
+    }
+
+    /// Which patches are free, under light of this brightness.
+    fn free(&self, points: &[Vec<Point>; 2], light: f64) -> Vec<bool> {
+        let levels = Levels { of_high: FLICKER, ..self.levels(light) };
+        let of_run = |i: usize| {
+            let is_free =
+                |p: &&Point| near(&self.stretches[i], p, NEAR_PX).is_some_and(|bare| bare.fits(p, levels));
+            let free: Vec<Point> = points[i].iter().filter(is_free).copied().collect();
+            self.patches_of(i).map(|patch| patch.is_among(&free, NEAR_PX)).collect::<Vec<_>>()
+        };
+        [of_run(0), of_run(1)].concat()
+    }
+
+    fn levels(&self, light: f64) -> Levels {
+        Levels { light, range: self.scan.contrast.range(), of_high: LEVELS[1] }
+    }
+
+    /// The sharpest of the longest free stretches.
+    fn blur_of_free(&self, view: View<'_>, i: usize, run: Run, own: &[Point]) -> Option<Estimate> {
+        let slope = self.stretches[i].first().map_or(0.0, |s| s.slope);
+        let mut free = super::lines::stretches(own, run, 0.0);
+        free.sort_by(|a, b| b.length().total_cmp(&a.length()));
+        let blurs = free.iter().take(LONGEST).filter_map(|stretch| {
+            let blur = blur_px(view, run, &stretch.points, slope, self.scan.reach_px + 4.0)?;
+            (blur.std_error < 0.07 * blur.value).then_some(blur)
+        });
+        blurs.min_by(|a, b| a.std_error.total_cmp(&b.std_error))
     }
 }
 
@@ -110,10 +176,13 @@ fn longest(stretches: &[Stretch]) -> Option<&Stretch> {
 /// Free edges are looked for so near to where they were, in pixels.
 const NEAR_PX: f64 = 12.0;
 
-/// Departure of the dark and the light level beside a free edge from the bare board's, as shares of the contrast: noise,
-/// and flicker of the light. Where a slab or its blurred rim lies on one side, levels depart by more; at these bounds
-/// they shift the edge by less than 0.1 px.
+/// Departure of the dark and the light level beside a free edge from the bare board's under the shot's light, as shares
+/// of the contrast: noise, and flicker of the light. Where a slab or its blurred rim lies on one side, levels depart by
+/// more; at these bounds they shift the edge by less than 0.1 px.
 const LEVELS: [f64; 2] = [0.004, 0.012];
+
+/// Brightness at which edges are looked for where none are found under the bare shots' light.
+const OTHER_LIGHT: [f64; 6] = [0.8, 1.25, 0.64, 1.56, 0.5, 2.0];
 
 /// So many of the longest free stretches tell the blur.
 const LONGEST: usize = 3;
@@ -121,28 +190,55 @@ const LONGEST: usize = 3;
 /// Fewest points that tell a movement.
 const POINTS: usize = 6;
 
-/// Where the bare shot shows the edge that a point belongs to, if it lies between the same levels.
-fn near(stretches: &[Stretch], point: &Point, within: f64, range: f64) -> Option<f64> {
+/// The bare board next to a point: where it has the edge, and the levels on both sides.
+struct Bare {
+    at: f64,
+    low: f64,
+    high: f64,
+}
+
+/// What levels are compared under: the shot's light over the bare shot's, and the bare contrast.
+#[derive(Debug, Clone, Copy)]
+struct Levels {
+    light: f64,
+    range: f64,
+    /// Departure of the light level that is let pass, as a share of the contrast.
+    of_high: f64,
+}
+
+impl Bare {
+    fn is_dark(&self, point: &Point, levels: Levels) -> bool {
+        (point.low - levels.light * self.low).abs() < LEVELS[0] * levels.light * levels.range
+    }
+
+    fn fits(&self, point: &Point, levels: Levels) -> bool {
+        let off = (point.high - levels.light * self.high).abs();
+        self.is_dark(point, levels) && off < levels.of_high * levels.light * levels.range
+    }
+}
+
+/// What the bare shot shows of the edge that a point belongs to.
+fn near(stretches: &[Stretch], point: &Point, within: f64) -> Option<Bare> {
     stretches
         .iter()
         .filter(|s| s.rises == point.rises && (s.from() - 2.0..=s.to() + 2.0).contains(&point.on))
         .find(|s| (s.at(point.on) - point.at).abs() < within)
-        .and_then(|s| local(s, point, range))
+        .map(|s| local(s, point))
 }
 
 /// The stretch there, from the points next to it: printed and bent lines are not quite straight.
-fn local(stretch: &Stretch, point: &Point, range: f64) -> Option<f64> {
+fn local(stretch: &Stretch, point: &Point) -> Bare {
     const AROUND: usize = 4;
     let i = stretch.points.partition_point(|p| p.on < point.on);
     let near = &stretch.points[i.saturating_sub(AROUND)..(i + AROUND).min(stretch.points.len())];
     let mean = |f: &dyn Fn(&Point) -> f64| near.iter().map(f).sum::<f64>() / near.len().max(1) as f64;
-    let like = |a: f64, b: f64, share: f64| (a - b).abs() < share * range;
-    let free = like(point.low, mean(&|p| p.low), LEVELS[0]) && like(point.high, mean(&|p| p.high), LEVELS[1]);
-    free.then(|| stretch.at(point.on) + mean(&|p| p.at - stretch.at(p.on)))
+    let at = stretch.at(point.on) + mean(&|p| p.at - stretch.at(p.on));
+    Bare { at, low: mean(&|p| p.low), high: mean(&|p| p.high) }
 }
 
-fn displacement(stretches: &[Stretch], points: &[Point], within: f64, range: f64) -> Option<Estimate> {
-    let off = |p: &Point| near(stretches, p, within, range).map(|at| p.at - at);
+fn displacement(stretches: &[Stretch], points: &[Point], within: f64, levels: Levels) -> Option<Estimate> {
+    let off =
+        |p: &Point| near(stretches, p, within).filter(|bare| bare.fits(p, levels)).map(|bare| p.at - bare.at);
     let all: Vec<f64> = points.iter().filter_map(off).collect();
     if all.len() < POINTS {
         return None;

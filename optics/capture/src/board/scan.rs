@@ -73,6 +73,11 @@ impl Contrast {
         self.white - self.black
     }
 
+    /// Of the same board under other light.
+    pub fn under(self, brightness: f64) -> Self {
+        Self { black: self.black * brightness, white: self.white * brightness }
+    }
+
     fn middle(&self) -> f64 {
         f64::midpoint(self.black, self.white)
     }

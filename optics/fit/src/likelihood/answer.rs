@@ -80,6 +80,7 @@ impl Found<'_, '_> {
         let goodness = self.goodness(&linear);
         let ideal = ideal_covariance(self.system, self.state);
         let intervals = self.intervals(&normal, covariance.as_ref(), goodness.inflation);
+        let budget = self.budget(&linear, &normal, covariance.as_ref());
         // What the data leave open has a very large variance; the set-up is known as well as it was told.
         let covariance =
             covariance.or_else(|| inverse_over_free(&self.system.unknowns, &normal.information, 1e-9));
@@ -90,7 +91,8 @@ impl Found<'_, '_> {
         let correlation = if both > 0.0 { of(LN_SIGMA_T, LN_ONE_MINUS_G) / both } else { 0.0 };
         let free_g = !self.system.unknowns[slots[LN_ONE_MINUS_G]].held;
         let [sigma_t, albedo, g, reduced, absorption] = intervals;
-        let resolved = is_resolved(&sigma_t, &albedo) || (free_g && self.resolved_at_g(goodness.inflation));
+        let resolved = is_resolved(&sigma_t, &albedo);
+        let resolved_at_g = resolved || (free_g && self.resolved_at_g(goodness.inflation));
         let errors = self.errors(&linear);
         let misfit = (goodness.chi2 / goodness.degrees_of_freedom.max(1.0)).sqrt();
         let std_errors = self.system.terms.iter().flat_map(|t| &t.std_errors);
@@ -111,6 +113,7 @@ impl Found<'_, '_> {
             correlation,
             valley: free_g && correlation.abs() > VALLEY,
             resolved,
+            resolved_at_g,
             measurement_noise: rms(&std_errors),
             dictionary_share: self.dictionary_share(&covariance),
             misfit,
@@ -124,6 +127,7 @@ impl Found<'_, '_> {
                 outliers: outliers(self.system, &linear),
                 stretches: stretches(self.system, &linear),
                 bound: bound(&ideal.unwrap_or_else(|| covariance.clone()), self.state, slots),
+                budget,
             }),
         }
     }
@@ -204,8 +208,8 @@ impl Found<'_, '_> {
                 3 => interval(ends, f64::exp, false),
                 _ => {
                     let found = interval(ends, |x| x.max(0.0).powi(2), false);
-                    // Nothing absorbs less than nothing: the lower end is one of the quantity.
-                    Interval { open_low: false, ..found }
+                    // 0 is an end of the quantity; any other limit is one of the dictionary.
+                    Interval { open_low: found.open_low && found.low > 0.0, ..found }
                 }
             }
         })
@@ -333,7 +337,7 @@ impl Found<'_, '_> {
         let curves = |(i, term): (usize, &super::term::Term)| {
             let pitch_mm = self.data.profiles[i].profile.pitch_mm();
             let slope = Slope { wavelet: settings.wavelet, level: settings.level, pitch_mm };
-            let curve = |values: &Line| Curve { gradient: slope.magnitude(values), values: values.clone() };
+            let curve = |values: &Line| Curve { gradient: slope.shown(values), values: values.clone() };
             FitCurves {
                 thickness_mm: term.thickness_mm,
                 x_mm: term.x_mm.clone(),

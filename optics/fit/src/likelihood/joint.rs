@@ -7,6 +7,9 @@
 //! photographs is not in the model, the others' word counts less, by their χ² a degree of freedom (a Birge ratio).
 
 mod minimum;
+mod response;
+#[cfg(test)]
+mod tests;
 
 use optics_model::fit::{ChannelFit, Common, FitOptions, GError, Interval, MaterialFit};
 use optics_model::{Invalid, Measurement};
@@ -23,7 +26,8 @@ use crate::common::scales;
 use crate::dictionary::FitDictionary;
 use crate::measure::{MeasurePlan, Measured, mu_interval};
 use crate::surrogate::{Surrogate, g};
-use minimum::Joint;
+use minimum::{Joint, common_slots};
+use response::Response;
 
 /// Cost by which the first descent may miss its minimum.
 const ROUGHLY: f64 = 1.0;
@@ -191,17 +195,19 @@ impl<'a> Set<'a> {
         // Some materials may leave their own media open.
         let covariance = inverse_over_free(&assembly.system.unknowns, &normal.information, 1e-9);
         let iors = starts.iter().map(|s| s.ior).collect();
-        let mut joint = Joint { assembly, state, normal, covariance, iors, disagreement: 1.0 };
-        joint.disagreement = joint.disagreement(sharing);
+        let common = common_slots(&assembly.system, sharing);
+        let mut joint = Joint { assembly, state, normal, covariance, iors, disagreement: 1.0, common };
+        joint.disagreement = joint.disagreement();
         joint
     }
 
     fn answer(&self, joint: &Joint, plan: &MeasurePlan, base: f64, cells: &[Cell]) -> Measured {
         let system = &joint.assembly.system;
         let [.., g_slot, scale_slot, _, _] = system.slots[0];
-        let found_g = cells[0].g.map(|_| g(joint.state.x[g_slot]));
-        let g_interval = found_g.map(|_| joint.g_interval(g_slot));
+        let common_g = cells[0].g.is_some();
+        let g_interval = common_g.then(|| joint.g_interval(g_slot));
         let grid = self.dictionary.grid();
+        let response = Response::find(joint, plan.search_mu.is_some());
         let fits: Vec<ChannelFit> = (0..self.channels.len())
             .into_par_iter()
             .map(|i| {
@@ -214,13 +220,17 @@ impl<'a> Set<'a> {
                     sample_ior: grid.sample_ior()[joint.iors[i]],
                     common_g: g_interval,
                 };
-                let refined = Some(found.refined());
+                let mut refined = found.refined();
+                let absorbed = response.as_ref().map(|r| r.suspicion(i));
+                refined.suspicion = absorbed.or(refined.suspicion);
                 let scan = &self.scans[i];
                 let factor = (-state.x[own.slots[0][LN_SCALE]]).exp();
                 let nearest = scan.best(&scan.costs(factor), data.options.settings().top as usize);
-                found.fit(refined, &nearest, outside(data, scan))
+                found.fit(Some(refined), &nearest, outside(data, scan))
             })
             .collect();
+        let best_g = |fit: &ChannelFit| fit.refined.as_ref().map(|r| r.best.medium.g());
+        let found_g = fits.first().filter(|_| common_g).and_then(best_g);
         let mut fits = fits.into_iter();
         let materials = self.materials.iter().map(|m| MaterialFit {
             material: m.material().to_owned(),

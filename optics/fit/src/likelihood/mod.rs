@@ -9,6 +9,7 @@
 mod answer;
 mod blur;
 mod bound;
+mod budget;
 mod camera;
 mod channel;
 mod chi2;
@@ -83,12 +84,13 @@ impl Point {
     }
 }
 
-/// What is made least if nothing is said: the likelihood if every pixel tells its noise, which is none of 0.
-pub(super) fn objective<'a>(
+/// The objective if none is set: the likelihood if every profile has standard errors, unless all of them are 0, as in exact
+/// data. Among others a 0 is refused with its place: it would be a pixel without noise.
+pub fn objective<'a>(
     options: &FitOptions,
     materials: impl IntoIterator<Item = &'a Measurement>,
 ) -> Objective {
-    let positive = |errors: &[f64]| errors.iter().all(|e| *e > 0.0);
+    let positive = |errors: &[f64]| errors.iter().any(|e| *e > 0.0);
     let told = |m: &Measurement| m.profiles().iter().all(|p| p.std_errors().is_some_and(positive));
     let default = || if materials.into_iter().all(told) { Objective::Likelihood } else { Objective::Paper };
     options.settings().objective.unwrap_or_else(default)

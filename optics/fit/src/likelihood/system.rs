@@ -254,8 +254,14 @@ impl System<'_> {
     }
 
     /// Whether an extinction or an anisotropy, other than the quantity itself, lies where the dictionary or the bounds end
-    /// and would go on, by more than its standard deviation.
+    /// and would go on, by more than its standard deviation; or, for an absorption, an albedo lies there.
     pub(super) fn at_end(&self, state: &State, quantity: Quantity) -> bool {
+        if let Quantity::Absorption([_, albedo, _]) = quantity {
+            let (unknown, x) = (&self.unknowns[albedo], state.x[albedo]);
+            if !unknown.held && (x <= unknown.limits.0 || x >= unknown.limits.1) {
+                return true;
+            }
+        }
         let ends = |slot: &usize| {
             let (unknown, x) = (&self.unknowns[*slot], state.x[*slot]);
             let at_end = x <= unknown.limits.0 || x >= unknown.limits.1;

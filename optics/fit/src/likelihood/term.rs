@@ -136,6 +136,11 @@ impl Reduced {
         self.own.solve(&(&self.own_downhill - &self.mixed * shared))
     }
 
+    /// How the own unknowns respond where the shared ones respond so: they follow them to the least cost.
+    pub(super) fn own_response(&self, shared: &DVector<f64>) -> DVector<f64> {
+        -self.own.solve(&(&self.mixed * shared))
+    }
+
     /// Covariance of the own unknowns, given that of the shared ones.
     pub(super) fn own_covariance(&self, shared: &DMatrix<f64>) -> DMatrix<f64> {
         let along = self.own.solve(&self.mixed);
@@ -234,18 +239,19 @@ impl Term {
         Linear { residuals, model, columns, cost }
     }
 
+    /// Weights of the pixels.
+    pub(super) fn weights(&self, linear: &Linear) -> Line {
+        let weight = |(r, out): (&f64, &bool)| match (out, self.robust) {
+            (true, _) => 0.0,
+            (false, true) => weight(r / self.softness),
+            (false, false) => 1.0,
+        };
+        linear.residuals.iter().zip(&self.left_out).map(weight).collect()
+    }
+
     /// What the profile says of the shared unknowns, its own eliminated.
     pub(super) fn reduce(&self, linear: &Linear, own: &[f64]) -> Reduced {
-        let weights: Line = linear
-            .residuals
-            .iter()
-            .zip(&self.left_out)
-            .map(|(r, out)| match (out, self.robust) {
-                (true, _) => 0.0,
-                (false, true) => weight(r / self.softness),
-                (false, false) => 1.0,
-            })
-            .collect();
+        let weights = self.weights(linear);
         let n = linear.columns.len();
         let weighted: Vec<Line> =
             linear.columns.iter().map(|c| c.iter().zip(&weights).map(|(c, w)| c * w).collect()).collect();

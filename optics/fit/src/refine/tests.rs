@@ -67,7 +67,10 @@ fn the_valley_between_extinction_and_anisotropy_is_told() {
     for seed in 0..5 {
         let (sigma_t, albedo, g) = medium(seed);
         let r = refined(&dictionary, (sigma_t, albedo, g), seed, None);
-        assert!(r.valley && r.resolved, "{r:?}");
+        assert!(r.valley && r.resolved_at_g, "{r:?}");
+        let ends = &r.sigma_t_per_mm;
+        let narrow = ends.high <= 2.0 * ends.low && !ends.open_low && !ends.open_high;
+        assert_eq!(r.resolved, narrow, "{r:?}");
         assert!(r.correlation < -0.9, "{}", r.correlation);
         assert!(r.g.high - r.g.low > 0.4, "{:?}", r.g);
         assert!(r.sigma_t_per_mm.contains(sigma_t) && r.sigma_t_per_mm.high > 1.5 * r.sigma_t_per_mm.low);

@@ -5,6 +5,7 @@
 
 use serde::{Serialize, Serializer};
 
+use super::budget::SourceShare;
 use crate::medium::Medium;
 
 /// One term of Eq. 1.
@@ -50,11 +51,16 @@ impl Interval {
 
 /// The continuous optimum of Eq. 1 near the best record, and how sure it is.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[expect(clippy::struct_excessive_bools, reason = "they are fields of farmctl/1")]
 pub struct Refined {
     #[serde(flatten)]
     pub best: Candidate,
-    /// Whether the data determine σ_t and the albedo at this anisotropy.
+    /// Whether the data determine σ_t and the albedo: their intervals are bounded, and span no more than a factor of 2 in
+    /// σ_t and 0.2 in the albedo.
     pub resolved: bool,
+    /// Whether they would with g held at its best value. If this alone is true, g is open: σ_t and the albedo hold
+    /// together with this g only.
+    pub resolved_at_g: bool,
     /// σ_t and g trade off along media that similarity theory calls equal: neither is known on its own.
     pub valley: bool,
     #[serde(rename = "sigma_t_interval")]
@@ -90,6 +96,13 @@ pub struct Refined {
     pub from_mixtures: bool,
 }
 
+impl Refined {
+    /// Whether the data determine σ_t and the albedo at one g, but not that g.
+    pub fn g_is_open(&self) -> bool {
+        self.resolved_at_g && !self.resolved
+    }
+}
+
 /// What the likelihood tells of a channel's profiles beside the medium.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Likelihood {
@@ -108,6 +121,8 @@ pub struct Likelihood {
     pub stretches: Vec<Stretch>,
     /// The least errors that these pixels allow.
     pub bound: Bound,
+    /// What the variances of the medium are made of; empty if the data determine nothing.
+    pub budget: Vec<SourceShare>,
 }
 
 /// Something that is wrong with every set-up, told to some accuracy, and estimated beside the medium.
@@ -220,6 +235,8 @@ pub enum Cause {
     Outliers,
     /// The values are coded as for a screen (sRGB), not linear.
     GammaCoded,
+    /// The values are this power of linear ones, in all profiles of all materials.
+    Exponent,
     /// The profiles of the thicknesses are exchanged.
     ThicknessesSwapped,
 }

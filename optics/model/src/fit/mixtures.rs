@@ -191,7 +191,8 @@ impl InkChannel {
         refined.g = self.g;
         refined.reduced_scattering_per_mm = self.reduced_scattering_per_mm;
         refined.absorption_per_mm = self.absorption_per_mm;
-        (refined.resolved, refined.from_mixtures) = (self.resolved, true);
+        (refined.resolved, refined.resolved_at_g) = (self.resolved, self.resolved);
+        refined.from_mixtures = true;
         // Those of the slabs by themselves say nothing of this medium.
         (refined.covariance, refined.correlation, refined.valley) = ([[0.0; 3]; 3], 0.0, false);
     }

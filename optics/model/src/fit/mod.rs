@@ -1,6 +1,7 @@
 //! Questions to a dictionary and their answers.
 
 mod answer;
+mod budget;
 mod design;
 mod mixtures;
 mod options;
@@ -11,6 +12,7 @@ pub use answer::{
     Likelihood, MISFIT, MapLayer, MaterialFit, Nuisance, NuisanceEstimate, OutlierPixel, Outside, Refined,
     ScaleCurve, ScalePoint, Stretch, Suspicion, ThicknessError,
 };
+pub use budget::{ErrorSource, SourceShare};
 pub use design::{
     Design, DesignQuestion, DesignSettings, HalfWidths, Improvement, Limitation, PixelRow, SlabSet,
 };

@@ -82,7 +82,7 @@ impl Outcome {
             found: quantities(&r.best.medium),
             intervals: intervals(r),
             bound: likelihood.map(|l| ends(&l.bound)),
-            resolved: r.resolved,
+            resolved: r.resolved_at_g,
             misfit: r.misfit,
             probability: likelihood.map(|l| l.probability),
             outliers: likelihood.map_or(0, |l| l.outliers.len()),

@@ -1,12 +1,11 @@
 //! What an autoscaler tells: a line for each thing that it does, or that changes.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 
 use anyhow::Result;
 use serde::Serialize;
 
-use crate::output::{Output, counted, envelope, now_unix_s, utc};
+use crate::output::{Output, counted, envelope, now_unix_s, print_line, utc};
 use crate::slurm::scaling::Demand;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -103,9 +102,9 @@ impl<'a> Teller<'a> {
         };
         let is_wrong = matches!(step, Step::Failed | Step::Refused | Step::Held | Step::Unknown);
         if self.output.is_json() {
-            writeln!(anstream::stdout(), "{}", envelope("slurm-autoscale", &line)?)?;
+            print_line(&envelope("slurm-autoscale", &line)?)?;
         } else if !self.quiet || is_wrong {
-            writeln!(anstream::stdout(), "{}", text(&line))?;
+            print_line(&text(&line))?;
         }
         Ok(())
     }

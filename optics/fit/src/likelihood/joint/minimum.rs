@@ -24,6 +24,8 @@ pub(super) struct Joint<'a> {
     pub iors: Vec<usize>,
     /// χ² of the channels' pulls on what they share, a degree of freedom, but at least 1.
     pub disagreement: f64,
+    /// Slots of what all channels share.
+    pub common: Vec<usize>,
 }
 
 impl<'a> Joint<'a> {
@@ -101,18 +103,14 @@ impl<'a> Joint<'a> {
         // For its own medium, noise that others share counts once.
         let mut own = self.state.own[terms].to_vec();
         system.terms.iter_mut().zip(&mut own).for_each(|(term, own)| term.count_alike(own, 1.0));
-        let state = system.descend(State { x: centre, own, cost: f64::INFINITY }, None, WELL);
+        let common: Vec<usize> = self.common.iter().map(place).collect();
+        let state = descend_with(&mut system, State { x: centre, own, cost: f64::INFINITY }, &common);
         (system, state)
     }
 
-    pub(super) fn disagreement(&self, sharing: Sharing) -> f64 {
-        let slots = self.assembly.system.slots[0];
+    pub(super) fn disagreement(&self) -> f64 {
         let unknowns = &self.assembly.system.unknowns;
-        let shared: Vec<usize> = [(LN_ONE_MINUS_G, sharing.g), (LN_SCALE, sharing.scale.is_some())]
-            .into_iter()
-            .filter(|(i, shared)| *shared && !unknowns[slots[*i]].held)
-            .map(|(i, _)| slots[i])
-            .collect();
+        let shared = &self.common;
         let channels = self.assembly.terms.len();
         let freedom = (shared.len() * channels.saturating_sub(1)) as f64;
         if freedom == 0.0 {
@@ -128,13 +126,45 @@ impl<'a> Joint<'a> {
             for i in &others {
                 information[(*i, *i)] += unknowns[*i].prior.map_or(0.0, |(_, sd)| 1.0 / (sd * sd));
             }
-            let (information, pull) = eliminate(&information, &downhill, &shared, &others);
+            let (information, pull) = eliminate(&information, &downhill, shared, &others);
             let ridge = DMatrix::identity(shared.len(), shared.len()) * 1e-9;
             Cholesky::new(information + ridge).map_or(0.0, |c| pull.dot(&c.solve(&pull)))
         };
         let chi2: f64 = (0..channels).map(pull).sum();
         if exceedance(chi2, freedom) < DISAGREE { (chi2 / freedom).max(1.0) } else { 1.0 }
     }
+}
+
+/// Slots of what all channels of an assembly share and the data determine.
+pub(super) fn common_slots(system: &System, sharing: Sharing) -> Vec<usize> {
+    [(LN_ONE_MINUS_G, sharing.g), (LN_SCALE, sharing.scale.is_some())]
+        .into_iter()
+        .filter(|(_, shared)| *shared)
+        .map(|(i, _)| system.slots[0][i])
+        .filter(|slot| !system.unknowns[*slot].held)
+        .collect()
+}
+
+/// The minimum of a channel with the common unknowns where all channels together have them.
+///
+/// A channel's own weights differ from those that it has among others, so that at the common values its gradient is not
+/// zero by itself. The coupling takes up what is left: the common values stay the minimum, and intervals begin there. What
+/// pulls over an end of the dictionary stays, as in any descent.
+fn descend_with(system: &mut System, from: State, common: &[usize]) -> State {
+    let hold = |system: &mut System, held: bool| common.iter().for_each(|i| system.unknowns[*i].held = held);
+    hold(system, true);
+    let state = system.descend(from, None, WELL);
+    hold(system, false);
+    let (_, normal) = system.look(&state);
+    let inwards = |i: &&usize| {
+        let (low, high) = system.unknowns[**i].limits;
+        let (x, downhill) = (state.x[**i], normal.downhill[**i]);
+        !((x <= low && downhill < 0.0) || (x >= high && downhill > 0.0))
+    };
+    if let Some(coupling) = &mut system.coupling {
+        common.iter().filter(inwards).for_each(|i| coupling.downhill[*i] -= normal.downhill[*i]);
+    }
+    state
 }
 
 /// A quadratic over some unknowns that is left when others follow.

@@ -114,7 +114,7 @@ impl<'a, 'b> Solution<'a, 'b> {
     /// Whether an ink's own slabs determine it.
     fn resolved_alone(&self, channel: usize, ink: usize) -> bool {
         let pure = |slab: &Slab| slab.data.channel == channel && slab.fractions[ink] == 1.0;
-        let resolved = |fit: &ChannelFit| fit.refined.as_ref().is_some_and(|r| r.resolved);
+        let resolved = |fit: &ChannelFit| fit.refined.as_ref().is_some_and(|r| r.resolved_at_g);
         self.slabs.iter().zip(self.told.fits).any(|(slab, fit)| pure(slab) && resolved(fit))
     }
 

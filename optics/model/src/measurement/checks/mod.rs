@@ -4,6 +4,7 @@
 //! thickness; what is merely likely is a warning. `tests/tests/measurement_checks.rs` holds them against traced media.
 
 mod edge;
+mod errors;
 mod pairs;
 mod position;
 mod trace;
@@ -37,6 +38,8 @@ pub enum Kind {
     ThicknessOrder,
     /// Two profiles have the same values.
     SameValues,
+    /// Standard errors are of another size than the scatter of neighbouring pixels.
+    ErrorScale,
 }
 
 impl Kind {
@@ -54,6 +57,7 @@ impl Kind {
             Self::Uneven => "UNEVEN",
             Self::ThicknessOrder => "THICKNESS_ORDER",
             Self::SameValues => "SAME_VALUES",
+            Self::ErrorScale => "ERROR_SCALE",
         }
     }
 }
@@ -140,5 +144,6 @@ fn alone(profile: &MeasuredProfile) -> Vec<Seen> {
         None => {}
     }
     seen.extend(eight_bit);
+    seen.extend(errors::far_from_scatter(profile));
     seen
 }

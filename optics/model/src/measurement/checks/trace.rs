@@ -37,7 +37,7 @@ impl Trace {
         let (x, values) = (grouped(x), grouped(values));
         // Noise grows with light: the noisier half counts.
         let (dark, light) = values.split_at(values.len() / 2);
-        let scatter = scatter(dark).max(scatter(light));
+        let scatter = scatter(dark, 2).max(scatter(light, 2));
         let told = std_errors.map_or(0.0, |e| median(e.to_vec()));
         let pitch = (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64;
         Self {
@@ -100,11 +100,17 @@ impl Trace {
     }
 }
 
-/// Standard deviation of independent noise, from second differences, which take off what is smooth.
-fn scatter(values: &[f64]) -> f64 {
-    let bends = values.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    // The median of |normal| is 0.6745 σ, and a second difference has √6 times a value's σ.
-    median(bends) / (0.6745 * 6f64.sqrt())
+/// Standard deviation of independent noise, from differences of this order, which take off what is smooth.
+pub(super) fn scatter(values: &[f64], order: u32) -> f64 {
+    let mut differences = values.to_vec();
+    let mut variance = 1.0;
+    for k in 1..=order {
+        differences = differences.windows(2).map(|w| w[1] - w[0]).collect();
+        // The sum of the squares of the weights is the binomial coefficient of 2k over k.
+        variance *= f64::from(2 * (2 * k - 1)) / f64::from(k);
+    }
+    // The median of |normal| is 0.6745 σ.
+    median(differences.into_iter().map(f64::abs).collect()) / (0.6745 * variance.sqrt())
 }
 
 /// The middle value, or the mean of the two in the middle.

@@ -1,0 +1,70 @@
+//! Numbers that a session may have, but hardly means.
+
+use super::{SampleTable, SessionFile};
+use crate::measurement_file::normal;
+
+/// Largest relative error of patches that are certified.
+const NEUTRAL_STD_ERROR: f64 = 0.1;
+/// Squares of boards that a camera sees with a slab on them.
+const SQUARE_MM: std::ops::RangeInclusive<f64> = 5.0..=100.0;
+/// Thicknesses of slabs.
+const THICKNESS_MM: std::ops::RangeInclusive<f64> = 0.05..=20.0;
+/// Largest relative error of a thickness that was measured.
+const THICKNESS_STD_ERROR: f64 = 0.1;
+/// Thicknesses closer than this are hardly of two slabs.
+const ONE_SLAB_MM: f64 = 1e-3;
+
+/// What is suspicious, each with its field and value.
+pub(super) fn of(file: &SessionFile) -> Vec<String> {
+    let mut told = Vec::new();
+    if let Some(error) = file.neutral.std_error.filter(|error| *error > NEUTRAL_STD_ERROR) {
+        let percent = 100.0 * error;
+        told.push(format!(
+            "neutral.std_error = {error} is {percent:.0} % of each reflectance, as a fraction of 1: certified patches have \
+             about 0.01"
+        ));
+    }
+    if let Some(side) = file.target.square_mm.filter(|side| !SQUARE_MM.contains(side)) {
+        told.push(format!(
+            "target.square_mm = {side}: boards have squares of 5 to 100 mm; is it in another unit?"
+        ));
+    }
+    for (i, sample) in file.samples.iter().enumerate() {
+        let place = |what: String| format!("sample[{i}].{what}");
+        told.extend(slab(sample).into_iter().map(place));
+        told.extend(file.samples[..i].iter().find_map(|before| alike(before, sample)).map(place));
+    }
+    told
+}
+
+fn slab(sample: &SampleTable) -> Vec<String> {
+    let thickness = sample.thickness_mm;
+    let mut told = Vec::new();
+    if !THICKNESS_MM.contains(&thickness) {
+        told.push(format!(
+            "thickness_mm = {thickness}: slabs have about 0.5 to 2 mm; is it in another unit?"
+        ));
+    }
+    if let Some(error) =
+        sample.thickness_std_error_mm.filter(|error| *error > THICKNESS_STD_ERROR * thickness)
+    {
+        let percent = 100.0 * error / thickness;
+        told.push(format!(
+            "thickness_std_error_mm = {error} is {percent:.0} % of the thickness; is it in another unit?"
+        ));
+    }
+    told
+}
+
+/// What is doubtful about two samples that may be meant to be one.
+fn alike(before: &SampleTable, sample: &SampleTable) -> Option<String> {
+    let names = [&before.material, &sample.material].map(|name| normal(name).into_owned());
+    let (one, other) = (before.thickness_mm, sample.thickness_mm);
+    if names[0] != names[1] && names[0].to_lowercase() == names[1].to_lowercase() {
+        return Some(format!("material = {:?} differs from {:?} only in case", names[1], names[0]));
+    }
+    let close = one != other && (one - other).abs() < ONE_SLAB_MM;
+    (names[0] == names[1] && close).then(|| {
+        format!("thickness_mm = {other} is nearly that of another slab, {one}; a slab has one [[sample]]")
+    })
+}

@@ -1,0 +1,288 @@
+//! The pixels of a profile, those without a value among them.
+
+use anyhow::{Result, bail};
+use optics_model::MeasuredProfile;
+
+use super::note::Note;
+
+/// Share of a profile's pixels that may be without a value.
+const MOST_MISSING: f64 = 0.1;
+
+/// Standard error of a value that is only there because a profile has one at every pixel. Radiance factors lie between 0
+/// and about 1, so it has no weight.
+const UNKNOWN: f64 = 1.0;
+
+/// One row of a profile.
+pub(super) struct Row {
+    pub line: u64,
+    /// None in the one row of a patch.
+    pub x_mm: Option<f64>,
+    /// None where a pixel is masked.
+    pub value: Option<f64>,
+    /// None where it is not told.
+    pub std_error: Option<f64>,
+}
+
+impl Row {
+    /// Of a patch it does not matter.
+    pub fn x(&self) -> f64 {
+        self.x_mm.unwrap_or_default()
+    }
+}
+
+/// The pixels of one profile in the order of x.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Pixels {
+    pub x_mm: Vec<f64>,
+    pub values: Vec<f64>,
+    /// None if no row tells one.
+    pub std_errors: Option<Vec<f64>>,
+    pub lines: Vec<u64>,
+    /// Line of the first pixel that had no value, and how many there are.
+    pub missing: Option<(u64, usize)>,
+}
+
+impl Pixels {
+    /// Pixels without a value, masked or left out, are interpolated between their neighbours; at the ends they are left
+    /// out.
+    pub fn of(rows: &[Row]) -> Result<Self> {
+        let (Some(first), Some(last)) =
+            (rows.iter().position(|r| r.value.is_some()), rows.iter().rposition(|r| r.value.is_some()))
+        else {
+            bail!("no row has a value");
+        };
+        let ends = rows.len() - (last + 1 - first);
+        let rows = &rows[first..=last];
+        let told = with_errors(rows)?;
+        let filled = filled(rows);
+        let missing = ends + filled.iter().filter(|p| p.value.is_none()).count();
+        if missing as f64 > MOST_MISSING * (filled.len() + ends) as f64 {
+            let masked = ends + rows.iter().filter(|r| r.value.is_none()).count();
+            if masked as f64 > MOST_MISSING * (rows.len() + ends) as f64 {
+                bail!(
+                    "{masked} of {} rows have no value; a tenth may be without: leave the profile out or measure it again",
+                    rows.len() + ends
+                );
+            }
+            // Too many are not there at all: the spacing is what is wrong.
+            return Ok(Self::between(&rows.iter().map(Place::of).collect::<Vec<_>>(), told, masked));
+        }
+        Ok(Self::between(&filled, told, missing))
+    }
+
+    fn between(places: &[Place], told: bool, missing: usize) -> Self {
+        let first = places.iter().find(|p| p.value.is_none()).or(places.first()).map_or(0, |p| p.line);
+        let mut pixels = Self { missing: (missing > 0).then_some((first, missing)), ..Self::default() };
+        let mut errors = Vec::new();
+        for (i, place) in places.iter().enumerate() {
+            pixels.x_mm.push(place.x_mm);
+            pixels.lines.push(place.line);
+            pixels.values.push(place.value.unwrap_or_else(|| interpolated(places, i)));
+            errors.push(if place.value.is_some() { place.std_error } else { UNKNOWN });
+        }
+        pixels.std_errors = told.then_some(errors);
+        pixels
+    }
+}
+
+/// What was assumed about the pixels of a file's profiles.
+#[derive(Debug, Default)]
+pub(super) struct Assumed {
+    /// Profiles whose x are rounded, with the line and the pitch of the first.
+    rounded: usize,
+    first_rounded: Option<(u64, f64)>,
+    /// Pixels without a value, with the line of the first.
+    missing: usize,
+    first_missing: Option<u64>,
+    /// Profiles with standard errors, and without, with the line of the first of these.
+    with_errors: usize,
+    without_errors: usize,
+    first_without: Option<u64>,
+}
+
+impl Assumed {
+    /// Takes up a profile that was made of pixels at `x_mm`.
+    pub fn add(&mut self, profile: &MeasuredProfile, x_mm: &[f64], missing: Option<(u64, usize)>, line: u64) {
+        if profile.x_mm() != x_mm {
+            self.rounded += 1;
+            self.first_rounded.get_or_insert((line, profile.pitch_mm()));
+        }
+        if let Some((line, count)) = missing {
+            self.missing += count;
+            self.first_missing.get_or_insert(line);
+        }
+        if profile.std_errors().is_some() {
+            self.with_errors += 1;
+        } else {
+            self.without_errors += 1;
+            self.first_without.get_or_insert(line);
+        }
+    }
+
+    pub fn notes(&self) -> Vec<Note> {
+        let mut notes = Vec::new();
+        if let Some((line, pitch)) = self.first_rounded {
+            let text = format!(
+                "x is rounded in {}, the first of them in line {line}: even steps of {pitch:.5} mm are taken there",
+                counted(self.rounded, "profile", "profiles")
+            );
+            notes.push(Note::new("ROUNDED_X", text));
+        }
+        if let Some(line) = self.first_missing {
+            let pixels = counted(self.missing, "pixel without a value is", "pixels without a value are");
+            let text = format!(
+                "{pixels} interpolated, the first at line {line}; where standard errors are told, they have no weight"
+            );
+            notes.push(Note::new("MISSING_PIXELS", text));
+        }
+        if let (Some(line), true) = (self.first_without, self.with_errors > 0) {
+            let text = format!(
+                "std_error is empty in {}, the first of them in line {line}: a fit then takes the paper's distance for \
+                 all materials, unless --objective likelihood is given",
+                counted(self.without_errors, "profile", "profiles")
+            );
+            notes.push(Note::new("STD_ERRORS", text));
+        }
+        notes
+    }
+}
+
+fn counted(count: usize, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
+}
+
+/// Whether the rows with a value tell standard errors: all of them or none.
+fn with_errors(rows: &[Row]) -> Result<bool> {
+    let mut valued = rows.iter().filter(|r| r.value.is_some());
+    let with = valued.clone().find(|r| r.std_error.is_some());
+    let without = valued.find(|r| r.std_error.is_none());
+    if let (Some(with), Some(without)) = (with, without) {
+        bail!(
+            "std_error is empty in line {} and told in line {}: tell it in all rows of a profile or in none",
+            without.line,
+            with.line
+        );
+    }
+    Ok(with.is_some())
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    x_mm: f64,
+    value: Option<f64>,
+    std_error: f64,
+    line: u64,
+}
+
+impl Place {
+    fn of(row: &Row) -> Self {
+        Self { x_mm: row.x(), value: row.value, std_error: row.std_error.unwrap_or_default(), line: row.line }
+    }
+}
+
+/// The rows with places where steps are as long as several.
+fn filled(rows: &[Row]) -> Vec<Place> {
+    let step = step(rows);
+    let mut places: Vec<Place> = Vec::with_capacity(rows.len());
+    for row in rows {
+        let here = Place::of(row);
+        if let Some(before) = places.last().copied() {
+            let steps = ((here.x_mm - before.x_mm) / step).round();
+            // A far jump is no gap, and would be many places.
+            for j in 1..steps.min(rows.len() as f64) as usize {
+                let x_mm = before.x_mm + (here.x_mm - before.x_mm) * j as f64 / steps;
+                places.push(Place { x_mm, value: None, std_error: UNKNOWN, line: here.line });
+            }
+        }
+        places.push(here);
+    }
+    places
+}
+
+/// The mean of the steps that are single ones, rounded as they may be.
+fn step(rows: &[Row]) -> f64 {
+    let mut steps: Vec<f64> = rows.windows(2).map(|w| w[1].x() - w[0].x()).collect();
+    if steps.is_empty() {
+        return 1.0;
+    }
+    steps.sort_by(f64::total_cmp);
+    let median = steps[steps.len() / 2];
+    let single: Vec<f64> = steps.into_iter().filter(|step| *step < 1.5 * median).collect();
+    single.iter().sum::<f64>() / single.len() as f64
+}
+
+/// The value on a straight line between the neighbours that have one.
+fn interpolated(places: &[Place], i: usize) -> f64 {
+    let with_value = |p: &&Place| p.value.is_some();
+    let (before, after) = (places[..i].iter().rev().find(with_value), places[i..].iter().find(with_value));
+    match (before, after) {
+        (Some(a), Some(b)) => {
+            let (from, to) = (a.value.unwrap_or_default(), b.value.unwrap_or_default());
+            from + (to - from) * (places[i].x_mm - a.x_mm) / (b.x_mm - a.x_mm)
+        }
+        (one, other) => one.or(other).and_then(|p| p.value).unwrap_or_default(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values 0, 1, 2 … at places of a pitch, without some.
+    fn rows(n: u32, pitch: f64, without: &[u32]) -> Vec<Row> {
+        let row = |i: u32| Row {
+            line: u64::from(i),
+            x_mm: Some(f64::from(i) * pitch),
+            value: Some(f64::from(i)),
+            std_error: Some(0.01),
+        };
+        (0..n).filter(|i| !without.contains(i)).map(row).collect()
+    }
+
+    #[test]
+    fn masked_and_absent_pixels_are_interpolated_without_weight() {
+        let absent = rows(40, 0.1, &[7, 8, 20]);
+        let mut masked = rows(40, 0.1, &[]);
+        for i in [7, 8, 20] {
+            masked[i].value = None;
+            masked[i].std_error = None;
+        }
+        for found in [Pixels::of(&absent).unwrap(), Pixels::of(&masked).unwrap()] {
+            assert_eq!((found.x_mm.len(), found.missing.unwrap().1), (40, 3));
+            let errors = found.std_errors.unwrap();
+            for (i, error) in errors.into_iter().enumerate() {
+                assert!((found.values[i] - i as f64).abs() < 1e-9);
+                assert!((found.x_mm[i] - 0.1 * i as f64).abs() < 1e-9);
+                assert_eq!(error, if [7, 8, 20].contains(&i) { 1.0 } else { 0.01 });
+            }
+        }
+        let mut ends = rows(40, 0.1, &[]);
+        (ends[0].value, ends[39].value) = (None, None);
+        assert_eq!(Pixels::of(&ends).unwrap().x_mm.len(), 38);
+    }
+
+    #[test]
+    fn gaps_are_found_among_rounded_places() {
+        let mut rounded = rows(360, 1.0 / 36.0, &[100, 101, 300]);
+        for row in &mut rounded {
+            row.x_mm = row.x_mm.map(|x| (100.0 * x).round() / 100.0);
+        }
+        let found = Pixels::of(&rounded).unwrap();
+        assert_eq!((found.values.len(), found.missing), (360, Some((102, 3))));
+    }
+
+    #[test]
+    fn what_is_mostly_missing_is_refused() {
+        let mut masked = rows(40, 0.1, &[]);
+        masked[10..15].iter_mut().for_each(|r| r.value = None);
+        let refused = Pixels::of(&masked).unwrap_err().to_string();
+        assert!(refused.starts_with("5 of 40 rows have no value; a tenth may be without"), "{refused}");
+        // Every other one is missing in half of the profile: it is not evenly spaced.
+        let uneven = rows(40, 0.1, &[1, 3, 5, 7, 9, 11, 13]);
+        assert_eq!(Pixels::of(&uneven).unwrap().x_mm.len(), 33);
+        let mut some = rows(40, 0.1, &[]);
+        some[3].std_error = None;
+        let refused = Pixels::of(&some).unwrap_err().to_string();
+        assert!(refused.starts_with("std_error is empty in line 3 and told in line 0"), "{refused}");
+    }
+}

@@ -1,0 +1,26 @@
+//! What programs write around the numbers.
+
+use super::*;
+
+#[test]
+fn headers_in_comments_and_other_separators_are_read() {
+    let strict = strict();
+    reads_the_same(strict.replace(',', "|").as_bytes(), "SEPARATOR", "separated by '|'");
+    let (comment, rest) = strict.split_once("material").unwrap();
+    let commented = format!("{comment}# material{rest}");
+    reads_the_same(commented.as_bytes(), "COMMENTED_HEADER", "line 2");
+    let blanks = commented.replace(',', " ");
+    reads_the_same(blanks.as_bytes(), "COMMENTED_HEADER SEPARATOR", "separated by blanks");
+}
+
+#[test]
+fn preambles_and_rows_of_units_are_refused_with_their_lines() {
+    let preamble = format!("Spectrometer run 7\nOperator;Ä. B.\n\n{HEAD}{}", rows("w", "R", 0.5));
+    let wanted =
+        "line 1 does not name the columns; line 4 seems to: delete the lines before it, or begin them with #";
+    assert_eq!(error(&preamble), wanted);
+    for units in [",,mm,mm,,", "-,-,[mm],[mm],-,-", ",,mm,mm,1,%"] {
+        let told = error(&format!("{HEAD}{units}\n{}", rows("w", "R", 0.5)));
+        assert!(told.starts_with("line 2 seems to hold units: leave it out"), "{units}: {told}");
+    }
+}

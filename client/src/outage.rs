@@ -1,0 +1,61 @@
+//! A server that does not answer for a while is waited for, with a word when that begins and one when it ends.
+
+use std::time::Duration;
+
+use anyhow::Result;
+use farm_link::{failure, is_passing};
+use tonic::Status;
+
+use crate::connection::Connection;
+use crate::output::sentence;
+
+/// Pause before the next attempt, first and longest.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+
+#[derive(Debug)]
+pub(crate) struct Outage<'a> {
+    connection: &'a Connection,
+    pause: Duration,
+    told: bool,
+}
+
+impl<'a> Outage<'a> {
+    /// There is none so far.
+    pub(crate) fn new(connection: &'a Connection) -> Self {
+        Self { connection, pause: PAUSE.0, told: false }
+    }
+
+    /// Waits until it is time for another attempt. An error that waiting does not help against is handed back; so is
+    /// every error of a farm on this machine, whose folder another process can take over.
+    pub(crate) async fn outlast(&mut self, error: anyhow::Error, tell: impl FnOnce(String)) -> Result<()> {
+        let status = error.chain().find_map(|cause| cause.downcast_ref::<Status>());
+        let Some(status) = status.filter(|status| self.connection.is_server() && is_passing(status)) else {
+            return Err(error);
+        };
+        if !std::mem::replace(&mut self.told, true) {
+            let url = self.connection.address();
+            tell(waits(url, &failure(status, url).unwrap_or_else(|| why(status, &error))));
+        }
+        tokio::time::sleep(self.pause).await;
+        self.pause = PAUSE.1.min(2 * self.pause);
+        Ok(())
+    }
+
+    /// The server has answered.
+    pub(crate) fn is_over(&mut self, tell: impl FnOnce(String)) {
+        self.pause = PAUSE.0;
+        if std::mem::take(&mut self.told) {
+            tell(format!("the coordinator at {} answers again", self.connection.address()));
+        }
+    }
+}
+
+/// What the transport itself says is for those who know HTTP/2.
+fn why(status: &Status, error: &anyhow::Error) -> String {
+    use std::error::Error as _;
+    if status.source().is_some() { "the connection was cut".to_owned() } else { sentence(error) }
+}
+
+fn waits(url: &str, why: &str) -> String {
+    format!("the coordinator at {url} does not answer and is waited for: {why}")
+}

@@ -1,0 +1,220 @@
+//! How samples are stored: what writers do beside the specification.
+
+use super::interrupted::{lossless, noise};
+use super::*;
+
+const WIDTH: usize = 100;
+const HEIGHT: usize = 60;
+
+fn maker() -> Maker {
+    Maker { width: WIDTH as u32, height: HEIGHT as u32, ..Maker::dng() }
+}
+
+/// A part of the picture, its last row and column again and again beyond.
+fn part(samples: &[u16], left: usize, top: usize, width: usize, height: usize) -> Vec<u16> {
+    let at = |x: usize, y: usize| samples[y.min(HEIGHT - 1) * WIDTH + x.min(WIDTH - 1)];
+    (0..width * height).map(|i| at(left + i % width, top + i / width)).collect()
+}
+
+fn little(samples: &[u16]) -> Vec<u8> {
+    samples.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+/// Tiles side by side, or strips as high as a tile.
+fn chunks(side: (usize, usize), is_tiled: bool, encode: impl Fn(usize, usize) -> Vec<u8>) -> Maker {
+    let (mut strip, mut offsets, mut lengths) = (Vec::new(), Vec::new(), Vec::new());
+    for top in (0..HEIGHT).step_by(side.1) {
+        for left in (0..WIDTH).step_by(side.0) {
+            let bytes = encode(left, top);
+            offsets.push(8 + strip.len() as u32);
+            lengths.push(bytes.len() as u32);
+            strip.extend(bytes);
+        }
+    }
+    let maker = Maker { strip, ..maker() };
+    if is_tiled {
+        let sides = maker.with(322, &[side.0 as u32]).with(323, &[side.1 as u32]);
+        sides.with(324, &offsets).with(325, &lengths)
+    } else {
+        maker.with(278, &[side.1 as u32]).with(273, &offsets).with(279, &lengths)
+    }
+}
+
+#[test]
+fn last_tiles_and_strips_may_be_whole_or_cut_to_the_picture() {
+    let samples = noise(WIDTH * HEIGHT);
+    for side in [(WIDTH, 16), (32, 16), (32, HEIGHT)] {
+        let cut = |left: usize, top: usize| (side.0.min(WIDTH - left), side.1.min(HEIGHT - top));
+        let whole = |left, top| part(&samples, left, top, side.0, side.1);
+        let cropped = |left, top| part(&samples, left, top, cut(left, top).0, cut(left, top).1);
+        let rows = |left, top| part(&samples, left, top, side.0, cut(left, top).1);
+        let columns = |left, top| part(&samples, left, top, cut(left, top).0, side.1);
+        let ways: [&dyn Fn(usize, usize) -> Vec<u16>; 4] = [&whole, &cropped, &rows, &columns];
+        for (i, way) in ways.into_iter().enumerate() {
+            let height = |left, top, width: usize| way(left, top).len() / width;
+            let jpeg = |left, top| {
+                let width = if [0, 2].contains(&i) { side.0 } else { cut(left, top).0 };
+                assert_eq!(way(left, top).len(), width * height(left, top, width));
+                lossless(&way(left, top), width, 1)
+            };
+            for is_tiled in [true, false] {
+                if !is_tiled && side.0 != WIDTH {
+                    continue;
+                }
+                let what = format!("{side:?} {i} {is_tiled}");
+                let plain = chunks(side, is_tiled, |left, top| little(&way(left, top)));
+                assert_eq!(plain.decode().unwrap().samples, samples, "{what}");
+                let jpeg = chunks(side, is_tiled, jpeg).with(259, &[7]);
+                assert_eq!(jpeg.decode().unwrap().samples, samples, "{what}");
+            }
+        }
+    }
+    // As some writers arrange rows: two components, and half as many columns.
+    let pairs = chunks((WIDTH, 16), true, |left, top| lossless(&part(&samples, left, top, 100, 16), 50, 2));
+    assert_eq!(pairs.with(259, &[7]).decode().unwrap().samples, samples);
+}
+
+#[test]
+fn sizes_of_tiles_beside_strips_mean_nothing() {
+    let samples = noise(WIDTH * HEIGHT);
+    let strips = chunks((WIDTH, 16), false, |left, top| little(&part(&samples, left, top, WIDTH, 16)));
+    let both = strips.with(322, &[WIDTH as u32]).with(323, &[HEIGHT as u32]);
+    assert_eq!(both.decode().unwrap().samples, samples);
+}
+
+#[test]
+fn words_of_16_bits_are_read_where_fewer_are_told() {
+    let samples: Vec<u16> = noise(WIDTH * HEIGHT).iter().map(|v| 10 * v).collect();
+    let told = |bits: u32, samples: &[u16]| Maker { strip: little(samples), ..maker() }.with(258, &[bits]);
+    assert_eq!(told(14, &samples).decode().unwrap().samples, samples);
+    let deflate = Maker { strip: deflated(&little(&samples)), ..maker() }.with(258, &[14]).with(259, &[8]);
+    assert_eq!(deflate.decode().unwrap().samples, samples);
+    let shifted: Vec<u16> = samples.iter().map(|v| 4 * v).collect();
+    let refused = told(14, &shifted).refused();
+    let expected = "tag BitsPerSample = 14 with 16 bits stored for each sample is not valid: larger values";
+    assert!(refused.starts_with(expected), "{refused}");
+}
+
+const BIG: [(u16, u64); 7] = [(256, 6), (257, 4), (258, 16), (262, 1), (273, 16), (279, 48), (274, 6)];
+
+/// The counting picture.
+pub(super) fn big_tiff() -> Vec<u8> {
+    big(&BIG, &little(&counting()))
+}
+
+pub(super) fn lzw() -> Maker {
+    let mut encoder = weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
+    let strip = encoder.encode(&little(&counting())).unwrap();
+    Maker { strip, ..Maker::dng() }.with(259, &[5])
+}
+
+/// A picture with its tags as BigTIFF.
+fn big(tags: &[(u16, u64)], strip: &[u8]) -> Vec<u8> {
+    let mut file = b"II\x2b\0\x08\0\0\0".to_vec();
+    file.extend((16 + strip.len() as u64).to_le_bytes());
+    file.extend(strip);
+    file.extend((tags.len() as u64).to_le_bytes());
+    for (tag, value) in tags {
+        file.extend(tag.to_le_bytes().into_iter().chain([16, 0]).chain(1_u64.to_le_bytes()));
+        file.extend(value.to_le_bytes());
+    }
+    file.extend([0; 8]);
+    file
+}
+
+#[test]
+fn big_tiff_and_lzw_are_read() {
+    let strip = little(&counting());
+    let photograph = decode(&big(&BIG, &strip)).unwrap();
+    assert_eq!((photograph.width, photograph.height, photograph.samples), (6, 4, counting()));
+    assert_eq!(photograph.about.orientation.unwrap().number(), 6);
+    let lost = BIG.map(|(tag, value)| (tag, if tag == 273 { u64::MAX } else { value }));
+    let lost = decode(&big(&lost, &strip)).unwrap_err().to_string();
+    assert!(lost.starts_with("the file is cut off or damaged: a strip"), "{lost}");
+    let maker = lzw();
+    let cut = maker.strip[..maker.strip.len() / 2].to_vec();
+    assert_eq!(maker.decode().unwrap().samples, counting());
+    let refused = Maker { strip: cut, ..maker }.refused();
+    assert!(refused.starts_with("the file is damaged: a strip or tile"), "{refused}");
+}
+
+#[test]
+fn compressions_that_are_not_read_are_named() {
+    for (compression, told) in [
+        (52_546, "tag Compression = 52546 (JPEG XL of DNG 1.7) is not valid: allowed are 1 (none), 5 (LZW)"),
+        (34_713, "tag Compression = 34713 (Nikon's own) is not valid"),
+        (34_892, "the DNG is compressed with loss, to 8 bits after a tone curve: convert"),
+    ] {
+        let refused = Maker::dng().with(259, &[compression]).refused();
+        assert!(refused.starts_with(told), "{refused}");
+    }
+}
+
+#[test]
+fn linear_grey_and_numbers_as_text_are_read() {
+    let mono = Maker { tags: vec![], ..Maker::dng() }.with(262, &[34_892]).decode().unwrap();
+    assert_eq!((mono.layout, mono.samples), (Layout::Mosaic(None), counting()));
+    let text = decode(b"P2\n# text\n3 2\n65535\n1 2 3\n400 5\n65535\n").unwrap();
+    assert_eq!((text.layout, text.samples), (Layout::Mosaic(None), vec![1, 2, 3, 400, 5, 65_535]));
+    let rgb = decode(b"P3 1 1 1023 7 8 9").unwrap();
+    assert_eq!((rgb.layout, rgb.white, rgb.samples), (Layout::Rgb, Some([1023.0; 4]), vec![7, 8, 9]));
+    let refused = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
+    assert_eq!(refused(b"P2 3 2 1023 1 2 3 4"), "the file is damaged: 4 of 6 samples are there");
+    assert_eq!(refused(b"P2 1 1 1023 1024"), "the file is damaged: a sample is 1024, the greatest is 1023");
+}
+
+#[test]
+fn areas_that_reach_a_little_beyond_the_picture_are_cut_to_it() {
+    let samples = noise(WIDTH * HEIGHT);
+    let maker = Maker { strip: little(&samples), ..maker() };
+    let area = |area: [u32; 4]| maker.clone().with(50_829, &area);
+    let photograph = area([0, 0, 61, 102]).decode().unwrap();
+    assert_eq!((photograph.width, photograph.height), (100, 60));
+    let photograph = area([2, 4, 61, 102]).decode().unwrap();
+    assert_eq!((photograph.width, photograph.height), (96, 58));
+    assert_eq!(photograph.samples[..96], samples[204..300]);
+    assert!(area([0, 0, 62, 100]).refused().starts_with("tag ActiveArea"));
+    // Rectangles of nothing, too.
+    for masked in [[0, 0, 61, 102], [0, 0, 0, 0]] {
+        let photograph = area([0, 0, 60, 100]).with(50_830, &masked).decode().unwrap();
+        assert_eq!(photograph.black, Some([64.0; 4]));
+    }
+}
+
+#[test]
+fn the_white_level_may_differ_between_channels() {
+    let white = |maker: Maker, levels: &[u32]| maker.with(50_717, levels).decode().unwrap().white.unwrap();
+    assert_eq!(white(Maker::rgb(), &[1023, 1023, 450]), [1023.0, 1023.0, 450.0, 1023.0]);
+    assert_eq!(white(Maker::rgb(), &[300, 1023, 1023]), [300.0, 1023.0, 1023.0, 1023.0]);
+    assert_eq!(white(Maker::dng(), &[1, 2, 3, 4]), [1.0, 2.0, 3.0, 4.0]);
+    assert_eq!(white(Maker::dng(), &[900, 800]), [800.0; 4]);
+}
+
+/// A small file makes no large picture: compressed zeros, tiles far larger than the picture, many tiles at one place.
+#[test]
+fn small_files_do_not_become_large_pictures() {
+    let zeros = |samples: usize| deflated(&vec![0; 2 * samples]);
+    let mut zeros_of_a_picture = Maker::dng().with(259, &[8]);
+    (zeros_of_a_picture.width, zeros_of_a_picture.height) = (8000, 8000);
+    zeros_of_a_picture.strip = zeros(1000);
+    let mut large_tile = Maker::dng()
+        .with(259, &[8])
+        .with(322, &[12_000])
+        .with(323, &[12_000])
+        .with(324, &[8])
+        .with(325, &[100]);
+    large_tile.strip = zeros(100_000);
+    let tiles = 400_usize;
+    let mut one_place = Maker::dng().with(259, &[8]).with(322, &[320]).with(323, &[320]);
+    (one_place.width, one_place.height) = (6400, 6400);
+    one_place.strip = zeros(320 * 320);
+    let length = one_place.strip.len() as u32;
+    one_place = one_place.with(324, &vec![8; tiles]).with(325, &vec![length; tiles]);
+    for (maker, samples) in
+        [(zeros_of_a_picture, 64_000_000), (large_tile, 144_000_000), (one_place, 6400 * 6400)]
+    {
+        let bytes = maker.bytes();
+        let expected = Unreadable::Compressed { file_bytes: bytes.len(), samples };
+        assert_eq!(decode(&bytes), Err(expected));
+    }
+}

@@ -1,0 +1,82 @@
+//! Text on its way to a terminal. Names and reasons in it may be anybody's: nothing in them steers it.
+
+use std::io::Write;
+
+use farm_proto::is_printable;
+
+/// Most bytes of an error that are printed: it may quote a line of a file, and that may be all of it.
+const LONGEST_ERROR: usize = 3000;
+
+/// Prints a text on standard output, without what would steer a terminal but for our own colours: names and reasons in it
+/// may be anybody's.
+pub(crate) fn print_line(text: &str) -> anyhow::Result<()> {
+    Ok(writeln!(anstream::stdout(), "{}", shown(text.trim_end()))?)
+}
+
+fn shown(mut rest: &str) -> String {
+    const OWN: [&str; 3] = ["\u{1b}[0m", "\u{1b}[1m", "\u{1b}[33m"];
+    let mut shown = String::new();
+    while let Some(at) = rest.find('\u{1b}') {
+        let (before, after) = rest.split_at(at);
+        let style = OWN.into_iter().find(|style| after.starts_with(style)).unwrap_or_default();
+        shown += &steers_nothing(before);
+        shown += style;
+        rest = &after[style.len()..];
+        if style.is_empty() {
+            shown += &steers_nothing("\u{1b}");
+            rest = &rest[1..];
+        }
+    }
+    shown + &steers_nothing(rest)
+}
+
+/// The text with Rust's escapes for what is not seen as it stands.
+fn steers_nothing(text: &str) -> String {
+    with_escapes(text, |c| c.escape_unicode().to_string())
+}
+
+/// The text with escapes for what is not seen as it stands, but for line breaks and tabs.
+pub(crate) fn with_escapes(text: &str, escape: impl Fn(char) -> String) -> String {
+    let mut told = String::with_capacity(text.len());
+    for c in text.chars() {
+        if is_printable(c) || matches!(c, '\n' | '\t') { told.push(c) } else { told += &escape(c) }
+    }
+    told
+}
+
+/// What a text quotes may come from anybody's file, so nothing in it steers a terminal or turns the direction of what
+/// follows, and its length has an end.
+pub(crate) fn harmless(text: &str) -> String {
+    let mut told = String::new();
+    for c in text.chars() {
+        if told.len() >= LONGEST_ERROR {
+            told.push('…');
+            break;
+        }
+        told += &steers_nothing(c.encode_utf8(&mut [0; 4]));
+    }
+    told
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::warning;
+
+    #[test]
+    fn what_an_error_quotes_steers_no_terminal_and_has_an_end() {
+        let told = |quoted: &str| harmless(&format!("line 3: {quoted}"));
+        assert_eq!(told("2 µm\n  |\t^"), "line 3: 2 µm\n  |\t^");
+        assert_eq!(told("\u{1b}[2Jgone\u{7}\u{202e}"), "line 3: \\u{1b}[2Jgone\\u{7}\\u{202e}");
+        for (long, end) in [("ä", "ä…"), ("\0", "\\u{0}…")] {
+            let told = told(&long.repeat(100_000));
+            assert!(told.len() < LONGEST_ERROR + 10 && told.ends_with(end), "{} bytes", told.len());
+        }
+    }
+
+    #[test]
+    fn a_table_keeps_our_styles_and_no_others() {
+        let text = format!("{} \u{1b}[1mname\u{1b}[0m\na\u{1b}[2Jb\u{202e}", warning("ä"));
+        assert_eq!(shown(&text), "\u{1b}[33mä\u{1b}[0m \u{1b}[1mname\u{1b}[0m\na\\u{1b}[2Jb\\u{202e}");
+    }
+}

@@ -1,0 +1,147 @@
+//! Memory that calls hold before and after their work, for each token and altogether.
+//!
+//! A call holds the bytes of its question until it is answered, and those of its answer until they are read. They count
+//! for its token, over all connections and calls; where no token is asked for, for the other end's address.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tonic::Status;
+
+/// What the calls of one token may hold, as a share of what all may.
+const SHARES: usize = 4;
+
+/// Bytes that calls may hold.
+#[derive(Debug)]
+pub(super) struct Budget {
+    share: usize,
+    all: usize,
+    held: Mutex<Held>,
+}
+
+#[derive(Debug, Default)]
+struct Held {
+    all: usize,
+    of: HashMap<String, usize>,
+}
+
+impl Budget {
+    /// The calls of one token may hold `share` bytes, all together some times as much.
+    pub fn of(share: usize) -> Self {
+        Self { share, all: share.saturating_mul(SHARES), held: Mutex::default() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Held> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What one call holds; it is given back when the last copy is dropped.
+#[derive(Debug, Clone)]
+pub(super) struct Account(Arc<Entry>);
+
+#[derive(Debug)]
+struct Entry {
+    budget: Arc<Budget>,
+    caller: String,
+    bytes: Mutex<usize>,
+}
+
+impl Account {
+    pub fn new(budget: Arc<Budget>, caller: String) -> Self {
+        Self(Arc::new(Entry { budget, caller, bytes: Mutex::new(0) }))
+    }
+
+    /// Holds more bytes, or refuses to.
+    pub fn hold(&self, more: usize) -> Result<(), Status> {
+        let Entry { budget, caller, bytes } = &*self.0;
+        let mut held = budget.lock();
+        let of_caller = held.of.get(caller).copied().unwrap_or_default();
+        let left = (budget.share - of_caller).min(budget.all - held.all);
+        if more > left {
+            return Err(Status::resource_exhausted(format!(
+                "the questions and unread answers of this caller ({caller}) would hold {} bytes of the coordinator's \
+                 memory, of which {left} are left to it: wait for answers, and read them, before the next call",
+                of_caller.saturating_add(more)
+            )));
+        }
+        held.all += more;
+        *held.of.entry(caller.clone()).or_default() += more;
+        *bytes.lock().unwrap_or_else(PoisonError::into_inner) += more;
+        Ok(())
+    }
+
+    /// Gives back all that it holds.
+    pub fn release(&self) {
+        self.0.release();
+    }
+}
+
+impl Entry {
+    fn release(&self) {
+        let bytes = std::mem::take(&mut *self.bytes.lock().unwrap_or_else(PoisonError::into_inner));
+        if bytes == 0 {
+            return;
+        }
+        let mut held = self.budget.lock();
+        held.all -= bytes;
+        if let Some(of_caller) = held.of.get_mut(&self.caller) {
+            *of_caller -= bytes;
+            if *of_caller == 0 {
+                held.of.remove(&self.caller);
+            }
+        }
+    }
+}
+
+impl Drop for Entry {
+    fn drop(&mut self) {
+        self.release();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_caller_leaves_room_and_what_ends_gives_back() {
+        let budget = Arc::new(Budget::of(100));
+        let account = |caller: &str| Account::new(budget.clone(), caller.to_owned());
+        let (first, second, other) = (account("alice"), account("alice"), account("bob"));
+        first.hold(60).unwrap();
+        let refused = second.hold(41).unwrap_err();
+        assert_eq!(refused.code(), tonic::Code::ResourceExhausted);
+        assert!(
+            refused.message().contains("(alice) would hold 101 bytes")
+                && refused.message().contains("40 are"),
+            "{refused}"
+        );
+        second.hold(40).unwrap();
+        other.hold(100).unwrap();
+        first.release();
+        second.hold(60).unwrap();
+        drop((first, second, other));
+        let held = budget.lock();
+        assert!(held.all == 0 && held.of.is_empty(), "{held:?}");
+    }
+
+    #[test]
+    fn all_callers_together_have_a_bound() {
+        let budget = Arc::new(Budget::of(100));
+        let all: Vec<_> = (0..SHARES).map(|i| Account::new(budget.clone(), i.to_string())).collect();
+        for account in &all {
+            account.hold(100).unwrap();
+        }
+        let late = Account::new(budget.clone(), "late".to_owned());
+        assert!(late.hold(1).is_err());
+        drop(all);
+        late.hold(100).unwrap();
+    }
+
+    #[test]
+    fn a_farm_in_the_same_process_has_no_bound() {
+        let account = Account::new(Arc::new(Budget::of(usize::MAX)), String::new());
+        account.hold(usize::MAX / 2).unwrap();
+    }
+}

@@ -1,0 +1,84 @@
+//! Where the messages of a gRPC call begin and end.
+
+/// Bytes before each message: whether it is compressed, and its length.
+const PREFIX: usize = 5;
+
+/// The message that is coming.
+#[derive(Debug, Default)]
+pub(super) struct Message {
+    prefix: Vec<u8>,
+    /// Bytes that have come of it, with its prefix.
+    come: usize,
+    /// Bytes that it still lacks, once its prefix is whole.
+    lacks: usize,
+}
+
+impl Message {
+    /// Takes note of bytes; whether a message has ended in them.
+    pub fn take(&mut self, mut data: &[u8]) -> bool {
+        let mut ended = false;
+        while !data.is_empty() {
+            if self.is_between() {
+                self.come = 0;
+            }
+            let to_prefix = (PREFIX - self.prefix.len()).min(data.len());
+            let (prefix, rest) = data.split_at(to_prefix);
+            self.prefix.extend_from_slice(prefix);
+            self.come += to_prefix;
+            if to_prefix > 0
+                && let [_, a, b, c, d] = self.prefix[..]
+            {
+                self.lacks = u32::from_be_bytes([a, b, c, d]) as usize;
+            }
+            let content = self.lacks.min(rest.len());
+            self.come += content;
+            self.lacks -= content;
+            data = &rest[content..];
+            if self.prefix.len() == PREFIX && self.lacks == 0 {
+                self.prefix.clear();
+                ended = true;
+            }
+        }
+        ended
+    }
+
+    /// Bytes that have come of the message that is coming, or came last.
+    pub fn bytes(&self) -> usize {
+        self.come
+    }
+
+    /// Whether the last message is whole and the next has not begun.
+    pub fn is_between(&self) -> bool {
+        self.prefix.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_end_where_their_prefixes_say() {
+        let bytes = [0, 0, 0, 0, 3, 1, 2, 3, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 9];
+        let ends = [8, 13, 19];
+        for piece in [1, 2, 5, 7] {
+            let (mut message, mut at) = (Message::default(), 0);
+            for data in bytes.chunks(piece) {
+                let ended = message.take(data);
+                let expected = ends.iter().any(|end| (at + 1..=at + data.len()).contains(end));
+                at += data.len();
+                assert_eq!(ended, expected, "pieces of {piece}, up to {at}");
+                assert_eq!(message.is_between(), ends.contains(&at));
+            }
+            assert_eq!(message.bytes(), 6);
+        }
+    }
+
+    #[test]
+    fn a_message_that_lacks_bytes_is_not_between() {
+        let mut message = Message::default();
+        assert!(!message.take(&[0, 0, 0, 1, 0, 5]));
+        assert_eq!((message.bytes(), message.is_between()), (6, false));
+        assert!(message.take(&[0; 255]) && message.is_between());
+    }
+}

@@ -1,0 +1,70 @@
+//! How many events anybody may bring about: the oldest are deleted for the newest, so one must not write all of them.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+/// Events of one actor that are kept though they come at once.
+const AT_ONCE: f64 = 1000.0;
+/// Events of one actor that are kept in a second after that: of those that are kept, a tenth in nearly three hours.
+const IN_A_SECOND: f64 = 1.0;
+/// Actors that are remembered: there may be as many as there are addresses.
+const ACTORS: usize = 10_000;
+
+/// What the actors have left.
+#[derive(Debug, Default)]
+pub(super) struct EventShares(HashMap<String, Share>);
+
+#[derive(Debug)]
+struct Share {
+    left: f64,
+    at: Duration,
+}
+
+impl Share {
+    fn left(&self, now: Duration) -> f64 {
+        (self.left + IN_A_SECOND * now.saturating_sub(self.at).as_secs_f64()).min(AT_ONCE)
+    }
+}
+
+impl EventShares {
+    /// Whether one more event of an actor is kept.
+    pub fn take(&mut self, actor: &str, now: Duration) -> bool {
+        if self.0.len() >= ACTORS {
+            self.0.retain(|_, share| share.left(now) < AT_ONCE);
+        }
+        let full = Share { left: AT_ONCE, at: now };
+        let share = self.0.entry(actor.to_owned()).or_insert(full);
+        let left = share.left(now);
+        let is_kept = left >= 1.0;
+        *share = Share { left: if is_kept { left - 1.0 } else { left }, at: now };
+        is_kept
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_actor_leaves_the_events_of_others() {
+        let mut shares = EventShares::default();
+        let start = Duration::from_secs(100);
+        let kept = |shares: &mut EventShares, actor: &str, now| {
+            (0..100_000).filter(|_| shares.take(actor, now)).count()
+        };
+        assert_eq!(kept(&mut shares, "mallory", start), AT_ONCE as usize);
+        assert!(shares.take("alice", start));
+        assert_eq!(kept(&mut shares, "mallory", start + Duration::from_mins(1)), 60);
+        assert_eq!(kept(&mut shares, "mallory", start + Duration::from_hours(24)), AT_ONCE as usize);
+    }
+
+    #[test]
+    fn actors_are_forgotten_when_their_share_is_whole() {
+        let mut shares = EventShares::default();
+        for actor in 0..ACTORS {
+            shares.take(&actor.to_string(), Duration::ZERO);
+        }
+        shares.take("one more", Duration::from_mins(1));
+        assert_eq!(shares.0.len(), 1);
+    }
+}

@@ -1,0 +1,40 @@
+//! What is done for the database while nobody computes.
+
+use std::sync::Weak;
+use std::time::Duration;
+
+use super::Farm;
+
+/// Pause between two looks.
+const PAUSE: Duration = Duration::from_secs(10);
+/// How long the end of a coordinator may be put off for it.
+const AT_END: Duration = Duration::from_secs(3);
+
+/// Looks after the database as long as there is a farm.
+pub(super) async fn keep(farm: Weak<Farm>) {
+    loop {
+        tokio::time::sleep(PAUSE).await;
+        match farm.upgrade() {
+            Some(farm) if !farm.store.is_closed() => farm.give_back_room().await,
+            _ => return,
+        }
+    }
+}
+
+impl Farm {
+    /// Gives back room on the disk, unless there are leases: their results would have to wait.
+    async fn give_back_room(&self) {
+        let (_, leased) = self.door.query(|dispatcher, _| dispatcher.load());
+        if leased > 0 {
+            return;
+        }
+        if let Err(error) = self.store.give_back_room().await {
+            tracing::warn!(%error, "room on the disk could not be given back");
+        }
+    }
+
+    /// The same before the database is closed; what is left is for the next time.
+    pub(super) async fn give_back_room_at_end(&self) {
+        let _ = tokio::time::timeout(AT_END, self.give_back_room()).await;
+    }
+}

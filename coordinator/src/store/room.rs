@@ -1,0 +1,207 @@
+//! Room on the disk that the database and its log do not need.
+//!
+//! The log grows while a backup or a long answer is read, since it cannot be merged into the file then. SQLite uses it again
+//! from its beginning once it is merged, and cuts it to [`LOG_BYTES`] at that. At a quiet time, it is emptied.
+//!
+//! The file keeps the pages of what was deleted, for what is to come. A `VACUUM` would give them back in one piece of work
+//! of unknown length, with as much room again and nobody able to write meanwhile. So new databases are made such
+//! that SQLite can move the last pages to where there is room, and cut the file, a few pages at a time. Those of earlier
+//! versions cannot: they become so by one `VACUUM` at a start, when nobody waits for anything, if more than half of them is
+//! free.
+
+use sqlx::SqlitePool;
+
+use super::{Result, Store, doing};
+
+/// Size to which the log is cut when it begins again.
+pub(super) const LOG_BYTES: u64 = 64 << 20;
+/// Smaller logs are left as they are.
+const LITTLE_LOG_BYTES: u64 = 1 << 20;
+/// Pages that are given back in one transaction: 8 MiB.
+const STEP: i64 = 2048;
+/// Fewer free pages are left for what is to come: 4 MiB.
+const FEW: i64 = 1024;
+/// What `PRAGMA auto_vacuum` answers if pages can be given back.
+const INCREMENTAL: i64 = 2;
+
+impl Store {
+    /// Gives back what file and log do not need, in short steps between which others can write.
+    pub async fn give_back_room(&self) -> Result<()> {
+        let (mut shrunk, writer) = (false, self.writer()?);
+        if number(writer, "PRAGMA auto_vacuum").await? == INCREMENTAL {
+            while number(writer, "PRAGMA freelist_count").await? > FEW {
+                let step = sqlx::AssertSqlSafe(format!("PRAGMA incremental_vacuum({STEP})"));
+                sqlx::query(step).execute(self.writer()?).await.map_err(doing("shortening the database"))?;
+                shrunk = true;
+            }
+        }
+        if shrunk || self.log_bytes() > LITTLE_LOG_BYTES {
+            self.empty_log().await?;
+        }
+        Ok(())
+    }
+
+    /// Merges the log into the file and empties it, if nobody reads from it at this moment.
+    pub(super) async fn empty_log(&self) -> Result<()> {
+        let what = doing("merging the log into the database");
+        let mut connection = self.writer()?.acquire().await.map_err(doing("waiting for the database"))?;
+        // A reader is not waited for: nobody could write meanwhile.
+        let merged = sqlx::raw_sql(
+            "PRAGMA busy_timeout = 0; PRAGMA wal_checkpoint(TRUNCATE); PRAGMA busy_timeout = 10000",
+        );
+        merged.execute(&mut *connection).await.map(drop).map_err(what)
+    }
+
+    /// Size of the log.
+    fn log_bytes(&self) -> u64 {
+        let log = self.dir.database_file().with_extension("db-wal");
+        std::fs::metadata(log).map_or(0, |about| about.len())
+    }
+
+    pub fn is_closed(&self) -> bool {
+        self.write.is_closed()
+    }
+}
+
+/// Makes a database of an earlier version one that can give pages back, if more than half of it is free.
+pub(super) async fn convert(writer: &SqlitePool) -> Result<()> {
+    let free = number(writer, "PRAGMA freelist_count").await?;
+    let pages = number(writer, "PRAGMA page_count").await?;
+    let can = number(writer, "PRAGMA auto_vacuum").await? == INCREMENTAL;
+    if can || free <= FEW || 2 * free <= pages {
+        return Ok(());
+    }
+    tracing::info!(free, pages, "giving back room on the disk");
+    // The file is cut when the log is merged.
+    if let Err(error) = sqlx::raw_sql("VACUUM; PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await {
+        tracing::warn!(%error, "the database could not be made smaller");
+    }
+    Ok(())
+}
+
+async fn number(pool: &SqlitePool, pragma: &'static str) -> Result<i64> {
+    sqlx::query_scalar(pragma).fetch_one(pool).await.map_err(doing("asking for the size of the database"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::time::Duration;
+
+    use super::super::tests::open;
+    use super::*;
+
+    const MIB: u64 = 1 << 20;
+
+    /// A table of so many MiB.
+    async fn fill(store: &Store, mib: u32) {
+        sqlx::query("CREATE TABLE filler (bytes BLOB)").execute(&store.write).await.unwrap();
+        sqlx::query(
+            "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < ?) \
+             INSERT INTO filler SELECT randomblob(1048576) FROM n",
+        )
+        .bind(mib)
+        .execute(&store.write)
+        .await
+        .unwrap();
+    }
+
+    async fn clear(store: &Store) {
+        sqlx::query("DROP TABLE filler").execute(&store.write).await.unwrap();
+    }
+
+    fn size(dir: &Path, name: &str) -> u64 {
+        std::fs::metadata(dir.join(name)).map_or(0, |about| about.len())
+    }
+
+    #[tokio::test]
+    async fn what_was_deleted_is_given_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = open(dir.path()).await;
+        fill(&store, 20).await;
+        store.give_back_room().await.unwrap();
+        assert!(size(dir.path(), "farm.db") > 20 * MIB);
+        assert_eq!(size(dir.path(), "farm.db-wal"), 0);
+        clear(&store).await;
+        store.give_back_room().await.unwrap();
+        assert!(size(dir.path(), "farm.db") < 5 * MIB, "{} bytes", size(dir.path(), "farm.db"));
+        assert_eq!(size(dir.path(), "farm.db-wal"), 0);
+        assert!(store.faults().await.unwrap().is_empty());
+    }
+
+    /// A reader that does not end keeps the log, and nobody waits for it.
+    #[tokio::test]
+    async fn a_reader_is_not_waited_for() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = open(dir.path()).await;
+        let mut reader = store.read.begin().await.unwrap();
+        sqlx::query("SELECT count(*) FROM jobs").fetch_one(&mut *reader).await.unwrap();
+        fill(&store, 5).await;
+        tokio::time::timeout(Duration::from_secs(5), store.give_back_room()).await.unwrap().unwrap();
+        assert!(size(dir.path(), "farm.db-wal") > 5 * MIB);
+        reader.rollback().await.unwrap();
+        store.give_back_room().await.unwrap();
+        assert_eq!(size(dir.path(), "farm.db-wal"), 0);
+    }
+
+    #[tokio::test]
+    async fn a_long_log_is_cut_while_work_goes_on() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = open(dir.path()).await;
+        let mut reader = store.read.begin().await.unwrap();
+        sqlx::query("SELECT count(*) FROM jobs").fetch_one(&mut *reader).await.unwrap();
+        fill(&store, 80).await;
+        assert!(size(dir.path(), "farm.db-wal") > 80 * MIB);
+        reader.rollback().await.unwrap();
+        for table in ["one", "two"] {
+            let create = sqlx::AssertSqlSafe(format!("CREATE TABLE {table} (a)"));
+            sqlx::query(create).execute(&store.write).await.unwrap();
+        }
+        assert!(size(dir.path(), "farm.db-wal") <= LOG_BYTES, "{} bytes", size(dir.path(), "farm.db-wal"));
+    }
+
+    #[tokio::test]
+    async fn a_half_empty_file_of_an_earlier_version_is_converted() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = open(dir.path()).await;
+        sqlx::raw_sql("PRAGMA auto_vacuum = 0; VACUUM").execute(&store.write).await.unwrap();
+        assert_eq!(number(&store.write, "PRAGMA auto_vacuum").await.unwrap(), 0);
+        fill(&store, 20).await;
+        clear(&store).await;
+        store.give_back_room().await.unwrap();
+        store.close().await;
+        drop(store);
+        assert!(size(dir.path(), "farm.db") > 20 * MIB);
+        let store = open(dir.path()).await;
+        assert_eq!(number(&store.write, "PRAGMA auto_vacuum").await.unwrap(), INCREMENTAL);
+        store.give_back_room().await.unwrap();
+        assert!(size(dir.path(), "farm.db") < 5 * MIB, "{} bytes", size(dir.path(), "farm.db"));
+    }
+
+    /// A stop of the coordinator does not wait until a slow disk has taken all of it.
+    #[tokio::test]
+    async fn a_backup_ends_when_the_store_is_closed() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = open(dir.path()).await;
+        fill(&store, 128).await;
+        let copy = dir.path().join("copy.db");
+        let backup = {
+            let (store, copy) = (store.clone(), copy.clone());
+            tokio::spawn(async move { store.backup(&copy).await })
+        };
+        let begun = || {
+            let mut entries = std::fs::read_dir(dir.path()).unwrap().flatten();
+            entries.any(|e| {
+                e.file_name().to_string_lossy().starts_with("copy.db.") && e.metadata().unwrap().len() > MIB
+            })
+        };
+        while !begun() {
+            assert!(!backup.is_finished(), "{:?}", backup.await);
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        store.close().await;
+        let error = backup.await.unwrap().unwrap_err().to_string();
+        assert!(error.contains("interrupted"), "{error}");
+        assert!(!copy.exists());
+    }
+}

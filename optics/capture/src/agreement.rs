@@ -1,0 +1,87 @@
+//! Whether shots of the same thing show the same: what mountings and lamps change has a bound.
+
+use crate::board::Board;
+use crate::least_squares::median;
+use crate::refusal::{Refusal, TURNED, UNLIKE};
+use crate::report::ShotReport;
+
+/// Shots that have to be left where others are left out.
+pub(crate) const LEAST: usize = 2;
+
+/// Departure of a shot from the others, root of the mean square over the profile, that leaves it out, as a share of the
+/// bare board's contrast.
+const APART: f64 = 0.05;
+
+/// Fall from the dark to the light side that is no noise, as a share of the bare board's contrast.
+const FALLS: f64 = 0.01;
+
+/// Share of a profile at each end that tells its sides.
+const END: usize = 3;
+
+/// Refuses a shot whose light side is darker than its dark side in all channels.
+pub(crate) fn check_sides(shot: &ShotReport, board: &Board) -> Result<(), Refusal> {
+    let rise = |c: usize| {
+        let values = &shot.profiles[c].values;
+        let n = values.len() / END;
+        let mean = |part: &[f64]| {
+            let known: Vec<f64> = part.iter().copied().filter(|v| v.is_finite()).collect();
+            known.iter().sum::<f64>() / known.len().max(1) as f64
+        };
+        (mean(&values[values.len() - n..]) - mean(&values[..n])) / contrast(board, c)
+    };
+    let rises = [rise(0), rise(1), rise(2)];
+    if rises.iter().any(|rise| *rise > -FALLS) {
+        return Ok(());
+    }
+    let seen =
+        format!("brightness falls from the board's dark to its light side, by {:.1} %", -100.0 * rises[1]);
+    Err(Refusal::Unlike { label: shot.label.clone(), seen, cause: TURNED })
+}
+
+/// Takes out shots that are unlike the others; none may be left that are few and disagree.
+pub(crate) fn leave_out(
+    shots: &mut Vec<ShotReport>,
+    board: &Board,
+) -> Result<Vec<(usize, Refusal)>, Refusal> {
+    let mut left_out = Vec::new();
+    while shots.len() >= LEAST {
+        let apart: Vec<f64> = (0..shots.len()).map(|j| apart(shots, j, board)).collect();
+        let worst = (0..shots.len()).max_by(|a, b| apart[*a].total_cmp(&apart[*b])).unwrap_or(0);
+        if apart[worst] <= APART {
+            break;
+        }
+        let seen = format!(
+            "the profile differs from the other shots' by {:.1} % of the board's contrast, {:.0} % are allowed",
+            100.0 * apart[worst],
+            100.0 * APART
+        );
+        let refusal = Refusal::Unlike { label: shots[worst].label.clone(), seen, cause: UNLIKE };
+        if shots.len() <= LEAST {
+            return Err(refusal);
+        }
+        shots.remove(worst);
+        left_out.push((worst, refusal));
+    }
+    Ok(left_out)
+}
+
+/// Of one shot from the middle of the others, in the channel where it is farthest.
+fn apart(shots: &[ShotReport], j: usize, board: &Board) -> f64 {
+    let of_channel = |c: usize| {
+        let off = |k: usize| {
+            let others =
+                shots.iter().enumerate().filter(|(i, _)| *i != j).map(|(_, s)| s.profiles[c].values[k]);
+            let mut others: Vec<f64> = others.filter(|v| v.is_finite()).collect();
+            shots[j].profiles[c].values[k] - median(&mut others)
+        };
+        let all: Vec<f64> =
+            (0..shots[j].profiles[c].values.len()).map(off).filter(|v| v.is_finite()).collect();
+        let mean = all.iter().map(|v| v * v).sum::<f64>() / all.len().max(1) as f64;
+        mean.sqrt() / contrast(board, c)
+    };
+    (0..3).map(of_channel).fold(0.0, f64::max)
+}
+
+fn contrast(board: &Board, c: usize) -> f64 {
+    board.light[c].value - board.dark[c].value
+}

@@ -1,0 +1,263 @@
+//! Light of a shot against that of the bare shots, by the parts of the board that a slab leaves free.
+//!
+//! There both sides of an edge are brighter by one factor. Under a slab the dark side is too bright for it, by what the
+//! slab scatters; and a slab that does not scatter dims the light side. So of the edges whose dark side is as dark as the
+//! bare one, those with the brightest light side that is common are free.
+
+use super::lines::Stretch;
+use super::scan::{Point, Run};
+use crate::calibration::Radiance;
+use crate::estimate::Estimate;
+use crate::frame::Colour;
+use crate::least_squares::{median, robust_mean, spread};
+use crate::refusal::Refusal;
+
+/// Departure of ratios from the commonest within which they are alike: noise of one row or column.
+const ALIKE: f64 = 0.012;
+
+/// Departure of a free edge's light side from the commonest ratio: noise, and bands of lamps that flicker.
+pub(super) const FLICKER: f64 = 0.025;
+
+/// Fewest edge points that determine a ratio.
+const POINTS: usize = 12;
+
+/// Share of the commonest ratio's points that a brighter one needs.
+const LEAST_SHARE: usize = 20;
+
+/// The brightest ratio that is common among those given.
+pub(super) fn brightest(mut ratios: Vec<f64>) -> Option<f64> {
+    ratios.sort_by(f64::total_cmp);
+    let around = |centre: f64, within: f64| {
+        let from = ratios.partition_point(|r| *r < centre * (1.0 - within));
+        &ratios[from..ratios.partition_point(|r| *r <= centre * (1.0 + within)).max(from)]
+    };
+    let most = ratios.iter().map(|r| around(*r, ALIKE).len()).max()?;
+    let least = POINTS.max(most / LEAST_SHARE);
+    let mut centre = *ratios.iter().rev().find(|r| around(**r, ALIKE).len() >= least)?;
+    // Uphill to where ratios are densest.
+    for _ in 0..30 {
+        let near = around(centre, FLICKER);
+        centre = near.iter().sum::<f64>() / near.len().max(1) as f64;
+    }
+    Some(centre)
+}
+
+/// Pixels on the light side of an edge, next to some of its points.
+#[derive(Debug)]
+pub(crate) struct Patch<'a> {
+    stretch: &'a Stretch,
+    /// Rows or columns, and how many of them have a point.
+    on: [f64; 2],
+    points: usize,
+    /// Distance from the edge at which the pixels begin.
+    reach_px: f64,
+}
+
+/// Mean radiance factor of a patch in each colour.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Reading {
+    value: [f64; 3],
+    variance: [f64; 3],
+}
+
+/// Points of an edge that share a patch.
+const GROUP: usize = 8;
+
+/// Pixels of a patch across the edge.
+const WIDTH_PX: f64 = 10.0;
+
+/// Fewest patches that determine a factor.
+const PATCHES: usize = 3;
+
+impl<'a> Patch<'a> {
+    pub(super) fn of(stretch: &'a Stretch, reach_px: f64) -> impl Iterator<Item = Self> {
+        let groups = stretch.points.chunks(GROUP).filter(|group| 2 * group.len() > GROUP);
+        groups.map(move |group| Self {
+            stretch,
+            on: [group[0].on, group[group.len() - 1].on],
+            points: group.len(),
+            reach_px,
+        })
+    }
+
+    /// Whether all its points are among those of a shot.
+    pub(super) fn is_among(&self, free: &[Point], within_px: f64) -> bool {
+        let own = |p: &&Point| {
+            p.rises == self.stretch.rises
+                && (self.on[0]..=self.on[1]).contains(&p.on)
+                && (self.stretch.at(p.on) - p.at).abs() < within_px
+        };
+        free.iter().filter(own).count() >= self.points
+    }
+
+    pub fn read(&self, radiance: &Radiance<'_>) -> Reading {
+        let down = self.stretch.run == Run::Down;
+        let frame = radiance.frame;
+        let end = if down { frame.width() } else { frame.height() } as f64;
+        let (mut sums, mut variances, mut counts) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        for on in self.on[0] as usize..=self.on[1] as usize {
+            let edge = self.stretch.at(on as f64 + 0.5);
+            let beside = if self.stretch.rises { self.reach_px } else { -self.reach_px - WIDTH_PX };
+            let [from, to] = [edge + beside, edge + beside + WIDTH_PX].map(|v| v.clamp(0.0, end) as usize);
+            for (x, y) in (from..to).map(|at| if down { (at, on) } else { (on, at) }) {
+                for site in frame.sites().into_iter().filter(|s| s.has_row(y) && s.has_column(x)) {
+                    let (c, sample) = (site.colour.index(), radiance.sample(site, x, y));
+                    sums[c] += sample.value;
+                    variances[c] += sample.variance;
+                    counts[c] += 1.0;
+                }
+            }
+        }
+        let over =
+            |of: [f64; 3], power: i32| std::array::from_fn(|c| of[c] / f64::max(counts[c], 1.0).powi(power));
+        Reading { value: over(sums, 1), variance: over(variances, 2) }
+    }
+}
+
+impl Reading {
+    /// The mean of each patch over several shots.
+    pub fn mean(shots: &[Vec<Self>]) -> Vec<Self> {
+        let n = shots.len() as f64;
+        let mean = |k: usize| {
+            let sum = |f: &dyn Fn(&Self) -> f64| shots.iter().map(|s| f(&s[k])).sum::<f64>();
+            Self {
+                value: std::array::from_fn(|c| sum(&|r| r.value[c]) / n),
+                variance: std::array::from_fn(|c| sum(&|r| r.variance[c]) / (n * n)),
+            }
+        };
+        (0..shots.first().map_or(0, Vec::len)).map(mean).collect()
+    }
+}
+
+/// Brightness of a shot over that of the bare shots at the patches that are free. Where patches differ by more than
+/// noise, the light is uneven, as by bands of flicker: that is an error of the factor which does not fall with their
+/// number.
+pub(crate) fn factor(bare: &[Reading], shot: &[Reading], free: &[bool]) -> Option<[Estimate; 3]> {
+    let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
+    let mut found = [Estimate::default(); 3];
+    for (c, found) in found.iter_mut().enumerate() {
+        let relative = |r: &Reading| r.variance[c].sqrt() / r.value[c];
+        let sound = pairs.clone().filter(|(bare, shot)| bare.value[c] > 0.0 && shot.value[c] > 0.0);
+        let (ratios, mut noise): (Vec<f64>, Vec<f64>) =
+            sound.map(|(b, s)| (s.value[c] / b.value[c], relative(b).hypot(relative(s)))).unzip();
+        if ratios.len() < PATCHES {
+            return None;
+        }
+        let n = ratios.len() as f64;
+        let (value, _) = robust_mean(&ratios);
+        let noise = median(&mut noise);
+        // Three standard deviations of what chance makes of a spread.
+        let chance = noise * noise * (1.0 + 3.0 * (2.7 / n).sqrt());
+        let uneven = ((spread(&ratios) / value).powi(2) - chance).max(0.0).sqrt();
+        let steady = less_chance(Estimate::new(value, value * noise / n.sqrt()));
+        *found = Estimate::new(steady.value, steady.std_error.hypot(value * uneven));
+    }
+    Some(found)
+}
+
+/// A change without what chance explains within three standard errors, so that steady light stays as it is. What it loses
+/// by that goes into its error.
+fn less_chance(factor: Estimate) -> Estimate {
+    let change = factor.value - 1.0;
+    let lost = change.abs().min(9.0 * factor.std_error.powi(2) / change.abs().max(f64::MIN_POSITIVE));
+    Estimate::new(factor.value - lost.copysign(change), factor.std_error.hypot(lost))
+}
+
+/// Largest relative change of the light that is divided out: 5 %, and what lamps flicker by.
+const DIVIDED_OUT: f64 = 0.055;
+
+/// Refuses a shot whose light is too far from that of the bare shots.
+pub(crate) fn check(label: &str, light: &[Estimate; 3]) -> Result<(), Refusal> {
+    let beyond = |l: &Estimate| (l.value - 1.0).abs() - 3.0 * l.std_error > DIVIDED_OUT;
+    let changes = Colour::ALL.into_iter().zip(light).filter(|(_, l)| beyond(l));
+    match changes.max_by(|a, b| (a.1.value - 1.0).abs().total_cmp(&(b.1.value - 1.0).abs())) {
+        None => Ok(()),
+        Some((colour, change)) => {
+            let percent = 100.0 * (change.value - 1.0);
+            Err(Refusal::LightChanged {
+                label: label.to_owned(),
+                colour,
+                percent,
+                allowed: 100.0 * DIVIDED_OUT,
+            })
+        }
+    }
+}
+
+/// Relative error of the mean light of several shots: what they differ by, and how uneven that is.
+pub(super) fn spread_of(shots: &[Vec<Reading>]) -> [f64; 3] {
+    let n = shots.len() as f64;
+    let against_others = (0..shots.len()).filter_map(|j| {
+        let others: Vec<_> =
+            shots.iter().enumerate().filter(|(k, _)| *k != j).map(|(_, s)| s.clone()).collect();
+        factor(&Reading::mean(&others), &shots[j], &vec![true; shots[j].len()])
+    });
+    let mut squares = [0.0; 3];
+    for factor in against_others {
+        for (sum, f) in squares.iter_mut().zip(factor) {
+            // A shot differs from the mean of the others by n/(n − 1) times what it does from the mean of all.
+            *sum += ((f.value - 1.0).powi(2) + f.std_error.powi(2)) * (n - 1.0) / n.powi(3);
+        }
+    }
+    squares.map(f64::sqrt)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scattered(centre: f64, count: usize) -> Vec<f64> {
+        (0..count).map(|i| centre * (1.0 + 0.01 * (i as f64 / count as f64 - 0.5))).collect()
+    }
+
+    #[test]
+    fn the_brightest_common_ratio_is_the_free_board() {
+        // A clear slab over most of the board takes 8 %, lamps 5 %; single points are brighter by chance.
+        let mut ratios = scattered(0.95 * 0.92, 900);
+        ratios.extend(scattered(0.95, 100));
+        ratios.extend([1.02, 1.05, 1.1]);
+        let found = brightest(ratios).unwrap();
+        assert!((found / 0.95 - 1.0).abs() < 1e-3, "{found}");
+        assert_eq!(brightest(scattered(1.0, POINTS - 1)), None);
+    }
+
+    fn readings(value: impl Fn(usize) -> f64) -> Vec<Reading> {
+        (0..200).map(|k| Reading { value: [value(k); 3], variance: [1e-6; 3] }).collect()
+    }
+
+    #[test]
+    fn a_larger_change_of_light_is_refused() {
+        let changed = |by: f64| check("slab_2", &[0.0, 0.0, by].map(|by| Estimate::new(1.0 + by, 1e-3)));
+        assert!(changed(-0.045).is_ok() && changed(0.052).is_ok());
+        let refusal = changed(-0.2).unwrap_err();
+        let expected = Refusal::LightChanged {
+            label: "slab_2".into(),
+            colour: Colour::Blue,
+            percent: -20.0,
+            allowed: 5.5,
+        };
+        assert!(refusal.to_string() == expected.to_string(), "{refusal}");
+    }
+
+    #[test]
+    fn a_change_that_chance_explains_is_none() {
+        let of = |change: f64| less_chance(Estimate::new(1.0 + change, 1e-3));
+        assert!([0.0, 1e-3, -2.9e-3].into_iter().all(|change| (of(change).value - 1.0).abs() < 1e-12));
+        assert!((of(-2.9e-3).std_error / 1e-3_f64.hypot(2.9e-3) - 1.0).abs() < 1e-9);
+        let far = of(-0.04);
+        assert!((far.value - 0.960_225).abs() < 1e-9 && far.std_error < 1.03e-3, "{far:?}");
+    }
+
+    #[test]
+    fn bands_of_flicker_are_an_error_of_the_factor() {
+        let bare = readings(|_| 0.8);
+        let noise = |k: usize| if k.is_multiple_of(2) { 1e-3 } else { -1e-3 };
+        let even = readings(|k| 0.96 * (0.8 + noise(k)));
+        let found = factor(&bare, &even, &[true; 200]).unwrap()[1];
+        assert!((found.value - 0.96).abs() < 1e-4 && found.std_error < 2e-4, "{found:?}");
+        let banded = readings(|k| 0.96 * 0.8 * (1.0 + 0.01 * (0.3 * k as f64).sin()));
+        let found = factor(&bare, &banded, &[true; 200]).unwrap()[1];
+        assert!((found.value - 0.96).abs() < 1e-3, "{found:?}");
+        assert!((0.006..0.012).contains(&(found.std_error / found.value)), "{found:?}");
+    }
+}

@@ -1,0 +1,118 @@
+//! The error budget of a channel's medium: how much of an estimate's variance each source of error makes.
+//!
+//! Near the minimum an estimate is linear in the pixels and in the means of the priors, with the response C a, where C is
+//! the covariance and a the gradient of the quantity. Pixels and priors err independently of each other, so that
+//! aᵀCa = Σ over them of (response × standard error)²: the parts are positive and add up to the variance. With g held
+//! these are the parts of all sources but g; what the variance grows by as g is left free is the part of g.
+
+use nalgebra::{DMatrix, DVector};
+use optics_model::fit::{ErrorSource, SourceShare};
+
+use super::answer::Found;
+use super::system::{Normal, Quantity, inverse_over};
+use super::term::{Linear, Own};
+use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS, SHARED};
+use crate::sum::dot;
+
+/// In the order in which shares are listed.
+const SOURCES: [ErrorSource; 11] = [
+    ErrorSource::Noise,
+    ErrorSource::Dictionary,
+    ErrorSource::Thickness,
+    ErrorSource::Origin,
+    ErrorSource::Blur,
+    ErrorSource::Gain,
+    ErrorSource::Zero,
+    ErrorSource::Slope,
+    ErrorSource::Scale,
+    ErrorSource::OtherChannels,
+    ErrorSource::G,
+];
+
+/// Variance of one quantity by source.
+type Parts = [f64; SOURCES.len()];
+
+impl Found<'_, '_> {
+    /// Sources that make a part of any variance. Empty if the information is singular.
+    pub(super) fn budget(
+        &self,
+        linear: &[Linear],
+        normal: &Normal,
+        covariance: Option<&DMatrix<f64>>,
+    ) -> Vec<SourceShare> {
+        let g = self.slots()[LN_ONE_MINUS_G];
+        let free: Vec<usize> = self.system.free().into_iter().filter(|i| *i != g).collect();
+        let held = inverse_over(&free, &normal.information, 0.0);
+        let (Some(covariance), Some(held)) = (covariance, held) else { return Vec::new() };
+        let [sigma_t, albedo, _, reduced, absorption] = Quantity::all(self.slots()).map(|quantity| {
+            let gradient = quantity.gradient(&self.state.x);
+            let of = |c: &DMatrix<f64>| gradient.dot(&(c * &gradient));
+            let mut parts = self.parts(linear, normal, &(&held * &gradient));
+            let whole = of(covariance);
+            add(&mut parts, ErrorSource::G, (whole - of(&held)).max(0.0));
+            parts.map(|part| if whole > 0.0 { part / whole } else { 0.0 })
+        });
+        let share = |(i, source)| SourceShare {
+            source,
+            sigma_t: sigma_t[i],
+            albedo: albedo[i],
+            reduced_scattering: reduced[i],
+            absorption: absorption[i],
+        };
+        let all = SOURCES.into_iter().enumerate().map(share);
+        all.filter(|s| s.sigma_t + s.albedo + s.reduced_scattering + s.absorption > 0.0).collect()
+    }
+
+    /// The variances that make up that of a quantity to whose gradient the unknowns respond so.
+    fn parts(&self, linear: &[Linear], normal: &Normal, response: &DVector<f64>) -> Parts {
+        let mut parts = [0.0; SOURCES.len()];
+        let system = self.system;
+        for (i, unknown) in system.unknowns.iter().enumerate() {
+            if let Some((_, std_error)) = unknown.prior.filter(|_| !unknown.held) {
+                add(&mut parts, self.source(i), (response[i] / std_error).powi(2));
+            }
+        }
+        if let Some(coupling) = &system.coupling {
+            let others = response.dot(&(&coupling.information * response));
+            add(&mut parts, ErrorSource::OtherChannels, others.max(0.0));
+        }
+        for (i, (term, linear)) in system.terms.iter().zip(linear).enumerate() {
+            let shared = DVector::from_iterator(SHARED, system.slots[i].iter().map(|slot| response[*slot]));
+            let own = normal.reduced[i].own_response(&shared);
+            for (k, response) in own.iter().enumerate() {
+                let source = match term.priors.get(k).map(|prior| prior.own) {
+                    Some(Own::Origin) => ErrorSource::Origin,
+                    Some(Own::Gain) => ErrorSource::Gain,
+                    Some(Own::Zero) => ErrorSource::Zero,
+                    Some(Own::Slope) => ErrorSource::Slope,
+                    None => ErrorSource::Dictionary,
+                };
+                add(&mut parts, source, response * response);
+            }
+            let all: Vec<f64> = shared.iter().chain(own.iter()).copied().collect();
+            for (pixel, weight) in term.weights(linear).into_iter().enumerate() {
+                let column: Vec<f64> = linear.columns.iter().map(|c| c[pixel]).collect();
+                add(&mut parts, ErrorSource::Noise, weight * dot(&column, &all).powi(2));
+            }
+        }
+        parts
+    }
+
+    /// The source that an unknown with a prior is.
+    fn source(&self, unknown: usize) -> ErrorSource {
+        let is = |which: usize| self.system.slots.iter().any(|slots| slots[which] == unknown);
+        if is(LN_SCALE) {
+            ErrorSource::Scale
+        } else if is(BLUR) {
+            ErrorSource::Blur
+        } else {
+            debug_assert!(is(LN_THICKNESS), "no other unknown has a prior");
+            ErrorSource::Thickness
+        }
+    }
+}
+
+fn add(parts: &mut Parts, source: ErrorSource, variance: f64) {
+    let i = SOURCES.iter().position(|s| *s == source).expect("all sources are listed");
+    parts[i] += variance;
+}

@@ -1,0 +1,161 @@
+//! Whether all values are a power of radiance factors, or too large as a whole, where residuals alone do not show it.
+//!
+//! A set of materials can absorb either error in its media: χ² stays small and the media are wrong. Values v are therefore
+//! replaced by vᵖ, and their standard errors σ by p vᵖ⁻¹ σ, and all unknowns follow. The density of v gains the factor
+//! p vᵖ⁻¹ by this, which the normalisation of the error cancels, so that −2 ln L stays comparable between exponents.
+
+use optics_model::fit::{Cause, Suspicion};
+
+use super::minimum::Joint;
+use crate::likelihood::LN_SCALE;
+use crate::likelihood::system::{State, System};
+use crate::likelihood::term::Term;
+
+/// Fall of −2 ln L from which on a cause is named: four standard deviations.
+const CONVINCING: f64 = 16.0;
+/// Steps of ln p: the first, and the longest way from 1.
+const STEP: f64 = 0.05;
+const FURTHEST: f64 = 1.0;
+/// Exponents nearer to 1 than this are not named.
+const NEAR_ONE: f64 = 0.02;
+/// Cost by which a descent may miss its minimum.
+const WELL: f64 = 0.01;
+/// Most descents along a valley, and the fall of −2 ln L below which one is the last.
+const MOST_DESCENTS: usize = 10;
+const MOST_LEFT: f64 = 0.1;
+/// Values below this share of the largest are too dark for their noise to follow the power.
+const DARK: f64 = 0.01;
+/// Limits of the logarithm of a factor that was given.
+const SCALES: (f64, f64) = (-0.7, 0.7);
+
+/// What explains all channels better than the set-up as it was given, with the misfit that each channel would have.
+pub(super) struct Response {
+    cause: Cause,
+    amount: f64,
+    /// By how much −2 ln L is lower.
+    fall: f64,
+    misfits_left: Vec<f64>,
+}
+
+impl Response {
+    /// The likelier of the two causes; none if neither is convincing. A factor that is searched is no cause.
+    pub(super) fn find(joint: &Joint, scale_is_free: bool) -> Option<Self> {
+        let factor = if scale_is_free { None } else { factor(joint) };
+        [exponent(joint), factor].into_iter().flatten().max_by(|a, b| a.fall.total_cmp(&b.fall))
+    }
+
+    pub(super) fn suspicion(&self, channel: usize) -> Suspicion {
+        let misfit_left = self.misfits_left[channel];
+        Suspicion { cause: self.cause, thickness_mm: None, amount: self.amount, misfit_left }
+    }
+}
+
+/// A place of the search: ln p with the minimum there.
+struct Tried {
+    ln_power: f64,
+    state: State,
+}
+
+fn exponent(joint: &Joint) -> Option<Response> {
+    let at = |ln_power: f64, from: &State| {
+        let system = with_terms(joint, |term| raised(term, ln_power.exp()));
+        let state = system.descend(from.clone(), None, WELL);
+        Tried { ln_power, state }
+    };
+    let start = at(0.0, &joint.state);
+    let sides = [-STEP, STEP].map(|ln_power| at(ln_power, &start.state));
+    let [below, above] = &sides;
+    let costs = [below, &start, above].map(|t| t.state.cost);
+    let curvature = costs[0] - 2.0 * costs[1] + costs[2];
+    let promised =
+        if curvature > 0.0 { (costs[0] - costs[2]).powi(2) / (8.0 * curvature) } else { f64::INFINITY };
+    if promised < 0.5 * CONVINCING {
+        return None;
+    }
+    let first = costs[1];
+    let [below, above] = sides;
+    let mut best = if below.state.cost < above.state.cost { below } else { above };
+    let mut step = best.ln_power;
+    while step.abs() > 0.2 * STEP {
+        let there = at(best.ln_power + step, &best.state);
+        if there.ln_power.abs() <= FURTHEST && there.state.cost < best.state.cost {
+            best = there;
+            step *= 1.5;
+        } else {
+            step *= -0.4;
+        }
+    }
+    let amount = (-best.ln_power).exp();
+    let fall = first - best.state.cost;
+    let convincing = fall > CONVINCING && (amount - 1.0).abs() > NEAR_ONE;
+    convincing.then(|| {
+        let system = with_terms(joint, |term| raised(term, best.ln_power.exp()));
+        let misfits_left = misfits(joint, &system, &best.state);
+        Response { cause: Cause::Exponent, amount, fall, misfits_left }
+    })
+}
+
+fn factor(joint: &Joint) -> Option<Response> {
+    let mut system = with_terms(joint, Term::clone);
+    let slot = system.slots[0][LN_SCALE];
+    let given = system.descend(joint.state.clone(), None, WELL);
+    let unknown = &mut system.unknowns[slot];
+    (unknown.prior, unknown.held, unknown.limits) = (None, false, SCALES);
+    let free = descend_far(&system, given.clone());
+    // Values are too large where the factor on μ is below 1.
+    let amount = (given.x[slot] - free.x[slot]).exp() - 1.0;
+    let fall = given.cost - free.cost;
+    let response =
+        || Response { cause: Cause::Gain, amount, fall, misfits_left: misfits(joint, &system, &free) };
+    (fall > CONVINCING).then(response)
+}
+
+/// The minimum at the end of a valley that one descent does not pass through.
+fn descend_far(system: &System, from: State) -> State {
+    let mut state = from;
+    for _ in 0..MOST_DESCENTS {
+        let next = system.descend(state.clone(), None, WELL);
+        let fall = state.cost - next.cost;
+        state = next;
+        if fall < MOST_LEFT {
+            break;
+        }
+    }
+    state
+}
+
+/// The system with other terms.
+fn with_terms<'a>(joint: &Joint<'a>, change: impl Fn(&Term) -> Term) -> System<'a> {
+    let system = &joint.assembly.system;
+    System {
+        terms: system.terms.iter().map(change).collect(),
+        surrogates: system.surrogates.clone(),
+        slots: system.slots.clone(),
+        unknowns: system.unknowns.clone(),
+        coupling: None,
+    }
+}
+
+fn raised(term: &Term, power: f64) -> Term {
+    let dark = DARK * term.values.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+    let by = |v: f64| power * v.abs().max(dark).powf(power - 1.0);
+    Term {
+        values: term.values.iter().map(|v| v.signum() * v.abs().powf(power)).collect(),
+        std_errors: term.values.iter().zip(&term.std_errors).map(|(v, e)| e * by(*v)).collect(),
+        ..term.clone()
+    }
+}
+
+/// Root mean square of each channel's residuals.
+fn misfits(joint: &Joint, system: &System, state: &State) -> Vec<f64> {
+    let linear = system.linear(&state.x, &state.own);
+    let channel = |terms: &std::ops::Range<usize>| {
+        let kept = terms.clone().flat_map(|t| {
+            let pixels = linear[t].residuals.iter().zip(&system.terms[t].left_out);
+            pixels.filter(|(_, out)| !**out).map(|(r, _)| r * r)
+        });
+        let (sum, count) = kept.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+        (sum / f64::max(count, 1.0)).sqrt()
+    };
+    joint.assembly.terms.iter().map(channel).collect()
+}

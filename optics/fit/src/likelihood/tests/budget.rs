@@ -1,0 +1,77 @@
+//! The error budget against fits of data that are moved by one standard error of a source.
+
+use optics_model::fit::{Bounds, ErrorSource, FitSettings, Refined};
+use optics_model::{MeasuredProfile, Measurement};
+
+use super::{Flaws, MEDIUM, measured, refined, settings};
+
+fn share(found: &Refined, source: ErrorSource) -> f64 {
+    let budget = &found.likelihood.as_ref().unwrap().budget;
+    budget.iter().find(|s| s.source == source).map_or(0.0, |s| s.sigma_t)
+}
+
+fn ln_sigma_t(found: &Refined) -> f64 {
+    found.best.medium.sigma_t_per_mm().ln()
+}
+
+#[test]
+fn shares_of_a_budget_add_up_to_one() {
+    for g in [settings().g, Bounds::fixed(MEDIUM.2)] {
+        let found = refined(&measured(MEDIUM, 1, Flaws::default()), FitSettings { g, ..settings() });
+        let budget = &found.likelihood.as_ref().unwrap().budget;
+        let sums = budget.iter().fold([0.0; 4], |sum, s| {
+            [sum[0] + s.sigma_t, sum[1] + s.albedo, sum[2] + s.reduced_scattering, sum[3] + s.absorption]
+        });
+        assert!(sums.iter().all(|sum| (sum - 1.0).abs() < 1e-6), "{sums:?}");
+        assert!(budget.iter().all(|s| s.sigma_t >= 0.0 && s.absorption >= 0.0), "{budget:?}");
+    }
+}
+
+/// What σ_t's variance grows by as g is left free.
+#[test]
+fn the_share_of_g_is_what_the_variance_grows_by() {
+    let data = measured(MEDIUM, 2, Flaws::default());
+    let free = refined(&data, settings());
+    let held = refined(&data, FitSettings { g: Bounds::fixed(free.best.medium.g()), ..settings() });
+    let grown = 1.0 - held.covariance[0][0] / free.covariance[0][0];
+    let found = share(&free, ErrorSource::G);
+    assert!(grown > 0.05 && (found - grown).abs() < 0.02, "{found} {grown}");
+    assert_eq!(share(&held, ErrorSource::G), 0.0);
+}
+
+/// Moving what a source gets wrong in one profile by one standard error moves the estimate by the root of what that profile
+/// adds to the variance; profiles err independently.
+#[test]
+fn a_share_is_the_response_to_one_standard_error() {
+    let errors = FitSettings {
+        g: Bounds::fixed(MEDIUM.2),
+        offset_std_error: 0.004,
+        slope_std_error: 0.01,
+        gain_std_error: 0.004,
+        ..settings()
+    };
+    let data = measured(MEDIUM, 3, Flaws::default());
+    let found = refined(&data, errors);
+    for (source, move_pixel) in [
+        (ErrorSource::Zero, (|v, _| v + 0.004) as fn(f64, f64) -> f64),
+        (ErrorSource::Slope, |v, x| v * (1.0 + 0.01 * x / 10.0)),
+        (ErrorSource::Gain, |v, _| 1.004 * v),
+    ] {
+        let response =
+            |profile| ln_sigma_t(&refined(&moved(&data, profile, move_pixel), errors)) - ln_sigma_t(&found);
+        let variance: f64 = (0..2).map(|profile| response(profile).powi(2)).sum();
+        let (share, wanted) = (share(&found, source), variance / found.covariance[0][0]);
+        assert!(wanted > 1e-3 && (share / wanted - 1.0).abs() < 0.1, "{source:?}: {share} {wanted}");
+    }
+}
+
+/// One of the profiles with other values.
+fn moved(data: &Measurement, which: usize, move_pixel: fn(f64, f64) -> f64) -> Measurement {
+    let profile = |(i, p): (usize, &MeasuredProfile)| {
+        let value = |(v, x): (&f64, &f64)| if i == which { move_pixel(*v, *x) } else { *v };
+        let values = p.values().iter().zip(p.x_mm()).map(value).collect();
+        let errors = p.std_errors().map(<[f64]>::to_vec);
+        MeasuredProfile::new("G", p.thickness_mm(), p.x_mm().to_vec(), values, errors).unwrap()
+    };
+    Measurement::new("m", data.profiles().iter().enumerate().map(profile).collect()).unwrap()
+}

@@ -1,0 +1,45 @@
+//! The error budget of a medium: sources of error, and the shares of its variances that they make.
+
+use serde::Serialize;
+
+/// A source of error of a medium.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorSource {
+    /// Noise of the channel's own pixels.
+    Noise,
+    /// Noise of the dictionary's records.
+    Dictionary,
+    /// Thicknesses of the slabs.
+    Thickness,
+    /// Place of the edge in each profile.
+    Origin,
+    /// Blur of the camera.
+    Blur,
+    /// Scale of each profile.
+    Gain,
+    /// Zero of each profile.
+    Zero,
+    /// Rise of the light across each profile.
+    Slope,
+    /// Factor common to all profiles, μ.
+    Scale,
+    /// All that errs in other channels and materials, through what they share with this one.
+    OtherChannels,
+    /// The anisotropy, which the data have to determine beside the quantity.
+    G,
+    /// One that this version does not have.
+    Unknown,
+}
+
+/// Shares of the variances of ln σ_t, √(1 − α), ln σ_s(1 − g) and √σ_a that a source makes: those of all sources add up
+/// to 1. They are (response of the estimate to the source × standard error of the source)² with g held; the share of g is
+/// what the variance grows by as g is left free.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SourceShare {
+    pub source: ErrorSource,
+    pub sigma_t: f64,
+    pub albedo: f64,
+    pub reduced_scattering: f64,
+    pub absorption: f64,
+}

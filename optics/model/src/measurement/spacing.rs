@@ -1,0 +1,92 @@
+//! Pixels at a constant pitch, also where decimals are rounded.
+
+use super::pitch;
+use crate::invalid::{Invalid, Result};
+
+/// How far a step may differ from the mean one.
+const UNEVEN: f64 = 0.02;
+/// Most decimals that count as rounded.
+const DECIMALS: i32 = 6;
+/// How far a rounded place may lie from the line through all, in units of its last digit: half a unit, and what the line
+/// turns by where halves were rounded away from 0.
+const ROUNDED: f64 = 1.25;
+
+/// Even places. Those that are rounded to few decimals lie on a line by less than the last digit, and are put on it.
+pub(super) fn even(x: Vec<f64>) -> Result<Vec<f64>> {
+    if let Some(i) = x.iter().position(|v| !v.is_finite()) {
+        return Err(Invalid::new(format!("x_mm[{i}]"), x[i], "numbers must be finite"));
+    }
+    if let Some(i) = x.windows(2).position(|w| w[1] <= w[0]) {
+        return Err(Invalid::new(format!("x_mm[{}]", i + 1), x[i + 1], "x must be strictly rising"));
+    }
+    let mean = pitch(&x);
+    let Some(i) = x.windows(2).position(|w| ((w[1] - w[0]) / mean - 1.0).abs() > UNEVEN) else {
+        return Ok(x);
+    };
+    unrounded(&x).ok_or_else(|| {
+        let given = format!("{} after {}", x[i + 1], x[i]);
+        let allowed = format!("pixels must be equally spaced (mean pitch {mean:.5} mm)");
+        Invalid::new(format!("x_mm[{}]", i + 1), given, allowed)
+    })
+}
+
+/// The line of least squares through rounded places, if they are.
+fn unrounded(x: &[f64]) -> Option<Vec<f64>> {
+    let unit = last_digit(x)?;
+    let n = x.len() as f64;
+    let (middle, mean) = (0.5 * (n - 1.0), x.iter().sum::<f64>() / n);
+    let moment: f64 = x.iter().enumerate().map(|(i, x)| (i as f64 - middle) * (x - mean)).sum();
+    let slope = 12.0 * moment / (n * (n * n - 1.0));
+    let line: Vec<f64> = (0..x.len()).map(|i| mean + slope * (i as f64 - middle)).collect();
+    let near = x.iter().zip(&line).all(|(x, even)| (x - even).abs() <= ROUNDED * unit);
+    // With coarser digits a pixel that is missing could not be told.
+    (near && 2.0 * ROUNDED * unit < slope).then_some(line)
+}
+
+/// The unit of the last decimal that any of the numbers has.
+fn last_digit(x: &[f64]) -> Option<f64> {
+    let units = (0..=DECIMALS).map(|decimals| 0.1f64.powi(decimals));
+    let whole = |v: f64| (v - v.round()).abs() < 1e-6;
+    units.into_iter().find(|unit| x.iter().all(|x| whole(x / unit)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rounded(n: usize, pitch: f64, decimals: i32) -> Vec<f64> {
+        let unit = 10f64.powi(decimals);
+        (0..n).map(|i| ((i as f64 + 0.5) * pitch - 5.0) * unit).map(|x| x.round() / unit).collect()
+    }
+
+    #[test]
+    fn rounded_places_are_put_where_they_were() {
+        for (n, pitch, decimals) in [
+            (360, 1.0 / 36.0, 2),
+            (360, 1.0 / 36.0, 3),
+            (180, 1.0 / 18.0, 2),
+            (100, 0.05, 2),
+            (30, 1.0 / 3.0, 1),
+        ] {
+            let even = even(rounded(n, pitch, decimals)).unwrap();
+            let unit = 0.1f64.powi(decimals);
+            for (i, x) in even.iter().enumerate() {
+                let error = (x - ((i as f64 + 0.5) * pitch - 5.0)).abs();
+                assert!(error < unit, "{n} {decimals}: {error} at {i}");
+            }
+        }
+        let exact = rounded(100, 0.05, 3);
+        assert_eq!(even(exact.clone()).unwrap(), exact, "nothing is moved without need");
+    }
+
+    #[test]
+    fn a_missing_pixel_is_no_rounding() {
+        for missing in [1, 5, 180, 357] {
+            let mut x = rounded(360, 1.0 / 36.0, 2);
+            x.remove(missing);
+            assert!(even(x).unwrap_err().to_string().contains("equally spaced"), "{missing}");
+        }
+        assert!(even(vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0]).is_err());
+        assert!(even(rounded(700, 0.014, 2)).is_err(), "the digits are too coarse");
+    }
+}

@@ -1,0 +1,84 @@
+//! Arguments that several programs have.
+
+use std::net::{SocketAddr, ToSocketAddrs as _};
+
+use clap::builder::Resettable;
+use clap::{Command, Parser};
+
+/// The arguments of this process. An empty variable counts as one that is not set: so scripts and units clear one.
+pub fn parse<A: Parser>() -> A {
+    let matches = without_empty_variables(A::command()).get_matches();
+    A::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+fn without_empty_variables(command: Command) -> Command {
+    let read = |argument: clap::Arg| {
+        let name = argument.get_env().map(ToOwned::to_owned);
+        let is_empty = name.and_then(std::env::var_os).is_some_and(|value| value.is_empty());
+        if is_empty { argument.env(Resettable::Reset) } else { argument }
+    };
+    command.mut_args(read).mut_subcommands(without_empty_variables)
+}
+
+/// An address to listen on, as numbers or by a host's name; of several the first IPv4 one.
+pub fn listen_address(text: &str) -> Result<SocketAddr, String> {
+    if let Ok(address) = text.parse() {
+        return Ok(address);
+    }
+    let needed = "an address and a port are needed, such as 127.0.0.1:7700, [::1]:7700 or localhost:7700";
+    let found = text.to_socket_addrs().map_err(|error| format!("{needed} ({error})"))?;
+    let found: Vec<SocketAddr> = found.collect();
+    let first = found.iter().find(|address| address.is_ipv4()).or(found.first());
+    first.copied().ok_or_else(|| needed.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Args {
+        #[arg(long, env = "FARM_TEST_EMPTY", default_value_t = 7)]
+        number: u32,
+        #[command(subcommand)]
+        verb: Option<Verb>,
+    }
+
+    #[derive(Debug, clap::Subcommand)]
+    enum Verb {
+        Look {
+            #[arg(long, env = "FARM_TEST_EMPTY")]
+            number: Option<u32>,
+        },
+    }
+
+    #[test]
+    fn empty_variables_are_as_if_they_were_not_set() {
+        // Variables are those of the process: the test runs itself with one that is empty.
+        if std::env::var_os("FARM_TEST_EMPTY").is_none() {
+            let name = "arguments::tests::empty_variables_are_as_if_they_were_not_set";
+            let mut again = std::process::Command::new(std::env::current_exe().unwrap());
+            let ran = again.args(["--exact", name]).env("FARM_TEST_EMPTY", "").output().unwrap();
+            assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stdout));
+            return;
+        }
+        let read = |arguments: &[&str]| {
+            let matches = without_empty_variables(<Args as clap::CommandFactory>::command());
+            let matches = matches.try_get_matches_from(arguments).unwrap();
+            <Args as clap::FromArgMatches>::from_arg_matches(&matches).unwrap()
+        };
+        assert_eq!(read(&["program"]).number, 7);
+        assert!(matches!(read(&["program", "look"]).verb, Some(Verb::Look { number: None })));
+        assert_eq!(read(&["program", "--number", "8"]).number, 8);
+    }
+
+    #[test]
+    fn addresses_may_be_names() {
+        assert_eq!(listen_address("10.0.0.1:7700").unwrap().to_string(), "10.0.0.1:7700");
+        assert!(listen_address("localhost:7700").unwrap().ip().is_loopback());
+        for wrong in ["7700", "localhost", "localhost:port", "no host:7700"] {
+            let error = listen_address(wrong).unwrap_err();
+            assert!(error.contains("such as 127.0.0.1:7700"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! A writer that waits for its output only so long: a pipe that is not read and a stopped terminal stop no program.
+
+use std::io::Write;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+/// How long a line may take before the program goes on without it.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Lines that wait for an output that takes none; those that come after them are dropped.
+const WAITING_LINES: usize = 1000;
+
+/// A line, and the sender that drops when it is written.
+type Line = (Vec<u8>, SyncSender<()>);
+
+/// Writes lines in a thread of its own. While the output takes them, each is written when `write` returns, so that lines
+/// keep their order with other outputs and none is lost at the end of the program.
+#[derive(Debug, Clone)]
+pub(super) struct Patient {
+    lines: SyncSender<Line>,
+    stuck: Arc<AtomicBool>,
+}
+
+impl Patient {
+    /// None if there can be no further thread.
+    pub(super) fn new(output: impl Write + Send + 'static) -> Option<Self> {
+        let (lines, queue) = sync_channel(WAITING_LINES);
+        let stuck = Arc::new(AtomicBool::new(false));
+        let writer = {
+            let stuck = stuck.clone();
+            move || write_all(output, &queue, &stuck)
+        };
+        std::thread::Builder::new().name("log".to_owned()).spawn(writer).ok()?;
+        Some(Self { lines, stuck })
+    }
+}
+
+/// Errors of the output are nobody's to handle: what is wrong with it would have to be written there.
+fn write_all(mut output: impl Write, queue: &Receiver<Line>, stuck: &AtomicBool) {
+    for (line, _written) in queue {
+        let _ = output.write_all(&line);
+        stuck.store(false, Ordering::Relaxed);
+    }
+}
+
+impl Write for Patient {
+    fn write(&mut self, line: &[u8]) -> std::io::Result<usize> {
+        let (written, wait) = sync_channel(0);
+        let queued = self.lines.try_send((line.to_vec(), written)).is_ok();
+        if queued
+            && !self.stuck.load(Ordering::Relaxed)
+            && wait.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout)
+        {
+            self.stuck.store(true, Ordering::Relaxed);
+        }
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read as _, pipe};
+
+    use tokio::time::Instant;
+
+    use super::*;
+
+    /// More than a pipe holds.
+    const LONG: usize = 1 << 20;
+
+    #[test]
+    fn what_was_written_has_arrived() {
+        let (mut reader, writer) = pipe().unwrap();
+        let mut patient = Patient::new(writer).unwrap();
+        patient.write_all(b"one\n").unwrap();
+        patient.write_all(b"two\n").unwrap();
+        let mut text = [0; 8];
+        reader.read_exact(&mut text).unwrap();
+        assert_eq!(&text, b"one\ntwo\n");
+    }
+
+    #[test]
+    fn an_output_that_takes_nothing_holds_nobody_up() {
+        let (mut reader, writer) = pipe().unwrap();
+        let mut patient = Patient::new(writer).unwrap();
+        let start = Instant::now();
+        patient.write_all(&vec![b'-'; LONG]).unwrap();
+        for _ in 0..2 * WAITING_LINES {
+            patient.write_all(b"line\n").unwrap();
+        }
+        assert!(start.elapsed() < 5 * PATIENCE, "{:?}", start.elapsed());
+        let mut text = vec![0; LONG + 5 * WAITING_LINES];
+        reader.read_exact(&mut text).unwrap();
+        assert!(text.ends_with(b"line\nline\n"));
+    }
+
+    #[test]
+    fn an_output_without_a_reader_is_none() {
+        let (reader, writer) = pipe().unwrap();
+        drop(reader);
+        let mut patient = Patient::new(writer).unwrap();
+        for _ in 0..3 {
+            patient.write_all(b"line\n").unwrap();
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! How much memory this process may use: the machine's, or less if it runs in a container or a job with a limit.
+
+use std::path::{Path, PathBuf};
+
+/// The least of the machine's memory and the limits of all control groups that this process is in, in bytes. None if the
+/// system names neither.
+pub fn usable_bytes() -> Option<u64> {
+    usable(|file| std::fs::read_to_string(file).ok())
+}
+
+/// The same by the system's files, as `read` finds them.
+fn usable(read: impl Fn(&Path) -> Option<String>) -> Option<u64> {
+    let machine = read(Path::new("/proc/meminfo")).and_then(|table| machine_bytes(&table));
+    let groups = read(Path::new("/proc/self/cgroup")).unwrap_or_default();
+    let mounts = read(Path::new("/proc/self/mountinfo")).unwrap_or_default();
+    let hierarchies = mounts.lines().filter_map(|line| Hierarchy::parse(line, &groups));
+    let limits = hierarchies.flat_map(|hierarchy| {
+        let files = hierarchy.limit_files();
+        files.into_iter().filter_map(|file| limit(&read(&file)?)).collect::<Vec<_>>()
+    });
+    machine.into_iter().chain(limits).min()
+}
+
+/// All memory, by the system's table: `MemTotal:  24689764 kB`.
+fn machine_bytes(table: &str) -> Option<u64> {
+    let line = table.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    kib.checked_mul(1024)
+}
+
+/// A number of bytes; version 2 has the word `max` for none.
+fn limit(text: &str) -> Option<u64> {
+    text.trim().parse().ok()
+}
+
+/// Where the groups of this process are, which are limited together: a group and all around it.
+#[derive(Debug)]
+struct Hierarchy {
+    /// Where the groups are mounted.
+    mount: PathBuf,
+    /// The group of this process, below that.
+    group: PathBuf,
+    /// The file with a group's limit.
+    file: &'static str,
+}
+
+impl Hierarchy {
+    /// By a line of `/proc/self/mountinfo`, if it is one that limits memory, and by `/proc/self/cgroup`.
+    fn parse(line: &str, groups: &str) -> Option<Self> {
+        let (mounted, filesystem) = line.split_once(" - ")?;
+        let (mut mounted, mut filesystem) = (mounted.split(' ').skip(3), filesystem.split(' '));
+        let (root, mount) = (mounted.next()?, mounted.next()?);
+        let (kind, options) = (filesystem.next()?, filesystem.nth(1)?);
+        let (controller, file) = match kind {
+            "cgroup2" => ("", "memory.max"),
+            "cgroup" if options.split(',').any(|option| option == "memory") => {
+                ("memory", "memory.limit_in_bytes")
+            }
+            _ => return None,
+        };
+        let own = groups.lines().find_map(|line| {
+            let (_, rest) = line.split_once(':')?;
+            let (controllers, path) = rest.split_once(':')?;
+            controllers.split(',').any(|name| name == controller).then_some(path)
+        });
+        // In a container without a namespace of its own, the path is that of the host, and what is mounted is the group.
+        let group = own.and_then(|path| Path::new(path).strip_prefix(root).ok()).unwrap_or(Path::new(""));
+        Some(Self { mount: PathBuf::from(mount.replace("\\040", " ")), group: group.to_owned(), file })
+    }
+
+    fn limit_files(&self) -> Vec<PathBuf> {
+        self.group.ancestors().map(|group| self.mount.join(group).join(self.file)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GIB: u64 = 1 << 30;
+    const MACHINE: (&str, &str) = ("/proc/meminfo", "MemTotal:       25165824 kB\nMemFree: 1 kB\n");
+
+    fn usable_of(files: &[(&str, &str)]) -> Option<u64> {
+        usable(|file| {
+            files.iter().find(|(name, _)| Path::new(name) == file).map(|(_, text)| (*text).to_owned())
+        })
+    }
+
+    #[test]
+    fn without_groups_it_is_the_memory_of_the_machine() {
+        assert_eq!(usable_of(&[MACHINE]), Some(24 * GIB));
+        assert_eq!(usable_of(&[]), None);
+        assert_eq!(usable_of(&[("/proc/meminfo", "nothing")]), None);
+    }
+
+    #[test]
+    fn a_limit_of_version_1_holds() {
+        let files = |limit| {
+            [
+                MACHINE,
+                ("/proc/self/cgroup", "9:name=systemd:/\n4:cpu,memory:/slurm/job_7\n0::/\n"),
+                (
+                    "/proc/self/mountinfo",
+                    "32 31 0:29 / /sys/fs/cgroup/cpu rw,relatime - cgroup cgroup rw,cpu\n\
+                     35 31 0:32 / /sys/fs/cgroup/memory rw,relatime - cgroup cgroup rw,cpu,memory\n\
+                     41 31 0:38 / /sys/fs/cgroup/unified rw,relatime - cgroup2 cgroup2 rw\n",
+                ),
+                ("/sys/fs/cgroup/memory/slurm/job_7/memory.limit_in_bytes", limit),
+                ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "9223372036854771712\n"),
+            ]
+        };
+        assert_eq!(usable_of(&files("2147483648\n")), Some(2 * GIB));
+        assert_eq!(usable_of(&files("9223372036854771712\n")), Some(24 * GIB));
+    }
+
+    #[test]
+    fn the_least_limit_of_version_2_holds() {
+        let files = |inner, outer| {
+            [
+                MACHINE,
+                ("/proc/self/cgroup", "0::/user.slice/user-7.slice/run.scope\n"),
+                (
+                    "/proc/self/mountinfo",
+                    "26 23 0:23 / /sys/fs/cgroup rw shared:4 - cgroup2 cgroup2 rw,nsdelegate\n",
+                ),
+                ("/sys/fs/cgroup/user.slice/user-7.slice/run.scope/memory.max", inner),
+                ("/sys/fs/cgroup/user.slice/user-7.slice/memory.max", outer),
+                ("/sys/fs/cgroup/user.slice/memory.max", "max\n"),
+            ]
+        };
+        assert_eq!(usable_of(&files("max\n", "3221225472\n")), Some(3 * GIB));
+        assert_eq!(usable_of(&files("1073741824\n", "3221225472\n")), Some(GIB));
+        assert_eq!(usable_of(&files("max\n", "max\n")), Some(24 * GIB));
+    }
+
+    /// The path of the host is of no use there.
+    #[test]
+    fn the_limit_of_a_container_is_that_of_its_mount() {
+        let files = [
+            MACHINE,
+            ("/proc/self/cgroup", "4:memory:/docker/0123abcd\n"),
+            (
+                "/proc/self/mountinfo",
+                "35 31 0:32 /docker/0123abcd /sys/fs/cgroup/memory ro - cgroup cgroup rw,memory\n",
+            ),
+            ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "536870912\n"),
+        ];
+        assert_eq!(usable_of(&files), Some(GIB / 2));
+        let mut elsewhere = files;
+        elsewhere[1].1 = "4:memory:/kubepods/pod1\n";
+        assert_eq!(usable_of(&elsewhere), Some(GIB / 2));
+    }
+}

@@ -1,0 +1,56 @@
+//! Logs that nobody reads, and that cannot be written: they decide about no program's life.
+
+use std::fs::File;
+use std::io::{PipeReader, PipeWriter, Write as _, pipe};
+use std::process::{Command, Stdio};
+
+use farm_tests::cli::GRID;
+use farm_tests::process::{LONG, Process, SOON, farmctl, free_port, program, wait_for};
+
+/// A pipe with a reader that reads nothing, full.
+fn unread() -> (PipeReader, PipeWriter) {
+    let (reader, mut writer) = pipe().unwrap();
+    rustix::io::ioctl_fionbio(&writer, true).unwrap();
+    while writer.write(&[b'-'; 512]).is_ok() {}
+    rustix::io::ioctl_fionbio(&writer, false).unwrap();
+    (reader, writer)
+}
+
+/// A farm whose programs log there computes a dictionary, for a command that logs there, too; and all end well when asked.
+fn works_and_ends(log: impl Fn() -> Stdio) {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("grid.toml"), GRID).unwrap();
+    let address = format!("127.0.0.1:{}", free_port());
+    let url = format!("http://{address}");
+    let start = |name: &str, args: &[&str]| {
+        let mut command = Command::new(program(name));
+        Process::logging_to(name, command.current_dir(folder.path()).args(args), log())
+    };
+    let mut coordinator = start("farm-coordinator", &["--data", "data", "--listen", &address]);
+    wait_for("the coordinator listens", SOON, || std::net::TcpStream::connect(&address).ok());
+    let mut worker = start("farm-worker", &["--server", &url]);
+    let mut command = farmctl(folder.path());
+    command.args(["--server", &url, "submit", "grid.toml", "--wait"]);
+    let mut submit = Process::logging_to("farmctl", &mut command, log());
+    assert_eq!(submit.exit_within(LONG), 0);
+    assert_eq!((worker.terminate(SOON), coordinator.terminate(SOON)), (0, 0));
+    let mut command = farmctl(folder.path());
+    command.args(["--data", "data", "submit", "grid.toml", "--name", "again"]);
+    assert_eq!(Process::logging_to("farmctl", &mut command, log()).exit_within(LONG), 0);
+}
+
+#[test]
+fn a_log_without_a_reader_stops_no_program() {
+    works_and_ends(|| pipe().unwrap().1.into());
+}
+
+#[test]
+fn a_log_on_a_full_disk_stops_no_program() {
+    works_and_ends(|| File::options().write(true).open("/dev/full").unwrap().into());
+}
+
+#[test]
+fn a_log_that_is_not_read_stops_no_program() {
+    let (_reader, full) = unread();
+    works_and_ends(|| full.try_clone().unwrap().into());
+}

@@ -1,0 +1,84 @@
+//! Commands that wait for a dictionary while the coordinator or the way to it comes and goes.
+
+use std::time::Duration;
+
+use farm_tests::farm::Farm;
+use farm_tests::process::{LONG, Process, Signal, wait_for};
+use farm_tests::proxy::{Direction, Proxy};
+use farm_tests::statistics::effort;
+
+use super::{GRID, LONG_JOBS};
+
+/// Commands that wait for the dictionary "grid" at a URL.
+fn waiting(farm: &Farm, url: &str) -> Vec<Process> {
+    let grid = farm.path("grid.toml");
+    let grid = grid.to_str().unwrap();
+    let commands = [&["wait", "grid"][..], &["watch", "grid"], &["submit", grid, "--wait"]];
+    let start = |command: &&[&str]| {
+        let log = farm.path(&format!("{}.log", command[0]));
+        Process::start("farmctl", &[&["--server", url], *command].concat(), &log)
+    };
+    commands.iter().map(start).collect()
+}
+
+/// Waits until all have told this so many times.
+fn told(waiting: &[Process], what: &str, times: usize) {
+    for process in waiting {
+        wait_for(what, Duration::from_mins(2), || {
+            (process.log().matches(what).count() >= times).then_some(())
+        });
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn waiting_outlives_cuts_kills_and_restarts() {
+    let mut farm = Farm::start(&["--insecure"]);
+    let link = Proxy::start(([127, 0, 0, 1], farm.port()).into()).await;
+    farm.submit("grid", GRID);
+    let mut waiting = waiting(&farm, &link.url());
+    told(&waiting, "following", 1);
+    link.cut();
+    told(&waiting, "answers again", 1);
+    farm.kill_coordinator();
+    told(&waiting, "does not answer and is waited for", 2);
+    farm.start_coordinator();
+    told(&waiting, "answers again", 2);
+    assert_eq!(farm.stop_coordinator(), 0);
+    told(&waiting, "does not answer and is waited for", 3);
+    farm.start_coordinator();
+    told(&waiting, "answers again", 3);
+    if effort() > 1 {
+        farm.coordinator().signal(Signal::STOP);
+        std::thread::sleep(Duration::from_mins(2));
+        farm.coordinator().signal(Signal::CONT);
+        told(&waiting, "answers again", 4);
+        // Such as when a router forgets a connection.
+        link.freeze();
+        told(&waiting, "answers again", 5);
+    }
+    let worker = farm.worker("worker", &[]);
+    for process in &mut waiting {
+        assert_eq!(process.exit_within(LONG), 0, "{}", process.log());
+    }
+    drop(worker);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn another_grid_of_the_same_name_is_not_waited_for() {
+    let farm = Farm::start(&["--insecure"]);
+    let link = Proxy::start(([127, 0, 0, 1], farm.port()).into()).await;
+    farm.submit("grid", GRID);
+    let mut waiting = waiting(&farm, &link.url());
+    told(&waiting, "following", 1);
+    // They learn nothing of what happens meanwhile.
+    link.hold(Direction::Answers);
+    farm.ask(&["cancel", "grid"]);
+    farm.ask(&["delete", "grid", "--yes"]);
+    farm.submit("grid", LONG_JOBS);
+    link.cut();
+    link.heal();
+    for process in &mut waiting {
+        assert_eq!(process.exit_within(LONG), 8, "{}", process.log());
+        assert!(process.log().contains("dictionary grid was deleted, or replaced"), "{}", process.log());
+    }
+}
