@@ -4,6 +4,7 @@ mod ending;
 mod figures;
 mod tokens;
 
+use std::io::pipe;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -18,7 +19,8 @@ use optics_model::Grid;
 use serde_json::Value;
 
 use crate::hand::HandWorker;
-use crate::process::{LONG, Process, Ran, SOON, farmctl, free_port, run, wait_for};
+use crate::memory_group::MemoryGroup;
+use crate::process::{LONG, Process, Ran, SOON, Surroundings, farmctl, free_port, run, wait_for};
 use crate::wall_clock::WallClock;
 
 /// A coordinator with a folder of its own, for its data, its access files and the logs of all.
@@ -33,7 +35,9 @@ pub struct Farm {
     closed: bool,
     options: Vec<String>,
     /// Of the coordinator and the workers.
-    wall_clock: Option<WallClock>,
+    surroundings: Surroundings,
+    /// Whether the reader of the coordinator's log is gone.
+    log_abandoned: bool,
     logs: AtomicU32,
 }
 
@@ -56,7 +60,7 @@ impl Farm {
         let folder = tempfile::tempdir().expect("a folder can be made");
         let data = folder.path().join("data");
         let mut farm = Self::new(folder, data, options);
-        farm.wall_clock = Some(clock);
+        farm.surroundings.wall_clock = Some(clock);
         farm.started()
     }
 
@@ -65,7 +69,8 @@ impl Farm {
     /// # Panics
     /// If the farm has none of its own.
     pub fn set_clock_off_by_days(&self, days: i32) {
-        self.wall_clock.as_ref().expect("the farm has a wall clock of its own").set_off_by_days(days);
+        let clock = self.surroundings.wall_clock.as_ref();
+        clock.expect("the farm has a wall clock of its own").set_off_by_days(days);
     }
 
     /// Starts a coordinator that is open to this machine with its data in a folder that is there.
@@ -99,7 +104,8 @@ impl Farm {
             metrics: free_port(),
             closed: false,
             options: options.iter().map(ToString::to_string).collect(),
-            wall_clock: None,
+            surroundings: Surroundings::default(),
+            log_abandoned: false,
             logs: AtomicU32::new(0),
         }
     }
@@ -132,17 +138,33 @@ impl Farm {
             args.extend(["--access", text(&access)]);
         }
         args.extend(self.options.iter().map(String::as_str));
-        let mut process = Process::start_at(
-            self.wall_clock.as_ref(),
-            "farm-coordinator",
-            &args,
-            &self.path("coordinator.log"),
-        );
+        let mut command = self.surroundings.command("farm-coordinator", &args);
+        let mut process = if self.log_abandoned {
+            let (_, log) = pipe().expect("there can be another pipe");
+            Process::logging_to("farm-coordinator", &mut command, log)
+        } else {
+            Process::spawn("farm-coordinator", &mut command, &self.path("coordinator.log"))
+        };
         wait_for("the coordinator answers", SOON, || {
             assert!(process.is_running(), "the coordinator ended: {}", process.log());
             self.page("/livez").filter(|(code, _)| *code == 200)
         });
         self.coordinator = Some(process);
+    }
+
+    /// From its next start on, the coordinator's log is a pipe without a reader.
+    pub fn abandon_log(&mut self) {
+        self.log_abandoned = true;
+    }
+
+    /// Programs of this farm that are started from now on share a group's memory.
+    pub fn limit_memory(&mut self, group: MemoryGroup) {
+        self.surroundings.memory = Some(group);
+    }
+
+    /// The group of this farm's programs, if there is one.
+    pub fn memory(&self) -> Option<&MemoryGroup> {
+        self.surroundings.memory.as_ref()
     }
 
     /// # Panics
@@ -220,7 +242,7 @@ impl Farm {
         let log = self.path(&format!("{label}-{number}.log"));
         let args = ["--threads", "1", "--label", label, "--log-format", "json"];
         let args = [&way[..], &args, options].concat();
-        Process::start_at(self.wall_clock.as_ref(), "farm-worker", &args, &log)
+        Process::spawn("farm-worker", &mut self.surroundings.command("farm-worker", &args), &log)
     }
 
     /// Logs of all workers so far, as JSON objects.

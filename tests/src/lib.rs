@@ -9,6 +9,7 @@ pub mod dng;
 pub mod farm;
 pub mod grids;
 pub mod hand;
+pub mod memory_group;
 pub mod page;
 pub mod photograph;
 pub mod process;

@@ -11,6 +11,7 @@ use std::time::Duration;
 pub use rustix::process::Signal;
 use tokio::time::Instant;
 
+use crate::memory_group::MemoryGroup;
 use crate::usage::Usage;
 use crate::wall_clock::WallClock;
 
@@ -131,6 +132,28 @@ pub fn run(folder: &Path, args: &[&str]) -> Ran {
     farmctl(folder).args(args).output().expect("farmctl starts").into()
 }
 
+/// Where programs run, if not as the tests do.
+#[derive(Debug, Default)]
+pub(crate) struct Surroundings {
+    pub wall_clock: Option<WallClock>,
+    pub memory: Option<MemoryGroup>,
+}
+
+impl Surroundings {
+    /// A program with these arguments, not yet started.
+    pub fn command(&self, name: &str, args: &[&str]) -> Command {
+        let program = program(name);
+        let mut command = match &self.memory {
+            Some(group) => group.command(program.as_os_str()),
+            None => Command::new(program),
+        };
+        // Acknowledged results are logged at this level.
+        command.env("FARM_LOG", "info,farm_worker=debug").args(args);
+        command.envs(self.wall_clock.iter().flat_map(WallClock::environment));
+        command
+    }
+}
+
 /// A program that runs. Killed when dropped; if the test has failed, what it logged is shown.
 #[derive(Debug)]
 pub struct Process {
@@ -145,16 +168,7 @@ impl Process {
     /// # Panics
     /// If it does not start.
     pub fn start(name: &str, args: &[&str], log: &Path) -> Self {
-        Self::start_at(None, name, args, log)
-    }
-
-    /// The same with a wall clock of its own.
-    pub(crate) fn start_at(clock: Option<&WallClock>, name: &str, args: &[&str], log: &Path) -> Self {
-        let mut command = Command::new(program(name));
-        // Acknowledged results are told at this level.
-        command.env("FARM_LOG", "info,farm_worker=debug").args(args);
-        command.envs(clock.into_iter().flat_map(WallClock::environment));
-        Self::spawn(name, &mut command, log)
+        Self::spawn(name, &mut Surroundings::default().command(name, args), log)
     }
 
     /// The same of a command with arguments, without settings from the surroundings.

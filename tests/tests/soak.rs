@@ -83,6 +83,9 @@ fn a_farm_that_is_maltreated_keeps_its_records_and_does_not_grow() {
     farm.stop();
     assert_eq!(zombies_of(std::process::id()), [0; 0], "ended processes are waited for");
     println!("{tally:?}, {events} events");
+    if let Some(peak) = farm.peak_bytes() {
+        println!("coordinator and workers had {} MiB at most", peak >> 20);
+    }
     tell(&samples);
     assert_flat(&samples);
     assert_explained(&farm.database(), live.len(), events, tally.done());

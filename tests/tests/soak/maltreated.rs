@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use farm_link::Link;
 use farm_tests::farm::Farm;
+use farm_tests::memory_group::MemoryGroup;
 use farm_tests::process::{Process, Signal, program};
 use farm_tests::proxy::Proxy;
 use farm_tests::statistics::Normal;
@@ -17,10 +18,13 @@ use farm_tests::usage::Usage;
 const END: Duration = Duration::from_secs(20);
 /// Connections that stay open and say nothing, at most; the oldest are closed.
 const SILENT: usize = 8;
+/// What coordinator and workers share once they were killed. They take about half of it; caches fill the rest.
+const MEMORY_BYTES: u64 = 64 << 20;
 
 /// What is done to the farm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Fault {
+    /// SIGKILL, and a new one whose log has no reader, in a control group with little memory.
     KillCoordinator,
     KillWorker,
     /// SIGSTOP, and SIGCONT after longer than a lease holds.
@@ -58,11 +62,11 @@ impl Fault {
 /// A coordinator and workers.
 #[derive(Debug)]
 pub struct Maltreated {
+    workers: Vec<Process>,
+    afar: Option<(Proxy, Process)>,
     farm: Farm,
     lease_s: u64,
-    workers: Vec<Process>,
     silent: Vec<TcpStream>,
-    afar: Option<(Proxy, Process)>,
 }
 
 impl Maltreated {
@@ -72,7 +76,12 @@ impl Maltreated {
         // A token for each, so that they check each other's results.
         let names: Vec<String> = (0..=workers).map(|n| format!("machine-{n}")).collect();
         let tokens: Vec<&str> = names.iter().map(String::as_str).collect();
-        let farm = Farm::with_tokens(&tokens, &options);
+        let mut farm = Farm::with_tokens(&tokens, &options);
+        farm.abandon_log();
+        match MemoryGroup::with_limit(MEMORY_BYTES) {
+            Some(group) => farm.limit_memory(group),
+            None => eprintln!("not tried: a control group with little memory cannot be made here"),
+        }
         let workers = (0..workers).map(|n| worker(&farm, n)).collect();
         Self { farm, lease_s, workers, silent: Vec::new(), afar: None }
     }
@@ -96,6 +105,11 @@ impl Maltreated {
     /// Of the coordinator.
     pub fn usage(&self) -> Option<Usage> {
         self.farm.coordinator().usage()
+    }
+
+    /// The most that coordinator and workers had together, where they have a group of their own.
+    pub fn peak_bytes(&self) -> Option<u64> {
+        self.farm.memory().map(MemoryGroup::peak_bytes)
     }
 
     pub fn database(&self) -> PathBuf {
