@@ -215,6 +215,18 @@ impl Process {
         rustix::process::kill_process(id, signal).expect("the process is there");
     }
 
+    /// SIGHUP, as when its terminal is closed.
+    ///
+    /// # Panics
+    /// If the tests themselves run with SIGHUP ignored, which programs inherit.
+    pub fn hang_up(&self) {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap_or_default();
+        let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+        let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+        assert_eq!(ignored & 1, 0, "SIGHUP is ignored here, as under nohup: run the tests without it");
+        self.signal(Signal::HUP);
+    }
+
     /// `kill -9`, and waits until it is gone.
     pub fn kill(&mut self) {
         // It may have ended by itself.

@@ -56,15 +56,15 @@ fn a_worker_that_is_hung_up_on_hands_back_and_ends() {
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "0s"]);
     worker.tells("job begins");
-    worker.signal(Signal::HUP);
-    assert_eq!(worker.exit_within(Duration::from_secs(5)), 0);
+    worker.hang_up();
+    assert_eq!(worker.exit_within(SOON), 0);
     nobody_is_blamed(&farm);
 }
 
 #[test]
 fn a_coordinator_that_is_hung_up_on_ends_well() {
     let mut farm = Farm::start(&[]);
-    farm.coordinator().signal(Signal::HUP);
+    farm.coordinator().hang_up();
     wait_for("the coordinator ends", SOON, || (!farm.coordinator_runs()).then_some(()));
     assert!(farm.coordinator().log().contains("stopping"), "{}", farm.coordinator().log());
 }

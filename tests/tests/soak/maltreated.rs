@@ -149,7 +149,7 @@ impl Maltreated {
                 self.workers[victim] = worker(&self.farm, victim);
             }
             Fault::HangUpWorker => {
-                self.workers[victim].signal(Signal::HUP);
+                self.workers[victim].hang_up();
                 assert_eq!(self.workers[victim].exit_within(END), 0, "a worker that was hung up on");
                 self.workers[victim] = worker(&self.farm, victim);
             }
