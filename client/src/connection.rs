@@ -122,9 +122,22 @@ fn coordinator(data: &Path) -> Result<Config> {
     Ok(config)
 }
 
+/// Whether commands use the farm of a folder on this machine.
+fn is_local(global: &Global) -> bool {
+    global.local || (global.server.is_none() && global.access.is_none())
+}
+
+/// Whether commands use a folder on this machine that holds no farm yet.
+pub(crate) fn lacks_farm(global: &Global) -> bool {
+    is_local(global) && !global.data.join(DATABASE).exists()
+}
+
+/// The file by which a farm's folder is recognised.
+const DATABASE: &str = "farm.db";
+
 impl Connection {
     pub(crate) async fn open(global: &Global, purpose: Purpose) -> Result<Self> {
-        if global.local || (global.server.is_none() && global.access.is_none()) {
+        if is_local(global) {
             return Self::local(&global.data, purpose).await;
         }
         let access = global.access.as_deref().map(ClientAccess::read).transpose()?;
@@ -152,7 +165,7 @@ impl Connection {
     }
 
     async fn local(data: &Path, purpose: Purpose) -> Result<Self> {
-        let there = match data.join("farm.db").try_exists() {
+        let there = match data.join(DATABASE).try_exists() {
             Err(error) if error.kind() == ErrorKind::PermissionDenied => {
                 let place =
                     format!("looking for a farm in {}: is the folder another user's?", data.display());

@@ -1,6 +1,8 @@
 //! The measurement that is shipped as an example, from grid to fit, as the README tells it.
 
-use farm_tests::process::run;
+use std::time::Duration;
+
+use farm_tests::process::{LONG, Process, run, wait_for};
 use farm_tests::reference::root;
 use optics_model::{Grid, SceneFile};
 use serde_json::Value;
@@ -35,6 +37,34 @@ fn the_white_example_is_recovered_within_one_grid_step() {
         let albedo_steps = place(paper.albedo(), found_albedo) - place(paper.albedo(), albedo);
         assert!(sigma_t_steps.abs() <= 1 && albedo_steps.abs() <= 1, "{channel}: {best}");
     }
+}
+
+/// The README's first command computes the paper's dictionary, goes on with it where it was killed, and its intervals hold
+/// the truth.
+#[test]
+fn one_command_measures_in_an_empty_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = root().join("examples/white.csv");
+    let data = folder.path().join("farm-data");
+    let args = ["measure", file.to_str().unwrap(), "--data", data.to_str().unwrap()];
+    let mut killed = Process::start("farmctl", &args, &folder.path().join("killed.log"));
+    killed.tells("dictionary paper is not complete");
+    let first = data.join("farm.db-wal");
+    wait_for("records are stored", LONG, || std::fs::metadata(&first).ok().filter(|log| log.len() > 1 << 20));
+    killed.kill();
+    let measured = run(folder.path(), &[&args[..], &["--json"]].concat());
+    assert_eq!(measured.code, 0, "{}", measured.stderr);
+    assert!(measured.stderr.contains("its 34,276 records are computed first"), "{}", measured.stderr);
+    let measured: Value = serde_json::from_str(&measured.stdout).expect("measure --json prints JSON");
+    let channels = measured["data"]["materials"][0]["channels"].as_array().unwrap();
+    for (fit, (sigma_t, albedo)) in channels.iter().zip([(6.0, 0.9991), (9.0, 0.9997), (24.0, 0.999)]) {
+        let interval = &fit["refined"]["absorption_interval"];
+        let [low, high] = ["low", "high"].map(|end| interval[end].as_f64().unwrap());
+        let truth = sigma_t * (1.0 - albedo);
+        let open = interval["open_low"].as_bool().unwrap();
+        assert!((open || low <= truth) && truth <= high, "{interval} does not hold {truth}");
+    }
+    assert_eq!(channels.len(), 3);
 }
 
 #[test]

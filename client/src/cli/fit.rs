@@ -158,8 +158,9 @@ pub struct ScaleArgs {
 
 #[derive(Debug, Args)]
 pub struct MeasureArgs {
-    /// CSV with the profiles of all materials of one set-up, or a folder that `farmctl capture` wrote: its dictionary is
-    /// then computed if it is not there, its white reference taken for the scale factor (--mu 1), its report completed.
+    /// CSV with the profiles of all materials of one set-up, or a folder that `farmctl capture` wrote: its white reference
+    /// is then taken for the scale factor (--mu 1), its report completed. On this machine a dictionary that is lacking is
+    /// computed first: the folder's own, or the paper's.
     pub measurements: PathBuf,
     #[command(flatten)]
     pub options: OptionArgs,

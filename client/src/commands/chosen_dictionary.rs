@@ -2,9 +2,11 @@
 
 use anyhow::{Result, bail};
 use farm_proto::DictionaryName;
+use optics_model::Grid;
 
 use super::list;
-use crate::connection::Connection;
+use crate::cli::Global;
+use crate::connection::{Connection, lacks_farm};
 
 /// What `submit` computes without a grid file.
 const USUAL: &str = "paper";
@@ -25,10 +27,42 @@ pub(crate) async fn name(connection: &Connection, given: Option<&String>) -> Res
     pick(&names)
 }
 
+/// A dictionary that is to be computed.
+pub(super) type Wanted = (DictionaryName, Grid);
+
+/// The dictionary of a command that computes one on this machine where there is none.
+pub(super) enum Chosen {
+    Complete(String),
+    Lacking(Wanted),
+}
+
+/// The paper's, for a command that computes on this machine, if its folder holds no farm yet.
+pub(super) fn of_an_empty_folder(global: &Global) -> Result<Option<Wanted>> {
+    Ok(if lacks_farm(global) { Some(usual()?) } else { None })
+}
+
+/// The dictionary that was named; without a name the usual one, or the only one, which on this machine need not be complete.
+pub(super) async fn or_lacking(connection: &Connection, given: Option<&String>) -> Result<Chosen> {
+    if given.is_some() || connection.is_server() {
+        return Ok(Chosen::Complete(name(connection, given).await?));
+    }
+    let dictionaries = list::fetch(connection).await?;
+    if dictionaries.is_empty() {
+        return Ok(Chosen::Lacking(usual()?));
+    }
+    let name = pick(&dictionaries.iter().map(|d| d.name.to_string()).collect::<Vec<_>>())?;
+    let open = dictionaries.into_iter().find(|d| d.name.as_str() == name && d.state().is_open());
+    Ok(open.map_or(Chosen::Complete(name), |d| Chosen::Lacking((d.name, d.grid))))
+}
+
+fn usual() -> Result<Wanted> {
+    Ok((DictionaryName::new(USUAL)?, Grid::paper()))
+}
+
 fn pick(names: &[String]) -> Result<String> {
     match names {
         [] => bail!(
-            "there is no dictionary yet: `farmctl submit` computes the paper's, which takes a minute on two cores"
+            "there is no dictionary yet: `farmctl submit` computes the paper's, in half a minute on two cores"
         ),
         [only] => Ok(only.clone()),
         several if several.iter().any(|n| n == USUAL) => Ok(USUAL.to_owned()),

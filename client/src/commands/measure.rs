@@ -1,18 +1,20 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use farm_link::logs::tell;
 use farm_proto::wire::{MeasureRequest, MeasureResponse};
 use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, Mixtures, ScaleCurve, Unmixed};
 use serde::Serialize;
 
+use super::chosen_dictionary::{self, Chosen, Wanted};
 use super::session_folder::SessionFolder;
-use super::{chosen_dictionary, submit};
+use super::submit;
 use crate::answers::{Report, UsedOptions, budget_text, common_text, fits_text, inks_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::mixture_file::read_mixtures;
-use crate::output::{Output, write_whole};
+use crate::output::{Output, grouped, write_whole};
 use crate::plot::{self, Picture};
 use crate::renderers;
 use crate::set_up::SetUp;
@@ -40,25 +42,16 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let assumed = set_up.assumed(&materials);
     let materials = set_up.told_of(materials)?;
-    let own = folder.as_ref().and_then(|folder| folder.dictionary.as_ref());
-    let purpose = if own.is_some() { Purpose::Compute } else { Purpose::Ask };
-    let (dictionary, found) = with_farm(global, purpose, async |connection| {
-        if let Some((name, grid)) = own {
-            submit::ensure(connection, name, grid, global.quiet).await?;
-        }
-        let dictionary = chosen_dictionary::name(connection, given).await?;
-        let request = MeasureRequest {
-            dictionary: dictionary.clone(),
-            materials: materials.iter().map(Into::into).collect(),
-            options: Some((&options).into()),
-            search_mu: args.mu.is_none().then(|| range.into()),
-            common_g: !args.free_g,
-            mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
-        };
-        let found = Found::try_from(connection.fits().measure(request).await?.into_inner())?;
-        Ok((dictionary, found))
-    })
-    .await?;
+    let own = folder.as_ref().and_then(|folder| folder.dictionary.clone());
+    let request = MeasureRequest {
+        dictionary: String::new(),
+        materials: materials.iter().map(Into::into).collect(),
+        options: Some((&options).into()),
+        search_mu: args.mu.is_none().then(|| range.into()),
+        common_g: !args.free_g,
+        mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
+    };
+    let (dictionary, found) = ask(global, given, own, &request).await?;
     if mixtures.is_some() && found.unmixed.is_none() {
         bail!(
             "the farm's answer tells nothing of mixtures: its coordinator is older than this farmctl; upgrade it"
@@ -88,6 +81,67 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
         let completed = report.map_or_else(String::new, |path| format!("\nadded to {}", path.display()));
         told() + &completed
     })
+}
+
+/// Computes the dictionary where it is lacking, and asks. Returns the dictionary's name, too.
+async fn ask(
+    global: &Global,
+    given: Option<&String>,
+    own: Option<Wanted>,
+    request: &MeasureRequest,
+) -> Result<(String, Found)> {
+    let mut wanted = own;
+    if wanted.is_none() && given.is_none() {
+        wanted = chosen_dictionary::of_an_empty_folder(global)?.inspect(|wanted| announce(global, wanted));
+    }
+    loop {
+        match ask_once(global, given, wanted.as_ref(), request).await? {
+            Asked::Answered(dictionary, found) => return Ok((dictionary, *found)),
+            Asked::Lacks(lacking) => {
+                announce(global, &lacking);
+                wanted = Some(lacking);
+            }
+        }
+    }
+}
+
+enum Asked {
+    Answered(String, Box<Found>),
+    Lacks(Wanted),
+}
+
+async fn ask_once(
+    global: &Global,
+    given: Option<&String>,
+    wanted: Option<&Wanted>,
+    request: &MeasureRequest,
+) -> Result<Asked> {
+    let purpose = if wanted.is_some() { Purpose::Compute } else { Purpose::Ask };
+    with_farm(global, purpose, async |connection| {
+        let dictionary = if let Some((name, grid)) = wanted {
+            submit::ensure(connection, name, grid, global.quiet).await?;
+            name.to_string()
+        } else {
+            match chosen_dictionary::or_lacking(connection, given).await? {
+                Chosen::Complete(name) => name,
+                Chosen::Lacking(lacking) => return Ok(Asked::Lacks(lacking)),
+            }
+        };
+        let request = MeasureRequest { dictionary: dictionary.clone(), ..request.clone() };
+        let found = connection.fits().measure(request).await?.into_inner();
+        Ok(Asked::Answered(dictionary, Box::new(found.try_into()?)))
+    })
+    .await
+}
+
+fn announce(global: &Global, (name, grid): &Wanted) {
+    if !global.quiet {
+        tell(format_args!(
+            "farmctl: dictionary {name} is not complete in {}: its {} records are computed first",
+            global.data.display(),
+            grouped(grid.record_count() as u64)
+        ));
+    }
 }
 
 /// Why an answer may lack what this program shows.

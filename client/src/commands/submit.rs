@@ -70,7 +70,7 @@ pub(super) async fn ensure(
     match (&end, status.state()) {
         (End::Followed(following::End::Ended(_)), DictionaryState::Done) => Ok(()),
         (End::Left | End::Followed(following::End::Interrupted), _) => Err(Interrupted.into()),
-        _ => bail!("the session's dictionary was not computed: {}", text(&status, &end)),
+        _ => bail!("the dictionary was not computed: {}", text(&status, &end)),
     }
 }
 
