@@ -10,6 +10,7 @@ pub mod farm;
 pub mod grids;
 pub mod hand;
 pub mod memory_group;
+pub mod modules;
 pub mod page;
 pub mod photograph;
 pub mod process;

@@ -13,6 +13,29 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate lies in the workspace").to_owned()
 }
 
+/// All Rust files below a folder, with their texts.
+///
+/// # Panics
+/// If there are none, or one cannot be read.
+pub fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
+    let found = sources_in(folder);
+    assert!(!found.is_empty(), "{} holds no sources", folder.display());
+    found
+}
+
+fn sources_in(folder: &Path) -> Vec<(PathBuf, String)> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).expect("the sources can be read") {
+        let path = entry.expect("the sources can be read").path();
+        if path.is_dir() {
+            found.extend(sources_in(&path));
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            found.push((path.clone(), std::fs::read_to_string(&path).expect("the sources can be read")));
+        }
+    }
+    found
+}
+
 /// A row of `uniform.csv`: exact radiance factor over a uniform base in the scene `smooth`.
 #[derive(Debug, Clone, Copy)]
 pub struct UniformRow {

@@ -2,29 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use farm_tests::reference::root;
-
-fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
-    let found = sources_in(folder);
-    assert!(!found.is_empty(), "{} holds no sources", folder.display());
-    found
-}
-
-fn sources_in(folder: &Path) -> Vec<(PathBuf, String)> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            found.extend(sources_in(&path));
-        } else if path.extension().is_some_and(|e| e == "rs") {
-            found.push((path.clone(), std::fs::read_to_string(&path).unwrap()));
-        }
-    }
-    found
-}
+use farm_tests::modules::Modules;
+use farm_tests::reference::{root, sources};
 
 fn assert_absent(folder: &str, words: &[&str]) {
     for (path, text) in sources(&root().join(folder)) {
@@ -177,95 +158,47 @@ fn services_do_not_loop() {
     }
 }
 
-/// A file without its folder's `mod.rs` or extension: `fit/view` for both `fit/view.rs` and `fit/view/mod.rs`.
-fn module_of(file: &Path, source: &Path) -> Vec<String> {
-    let path = file.strip_prefix(source).unwrap().with_extension("");
-    let mut parts: Vec<String> = path.iter().map(|part| part.to_str().unwrap().to_owned()).collect();
-    if matches!(parts.last().map(String::as_str), Some("mod" | "lib" | "main")) {
-        parts.pop();
-    }
-    parts
-}
-
-/// The modules that a file names: paths from `crate::` or `super::`, as far as there are files for them.
-fn named_by(module: &[String], text: &str, all: &BTreeSet<Vec<String>>) -> BTreeSet<Vec<String>> {
-    let code = text.split("#[cfg(test)]").next().unwrap();
-    let code: String = code.lines().filter(|l| !l.trim_start().starts_with("//")).collect();
-    let mut named = BTreeSet::new();
-    for (at, _) in code.match_indices("crate::").chain(code.match_indices("super::")) {
-        let within = code[..at].chars().next_back().is_some_and(|c| c.is_alphanumeric() || c == ':');
-        if within {
-            continue;
-        }
-        let mut parts: Vec<&str> = code[at..].split("::").collect();
-        let end = |p: &str| p.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(p.len());
-        let mut base = module.to_vec();
-        if parts[0] == "crate" {
-            base.clear();
-            parts.remove(0);
-        }
-        while parts.first() == Some(&"super") {
-            base.pop();
-            parts.remove(0);
-        }
-        // The deepest module on the way; of a list in braces, each name.
-        let mut deepest = base.clone();
-        for part in parts {
-            if let Some(list) = part.strip_prefix('{') {
-                let list = list.split('}').next().unwrap();
-                for name in list.split(',').map(str::trim) {
-                    let module = [&deepest[..], &[name[..end(name)].to_owned()]].concat();
-                    if all.contains(&module) {
-                        named.insert(module);
-                    }
-                }
-                break;
-            }
-            let next = [&deepest[..], &[part[..end(part)].to_owned()]].concat();
-            if !all.contains(&next) {
-                break;
-            }
-            deepest = next;
-        }
-        named.insert(deepest);
-    }
-    named
-}
-
-/// Files that need each other cannot be understood one after the other. A module and the folder that it lies in may name
-/// each other.
+/// Files that need each other cannot be understood one after the other.
 #[test]
-fn no_files_name_each_other_in_a_circle() {
-    let crates = ARROWS.iter().map(|(krate, _)| root().join(krate).join("src"));
+fn no_modules_of_a_folder_name_each_other_in_a_circle() {
     let mut circles = Vec::new();
-    for source in crates {
-        let files: BTreeMap<Vec<String>, String> = sources(&source)
-            .into_iter()
-            .filter(|(path, _)| !path.to_string_lossy().contains("tests"))
-            .map(|(path, text)| (module_of(&path, &source), text))
-            .collect();
-        let all: BTreeSet<Vec<String>> = files.keys().cloned().collect();
-        let related = |a: &[String], b: &[String]| a.starts_with(b) || b.starts_with(a);
-        let arrows: BTreeMap<_, Vec<_>> = files
-            .iter()
-            .map(|(module, text)| {
-                let named = named_by(module, text, &all).into_iter();
-                (module, named.filter(|other| all.contains(other) && !related(module, other)).collect())
-            })
-            .collect();
-        for start in &all {
-            // Whatever can be reached from a file must not reach back to it.
-            let mut reached = BTreeSet::new();
-            let mut next: Vec<&Vec<String>> = arrows[start].iter().collect();
-            while let Some(module) = next.pop() {
-                if reached.insert(module) {
-                    next.extend(&arrows[module]);
-                }
-            }
-            if reached.contains(start) {
-                circles.push(format!("{}: {}", source.display(), start.join("::")));
-            }
+    for (krate, _) in ARROWS {
+        let source = root().join(krate).join("src");
+        for circle in Modules::of(&source).circles() {
+            circles.push(format!("{krate}: {circle}"));
         }
     }
-    assert!(circles.is_empty(), "files that name each other in a circle: {circles:#?}");
+    assert!(circles.is_empty(), "modules that name each other in a circle: {circles:#?}");
+}
+
+/// The search finds what it is for.
+#[test]
+fn a_circle_through_files_below_two_modules_is_found() {
+    let file = |name: &str, text: &str| (PathBuf::from(name), text.to_owned());
+    let files = |deep: &str| {
+        let tests = "#[cfg(test)]\nmod tests;\n";
+        Modules::from_sources(
+            Path::new(""),
+            vec![
+                file("lib.rs", "mod farm;\nmod config;"),
+                file("farm.rs", &format!("{tests}use crate::config::{{Config, Other}};")),
+                file("config.rs", "pub struct Config(crate::farm::Backup);"),
+                file("farm/deep.rs", deep),
+                file("farm/tests.rs", "use crate::config::tests;"),
+            ],
+        )
+    };
+    assert_eq!(files("").circles(), ["config, farm"]);
+    // In a macro, a string, a comment and a test.
+    let mut without = files("");
+    without
+        .sources
+        .insert(vec!["config".to_owned()], "const A: &str = \"crate::farm\"; // crate::farm".to_owned());
+    assert_eq!(without.circles(), Vec::<String>::new());
+    without.sources.insert(vec!["config".to_owned()], "#[cfg(test)] mod t { use crate::farm; }".to_owned());
+    assert_eq!(without.circles(), Vec::<String>::new());
+    without
+        .sources
+        .insert(vec!["config".to_owned()], "fn f() { println!(\"{}\", crate::farm::deep::g()) }".to_owned());
+    assert_eq!(without.circles(), ["config, farm"]);
 }
