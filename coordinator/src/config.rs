@@ -6,7 +6,14 @@ use std::time::Duration;
 use farm_link::memory::usable_bytes;
 use optics_model::limits::FitLimits;
 
-use crate::farm::BackupSchedule;
+/// When backups are made, and how many are kept.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BackupSchedule {
+    pub every: Duration,
+    /// At least 1.
+    pub keep: usize,
+    pub folder: PathBuf,
+}
 
 #[derive(Debug, Clone)]
 pub struct Config {

@@ -46,7 +46,6 @@ pub use fit_cache::load_dictionary;
 pub(crate) use intake::{Delivered, Header, Piece};
 pub(crate) use leasing::{Versions, WorkerEnd};
 use room::Room;
-pub use scheduled_backup::BackupSchedule;
 use scheduled_backup::LastBackup;
 pub(crate) use watch::Watch;
 pub(crate) use watch_jobs::{JobRun, JobWatch};

@@ -27,9 +27,9 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-pub use config::Config;
+pub use config::{BackupSchedule, Config};
 use farm::Farm;
-pub use farm::{BackupSchedule, FarmError, load_dictionary};
+pub use farm::{FarmError, load_dictionary};
 pub use gate::{Gate, Listener};
 use metrics::{BuildInfo, Metrics, MetricsServer};
 use optics_model::PHYSICS_VERSION;

@@ -7,8 +7,6 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use crate::process::wait_for;
-
 /// Where Linux mounts the controller of memory.
 const MOUNT: &str = "/sys/fs/cgroup/memory";
 
@@ -50,10 +48,12 @@ impl MemoryGroup {
 
 impl Drop for MemoryGroup {
     fn drop(&mut self) {
-        if std::thread::panicking() {
-            let _ = std::fs::remove_dir(&self.folder);
-            return;
+        // The system counts a process that was killed for a moment longer.
+        for _ in 0..50 {
+            if std::fs::remove_dir(&self.folder).is_ok() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(100));
         }
-        wait_for("the group is empty", Duration::from_secs(5), || std::fs::remove_dir(&self.folder).ok());
     }
 }

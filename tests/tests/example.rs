@@ -1,7 +1,5 @@
 //! The measurement that is shipped as an example, from grid to fit, as the README tells it.
 
-use std::time::Duration;
-
 use farm_tests::process::{LONG, Process, run, wait_for};
 use farm_tests::reference::root;
 use optics_model::{Grid, SceneFile};

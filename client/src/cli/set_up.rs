@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::set_up::{ByChannel, Session, SetUp};
+
 /// Heading of the help.
 pub(super) const SET_UP: &str = "What is known of the set-up";
 
@@ -34,4 +36,21 @@ pub struct SetUpArgs {
     /// Standard error of the blur [default: 0.03].
     #[arg(long, value_name = "MM", allow_negative_numbers = true, help_heading = SET_UP)]
     pub blur_std_error_mm: Option<f64>,
+}
+
+impl SetUpArgs {
+    /// These values, and those of the session file where none is given here.
+    pub(crate) fn read(&self) -> anyhow::Result<SetUp> {
+        let given = Session {
+            gain_std_error: self.gain_std_error,
+            mu_std_error: None,
+            offset_std_error: self.offset_std_error,
+            slope_std_error: self.slope_std_error,
+            thickness_std_error_mm: self.thickness_std_error_mm,
+            origin_std_error_mm: self.origin_std_error_mm,
+            blur_mm: self.blur_mm.map(ByChannel::All),
+            blur_std_error_mm: self.blur_std_error_mm.map(ByChannel::All),
+        };
+        SetUp::new(self.session.as_deref(), given)
+    }
 }

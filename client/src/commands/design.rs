@@ -9,10 +9,10 @@ use crate::cli::{DesignArgs, Global};
 use crate::connection::{Purpose, with_farm};
 use crate::output::{Output, wrapped};
 use crate::plot::{Picture, design_figure, drawn};
-use crate::set_up::{Assumed, SetUp};
+use crate::set_up::Assumed;
 
 pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> Result<()> {
-    let set_up = SetUp::new(&args.set_up)?;
+    let set_up = args.set_up.read()?;
     let question = args.question(&set_up)?;
     let assumed = set_up.assumed_of(args.channel.as_deref());
     let given = args.dictionary.as_ref();

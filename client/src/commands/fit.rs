@@ -13,10 +13,9 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
 use crate::plot::{self, Picture};
-use crate::set_up::SetUp;
 
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
-    let set_up = SetUp::new(&args.options.set_up)?;
+    let set_up = args.options.set_up.read()?;
     let options = args.options(&set_up)?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;

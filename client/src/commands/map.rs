@@ -11,10 +11,9 @@ use crate::connection::{Connection, Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, normal, read_measurements};
 use crate::output::{Output, table};
 use crate::plot::{self, Picture};
-use crate::set_up::SetUp;
 
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
-    let set_up = SetUp::new(&args.options.set_up)?;
+    let set_up = args.options.set_up.read()?;
     let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings(&set_up)? })?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;

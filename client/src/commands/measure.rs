@@ -17,11 +17,10 @@ use crate::mixture_file::read_mixtures;
 use crate::output::{Output, grouped, write_whole};
 use crate::plot::{self, Picture};
 use crate::renderers;
-use crate::set_up::SetUp;
 
 pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output) -> Result<()> {
     let folder = SessionFolder::open(&mut args)?;
-    let set_up = SetUp::new(&args.options.set_up)?;
+    let set_up = args.options.set_up.read()?;
     if let (Some(_), None, Some(error)) = (&folder, args.mu, set_up.mu_std_error()) {
         // The session's white reference says what the scale factor is, and how well it is known.
         (args.mu, args.mu_std_error) = (Some(1.0), error);

@@ -11,10 +11,9 @@ use crate::connection::{Purpose, with_farm};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::output::Output;
 use crate::plot::{Picture, drawn, scale_figure};
-use crate::set_up::SetUp;
 
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
-    let set_up = SetUp::new(&args.options.set_up)?;
+    let set_up = args.options.set_up.read()?;
     let options = FitOptions::new(args.options.settings(&set_up)?)?;
     let range = args.mu.range()?;
     let given = args.options.dictionary.as_ref();

@@ -5,16 +5,15 @@ mod assumed;
 mod of_channel;
 mod session;
 
+use std::path::Path;
+
 use anyhow::Result;
 use optics_model::Measurement;
 use optics_model::fit::FitSettings;
 use optics_model::measurement::{MeasuredProfile, ProfileSetup};
 
 pub(crate) use assumed::Assumed;
-use session::ByChannel;
-pub(crate) use session::Session;
-
-use crate::cli::SetUpArgs;
+pub(crate) use session::{ByChannel, Session};
 
 /// What the command line and the session file tell together.
 #[derive(Debug, Default)]
@@ -23,18 +22,18 @@ pub(crate) struct SetUp {
 }
 
 impl SetUp {
-    /// Reads the session file, if there is one.
-    pub(crate) fn new(args: &SetUpArgs) -> Result<Self> {
-        let session = args.session.as_deref().map(Session::read).transpose()?.unwrap_or_default();
+    /// Reads the session file, if there is one. What the command line gives goes before it.
+    pub(crate) fn new(file: Option<&Path>, given: Session) -> Result<Self> {
+        let session = file.map(Session::read).transpose()?.unwrap_or_default();
         let told = Session {
-            gain_std_error: args.gain_std_error.or(session.gain_std_error),
-            mu_std_error: session.mu_std_error,
-            offset_std_error: args.offset_std_error.or(session.offset_std_error),
-            slope_std_error: args.slope_std_error.or(session.slope_std_error),
-            thickness_std_error_mm: args.thickness_std_error_mm.or(session.thickness_std_error_mm),
-            origin_std_error_mm: args.origin_std_error_mm.or(session.origin_std_error_mm),
-            blur_mm: args.blur_mm.map(ByChannel::All).or(session.blur_mm),
-            blur_std_error_mm: args.blur_std_error_mm.map(ByChannel::All).or(session.blur_std_error_mm),
+            gain_std_error: given.gain_std_error.or(session.gain_std_error),
+            mu_std_error: given.mu_std_error.or(session.mu_std_error),
+            offset_std_error: given.offset_std_error.or(session.offset_std_error),
+            slope_std_error: given.slope_std_error.or(session.slope_std_error),
+            thickness_std_error_mm: given.thickness_std_error_mm.or(session.thickness_std_error_mm),
+            origin_std_error_mm: given.origin_std_error_mm.or(session.origin_std_error_mm),
+            blur_mm: given.blur_mm.or(session.blur_mm),
+            blur_std_error_mm: given.blur_std_error_mm.or(session.blur_std_error_mm),
         };
         Ok(Self { told })
     }

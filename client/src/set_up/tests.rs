@@ -1,4 +1,5 @@
 use super::*;
+use crate::cli::SetUpArgs;
 
 fn measurement(channels: &[(&str, ProfileSetup)]) -> Measurement {
     let x: Vec<f64> = (0..8).map(f64::from).collect();
@@ -26,7 +27,7 @@ fn the_command_line_wins_over_the_session_and_the_measurement_over_both() {
         origin_std_error_mm: Some(0.004),
         ..SetUpArgs::default()
     };
-    let set_up = SetUp::new(&args).unwrap();
+    let set_up = args.read().unwrap();
     let default = FitSettings::default();
     let expected = FitSettings {
         gain_std_error: 0.02,
@@ -42,7 +43,7 @@ fn the_command_line_wins_over_the_session_and_the_measurement_over_both() {
     let blur: Vec<_> = told[0].profiles().iter().map(|p| p.setup().blur_mm).collect();
     assert_eq!(blur, [Some(0.025), Some(0.05), None]);
     // The command line's blur is that of all channels.
-    let set_up = SetUp::new(&SetUpArgs { blur_mm: Some(0.04), ..args }).unwrap();
+    let set_up = SetUpArgs { blur_mm: Some(0.04), ..args }.read().unwrap();
     assert_eq!(set_up.settings(default).blur_mm, 0.04);
     let measured = vec![measurement(&[("R", none), ("G", own)])];
     assert_eq!(set_up.told_of(measured.clone()).unwrap(), measured);
@@ -52,7 +53,7 @@ fn the_command_line_wins_over_the_session_and_the_measurement_over_both() {
 fn what_nobody_told_is_said_to_be_assumed() {
     let default = FitSettings::default();
     let assumed = |args: &SetUpArgs, setup: ProfileSetup| {
-        let set_up = SetUp::new(args).unwrap();
+        let set_up = args.read().unwrap();
         let exact = ProfileSetup {
             thickness_std_error_mm: Some(0.0),
             origin_mm: Some(0.0),
@@ -91,7 +92,7 @@ fn a_session_file_that_is_wrong_is_refused_by_its_name() {
     let refused = |text: &str| {
         let file = session(text);
         let args = SetUpArgs { session: Some(file.path().to_owned()), ..SetUpArgs::default() };
-        let error = format!("{:#}", SetUp::new(&args).unwrap_err());
+        let error = format!("{:#}", args.read().unwrap_err());
         let place = format!("session file {}: ", file.path().display());
         error.strip_prefix(&place).unwrap_or_else(|| panic!("{error}")).to_owned()
     };

@@ -23,7 +23,7 @@ use super::api::{
 };
 use super::captures::Captures;
 use crate::answers::{self, Told, all_remarks, common_text, objective};
-use crate::cli::SetUpArgs;
+
 use crate::commands::measure::{Found, media_files};
 use crate::grid_file::grid_of;
 use crate::measurement_file::{self, MeasurementFile};
@@ -95,7 +95,7 @@ impl Desk for TheDesk {
             let options = FitOptions::try_from(request.options.unwrap_or_default())?;
             let materials: Vec<Measurement> =
                 request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
-            let set_up = folder.map_or_else(|| SetUp::new(&SetUpArgs::default()), |f| session::set_up(&f))?;
+            let set_up = folder.map_or_else(|| Ok(SetUp::default()), |f| session::set_up(&f))?;
             let assumed = set_up.assumed(&materials).text(options.settings());
             Ok(TellResponse {
                 common: common_text(&found.common),

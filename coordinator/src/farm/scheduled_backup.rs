@@ -15,6 +15,7 @@ use tokio_util::sync::CancellationToken;
 use super::{Farm, blocking};
 use crate::actor::Actor;
 use crate::clock::Clock;
+use crate::config::BackupSchedule;
 use crate::dispatch::EventKind;
 use crate::store::StoreError;
 
@@ -23,15 +24,6 @@ const PREFIX: &str = "farm-";
 const SUFFIX: &str = ".db";
 /// Longest time until one that has failed is tried again.
 const AGAIN: Duration = Duration::from_mins(10);
-
-/// When backups are made, and how many are kept.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct BackupSchedule {
-    pub every: Duration,
-    /// At least 1.
-    pub keep: usize,
-    pub folder: PathBuf,
-}
 
 impl Farm {
     /// Makes backups until `shutdown`.

@@ -6,9 +6,9 @@
 use rayon::prelude::*;
 
 use crate::blemishes::{Blemish, Mask, Residual};
-use crate::board::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
 use crate::frame::{Colour, Site};
+use crate::lattice::{EdgeFrame, HALF_CROP_MM};
 use crate::least_squares::{TUKEY_VARIANCE, median, spread, tukey};
 
 /// Bins of a profile, and their width: 10 mm / 360.

@@ -1,45 +1,18 @@
 //! The bare board: where it lies, how the camera blurs it, how bright both sides are.
 
+use optics_model::Invalid;
+
 use crate::bins::{BINS, Binning, EdgeProfile, bin, fine};
 use crate::blur::{self, EdgeBins};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Photo};
+use crate::lattice::{Cells, EdgeLine, Found, FreeParts, HALF_CROP_MM, Reading, Target, find};
+use crate::lattice::{light, movement};
 use crate::least_squares::{Normal, Solution};
-use crate::refusal::{ONE_TURNED, Refusal, Side, Warning};
+use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::report::ShotReport;
 use crate::saturation::Full;
-
-mod blurs;
-mod cells;
-pub(crate) mod edge;
-mod find;
-mod light;
-mod lines;
-mod movement;
-mod pose;
-mod scan;
-
-pub(crate) use cells::Cells;
-pub use edge::EdgeLine;
-pub(crate) use light::{Reading, check as check_light, factor as light_factor};
-pub(crate) use movement::{FreeParts, check as check_moved, check_blur};
-
-pub use find::FreeEdge;
-pub(crate) use find::free_edges;
-use find::{Found, find};
-
-use edge::HALF_CROP_MM;
-use optics_model::Invalid;
-
-/// The board as it was made.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Target {
-    pub square_mm: f64,
-    pub square_std_error_mm: f64,
-    /// Dark side of the edge in use; without it the edge nearest to the frame's middle is taken.
-    pub dark_side: Option<Side>,
-}
 
 /// Shots of the bare board, one after the other.
 #[derive(Debug)]
@@ -84,19 +57,6 @@ pub struct Board {
     pub(crate) readings: Vec<Reading>,
     /// Relative error of the light that the bare shots have in common: their spread, and how uneven it is.
     pub(crate) light_std_error: [f64; 3],
-}
-
-impl Target {
-    fn check(&self) -> Result<(), Invalid> {
-        if !(1.0..=1000.0).contains(&self.square_mm) {
-            return Err(Invalid::new("square_mm", self.square_mm, "from 1 to 1000"));
-        }
-        if !(0.0..=0.05 * self.square_mm).contains(&self.square_std_error_mm) {
-            let allowed = "from 0 to a twentieth of square_mm";
-            return Err(Invalid::new("square_std_error_mm", self.square_std_error_mm, allowed));
-        }
-        Ok(())
-    }
 }
 
 impl<'a> BareShots<'a> {

@@ -1,9 +1,9 @@
 //! A single photograph, while the slab still lies there.
 
 use crate::black::{Black, Darks};
-use crate::board::{FreeEdge, free_edges};
 use crate::flat::Flat;
 use crate::frame::{Colour, Frame, Photo, Site};
+use crate::lattice::{FreeEdge, free_edges};
 use crate::one_colour;
 use crate::refusal::{Refusal, Warning};
 use crate::saturation::{Full, saturation};

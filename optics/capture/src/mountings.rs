@@ -3,13 +3,12 @@
 use crate::agreement::{self, check_sides};
 use crate::bins::{Binning, EdgeProfile, bin_clean};
 use crate::blemishes::Blemish;
-use crate::board::{
-    Board, Cells, FreeParts, Reading, check_blur, check_clipped, check_light, check_moved, light_factor,
-};
+use crate::board::{Board, check_clipped};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::{Contribution, Estimate, Source};
 use crate::frame::{Colour, Photo};
 use crate::join::{Joined, join};
+use crate::lattice::{Cells, FreeParts, Reading, light, movement};
 use crate::refusal::{Refusal, Warning};
 use crate::report::ShotReport;
 
@@ -52,15 +51,15 @@ impl<'a> Mountings<'a> {
         let label = &photo.label;
         let found = &self.board.found;
         let free = found.seen.free_parts(self.calibration.view(&photo));
-        check_moved(label, &free.moved_px)?;
-        check_blur(label, &found.seen, &free.blur_px)?;
+        movement::check(label, &free.moved_px)?;
+        movement::check_blur(label, &found.seen, &free.blur_px)?;
         let radiance = Radiance::new(self.calibration, &photo);
         let cells = Cells::of(&radiance, &found.edge_frame);
         let light = self.light(&free, &radiance, &cells);
         self.warn(label, &free, light);
         let known = light;
         let light = light.unwrap_or([Estimate::new(1.0, 0.0); 3]);
-        check_light(label, &light)?;
+        light::check(label, &light)?;
         let radiance = radiance.under(&light);
         self.board.cells.check_covered(label, &cells.under(&light))?;
         let origins_mm = self.board.origin_mm.map(|o| o.value);
@@ -96,7 +95,7 @@ impl<'a> Mountings<'a> {
     /// slab that only dims, as its other parts may be: then nothing is free for certain.
     fn light(&self, free: &FreeParts, radiance: &Radiance<'_>, cells: &Cells) -> Option<[Estimate; 3]> {
         let patches: Vec<Reading> = self.board.found.seen.patches().map(|p| p.read(radiance)).collect();
-        let light = light_factor(&self.board.readings, &patches, free.free.as_deref()?)?;
+        let light = light::factor(&self.board.readings, &patches, free.free.as_deref()?)?;
         let changed = light.iter().any(|l| (l.value - 1.0).abs() > NOTED);
         let same = changed && self.board.cells.is_bare(&cells.clone().under(&light));
         (!same).then_some(light)

@@ -1,13 +1,13 @@
 //! Maps of the distance over all media, Fig. 9 of the paper.
 
 use optics_model::fit::{DistanceMap, FitOptions, MapLayer, Objective};
-use optics_model::{Grid, Invalid, Measurement};
+use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
 use super::dictionary::FitDictionary;
+use super::layers::of_layers;
 use super::likelihood;
-use super::question::{Admissible, Place, Question, questions};
-use super::similarity::similar;
+use super::question::{Place, Question, questions};
 
 /// One map per channel of a measurement, over every admissible medium: the error of Eq. 1, or for the likelihood the root
 /// mean square of the residuals over their noise, with the set-up at its likeliest.
@@ -28,31 +28,6 @@ fn map(question: &Question) -> DistanceMap {
     let ior = best_ior(question);
     let layers = question.admissible.g.clone().map(|g| layer(question, ior, g)).collect();
     of_layers(grid, question.name, &question.admissible, ior, layers)
-}
-
-/// The map of a channel at one refractive index, given a layer for each admissible anisotropy.
-pub(super) fn of_layers(
-    grid: &Grid,
-    channel: &str,
-    admissible: &Admissible,
-    ior: usize,
-    mut layers: Vec<MapLayer>,
-) -> DistanceMap {
-    let by_error =
-        |(_, a): &(usize, &MapLayer), (_, b): &(usize, &MapLayer)| a.best.error.total_cmp(&b.best.error);
-    let best_layer = layers.iter().enumerate().min_by(by_error).map_or(0, |(i, _)| i);
-    let best = layers[best_layer].best.medium;
-    for layer in &mut layers {
-        layer.similar = similar(&best, layer.g).ok();
-    }
-    DistanceMap {
-        channel: channel.to_owned(),
-        sigma_t_per_mm: grid.sigma_t_per_mm()[admissible.sigma_t.clone()].to_vec(),
-        albedo: grid.albedo()[admissible.albedo.clone()].to_vec(),
-        sample_ior: grid.sample_ior()[ior],
-        best_layer,
-        layers,
-    }
 }
 
 fn best_ior(question: &Question) -> usize {

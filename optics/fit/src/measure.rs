@@ -1,8 +1,8 @@
 //! The whole job of the paper: scale factor, common anisotropy, fits, refinement, uncertainty.
 
 use optics_model::fit::{
-    Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, Mixtures, MuRange,
-    Objective, ScaleCurve, Unmixed,
+    Candidate, ChannelFit, Common, FitOptions, FitSettings, Interval, MaterialFit, Mixtures, Objective,
+    Unmixed,
 };
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
@@ -12,6 +12,7 @@ use super::curves;
 use super::dictionary::FitDictionary;
 use super::intervals::Z;
 use super::likelihood;
+use super::measured::{MeasurePlan, Measured, mu_interval};
 use super::question::Question;
 use super::refine::SCALE;
 use super::scale::scale;
@@ -19,26 +20,6 @@ use super::search;
 use super::shared::{Part, Shared};
 use super::surrogate::{G, Surrogate};
 use super::uncertainty::{Analysis, Company};
-
-/// What was found for a set of materials.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Measured {
-    /// The paper's search of the scale factor, by the errors of records; none if it was given, or if the likelihood was
-    /// maximised, which estimates it itself.
-    pub scale: Option<ScaleCurve>,
-    /// What was chosen for all channels, by refined errors.
-    pub common: Common,
-    pub materials: Vec<MaterialFit>,
-}
-
-/// How the scale factor and the anisotropy are found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MeasurePlan {
-    /// Scale factors to search; none to take that of the options.
-    pub search_mu: Option<MuRange>,
-    /// Hold all materials at the anisotropy that explains them best together.
-    pub common_g: bool,
-}
 
 /// Measures a set of materials that were photographed in the same set-up.
 pub fn measure(
@@ -204,11 +185,4 @@ impl Set<'_> {
             open_high,
         }
     }
-}
-
-/// Where μ lies; open where the range of the search ends first.
-pub(super) fn mu_interval(mu: f64, std_error: f64, range: Option<&MuRange>) -> Interval {
-    let (low, high) = (mu - Z * std_error, mu + Z * std_error);
-    let (min, max, _) = range.map_or((low, high, 0.0), MuRange::parts);
-    Interval { low: low.max(min), high: high.min(max), open_low: low < min, open_high: high > max }
 }

@@ -6,14 +6,13 @@ use anyhow::{Context, Result};
 use optics_model::fit::{FitOptions, FitSettings};
 
 use super::{api::OpenCaptureResponse, note};
-use crate::cli::SetUpArgs;
 use crate::commands::session_folder::own_dictionary;
 use crate::measurement_file::{MeasurementFile, read_measurements};
-use crate::set_up::SetUp;
+use crate::set_up::{Session, SetUp};
 
 /// What the session of a folder tells of its set-up.
 pub(super) fn set_up(folder: &Path) -> Result<SetUp> {
-    SetUp::new(&SetUpArgs { session: Some(folder.join("session.json")), ..SetUpArgs::default() })
+    SetUp::new(Some(&folder.join("session.json")), Session::default())
 }
 
 pub(super) fn open(folder: &Path) -> Result<OpenCaptureResponse> {

@@ -24,7 +24,7 @@ use super::start::{Scan, Start};
 use super::system::inverse_over_free;
 use crate::common::scales;
 use crate::dictionary::FitDictionary;
-use crate::measure::{MeasurePlan, Measured, mu_interval};
+use crate::measured::{MeasurePlan, Measured, mu_interval};
 use crate::surrogate::{Surrogate, g};
 use minimum::{Joint, common_slots};
 use response::Response;

@@ -29,7 +29,7 @@ use super::system::{State, Unknown, inverse_over_free};
 use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::common::scales;
 use crate::dictionary::FitDictionary;
-use crate::measure::{MeasurePlan, Measured};
+use crate::measured::{MeasurePlan, Measured};
 use crate::refine::held;
 use crate::surrogate::{Surrogate, albedo, coordinates, sigma_t};
 use answer::{Solution, Told};

@@ -1,7 +1,8 @@
 use optics_model::fit::{FitOptions, FitSettings, MuRange, Objective};
 use optics_model::{MeasuredProfile, Measurement};
 
-use crate::measure::{MeasurePlan, Measured, measure};
+use crate::measure::measure;
+use crate::measured::{MeasurePlan, Measured};
 use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
 
 /// Standard deviation of one pixel.

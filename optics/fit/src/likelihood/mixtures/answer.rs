@@ -15,7 +15,7 @@ use crate::dictionary::FitDictionary;
 use crate::intervals::Z;
 use crate::likelihood::chi2::exceedance;
 use crate::likelihood::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
-use crate::measure::{MeasurePlan, mu_interval};
+use crate::measured::{MeasurePlan, mu_interval};
 use crate::refine::held;
 use crate::sum::dot;
 use crate::surrogate::{albedo, g, sigma_t};

@@ -3,7 +3,8 @@
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Mixture, Mixtures, Unmixed};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
 
-use crate::measure::{MeasurePlan, measure, unmix};
+use crate::measure::{measure, unmix};
+use crate::measured::MeasurePlan;
 use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
 
 const G: f64 = 0.3;

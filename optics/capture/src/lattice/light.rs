@@ -185,7 +185,7 @@ pub(crate) fn check(label: &str, light: &[Estimate; 3]) -> Result<(), Refusal> {
 }
 
 /// Relative error of the mean light of several shots: what they differ by, and how uneven that is.
-pub(super) fn spread_of(shots: &[Vec<Reading>]) -> [f64; 3] {
+pub(crate) fn spread_of(shots: &[Vec<Reading>]) -> [f64; 3] {
     let n = shots.len() as f64;
     let against_others = (0..shots.len()).filter_map(|j| {
         let others: Vec<_> =

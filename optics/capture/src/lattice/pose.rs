@@ -279,8 +279,8 @@ impl State {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::board::lines::Stretch;
-    use crate::board::scan::Point;
+    use crate::lattice::lines::Stretch;
+    use crate::lattice::scan::Point;
 
     fn pose(k1: f64) -> Pose {
         let p = [0.3, 1.2, 0.03, -0.1, -0.03, 1.2, 0.01, -0.02, k1];

@@ -1,0 +1,46 @@
+//! The lattice of black and white squares in a photograph: its edges, its pose, the edge in use, and the light of the
+//! squares that a slab leaves free.
+
+use optics_model::Invalid;
+
+use crate::refusal::Side;
+
+mod blurs;
+mod cells;
+mod edge;
+mod find;
+pub(crate) mod light;
+mod lines;
+pub(crate) mod movement;
+mod pose;
+mod scan;
+
+pub(crate) use cells::Cells;
+pub use edge::EdgeLine;
+pub(crate) use edge::{EdgeFrame, HALF_CROP_MM};
+pub use find::FreeEdge;
+pub(crate) use find::{Found, find, free_edges};
+pub(crate) use light::Reading;
+pub(crate) use movement::FreeParts;
+
+/// The board as it was made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Target {
+    pub square_mm: f64,
+    pub square_std_error_mm: f64,
+    /// Dark side of the edge in use; without it the edge nearest to the frame's middle is taken.
+    pub dark_side: Option<Side>,
+}
+
+impl Target {
+    pub(crate) fn check(&self) -> Result<(), Invalid> {
+        if !(1.0..=1000.0).contains(&self.square_mm) {
+            return Err(Invalid::new("square_mm", self.square_mm, "from 1 to 1000"));
+        }
+        if !(0.0..=0.05 * self.square_mm).contains(&self.square_std_error_mm) {
+            let allowed = "from 0 to a twentieth of square_mm";
+            return Err(Invalid::new("square_std_error_mm", self.square_std_error_mm, allowed));
+        }
+        Ok(())
+    }
+}
