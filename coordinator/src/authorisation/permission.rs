@@ -202,8 +202,10 @@ mod tests {
         }
     }
 
+    /// The port does not count. Mapped IPv4 addresses are IPv4, and an IPv6 address counts by its /64, except for
+    /// loopback.
     #[test]
-    fn a_machine_is_known_by_its_address_whatever_port_and_however_it_is_written() {
+    fn machines_are_distinguished_by_normalised_address() {
         let of = |address: &str| {
             let remote_addr = Some(address.parse().unwrap());
             let mut extensions = Extensions::new();

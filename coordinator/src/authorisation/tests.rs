@@ -55,8 +55,9 @@ async fn a_stream_is_told_of_when_its_trailers_have_come() {
     assert_eq!(*told.lock().unwrap(), [("/farm.v1.Fits/Fit".to_owned(), 5)]);
 }
 
+/// A stream that ends without a status code counts as unknown.
 #[tokio::test]
-async fn a_stream_that_is_let_go_of_is_cancelled_and_one_without_code_unknown() {
+async fn a_dropped_stream_counts_as_cancelled() {
     let (mut service, told) = guarded(answering(|_| stream(None)));
     let mut body = service.call(request("/a")).await.unwrap().into_body();
     body.frame().await.unwrap().unwrap();

@@ -96,7 +96,7 @@ async fn errors_of_the_listener_make_a_pause_and_no_end() {
 
 /// Runs the next test in a process of its own, since it takes all file descriptors that there are.
 #[test]
-fn without_file_descriptors_connections_wait_until_there_are_some() {
+fn connections_wait_for_free_file_descriptors() {
     let script = "ulimit -n 64 && exec \"$0\" --exact connections::tests::descriptors_run_out --ignored";
     let this = std::env::current_exe().unwrap();
     let output = std::process::Command::new("sh").arg("-c").arg(script).arg(this).output().unwrap();

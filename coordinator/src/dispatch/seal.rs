@@ -108,8 +108,9 @@ mod tests {
         assert!(drawn(0.01).abs_diff(200) < 43, "{}", drawn(0.01));
     }
 
+    /// Which results are checked cannot be predicted without the secret, nor from the draws of another job.
     #[test]
-    fn what_is_drawn_cannot_be_told_without_the_secret_nor_from_another_job() {
+    fn draws_are_independent_of_other_secrets_and_jobs() {
         let other = Seal(Secret([2; 32]));
         let differ = |a: &dyn Fn(u32) -> bool, b: &dyn Fn(u32) -> bool| {
             let unequal = (0..20_000).filter(|i| a(*i) != b(*i)).count();

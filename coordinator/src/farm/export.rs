@@ -113,8 +113,9 @@ mod tests {
         assert_eq!(ranges(&grid, 6, &[5, 6, 7, 9]).unwrap(), [6..8, 9..10]);
     }
 
+    /// An export that starts at any record reads up to the same boundaries as a whole one.
     #[test]
-    fn what_is_asked_for_from_a_record_on_is_read_in_the_same_pieces() {
+    fn ranges_from_any_record_keep_the_chunk_boundaries() {
         let grid = Grid::paper();
         let chunk = at_a_time(&grid);
         let from = |first| ranges(&grid, first, &[]).unwrap();

@@ -167,8 +167,9 @@ fn prepare(folder: &Path) -> io::Result<()> {
 mod tests {
     use super::*;
 
+    /// They count as newer than those with later times in their names.
     #[test]
-    fn after_a_clock_was_set_back_the_newest_backups_are_those_made_since() {
+    fn backups_made_after_the_clock_was_set_back_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let make = |hour: u64| {
             let file = folder.path().join(name(hour * 3_600_000));
@@ -188,8 +189,9 @@ mod tests {
         kept([3, 4]);
     }
 
+    /// Other files of the folder stay, except for abandoned drafts.
     #[test]
-    fn backups_are_in_the_order_of_their_names_and_others_are_left_alone() {
+    fn old_scheduled_backups_are_removed_in_order_of_name() {
         assert_eq!(name(1_795_425_600_000), "farm-20261123T092000Z.db");
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str| std::fs::write(folder.path().join(name), "").unwrap();

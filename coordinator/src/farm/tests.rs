@@ -109,8 +109,9 @@ fn restore(path: &Path, bytes: &[u8]) {
     std::fs::File::options().write(true).open(path).unwrap().write_all_at(bytes, 0).unwrap();
 }
 
+/// An I/O error is no damage: when it is gone, the records are intact.
 #[tokio::test]
-async fn jobs_that_cannot_be_read_are_named_and_nothing_of_them_is_deleted() {
+async fn unreadable_jobs_are_reported_and_not_deleted() {
     let (farm, dir) = done().await;
     let (path, bytes) = log(&dir);
     std::fs::File::options().write(true).open(&path).unwrap().set_len(32).unwrap();
@@ -208,9 +209,9 @@ async fn a_grid_that_is_too_large_is_refused_before_it_is_stored() {
     assert_eq!(farm.store.dictionaries().await.unwrap().len(), 1);
 }
 
-/// As an earlier version has stored it.
+/// An earlier version may have stored one. It is cancelled with the reason and does not prevent the start.
 #[tokio::test]
-async fn a_dictionary_that_is_too_large_stops_no_start_and_can_be_deleted() {
+async fn a_too_large_dictionary_is_loaded_and_can_be_deleted() {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     let large = DictionaryName::new("large").unwrap();
@@ -281,7 +282,7 @@ async fn work(farm: &Farm, worker: &WorkerId) -> usize {
 }
 
 #[tokio::test]
-async fn a_dictionary_that_overlaps_with_an_unfinished_one_computes_nothing_twice() {
+async fn overlapping_dictionaries_compute_nothing_twice() {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     let farm = load(store).await;
@@ -299,9 +300,9 @@ async fn a_dictionary_that_overlaps_with_an_unfinished_one_computes_nothing_twic
     assert_eq!((found.jobs, found.damaged.len()), (2 * JOBS as usize, 0), "{found:?}");
 }
 
-/// What came while a dictionary was cancelled, or before a restart, is not computed again either.
+/// Records that arrived for another dictionary while this one was cancelled, or before a restart, are not computed again.
 #[tokio::test]
-async fn records_that_came_for_another_dictionary_are_found_by_resume_and_restart() {
+async fn resume_and_restart_reuse_records_of_others() {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     let farm = load(store).await;

@@ -198,8 +198,9 @@ mod tests {
         (items, None)
     }
 
+    /// The error comes after the items that were already on their way.
     #[tokio::test(start_paused = true)]
-    async fn a_reader_that_pauses_for_too_long_finds_an_error_after_what_was_on_its_way() {
+    async fn a_reader_that_stalls_gets_a_deadline_error() {
         let (outlet, outgoing, _shutdown) = stream();
         for item in 0..2 {
             outlet.send(item).await.unwrap();

@@ -134,8 +134,9 @@ async fn a_second_completion_tells_the_first_and_changes_nothing() {
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
 }
 
+/// A result that cannot be stored does not stop the others.
 #[tokio::test]
-async fn results_that_come_together_are_committed_together_and_a_bad_one_stops_no_other() {
+async fn simultaneous_results_share_one_commit() {
     let dir = tempfile::tempdir().unwrap();
     let (sender, commits) = std::sync::mpsc::channel();
     let store =
@@ -156,8 +157,9 @@ async fn results_that_come_together_are_committed_together_and_a_bad_one_stops_n
     assert_eq!(commits.try_iter().collect::<Vec<_>>(), [3]);
 }
 
+/// It is no error, and leaves no records behind that would never be deleted.
 #[tokio::test]
-async fn a_result_of_a_deleted_dictionary_is_no_fault_and_leaves_nothing_behind() {
+async fn a_result_of_a_deleted_dictionary_is_ignored() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();

@@ -29,8 +29,9 @@ impl Bench {
     }
 }
 
+/// Its failures alone give up no job while other machines are connected.
 #[test]
-fn a_machine_that_fails_at_once_gives_up_no_job_beside_others_and_gets_growing_pauses() {
+fn a_failing_machine_is_suspended_for_growing_pauses() {
     let mut bench = Bench::new(&[]);
     assert_eq!(bench.fail_all(0, "a"), 3, "each of the jobs once");
     assert_eq!(bench.status().jobs_failed, 0);
@@ -42,8 +43,9 @@ fn a_machine_that_fails_at_once_gives_up_no_job_beside_others_and_gets_growing_p
     assert_eq!(bench.status().jobs_done, 3);
 }
 
+/// After its pause a machine gets one job, however many processes it runs, and a good result ends the suspension.
 #[test]
-fn after_a_pause_a_machine_is_tried_with_one_job_and_what_it_does_well_clears_it() {
+fn a_suspended_machine_is_tried_with_one_job() {
     let mut bench = Bench::new(&[]);
     bench.fail_all(0, "a");
     // Nobody else is heard of any more.
@@ -60,8 +62,9 @@ fn after_a_pause_a_machine_is_tried_with_one_job_and_what_it_does_well_clears_it
     assert_eq!(bench.acquire(41, "a", 9).len(), 2);
 }
 
+/// As long as other machines are connected that could try the job.
 #[test]
-fn several_failures_on_one_machine_count_once_as_long_as_others_are_there() {
+fn failures_on_one_machine_count_once() {
     let mut bench = Bench::new(&[]);
     let mut grant = bench.acquire(0, "a", 1);
     let job = grant[0].key.job;

@@ -8,8 +8,9 @@ use super::{Bench, DIGEST, about, job_of, origin, seconds, worker};
 use crate::dispatch::{Effect, EventKind, Registration};
 use crate::stored::Origin;
 
+/// It is given up after the allowed number of failures, and a retry puts it back into the queue.
 #[test]
-fn a_job_is_given_up_after_the_allowed_failures_with_all_reasons() {
+fn a_given_up_job_has_the_reasons_of_all_attempts() {
     let mut bench = Bench::new(&[]);
     let first = bench.acquire(0, "a", 1);
     bench.farm.failed(seconds(1), &worker("a"), &first[0].key, "boom").unwrap();
@@ -156,8 +157,9 @@ fn a_result_that_nobody_wants_ends_its_lease_without_blame() {
     }
 }
 
+/// A worker that was removed for its silence and registers again did not crash, so its job is not to blame.
 #[test]
-fn a_worker_that_was_forgotten_and_comes_back_takes_the_blame_from_its_jobs() {
+fn a_returning_worker_clears_its_jobs_of_blame() {
     let mut bench = Bench::new(&[]);
     for round in 0..3 {
         let at = 1000 * round;

@@ -57,8 +57,9 @@ fn more_walks_begin_the_job_again() {
     assert_eq!((again[0].key.job, again[0].job.walks().get()), (lease[0].key.job, 500_000));
 }
 
+/// Two workers compute the same job and both ask for more walks: the second request changes nothing.
 #[test]
-fn of_two_copies_that_ask_for_more_walks_the_second_changes_nothing() {
+fn only_the_first_copy_of_a_job_adds_walks() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     let more = Walks::new(500_000).unwrap();
@@ -79,8 +80,9 @@ fn blocks_that_the_store_has_forgotten_are_computed_again() {
     assert_eq!(left, [0], "block 1 is held, block 2 is there");
 }
 
+/// Blocks shared with another dictionary are gone once it has merged them; a job that still needs them computes them.
 #[test]
-fn a_job_whose_blocks_another_dictionary_has_merged_computes_them_again() {
+fn missing_shared_blocks_are_computed_again() {
     let mut bench = divided(0.0);
     let blocks = |left: &[Lease]| left.iter().map(|l| l.key.part).collect::<Vec<_>>();
     // Blocks 0 and 1 were there, from the other one; then it ended, and they are gone with it.

@@ -8,8 +8,9 @@ use super::{Bench, DIGEST, job_of, seconds, worker};
 use crate::dispatch::Admission;
 use crate::stored::DesiredState;
 
+/// The late result of the first worker still counts, and the second result is compared with it.
 #[test]
-fn a_silent_workers_job_goes_to_another_and_its_late_result_still_counts() {
+fn an_expired_lease_goes_to_another_worker() {
     let mut bench = Bench::new(&[]);
     let old = bench.acquire(0, "a", 1);
     assert_eq!(bench.farm.look_over(seconds(29)), 0);
@@ -101,8 +102,9 @@ fn what_is_held_stays_held_when_other_jobs_begin_again() {
     assert_eq!(bench.status().jobs_leased, 3);
 }
 
+/// Results of leases from before the pause are stored. No lease is granted, not even for a second copy.
 #[test]
-fn what_was_leased_before_a_pause_is_finished_and_nothing_else_is_given_out() {
+fn a_paused_dictionary_only_finishes_its_leases() {
     let mut bench = Bench::new(&[]);
     let leases = bench.acquire(0, "a", 3);
     bench.finish(1, "a", &leases[1]);
@@ -115,8 +117,9 @@ fn what_was_leased_before_a_pause_is_finished_and_nothing_else_is_given_out() {
     assert!(matches!(bench.admit("a", &leases[0]), Ok(Admission::Store { .. })));
 }
 
+/// A worker cannot claim a free part with the token of another lease.
 #[test]
-fn a_worker_cannot_take_up_a_part_with_the_token_of_another_lease() {
+fn a_lease_token_is_valid_for_its_part_only() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     let other = bench.acquire(0, "b", 2);

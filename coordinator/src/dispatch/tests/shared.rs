@@ -41,8 +41,9 @@ fn places(leases: &[Lease]) -> Vec<(DictionaryId, u32)> {
     leases.iter().map(|lease| (lease.key.dictionary, lease.key.job)).collect()
 }
 
+/// Of two dictionaries with the same walks one computes them, and its records serve both.
 #[test]
-fn the_same_walks_are_given_out_once_and_their_records_serve_both() {
+fn shared_walks_are_computed_once() {
     let mut bench = overlapping(vec![0.9]);
     let leases = bench.acquire(0, "a", 9);
     assert_eq!(places(&leases), [(FIRST, 2), (FIRST, 1), (FIRST, 0), (SECOND, 1)]);
@@ -68,8 +69,9 @@ fn jobs_for_other_albedos_are_given_out_both() {
     assert_eq!(bench.acquire(0, "a", 9).len(), 6);
 }
 
+/// The second dictionary computes them when the first is paused, cancelled or deleted, or gives up the job.
 #[test]
-fn when_the_first_is_paused_cancelled_deleted_or_gives_up_the_second_computes_itself() {
+fn shared_walks_are_taken_over_when_the_first_stops() {
     for how in 0..4 {
         let mut bench = overlapping(vec![0.9]);
         let held = bench.acquire(0, "a", 9);
@@ -100,9 +102,9 @@ fn what_the_second_has_begun_the_first_waits_for() {
     assert_eq!(places(&bench.acquire(1, "b", 9)), [(FIRST, 1), (FIRST, 0), (SECOND, 1)]);
 }
 
-/// Nobody would look at its records again.
+/// It goes on in the other dictionary that has the records: otherwise they would never be checked.
 #[test]
-fn a_check_goes_on_where_the_records_are_when_its_dictionary_is_deleted() {
+fn a_check_outlives_the_deletion_of_its_dictionary() {
     for (albedo, of_heir) in [(vec![0.5, 0.9], DIGEST), (vec![0.9], Digest::from_bytes([8; 32]))] {
         let mut bench = overlapping(albedo);
         bench.farm.settings.check_share = 1.0;

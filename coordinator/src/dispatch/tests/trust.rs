@@ -7,8 +7,9 @@ use super::{Bench, DIGEST, about, arrive, job_of, origin, seconds, worker};
 use crate::dispatch::{DispatchError, Effect};
 use crate::stored::{EndedJob, Origin};
 
+/// One vote against one decides nothing. The third fences the machine with the wrong result.
 #[test]
-fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
+fn a_third_worker_settles_a_failed_check() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let wrong = Digest::from_bytes([9; 32]);
     let lease = bench.acquire(0, "a", 1);
@@ -32,8 +33,9 @@ fn a_wrong_result_is_found_by_a_check_and_settled_by_a_third_worker() {
     assert!(job_of(&bench.acquire(6, "b", 9)).contains(&lease[0].key.job), "its records are computed again");
 }
 
+/// Equal results of two machines agree. A machine's own repetition confirms nothing, but a different one fences it.
 #[test]
-fn equal_results_agree_and_a_worker_that_contradicts_itself_is_fenced_off() {
+fn a_worker_that_contradicts_itself_is_fenced() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let lease = bench.acquire(0, "a", 1);
     bench.finish(1, "a", &lease[0]);
@@ -80,8 +82,9 @@ fn checks_that_nobody_has_made_are_wanted_after_a_restart_too() {
     assert!(Bench::with_checks(&ended, 0.0).acquire(0, "b", 9).is_empty());
 }
 
+/// Jobs of two dictionaries with different records for the same walks are checked, even where no share is drawn.
 #[test]
-fn jobs_whose_records_differ_for_the_same_walks_are_checked_in_any_case() {
+fn conflicting_shared_records_are_always_checked() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let lease = bench.acquire(0, "a", 1);
     arrive("a", &lease[0], |arrived| bench.farm.distrust(seconds(0), arrived, &[(DictionaryId(1), 0)]));
@@ -94,8 +97,9 @@ fn jobs_whose_records_differ_for_the_same_walks_are_checked_in_any_case() {
     assert_eq!(job_of(&bench.acquire(6, "b", 1)), [0], "so does the other one");
 }
 
+/// A result was admitted while the job had other records than now: it accuses no machine.
 #[test]
-fn a_result_is_not_compared_with_records_that_are_not_there_any_more() {
+fn results_are_not_compared_with_replaced_records() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let (wrong, right) = (Digest::from_bytes([9; 32]), DIGEST);
     let lease = bench.acquire(0, "a", 1);
@@ -108,8 +112,9 @@ fn a_result_is_not_compared_with_records_that_are_not_there_any_more() {
     assert!(bench.effects().is_empty());
 }
 
+/// The second result differs and arrives before the first is noted: another machine checks.
 #[test]
-fn of_two_results_that_come_together_and_differ_the_second_asks_for_a_check() {
+fn simultaneous_different_results_trigger_a_check() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let wrong = Digest::from_bytes([9; 32]);
     let lease = bench.acquire(0, "a", 1);

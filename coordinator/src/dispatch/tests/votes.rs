@@ -52,8 +52,9 @@ fn however_many_processes_a_machine_has_it_has_one_vote() {
     ));
 }
 
+/// Different results from machines without a lease of their own fence no machine. The check that follows decides.
 #[test]
-fn a_result_that_nobody_asked_for_decides_nothing_and_brings_about_a_check() {
+fn unrequested_results_trigger_a_check_but_do_not_vote() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let lease = bench.acquire(0, "a", 1).remove(0);
     bench.finish(1, "a", &lease);
@@ -67,8 +68,9 @@ fn a_result_that_nobody_asked_for_decides_nothing_and_brings_about_a_check() {
     assert_eq!(bench.farm.checks(), (1, 0, 0));
 }
 
+/// Forged tokens and attempts are refused. A restarted coordinator accepts leases from before.
 #[test]
-fn only_leases_that_were_given_bring_results_before_and_after_a_restart() {
+fn results_need_a_genuine_lease_even_after_a_restart() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1).remove(0);
     let forged = |key: LeaseKey| Lease { key, ..lease.clone() };
@@ -102,8 +104,9 @@ fn what_several_have_found_is_not_undone_by_fewer() {
     assert!(bench.farm.is_confirmed(&[(DictionaryId(1), lease.key.job)]));
 }
 
+/// Records that a second machine confirmed stay when the first is fenced, and a third machine checks them.
 #[test]
-fn what_others_confirmed_outlives_the_fence_of_who_computed_it_and_is_checked_again() {
+fn confirmed_records_survive_the_fence_of_their_author() {
     let (mut bench, lease) = computed();
     let check = bench.acquire(2, "b", 1).remove(0);
     bench.compare("b", &check, DIGEST, DIGEST);
@@ -117,8 +120,9 @@ fn what_others_confirmed_outlives_the_fence_of_who_computed_it_and_is_checked_ag
     assert_eq!(bench.acquire(3, "c", 1)[0].key.job, lease.key.job);
 }
 
+/// The votes are restored, and the dispute is shown for a dictionary that is otherwise done.
 #[test]
-fn a_dispute_outlives_a_restart_and_is_told_of_a_dictionary_that_is_done() {
+fn a_dispute_survives_a_restart() {
     let (mut bench, lease) = computed();
     let check = bench.acquire(2, "b", 1).remove(0);
     bench.compare("b", &check, DIGEST, WRONG);
@@ -157,8 +161,9 @@ fn block(bench: &mut Bench, name: &str, lease: &Lease, digest: Digest) {
     bench.farm.part_finished(seconds(1), &arrived);
 }
 
+/// Also once the job is done. A dispute about one block leaves the others alone.
 #[test]
-fn blocks_of_divided_jobs_are_checked_one_by_one_also_when_the_job_is_done() {
+fn blocks_of_divided_jobs_are_checked_one_by_one() {
     let mut bench = divided(1.0);
     let leases = bench.acquire(0, "a", 3);
     block(&mut bench, "a", &leases[0], WRONG);

@@ -23,8 +23,9 @@ async fn met(farm: &Farm, names: &[&str]) -> Result<Vec<usize>, FarmError> {
     farm.ask(&name(), &names, question).await
 }
 
+/// Where there is no room for all, a fit reads its own channels only, and those that are in memory are not read again.
 #[tokio::test]
-async fn a_question_reads_its_channels_and_no_others_where_there_is_no_room_for_all() {
+async fn fits_keep_the_most_recently_used_channels_in_memory() {
     let (farm, dir) = with_room_for(2).await;
     assert_eq!(met(&farm, &["G"]).await.unwrap(), [1]);
     assert_eq!(met(&farm, &["R", "G"]).await.unwrap(), [0, 1]);
@@ -46,8 +47,9 @@ async fn a_dictionary_for_which_there_is_room_is_read_as_a_whole() {
     }
 }
 
+/// The message gives the number of channels and the option that sets the limit.
 #[tokio::test]
-async fn a_question_that_needs_more_memory_than_there_is_says_how_much() {
+async fn a_fit_beyond_the_memory_limit_is_refused() {
     let (farm, _dir) = with_room_for(2).await;
     let refused = met(&farm, &["R", "G", "B"]).await.unwrap_err();
     assert!(matches!(refused, FarmError::TooLarge { channels: 3, .. }), "{refused:?}");

@@ -36,8 +36,9 @@ async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Delivered>,
     farm.receive(&machine, tokio_stream::iter(pieces.into_iter().map(Ok))).await
 }
 
+/// The other results of the stream are stored. A worker that contradicts itself loses all its records.
 #[tokio::test]
-async fn results_of_one_stream_are_stored_but_for_one_that_is_not_wanted() {
+async fn a_refused_result_does_not_affect_its_stream() {
     let (farm, worker, leases, _dir) = begun().await;
     let mut stream = pieces(&worker, &leases[0], 0.25);
     stream.push(header(&worker, leases[1].key, Digest::from_bytes([1; 32])));
@@ -63,8 +64,9 @@ async fn results_of_one_stream_are_stored_but_for_one_that_is_not_wanted() {
     assert_eq!(jobs_done(&farm), 0, "who contradicts itself is believed in nothing");
 }
 
+/// Nothing of them is stored.
 #[tokio::test]
-async fn streams_that_are_no_results_are_refused_with_the_field_and_store_nothing() {
+async fn malformed_result_streams_are_refused_with_the_field() {
     let (farm, worker, leases, _dir) = begun().await;
     let whole = || pieces(&worker, &leases[0], 0.25);
     let too_short = || whole().into_iter().take(2).collect::<Vec<_>>();

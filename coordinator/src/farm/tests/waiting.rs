@@ -31,8 +31,9 @@ async fn a_worker_waits_until_there_is_work_or_its_patience_ends() {
     assert_eq!(waiting.await.unwrap().unwrap().unwrap().leases.len(), 1);
 }
 
+/// A worker that waits for jobs gets its answer at once when it is drained or the coordinator stops.
 #[tokio::test]
-async fn a_worker_that_waits_hears_at_once_that_it_is_to_leave_or_that_the_coordinator_stops() {
+async fn drain_and_stop_wake_waiting_workers() {
     let (farm, _dir) = empty().await;
     let (worker, stop) = (worker(&farm, "worker").await, CancellationToken::new());
     let waiting = |worker: &WorkerId| {
@@ -81,8 +82,9 @@ async fn a_watch_tells_every_change_and_ends_with_the_dictionary() {
     assert!(late.next().await.unwrap().is_none());
 }
 
+/// It has the finished records from an index on, or those that are requested, in the order of the request.
 #[tokio::test]
-async fn an_export_gives_what_is_finished_in_order_and_says_before_how_much_that_is() {
+async fn an_export_is_ordered_and_announces_its_length() {
     let (farm, _dir) = done().await;
     let mut numbers = Vec::new();
     let mut export = farm.export(name(), 71, &[]).unwrap();
@@ -107,7 +109,7 @@ async fn an_export_gives_what_is_finished_in_order_and_says_before_how_much_that
 
 /// A decision that cannot be stored is not forgotten.
 #[tokio::test]
-async fn what_could_not_be_made_durable_is_tried_again_at_the_next_look() {
+async fn a_failed_write_is_retried_at_the_next_look() {
     let (farm, dir) = empty().await;
     let id = farm.store.create_dictionary(name(), grid(), 0, "", 7).await.unwrap().id;
     farm.close().await;

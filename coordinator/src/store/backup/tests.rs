@@ -143,8 +143,9 @@ async fn what_was_backed_up_is_restored_to_the_byte() {
     pool.close().await;
 }
 
+/// It has every transaction that was committed before the call, and none in part.
 #[tokio::test]
-async fn all_that_was_committed_before_the_call_is_in_the_backup_of_a_busy_database() {
+async fn backups_of_a_busy_database_are_complete() {
     let dir = tempfile::tempdir().unwrap();
     let pool = filled(dir.path()).await;
     let committed = Arc::new(AtomicI64::new(60));
@@ -351,8 +352,9 @@ async fn a_data_directory_with_a_database_or_its_log_is_left_alone() {
     restore(&copy, &locked, newest()).await.unwrap();
 }
 
+/// The draft of a running backup stays, and a second backup to the same file is refused.
 #[tokio::test]
-async fn leftovers_of_a_killed_backup_are_removed_but_not_those_of_a_running_one() {
+async fn drafts_of_killed_backups_are_removed() {
     let dir = tempfile::tempdir().unwrap();
     let pool = filled(dir.path()).await;
     let copy = dir.path().join("copy");

@@ -31,7 +31,7 @@ async fn damage(store: &Store, d: &StoredDictionary) -> String {
 }
 
 #[tokio::test]
-async fn intact_jobs_come_in_their_order_with_the_bytes_that_were_stored() {
+async fn stored_jobs_are_read_back_in_order_unchanged() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     let found = store.all_jobs(d.id, &d.grid, 0..2).await.unwrap();
@@ -143,8 +143,9 @@ async fn a_number_that_cannot_be_is_damage() {
     assert!(what.starts_with(&format!("its records cannot be: {named}")), "{what}");
 }
 
+/// The row that ends a job is missing. That is damage where all jobs are known to be finished; elsewhere the job is open.
 #[tokio::test]
-async fn a_job_without_its_end_is_damaged_only_if_it_is_known_to_be_finished() {
+async fn a_missing_end_is_damage_only_in_finished_jobs() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     change(&store, "DELETE FROM jobs WHERE job = 0").await;

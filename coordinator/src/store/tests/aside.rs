@@ -37,8 +37,9 @@ async fn behind(store: &Store, d: &StoredDictionary) -> Vec<(u32, Option<Origin>
         .collect()
 }
 
+/// Its token and address identify it. Its label and host name stay as they were first.
 #[tokio::test]
-async fn a_machine_is_one_row_whatever_it_is_called_and_its_fence_stays() {
+async fn a_machine_keeps_its_row_and_fence_under_any_name() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     let machine = Machine { token: "t".to_owned(), host: "h".to_owned(), ..Machine::at("10.0.0.1") };
@@ -53,8 +54,9 @@ async fn a_machine_is_one_row_whatever_it_is_called_and_its_fence_stays() {
     assert_eq!(known, KnownMachine { origin: bad, machine, label, fenced }, "it is still known as it was");
 }
 
+/// They are set aside and not read, and go when other records take their place.
 #[tokio::test]
-async fn records_of_a_fenced_machine_are_kept_until_they_are_computed_again() {
+async fn records_of_a_fenced_machine_are_kept_until_recomputed() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
     assert_eq!(store.fence(BAD, "wrong").await.unwrap(), [(d.id, 1)]);
@@ -101,7 +103,7 @@ async fn what_others_have_confirmed_stays_in_their_name() {
 }
 
 #[tokio::test]
-async fn a_dictionary_that_is_deleted_takes_what_was_set_aside_of_it_along() {
+async fn deleting_a_dictionary_deletes_its_records_set_aside() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
     store.fence(BAD, "wrong").await.unwrap();

@@ -22,8 +22,9 @@ fn block_sums(job: &JobSpec, block: u32) -> Sums {
     Sums::from_le_bytes(job, job.walks().batches_of_block(block), &sums.to_le_bytes()).unwrap()
 }
 
+/// The bytes are the same, also with a restart in between.
 #[tokio::test]
-async fn blocks_that_come_in_any_order_make_the_records_of_the_undivided_job() {
+async fn blocks_in_any_order_sum_to_the_undivided_job() {
     let axes = Axes {
         sigma_t_per_mm: vec![1.0],
         albedo: vec![0.5, 0.9],
@@ -137,8 +138,9 @@ async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
     assert!(matches!(complete_block(&store, &b, 0, Origin(1)).await, Outcome::Finished { .. }));
 }
 
+/// The records are of all blocks: there is nothing to compare one block with.
 #[tokio::test]
-async fn a_late_block_of_a_job_that_is_done_is_not_compared_with_its_records() {
+async fn a_late_block_of_a_finished_job_is_unwanted() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();

@@ -49,9 +49,9 @@ async fn damaged_records_are_not_used_for_another_dictionary() {
     );
 }
 
-/// Two dictionaries may ask for the same walks at once: what the second one's worker found is compared.
+/// Two dictionaries may ask for the same walks at once: the later records are compared, and both jobs can be done again.
 #[tokio::test]
-async fn other_records_for_the_same_walks_are_refused_and_both_can_be_done_again() {
+async fn conflicting_records_for_shared_walks_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();

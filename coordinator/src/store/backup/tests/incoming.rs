@@ -57,8 +57,9 @@ async fn a_backup_that_came_in_short_or_changed_leaves_nothing() {
     }
 }
 
+/// Their mode is 0600, whatever the mode of the file that is restored.
 #[tokio::test]
-async fn nobody_else_may_read_a_backup_or_the_database_restored_from_it() {
+async fn backups_and_restored_databases_are_private() {
     let (dir, copy) = with_backup().await;
     let mode = |file: &Path| std::fs::metadata(file).unwrap().permissions().mode() & 0o777;
     assert_eq!(mode(&copy), 0o600);
