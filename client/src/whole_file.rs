@@ -223,8 +223,9 @@ mod tests {
         assert_eq!(names(folder.path()), ["out.csv"]);
     }
 
+    /// A new file has those of any new file.
     #[test]
-    fn permissions_are_those_of_any_new_file_or_of_the_file_of_before() {
+    fn a_replaced_file_keeps_its_permissions() {
         let folder = tempfile::tempdir().unwrap();
         let mode = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().permissions().mode();
         std::fs::write(folder.path().join("usual"), "").unwrap();

@@ -208,8 +208,9 @@ mod tests {
         assert!(outliers(&[rim(0.9), many[0], many[1]]).unwrap().ends_with("; and 1 at their rims"));
     }
 
+    /// Also the pixels left out and runs of too bright or too dark ones. A warning has χ² itself, so it is not repeated.
     #[test]
-    fn findings_tell_how_good_the_fit_is_and_what_the_data_say_of_the_set_up() {
+    fn findings_give_goodness_of_fit_and_nuisances() {
         let mut refined = crate::testing::channel("R", 6.21, 1.0).refined.unwrap();
         assert_eq!(findings(&refined), Vec::<String>::new());
         refined.likelihood = Some(likelihood(712.4, 0.5312));

@@ -137,8 +137,9 @@ fn pdf() -> Vec<u8> {
 mod tests {
     use super::*;
 
+    /// Black and white squares border on it, and all is within the printable area.
     #[test]
-    fn an_edge_of_40_mm_runs_through_the_middle_with_squares_on_both_sides() {
+    fn the_boards_middle_edge_is_40_mm_long() {
         let (left, top) = corner();
         let middle = [left + 0.5 * SQUARES[0] as f64 * SQUARE_MM, top + 0.5 * height_mm()];
         let is_black = |dx: f64, dy: f64| {

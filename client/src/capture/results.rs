@@ -292,7 +292,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slabs_that_are_nearly_alike_share_a_thickness_of_the_dictionary() {
+    fn nearly_equal_slabs_share_a_dictionary_thickness() {
         assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.505, 1.01]);
         assert_eq!(grouped(vec![0.5, 0.6]), [0.5, 0.6]);
     }

@@ -261,8 +261,9 @@ mod tests {
         assert!(notes[0].text.contains("\"thickness (\u{b5}m)\" is divided by 1000"), "{}", notes[0].text);
     }
 
+    /// Pixels and percentages are refused.
     #[test]
-    fn what_is_known_of_the_set_up_may_be_told_in_any_unit_of_length() {
+    fn set_up_columns_take_any_unit_of_length() {
         let all = "material,channel,thickness_mm,x_mm,value";
         let (columns, notes) = find(&format!("{all},{}", SETUP.join(","))).unwrap();
         assert!(notes.is_empty(), "{notes:?}");

@@ -57,8 +57,9 @@ fn the_strict_format_is_read_in_silence() {
     assert_eq!(shipped.notes, []);
 }
 
+/// Each assumption has a note: separators, decimal commas, headings, colours, blank rows, encodings and order.
 #[test]
-fn what_spreadsheets_write_is_read_with_a_note_of_each_assumption() {
+fn spreadsheet_variants_are_read_with_a_note() {
     let strict = strict();
     let semicolons = strict.replace(',', ";");
     reads_the_same(semicolons.as_bytes(), "SEPARATOR", "separated by semicolons");
@@ -250,7 +251,7 @@ fn with_cells(channel: &str, thickness: f64, cells: &str) -> String {
 }
 
 #[test]
-fn what_is_known_of_each_set_up_is_read_and_empty_cells_tell_nothing() {
+fn set_up_columns_are_read_and_may_be_empty() {
     let thin = with_cells("R", 0.5, "0.004,0.02,0.005,0.025,0.001");
     let file = parse(&format!("{SETUP_HEAD}{thin}{}", with_cells("R", 1.0, ",,,,")));
     assert_eq!(file.notes, []);
@@ -262,9 +263,9 @@ fn what_is_known_of_each_set_up_is_read_and_empty_cells_tell_nothing() {
     assert_eq!(thick.setup(), &optics_model::measurement::ProfileSetup::default());
 }
 
-/// The edge is looked for where it is said to be.
+/// The edge is expected at origin_mm, or at zero. Elsewhere it is refused with the value that would do.
 #[test]
-fn an_edge_away_from_zero_is_accepted_where_it_is_told_and_nowhere_else() {
+fn an_edge_away_from_zero_needs_origin_mm() {
     let shifted = |origin: &str| {
         let row = |(x, v): (f64, f64)| format!("w,R,0.5,{:.5},{v:.5},{origin}\n", x + 2.0);
         let body: String = pixels(0.5).map(row).collect();
@@ -285,8 +286,9 @@ fn an_edge_away_from_zero_is_accepted_where_it_is_told_and_nowhere_else() {
     assert!(wrong.contains(expected), "{wrong}");
 }
 
+/// The message names line and field. Values must be in range, and the same in all rows of a profile.
 #[test]
-fn a_set_up_that_contradicts_itself_is_refused_with_line_and_field() {
+fn inconsistent_set_up_columns_are_refused() {
     let told = |cells: &str| error(&format!("{SETUP_HEAD}{}", with_cells("R", 0.5, cells)));
     let place = "line 2, material w, channel R, 0.5 mm: ";
     for (cells, expected) in [

@@ -135,8 +135,9 @@ fn a_dng_gives_its_samples_levels_and_how_it_was_taken() {
     assert_eq!(photograph.about, about);
 }
 
+/// Both byte orders, deflate, horizontal differencing, and tiles.
 #[test]
-fn both_orders_of_bytes_deflate_differences_and_tiles_give_the_same_samples() {
+fn all_encodings_decode_to_the_same_samples() {
     let mut big = Maker::dng();
     big.big_endian = true;
     big.strip = counting().iter().flat_map(|v| v.to_be_bytes()).collect();
@@ -161,8 +162,9 @@ fn both_orders_of_bytes_deflate_differences_and_tiles_give_the_same_samples() {
     }
 }
 
+/// With 10, 12 and 14 bits a sample.
 #[test]
-fn samples_of_12_and_14_bits_are_packed_with_the_highest_bit_first() {
+fn packed_samples_have_the_highest_bit_first() {
     for bits in [10_u32, 12, 14] {
         let values: Vec<u32> = (0..24).map(|v| v * 611 % (1 << bits)).collect();
         let mut strip = Vec::new();
@@ -245,8 +247,9 @@ fn with_masked_margin(light_in_margin: u16) -> Maker {
     maker.with(50_714, &[505]).with(50_829, &[0, 6, 40, 46]).with(50_830, &[0, 0, 40, 6])
 }
 
+/// Unless they are too small, or light has reached them.
 #[test]
-fn masked_margins_tell_the_black_level_unless_light_reaches_them() {
+fn masked_margins_give_the_black_level() {
     let black = |maker: &Maker| maker.decode().unwrap().black.unwrap();
     // 60 samples a place are too few to tell it; 300 are enough.
     assert_eq!(black(&with_masked_margin(0)), [505.0; 4]);
@@ -302,8 +305,9 @@ fn png_of_16_bits_is_read_unless_it_has_a_tone_curve() {
     assert!(refused(&png(ColorType::Rgba, BitDepth::Sixteen, None)).contains("allowed are grey and RGB"));
 }
 
+/// The message gives the reason, and what to do.
 #[test]
-fn what_is_no_photograph_of_radiances_is_refused_with_what_to_do() {
+fn files_without_linear_radiance_are_refused() {
     for (bytes, told) in [
         (&b""[..], "the file is empty"),
         (b"\xff\xd8\xff\xe0", "JPEG holds 8 bits after a tone curve"),
@@ -341,8 +345,9 @@ fn what_is_no_photograph_of_radiances_is_refused_with_what_to_do() {
     );
 }
 
+/// Before memory is allocated for the 150 million pixels of their head.
 #[test]
-fn a_few_bytes_that_claim_to_be_a_huge_picture_are_refused_before_memory_is_taken() {
+fn tiny_files_that_claim_huge_pictures_are_refused() {
     for compression in [1, 7, 8] {
         let mut huge = Maker::dng().with(259, &[compression]);
         (huge.width, huge.height) = (15_000, 10_000);

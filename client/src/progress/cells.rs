@@ -78,7 +78,7 @@ mod tests {
 
     /// 38 values of σ_t, 11 of g and 2 thicknesses: two jobs share a cell.
     #[test]
-    fn the_papers_grid_has_a_column_for_each_extinction_and_a_row_for_each_anisotropy() {
+    fn the_papers_grid_is_drawn_as_extinction_by_anisotropy() {
         let mut cells = Cells::new(&Grid::paper());
         set(&mut cells, &[0, 1, 22, 23], JobState::Done);
         set(&mut cells, &[2], JobState::Computing);

@@ -222,8 +222,9 @@ media = {
         assert_eq!(roxmltree::Document::parse(&empty).unwrap().root_element().tag_name().name(), "scene");
     }
 
+    /// It is a power of ten, and 1 for values that need none.
     #[test]
-    fn the_scale_brings_rgb_to_at_most_one_and_leaves_small_values_alone() {
+    fn the_scale_brings_large_rgb_values_to_at_most_one() {
         let scale_for = |sigma_t: [f64; 3]| {
             scale(&Values::Rgb(sigma_t.map(|sigma_t| Medium::new(sigma_t, 0.5, 0.0).unwrap())))
         };

@@ -142,8 +142,9 @@ mod tests {
         Session::parse(&serde_json::from_str(text).unwrap())
     }
 
+    /// The fields of the set-up are read. Those of other programs may be there, too.
     #[test]
-    fn what_a_session_tells_is_read_and_what_is_for_others_is_left_alone() {
+    fn unknown_fields_of_a_session_are_ignored() {
         let session = parse(
             r#"{"format": "farmctl-session/1", "gain_std_error": 0.01, "offset_std_error": 0, "slope_std_error": null,
                 "thickness_std_error_mm": 0.002, "origin_std_error_mm": 0.004, "camera": {"name": "x"},
@@ -167,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_refused_with_field_value_and_what_is_allowed() {
+    fn invalid_fields_are_refused_with_the_allowed_values() {
         let with = |field: &str| {
             parse(&format!(r#"{{"format": "farmctl-session/1", {field}}}"#)).unwrap_err().to_string()
         };

@@ -18,8 +18,9 @@ fn session(text: &str) -> tempfile::NamedTempFile {
 const SESSION: &str = r#"{"format": "farmctl-session/1", "gain_std_error": 0.01, "thickness_std_error_mm": 0.002,
                           "blur_mm": {"R": 0.025, "G": 0.024}, "blur_std_error_mm": 0.001}"#;
 
+/// What a measurement has of its own wins over the command line, and this over the session file.
 #[test]
-fn the_command_line_wins_over_the_session_and_the_measurement_over_both() {
+fn set_up_precedence_is_measurement_command_line_session() {
     let file = session(SESSION);
     let args = SetUpArgs {
         session: Some(file.path().to_owned()),

@@ -80,9 +80,9 @@ fn the_head_asks_for_the_array_and_the_warning() -> Result<(), Box<dyn std::erro
     Ok(())
 }
 
+/// Their options arrive literally, whatever characters they have.
 #[test]
-fn the_worker_gets_its_options_and_not_the_submitters_environment() -> Result<(), Box<dyn std::error::Error>>
-{
+fn workers_do_not_get_the_submitters_environment() -> Result<(), Box<dyn std::error::Error>> {
     let mut submission = submission()?;
     submission.coordinator.access = Some("/home/it's me/a \"b\"/$x.toml".to_owned());
     let call = called(&submission.script(), &[])?;

@@ -71,8 +71,9 @@ mod tests {
         assert!((1000..150_000).contains(&bytes), "{bytes} bytes");
     }
 
+    /// A browser with the same version gets 304, and one that accepts gzip the compressed file.
     #[test]
-    fn a_file_is_sent_once_and_compressed_for_those_who_can_read_that() {
+    fn assets_are_cached_and_compressed_on_request() {
         let plain = asset("page.js", &HeaderMap::new()).unwrap();
         assert!(plain.headers().get(CONTENT_ENCODING).is_none());
         assert_eq!(plain.headers()[CACHE_CONTROL], "no-cache");

@@ -51,8 +51,9 @@ fn what_is_left_out_is_the_papers() {
     assert_eq!(session.scene, optics_model::Scene::paper());
 }
 
+/// The message names file, line and field, and the values that are allowed.
 #[test]
-fn wrong_values_are_refused_with_file_line_field_and_what_is_allowed() {
+fn invalid_values_are_refused_with_place_and_range() {
     let told = refused("thickness_mm = 0.512", "thickness_mm = -1");
     assert_eq!(
         told,

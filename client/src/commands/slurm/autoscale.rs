@@ -244,8 +244,9 @@ impl Autoscaler<'_> {
 mod tests {
     use super::*;
 
+    /// Options and variables of sbatch alone are refused: squeue and scancel would ask another cluster.
     #[test]
-    fn a_cluster_is_named_in_a_way_that_all_of_slurms_commands_follow() {
+    fn clusters_are_selected_by_slurm_clusters_only() {
         let check = |option: &str, variable: (&str, &str)| {
             let is = |name: &str| (name == variable.0).then(|| variable.1.to_owned());
             is_one_cluster(&[option.parse().unwrap()], is)

@@ -157,8 +157,9 @@ mod tests {
         );
     }
 
+    /// Each cell has the colour of its node's distance.
     #[test]
-    fn colours_follow_the_distances_in_cells_between_geometric_midpoints() {
+    fn map_cells_end_at_geometric_midpoints() {
         let figure = figure(1);
         let plan = Plan::new(&figure).unwrap();
         let frame = plan.frame(0, 0.0);

@@ -97,8 +97,9 @@ fn workers_double_until_there_are_enough() {
     assert_eq!(cluster.states(), (12, 0));
 }
 
+/// A full cluster, where they wait, gets no further ones.
 #[test]
-fn there_are_never_more_than_told_and_a_full_cluster_is_not_asked_again() {
+fn workers_never_exceed_the_limit() {
     let mut cluster = Cluster::new(6, 2);
     cluster.looks(100, 10_000);
     assert_eq!(cluster.states(), (2, 4));
@@ -125,8 +126,9 @@ fn work_that_is_done_soon_is_worth_no_further_worker() {
     assert_eq!(Cluster::new(64, 64).look_with(1, soon).action, Action::Submit(NonZeroU32::MIN));
 }
 
+/// Only after two looks in a row, the newest first, and never those that run.
 #[test]
-fn what_waits_in_vain_is_taken_back_once_it_is_clear_and_what_runs_is_left() {
+fn unneeded_waiting_workers_are_cancelled() {
     let mut cluster = Cluster::new(8, 3);
     cluster.looks(6, 1000);
     assert_eq!(cluster.states(), (3, 5));
@@ -183,8 +185,9 @@ fn tasks_that_are_held_take_no_place() {
     );
 }
 
+/// The pauses double, and after a number of failures the autoscaler gives up.
 #[test]
-fn workers_that_never_arrive_are_tried_less_and_less_and_then_given_up() {
+fn missing_workers_are_retried_with_growing_pauses() {
     let mut scaling = Scaling::new(limits(8));
     let (mut tries, mut now, mut pauses) = (Vec::new(), Duration::ZERO, Vec::new());
     for job in 1.. {
@@ -207,8 +210,9 @@ fn workers_that_never_arrive_are_tried_less_and_less_and_then_given_up() {
     assert_eq!(tries.len() as u32, HOPELESS);
 }
 
+/// As long as other workers run, those that die before they join cause pauses, but no end.
 #[test]
-fn a_node_that_swallows_workers_slows_the_others_down_but_stops_nobody() {
+fn a_bad_node_slows_scaling_but_does_not_stop_it() {
     let mut cluster = Cluster::new(4, 4);
     cluster.looks(6, 1000);
     assert_eq!(cluster.states(), (4, 0));
@@ -244,8 +248,9 @@ fn a_worker_that_arrives_ends_the_pause() {
     assert_eq!(scaling.look(4 * LOOK, &demand(100, 0), &[], &[]).failed, []);
 }
 
+/// They are not submitted again, and those that end later are not failures.
 #[test]
-fn after_a_start_anew_nothing_is_submitted_twice_and_who_runs_is_not_blamed() {
+fn a_restarted_autoscaler_adopts_running_workers() {
     let tasks = [1, 2, 3].map(|task| (TaskId { job: 7, task }, TaskState::Running));
     let mut scaling = Scaling::new(limits(3));
     assert_eq!(scaling.look(LOOK, &demand(1000, 12), &tasks, &[]).action, Action::Nothing);
