@@ -139,8 +139,9 @@ mod tests {
     use crate::leases::SetSwitch;
     use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
 
+    /// The report is repeated until it gets an answer.
     #[tokio::test(start_paused = true)]
-    async fn a_job_that_makes_the_tracer_panic_is_reported_and_held_no_more() {
+    async fn a_tracer_panic_is_reported_and_the_lease_released() {
         let coordinator = Coordinator::start();
         let (session, held) = session(&coordinator).await;
         let (finished, _queue) = mpsc::unbounded_channel();

@@ -191,8 +191,9 @@ mod tests {
         assert!(!held.lose(&keys[1]), "it is lost once");
     }
 
+    /// The result may still count.
     #[test]
-    fn a_job_with_a_result_keeps_its_lease_when_the_coordinator_calls_it_lost() {
+    fn a_lost_lease_is_kept_for_a_finished_job() {
         let (held, switches, keys) = one_of_each();
         assert!(!held.lose(&keys[2]));
         assert_eq!(held.all().len(), 3);

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_thread_says_that_it_is_about_to_begin_and_waits_for_the_start() {
+    async fn a_thread_announces_a_job_and_waits_for_the_start() {
         let pool = Pool::new(1).unwrap();
         let (begun, begins) = oneshot::channel();
         let traced = tokio::spawn(async move { pool.trace(vec![job(1)], vec![Arc::default()], begun).await });
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_that_was_stopped_before_does_not_begin_and_one_that_runs_ends() {
+    async fn stopped_jobs_end_whether_begun_or_not() {
         let pool = Pool::new(1).unwrap();
         let before = Arc::<JobSwitches>::default();
         before.stop();

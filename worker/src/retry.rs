@@ -131,8 +131,9 @@ mod tests {
         }
     }
 
+    /// In an hour without an answer, fewer than 1,000 calls are made.
     #[tokio::test(start_paused = true)]
-    async fn an_hour_of_silence_is_outlasted_with_a_call_at_least_every_twenty_seconds() {
+    async fn calls_repeat_at_least_every_20_s_for_an_hour() {
         let (start, calls) = (Instant::now(), RefCell::new(Vec::new()));
         let hour = Duration::from_hours(1);
         let (_never, back) = watch::channel(());
@@ -175,8 +176,9 @@ mod tests {
         assert!(pauses[0] < few && pauses[1] > few && pauses[2] > few, "{pauses:?}");
     }
 
+    /// A coordinator that returns again and again and refuses each call gets about ten calls a minute.
     #[tokio::test(start_paused = true)]
-    async fn a_coordinator_that_is_back_again_and_again_and_never_satisfied_is_not_called_without_pause() {
+    async fn repeated_reconnections_do_not_skip_the_pauses() {
         let (teller, back) = watch::channel(());
         let (start, calls) = (Instant::now(), RefCell::new(0));
         let answer = repeat(back, || async {

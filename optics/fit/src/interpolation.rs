@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_integral_of_fifth_degree_is_found_on_either_side_of_a_step() {
+    fn quintic_integrals_are_exact_beside_a_step() {
         let of = |x: f64| {
             if x < 9.0 { 0.1 * (x - 9.0).powi(5) } else { 0.4 * (x - 9.0) - 0.02 * (x - 9.0).powi(4) }
         };

@@ -136,8 +136,9 @@ mod tests {
         }
     }
 
+    /// Also where their number does not divide that of the fine ones.
     #[test]
-    fn coarse_pixels_are_means_of_fine_ones_also_when_they_do_not_divide() {
+    fn coarse_pixels_are_means_of_fine_ones() {
         let profile = measured(700, 10.0, 0.0, |x| 2.0 * x);
         for n in [100, 90] {
             let resampled = of(&profile, sensor(n));

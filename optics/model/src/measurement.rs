@@ -221,8 +221,9 @@ mod tests {
         (0..n).map(|i| i as f64 * 0.1).collect()
     }
 
+    /// Values must be finite and not constant, and x rising and evenly spaced.
     #[test]
-    fn profiles_must_be_finite_rising_evenly_spaced_and_not_constant() {
+    fn malformed_profiles_are_refused() {
         assert!(profile(ramp(10), ramp(10)).is_ok());
         let mut nan = ramp(10);
         nan[3] = f64::NAN;

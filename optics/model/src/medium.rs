@@ -136,8 +136,9 @@ impl TransportPoint {
 mod tests {
     use super::*;
 
+    /// The message has field, value and range.
     #[test]
-    fn parameters_out_of_range_are_refused_with_field_value_and_range() {
+    fn out_of_range_parameters_are_refused() {
         for (medium, field, given) in [
             (Medium::new(0.0, 0.5, 0.0), "sigma_t_per_mm", "0"),
             (Medium::new(f64::NAN, 0.5, 0.0), "sigma_t_per_mm", "NaN"),

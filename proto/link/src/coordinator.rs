@@ -150,8 +150,9 @@ mod tests {
         format!("{n:032}")
     }
 
+    /// Other tokens have none, nor does a token's hash.
     #[test]
-    fn a_token_has_the_role_and_the_name_of_its_entry_and_others_have_none() {
+    fn a_token_has_its_entrys_role_and_name() {
         let entries =
             [entry("worker", "a", &other(1)), entry("client", "b", TOKEN), entry("admin", "c", &other(2))];
         let access = read(&content(&entries.concat())).unwrap();

@@ -221,8 +221,9 @@ mod tests {
         assert_eq!(Likelihood::try_from(wire::Likelihood::from(there.clone())).unwrap(), there);
     }
 
+    /// A newer coordinator may have more of them. A missing bound is refused.
     #[test]
-    fn a_nuisance_of_a_newer_coordinator_is_left_out_and_a_missing_bound_refused() {
+    fn unknown_nuisances_are_ignored() {
         let mut message = wire::Likelihood::from(likelihood());
         message.nuisances[2].nuisance = 99;
         message.nuisances[3].nuisance = 0;

@@ -87,8 +87,9 @@ fn assert_left_for_good(coordinator: &Coordinator) {
     );
 }
 
+/// Jobs and a block of a divided job, all with the right bytes.
 #[tokio::test]
-async fn every_job_is_traced_and_delivered_before_an_idle_worker_leaves() {
+async fn an_idle_worker_delivers_all_results_before_it_exits() {
     let coordinator = coordinator();
     let (jobs, block) = (0..5, job(9).with_block(0).unwrap());
     coordinator.offer(jobs.clone().map(lease).chain([lease_of(5, block.clone())]));
@@ -119,8 +120,9 @@ async fn a_worker_holds_one_job_more_than_it_has_threads() {
     assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
 }
 
+/// It hands back those that have not begun.
 #[tokio::test]
-async fn a_worker_that_is_to_leave_ends_what_runs_and_hands_the_rest_back() {
+async fn a_drained_worker_finishes_its_running_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, long_job()), lease(1)]);
     let working = Working::start(&coordinator, |config| config);
@@ -132,8 +134,9 @@ async fn a_worker_that_is_to_leave_ends_what_runs_and_hands_the_rest_back() {
     assert_left_for_good(&coordinator);
 }
 
+/// First those that have not begun, then those that do not finish within the grace period.
 #[tokio::test]
-async fn a_stopped_worker_hands_back_what_has_not_begun_and_what_the_grace_does_not_suffice_for() {
+async fn a_stopped_worker_hands_back_unfinished_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, endless_job()), lease(1)]);
     let grace = Duration::from_millis(100);
@@ -176,8 +179,9 @@ async fn a_worker_announces_that_it_stops_before_its_grace() {
     assert_eq!(announced, [(true, false, 0), (true, true, 1)]);
 }
 
+/// The worker registers again and delivers their results.
 #[tokio::test]
-async fn a_restarted_coordinator_interrupts_no_job_and_gets_its_result() {
+async fn a_restarted_coordinator_does_not_interrupt_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, long_job())]);
     let idle_exit = Some(Duration::from_millis(50));
@@ -189,8 +193,9 @@ async fn a_restarted_coordinator_interrupts_no_job_and_gets_its_result() {
     assert_eq!(delivered(&coordinator).len(), 1);
 }
 
+/// Its jobs are stopped, and it makes no further calls for them.
 #[tokio::test]
-async fn a_worker_that_is_fenced_off_ends_with_the_reason_and_stops_its_jobs() {
+async fn a_fenced_worker_stops_with_the_reason() {
     let coordinator = coordinator();
     let fenced = Status::permission_denied("this worker is fenced off: its records were wrong");
     coordinator.offer([lease_of(0, endless_job())]);

@@ -72,8 +72,9 @@ async fn a_result_is_delivered_until_it_is_acknowledged() {
     assert_eq!(worker.delivered().await, vec![vec![7]; 5]);
 }
 
+/// After the time that the slowest link needs. Then the result is sent again.
 #[tokio::test(start_paused = true)]
-async fn an_answer_that_never_comes_is_awaited_no_longer_than_the_slowest_link_takes() {
+async fn an_unanswered_delivery_times_out() {
     let worker = Worker::start().await;
     worker.coordinator.answer(Method::Complete, Answer::Never);
     let start = Instant::now();
@@ -97,8 +98,9 @@ async fn an_hour_without_the_coordinator_costs_no_result() {
     assert_eq!(jobs, [0, 1, 2, 3, 4, 5]);
 }
 
+/// A restarted coordinator does not have the worker: it registers again, keeps its lease, and delivers.
 #[tokio::test(start_paused = true)]
-async fn a_coordinator_that_does_not_know_the_worker_gets_the_result_of_the_one_that_registers_again() {
+async fn a_result_is_redelivered_after_registering_again() {
     let worker = Worker::start().await;
     worker.coordinator.restart(Duration::from_secs(30));
     worker.finish([7]);
@@ -134,8 +136,9 @@ async fn a_result_that_could_not_be_stored_goes_behind_the_others() {
     assert_eq!(worker.delivered().await, [[0], [1], [2], [0]]);
 }
 
+/// A coordinator with a full disk is called with pauses, and gets all results when it has room.
 #[tokio::test(start_paused = true)]
-async fn a_full_disk_is_not_asked_all_the_time_and_takes_all_when_it_has_room() {
+async fn results_are_redelivered_with_pauses_when_not_stored() {
     let worker = Worker::start().await;
     let rounds = 20;
     for _ in 0..rounds {
@@ -172,7 +175,7 @@ async fn an_invalid_result_is_reported_and_harms_no_other() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn results_of_a_worker_that_is_fenced_off_are_dropped_without_a_report() {
+async fn results_of_a_fenced_worker_are_dropped_unreported() {
     let worker = Worker::start().await;
     let fenced = Status::permission_denied("this worker is fenced off");
     worker.coordinator.answer(Method::Complete, Answer::Error(fenced));

@@ -64,8 +64,9 @@ async fn a_lost_lease_stops_its_job_and_is_renewed_no_more() {
     assert_eq!(renewal.leases[0].key.clone().unwrap().job, 0);
 }
 
+/// The heartbeat passes the drain on, and running jobs keep their leases.
 #[tokio::test(start_paused = true)]
-async fn the_wish_that_the_worker_leave_is_passed_on_while_leases_are_still_renewed() {
+async fn leases_are_renewed_while_draining() {
     let beating = Beating::start().await;
     assert!(!beating.drain.is_cancelled());
     beating.coordinator.drain();
@@ -83,7 +84,7 @@ async fn renewals_that_get_no_answer_are_given_up_in_time_for_another() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn after_a_restart_renewals_come_as_often_as_the_coordinator_wants_now() {
+async fn renewals_follow_the_restarted_coordinators_interval() {
     let beating = Beating::start().await;
     sleep(LEASE).await;
     beating.coordinator.restart(LEASE / 10);

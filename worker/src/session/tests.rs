@@ -60,8 +60,9 @@ async fn a_worker_that_is_refused_ends_with_the_reason() {
     assert_eq!(coordinator.calls(Call::register).len(), 1);
 }
 
+/// The renewal names the leases that it holds, and those that run.
 #[tokio::test(start_paused = true)]
-async fn an_unknown_worker_registers_again_and_tells_what_it_holds_before_it_asks_for_more() {
+async fn an_unknown_worker_registers_and_renews_before_acquiring() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
     let identity = job(1).identity();
@@ -103,8 +104,9 @@ async fn calls_that_find_the_worker_unknown_at_once_register_it_once() {
     assert_eq!(coordinator.calls(Call::register).len(), 2);
 }
 
+/// Within 50 ms, once another call has found it.
 #[tokio::test(start_paused = true)]
-async fn what_waited_for_a_coordinator_is_delivered_as_soon_as_it_is_back() {
+async fn waiting_calls_are_sent_when_the_coordinator_returns() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
     hold(&held, 1);
@@ -128,7 +130,7 @@ async fn what_waited_for_a_coordinator_is_delivered_as_soon_as_it_is_back() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_coordinator_of_another_version_after_a_restart_refuses_the_worker() {
+async fn a_restarted_coordinator_of_another_version_refuses() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
     coordinator.restart(LEASE);
@@ -147,8 +149,9 @@ async fn leases_hold_as_long_as_the_coordinator_said_last() {
     assert_eq!(session.lease(), shorter);
 }
 
+/// Each lease is named once, when leases are renewed and after a new registration.
 #[tokio::test(start_paused = true)]
-async fn renewals_and_announcements_name_every_lease_in_calls_that_the_coordinator_takes() {
+async fn renewals_are_split_at_the_request_limit() {
     let most = RequestLimits::LEASES as usize;
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
@@ -175,7 +178,7 @@ async fn renewals_and_announcements_name_every_lease_in_calls_that_the_coordinat
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_worker_without_leases_is_heard_of_and_hears_that_it_is_to_leave() {
+async fn renewals_without_leases_report_a_drain() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
     assert_eq!(session.renew(vec![]).await.unwrap(), (vec![], false));

@@ -259,8 +259,9 @@ fn improvements_are_those_of_a_better_set_up() {
     assert_eq!(set.improvements.len(), 8);
 }
 
+/// Two slabs are better than two photographs of one, since each has its own error.
 #[test]
-fn thicknesses_of_the_dictionary_make_up_the_sets_and_the_best_is_marked() {
+fn sets_combine_dictionary_thicknesses_and_mark_the_best() {
     let dictionary = dictionary(dense_axes());
     let found = sets(&dictionary, settings(guess(), FitSettings::default(), &[], &[1, 2]));
     let tried: Vec<(Vec<f64>, u32)> = found.iter().map(|s| (s.slabs_mm.clone(), s.shots)).collect();

@@ -268,8 +268,9 @@ mod tests {
         assert!(largest(&seen, &profile) < 1e-12);
     }
 
+    /// Within the bound of six-point interpolation.
     #[test]
-    fn shifted_blurred_and_coarser_profiles_are_those_of_the_formula() {
+    fn shift_blur_and_resampling_match_the_formula() {
         let profile = edge(PIXELS, 0.0, 0.12);
         for (pixels, origin, blur) in
             [(360, 0.011, 0.0), (360, -0.07, 0.03), (180, 0.2, 0.025), (500, 0.0, 0.1)]

@@ -334,9 +334,9 @@ fn the_derivative_by_the_scale_is_that_of_the_model() {
     }
 }
 
-/// The reference is 1.5 % brighter than told: levels are too high, and the dictionary's ρ, too.
+/// The reference is 1.5 % brighter than stated: levels are too high, and so is the dictionary's ρ.
 #[test]
-fn an_error_of_the_white_reference_is_followed_through_the_boards_reflectance() {
+fn white_reference_errors_propagate_to_reflectance() {
     let error = 0.015;
     let exact = measured(MEDIUM, 3, Flaws::default());
     let spoilt = exact.profiles().iter().map(|p| {

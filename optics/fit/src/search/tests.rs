@@ -189,8 +189,9 @@ fn profiles_beyond_all_records_are_fitted_and_marked() {
     assert_eq!(outside(0.01), (Some(Outside::Darker), 5));
 }
 
+/// Unknown channels and thicknesses, and an x that hardly overlaps with the dictionary's.
 #[test]
-fn unknown_channels_and_thicknesses_and_foreign_ranges_are_refused() {
+fn profiles_outside_the_dictionary_are_refused() {
     let dictionary = dictionary(360);
     let x: Vec<f64> = (0..50).map(|i| f64::from(i) * 0.1).collect();
     let refuse = |channel: &str, thickness: f64, shift: f64| {

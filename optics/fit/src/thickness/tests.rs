@@ -55,8 +55,9 @@ fn medium(sigma_t: f64) -> Coordinates {
 /// Of low, middle and high optical thickness: where the dictionary lacks the thick slab, nothing, or the thin one.
 const SIGMA_T_PER_MM: [f64; 3] = [1.3, 4.1, 17.0];
 
+/// A thickness of the dictionary needs no interpolation: values and slopes are those of its records.
 #[test]
-fn at_thicknesses_of_the_dictionary_it_is_the_prediction_from_records() {
+fn dictionary_thicknesses_are_predicted_from_records() {
     let dictionary = dictionary(&[0.5, 0.8, 1.0]);
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     for (thickness, mm) in [0.5, 0.8, 1.0].into_iter().enumerate() {
@@ -183,8 +184,10 @@ fn sigma_t_is_limited_by_the_optical_thicknesses_of_the_grid() {
     }
 }
 
+/// Between two thicknesses that are not too far apart, both are used. Beyond the ends, the nearest is used with one that
+/// is far enough from it, if there is one.
 #[test]
-fn thicknesses_are_taken_from_neighbours_or_from_a_partner_that_is_far_enough() {
+fn basis_thicknesses_are_neighbours_or_well_separated() {
     let of = |axis: &[f64], mm: f64| Basis::of(dictionary(axis).grid(), mm);
     assert_eq!(of(&[0.5, 1.0], 0.7), Basis::Two { thin: 0, thick: 1 });
     assert_eq!(of(&[0.5, 0.8, 1.0], 0.9), Basis::Two { thin: 1, thick: 2 });
@@ -326,11 +329,11 @@ fn one_thickness_suffices_for_slabs_that_are_nearly_as_thick() {
     }
 }
 
-/// The table of the document, in some minutes:
+/// Below a fifth of the records' noise. The table of the document, in some minutes:
 /// `cargo test -p optics-fit --lib over_the_grid -- --ignored --nocapture`.
 #[test]
 #[ignore = "traces for some minutes"]
-fn the_error_stays_below_a_fifth_of_the_records_noise_over_the_grid() {
+fn the_error_is_small_over_the_grid() {
     let albedo = vec![0.4, 0.8, 0.9, 0.95, 0.99, 0.999];
     let mut worst = 0.0_f64;
     for tau in [0.5, 0.75, 1.5, 3.0, 6.0, 12.0, 20.0] {

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_refused_number_of_walks_is_told_the_nearest_that_is_allowed() {
+    fn a_refused_number_of_walks_names_the_nearest_valid_one() {
         for (given, nearest) in [
             (0, 1000),
             (749, 1000),

@@ -14,8 +14,9 @@ pub fn colour(name: &str) -> Option<&'static str> {
 mod tests {
     use super::colour;
 
+    /// Letters and words are colours; wavelengths are not.
     #[test]
-    fn letters_and_words_in_any_case_are_colours_and_wavelengths_are_not() {
+    fn colour_names_are_recognised_in_any_case() {
         assert_eq!(["r", "Red", "GREEN", "b"].map(colour), [Some("R"), Some("R"), Some("G"), Some("B")]);
         assert_eq!(["450", "mono", "infrared", ""].map(colour), [None; 4]);
     }

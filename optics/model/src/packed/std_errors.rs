@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_told_to_three_per_cent_and_their_squares_without_bias() {
+    fn rounded_errors_are_within_3_percent_and_unbiased() {
         let (mut squares, mut n) = (0.0, 0.0);
         for error in many() {
             let mut told = [error];
