@@ -74,8 +74,9 @@ fn workers_come_with_the_work_and_go_without() {
     assert!(labels.contains(&Value::from("slurm:1.1@node1")), "{labels:?}");
 }
 
+/// At the start that is an error, and later one event, until Slurm answers again.
 #[test]
-fn without_an_answer_of_slurm_nothing_is_done_and_it_is_told_once() {
+fn nothing_is_submitted_while_slurm_does_not_answer() {
     let farm = Farm::start(&[]);
     let cluster = Cluster::new(farm.path("slurm"), 1);
     cluster.set("away", true);
@@ -103,8 +104,9 @@ fn without_an_answer_of_slurm_nothing_is_done_and_it_is_told_once() {
     assert!(steps(&farm).last().unwrap().1.starts_with("stopped; "), "workers still run");
 }
 
+/// The event names the worker and its log.
 #[test]
-fn workers_that_never_arrive_are_told_and_not_sent_after_each_other() {
+fn missing_workers_are_reported_and_not_resubmitted_at_once() {
     let farm = Farm::start(&[]);
     let cluster = Cluster::new(farm.path("slurm"), 4);
     farm.submit("grid", GRID);
@@ -120,8 +122,9 @@ fn workers_that_never_arrive_are_told_and_not_sent_after_each_other() {
     assert_eq!(autoscaler.exit_within(SOON), 0, "{}", autoscaler.log());
 }
 
+/// Later they are reported once, and the autoscaler pauses.
 #[test]
-fn what_sbatch_refuses_at_once_ends_the_command_and_later_makes_a_pause() {
+fn sbatch_refusals_end_the_command_only_at_the_start() {
     let farm = Farm::start(&[]);
     let cluster = Cluster::new(farm.path("slurm"), 1);
     farm.submit("grid", GRID);

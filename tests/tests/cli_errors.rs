@@ -243,8 +243,9 @@ fn values_of_files_are_refused_with_their_line_and_their_key() {
     assert!(!dir.path().join("farm-data").exists());
 }
 
+/// A folder without a coordinator needs no farm-worker.
 #[test]
-fn a_folder_in_which_nothing_computes_says_to_submit_and_not_to_start_a_worker() {
+fn explain_suggests_submit_in_an_idle_local_folder() {
     let farm = unfinished();
     let explained = run(farm.path(), &["explain", "long"]);
     assert_eq!(explained.code, 0, "{}", explained.stderr);

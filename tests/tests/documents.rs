@@ -141,7 +141,7 @@ fn every_path_in_the_documents_exists() {
 
 /// A document outside of the book would be a dead link in it.
 #[test]
-fn the_book_has_every_page_that_there_is_or_that_a_page_links_to() {
+fn the_book_has_every_page() {
     let documents = documents();
     let summary = Path::new("docs/SUMMARY.md");
     let pages: BTreeSet<PathBuf> =

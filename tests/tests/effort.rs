@@ -39,8 +39,9 @@ fn blocks_traced_apart_make_the_records_of_the_whole() -> Result<()> {
     Ok(())
 }
 
+/// Its blocks are computed by two workers.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_divided_job_of_several_workers_has_the_undivided_jobs_bytes() -> Result<()> {
+async fn a_divided_job_has_the_undivided_jobs_bytes() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), one_point(4_250_000)?);
     let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
     farm.submit_grid("divided", &grid).await?;
@@ -58,8 +59,9 @@ fn noise(records: &[Record]) -> f64 {
     Quality::noise_of(records)
 }
 
+/// The bytes are those of a grid with as many walks.
 #[tokio::test(flavor = "multi_thread")]
-async fn points_are_traced_until_the_target_error_and_have_the_bytes_of_as_many_walks() -> Result<()> {
+async fn points_are_traced_until_the_target_error() -> Result<()> {
     let mut farm = Farm::start(&[]);
     let plain = small_grid();
     let first: Vec<f64> = (0..plain.job_count()).map(|job| noise(&traced(&plain, job))).collect();
@@ -92,8 +94,9 @@ async fn points_are_traced_until_the_target_error_and_have_the_bytes_of_as_many_
     Ok(())
 }
 
+/// Its bytes are those of a grid computed afresh.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_finer_grid_computes_only_what_is_missing_and_has_the_same_bytes() -> Result<()> {
+async fn a_finer_grid_computes_only_missing_points() -> Result<()> {
     let mut farm = Farm::start(&[]);
     let mut worker = farm.worker("worker", &[]);
     let coarse = small_grid();

@@ -56,7 +56,7 @@ async fn the_farms_records_are_those_of_the_tracer_bit_for_bit() -> Result<()> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_simulated_measurement_is_fitted_to_its_own_record_over_grpc() -> Result<()> {
+async fn a_simulated_measurement_fits_its_own_record_over_grpc() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), small_grid());
     let mut worker = farm.worker("worker", &[]);
     farm.submit_grid("small", &grid).await?;
@@ -111,8 +111,9 @@ async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
     Ok(())
 }
 
+/// Its late result is a duplicate, or a conflict if it differs.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_job_of_a_silent_worker_goes_to_another_and_its_late_result_is_a_duplicate() -> Result<()> {
+async fn a_silent_workers_job_is_reassigned() -> Result<()> {
     let mut farm = Farm::with_tokens(&["silent", "healthy"], &["--lease", "1"]);
     let grid = small_grid();
     farm.submit_grid("small", &grid).await?;
@@ -129,8 +130,9 @@ async fn the_job_of_a_silent_worker_goes_to_another_and_its_late_result_is_a_dup
     Ok(())
 }
 
+/// Nothing of them is stored, and the error names the field.
 #[tokio::test(flavor = "multi_thread")]
-async fn records_that_are_not_the_jobs_are_refused_and_nothing_is_stored() -> Result<()> {
+async fn records_that_do_not_fit_the_job_are_refused() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), small_grid());
     farm.submit_grid("small", &grid).await?;
     let mut worker = farm.hand("by hand").await?;

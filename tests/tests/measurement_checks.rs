@@ -181,8 +181,9 @@ fn always_refused(kind: Kind, mistake: impl Fn(&Traced) -> Traced) {
     }
 }
 
+/// In every medium that shows its edge: units, pixel numbers, encoded values, falling profiles, and an edge elsewhere.
 #[test]
-fn units_encodings_and_sides_are_found_in_every_medium_that_shows_its_edge() {
+fn wrong_units_and_sides_are_detected_in_all_media() {
     always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 255.0 * v + 2.0));
     always_refused(Kind::ValuesTooLarge, |p| p.map(|v| (65_535.0 * v).round() + 100.0));
     always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 100.0 * v + 2.0));

@@ -259,10 +259,10 @@ fn sigma_t_derivative_agrees_with_difference_quotients() {
     }
 }
 
-/// Any number of threads and any instructions give the same bits, and they are these bits on every machine. If a change of the tracer
-/// changes them on purpose, raise `PHYSICS_VERSION` with the new digests.
+/// Any number of threads and any instructions give the same bits, and they are these bits on every machine. If a change
+/// of the tracer changes them on purpose, raise `PHYSICS_VERSION` with the new digests.
 #[test]
-fn results_are_the_same_bits_for_any_number_of_threads_and_every_kernel() {
+fn results_are_bitwise_reproducible() {
     let cases = [
         (Scene::paper(), "01cea9b2b50641a3ad33f70671f210888c2d79895e91372eec78fb79b6d8d91c"),
         (Scene::smooth(), "ef4a575213a0b22ac7c874508966a42dc067081faed71df16637e1341ec9b6f7"),

@@ -46,8 +46,9 @@ fn result(folder: &Path) -> (String, String) {
     (digest, run(folder, &["export", "grid"]).stdout)
 }
 
+/// No record is lost by a kill of farmctl.
 #[test]
-fn an_embedded_farm_killed_again_and_again_ends_with_the_same_bytes() {
+fn a_repeatedly_killed_local_farm_has_the_same_bytes() {
     program("farmctl");
     let undisturbed = folder_with_grid();
     let start = Instant::now();

@@ -55,7 +55,7 @@ fn seed() -> u64 {
 }
 
 #[test]
-fn a_farm_that_is_maltreated_keeps_its_records_and_does_not_grow() {
+fn a_maltreated_farm_keeps_its_records_and_does_not_grow() {
     let whole = seconds();
     let mut farm = Maltreated::start(WORKERS, LEASE_S);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();

@@ -60,8 +60,9 @@ fn explains(site: &Site, name: &str, code: &str) {
     assert!(reasons.as_array().unwrap().iter().any(|r| r["code"] == code), "{code}: {reasons}");
 }
 
+/// A restored backup has the same digest.
 #[tokio::test(flavor = "multi_thread")]
-async fn every_verb_works_over_tls_with_its_exit_code_and_a_restored_backup_has_the_same_digest() {
+async fn all_verbs_work_over_tls_with_their_exit_codes() {
     let mut site = Site::start();
     // Nobody is there to compute.
     site.client(&["submit", "grid.toml"]);

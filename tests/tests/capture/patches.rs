@@ -67,7 +67,7 @@ fn same(areas: &[Area], others: &[Area], within_px: f64) -> bool {
 }
 
 #[test]
-fn a_row_that_stands_upright_is_found_and_one_in_a_picture_of_colours() {
+fn upright_and_coloured_rows_of_patches_are_found() {
     let session = session();
     let lying = areas(&found(session, &session.rho, What::Chart, &PLAIN).unwrap());
     let turned: Vec<Area> =
@@ -94,8 +94,9 @@ fn areas(calibration: &Calibration) -> Vec<Area> {
     calibration.patches.iter().map(|patch| patch.area).collect()
 }
 
+/// They lie within the true patches, clear of the margins, and give the same gains.
 #[test]
-fn patches_are_found_where_they_are_and_tell_what_they_told_with_areas() {
+fn found_patches_calibrate_like_given_areas() {
     let session = session();
     let told = calibrate(session, &PLAIN).unwrap();
     let found = found(session, &session.rho, What::Chart, &PLAIN).unwrap();
@@ -112,9 +113,9 @@ fn patches_are_found_where_they_are_and_tell_what_they_told_with_areas() {
     }
 }
 
-/// Light that falls off by a quarter, and lamps that flicker; and from right to left.
+/// Light that falls off by a quarter, and lamps that flicker; from left to right, and from right to left.
 #[test]
-fn patches_are_found_in_uneven_light_and_in_the_order_that_is_told() {
+fn patches_are_found_in_uneven_light_and_either_order() {
     let camera = Camera { vignetting: 0.25, ..Camera::default() };
     let session = Session::new(camera, slab());
     let look = Look { seed: 3, flicker: 0.004, ..PLAIN };
@@ -127,8 +128,9 @@ fn patches_are_found_in_uneven_light_and_in_the_order_that_is_told() {
     assert!(forwards.iter().zip(&backwards).all(|pair| off(pair) < 1e-6), "{forwards:?} {backwards:?}");
 }
 
+/// The refusal names `areas_px` as the way out.
 #[test]
-fn what_is_not_there_or_in_another_order_is_not_found_and_the_refusal_says_what_helps() {
+fn missing_or_misordered_patches_are_refused() {
     let session = session();
     let swapped = [0.594, 0.956, 0.361, 0.193, 0.09, 0.032];
     for (rho, subject) in [(session.rho.as_slice(), What::Bare), (&swapped, What::Chart)] {

@@ -7,7 +7,7 @@ use farm_tests::process::run;
 use serde_json::{Value, json as value};
 
 #[test]
-fn every_question_takes_the_set_up_from_session_and_command_line() {
+fn all_fits_take_the_set_up_from_session_and_options() {
     let farm = farm();
     let dir = farm.path();
     let profile: String = rows("R", 0.5).lines().map(|line| format!("{line},0.001\n")).collect();

@@ -99,8 +99,9 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
     assert!(json(&error, "error")["message"].as_str().unwrap().contains("dictionary none does not exist"));
 }
 
+/// For any number of threads.
 #[test]
-fn simulate_gives_the_profile_that_the_dictionary_holds_for_any_number_of_threads() {
+fn simulate_equals_the_dictionarys_profile() {
     let farm = farm();
     let dir = farm.path();
     let simulate = |threads: &str| {
@@ -207,8 +208,9 @@ fn an_interrupted_submission_says_so_and_goes_on_later() {
     assert_eq!(run(dir.path(), &["submit", "long.toml", "-q"]).code, 0);
 }
 
+/// It writes no message when the reader of the pipe ends.
 #[test]
-fn export_writes_a_file_whole_and_stops_quietly_when_its_reader_goes() {
+fn export_writes_whole_files_and_survives_a_closed_pipe() {
     let farm = farm();
     let file = farm.path().join("out.csv");
     assert_eq!(run(farm.path(), &["export", "grid", "-o", "out.csv"]).code, 0);

@@ -17,8 +17,9 @@ walks = 300000
 ";
 const JOBS: u64 = 24;
 
+/// Jobs that they hold are not computed twice.
 #[test]
-fn workers_outlive_an_absence_and_nothing_in_hand_is_computed_twice() {
+fn workers_survive_an_absence_of_the_coordinator() {
     let mut farm = Farm::start(&["--verify-share", "0", "--lease", "8"]);
     farm.submit("grid", GRID);
     let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
@@ -41,8 +42,9 @@ fn lines(worker: &Process, what: &str) -> Vec<String> {
     lines.lines().filter(line).map(ToOwned::to_owned).collect()
 }
 
+/// It joins, loses, finds and leaves the coordinator.
 #[test]
-fn a_worker_tells_once_each_that_it_joins_loses_finds_and_leaves_the_coordinator() {
+fn a_worker_logs_each_connection_change_once() {
     let mut farm = Farm::start(&["--lease", "2"]);
     let mut worker = farm.worker("worker", &[]);
     let url = farm.url();

@@ -55,9 +55,9 @@ fn a_farm_goes_on_from_its_last_backup_when_its_disk_is_lost() {
     drop(worker);
 }
 
-/// What the deployment guide says of a standby: the last backup, the same access file, port and name.
+/// As in the deployment guide: the same access file, port and name. Records from after the backup are computed again.
 #[test]
-fn another_machine_takes_over_and_computes_again_what_came_after_the_backup() {
+fn a_standby_takes_over_from_the_last_backup() {
     let mut farm = Farm::closed(&[], &["--lease", "2"]);
     farm.submit("grid", LONGER);
     let worker = farm.worker("worker", &[]);

@@ -55,8 +55,9 @@ impl<'f> Crowd<'f> {
     }
 }
 
+/// 64 workers join, leave and are killed.
 #[tokio::test(flavor = "multi_thread")]
-async fn sixty_four_workers_join_leave_and_die_and_every_record_is_there_once() {
+async fn a_changing_crowd_of_workers_stores_each_record_once() {
     let mut farm = Farm::start(&["--lease", "3"]);
     let start = Instant::now();
     let mut crowd = Crowd::of(&farm, WORKERS);

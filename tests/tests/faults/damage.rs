@@ -48,8 +48,9 @@ fn mended(farm: &Farm) {
     drop(worker);
 }
 
+/// They are never exported.
 #[test]
-fn damaged_records_are_never_handed_out_but_named_and_computed_again() {
+fn damaged_records_are_reported_and_recomputed() {
     let farm = damaged();
     let refused = farm.farmctl(&["export", "grid"]);
     assert_eq!(refused.code, 1, "{}", refused.stderr);

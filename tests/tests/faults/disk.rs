@@ -56,8 +56,9 @@ fn done(farm: &Farm) -> u64 {
     farm.show("grid")["jobs_done"].as_u64().unwrap()
 }
 
+/// Readiness, status and explain name the reason meanwhile.
 #[tokio::test(flavor = "multi_thread")]
-async fn on_a_full_disk_nothing_is_acknowledged_all_say_why_and_with_room_work_goes_on() {
+async fn a_full_disk_acknowledges_nothing_until_there_is_room() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     let Some(disk) = Small::mount(data.clone(), "6m") else {

@@ -60,8 +60,9 @@ async fn an_export_over_a_link_that_breaks_goes_on_where_it_was() {
     assert!(proxy.accepted() > 1, "it connected again");
 }
 
+/// The message gives the number of records that arrived, and no part of the file is left.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_export_whose_coordinator_is_gone_fails_and_says_how_much_came() {
+async fn an_export_fails_when_its_coordinator_is_gone() {
     let (mut farm, proxy, export) = cut_in_the_middle().await;
     farm.kill_coordinator();
     proxy.cut();
@@ -74,8 +75,9 @@ async fn an_export_whose_coordinator_is_gone_fails_and_says_how_much_came() {
     assert_eq!(files(&farm), Vec::<String>::new(), "neither a draft nor a part of a file is left");
 }
 
+/// It ends with exit code 130.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_export_to_a_file_that_is_interrupted_leaves_nothing_and_ends_with_130() {
+async fn an_interrupted_export_leaves_no_file() {
     let (farm, proxy, export) = cut_in_the_middle().await;
     let id = rustix::process::Pid::from_child(&export);
     rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
@@ -105,7 +107,7 @@ sample = true
 ";
 
 #[test]
-fn more_records_than_one_call_may_name_are_exported_all_the_same() {
+fn exports_may_select_more_records_than_one_call() {
     let farm = Farm::start(&[]);
     let albedos: Vec<String> = (1..=300).map(|i| format!("{}", f64::from(i) / 301.0)).collect();
     farm.submit("many", &format!("albedo = [{}]\n{MANY}", albedos.join(", ")));

@@ -55,8 +55,9 @@ fn find_number(line: &serde_json::Value, name: &str) -> Option<u64> {
     line[name].as_u64().or_else(|| line["fields"][name].as_u64())
 }
 
+/// Each of them exists exactly once.
 #[test]
-fn after_kills_at_random_moments_every_acknowledged_record_exists_exactly_once() {
+fn acknowledged_records_survive_random_kills() {
     // Workers that are killed are silent ones: no job is to be given up for it here.
     let mut farm = Farm::start(&["--lease", "1", "--max-attempts", "1000", "--verify-share", "0"]);
     let mut random = Normal::new(SEED);

@@ -28,8 +28,9 @@ fn nobody_is_blamed(farm: &Farm) {
     assert_eq!(farm.figure("farm_leases_expired_total"), 0);
 }
 
+/// It hands the others back at once.
 #[test]
-fn a_worker_told_to_stop_finishes_what_it_traces_and_hands_the_rest_back_at_once() {
+fn a_stopping_worker_finishes_its_running_jobs() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "60s"]);
@@ -102,8 +103,9 @@ fn a_worker_that_is_killed_while_it_stops_is_not_blamed() {
     }
 }
 
+/// Its job is not blamed.
 #[test]
-fn a_worker_without_grace_stops_at_once_and_its_job_is_not_blamed() {
+fn a_worker_without_grace_stops_at_once() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "0s"]);

@@ -24,8 +24,9 @@ fn renewed(farm: &Farm) {
     wait_for("leases are renewed", SOON, || (farm.figure(RENEWED) > before + 2).then_some(()));
 }
 
+/// No job is blamed twice.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_stopped_past_its_lease_delivers_a_duplicate_and_no_job_is_blamed_twice() {
+async fn a_worker_paused_past_its_lease_delivers_duplicates() {
     let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", LONG_JOBS);
@@ -58,8 +59,9 @@ async fn a_worker_stopped_past_its_lease_delivers_a_duplicate_and_no_job_is_blam
     drop((stopped, other));
 }
 
+/// It counts as a duplicate.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_result_whose_acknowledgment_is_lost_is_sent_again_and_counts_as_a_duplicate() {
+async fn a_result_is_resent_when_its_acknowledgment_is_lost() {
     let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);

@@ -21,8 +21,9 @@ async fn ask_at_the_port(farm: &Farm) -> Result<(), tonic::Status> {
     DictionariesClient::new(channel).list(ListRequest::default()).await.map(drop)
 }
 
+/// They can neither read nor change anything through the port: programs of the farm's user go through a private socket.
 #[tokio::test(flavor = "multi_thread")]
-async fn other_users_of_the_machine_neither_read_nor_command_a_farm_on_loopback() {
+async fn a_loopback_farm_is_closed_to_other_users() {
     let mut farm = Farm::start(&[]);
     farm.submit("grid", GRID);
     let status = ask_at_the_port(&farm).await.unwrap_err();

@@ -14,8 +14,9 @@ use tonic::Code;
 
 use super::GRID;
 
+/// Events name the actor.
 #[test]
-fn nobody_but_its_owner_and_admins_changes_a_dictionary_and_events_tell_who_did() {
+fn only_owner_and_admins_change_a_dictionary() {
     let farm = Farm::closed(&[], &[]);
     for name in ["alice", "bob"] {
         farm.let_in("client", name);
@@ -64,7 +65,7 @@ fn nobody_but_its_owner_and_admins_changes_a_dictionary_and_events_tell_who_did(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stream_ends_when_its_token_is_revoked_though_nothing_happens_in_it() {
+async fn revoking_a_token_ends_its_idle_streams() {
     let farm = Farm::closed(&[], &[]);
     farm.let_in("client", "alice");
     farm.submit("grid", GRID);

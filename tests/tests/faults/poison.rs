@@ -8,8 +8,9 @@ use farm_tests::process::{SOON, wait_for};
 
 use super::{GRID, JOBS, LONG_JOBS};
 
+/// The reasons are listed, and the other jobs are done.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_whose_workers_die_is_quarantined_with_reasons_and_the_others_are_done() {
+async fn a_job_whose_workers_die_is_quarantined() {
     let farm = Farm::start(&["--lease", "1", "--max-attempts", "3"]);
     farm.submit("grid", GRID);
     let mut poison = None;
@@ -44,7 +45,7 @@ async fn a_job_whose_workers_die_is_quarantined_with_reasons_and_the_others_are_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_dies_with_jobs_it_has_not_begun_brings_no_blame_on_them() {
+async fn jobs_not_begun_are_not_blamed_for_a_dead_worker() {
     let farm = Farm::start(&["--lease", "1", "--max-attempts", "1"]);
     farm.submit("grid", GRID);
     let mut victim = farm.hand("victim").await.unwrap();
@@ -59,8 +60,9 @@ async fn a_worker_that_dies_with_jobs_it_has_not_begun_brings_no_blame_on_them()
     drop(worker);
 }
 
+/// Even before the first heartbeat. The worker's log can be found from the explanation.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_that_kills_its_worker_at_once_is_blamed_before_the_first_heartbeat() {
+async fn a_job_that_kills_its_worker_at_once_is_blamed() {
     // Heartbeats come every five seconds.
     let farm = Farm::start(&["--lease", "20", "--max-attempts", "1"]);
     farm.submit("long", LONG_JOBS);

@@ -40,8 +40,9 @@ impl Leases for Newer {
     }
 }
 
+/// It logs the reason and ends with exit code 4.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_of_another_physics_version_ends_with_exit_code_4_and_says_why() {
+async fn a_worker_of_another_physics_version_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
@@ -81,8 +82,9 @@ fn fails(ran: &Ran, parts: &[&str]) {
     }
 }
 
+/// The message names the token or the role, but never the token's value.
 #[test]
-fn who_shows_a_wrong_token_or_has_another_role_is_told_so_and_does_not_try_again() {
+fn wrong_tokens_and_roles_are_refused_without_retries() {
     let farm = closed(&[]);
     let (own, strange) = (token_of(&farm, "keys/worker.toml"), token_of(&farm, "strange/worker.toml"));
     forge(&farm, "keys/worker.toml", "worker.toml", |text| text.replace(&own, &strange));
@@ -100,8 +102,9 @@ fn who_shows_a_wrong_token_or_has_another_role_is_told_so_and_does_not_try_again
     assert_eq!(farm.farmctl_with("keys/client.toml", &["list"]).code, 0);
 }
 
+/// Nor does the coordinator answer without TLS.
 #[test]
-fn who_does_not_know_the_coordinators_certificate_does_not_talk_to_it() {
+fn clients_refuse_an_unknown_certificate() {
     let farm = closed(&[]);
     fails(&farm.farmctl_with("strange/client.toml", &["list"]), &["certificate"]);
     let plain = run(farm.folder(), &["list", "--server", &format!("http://127.0.0.1:{}", farm.port())]);
@@ -133,8 +136,9 @@ fn without_a_certificate_nobody_gets_in_where_all_must_show_one() {
     assert_eq!(proper.terminate(Duration::from_secs(20)), 0);
 }
 
+/// Where both sides must show one.
 #[test]
-fn certificates_of_other_files_let_nobody_in_where_all_must_show_one() {
+fn client_certificates_of_other_authorities_are_refused() {
     let farm = closed(&["--mutual"]);
     for role in ["client", "worker"] {
         let strange = std::fs::read_to_string(farm.path(&format!("strange/{role}.toml"))).unwrap();
@@ -154,7 +158,7 @@ fn certificates_of_other_files_let_nobody_in_where_all_must_show_one() {
 }
 
 #[test]
-fn a_coordinator_whose_port_is_taken_does_not_say_that_it_started() {
+fn a_coordinator_with_a_taken_port_logs_no_start() {
     let folder = tempfile::tempdir().unwrap();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let (address, data) = (taken.local_addr().unwrap().to_string(), folder.path().join("data"));

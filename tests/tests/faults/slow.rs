@@ -58,8 +58,9 @@ async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
     })
 }
 
+/// They take little memory, and do not delay a stop.
 #[tokio::test(flavor = "multi_thread")]
-async fn slow_clients_hinder_nobody_take_little_memory_and_do_not_hold_up_a_stop() {
+async fn slow_clients_do_not_hinder_others() {
     let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
     farm.submit("large", LARGE);
     let worker = farm.worker("worker", &[]);

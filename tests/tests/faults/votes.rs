@@ -30,9 +30,9 @@ fn state(farm: &Farm) -> (Option<i64>, i32, String) {
     (disputed, waited.code, farm.farmctl(&["explain", "grid"]).stdout)
 }
 
+/// Re-registering under other names adds no votes, and open disputes stay visible until a third machine settles them.
 #[tokio::test(flavor = "multi_thread")]
-async fn one_token_erases_nothing_under_however_many_names_and_its_disputes_are_told_until_they_are_settled()
-{
+async fn one_token_has_one_vote() {
     let mut farm = Farm::with_tokens(&["honest", "liar", "third"], &["--lease", "10", "--verify-share", "1"]);
     farm.submit("grid", GRID);
     let honest = farm.worker_of("honest");
@@ -86,8 +86,9 @@ async fn results_without_a_lease_that_was_given_are_not_taken() {
     assert_eq!(liar.complete(&lease, records).await.unwrap(), CompletionKind::Stored);
 }
 
+/// Whether it fails at once or delivers NaN, it is suspended.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_machine_that_fails_at_once_or_computes_no_numbers_costs_no_job_beside_a_healthy_one() {
+async fn a_failing_machine_costs_no_job_beside_a_healthy_one() {
     let farm = Farm::with_tokens(&["hole", "healthy"], &["--lease", "20", "--verify-share", "0"]);
     farm.submit("grid", GRID);
     let mut hole = farm.hand_of("hole", "hole").await.unwrap();

@@ -82,9 +82,9 @@ fn estimate(r: &Refined, nuisance: Nuisance, profile_mm: f64) -> (f64, f64) {
     (found.value, found.std_error)
 }
 
-/// What the paper's distance can only suspect the likelihood measures, and takes out.
+/// The paper's distance can only hint at such flaws. The likelihood estimates them, and its intervals hold the medium.
 #[test]
-fn the_likelihood_estimates_what_is_wrong_and_finds_the_medium_nevertheless() {
+fn the_likelihood_corrects_shifts_and_dust() {
     let clean = found(|_, v, _, _| v, false, Objective::Likelihood);
     let shifted = found(|x, _, _, at| at(x - 0.1), false, Objective::Likelihood);
     let dusty = |x: f64, v: f64, _: f64, _: &dyn Fn(f64) -> f64| {

@@ -73,8 +73,9 @@ fn measured(materials: &[Measurement]) -> Measured {
     measure(dictionary(), materials, &FitOptions::default(), &plan).unwrap()
 }
 
+/// The g and μ of a set: their uncertainty is part of every interval.
 #[test]
-fn what_is_chosen_for_a_set_is_near_the_truth_and_its_uncertainty_is_in_every_interval() {
+fn common_parameters_are_near_the_truth_with_valid_errors() {
     let long = effort() >= 8;
     let anisotropies: &[f64] = if long { &[0.0, 0.2, 0.4, 0.7, 0.8] } else { &[0.4] };
     let (sets, walks) = if long { (5, 4_000_000) } else { (2, 1_000_000) };

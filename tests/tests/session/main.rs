@@ -37,10 +37,10 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The truth is that of tests/examples/session.rs: ρ of the scene `paper`, 26 pixels a millimetre, lenses that blur by 36,
-/// 32 and 35 µm behind pixels of 1/26 mm.
+/// The truth is that of tests/examples/session.rs: ρ of the scene `paper`, 26 pixels a millimetre, lenses that blur by
+/// 36, 32 and 35 µm behind pixels of 1/26 mm. A second run writes the same bytes.
 #[test]
-fn the_example_becomes_profiles_with_what_is_known_of_the_set_up_and_the_same_bytes_again() {
+fn the_example_session_gives_true_profiles_and_set_up() {
     let folder = folder();
     let captured = run(folder.path(), &["capture", text(&session()), "-o", "white", "--json"]);
     assert_eq!(captured.code, 0, "{}", captured.stderr);
@@ -87,9 +87,9 @@ fn the_example_becomes_profiles_with_what_is_known_of_the_set_up_and_the_same_by
     }
 }
 
-/// σ_t within 5 % and inside its interval, with a part of the paper's grid and 100,000 walks: what the whole path loses.
+/// σ_t within 5 % and inside its interval, with a part of the paper's grid and 100,000 walks: the loss of the whole path.
 #[test]
-fn a_folder_is_measured_with_its_own_dictionary_and_the_report_shows_it() {
+fn a_captured_folder_is_measured_and_reported() {
     let folder = folder();
     assert_eq!(run(folder.path(), &["capture", text(&session()), "-o", "white", "-q"]).code, 0);
     let grid = folder.path().join("white/grid.toml");
@@ -113,8 +113,9 @@ fn a_folder_is_measured_with_its_own_dictionary_and_the_report_shows_it() {
     assert_eq!(json(&again, "measure")["materials"], data["materials"]);
 }
 
+/// Nothing is written.
 #[test]
-fn sessions_that_cannot_be_are_refused_with_file_and_field_and_nothing_is_written() {
+fn invalid_sessions_are_refused_with_file_and_field() {
     let spoilt = |change: &dyn Fn(&Path), told: &[&str]| {
         let folder = copy();
         change(folder.path());

@@ -29,8 +29,9 @@ fn large() -> Grid {
     Grid::new(scene, axes, Walks::new(5000).unwrap(), 1, false).unwrap()
 }
 
+/// With 1,000 workers and 100,000 jobs.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thousand_workers_and_a_hundred_thousand_jobs_are_shown_a_page_at_a_time() {
+async fn large_farms_are_shown_page_by_page() {
     if !browser::is_there() {
         return;
     }

@@ -12,8 +12,9 @@ use super::{go_to, let_in};
 const LONG_GRID: &str = "sigma_t_per_mm = [2, 3, 4, 6, 8, 12, 16, 24]\nalbedo = [0.9, 0.99, 0.999]\n\
                          g = [0.0, 0.2, 0.4, 0.6]\nwalks = 200000\n";
 
+/// A killed worker and a restarted coordinator are shown, and the page goes on without being loaded again.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_killed_worker_and_a_restarted_coordinator_are_told_and_outlived() {
+async fn the_page_survives_worker_and_coordinator_failures() {
     if !browser::is_there() {
         return;
     }

@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_spoilt_is_the_truth_but_for_the_noise_that_is_told() {
+    fn without_flaws_only_the_stated_noise_is_added() {
         let (row, truth) = (Row::named("none"), parabola());
         let found = photographed(&truth, &row, 7, 0);
         let exact = seen(&truth, 0.0, 0.0);

@@ -155,7 +155,7 @@ fn check_few_intervals(outcomes: &[Outcome], measurements: f64) {
 }
 
 #[test]
-fn imperfect_measurements_give_media_and_intervals_that_hold_them() {
+fn intervals_of_imperfect_measurements_hold_the_media() {
     let long = effort() >= 8;
     let trial = if long { Trial::long() } else { Trial::normal() };
     let dictionary = if long { whole_dictionary() } else { crate::dictionary() };
