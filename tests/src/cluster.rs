@@ -1,5 +1,5 @@
-//! A stand-in for Slurm: `sbatch`, `squeue` and `scancel` by bash, which run tasks on this machine. `deploy/slurm/check` tries
-//! a real one.
+//! A stand-in for Slurm: `sbatch`, `squeue` and `scancel` by bash, which run tasks on this machine.
+//! `deploy/slurm/check` tries a real one.
 
 use std::ffi::OsString;
 use std::os::unix::fs::PermissionsExt;

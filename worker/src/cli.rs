@@ -23,7 +23,8 @@ pub struct Args {
     /// Threads to trace with [default: all cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: Option<u16>,
-    /// Instructions to trace with: avx512, avx2, sse4.2, sse2, neon or scalar [default: the fastest]. All give the same bits.
+    /// Instructions to trace with: avx512, avx2, sse4.2, sse2, neon or scalar [default: the fastest]. All give the same
+    /// bits.
     #[arg(long, value_name = "NAME", env = "FARM_KERNEL")]
     pub kernel: Option<String>,
     /// Name shown to people [default: machine and process].

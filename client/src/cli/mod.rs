@@ -221,8 +221,8 @@ pub struct SubmitArgs {
     /// Name of the dictionary [default: the file's name, or "paper"].
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
-    /// How quiet the records are to be: draft, paper or fine, for about a tenth of the paper's work, the paper's noise, and ten
-    /// times the work; instead of what the grid file says.
+    /// How quiet the records are to be: draft, paper or fine, for about a tenth of the paper's work, the paper's noise,
+    /// and ten times the work; instead of what the grid file says.
     #[arg(long, value_name = "LEVEL", value_parser = level)]
     pub quality: Option<NoiseLevel>,
     /// Wait until the dictionary is finished; without a server, submit always waits.

@@ -209,7 +209,8 @@ fn meaning(name: &str) -> Option<Meaning> {
     fits.then_some(Meaning { field, unit })
 }
 
-/// `thickness (mm)`, `thickness [mm]`, `thickness_mm`, `thickness mm`, `thickness/mm`; None if what stands in brackets is no unit.
+/// `thickness (mm)`, `thickness [mm]`, `thickness_mm`, `thickness mm`, `thickness/mm`; None if what stands in brackets
+/// is no unit.
 fn split_unit(name: &str) -> Option<(&str, Unit)> {
     if let Some((words, rest)) = name.split_once(['(', '[']) {
         let unit = rest.trim_end().strip_suffix([')', ']'])?;

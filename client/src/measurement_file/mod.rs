@@ -1,6 +1,6 @@
 //! Measurements as tidy CSV: `material,channel,thickness_mm,x_mm,value[,std_error]`, and columns for what is known of a
-//! profile's set-up; lines beginning with # are comments. What people's programs write instead is read too, with a note of what was assumed; what can be read in two
-//! ways is refused.
+//! profile's set-up; lines beginning with # are comments. What people's programs write instead is read too, with a note
+//! of what was assumed; what can be read in two ways is refused.
 
 mod columns;
 mod names;

@@ -99,8 +99,8 @@ impl<S> Layer<S> for AuthorisationLayer {
     }
 }
 
-/// A service that only admitted calls reach. Handlers find [`RequestId`] and, where tokens are needed, [`Caller`] in the extensions of
-/// their request.
+/// A service that only admitted calls reach. Handlers find [`RequestId`] and, where tokens are needed, [`Caller`] in
+/// the extensions of their request.
 #[derive(Clone)]
 pub struct Authorised<S> {
     inner: S,

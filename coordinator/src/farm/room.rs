@@ -1,8 +1,8 @@
 //! Memory for results that come in.
 //!
 //! Room is taken as bytes arrive, so that a result which is only announced, or trickles, holds next to nothing. One
-//! machine has a share of it, and one token. Where none is free, a result waits; and so that results which wait for each other do not
-//! wait for ever, one at a time goes on without room of its own.
+//! machine has a share of it, and one token. Where none is free, a result waits; and so that results which wait for
+//! each other do not wait for ever, one at a time goes on without room of its own.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};

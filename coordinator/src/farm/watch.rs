@@ -42,7 +42,8 @@ impl Farm {
 }
 
 impl Watch {
-    /// The next state that differs from the last, or the same again after [`REPEAT`]; None after the one in which the dictionary has ended.
+    /// The next state that differs from the last, or the same again after [`REPEAT`]; None after the one in which the
+    /// dictionary has ended.
     pub(crate) async fn next(&mut self) -> Result<Option<DictionaryStatus>> {
         if self.last.as_ref().is_some_and(|last| !last.state().is_open()) {
             return Ok(None);

@@ -63,7 +63,8 @@ impl Farm {
 }
 
 impl JobWatch {
-    /// The next states that differ from those told last, or the first job's again after [`REPEAT`]; None after those with which the dictionary has ended.
+    /// The next states that differ from those told last, or the first job's again after [`REPEAT`]; None after those
+    /// with which the dictionary has ended.
     pub(crate) async fn next(&mut self) -> Result<Option<JobRun>> {
         loop {
             let repeat = self.told + REPEAT;

@@ -33,7 +33,8 @@ impl Full {
 }
 
 /// Clipped are samples from the lower one of what the file tells and what the picture shows. A full sensor piles
-/// samples up at the highest numbers that occur; raw converters may have scaled the colours, so that each is full at another.
+/// samples up at the highest numbers that occur; raw converters may have scaled the colours, so that each is full at
+/// another.
 pub(crate) fn saturation(photo: &Photo) -> Full {
     let told = photo.levels.white.unwrap_or([f64::from(u16::MAX); 4]);
     let mut full = Full(told);

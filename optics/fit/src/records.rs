@@ -1,9 +1,9 @@
 //! The values of all records of a dictionary in one channel.
 //!
 //! Those of a large dictionary are rounded to two bytes each, as roots: a value v of a record whose greatest is m is kept as
-//! √(v/m) to 1/65,535, so it is off by about √(v m)/65,535 at most. That is 1.5·10⁻⁵ of the value where the record is bright, and
-//! 1.5·10⁻⁴ where it is a hundred times as dark. Roots spread what is lost as the noise of walks is spread: at the paper's
-//! quality it is 0.2 % of a pixel's standard error in the median, and 1.6 % at most.
+//! √(v/m) to 1/65,535, so it is off by about √(v m)/65,535 at most. That is 1.5·10⁻⁵ of the value where the record is
+//! bright, and 1.5·10⁻⁴ where it is a hundred times as dark. Roots spread what is lost as the noise of walks is spread:
+//! at the paper's quality it is 0.2 % of a pixel's standard error in the median, and 1.6 % at most.
 
 use std::borrow::Cow;
 use std::ops::Range;

@@ -1,9 +1,9 @@
 //! Profiles between the records: a smooth model of the dictionary that also averages its noise.
 //!
 //! The coordinates are those in which profiles change most evenly: ln σ_t; √(1 − α), to which diffusion is linear; and
-//! ln(1 − g), in which similar media lie on straight lines. Across σ_t and g, where every record of a thickness has walks of its own,
-//! a local model is fitted by weighted least squares, which averages the noise of the records about; across
-//! albedos, which share their walks, the four nearest are interpolated.
+//! ln(1 − g), in which similar media lie on straight lines. Across σ_t and g, where every record of a thickness has
+//! walks of its own, a local model is fitted by weighted least squares, which averages the noise of the records about;
+//! across albedos, which share their walks, the four nearest are interpolated.
 
 mod noise;
 

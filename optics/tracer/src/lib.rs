@@ -60,8 +60,8 @@ const WAVE_BYTES: usize = 64 << 20;
 #[error("tracing was stopped before the end")]
 pub struct Stopped;
 
-/// Traces a job on the current rayon pool with the kernel of this process ([`Kernel::chosen`]) and returns one record per albedo.
-/// Looks at `stop` all the time.
+/// Traces a job on the current rayon pool with the kernel of this process ([`Kernel::chosen`]) and returns one record
+/// per albedo. Looks at `stop` all the time.
 pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
     trace_with(Kernel::chosen(), job, stop)
 }

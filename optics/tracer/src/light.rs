@@ -8,8 +8,8 @@
 //! C(d, u) = π/n² Σ w/μ · p̄(u, μ) · e^(−d/μ),
 //!
 //! n being the sample's index and p̄ the phase function averaged over the azimuth; for beams that begin at the lower
-//! face, d is the height above it. Lengths in the sample are in mean free paths. A hit on the base receives w_b/n_c², w_b being the flux that comes to the base and n_c
-//! the index above it. Values are multiplied by the ring's measure.
+//! face, d is the height above it. Lengths in the sample are in mean free paths. A hit on the base receives w_b/n_c²,
+//! w_b being the flux that comes to the base and n_c the index above it. Values are multiplied by the ring's measure.
 //!
 //! [`Light::about`] is cheap and near C; vertices are chosen by it. [`Light::at`] is C itself, by cubics between nodes, and
 //! corrects for it.
@@ -38,7 +38,8 @@ const DARK: f64 = 40.0;
 /// What the vertices of walks receive.
 #[derive(Debug)]
 pub struct Light {
-    /// Values of [`Light::about`] for light that goes down and up; whether the sample is so thick that only the first counts.
+    /// Values of [`Light::about`] for light that goes down and up; whether the sample is so thick that only the first
+    /// counts.
     pub down: [f32; CELLS],
     pub up: [f32; CELLS],
     pub thick: bool,

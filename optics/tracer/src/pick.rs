@@ -3,9 +3,9 @@
 //! A walk's vertex i, a scattering or a hit on the base after n_i scatterings, is worth c_i α^(n_i) for the albedo α, c_i
 //! being what it receives of the light times the walk's weight. To score all of them for all albedos would take longer
 //! than the walk. Instead, what c_i h(n_i) adds up to along the walk is cut into equal steps Δ from a random place on, and
-//! the vertices in which the cuts fall are scored, with α^(n_i) Δ/h(n_i) a cut (systematic sampling, Madow and Madow 1944). That is
-//! without bias for any h: each vertex is cut c_i h(n_i)/Δ times in the mean. Walks that are worth more are scored more often, along
-//! their whole way.
+//! the vertices in which the cuts fall are scored, with α^(n_i) Δ/h(n_i) a cut (systematic sampling, Madow and Madow
+//! 1944). That is without bias for any h: each vertex is cut c_i h(n_i)/Δ times in the mean. Walks that are worth more
+//! are scored more often, along their whole way.
 //!
 //! h makes early vertices more frequent: most albedos know no others.
 

@@ -48,8 +48,8 @@ pub struct Tally<'a> {
     moments: usize,
     /// `[cell][channel][moment][node]`, with one cell more than pixels.
     steps: Vec<f32>,
-    /// Of walks whose hits are few and all in view, by their number: `[hits][moment][node]`. Beyond the view all of them are dark,
-    /// whatever the channel.
+    /// Of walks whose hits are few and all in view, by their number: `[hits][moment][node]`. Beyond the view all of
+    /// them are dark, whatever the channel.
     dark: Vec<f32>,
     /// Positions of a walk's steps in pixels from the left end.
     positions: Vec<f32>,

@@ -22,8 +22,8 @@ pub struct Target {
 
 impl Target {
     /// The coordinator of an access file, or at a URL, or both: then the URL counts, and the file says how to know the
-    /// coordinator there. A bare URL is never encrypted, for there is nothing to know the other side by; on loopback it stands
-    /// for the user's own coordinator.
+    /// coordinator there. A bare URL is never encrypted, for there is nothing to know the other side by; on loopback it
+    /// stands for the user's own coordinator.
     pub fn new(access: Option<&ClientAccess>, url: Option<&str>) -> Result<Self, AccessError> {
         let (endpoint, loopback) = match (access, url) {
             (Some(access), url) => (access.endpoint(url)?, None),

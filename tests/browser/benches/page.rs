@@ -1,8 +1,9 @@
 //! How quick the page is, and what it costs: the paper's dictionary in a browser without a window.
 //!
 //! `cargo bench -p farm-browser-tests --bench page` computes the dictionary first, or takes the one in the folder that
-//! `FARM_BENCH_FOLDER` names; with `-- tabs` only the cost of tabs is measured. Times of frames are those between two of the browser's own frames while a slider or the
-//! crosshair moves once a frame; a frame that shows an answer of the server is one in which the picture has changed.
+//! `FARM_BENCH_FOLDER` names; with `-- tabs` only the cost of tabs is measured. Times of frames are those between two
+//! of the browser's own frames while a slider or the crosshair moves once a frame; a frame that shows an answer of the
+//! server is one in which the picture has changed.
 
 #![expect(
     clippy::unwrap_used,

@@ -83,8 +83,8 @@ fn table_1_is_measured_with_a_hidden_factor() {
             }
         }
     }
-    // Some 90 intervals of 95 %, those of a factor with what was chosen in common; where a medium is left open they are to hold
-    // as often as elsewhere.
+    // Some 90 intervals of 95 %, those of a factor with what was chosen in common; where a medium is left open they are
+    // to hold as often as elsewhere.
     println!("{held} of {count} intervals hold");
     assert!(held * 10 >= count * 9, "{held} of {count}");
 }

@@ -89,9 +89,9 @@ impl Profile<'_> {
         }
     }
 
-    /// A state at the end, and the quantity there, where −2 ln L is close to a parabola, as it mostly is: each look at it tells how far its minimum, with the
-    /// quantity held, is from the wanted rise, and the next look is there (Venzon and Moolgavkar 1988). None if that does
-    /// not settle at once, or if it leads beyond the furthest.
+    /// A state at the end, and the quantity there, where −2 ln L is close to a parabola, as it mostly is: each look at
+    /// it tells how far its minimum, with the quantity held, is from the wanted rise, and the next look is there
+    /// (Venzon and Moolgavkar 1988). None if that does not settle at once, or if it leads beyond the furthest.
     fn by_parabolas(
         &self,
         quantity: Quantity,

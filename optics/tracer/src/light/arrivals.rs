@@ -6,9 +6,9 @@
 //! come about as far. What they weaken on the way follows for every medium.
 //!
 //! At every interface light goes both ways, with the shares that Fresnel gives; what is faint ends or goes on by chance.
-//! The ring's angles and the first three rough faces' normals come from a Kronecker sequence (Roberts 2018, "The unreasonable
-//! effectiveness of quasirandom sequences"), others from streams with a key of their own. Rays carry flux, and the
-//! interfaces are reciprocal, so that each is crossed as walks cross it.
+//! The ring's angles and the first three rough faces' normals come from a Kronecker sequence (Roberts 2018, "The
+//! unreasonable effectiveness of quasirandom sequences"), others from streams with a key of their own. Rays carry flux,
+//! and the interfaces are reciprocal, so that each is crossed as walks cross it.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -113,8 +113,8 @@ impl Arrivals {
 }
 
 impl Arrivals {
-    /// Beams in a sample of an optical thickness: what they have passed has weakened them, and those of nearly one direction are
-    /// one, unless the phase function is so narrow that it tells them apart. Their `passed` is a mean.
+    /// Beams in a sample of an optical thickness: what they have passed has weakened them, and those of nearly one
+    /// direction are one, unless the phase function is so narrow that it tells them apart. Their `passed` is a mean.
     pub fn in_sample(&self, optical_thickness: f64, g: f64) -> Vec<Beam> {
         let mut cells = vec![[0.0; 3]; 2 * CELLS];
         for beam in &self.sample {
@@ -351,8 +351,8 @@ mod tests {
         }
     }
 
-    /// Through smooth faces everything follows from Fresnel's formulas. Between two media of one index under air, light passes
-    /// the upper face once, and no other reflects.
+    /// Through smooth faces everything follows from Fresnel's formulas. Between two media of one index under air, light
+    /// passes the upper face once, and no other reflects.
     #[test]
     fn smooth_faces_let_through_what_fresnel_says() {
         let layers = vec![optics_model::scene::Layer::sample("sample", 0.0).unwrap()];
