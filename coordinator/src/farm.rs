@@ -144,9 +144,6 @@ pub(crate) struct Overview {
 pub(crate) struct Farm {
     store: Store,
     door: Door,
-    /// Held by all while results reach the store and then the dispatcher; alone by whoever forgets records there. So
-    /// nothing is noted as stored that was forgotten in between.
-    records: tokio::sync::RwLock<()>,
     /// Keeps changes of one dictionary from racing.
     managing: tokio::sync::Mutex<()>,
     fits: FitCache,
@@ -169,7 +166,6 @@ impl Farm {
         let farm = Arc::new(Self {
             store,
             door,
-            records: tokio::sync::RwLock::new(()),
             managing: tokio::sync::Mutex::new(()),
             fits: FitCache::new(config.fit_memory_bytes),
             room: Arc::default(),
@@ -178,10 +174,12 @@ impl Farm {
         });
         tokio::spawn(effects::perform(Arc::downgrade(&farm), orders));
         tokio::spawn(upkeep::keep(Arc::downgrade(&farm)));
+        let shared = farm.store.ledger().shared().await;
         for id in ids {
-            farm.find_blocks(id).await?;
-            farm.take_over_done(id).await?;
+            farm.find_blocks(&shared, id).await?;
+            farm.take_over_done(&shared, id).await?;
         }
+        drop(shared);
         Ok(farm)
     }
 

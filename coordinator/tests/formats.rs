@@ -182,7 +182,7 @@ async fn dictionaries_of_every_schema_are_deleted_whole() {
         let store = open(&dir).await;
         let mut records = 0;
         for stored in store.dictionaries().await.unwrap() {
-            records += store.delete_dictionary(stored.id, &[]).await.unwrap();
+            records += store.ledger().exclusive().await.delete_dictionary(stored.id, &[]).await.unwrap();
         }
         assert_eq!(
             records,

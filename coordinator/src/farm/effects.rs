@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 use super::Farm;
 use super::door::Order;
 use crate::dispatch::{Dictionary, Effect};
-use crate::store::StoreError;
+use crate::store::{Exclusive, StoreError};
 use crate::stored::{EndedJob, Origin};
 
 /// Performs orders as long as there is a farm. What cannot be stored now is tried again at the next look.
@@ -49,17 +49,17 @@ impl Farm {
             }
             Effect::NoteCheck(check) => self.store.note_check(check).await,
             Effect::Recompute { dictionary, job } => {
-                let _no_result_on_its_way = self.records.write().await;
-                self.begin_again(self.store.set_job_aside(*dictionary, *job).await?);
+                let exclusive = self.store.ledger().exclusive().await;
+                self.begin_again(&exclusive, exclusive.set_job_aside(*dictionary, *job).await?);
                 Ok(())
             }
             Effect::Fence { machine, reason } => {
-                let _no_result_on_its_way = self.records.write().await;
-                self.begin_again(self.store.fence(*machine, reason).await?);
+                let exclusive = self.store.ledger().exclusive().await;
+                self.begin_again(&exclusive, exclusive.fence(*machine, reason).await?);
                 // Blocks of jobs that had not ended are gone too.
                 let all = self.door.query(|d, _| d.dictionaries().map(Dictionary::id).collect::<Vec<_>>());
                 for id in all {
-                    self.find_blocks(id).await?;
+                    self.find_blocks(&exclusive, id).await?;
                 }
                 Ok(())
             }
@@ -69,8 +69,8 @@ impl Farm {
 
     /// Lets a machine in again, and ends jobs with its records that were set aside.
     async fn take_back(&self, machine: Origin) -> Result<(), StoreError> {
-        let _no_result_on_its_way = self.records.write().await;
-        let restored = self.store.lift_fence(machine).await?;
+        let exclusive = self.store.ledger().exclusive().await;
+        let restored = exclusive.lift_fence(machine).await?;
         let ids: BTreeSet<DictionaryId> = restored.iter().map(|(id, _)| *id).collect();
         self.door.transition(|dispatcher, _| {
             for (id, ended) in restored {
@@ -81,13 +81,13 @@ impl Farm {
         });
         for id in ids {
             self.fits.forget(id);
-            self.take_over_done(id).await?;
+            self.take_over_done(&exclusive, id).await?;
         }
         Ok(())
     }
 
-    /// Begins jobs again whose records the store has forgotten.
-    pub(super) fn begin_again(&self, mut jobs: Vec<(DictionaryId, u32)>) {
+    /// Begins jobs again whose records the store has deleted or set aside, under the guard that is still held.
+    pub(super) fn begin_again(&self, _held: &Exclusive<'_>, mut jobs: Vec<(DictionaryId, u32)>) {
         jobs.sort_unstable();
         for of_one in jobs.chunk_by(|a, b| a.0 == b.0) {
             let id = of_one[0].0;

@@ -11,7 +11,7 @@ use super::{Farm, FarmError, Result, blocking, not_found};
 use crate::actor::Actor;
 use crate::clock::Clock;
 use crate::dispatch::{Dictionary, EventKind, Plan, Reason};
-use crate::store::{StoreError, StoredEvent};
+use crate::store::{Held, StoreError, StoredEvent};
 use crate::stored::{DesiredState, StoredDictionary};
 
 /// Most jobs and waiting parts of all dictionaries together, and of those that one token has submitted. A million is
@@ -49,7 +49,8 @@ impl Farm {
         if let Err(error) = self.take_up(by, plan, stored).await {
             // A dictionary that the store has and nobody serves would keep its name for ever.
             self.door.transition(|dispatcher, _| dispatcher.remove_dictionary(id));
-            if let Err(error) = self.store.delete_dictionary(id, &[]).await {
+            let exclusive = self.store.ledger().exclusive().await;
+            if let Err(error) = exclusive.delete_dictionary(id, &[]).await {
                 tracing::error!(%error, %name, "a dictionary that was not taken up could not be deleted");
             }
             return Err(error);
@@ -83,7 +84,7 @@ impl Farm {
     /// Begins with a new dictionary: uses the records that exist already, and serves the rest.
     async fn take_up(&self, by: &Actor, plan: Plan, stored: StoredDictionary) -> Result<()> {
         let (id, grid) = (stored.id, stored.grid.clone());
-        let _nothing_is_forgotten = self.records.read().await;
+        let shared = self.store.ledger().shared().await;
         let reused = if grid.quality().is_some() {
             // How many walks a point ends with is not known before.
             0
@@ -92,14 +93,14 @@ impl Farm {
             let jobs = blocking(move || identities(&of_jobs)).await;
             let grids =
                 self.door.query(|d, _| d.dictionaries().map(|d| (d.id(), d.grid().clone())).collect());
-            self.store.reuse(id, &grid, &jobs, &grids).await?.len()
+            shared.reuse(id, &grid, &jobs, &grids).await?.len()
         };
         let ended = self.store.ended_jobs(id, &grid).await?;
         let dictionary = Dictionary::planned(plan, stored, &ended);
         self.door.transition(|dispatcher, _| dispatcher.add_dictionary(dictionary));
-        self.find_blocks(id).await?;
+        self.find_blocks(&shared, id).await?;
         // What came in the meantime.
-        self.take_over_done(id).await?;
+        self.take_over_done(&shared, id).await?;
         let (jobs, records) = (grid.job_count(), grid.record_count());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
         self.door.transition_by(by, |dispatcher, _| dispatcher.tell(id, EventKind::Submitted, message));
@@ -107,7 +108,7 @@ impl Farm {
     }
 
     /// Takes up blocks of divided jobs that the store holds.
-    pub(super) async fn find_blocks(&self, id: DictionaryId) -> Result<(), StoreError> {
+    pub(super) async fn find_blocks(&self, _held: &Held<'_>, id: DictionaryId) -> Result<(), StoreError> {
         let wanted = self.door.query(|d, _| d.by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs));
         for (job, spec) in wanted {
             let blocks = self.store.stored_blocks(&spec).await?;
@@ -176,8 +177,8 @@ impl Farm {
         self.store.set_desire(id, desire, reason).await?;
         self.door.transition_by(by, |dispatcher, _| dispatcher.set_desire(id, desire, reason.to_owned()));
         if desire == DesiredState::Run {
-            let _nothing_is_forgotten = self.records.read().await;
-            self.take_over_done(id).await?;
+            let shared = self.store.ledger().shared().await;
+            self.take_over_done(&shared, id).await?;
         }
         self.status(name)
     }
@@ -188,9 +189,9 @@ impl Farm {
         let (id, _) = self.found(name)?;
         self.store.retry_jobs(id).await?;
         self.door.transition_by(by, |dispatcher, _| dispatcher.retry(id));
-        let _nothing_is_forgotten = self.records.read().await;
-        self.find_blocks(id).await?;
-        self.take_over_done(id).await?;
+        let shared = self.store.ledger().shared().await;
+        self.find_blocks(&shared, id).await?;
+        self.take_over_done(&shared, id).await?;
         self.status(name)
     }
 
@@ -217,9 +218,9 @@ impl Farm {
             return Err(FarmError::WrongState { name: name.clone(), state: state.as_str(), allowed });
         }
         let (id, _) = self.found(name)?;
-        let _no_result_on_its_way = self.records.write().await;
+        let exclusive = self.store.ledger().exclusive().await;
         let blocks = self.blocks_of_none_but(id);
-        let records = self.store.delete_dictionary(id, &blocks).await?;
+        let records = exclusive.delete_dictionary(id, &blocks).await?;
         self.door.transition_by(by, |dispatcher, _| {
             dispatcher.tell(id, EventKind::Deleted, format!("{records} records deleted"));
             dispatcher.remove_dictionary(id);

@@ -63,13 +63,13 @@ impl Farm {
         grid: &Grid,
         job: u32,
     ) -> Result<Option<String>, StoreError> {
-        let no_result_on_its_way = self.records.write().await;
+        let exclusive = self.store.ledger().exclusive().await;
         let Some(what) = self.damage_of(id, grid, job).await? else { return Ok(None) };
-        let mut again = self.store.set_job_aside(id, job).await?;
+        let mut again = exclusive.set_job_aside(id, job).await?;
         // One that has lost its end has no records to be forgotten.
         again.push((id, job));
-        self.begin_again(again);
-        drop(no_result_on_its_way);
+        self.begin_again(&exclusive, again);
+        drop(exclusive);
         self.door.transition(|dispatcher, _| dispatcher.tell_damage(id, job, &what));
         Ok(Some(what))
     }

@@ -10,7 +10,7 @@ use super::records::UNSTEADY;
 use super::{Farm, Result};
 use crate::dispatch::{Admission, Arrived, Next};
 use crate::metrics::JobOutcome;
-use crate::store::StoreError;
+use crate::store::{Held, StoreError};
 use crate::stored::{Completion, JobResult, Outcome};
 
 impl Farm {
@@ -61,8 +61,8 @@ impl Farm {
             content: result,
             quality,
         };
-        let nothing_is_forgotten = self.records.read().await;
-        let stored = self.store.complete(completion).await;
+        let shared = self.store.ledger().shared().await;
+        let stored = shared.complete(completion).await;
         self.note_store_fault(stored.as_ref().err());
         if let Ok(outcome) = stored
             && outcome != Outcome::Differs
@@ -70,12 +70,12 @@ impl Farm {
             let next = self.door.transition(|dispatcher, now| dispatcher.arrived(now, arrived, outcome));
             match next {
                 Next::Nothing => {}
-                Next::FindBlocks => self.find_blocks_of(key).await?,
-                Next::Serve(others) => self.serve_others(others, arrived.by).await,
+                Next::FindBlocks => self.find_blocks_of(&shared, key).await?,
+                Next::Serve(others) => self.serve_others(&shared, others, arrived.by).await,
             }
             return Ok(outcome);
         }
-        drop(nothing_is_forgotten);
+        drop(shared);
         match &stored {
             Ok(_) => self.distrust(arrived, &job).await?,
             Err(StoreError::Corrupt { table: "sums", .. }) => self.forget_blocks(key, &job).await?,
@@ -88,36 +88,36 @@ impl Farm {
     /// wrongly. Both jobs are done again, and then checked by others; but what several have found alike one does not
     /// undo.
     async fn distrust(&self, arrived: &Arrived<'_>, job: &JobSpec) -> Result<(), StoreError> {
-        let _no_result_on_its_way = self.records.write().await;
+        let exclusive = self.store.ledger().exclusive().await;
         // Blocks that were merged with this one are gone anyway.
-        self.store.forget_point(job.sums_identity()).await?;
+        exclusive.delete_blocks(job).await?;
         let others = self.store.jobs_of_point(job.identity()).await?;
         if self.door.query(|dispatcher, _| dispatcher.is_confirmed(&others)) {
             self.door.transition(|dispatcher, now| dispatcher.contradict(now, arrived));
         } else {
-            let again = self.store.set_point_aside(job.identity()).await?;
+            let again = exclusive.set_point_aside(job.identity()).await?;
             self.door.transition(|dispatcher, now| dispatcher.distrust(now, arrived, &again));
-            self.begin_again(again);
+            self.begin_again(&exclusive, again);
         }
-        self.find_blocks_of(arrived.key).await
+        self.find_blocks_of(&exclusive, arrived.key).await
     }
 
     /// The blocks that came before a block were damaged when they were read. If they are at a second reading too, all
     /// are computed again.
     async fn forget_blocks(&self, key: &LeaseKey, job: &JobSpec) -> Result<(), StoreError> {
-        let _no_result_on_its_way = self.records.write().await;
+        let exclusive = self.store.ledger().exclusive().await;
         let Some(what) = self.store.damaged_blocks(job).await? else {
             tracing::warn!(job = key.job, "stored blocks {UNSTEADY}: nothing was deleted");
             return Ok(());
         };
-        self.store.forget_point(job.sums_identity()).await?;
-        self.find_blocks_of(key).await?;
+        exclusive.delete_blocks(job).await?;
+        self.find_blocks_of(&exclusive, key).await?;
         self.door.transition(|dispatcher, _| dispatcher.tell_damage(key.dictionary, key.job, &what));
         Ok(())
     }
 
     /// Takes up which blocks of a job the store holds.
-    async fn find_blocks_of(&self, key: &LeaseKey) -> Result<(), StoreError> {
+    async fn find_blocks_of(&self, _held: &Held<'_>, key: &LeaseKey) -> Result<(), StoreError> {
         let job = self.door.query(|d, _| d.by_id(key.dictionary).map(|d| d.spec(key.job, 0)));
         if let Some(job) = job.filter(|job| job.block().is_some()) {
             let blocks = self.store.stored_blocks(&job).await?;

@@ -6,29 +6,33 @@ use optics_model::job::JobSpec;
 
 use super::Farm;
 use crate::dispatch::JobRef;
-use crate::store::StoreError;
+use crate::store::{Held, StoreError};
 use crate::stored::Origin;
 
 impl Farm {
-    /// Ends jobs of other dictionaries that the records of a job serve too. The caller sees to it that nothing is
-    /// forgotten meanwhile.
-    pub(super) async fn serve_others(&self, served: Vec<JobRef>, by: Origin) {
+    /// Ends jobs of other dictionaries that the records of a job serve too.
+    pub(super) async fn serve_others(&self, held: &Held<'_>, served: Vec<JobRef>, by: Origin) {
         for (id, job) in served {
             // Then it is computed by itself.
-            if let Err(error) = self.take_over(id, &[job], Some(by)).await {
+            if let Err(error) = self.take_over(held, id, &[job], Some(by)).await {
                 tracing::warn!(%error, job, "a job could not be ended with the records of another dictionary");
             }
         }
     }
 
-    /// Ends the open jobs of a dictionary whose records came for others. The caller sees to it that nothing is
-    /// forgotten meanwhile.
-    pub(super) async fn take_over_done(&self, id: DictionaryId) -> Result<(), StoreError> {
+    /// Ends the open jobs of a dictionary whose records came for others.
+    pub(super) async fn take_over_done(&self, held: &Held<'_>, id: DictionaryId) -> Result<(), StoreError> {
         let done = self.door.query(|dispatcher, _| dispatcher.done_elsewhere(id));
-        if done.is_empty() { Ok(()) } else { self.take_over(id, &done, None).await }
+        if done.is_empty() { Ok(()) } else { self.take_over(held, id, &done, None).await }
     }
 
-    async fn take_over(&self, id: DictionaryId, jobs: &[u32], by: Option<Origin>) -> Result<(), StoreError> {
+    async fn take_over(
+        &self,
+        held: &Held<'_>,
+        id: DictionaryId,
+        jobs: &[u32],
+        by: Option<Origin>,
+    ) -> Result<(), StoreError> {
         let found = self.door.query(|dispatcher, _| {
             let dictionary = dispatcher.by_id(id)?;
             let specs: Vec<(u32, JobSpec)> =
@@ -39,7 +43,7 @@ impl Farm {
         let Some((grid, specs, grids)) = found else { return Ok(()) };
         let identities: Vec<(u32, Digest)> =
             specs.iter().map(|(job, spec)| (*job, spec.identity())).collect();
-        let taken = self.store.reuse(id, &grid, &identities, &grids).await?;
+        let taken = held.reuse(id, &grid, &identities, &grids).await?;
         self.door.transition(|dispatcher, _| {
             for (job, records) in &taken {
                 dispatcher.taken_over((id, *job), grid.walks_of(*job as usize), *records, by);
@@ -47,8 +51,8 @@ impl Farm {
         });
         let is_taken = |job: u32| taken.iter().any(|(taken, _)| *taken == job);
         for (_, spec) in specs.iter().filter(|(job, spec)| spec.block().is_some() && is_taken(*job)) {
-            // Blocks that came before nobody needs any more.
-            self.store.forget_point(spec.sums_identity()).await?;
+            // Its blocks are not needed any more.
+            held.delete_blocks(spec).await?;
         }
         Ok(())
     }

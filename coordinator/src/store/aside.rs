@@ -9,7 +9,7 @@ use optics_model::Digest;
 use sqlx::SqliteConnection;
 
 use super::points::{self, begin_jobs_again, delete_points, rows_of};
-use super::{Result, Store, doing, jobs};
+use super::{Exclusive, Result, Store, doing, jobs};
 use crate::stored::{EndedJob, Origin};
 use optics_model::Walks;
 
@@ -92,10 +92,12 @@ impl Store {
         let found = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM set_aside)").fetch_one(tx).await;
         found.map_err(doing("looking for what is set aside"))
     }
+}
 
+impl Exclusive<'_> {
     /// Sets the records of a point aside: the jobs to be computed again.
     pub async fn set_point_aside(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
-        let mut tx = self.begin().await?;
+        let mut tx = self.store.begin().await?;
         let point: Vec<i64> =
             points::find(&mut tx, &[identity]).await?.into_iter().map(|(_, id)| id).collect();
         let jobs = set_aside(&mut tx, &point, None).await?;
@@ -110,7 +112,7 @@ impl Store {
         job: u32,
     ) -> Result<Vec<(DictionaryId, u32)>> {
         let what = "setting a job's records aside";
-        let mut tx = self.begin().await?;
+        let mut tx = self.store.begin().await?;
         let point: Vec<i64> = sqlx::query_scalar(
             "SELECT point_id FROM jobs WHERE dictionary_id = ? AND job = ? AND point_id IS NOT NULL",
         )
@@ -128,7 +130,7 @@ impl Store {
     /// confirmed stays, in their name.
     pub async fn fence(&self, worker: Origin, reason: &str) -> Result<Vec<(DictionaryId, u32)>> {
         let what = "fencing a worker off";
-        let mut tx = self.begin().await?;
+        let mut tx = self.store.begin().await?;
         sqlx::query("UPDATE workers SET fenced = ? WHERE id = ?")
             .bind(reason)
             .bind(worker.0)
@@ -165,7 +167,7 @@ impl Store {
     /// again meanwhile: the jobs that are done by that.
     pub async fn lift_fence(&self, machine: Origin) -> Result<Vec<(DictionaryId, EndedJob)>> {
         let what = "letting a machine in again";
-        let mut tx = self.begin().await?;
+        let mut tx = self.store.begin().await?;
         sqlx::query("UPDATE workers SET fenced = NULL WHERE id = ?")
             .bind(machine.0)
             .execute(&mut *tx)

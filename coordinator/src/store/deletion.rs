@@ -2,26 +2,29 @@
 
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
+use optics_model::job::JobSpec;
 
 use super::points::{self, delete_points};
-use super::{Result, Store, aside, doing};
+use super::{Exclusive, Held, Result, Store, aside, doing};
 
-impl Store {
-    /// Forgets the records of a point: the jobs to be computed again.
-    pub async fn forget_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
-        let mut tx = self.begin().await?;
-        let point: Vec<i64> =
-            points::find(&mut tx, &[identity]).await?.into_iter().map(|(_, id)| id).collect();
-        let deleted = delete_points(&mut tx, &point).await?;
-        tx.commit().await.map_err(doing("forgetting a point's records"))?;
-        Ok(deleted.jobs)
+impl Held<'_> {
+    /// Deletes the blocks that came before the records of a divided job. No job has ended with them.
+    pub async fn delete_blocks(&self, job: &JobSpec) -> Result<()> {
+        delete_point(self.store, job.sums_identity()).await.map(drop)
+    }
+}
+
+impl Exclusive<'_> {
+    /// Deletes the records of a point: the jobs to be computed again.
+    pub async fn delete_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
+        delete_point(self.store, identity).await
     }
 
     /// Deletes a dictionary, the records that no other one uses, and the blocks that some points gather; returns the
     /// number of records.
     pub async fn delete_dictionary(&self, id: DictionaryId, gathered: &[Digest]) -> Result<u64> {
         let what = "deleting a dictionary";
-        let mut tx = self.begin().await?;
+        let mut tx = self.store.begin().await?;
         let mut unused: Vec<i64> = sqlx::query_scalar(
             "SELECT point_id FROM jobs WHERE dictionary_id = ?1 AND point_id IS NOT NULL \
              EXCEPT SELECT point_id FROM jobs WHERE dictionary_id <> ?1 AND point_id IS NOT NULL",
@@ -44,4 +47,12 @@ impl Store {
         tx.commit().await.map_err(doing(what))?;
         Ok(deleted.records)
     }
+}
+
+async fn delete_point(store: &Store, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
+    let mut tx = store.begin().await?;
+    let point: Vec<i64> = points::find(&mut tx, &[identity]).await?.into_iter().map(|(_, id)| id).collect();
+    let deleted = delete_points(&mut tx, &point).await?;
+    tx.commit().await.map_err(doing("deleting a point's records"))?;
+    Ok(deleted.jobs)
 }

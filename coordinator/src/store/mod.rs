@@ -13,6 +13,7 @@ mod dictionaries;
 mod events;
 pub mod filesystem;
 mod jobs;
+mod ledger;
 mod migration;
 mod place;
 mod points;
@@ -31,10 +32,11 @@ use sqlx::sqlite::{
     SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
 };
 use sqlx::{ConnectOptions, Connection, Row, SqliteConnection, SqlitePool};
-use tokio::sync::mpsc;
+use tokio::sync::{RwLock, mpsc};
 
 pub use data_dir::{ADDRESS_FILE, DataDir};
 pub use events::StoredEvent;
+pub use ledger::{Exclusive, Held, Ledger, Shared};
 use place::Place;
 pub use records::{Damaged, Found, JobRecords};
 pub use writer::Commit;
@@ -103,6 +105,8 @@ pub struct Store {
     place: Place,
     dir: Arc<DataDir>,
     completions: mpsc::Sender<writer::Request>,
+    /// Taken by way of the [`Ledger`].
+    records: Arc<RwLock<()>>,
 }
 
 impl Store {
@@ -154,7 +158,7 @@ impl Store {
         let place = Place::of(&file).map_err(fault)?;
         let (completions, queue) = writer::queue();
         tokio::spawn(writer::run(write.clone(), place.clone(), queue, committed));
-        let store = Self { write, read, place, dir: Arc::new(dir), completions };
+        let store = Self { write, read, place, dir: Arc::new(dir), completions, records: Arc::default() };
         store.move_records_of_first_schema().await?;
         store.forget_useless_workers().await?;
         Ok(store)

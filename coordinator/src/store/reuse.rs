@@ -9,7 +9,7 @@ use optics_model::{Digest, Grid, PackedRecords};
 use sqlx::SqliteConnection;
 
 use super::records::JobRecords;
-use super::{Result, Store, doing};
+use super::{Held, Result, Store, doing};
 
 /// A job whose records are there, and the row of their point.
 struct Reusable {
@@ -21,7 +21,7 @@ struct Reusable {
 /// Albedos with the bytes of their records.
 type PointRecords = Vec<(f64, bytes::Bytes)>;
 
-impl Store {
+impl Held<'_> {
     /// Ends those open jobs of a dictionary whose records are there already. `jobs` are their numbers and identities;
     /// `grids` those of all dictionaries. Returns the jobs with the digests of their records.
     pub async fn reuse(
@@ -32,17 +32,17 @@ impl Store {
         grids: &HashMap<DictionaryId, Arc<Grid>>,
     ) -> Result<Vec<(u32, Digest)>> {
         let identities: Vec<Digest> = jobs.iter().map(|(_, identity)| *identity).collect();
-        let points = self.points_of(&identities).await?;
+        let points = self.store.points_of(&identities).await?;
         let mut reusable = Vec::new();
         for (job, identity) in jobs {
             let Some(&point) = points.get(identity) else { continue };
-            let there = self.verified_records(point, grids).await?;
+            let there = self.store.verified_records(point, grids).await?;
             if let Some(records) = records_for(grid, *job, &there) {
                 reusable.push(Reusable { job: *job, point, digest: records.digest() });
             }
         }
         let mut reused = Vec::with_capacity(reusable.len());
-        let mut tx = self.begin().await?;
+        let mut tx = self.store.begin().await?;
         for job in &reusable {
             if end(&mut tx, dictionary, grid, job).await? {
                 reused.push((job.job, job.digest));
@@ -51,7 +51,9 @@ impl Store {
         tx.commit().await.map_err(doing("storing jobs that need no computing"))?;
         Ok(reused)
     }
+}
 
+impl Store {
     /// Records of a point: those of jobs whose records are the ones that were stored. What is damaged is computed again.
     async fn verified_records(
         &self,

@@ -65,6 +65,13 @@ pub(super) fn defect() -> Quality {
     Quality::new(1.0, Walks::new(2_500_000).unwrap()).unwrap()
 }
 
+impl Store {
+    /// Stores a result as the farm does.
+    pub async fn complete(&self, completion: Completion) -> super::Result<Outcome> {
+        self.ledger().shared().await.complete(completion).await
+    }
+}
+
 pub(super) async fn complete(store: &Store, dictionary: &StoredDictionary, job: u32, value: f32) -> Outcome {
     store.complete(completion(dictionary, job, value)).await.unwrap()
 }
@@ -164,7 +171,7 @@ async fn a_result_of_a_deleted_dictionary_is_ignored() {
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
-    store.delete_dictionary(d.id, &[]).await.unwrap();
+    store.ledger().exclusive().await.delete_dictionary(d.id, &[]).await.unwrap();
     assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Unwanted);
     let points = store.points_of(&[completion(&d, 0, 0.25).job.identity()]).await.unwrap();
     assert!(points.is_empty(), "nobody would ever delete its records");
@@ -188,7 +195,7 @@ async fn reuse(store: &Store, dictionary: &StoredDictionary) -> usize {
     let jobs = (0..2).map(|job| (job, JobSpec::of(&dictionary.grid, job as usize).identity()));
     let jobs: Vec<_> = jobs.collect();
     let grids = store.dictionaries().await.unwrap().into_iter().map(|d| (d.id, d.grid)).collect();
-    store.reuse(dictionary.id, &dictionary.grid, &jobs, &grids).await.unwrap().len()
+    store.ledger().shared().await.reuse(dictionary.id, &dictionary.grid, &jobs, &grids).await.unwrap().len()
 }
 
 #[tokio::test]
@@ -207,9 +214,13 @@ async fn a_dictionary_that_overlaps_uses_the_records_that_are_there() {
     assert_eq!((reused[0].index, &reused[0].profiles), (0, &records(0, 0.5)[0].profiles));
     assert_eq!(reuse(&store, &overlapping(&store, "f", vec![0.7]).await).await, 0);
 
-    assert_eq!(store.delete_dictionary(d.id, &[]).await.unwrap(), 2, "those that the other one uses stay");
+    assert_eq!(
+        store.ledger().exclusive().await.delete_dictionary(d.id, &[]).await.unwrap(),
+        2,
+        "those that the other one uses stay"
+    );
     assert_eq!(all_records(&store, &finer).await, reused);
-    assert_eq!(store.delete_dictionary(finer.id, &[]).await.unwrap(), 2);
+    assert_eq!(store.ledger().exclusive().await.delete_dictionary(finer.id, &[]).await.unwrap(), 2);
     assert!(store.faults().await.unwrap().is_empty());
 }
 

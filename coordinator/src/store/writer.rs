@@ -14,7 +14,7 @@ use std::time::Duration;
 use sqlx::{Connection, SqliteConnection};
 use tokio::sync::{mpsc, oneshot};
 
-use super::{Place, Result, Store, StoreError, batch, doing};
+use super::{Place, Result, Shared, StoreError, batch, doing};
 use crate::stored::{Completion, Outcome};
 
 /// Results of one transaction.
@@ -34,11 +34,11 @@ pub struct Commit {
 
 pub(super) type Request = (Completion, oneshot::Sender<Result<Outcome>>);
 
-impl Store {
+impl Shared<'_> {
     /// Stores a result durably: when this returns it is on the disk.
     pub async fn complete(&self, completion: Completion) -> Result<Outcome> {
         let (sender, receiver) = oneshot::channel();
-        self.completions.send((completion, sender)).await.map_err(|_| StoreError::Closed)?;
+        self.store.completions.send((completion, sender)).await.map_err(|_| StoreError::Closed)?;
         receiver.await.map_err(|_| StoreError::Closed)?
     }
 }

@@ -83,7 +83,7 @@ async fn one_changed_bit_is_damage() {
     )
     .await;
     assert_eq!(damage(&store, &d).await, "its records differ from what was stored");
-    assert_eq!(store.set_job_aside(d.id, 0).await.unwrap(), [(d.id, 0)]);
+    assert_eq!(store.ledger().exclusive().await.set_job_aside(d.id, 0).await.unwrap(), [(d.id, 0)]);
     assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }), "it can be done again");
 }
 

@@ -44,7 +44,7 @@ async fn a_machine_keeps_its_row_and_fence_under_any_name() {
     let store = open(dir.path()).await;
     let machine = Machine { token: "t".to_owned(), host: "h".to_owned(), ..Machine::at("10.0.0.1") };
     let bad = store.register_worker(&machine, "first").await.unwrap();
-    store.fence(bad, "wrong").await.unwrap();
+    store.ledger().exclusive().await.fence(bad, "wrong").await.unwrap();
     let liar = Machine { host: "another".to_owned(), ..machine.clone() };
     assert_eq!(store.register_worker(&liar, "second").await.unwrap(), bad);
     let other_token = Machine { token: "u".to_owned(), ..machine.clone() };
@@ -59,7 +59,7 @@ async fn a_machine_keeps_its_row_and_fence_under_any_name() {
 async fn records_of_a_fenced_machine_are_kept_until_recomputed() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
-    assert_eq!(store.fence(BAD, "wrong").await.unwrap(), [(d.id, 1)]);
+    assert_eq!(store.ledger().exclusive().await.fence(BAD, "wrong").await.unwrap(), [(d.id, 1)]);
     assert_eq!(all_records(&store, &d).await, records(0, 0.25), "no others");
     assert_eq!((count(&store, "set_aside").await, count(&store, "records").await), (1, 4));
     assert!(matches!(complete(&store, &d, 1, 0.25).await, Outcome::Finished { .. }));
@@ -73,12 +73,12 @@ async fn a_machine_that_is_let_in_again_brings_its_records_back() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
     let before = all_records(&store, &d).await;
-    store.fence(BAD, "wrong").await.unwrap();
+    store.ledger().exclusive().await.fence(BAD, "wrong").await.unwrap();
     // A restart forgets neither.
     store.close().await;
     drop(store);
     let store = open(dir.path()).await;
-    let restored = store.lift_fence(BAD).await.unwrap();
+    let restored = store.ledger().exclusive().await.lift_fence(BAD).await.unwrap();
     let [(id, EndedJob::Done { job: 1, walks, by: Some(BAD), .. })] = &restored[..] else {
         panic!("{restored:?}")
     };
@@ -86,7 +86,7 @@ async fn a_machine_that_is_let_in_again_brings_its_records_back() {
     assert_eq!(all_records(&store, &d).await, before);
     assert!(store.machines().await.unwrap().iter().all(|known| known.fenced.is_none()));
     assert_eq!(count(&store, "set_aside").await + count(&store, "jobs_set_aside").await, 0);
-    assert_eq!(store.delete_dictionary(d.id, &[]).await.unwrap(), 4);
+    assert_eq!(store.ledger().exclusive().await.delete_dictionary(d.id, &[]).await.unwrap(), 4);
     assert!(store.faults().await.unwrap().is_empty());
 }
 
@@ -97,17 +97,21 @@ async fn what_others_have_confirmed_stays_in_their_name() {
     store.note_agreement(d.id, 0, BAD).await.unwrap();
     store.note_agreement(d.id, 1, THIRD).await.unwrap();
     assert_eq!(behind(&store, &d).await, [(0, Some(GOOD), vec![BAD]), (1, Some(BAD), vec![THIRD])]);
-    assert_eq!(store.fence(BAD, "wrong").await.unwrap(), []);
+    assert_eq!(store.ledger().exclusive().await.fence(BAD, "wrong").await.unwrap(), []);
     assert_eq!(behind(&store, &d).await, [(0, Some(GOOD), vec![]), (1, Some(THIRD), vec![])]);
-    assert_eq!(store.fence(THIRD, "wrong, too").await.unwrap(), [(d.id, 1)], "nobody is left");
+    assert_eq!(
+        store.ledger().exclusive().await.fence(THIRD, "wrong, too").await.unwrap(),
+        [(d.id, 1)],
+        "nobody is left"
+    );
 }
 
 #[tokio::test]
 async fn deleting_a_dictionary_deletes_its_records_set_aside() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
-    store.fence(BAD, "wrong").await.unwrap();
-    store.delete_dictionary(d.id, &[]).await.unwrap();
+    store.ledger().exclusive().await.fence(BAD, "wrong").await.unwrap();
+    store.ledger().exclusive().await.delete_dictionary(d.id, &[]).await.unwrap();
     for table in ["records", "points", "set_aside", "jobs_set_aside", "contributions"] {
         assert_eq!(count(&store, table).await, 0, "{table}");
     }
@@ -121,7 +125,7 @@ async fn machines_of_no_use_are_forgotten_and_no_others() {
     for name in ["useless", "fenced", "voter"] {
         store.register_worker(&Machine::at(name), name).await.unwrap();
     }
-    store.fence(Origin(5), "wrong").await.unwrap();
+    store.ledger().exclusive().await.fence(Origin(5), "wrong").await.unwrap();
     store.note_agreement(d.id, 0, THIRD).await.unwrap();
     let votes = vec![Vote { by: Some(Origin(6)), digest: Digest::from_bytes([1; 32]) }];
     store.note_check(&OpenCheck { dictionary: d.id, job: 0, block: 0, votes }).await.unwrap();

@@ -158,7 +158,7 @@ async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
     let bad = store.register_worker(&Machine::at("bad"), "label").await.unwrap();
     let d = divided(&store, "divided", vec![0.5]).await;
     assert_eq!(complete_block(&store, &d, 0, bad).await, Outcome::Part);
-    assert_eq!(store.fence(bad, "wrong").await.unwrap(), []);
+    assert_eq!(store.ledger().exclusive().await.fence(bad, "wrong").await.unwrap(), []);
     assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "its blocks are gone");
     assert_eq!(complete_block(&store, &d, 0, bad).await, Outcome::Unwanted);
     complete_block(&store, &d, 0, Origin(1)).await;
@@ -177,7 +177,7 @@ async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
     let d = divided(&store, "divided", vec![0.5]).await;
     complete_block(&store, &d, 0, bad).await;
     assert!(matches!(complete_block(&store, &d, 1, Origin(1)).await, Outcome::Finished { .. }));
-    assert_eq!(store.fence(bad, "wrong").await.unwrap(), [(d.0.id, 0)]);
+    assert_eq!(store.ledger().exclusive().await.fence(bad, "wrong").await.unwrap(), [(d.0.id, 0)]);
 }
 
 #[tokio::test]
@@ -188,7 +188,7 @@ async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
     let (a, b) = (divided(&store, "a", vec![0.5]).await, divided(&store, "b", vec![0.9]).await);
     complete_block(&store, &a, 0, Origin(1)).await;
     complete_block(&store, &b, 1, Origin(1)).await;
-    store.delete_dictionary(a.0.id, &[a.1.sums_identity()]).await.unwrap();
+    store.ledger().exclusive().await.delete_dictionary(a.0.id, &[a.1.sums_identity()]).await.unwrap();
     let rows: Vec<(i64,)> = sqlx::query_as("SELECT block FROM sums").fetch_all(&store.read).await.unwrap();
     assert_eq!(rows, [(1,)]);
     assert_eq!(store.stored_blocks(&b.1).await.unwrap(), [1].into());
@@ -213,7 +213,7 @@ async fn a_damaged_block_is_noticed_before_it_is_merged() {
         let error = store.complete(last).await.unwrap_err();
         assert!(matches!(error, StoreError::Corrupt { table: "sums", .. }), "{error}");
         assert_eq!(store.damaged_blocks(&d.1).await.unwrap(), Some(error.to_string()));
-        assert_eq!(store.forget_point(d.1.sums_identity()).await.unwrap(), []);
+        assert_eq!(store.ledger().exclusive().await.delete_point(d.1.sums_identity()).await.unwrap(), []);
         assert!(store.stored_blocks(&d.1).await.unwrap().is_empty(), "all can be computed again");
     }
 }

@@ -28,7 +28,7 @@ async fn open_checks_outlive_a_restart_as_they_stand() {
     drop(store);
     let store = open(dir.path()).await;
     assert_eq!(store.open_checks().await.unwrap(), [disputed, of_block]);
-    store.delete_dictionary(d.id, &[]).await.unwrap();
+    store.ledger().exclusive().await.delete_dictionary(d.id, &[]).await.unwrap();
     assert!(store.open_checks().await.unwrap().is_empty());
 }
 

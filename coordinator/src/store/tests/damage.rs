@@ -73,7 +73,7 @@ async fn conflicting_records_for_shared_walks_are_refused() {
         assert_eq!(second.unwrap(), Outcome::Differs);
         assert!(store.ended_jobs(e.id, &e.grid).await.unwrap().is_empty());
         let point = completion(&d, 1, 0.25).job.identity();
-        assert_eq!(store.forget_point(point).await.unwrap(), [(d.id, 1)]);
+        assert_eq!(store.ledger().exclusive().await.delete_point(point).await.unwrap(), [(d.id, 1)]);
     }
     let (first, second) = tokio::join!(store.complete(completion(&d, 1, 0.25)), store.complete(result(0.25)));
     assert!(matches!((first, second), (Ok(Outcome::Finished { .. }), Ok(Outcome::Finished { .. }))));

@@ -1,0 +1,67 @@
+//! The lock between results that are being stored and records that are being deleted.
+//!
+//! It is held shared from the moment a result is handed to the store until the dispatcher has noted it, and exclusively
+//! while records are deleted or set aside. So the dispatcher never counts a record as stored that was deleted in between.
+//! The operations are methods of the guards: a caller without the right guard does not compile.
+
+use std::ops::Deref;
+
+use tokio::sync::{RwLockReadGuard, RwLockWriteGuard};
+
+use super::Store;
+
+/// The lock of a store's records.
+#[derive(Debug, Clone, Copy)]
+pub struct Ledger<'a>(&'a Store);
+
+/// The ledger held by anyone, for the operations that either guard allows.
+#[derive(Debug)]
+pub struct Held<'a> {
+    pub(super) store: &'a Store,
+}
+
+/// Held together with others: results are stored, and the dispatcher takes note of them.
+#[derive(Debug)]
+pub struct Shared<'a> {
+    held: Held<'a>,
+    _guard: RwLockReadGuard<'a, ()>,
+}
+
+/// Held alone: records are deleted or set aside, or come back.
+#[derive(Debug)]
+pub struct Exclusive<'a> {
+    held: Held<'a>,
+    _guard: RwLockWriteGuard<'a, ()>,
+}
+
+impl Store {
+    pub fn ledger(&self) -> Ledger<'_> {
+        Ledger(self)
+    }
+}
+
+impl<'a> Ledger<'a> {
+    pub async fn shared(self) -> Shared<'a> {
+        Shared { held: Held { store: self.0 }, _guard: self.0.records.read().await }
+    }
+
+    pub async fn exclusive(self) -> Exclusive<'a> {
+        Exclusive { held: Held { store: self.0 }, _guard: self.0.records.write().await }
+    }
+}
+
+impl<'a> Deref for Shared<'a> {
+    type Target = Held<'a>;
+
+    fn deref(&self) -> &Held<'a> {
+        &self.held
+    }
+}
+
+impl<'a> Deref for Exclusive<'a> {
+    type Target = Held<'a>;
+
+    fn deref(&self) -> &Held<'a> {
+        &self.held
+    }
+}
