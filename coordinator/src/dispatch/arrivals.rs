@@ -79,7 +79,7 @@ impl Dispatcher {
     fn wanted(&self, key: &LeaseKey, identity: Digest, by: Origin) -> Result<Admission, DispatchError> {
         let part = PartId::from(key);
         let lost = DispatchError::LeaseLost { job: key.job, attempt: key.attempt };
-        if !self.seal().gave(key, self.workers.machines.token(by)) {
+        if !self.mac().verify(key, self.workers.machines.token(by)) {
             return Err(lost);
         }
         let dictionary =
@@ -150,22 +150,22 @@ impl Dispatcher {
         let suspect = self.suspects.remove(&(id, key.job));
         if walks.blocks() > 1 {
             self.want_check_of_block(arrived, suspect);
-        } else if suspect || self.draws(key, records) {
+        } else if suspect || self.is_sampled(key, records) {
             self.checks.want(PartId::from(key), vec![Vote { by: Some(by), digest: records }], suspect);
             self.outbox.work = true;
         }
         self.tell_end(id);
     }
 
-    fn draws(&self, key: &LeaseKey, digest: Digest) -> bool {
-        self.seal().draws(PartId::from(key), digest, self.settings.check_share)
+    fn is_sampled(&self, key: &LeaseKey, digest: Digest) -> bool {
+        self.mac().is_sampled(PartId::from(key), digest, self.settings.check_share)
     }
 
-    /// Asks for a second opinion on a block, if it is drawn. Its sums are merged, so that nobody could tell later what they
-    /// were: the store keeps their digest.
+    /// Asks for a second opinion on a block, if it is sampled. Its sums are merged and cannot be recovered later, so the
+    /// store keeps their digest.
     fn want_check_of_block(&mut self, arrived: &Arrived, suspect: bool) {
         let Arrived { by, key, digest, .. } = *arrived;
-        if suspect || self.draws(key, digest) {
+        if suspect || self.is_sampled(key, digest) {
             self.checks.want(PartId::from(key), vec![Vote { by: Some(by), digest }], true);
             self.outbox.work = true;
         }

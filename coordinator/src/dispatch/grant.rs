@@ -169,7 +169,7 @@ impl Dispatcher {
     ) {
         let PartId { dictionary, job, part } = id;
         let bare = LeaseKey { dictionary, job, attempt, token: Token(0), part };
-        let token = self.seal().token(&bare, tokens.token().0 as u64, self.holder(worker));
+        let token = self.mac().token(&bare, tokens.token().0 as u64, self.holder(worker));
         let key = LeaseKey { token, ..bare };
         let deadline = now + self.settings.lease;
         let worker = worker.clone();
@@ -217,7 +217,7 @@ impl Dispatcher {
             }
             return own;
         }
-        if !self.seal().gave(key, self.holder(worker)) {
+        if !self.mac().verify(key, self.holder(worker)) {
             return false;
         }
         let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) else { return false };

@@ -204,7 +204,7 @@ impl Dispatcher {
             let digest = self.dictionaries.get(&dictionary).and_then(|d| d.records_of(job));
             let part = PartId { dictionary, job, part: 0 };
             let Some(digest) =
-                digest.filter(|digest| self.seal().draws(part, *digest, self.settings.check_share))
+                digest.filter(|digest| self.mac().is_sampled(part, *digest, self.settings.check_share))
             else {
                 continue;
             };

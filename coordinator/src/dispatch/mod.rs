@@ -13,6 +13,7 @@ mod grant;
 mod job;
 mod job_states;
 mod judgement;
+mod lease_mac;
 mod leases;
 mod look_over;
 mod machines;
@@ -23,7 +24,6 @@ mod pace;
 mod pace_history;
 mod plan;
 mod progress;
-mod seal;
 mod shared;
 #[cfg(test)]
 mod tests;
@@ -45,6 +45,7 @@ use checks::Checks;
 pub use dictionary::Dictionary;
 pub use explain::Reason;
 pub use grant::Wish;
+use lease_mac::LeaseMac;
 use leases::Leases;
 pub use leases::{PartId, Purpose};
 pub use outbox::{Count, Effect, Event, EventKind, Outbox};
@@ -52,7 +53,6 @@ use pace::Pace;
 use pace_history::PaceHistory;
 pub use pace_history::{PERIOD, Period};
 pub use plan::Plan;
-use seal::Seal;
 pub use shared::JobRef;
 pub use workers::Registration;
 use workers::Workers;
@@ -154,8 +154,8 @@ impl Dispatcher {
         self.settings
     }
 
-    fn seal(&self) -> Seal {
-        Seal(self.settings.secret)
+    fn mac(&self) -> LeaseMac {
+        LeaseMac(self.settings.secret)
     }
 
     pub fn add_dictionary(&mut self, mut dictionary: Dictionary) {

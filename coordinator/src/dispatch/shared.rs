@@ -155,12 +155,12 @@ impl Dispatcher {
     pub(super) fn want_checks(&mut self, id: DictionaryId) {
         let Some(own) = self.dictionaries.get(&id) else { return };
         let elsewhere = |job: u32| self.kin((id, job)).any(|(other, job)| other.is_done(job));
-        let (seal, share) = (self.seal(), self.settings.check_share);
+        let (mac, share) = (self.mac(), self.settings.check_share);
         let wanted: Vec<(PartId, Vote)> = own
             .unchecked()
             .map(|(job, first, reused)| (PartId { dictionary: id, job, part: 0 }, first, reused))
             .filter(|(part, first, reused)| {
-                seal.draws(*part, first.digest, share)
+                mac.is_sampled(*part, first.digest, share)
                     && !self.confirmed.contains_key(&(id, part.job))
                     && !(*reused && elsewhere(part.job))
             })

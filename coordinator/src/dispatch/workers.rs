@@ -178,15 +178,17 @@ impl Dispatcher {
         Ok(())
     }
 
-    /// What a worker calls itself in its calls.
-    pub fn pass_of(&self, id: &WorkerId) -> String {
-        self.seal().pass(id)
+    /// The token that authenticates a worker in its calls.
+    pub fn worker_token(&self, id: &WorkerId) -> String {
+        self.mac().worker_token(id)
     }
 
-    /// The worker that calls itself so.
-    pub fn bearer(&self, pass: &str) -> Result<WorkerId, DispatchError> {
+    /// The worker of a token.
+    pub fn verify_worker(&self, token: &str) -> Result<WorkerId, DispatchError> {
         let known = |id: &str| DispatchError::UnknownWorker(WorkerId(id.chars().take(64).collect()));
-        self.seal().bearer(pass).ok_or_else(|| known(pass.rsplit_once('.').map_or(pass, |(id, _)| id)))
+        self.mac()
+            .verify_worker(token)
+            .ok_or_else(|| known(token.rsplit_once('.').map_or(token, |(id, _)| id)))
     }
 
     /// Takes up a machine that the store remembers.

@@ -41,14 +41,14 @@ impl Versions {
 }
 
 impl Farm {
-    /// The worker that calls itself so. Nobody else can: what it is told at its registration is more than its id.
-    pub(crate) fn bearer(&self, pass: &str) -> Result<WorkerId> {
-        Ok(self.door.query(|dispatcher, _| dispatcher.bearer(pass))?)
+    /// The worker of a token, which it was issued at its registration and which others cannot read.
+    pub(crate) fn verify_worker(&self, token: &str) -> Result<WorkerId> {
+        Ok(self.door.query(|dispatcher, _| dispatcher.verify_worker(token))?)
     }
 
-    /// What a worker is to call itself.
-    pub(crate) fn pass_of(&self, worker: &WorkerId) -> String {
-        self.door.query(|dispatcher, _| dispatcher.pass_of(worker))
+    /// The token that authenticates a worker in its calls.
+    pub(crate) fn worker_token(&self, worker: &WorkerId) -> String {
+        self.door.query(|dispatcher, _| dispatcher.worker_token(worker))
     }
 
     /// Lets a worker in. `votes_by_token`: each token has one vote about results, or else each machine.
