@@ -1,7 +1,6 @@
 //! What the coordinator can do, each operation once: dispatch, store and fit tied together.
 
 mod backup;
-mod door;
 mod effects;
 mod event_shares;
 mod events;
@@ -15,6 +14,7 @@ mod records;
 mod results;
 mod room;
 mod scheduled_backup;
+mod scheduler;
 mod shared;
 mod snapshot;
 #[cfg(test)]
@@ -38,7 +38,6 @@ use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Period, 
 use crate::metrics::Metrics;
 use crate::store::{Store, StoreError};
 pub(crate) use backup::{Backup, BackupPart};
-use door::Door;
 use events::Recorder;
 pub(crate) use export::Export;
 use fit_cache::FitCache;
@@ -47,6 +46,7 @@ pub(crate) use intake::{Delivered, Header, Piece};
 pub(crate) use leasing::{Versions, WorkerEnd};
 use room::Room;
 use scheduled_backup::LastBackup;
+use scheduler::Scheduler;
 pub(crate) use watch::Watch;
 pub(crate) use watch_jobs::{JobRun, JobWatch};
 
@@ -143,7 +143,7 @@ pub(crate) struct Overview {
 #[derive(Debug)]
 pub(crate) struct Farm {
     store: Store,
-    door: Door,
+    scheduler: Scheduler,
     /// Keeps changes of one dictionary from racing.
     managing: tokio::sync::Mutex<()>,
     fits: FitCache,
@@ -162,10 +162,10 @@ impl Farm {
     ) -> Result<Arc<Self>, StoreError> {
         let dispatcher = dispatcher_of(&store, config).await?;
         let ids: Vec<_> = dispatcher.dictionaries().map(Dictionary::id).collect();
-        let (door, orders) = Door::new(dispatcher, Recorder::start(store.clone()), metrics);
+        let (scheduler, orders) = Scheduler::new(dispatcher, Recorder::start(store.clone()), metrics);
         let farm = Arc::new(Self {
             store,
-            door,
+            scheduler,
             managing: tokio::sync::Mutex::new(()),
             fits: FitCache::new(config.fit_memory_bytes),
             room: Arc::default(),
@@ -185,7 +185,7 @@ impl Farm {
 
     /// Notes that the farm can be reached from now on.
     pub(crate) fn started(&self) {
-        self.door.note(
+        self.scheduler.note(
             &Actor::default(),
             EventKind::CoordinatorStarted,
             format!("version {}", env!("CARGO_PKG_VERSION")),
@@ -193,7 +193,7 @@ impl Farm {
     }
 
     pub(crate) fn metrics(&self) -> &Metrics {
-        self.door.metrics()
+        self.scheduler.metrics()
     }
 
     pub(crate) fn store(&self) -> &Store {
@@ -201,7 +201,7 @@ impl Farm {
     }
 
     pub(crate) fn status(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
-        self.door.query(|d, now| d.status(now, name).ok_or_else(|| not_found(d, name)))
+        self.scheduler.query(|d, now| d.status(now, name).ok_or_else(|| not_found(d, name)))
     }
 
     /// Dictionaries in the order of their numbers, from the one after `after` on, and the number of the last.
@@ -210,7 +210,7 @@ impl Farm {
         after: DictionaryId,
         most: usize,
     ) -> (Vec<DictionaryStatus>, Option<DictionaryId>) {
-        self.door.query(|dispatcher, now| {
+        self.scheduler.query(|dispatcher, now| {
             let mut rest = dispatcher.dictionaries().filter(|d| d.id() > after);
             let page: Vec<&Dictionary> = rest.by_ref().take(most).collect();
             let last = rest.next().and(page.last()).map(|d| d.id());
@@ -220,13 +220,13 @@ impl Farm {
 
     /// Workers in the order of their ids, from the one after `after` on.
     pub(crate) fn workers(&self, after: &WorkerId, most: usize) -> Vec<WorkerStatus> {
-        self.door.query(|dispatcher, now| dispatcher.workers(now, after, most))
+        self.scheduler.query(|dispatcher, now| dispatcher.workers(now, after, most))
     }
 
     pub(crate) fn overview(&self) -> Overview {
         let database_bytes = self.store.bytes();
         let store_fault = self.store_fault();
-        self.door.query(|dispatcher, now| {
+        self.scheduler.query(|dispatcher, now| {
             let (jobs_pending, jobs_leased) = dispatcher.load();
             let (workers, threads) = dispatcher.strength();
             Overview {
@@ -246,7 +246,7 @@ impl Farm {
 
     /// What was finished in each period of the last hour, and the time since the start.
     pub(crate) fn paces(&self) -> (Vec<Period>, Duration) {
-        self.door.query(|dispatcher, now| (dispatcher.paces(now), now))
+        self.scheduler.query(|dispatcher, now| (dispatcher.paces(now), now))
     }
 
     /// Why the last result could not be stored, if it could not.
@@ -256,14 +256,14 @@ impl Farm {
 
     /// Writes what is still to be written and closes the database.
     pub(crate) async fn close(&self) {
-        self.door.close().await;
+        self.scheduler.close().await;
         self.give_back_room_at_end().await;
         self.store.close().await;
     }
 
     /// Number and grid of a dictionary.
     fn found(&self, name: &DictionaryName) -> Result<(DictionaryId, Arc<Grid>)> {
-        self.door.query(|dispatcher, _| {
+        self.scheduler.query(|dispatcher, _| {
             let dictionary = dispatcher.by_name(name).ok_or_else(|| not_found(dispatcher, name))?;
             Ok((dictionary.id(), dictionary.grid().clone()))
         })

@@ -138,11 +138,15 @@ fn the_store_knows_nothing_above_it() {
 }
 
 #[test]
-fn the_scheduler_has_one_door() {
+fn only_the_scheduler_holds_the_dispatcher() {
     for (path, text) in sources(&root().join("coordinator/src/farm")) {
-        let is_door = path.ends_with("door.rs");
+        let is_scheduler = path.ends_with("scheduler.rs");
         for word in ["Mutex<Dispatcher>", "send_replace", "take_outbox", "recorder.record("] {
-            assert!(is_door || !text.contains(word), "{word} is for door.rs alone, not {}", path.display());
+            assert!(
+                is_scheduler || !text.contains(word),
+                "{word} is for scheduler.rs alone, not {}",
+                path.display()
+            );
         }
     }
 }

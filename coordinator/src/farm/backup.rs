@@ -63,7 +63,7 @@ impl Farm {
         let mut backup = Backup { file: self.store.dir().path().join(name), report: None, offset: 0 };
         let report = self.store.backup(&backup.file).await?;
         let message = format!("{} records, {} bytes", report.counts.records, report.bytes);
-        self.door.note(by, EventKind::BackupMade, message);
+        self.scheduler.note(by, EventKind::BackupMade, message);
         backup.report = Some(report);
         Ok(backup)
     }

@@ -7,7 +7,7 @@ use farm_proto::ids::DictionaryId;
 use tokio::sync::mpsc;
 
 use super::Farm;
-use super::door::Order;
+use super::scheduler::Order;
 use crate::dispatch::{Dictionary, Effect};
 use crate::store::{Exclusive, StoreError};
 use crate::stored::{EndedJob, Origin};
@@ -29,9 +29,9 @@ pub(super) async fn perform(farm: Weak<Farm>, mut orders: mpsc::UnboundedReceive
                 };
                 if let Some(error) = failure {
                     tracing::error!(error, "a decision could not be stored: it is tried again");
-                    farm.door.transition(|dispatcher, _| dispatcher.put_off(effect));
+                    farm.scheduler.transition(|dispatcher, _| dispatcher.put_off(effect));
                 }
-                farm.door.performed();
+                farm.scheduler.performed();
             }
             Order::Report(done) => drop(done.send(())),
         }
@@ -57,7 +57,8 @@ impl Farm {
                 let exclusive = self.store.ledger().exclusive().await;
                 self.begin_again(&exclusive, exclusive.fence(*machine, reason).await?);
                 // Blocks of jobs that had not ended are gone too.
-                let all = self.door.query(|d, _| d.dictionaries().map(Dictionary::id).collect::<Vec<_>>());
+                let all =
+                    self.scheduler.query(|d, _| d.dictionaries().map(Dictionary::id).collect::<Vec<_>>());
                 for id in all {
                     self.find_blocks(&exclusive, id).await?;
                 }
@@ -72,7 +73,7 @@ impl Farm {
         let exclusive = self.store.ledger().exclusive().await;
         let restored = exclusive.lift_fence(machine).await?;
         let ids: BTreeSet<DictionaryId> = restored.iter().map(|(id, _)| *id).collect();
-        self.door.transition(|dispatcher, _| {
+        self.scheduler.transition(|dispatcher, _| {
             for (id, ended) in restored {
                 if let EndedJob::Done { job, walks, records, by, .. } = ended {
                     dispatcher.restored((id, job), walks, records, by);
@@ -92,7 +93,7 @@ impl Farm {
         for of_one in jobs.chunk_by(|a, b| a.0 == b.0) {
             let id = of_one[0].0;
             let numbers: Vec<u32> = of_one.iter().map(|(_, job)| *job).collect();
-            self.door.transition(|dispatcher, _| dispatcher.reopen(id, &numbers));
+            self.scheduler.transition(|dispatcher, _| dispatcher.reopen(id, &numbers));
             self.fits.forget(id);
         }
     }

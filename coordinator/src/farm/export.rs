@@ -31,7 +31,7 @@ impl Farm {
     ) -> Result<Export> {
         let (_, grid) = self.found(&name)?;
         let mut ranges = ranges(&grid, first, indices)?;
-        let promised = self.door.query(|dispatcher, _| {
+        let promised = self.scheduler.query(|dispatcher, _| {
             let finished =
                 dispatcher.by_name(&name).map(|d| ranges.iter().map(|r| d.finished_records(r.clone())).sum());
             finished.unwrap_or_default()

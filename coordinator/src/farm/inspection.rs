@@ -45,7 +45,7 @@ enum Look {
 impl Farm {
     /// Compares all records with their digests. Jobs that are damaged are computed again if `repair` says so.
     pub(crate) async fn inspect(&self, repair: bool) -> Inspection {
-        let all: Vec<_> = self.door.query(|dispatcher, _| {
+        let all: Vec<_> = self.scheduler.query(|dispatcher, _| {
             dispatcher.dictionaries().map(|d| (d.name().clone(), d.id(), d.grid().clone())).collect()
         });
         let mut inspection = Inspection::default();

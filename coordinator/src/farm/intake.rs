@@ -122,7 +122,7 @@ impl Farm {
     fn cannot_be(&self, worker: &WorkerId, key: &LeaseKey, why: &Invalid) {
         let reason = format!("its result cannot be: {why}");
         // Without a lease it counts for nothing.
-        let _ = self.door.transition(|dispatcher, now| dispatcher.failed(now, worker, key, &reason));
+        let _ = self.scheduler.transition(|dispatcher, now| dispatcher.failed(now, worker, key, &reason));
     }
 }
 

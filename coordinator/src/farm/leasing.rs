@@ -43,12 +43,12 @@ impl Versions {
 impl Farm {
     /// The worker of a token, which it was issued at its registration and which others cannot read.
     pub(crate) fn verify_worker(&self, token: &str) -> Result<WorkerId> {
-        Ok(self.door.query(|dispatcher, _| dispatcher.verify_worker(token))?)
+        Ok(self.scheduler.query(|dispatcher, _| dispatcher.verify_worker(token))?)
     }
 
     /// The token that authenticates a worker in its calls.
     pub(crate) fn worker_token(&self, worker: &WorkerId) -> String {
-        self.door.query(|dispatcher, _| dispatcher.worker_token(worker))
+        self.scheduler.query(|dispatcher, _| dispatcher.worker_token(worker))
     }
 
     /// Lets a worker in. `votes_by_token`: each token has one vote about results, or else each machine.
@@ -61,7 +61,7 @@ impl Farm {
         versions.check()?;
         let origin = self.store.register_worker(&about.machine, &about.label).await?;
         let id = WorkerId(random_token());
-        let settings = self.door.transition(|dispatcher, now| {
+        let settings = self.scheduler.transition(|dispatcher, now| {
             dispatcher.set_votes_by_token(votes_by_token);
             dispatcher.register(now, id.clone(), origin, about).map(|()| dispatcher.settings())
         })?;
@@ -80,7 +80,7 @@ impl Farm {
         let patience = tokio::time::sleep(patience);
         tokio::pin!(patience);
         // Before the first look, so that no work comes between the two.
-        let mut work = self.door.work();
+        let mut work = self.scheduler.work();
         loop {
             let grant = self.acquire_now(worker, wish)?;
             if !grant.leases.is_empty() || grant.drain {
@@ -95,7 +95,7 @@ impl Farm {
     }
 
     pub(super) fn acquire_now(&self, worker: &WorkerId, wish: impl Into<Wish>) -> Result<Grant> {
-        let acquire = self.door.transition(|d, now| d.acquire(now, worker, wish, &mut Random));
+        let acquire = self.scheduler.transition(|d, now| d.acquire(now, worker, wish, &mut Random));
         Ok(acquire?)
     }
 
@@ -105,17 +105,17 @@ impl Farm {
         worker: &WorkerId,
         leases: Vec<(LeaseKey, bool, Digest)>,
     ) -> Result<(Vec<LeaseKey>, bool)> {
-        Ok(self.door.transition(|dispatcher, now| dispatcher.renew(now, worker, leases))?)
+        Ok(self.scheduler.transition(|dispatcher, now| dispatcher.renew(now, worker, leases))?)
     }
 
     /// Whether a result is wanted, and what it must look like.
     pub(super) fn admit(&self, worker: &WorkerId, key: &LeaseKey, identity: Digest) -> Result<Admission> {
-        Ok(self.door.transition(|dispatcher, now| dispatcher.admit(now, worker, key, identity))?)
+        Ok(self.scheduler.transition(|dispatcher, now| dispatcher.admit(now, worker, key, identity))?)
     }
 
     /// Takes leases back; a worker that leaves gives all of its leases back, also those it has not heard of.
     pub(crate) fn hand_back(&self, worker: &WorkerId, leases: &[LeaseKey], end: Option<WorkerEnd>) {
-        self.door.transition(|dispatcher, _| {
+        self.scheduler.transition(|dispatcher, _| {
             dispatcher.hand_back(leases);
             match end {
                 Some(WorkerEnd::Left) => dispatcher.leave(worker),
@@ -126,13 +126,14 @@ impl Farm {
     }
 
     pub(crate) async fn failed(&self, worker: &WorkerId, key: &LeaseKey, reason: &str) -> Result<()> {
-        let counted = self.door.transition(|dispatcher, now| dispatcher.failed(now, worker, key, reason));
-        self.door.settled().await;
+        let counted =
+            self.scheduler.transition(|dispatcher, now| dispatcher.failed(now, worker, key, reason));
+        self.scheduler.settled().await;
         Ok(counted?)
     }
 
     /// Looks at all that time alone changes; returns how many leases were freed since their workers are silent.
     pub(crate) fn look_over(&self) -> usize {
-        self.door.transition(Dispatcher::look_over)
+        self.scheduler.transition(Dispatcher::look_over)
     }
 }

@@ -31,7 +31,7 @@ impl Farm {
         priority: i32,
     ) -> Result<DictionaryStatus> {
         let _one_at_a_time = self.managing.lock().await;
-        let existing = self.door.query(|d, _| d.by_name(&name).map(Dictionary::grid_digest));
+        let existing = self.scheduler.query(|d, _| d.by_name(&name).map(Dictionary::grid_digest));
         if let Some(existing) = existing {
             if existing == Digest::of_grid(&grid) {
                 return self.status(&name);
@@ -48,7 +48,7 @@ impl Farm {
         let id = stored.id;
         if let Err(error) = self.take_up(by, plan, stored).await {
             // A dictionary that the store has and nobody serves would keep its name for ever.
-            self.door.transition(|dispatcher, _| dispatcher.remove_dictionary(id));
+            self.scheduler.transition(|dispatcher, _| dispatcher.remove_dictionary(id));
             let exclusive = self.store.ledger().exclusive().await;
             if let Err(error) = exclusive.delete_dictionary(id, &[]).await {
                 tracing::error!(%error, %name, "a dictionary that was not taken up could not be deleted");
@@ -61,11 +61,11 @@ impl Farm {
     /// The coordinator keeps account of every job of every dictionary: all together have a limit, and what one token has
     /// submitted leaves room for others.
     fn check_room(&self, by: &Actor, plan: &Plan) -> Result<()> {
-        let of_one = self.door.query(|d, _| d.dictionaries().filter(|d| d.owner() == by.name()).count());
+        let of_one = self.scheduler.query(|d, _| d.dictionaries().filter(|d| d.owner() == by.name()).count());
         if !by.shares_as().is_empty() && of_one >= DICTIONARIES_OF_ONE {
             return Err(FarmError::ManyDictionaries { most: DICTIONARIES_OF_ONE });
         }
-        let (own, all) = self.door.query(|dispatcher, _| {
+        let (own, all) = self.scheduler.query(|dispatcher, _| {
             dispatcher.dictionaries().fold((plan.entries(), plan.entries()), |(own, all), dictionary| {
                 let is_own = dictionary.owner() == by.name();
                 (own + if is_own { dictionary.entries() } else { 0 }, all + dictionary.entries())
@@ -92,27 +92,27 @@ impl Farm {
             let of_jobs = grid.clone();
             let jobs = blocking(move || identities(&of_jobs)).await;
             let grids =
-                self.door.query(|d, _| d.dictionaries().map(|d| (d.id(), d.grid().clone())).collect());
+                self.scheduler.query(|d, _| d.dictionaries().map(|d| (d.id(), d.grid().clone())).collect());
             shared.reuse(id, &grid, &jobs, &grids).await?.len()
         };
         let ended = self.store.ended_jobs(id, &grid).await?;
         let dictionary = Dictionary::planned(plan, stored, &ended);
-        self.door.transition(|dispatcher, _| dispatcher.add_dictionary(dictionary));
+        self.scheduler.transition(|dispatcher, _| dispatcher.add_dictionary(dictionary));
         self.find_blocks(&shared, id).await?;
         // What came in the meantime.
         self.take_over_done(&shared, id).await?;
         let (jobs, records) = (grid.job_count(), grid.record_count());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
-        self.door.transition_by(by, |dispatcher, _| dispatcher.tell(id, EventKind::Submitted, message));
+        self.scheduler.transition_by(by, |dispatcher, _| dispatcher.tell(id, EventKind::Submitted, message));
         Ok(())
     }
 
     /// Takes up blocks of divided jobs that the store holds.
     pub(super) async fn find_blocks(&self, _held: &Held<'_>, id: DictionaryId) -> Result<(), StoreError> {
-        let wanted = self.door.query(|d, _| d.by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs));
+        let wanted = self.scheduler.query(|d, _| d.by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs));
         for (job, spec) in wanted {
             let blocks = self.store.stored_blocks(&spec).await?;
-            self.door.transition(|d, _| d.parts_stored(id, job, spec.walks(), &blocks));
+            self.scheduler.transition(|d, _| d.parts_stored(id, job, spec.walks(), &blocks));
         }
         Ok(())
     }
@@ -175,7 +175,8 @@ impl Farm {
             grid.check_parts()?;
         }
         self.store.set_desire(id, desire, reason).await?;
-        self.door.transition_by(by, |dispatcher, _| dispatcher.set_desire(id, desire, reason.to_owned()));
+        self.scheduler
+            .transition_by(by, |dispatcher, _| dispatcher.set_desire(id, desire, reason.to_owned()));
         if desire == DesiredState::Run {
             let shared = self.store.ledger().shared().await;
             self.take_over_done(&shared, id).await?;
@@ -188,7 +189,7 @@ impl Farm {
         self.changeable(by, name)?;
         let (id, _) = self.found(name)?;
         self.store.retry_jobs(id).await?;
-        self.door.transition_by(by, |dispatcher, _| dispatcher.retry(id));
+        self.scheduler.transition_by(by, |dispatcher, _| dispatcher.retry(id));
         let shared = self.store.ledger().shared().await;
         self.find_blocks(&shared, id).await?;
         self.take_over_done(&shared, id).await?;
@@ -205,7 +206,7 @@ impl Farm {
         self.changeable(by, name)?;
         let (id, _) = self.found(name)?;
         self.store.set_priority(id, priority).await?;
-        self.door.transition_by(by, |dispatcher, _| dispatcher.set_priority(id, priority));
+        self.scheduler.transition_by(by, |dispatcher, _| dispatcher.set_priority(id, priority));
         self.status(name)
     }
 
@@ -221,7 +222,7 @@ impl Farm {
         let exclusive = self.store.ledger().exclusive().await;
         let blocks = self.blocks_of_none_but(id);
         let records = exclusive.delete_dictionary(id, &blocks).await?;
-        self.door.transition_by(by, |dispatcher, _| {
+        self.scheduler.transition_by(by, |dispatcher, _| {
             dispatcher.tell(id, EventKind::Deleted, format!("{records} records deleted"));
             dispatcher.remove_dictionary(id);
         });
@@ -232,7 +233,7 @@ impl Farm {
     /// Where blocks of a dictionary's unfinished jobs are gathered, and of no other one's.
     fn blocks_of_none_but(&self, id: DictionaryId) -> Vec<Digest> {
         let gathered = |d: &Dictionary| d.divided_jobs().into_iter().map(|(_, job)| job.sums_identity());
-        self.door.query(|dispatcher, _| {
+        self.scheduler.query(|dispatcher, _| {
             let others = dispatcher.dictionaries().filter(|d| d.id() != id);
             let others: HashSet<Digest> = others.flat_map(gathered).collect();
             let own = dispatcher.by_id(id).into_iter().flat_map(gathered);
@@ -241,7 +242,8 @@ impl Farm {
     }
 
     pub(crate) fn explain(&self, name: &DictionaryName) -> Result<Vec<Reason>> {
-        let mut reasons = self.door.query(|d, now| d.explain(now, name).ok_or_else(|| not_found(d, name)))?;
+        let mut reasons =
+            self.scheduler.query(|d, now| d.explain(now, name).ok_or_else(|| not_found(d, name)))?;
         if let Some(fault) = self.store_fault() {
             let text = format!("results cannot be stored: {fault}; workers keep them and try again");
             reasons.insert(0, Reason { code: "STORE_FAULT", text });
@@ -253,14 +255,14 @@ impl Farm {
     }
 
     pub(crate) fn drain(&self, by: &Actor, which: &str) -> Result<WorkerId> {
-        let drained = self.door.transition_by(by, |dispatcher, _| dispatcher.drain(which));
+        let drained = self.scheduler.transition_by(by, |dispatcher, _| dispatcher.drain(which));
         drained.map_err(|why| FarmError::Worker { which: which.to_owned(), why })
     }
 
     /// Lets a machine in again that was fenced off.
     pub(crate) async fn readmit(&self, by: &Actor, which: &str) -> Result<()> {
-        let lifted = self.door.transition_by(by, |dispatcher, _| dispatcher.lift_fence(which));
-        self.door.settled().await;
+        let lifted = self.scheduler.transition_by(by, |dispatcher, _| dispatcher.lift_fence(which));
+        self.scheduler.settled().await;
         lifted.map(drop).map_err(|why| FarmError::Worker { which: which.to_owned(), why })
     }
 
@@ -271,7 +273,7 @@ impl Farm {
         from: u32,
         most: usize,
     ) -> Result<Vec<FailedJob>> {
-        self.door.query(|d, _| {
+        self.scheduler.query(|d, _| {
             let dictionary = d.by_name(name).ok_or_else(|| not_found(d, name))?;
             Ok(dictionary.given_up(from, most))
         })

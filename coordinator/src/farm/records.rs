@@ -70,7 +70,7 @@ impl Farm {
         again.push((id, job));
         self.begin_again(&exclusive, again);
         drop(exclusive);
-        self.door.transition(|dispatcher, _| dispatcher.tell_damage(id, job, &what));
+        self.scheduler.transition(|dispatcher, _| dispatcher.tell_damage(id, job, &what));
         Ok(Some(what))
     }
 

@@ -32,27 +32,27 @@ impl Farm {
                 let (walks, digest) = (job.walks(), result.digest());
                 let outcome = Outcome::Before { records: stored, new: digest };
                 let arrived = Arrived { worker: &worker, by, key: &key, walks, digest };
-                self.door.transition(|dispatcher, now| dispatcher.arrived(now, &arrived, outcome));
+                self.scheduler.transition(|dispatcher, now| dispatcher.arrived(now, &arrived, outcome));
                 Ok(outcome)
             }
             Admission::Repeated { .. } => Ok(Outcome::Repeated),
         };
-        self.door.settled().await;
+        self.scheduler.settled().await;
         let outcome = outcome?;
         match outcome {
             Outcome::Finished { .. } | Outcome::Part | Outcome::MoreWalks(_) => {
-                self.door.metrics().job_completed(JobOutcome::Stored);
+                self.scheduler.metrics().job_completed(JobOutcome::Stored);
             }
-            _ if outcome.is_conflict() => self.door.metrics().job_completed(JobOutcome::Conflict),
+            _ if outcome.is_conflict() => self.scheduler.metrics().job_completed(JobOutcome::Conflict),
             Outcome::Unwanted => {}
-            _ => self.door.metrics().job_completed(JobOutcome::Duplicate),
+            _ => self.scheduler.metrics().job_completed(JobOutcome::Duplicate),
         }
         Ok(outcome)
     }
 
     async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, result: JobResult) -> Result<Outcome> {
         let key = arrived.key;
-        let quality = self.door.query(|d, _| d.by_id(key.dictionary).and_then(|d| d.grid().quality()));
+        let quality = self.scheduler.query(|d, _| d.by_id(key.dictionary).and_then(|d| d.grid().quality()));
         let completion = Completion {
             dictionary: key.dictionary,
             job_number: key.job,
@@ -67,7 +67,7 @@ impl Farm {
         if let Ok(outcome) = stored
             && outcome != Outcome::Differs
         {
-            let next = self.door.transition(|dispatcher, now| dispatcher.arrived(now, arrived, outcome));
+            let next = self.scheduler.transition(|dispatcher, now| dispatcher.arrived(now, arrived, outcome));
             match next {
                 Next::Nothing => {}
                 Next::FindBlocks => self.find_blocks_of(&shared, key).await?,
@@ -92,11 +92,11 @@ impl Farm {
         // Blocks that were merged with this one are gone anyway.
         exclusive.delete_blocks(job).await?;
         let others = self.store.jobs_of_point(job.identity()).await?;
-        if self.door.query(|dispatcher, _| dispatcher.is_confirmed(&others)) {
-            self.door.transition(|dispatcher, now| dispatcher.contradict(now, arrived));
+        if self.scheduler.query(|dispatcher, _| dispatcher.is_confirmed(&others)) {
+            self.scheduler.transition(|dispatcher, now| dispatcher.contradict(now, arrived));
         } else {
             let again = exclusive.set_point_aside(job.identity()).await?;
-            self.door.transition(|dispatcher, now| dispatcher.distrust(now, arrived, &again));
+            self.scheduler.transition(|dispatcher, now| dispatcher.distrust(now, arrived, &again));
             self.begin_again(&exclusive, again);
         }
         self.find_blocks_of(&exclusive, arrived.key).await
@@ -112,16 +112,16 @@ impl Farm {
         };
         exclusive.delete_blocks(job).await?;
         self.find_blocks_of(&exclusive, key).await?;
-        self.door.transition(|dispatcher, _| dispatcher.tell_damage(key.dictionary, key.job, &what));
+        self.scheduler.transition(|dispatcher, _| dispatcher.tell_damage(key.dictionary, key.job, &what));
         Ok(())
     }
 
     /// Takes up which blocks of a job the store holds.
     async fn find_blocks_of(&self, _held: &Held<'_>, key: &LeaseKey) -> Result<(), StoreError> {
-        let job = self.door.query(|d, _| d.by_id(key.dictionary).map(|d| d.spec(key.job, 0)));
+        let job = self.scheduler.query(|d, _| d.by_id(key.dictionary).map(|d| d.spec(key.job, 0)));
         if let Some(job) = job.filter(|job| job.block().is_some()) {
             let blocks = self.store.stored_blocks(&job).await?;
-            self.door.transition(|d, _| d.parts_stored(key.dictionary, key.job, job.walks(), &blocks));
+            self.scheduler.transition(|d, _| d.parts_stored(key.dictionary, key.job, job.walks(), &blocks));
         }
         Ok(())
     }

@@ -44,7 +44,7 @@ impl Farm {
                 Err(error) => {
                     let (folder, again) = (schedule.folder.display(), schedule.every.min(AGAIN));
                     tracing::error!(%error, %folder, again_s = again.as_secs(), "the scheduled backup failed");
-                    self.door.note(&Actor::default(), EventKind::BackupFailed, error.to_string());
+                    self.scheduler.note(&Actor::default(), EventKind::BackupFailed, error.to_string());
                     again
                 }
             };
@@ -76,7 +76,7 @@ impl Farm {
         self.last_backup.is_old(Duration::ZERO);
         let message =
             format!("{}: {} records, {} bytes", file.display(), report.counts.records, report.bytes);
-        self.door.note(&Actor::default(), EventKind::BackupMade, message);
+        self.scheduler.note(&Actor::default(), EventKind::BackupMade, message);
         let (folder, keep) = (schedule.folder.clone(), schedule.keep);
         if let Err(error) = blocking(move || forget_old(&folder, keep, &file)).await {
             tracing::warn!(%error, folder = %schedule.folder.display(), "old backups could not be removed");

@@ -22,7 +22,7 @@ impl Farm {
 
     /// Ends the open jobs of a dictionary whose records came for others.
     pub(super) async fn take_over_done(&self, held: &Held<'_>, id: DictionaryId) -> Result<(), StoreError> {
-        let done = self.door.query(|dispatcher, _| dispatcher.done_elsewhere(id));
+        let done = self.scheduler.query(|dispatcher, _| dispatcher.done_elsewhere(id));
         if done.is_empty() { Ok(()) } else { self.take_over(held, id, &done, None).await }
     }
 
@@ -33,7 +33,7 @@ impl Farm {
         jobs: &[u32],
         by: Option<Origin>,
     ) -> Result<(), StoreError> {
-        let found = self.door.query(|dispatcher, _| {
+        let found = self.scheduler.query(|dispatcher, _| {
             let dictionary = dispatcher.by_id(id)?;
             let specs: Vec<(u32, JobSpec)> =
                 jobs.iter().map(|job| (*job, dictionary.spec(*job, 0))).collect();
@@ -44,7 +44,7 @@ impl Farm {
         let identities: Vec<(u32, Digest)> =
             specs.iter().map(|(job, spec)| (*job, spec.identity())).collect();
         let taken = held.reuse(id, &grid, &identities, &grids).await?;
-        self.door.transition(|dispatcher, _| {
+        self.scheduler.transition(|dispatcher, _| {
             for (job, records) in &taken {
                 dispatcher.taken_over((id, *job), grid.walks_of(*job as usize), *records, by);
             }

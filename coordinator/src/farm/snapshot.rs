@@ -13,7 +13,7 @@ impl Farm {
     pub(crate) fn snapshot(&self) -> Snapshot {
         let database_bytes = self.store.bytes();
         let backup_age_s = self.last_backup.age().map(|age| age.as_secs_f64());
-        Snapshot { database_bytes, backup_age_s, ..self.door.query(snapshot) }
+        Snapshot { database_bytes, backup_age_s, ..self.scheduler.query(snapshot) }
     }
 
     /// Why it cannot serve, if it cannot.

@@ -89,7 +89,7 @@ async fn done() -> (Arc<Farm>, tempfile::TempDir) {
     }
     let farm = load(store).await;
     // Nothing is written behind this test's back.
-    farm.door.close().await;
+    farm.scheduler.close().await;
     (farm, dir)
 }
 
@@ -224,7 +224,7 @@ async fn a_too_large_dictionary_is_loaded_and_can_be_deleted() {
     assert_eq!(farm.explain(&large).unwrap()[0].code, "TOO_LARGE");
     assert!(matches!(farm.resume(&Actor::default(), &large).await, Err(FarmError::Invalid(_))));
     assert_eq!(farm.status(&name()).unwrap().state, DictionaryState::Running);
-    assert_eq!(farm.door.query(|d, _| d.load().0), JOBS as usize, "the other one's jobs wait");
+    assert_eq!(farm.scheduler.query(|d, _| d.load().0), JOBS as usize, "the other one's jobs wait");
     farm.delete(&Actor::default(), &large).await.unwrap();
     assert!(matches!(farm.status(&large), Err(FarmError::NotFound { .. })));
 }
@@ -260,7 +260,7 @@ async fn a_dispute_wakes_workers_that_wait() {
     let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
     assert!(matches!(deliver(&farm, &first, 0.25).await, Outcome::Finished { .. }));
     let lease = farm.acquire_now(&second, 1).unwrap().leases.remove(0);
-    let third = farm.door.work();
+    let third = farm.scheduler.work();
     let admission = farm.admit(&second, &lease.key, lease.job.identity()).unwrap();
     let other = content(&lease.job, 0.5);
     let outcome = farm.complete(second, lease.key, admission, other).await.unwrap();

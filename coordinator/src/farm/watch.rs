@@ -35,7 +35,7 @@ pub(crate) struct Watch {
 impl Farm {
     pub(crate) fn watch(self: &Arc<Self>, name: DictionaryName) -> Result<Watch> {
         // Before the first look, so that no change falls between the two.
-        let changes = self.door.changes();
+        let changes = self.scheduler.changes();
         let (id, _) = self.found(&name)?;
         Ok(Watch { farm: self.clone(), id, name, changes, last: None, told: Instant::now() })
     }
@@ -67,7 +67,7 @@ impl Watch {
     }
 
     fn look(&self) -> Result<DictionaryStatus> {
-        self.farm.door.query(|dispatcher, now| {
+        self.farm.scheduler.query(|dispatcher, now| {
             let dictionary = dispatcher.by_id(self.id);
             let status = dictionary.map(|dictionary| dispatcher.status_of(now, dictionary));
             status.ok_or_else(|| FarmError::Deleted { name: self.name.clone() })

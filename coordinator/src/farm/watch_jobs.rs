@@ -47,7 +47,7 @@ pub(crate) struct JobWatch {
 impl Farm {
     pub(crate) fn watch_jobs(self: &Arc<Self>, name: &DictionaryName) -> Result<JobWatch> {
         // Before the first look, so that no change falls between the two.
-        let mut changes = self.door.changes();
+        let mut changes = self.scheduler.changes();
         changes.mark_changed();
         let (id, _) = self.found(name)?;
         Ok(JobWatch {
@@ -92,7 +92,7 @@ impl JobWatch {
     }
 
     fn look(&mut self) {
-        let (states, open) = self.farm.door.query(|dispatcher, _| {
+        let (states, open) = self.farm.scheduler.query(|dispatcher, _| {
             let open = dispatcher.by_id(self.id).is_some_and(|d| d.state().is_open());
             (dispatcher.job_states(self.id), open)
         });

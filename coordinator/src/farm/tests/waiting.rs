@@ -131,7 +131,7 @@ async fn a_failed_write_is_retried_at_the_next_look() {
     change(&dir, "ALTER TABLE elsewhere RENAME TO jobs").await;
     assert!(farm.store.ended_jobs(id, &grid()).await.unwrap().is_empty(), "and it is not stored");
     farm.look_over();
-    farm.door.settled().await;
+    farm.scheduler.settled().await;
     let ended = farm.store.ended_jobs(id, &grid()).await.unwrap();
     assert_eq!(ended.iter().map(crate::stored::EndedJob::job).collect::<Vec<_>>(), [job]);
 }

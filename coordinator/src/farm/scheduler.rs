@@ -1,8 +1,8 @@
-//! The one door to the scheduler's state.
+//! Serialises access to the dispatcher and publishes what each transition produced.
 //!
-//! Nobody else holds the dispatcher. Whoever changes it does so in a [`Door::transition`], which locks once and then
-//! carries out what the dispatcher has put into its outbox: effects go to the one task that performs them, events to
-//! the recorder, counts to the metrics, and whoever waits for work or for news is woken.
+//! The dispatcher is reached through this type alone. A [`Scheduler::transition`] locks once and then empties the outbox:
+//! effects go to the one task that performs them, events to the recorder, counts to the metrics, and the tasks that wait
+//! for work or for changes are woken.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -20,12 +20,12 @@ use crate::metrics::{JobFailure, LeaseKind, Metrics, VerificationOutcome};
 #[derive(Debug)]
 pub(super) enum Order {
     Perform(Effect),
-    /// Tell that all that was ordered before is done.
+    /// Report that all earlier orders are done.
     Report(oneshot::Sender<()>),
 }
 
 #[derive(Debug)]
-pub(super) struct Door {
+pub(super) struct Scheduler {
     dispatcher: Mutex<Dispatcher>,
     clock: Clock,
     orders: mpsc::UnboundedSender<Order>,
@@ -37,15 +37,15 @@ pub(super) struct Door {
     work: watch::Sender<()>,
 }
 
-impl Door {
-    /// The door to a dispatcher, and the orders that will come of its decisions.
+impl Scheduler {
+    /// The scheduler of a dispatcher, and the receiver of the orders that its decisions produce.
     pub fn new(
         dispatcher: Dispatcher,
         recorder: Recorder,
         metrics: Metrics,
     ) -> (Self, mpsc::UnboundedReceiver<Order>) {
         let (orders, receiver) = mpsc::unbounded_channel();
-        let door = Self {
+        let scheduler = Self {
             dispatcher: Mutex::new(dispatcher),
             clock: Clock::start(),
             orders,
@@ -55,10 +55,10 @@ impl Door {
             changed: watch::channel(()).0,
             work: watch::channel(()).0,
         };
-        (door, receiver)
+        (scheduler, receiver)
     }
 
-    /// Changes the state, and carries out what comes of it.
+    /// Changes the state and publishes what the change produced.
     pub fn transition<T>(&self, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
         let (value, outbox) = {
             let mut dispatcher = self.lock();
@@ -71,11 +71,11 @@ impl Door {
             }
             (value, outbox)
         };
-        self.tell(&outbox);
+        self.publish(&outbox);
         value
     }
 
-    /// The same for somebody who asked for it: events tell who it was.
+    /// The same on behalf of an actor, whose name goes into the events.
     pub fn transition_by<T>(&self, actor: &Actor, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
         let actor = actor.to_string();
         self.transition(|dispatcher, now| {
@@ -137,7 +137,7 @@ impl Door {
         self.dispatcher.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn tell(&self, outbox: &Outbox) {
+    fn publish(&self, outbox: &Outbox) {
         for event in &outbox.events {
             self.recorder.record(event);
         }
