@@ -11,8 +11,8 @@ mod intake;
 mod leasing;
 mod manage;
 mod records;
+mod result_budget;
 mod results;
-mod room;
 mod scheduled_backup;
 mod scheduler;
 mod shared;
@@ -44,7 +44,7 @@ use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
 pub(crate) use intake::{Delivered, Header, Piece};
 pub(crate) use leasing::{Versions, WorkerEnd};
-use room::Room;
+use result_budget::ResultBudget;
 use scheduled_backup::LastBackup;
 use scheduler::Scheduler;
 pub(crate) use watch::Watch;
@@ -147,8 +147,7 @@ pub(crate) struct Farm {
     /// Keeps changes of one dictionary from racing.
     managing: tokio::sync::Mutex<()>,
     fits: FitCache,
-    /// Room in memory for results that come in.
-    room: Arc<Room>,
+    result_budget: Arc<ResultBudget>,
     last_backup: LastBackup,
     /// Why the last result could not be stored.
     store_fault: Mutex<Option<String>>,
@@ -168,7 +167,7 @@ impl Farm {
             scheduler,
             managing: tokio::sync::Mutex::new(()),
             fits: FitCache::new(config.fit_memory_bytes),
-            room: Arc::default(),
+            result_budget: Arc::default(),
             last_backup: LastBackup::default(),
             store_fault: Mutex::default(),
         });

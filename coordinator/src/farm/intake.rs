@@ -13,7 +13,7 @@ use optics_model::{Digest, Invalid, PackedRecords};
 use tokio::task::JoinHandle;
 use tokio_stream::{Stream, StreamExt};
 
-use super::room::{Guest, Taken};
+use super::result_budget::{Reservation, ResultStream};
 use super::{Farm, FarmError, Result};
 use crate::dispatch::DispatchError;
 use crate::store::StoreError;
@@ -69,7 +69,8 @@ impl Farm {
         S: Stream<Item = Result<Piece, E>> + Unpin,
         E: From<FarmError>,
     {
-        let mut pieces = Pieces { stream, guest: self.room.enter(&machine.token, machine.identity()) };
+        let mut pieces =
+            Pieces { stream, budget: self.result_budget.stream(&machine.token, machine.identity()) };
         let mut tasks = Vec::new();
         let mut next = pieces.next().await?;
         if next.is_none() {
@@ -86,8 +87,8 @@ impl Farm {
             match self.admit(&worker, &key, identity) {
                 Ok(admission) => {
                     let result;
-                    let room;
-                    (result, room, next) = pieces.result(admission.job()).await?;
+                    let reservation;
+                    (result, reservation, next) = pieces.result(admission.job()).await?;
                     let result = match result {
                         Ok(result) => result,
                         Err(invalid) => {
@@ -97,7 +98,7 @@ impl Farm {
                     };
                     let farm = self.clone();
                     tasks.push(Task::Storing(tokio::spawn(async move {
-                        let _room = room;
+                        let _reservation = reservation;
                         farm.complete(worker, key, admission, result).await
                     })));
                 }
@@ -148,7 +149,7 @@ fn refused<E: From<FarmError>>(field: &str, given: impl std::fmt::Display, allow
 /// The pieces of a machine's stream.
 struct Pieces<S> {
     stream: S,
-    guest: Guest,
+    budget: ResultStream,
 }
 
 /// How long a result of so many bytes may take from its header to its end.
@@ -166,14 +167,14 @@ where
         next.map_err(|_| FarmError::Overdue(PATIENCE.as_secs()))?.transpose()
     }
 
-    /// One result, checked, with the room that it takes, and what comes after it.
+    /// One result, checked, with the memory reserved for it and the piece that follows it.
     async fn result(
         &mut self,
         job: &JobSpec,
-    ) -> Result<(std::result::Result<JobResult, Invalid>, Taken, Option<Piece>), E> {
-        let mut room = Taken::default();
+    ) -> Result<(std::result::Result<JobResult, Invalid>, Reservation, Option<Piece>), E> {
+        let mut reservation = Reservation::default();
         let time = longest(result_bytes(job));
-        let gathered = tokio::time::timeout(time, self.gather(job, &mut room)).await;
+        let gathered = tokio::time::timeout(time, self.gather(job, &mut reservation)).await;
         let (bytes, after) = gathered.map_err(|_| FarmError::Slow(time.as_secs()))??;
         let checked = if job.block().is_some() {
             // Refused here rather than when they are merged.
@@ -181,12 +182,16 @@ where
         } else {
             PackedRecords::new(job, bytes).map(JobResult::Records)
         };
-        Ok((checked, room, after))
+        Ok((checked, reservation, after))
     }
 
     /// The pieces of one result as a whole, not longer than it may be, and what comes after it. They are copied to a place
     /// of just their size: as they are, they hold on to the messages that they came in, however large these are.
-    async fn gather(&mut self, job: &JobSpec, room: &mut Taken) -> Result<(Bytes, Option<Piece>), E> {
+    async fn gather(
+        &mut self,
+        job: &JobSpec,
+        reservation: &mut Reservation,
+    ) -> Result<(Bytes, Option<Piece>), E> {
         let (wanted, what) = (result_bytes(job), if job.block().is_some() { "sums" } else { "records" });
         let mut whole = BytesMut::new();
         loop {
@@ -207,7 +212,7 @@ where
                 let given = format!("more than {wanted} bytes");
                 return Err(refused(what, given, format!("{wanted} are needed")));
             }
-            self.guest.take(room, piece.len()).await;
+            self.budget.reserve(reservation, piece.len()).await;
             // All at once, so that it is never moved; the system gives the memory as it is written to.
             whole.reserve(wanted - whole.len());
             whole.extend_from_slice(&piece);

@@ -248,7 +248,7 @@ impl Farm {
             let text = format!("results cannot be stored: {fault}; workers keep them and try again");
             reasons.insert(0, Reason { code: "STORE_FAULT", text });
         }
-        if let Some(text) = self.room.shortage() {
+        if let Some(text) = self.result_budget.shortage() {
             reasons.insert(0, Reason { code: "NO_ROOM", text });
         }
         Ok(reasons)
