@@ -68,8 +68,8 @@ impl Gate {
         }
     }
 
-    /// Whether some are turned away.
-    pub(crate) fn has_strangers(&self) -> bool {
+    /// Whether a connection may be unauthenticated.
+    pub(crate) fn has_unauthenticated_peers(&self) -> bool {
         !matches!(self, Self::Everybody)
     }
 

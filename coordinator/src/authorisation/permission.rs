@@ -80,7 +80,7 @@ pub(super) enum Admitted {
     Caller(Caller),
     /// Where everybody is let in.
     Anybody,
-    /// Because it is open to strangers. Whether it carries a valid token makes no difference to it.
+    /// Because the method needs no token. Whether the call carries a valid one makes no difference.
     Open { known: bool },
 }
 

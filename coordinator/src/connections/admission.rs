@@ -1,7 +1,7 @@
-//! What a connection may take as long as nobody on it has shown a token.
+//! Limits of a connection until a call on it has presented a token.
 //!
-//! Strangers may ask for the farm's health and for its interface. Nothing else is theirs: of one address only so many
-//! connections are open at a time, each for so long and with so many calls, until one of them shows a token.
+//! An unauthenticated peer may call health and reflection. The number of its connections per address, their duration and
+//! their concurrent calls are bounded, and one connection more evicts the oldest of its address.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt;
@@ -25,11 +25,11 @@ pub struct Peer {
     pub admission: Admission,
 }
 
-/// Whether somebody on a connection has shown a token.
+/// Whether a call on a connection has presented a token.
 #[derive(Debug, Clone)]
 pub struct Admission {
-    /// Its place among the strangers of its address, until then.
-    stranger: Arc<Mutex<Option<Stranger>>>,
+    /// Its place among the unauthenticated peers of its address, until then.
+    unauthenticated: Arc<Mutex<Option<UnauthenticatedPeer>>>,
     open_calls: Arc<Semaphore>,
     is_own_user: bool,
     stay: Arc<Mutex<Stay>>,
@@ -70,9 +70,10 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Admission {
-    fn new(stranger: Option<Stranger>) -> Self {
-        let (stranger, open_calls) = (Arc::new(Mutex::new(stranger)), Arc::new(Semaphore::new(OPEN_CALLS)));
-        Self { stranger, open_calls, is_own_user: false, stay: Arc::default() }
+    fn new(unauthenticated: Option<UnauthenticatedPeer>) -> Self {
+        let (unauthenticated, open_calls) =
+            (Arc::new(Mutex::new(unauthenticated)), Arc::new(Semaphore::new(OPEN_CALLS)));
+        Self { unauthenticated, open_calls, is_own_user: false, stay: Arc::default() }
     }
 
     /// A program of the user that the coordinator runs as.
@@ -84,14 +85,14 @@ impl Admission {
         self.is_own_user
     }
 
-    /// One who needs none.
+    /// A peer that needs no token.
     pub(crate) fn admitted() -> Self {
         Self::new(None)
     }
 
     /// A call has shown a token.
     pub(crate) fn admit(&self) {
-        lock(&self.stranger).take();
+        lock(&self.unauthenticated).take();
     }
 
     /// A call has shown a token that is let in as long as this holds.
@@ -113,7 +114,7 @@ impl Admission {
 
     /// Why the connection ends now, if it does.
     pub(crate) fn is_over(&self, now: Instant) -> Option<&'static str> {
-        if lock(&self.stranger).as_ref().is_some_and(|stranger| stranger.evicted.load(Ordering::Relaxed)) {
+        if lock(&self.unauthenticated).as_ref().is_some_and(|peer| peer.evicted.load(Ordering::Relaxed)) {
             return Some("others of this address wait, and the other end has shown no token");
         }
         let stay = &mut *lock(&self.stay);
@@ -129,7 +130,7 @@ impl Admission {
     }
 
     pub(crate) fn is_admitted(&self) -> bool {
-        lock(&self.stranger).is_none()
+        lock(&self.unauthenticated).is_none()
     }
 
     /// A place for a call that needs no token; none if too many are under way on this connection.
@@ -140,11 +141,11 @@ impl Admission {
 
 /// Connections without a token, by address, the oldest first: whether each has lost its place.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Strangers(Arc<Mutex<HashMap<String, VecDeque<Arc<AtomicBool>>>>>);
+pub(super) struct UnauthenticatedPeers(Arc<Mutex<HashMap<String, VecDeque<Arc<AtomicBool>>>>>);
 
-impl Strangers {
-    /// A place among the connections of an address without a token, of which there may be so many. Where all are taken, the
-    /// oldest has to go: those who have a token show it soon, and idle connections do not shut them out.
+impl UnauthenticatedPeers {
+    /// A place among the at most `most` unauthenticated connections of an address. Where all are taken the oldest is
+    /// evicted: clients with a token present it soon, and idle connections do not lock them out.
     pub fn admission(&self, address: IpAddr, most: usize) -> Admission {
         let (address, evicted) = (network(address), Arc::new(AtomicBool::new(false)));
         let mut of_all = self.lock();
@@ -155,7 +156,7 @@ impl Strangers {
             oldest.store(true, Ordering::Relaxed);
         }
         of_address.push_back(evicted.clone());
-        Admission::new(Some(Stranger { address, evicted, strangers: self.clone() }))
+        Admission::new(Some(UnauthenticatedPeer { address, evicted, peers: self.clone() }))
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<String, VecDeque<Arc<AtomicBool>>>> {
@@ -163,18 +164,18 @@ impl Strangers {
     }
 }
 
-/// One connection among the strangers of its address, until it is dropped.
+/// One connection among the unauthenticated ones of its address, until it is dropped.
 #[derive(Debug)]
-struct Stranger {
+struct UnauthenticatedPeer {
     address: String,
     /// Whether another one has its place.
     evicted: Arc<AtomicBool>,
-    strangers: Strangers,
+    peers: UnauthenticatedPeers,
 }
 
-impl Drop for Stranger {
+impl Drop for UnauthenticatedPeer {
     fn drop(&mut self) {
-        let mut of_all = self.strangers.lock();
+        let mut of_all = self.peers.lock();
         if let Some(of_address) = of_all.get_mut(&self.address) {
             of_address.retain(|other| !Arc::ptr_eq(other, &self.evicted));
             if of_address.is_empty() {
@@ -201,23 +202,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_oldest_stranger_of_an_address_makes_room() {
-        let strangers = Strangers::default();
+    fn the_oldest_unauthenticated_peer_of_an_address_is_evicted() {
+        let peers = UnauthenticatedPeers::default();
         let [here, there]: [IpAddr; 2] = ["10.0.0.7", "10.0.0.8"].map(|a| a.parse().unwrap());
         let is_over = |admission: &Admission| admission.is_over(Instant::now()).is_some();
-        let first = strangers.admission(here, 2);
-        let second = strangers.admission(here, 2);
+        let first = peers.admission(here, 2);
+        let second = peers.admission(here, 2);
         assert!(!first.is_admitted());
         first.clone().admit();
-        let [third, elsewhere] = [strangers.admission(here, 2), strangers.admission(there, 2)];
+        let [third, elsewhere] = [peers.admission(here, 2), peers.admission(there, 2)];
         assert!(first.is_admitted() && ![&second, &third, &elsewhere].into_iter().any(is_over));
-        let fourth = strangers.admission(here, 2);
+        let fourth = peers.admission(here, 2);
         assert_eq!([&first, &second, &third, &fourth].map(is_over), [false, true, false, false]);
         drop((second, third));
-        let fifth = strangers.admission(here, 2);
+        let fifth = peers.admission(here, 2);
         assert!(!is_over(&fourth) && !is_over(&fifth));
         drop((fourth, fifth, elsewhere));
-        assert!(strangers.lock().is_empty(), "nothing is left of those who have gone");
+        assert!(peers.lock().is_empty(), "nothing is left of closed connections");
     }
 
     #[tokio::test(start_paused = true)]

@@ -1,4 +1,4 @@
-//! A connection that ends when its other end is silent for too long, or stays a stranger.
+//! A connection that ends when the peer is silent for too long, or stays unauthenticated for too long.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
@@ -32,8 +32,8 @@ struct Watch {
     greeting_left: usize,
     hello: Duration,
     silence: Duration,
-    /// When it ends if nobody on it has shown a token by then.
-    strangers_end: Option<Instant>,
+    /// The deadline for presenting a token.
+    token_deadline: Option<Instant>,
     /// When it was last asked whether it ends for what is on it.
     looked: Instant,
     /// Wakes the reader. May be early, since it is set anew only when it has rung: reads are many, deadlines few.
@@ -42,16 +42,16 @@ struct Watch {
 
 impl<IO> Guarded<IO> {
     pub(super) fn new(io: IO, limits: Limits, admission: Admission) -> Self {
-        let Limits { hello, silence, strangers, .. } = limits;
+        let Limits { hello, silence, unauthenticated, .. } = limits;
         let alarm = Box::pin(tokio::time::sleep(hello.min(silence).min(LOOK)));
         let heard = Instant::now();
-        let strangers_end = strangers.map(|strangers| heard + strangers.patience);
+        let token_deadline = unauthenticated.map(|limits| heard + limits.patience);
         let watch = Watch {
             heard,
             greeting_left: GREETING_BYTES,
             hello,
             silence,
-            strangers_end,
+            token_deadline,
             looked: heard,
             alarm,
         };
@@ -84,7 +84,7 @@ impl Watch {
             _ => (self.hello, "the other end does not begin"),
         };
         let mut deadline = self.heard + limit;
-        if let Some(end) = self.strangers_end.filter(|end| *end < deadline && !admission.is_admitted()) {
+        if let Some(end) = self.token_deadline.filter(|end| *end < deadline && !admission.is_admitted()) {
             (deadline, what) = (end, "the other end has shown no token");
         }
         loop {
@@ -172,7 +172,7 @@ impl<IO: Connected<ConnectInfo = TcpConnectInfo>> Connected for Guarded<IO> {
 }
 
 #[cfg(test)]
-impl Guarded<super::Parting> {
+impl Guarded<super::LingeringClose> {
     pub(super) fn nodelay(&self) -> bool {
         self.io.nodelay()
     }
@@ -183,14 +183,14 @@ mod tests {
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, DuplexStream};
     use tokio::time::{advance, timeout};
 
-    use super::super::{StrangerLimits, Strangers};
+    use super::super::{UnauthenticatedLimits, UnauthenticatedPeers};
     use super::*;
 
     const LIMITS: Limits = Limits {
         connections: 1,
         hello: HELLO,
         silence: SILENCE,
-        strangers: Some(StrangerLimits { connections: 1, patience: PATIENCE }),
+        unauthenticated: Some(UnauthenticatedLimits { connections: 1, patience: PATIENCE }),
     };
     const HELLO: Duration = Duration::from_secs(10);
     const SILENCE: Duration = Duration::from_mins(1);
@@ -255,10 +255,10 @@ mod tests {
 
     /// However much it says: without a token it ends. With one it goes on.
     #[tokio::test(start_paused = true)]
-    async fn a_stranger_has_so_long_to_show_a_token() {
+    async fn without_a_token_a_connection_ends_after_its_patience() {
         for admitted in [false, true] {
             let (here, mut there) = tokio::io::duplex(1024);
-            let admission = Strangers::default().admission([10, 0, 0, 7].into(), 1);
+            let admission = UnauthenticatedPeers::default().admission([10, 0, 0, 7].into(), 1);
             let mut guarded = Guarded::new(here, LIMITS, admission.clone());
             there.write_all(&[0; GREETING_BYTES]).await.unwrap();
             guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();
@@ -301,7 +301,7 @@ mod tests {
     async fn who_does_not_read_is_overdue_too() {
         for (admitted, expected) in [(true, SILENCE), (false, PATIENCE)] {
             let (here, mut there) = tokio::io::duplex(1024);
-            let admission = Strangers::default().admission([10, 0, 0, 7].into(), 1);
+            let admission = UnauthenticatedPeers::default().admission([10, 0, 0, 7].into(), 1);
             let mut guarded = Guarded::new(here, LIMITS, admission.clone());
             there.write_all(&[0; GREETING_BYTES]).await.unwrap();
             guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();

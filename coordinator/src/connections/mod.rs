@@ -1,12 +1,11 @@
 //! Accepting connections, within bounds.
 //!
-//! Each connection holds memory and a file descriptor for as long as its other end likes. So there is a number of places;
-//! who comes when all are taken is sent away at once, and who takes one must show that he is alive, and before long that
-//! he is no stranger.
+//! Connections are bounded: excess ones are refused, silent ones time out, and unauthenticated ones must present a token
+//! within 30 s. Of one address a bounded number may be unauthenticated, and one more evicts the oldest of them.
 
 mod admission;
 mod guarded;
-mod parting;
+mod lingering_close;
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -27,12 +26,12 @@ use crate::clock::Clock;
 use crate::gate::Listener;
 use crate::throttle::Throttle;
 
-use admission::Strangers;
+use admission::UnauthenticatedPeers;
 pub(crate) use admission::Unread;
 pub(crate) use admission::network;
 pub use admission::{Admission, Peer};
 pub use guarded::Guarded;
-pub use parting::Parting;
+pub use lingering_close::LingeringClose;
 
 /// After an error that others will follow, as when there are no file descriptors left: time for some to be freed.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -51,28 +50,28 @@ pub struct Limits {
     pub hello: Duration,
     /// Longest silence after that. The server's HTTP/2 pings, which every live peer answers, must come more often.
     pub silence: Duration,
-    /// What those may take who have not shown a token yet; None where nobody needs one.
-    pub strangers: Option<StrangerLimits>,
+    /// Limits of unauthenticated peers; None where no token is needed.
+    pub unauthenticated: Option<UnauthenticatedLimits>,
 }
 
-/// What connections may take on which nobody has shown a token.
+/// Limits of connections that have not presented a token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StrangerLimits {
+pub struct UnauthenticatedLimits {
     /// How many there may be of one address.
     pub connections: usize,
     /// How long they may last.
     pub patience: Duration,
 }
 
-impl Default for StrangerLimits {
+impl Default for UnauthenticatedLimits {
     fn default() -> Self {
         Self { connections: 128, patience: Duration::from_secs(30) }
     }
 }
 
 impl Limits {
-    pub fn new(connections: usize, strangers: Option<StrangerLimits>) -> Self {
-        Self { connections, hello: Duration::from_secs(10), silence: Duration::from_mins(1), strangers }
+    pub fn new(connections: usize, unauthenticated: Option<UnauthenticatedLimits>) -> Self {
+        Self { connections, hello: Duration::from_secs(10), silence: Duration::from_mins(1), unauthenticated }
     }
 }
 
@@ -107,7 +106,7 @@ pub struct Incoming {
     own_user: Option<LocalSocket>,
     limits: Limits,
     counts: Arc<Counts>,
-    strangers: Strangers,
+    unauthenticated: UnauthenticatedPeers,
     pause: Option<Pin<Box<Sleep>>>,
     clock: Clock,
     refusals: Throttle,
@@ -125,7 +124,7 @@ impl Incoming {
             own_user,
             limits,
             counts,
-            strangers: Strangers::default(),
+            unauthenticated: UnauthenticatedPeers::default(),
             pause: None,
             clock: Clock::start(),
             refusals: Throttle::new(TELL),
@@ -137,25 +136,29 @@ impl Incoming {
         Connections { counts: self.counts.clone() }
     }
 
-    /// A place for the connection; if there is none, it is closed. Left to the system's queue it would wait without knowing
-    /// for what, and those behind it too.
-    fn admit(&self, stream: TcpStream, peer: SocketAddr) -> Option<Guarded<Parting>> {
+    /// Takes a place for the connection, or closes it if there is none. In the system's queue it would wait without an
+    /// error, and block the connections behind it.
+    fn admit(&self, stream: TcpStream, peer: SocketAddr) -> Option<Guarded<LingeringClose>> {
         let place = self.place(peer)?;
-        let admission = match self.limits.strangers {
+        let admission = match self.limits.unauthenticated {
             None => Admission::admitted(),
-            Some(limits) => self.strangers.admission(peer.ip(), limits.connections),
+            Some(limits) => self.unauthenticated.admission(peer.ip(), limits.connections),
         };
         if let Err(error) = stream.set_nodelay(true) {
             // It has most likely gone already, which its first read will tell.
             tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
         }
-        Some(Guarded::new(Parting::new(Either::Left(stream), place), self.limits, admission))
+        Some(Guarded::new(LingeringClose::new(Either::Left(stream), place), self.limits, admission))
     }
 
     /// As `admit`, for a program of the coordinator's own user.
-    fn admit_own(&self, stream: UnixStream) -> Option<Guarded<Parting>> {
+    fn admit_own(&self, stream: UnixStream) -> Option<Guarded<LingeringClose>> {
         let place = self.place(OWN_USER)?;
-        Some(Guarded::new(Parting::new(Either::Right(stream), place), self.limits, Admission::own_user()))
+        Some(Guarded::new(
+            LingeringClose::new(Either::Right(stream), place),
+            self.limits,
+            Admission::own_user(),
+        ))
     }
 
     fn place(&self, peer: SocketAddr) -> Option<OwnedSemaphorePermit> {
@@ -187,7 +190,7 @@ impl Incoming {
 }
 
 impl Stream for Incoming {
-    type Item = io::Result<Guarded<Parting>>;
+    type Item = io::Result<Guarded<LingeringClose>>;
 
     fn poll_next(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
         let this = self.get_mut();

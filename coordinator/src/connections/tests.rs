@@ -13,7 +13,7 @@ async fn listen(connections: usize) -> (Incoming, std::net::SocketAddr) {
     (Incoming::new(listener, Limits::new(connections, None)), address)
 }
 
-async fn next(incoming: &mut Incoming) -> Guarded<Parting> {
+async fn next(incoming: &mut Incoming) -> Guarded<LingeringClose> {
     timeout(SOON, incoming.next()).await.unwrap().unwrap().unwrap()
 }
 
@@ -49,23 +49,23 @@ async fn one_too_many_is_closed_and_the_others_go_on() {
 }
 
 #[tokio::test]
-async fn the_oldest_stranger_of_an_address_makes_room() {
+async fn the_oldest_unauthenticated_peer_of_an_address_is_evicted() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
-    let limits = StrangerLimits { connections: 1, patience: SOON };
+    let limits = UnauthenticatedLimits { connections: 1, patience: SOON };
     let mut incoming = Incoming::new(listener, Limits::new(8, Some(limits)));
     let connections = incoming.connections();
     let _first = TcpStream::connect(address).await.unwrap();
-    let mut stranger = next(&mut incoming).await;
+    let mut evicted = next(&mut incoming).await;
     let _second = TcpStream::connect(address).await.unwrap();
-    let friend = next(&mut incoming).await;
-    let error = timeout(SOON, stranger.read(&mut [0])).await.unwrap().unwrap_err();
+    let authenticated = next(&mut incoming).await;
+    let error = timeout(SOON, evicted.read(&mut [0])).await.unwrap().unwrap_err();
     assert_eq!(error.kind(), io::ErrorKind::TimedOut, "the oldest goes");
-    drop(stranger);
-    friend.connect_info().admission.admit();
+    drop(evicted);
+    authenticated.connect_info().admission.admit();
     let _third = TcpStream::connect(address).await.unwrap();
     let _other = next(&mut incoming).await;
-    assert!(friend.connect_info().admission.is_over(Instant::now()).is_none(), "who is in stays in");
+    assert!(authenticated.connect_info().admission.is_over(Instant::now()).is_none(), "who is in stays in");
     assert_eq!((connections.open(), connections.refused()), (2, 0));
 }
 

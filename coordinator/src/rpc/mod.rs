@@ -30,7 +30,7 @@ use crate::actor::Actor;
 use crate::authorisation::AuthorisationLayer;
 use crate::config::Config;
 use crate::connections;
-use crate::connections::{Connections, Incoming, StrangerLimits};
+use crate::connections::{Connections, Incoming, UnauthenticatedLimits};
 use crate::farm::Farm;
 use crate::gate::{Gate, Listener};
 use crate::metrics::Metrics;
@@ -109,8 +109,9 @@ pub(crate) async fn serve(
         answer_bytes: held / 2,
         gate: gate.clone(),
     };
-    let strangers = gate.has_strangers().then(StrangerLimits::default);
-    let connections = Incoming::new(listener, connections::Limits::new(config.max_connections, strangers));
+    let unauthenticated = gate.has_unauthenticated_peers().then(UnauthenticatedLimits::default);
+    let connections =
+        Incoming::new(listener, connections::Limits::new(config.max_connections, unauthenticated));
     tokio::spawn(count_refused(connections.connections(), metrics.clone(), shutdown.clone()));
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<DictionariesServer<Context>>().await;

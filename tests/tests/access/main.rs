@@ -4,7 +4,7 @@
 
 mod guarded;
 mod questions;
-mod strangers;
+mod unauthenticated;
 mod unfinished;
 
 use std::time::Duration;
@@ -73,7 +73,7 @@ async fn without_a_token_or_with_a_wrong_one_only_health_is_told() {
     assert_eq!(status.code(), Code::Unauthenticated);
     assert!(status.message().contains("does not know the one given"), "{status}");
     let status = call(&link, "/farm.v1.Nothing/Here").await.unwrap_err();
-    assert_eq!(status.code(), Code::Unauthenticated, "strangers do not learn what there is");
+    assert_eq!(status.code(), Code::Unauthenticated, "unauthenticated callers do not learn what there is");
     health(link).await.unwrap();
 }
 

@@ -1,8 +1,8 @@
-//! What those may take who have no token: a little, and not for long.
+//! Limits of peers without a token: few and small calls, for a short time.
 
 use std::time::Duration;
 
-use farm_coordinator::connections::{Limits, StrangerLimits};
+use farm_coordinator::connections::{Limits, UnauthenticatedLimits};
 use farm_link::Role;
 use tokio::time::{Instant, sleep, timeout};
 use tonic::Code;
@@ -15,7 +15,7 @@ use crate::{FITS, LEASES, SOON};
 const SLOW: &str = "/farm.v1.Fits/Slow";
 
 fn limits(patience: Duration) -> Limits {
-    Limits::new(64, Some(StrangerLimits { connections: 3, patience }))
+    Limits::new(64, Some(UnauthenticatedLimits { connections: 3, patience }))
 }
 
 fn request(bytes: usize) -> HealthCheckRequest {
@@ -23,7 +23,7 @@ fn request(bytes: usize) -> HealthCheckRequest {
 }
 
 #[tokio::test]
-async fn a_stranger_says_little() {
+async fn unauthenticated_requests_are_small() {
     let farm = GuardedServer::start_with(Access::Tokens, limits(SOON)).await;
     let channel = farm.tls_channel_without_token().await;
     let mut client = HealthClient::new(channel.clone());
@@ -37,9 +37,9 @@ async fn a_stranger_says_little() {
     health(channel).await.unwrap();
 }
 
-/// A request that is begun and never ended is broken off: it is memory that somebody holds who has shown nothing.
+/// A request that is begun and never ended is cancelled: it holds memory for a peer without a token.
 #[tokio::test]
-async fn a_stranger_ends_what_he_begins() {
+async fn unauthenticated_requests_that_never_end_are_cancelled() {
     let farm = GuardedServer::start_with(Access::Tokens, limits(Duration::from_mins(1))).await;
     let channel = farm.tls_channel_without_token().await;
     let begun = Instant::now();
@@ -60,7 +60,7 @@ async fn a_stranger_ends_what_he_begins() {
 }
 
 #[tokio::test]
-async fn a_stranger_has_so_many_calls_at_a_time_and_a_friend_has_more() {
+async fn concurrent_calls_are_bounded_without_a_token_only() {
     let farm = GuardedServer::start_with(Access::Tokens, limits(SOON)).await;
     let mut client = HealthClient::new(farm.tls_channel_without_token().await);
     let mut watches = Vec::new();
@@ -73,42 +73,42 @@ async fn a_stranger_has_so_many_calls_at_a_time_and_a_friend_has_more() {
     };
     assert_eq!((watches.len(), refused.code()), (8, Code::ResourceExhausted), "{refused}");
     drop(watches);
-    let friend = farm.target(Role::Client).connect().await.unwrap();
-    call(&friend, FITS).await.unwrap();
+    let authenticated = farm.target(Role::Client).connect().await.unwrap();
+    call(&authenticated, FITS).await.unwrap();
     let mut calls = tokio::task::JoinSet::new();
     for _ in 0..20 {
-        let friend = friend.clone();
-        calls.spawn(async move { call(&friend, SLOW).await.map(drop) });
+        let authenticated = authenticated.clone();
+        calls.spawn(async move { call(&authenticated, SLOW).await.map(drop) });
     }
     let ended = timeout(Duration::from_millis(300), calls.join_next()).await;
     assert!(ended.is_err(), "none is refused: {ended:?}");
 }
 
 #[tokio::test]
-async fn a_stranger_goes_and_leaves_room_for_others() {
+async fn unauthenticated_connections_end_and_lock_nobody_out() {
     let farm = GuardedServer::start_with(Access::Tokens, limits(Duration::from_secs(2))).await;
-    let friend = farm.target(Role::Client).connect().await.unwrap();
-    call(&friend, FITS).await.unwrap();
-    let mut strangers = Vec::new();
+    let authenticated = farm.target(Role::Client).connect().await.unwrap();
+    call(&authenticated, FITS).await.unwrap();
+    let mut unauthenticated = Vec::new();
     for _ in 0..3 {
-        strangers.push(farm.tls_channel_without_token().await);
+        unauthenticated.push(farm.tls_channel_without_token().await);
     }
-    for stranger in &strangers {
-        health(stranger.clone()).await.unwrap();
+    for channel in &unauthenticated {
+        health(channel.clone()).await.unwrap();
     }
-    // Their places at this address are taken: the oldest of them goes, who is in stays in.
+    // Their places at this address are taken: the oldest of them is evicted, authenticated ones stay.
     assert_eq!(farm.connections.open(), 4);
     let worker = farm.target(Role::Worker).connect().await.unwrap();
     call(&worker, LEASES).await.unwrap();
     drop(worker);
     assert_eq!(farm.connections.refused(), 0);
-    call(&friend, FITS).await.unwrap();
+    call(&authenticated, FITS).await.unwrap();
     // However often they ask, they go.
     let begun = Instant::now();
     while farm.connections.open() > 1 {
         assert!(begun.elapsed() < SOON);
         sleep(Duration::from_millis(100)).await;
     }
-    call(&friend, FITS).await.unwrap();
+    call(&authenticated, FITS).await.unwrap();
     farm.target(Role::Worker).connect().await.unwrap();
 }

@@ -1,4 +1,4 @@
-//! A connection that is closed so that its other end hears why.
+//! Closes the write half and drains the read half briefly, so that a TLS alert is not lost to a TCP reset.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
@@ -13,14 +13,14 @@ use tonic::transport::server::{Connected, TcpConnectInfo};
 
 use super::OWN_USER;
 
-/// A connection that has said more than this has been let in: whatever ends it then is not the last word of a handshake.
+/// A connection that has received more than this is past its handshake, and is closed without draining.
 const HANDSHAKE_BYTES: usize = 32 << 10;
-/// How long and how much of the other end's words is listened to after the last of ours.
+/// Longest time and most bytes for draining the read half.
 const LINGER_TIME: Duration = Duration::from_secs(1);
 const MOST_BYTES: u64 = 64 << 10;
 
-/// Connections that are listened to at a time after their last word. Others are closed at once: a farm that is flooded with
-/// bad greetings needs its places.
+/// Connections that are drained at a time. Others are closed at once: a farm that is flooded with failed handshakes needs
+/// its places.
 const LINGERING: usize = 64;
 static LINGER: Semaphore = Semaphore::const_new(LINGERING);
 
@@ -29,20 +29,20 @@ type Stream = Either<TcpStream, UnixStream>;
 
 /// A connection and its place among those allowed.
 ///
-/// A socket that is closed with unread bytes is reset, and a reset makes the other end forget what it has not read yet.
-/// With TLS 1.3 a client's first call is under way before it hears that its certificate is missing, so that it would
-/// mostly be reset and not told. Hence a connection that ends young stops sending, and listens for a moment.
+/// A socket that is closed with unread bytes is reset, and a reset discards what the peer has not read yet. With TLS 1.3 a
+/// client sends its first call before it receives the alert that its certificate is missing, so a plain close would mostly
+/// lose the alert. Hence a connection that ends during its handshake is shut down for writing and read for a moment.
 #[derive(Debug)]
-pub struct Parting {
+pub struct LingeringClose {
     stream: Option<Stream>,
-    heard: usize,
-    /// Given back when the connection ends, also while its other end's last words are listened to.
+    received: usize,
+    /// Given back when the connection ends; draining does not hold it.
     _place: OwnedSemaphorePermit,
 }
 
-impl Parting {
+impl LingeringClose {
     pub(super) fn new(stream: Stream, place: OwnedSemaphorePermit) -> Self {
-        Self { stream: Some(stream), heard: 0, _place: place }
+        Self { stream: Some(stream), received: 0, _place: place }
     }
 
     fn stream(&mut self) -> Pin<&mut Stream> {
@@ -56,38 +56,38 @@ impl Parting {
     }
 }
 
-impl Drop for Parting {
+impl Drop for LingeringClose {
     fn drop(&mut self) {
-        let young = (1..HANDSHAKE_BYTES).contains(&self.heard);
+        let in_handshake = (1..HANDSHAKE_BYTES).contains(&self.received);
         let (Some(mut stream), Ok(runtime)) = (self.stream.take(), tokio::runtime::Handle::try_current())
         else {
             return;
         };
-        if let Some(lingers) = young.then(|| LINGER.try_acquire().ok()).flatten() {
+        if let Some(lingers) = in_handshake.then(|| LINGER.try_acquire().ok()).flatten() {
             runtime.spawn(async move {
-                let listen = async {
+                let drain = async {
                     stream.shutdown().await?;
                     tokio::io::copy(&mut stream.take(MOST_BYTES), &mut tokio::io::sink()).await
                 };
-                // The other end may go as it likes.
-                let _ = tokio::time::timeout(LINGER_TIME, listen).await;
+                // How the peer ends does not matter.
+                let _ = tokio::time::timeout(LINGER_TIME, drain).await;
                 drop(lingers);
             });
         }
     }
 }
 
-impl AsyncRead for Parting {
+impl AsyncRead for LingeringClose {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
         let before = buf.filled().len();
         let read = this.stream().poll_read(cx, buf);
-        this.heard = this.heard.saturating_add(buf.filled().len() - before);
+        this.received = this.received.saturating_add(buf.filled().len() - before);
         read
     }
 }
 
-impl AsyncWrite for Parting {
+impl AsyncWrite for LingeringClose {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
         self.get_mut().stream().poll_write(cx, buf)
     }
@@ -113,7 +113,7 @@ impl AsyncWrite for Parting {
     }
 }
 
-impl Connected for Parting {
+impl Connected for LingeringClose {
     type ConnectInfo = TcpConnectInfo;
 
     fn connect_info(&self) -> TcpConnectInfo {
@@ -133,9 +133,9 @@ mod tests {
 
     use super::*;
 
-    /// However many end at once, their places are free at once.
+    /// Places are free at once, whatever the number of connections that end together.
     #[tokio::test]
-    async fn places_do_not_wait_for_last_words() {
+    async fn draining_holds_no_places() {
         let places = Arc::new(Semaphore::new(2 * LINGERING));
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -144,7 +144,8 @@ mod tests {
             let mut there = TcpStream::connect(address).await.unwrap();
             there.write_all(b"no greeting").await.unwrap();
             let (stream, _) = listener.accept().await.unwrap();
-            let mut here = Parting::new(Either::Left(stream), places.clone().try_acquire_owned().unwrap());
+            let mut here =
+                LingeringClose::new(Either::Left(stream), places.clone().try_acquire_owned().unwrap());
             here.read_exact(&mut [0; 5]).await.unwrap();
             ends.push(here);
             others.push(there);
@@ -153,14 +154,14 @@ mod tests {
         assert_eq!(places.available_permits(), 2 * LINGERING);
     }
 
-    /// A last word reaches the other end although what that sent was never read, and the place is given back.
+    /// The last bytes reach the peer although its own were never read, and the place is given back.
     #[tokio::test]
-    async fn the_last_word_is_heard_though_not_all_was_read() {
+    async fn the_last_bytes_survive_unread_input() {
         let places = Arc::new(Semaphore::new(1));
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let mut there = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
         let (stream, _) = listener.accept().await.unwrap();
-        let mut here = Parting::new(Either::Left(stream), places.clone().try_acquire_owned().unwrap());
+        let mut here = LingeringClose::new(Either::Left(stream), places.clone().try_acquire_owned().unwrap());
         there.write_all(&[7; 5000]).await.unwrap();
         here.read_exact(&mut [0; 10]).await.unwrap();
         here.write_all(b"no").await.unwrap();
