@@ -125,7 +125,7 @@ impl Dispatcher {
                 Next::FindBlocks
             }
             Outcome::Before { records, new } => {
-                self.compared(arrived, records, new);
+                self.compare_with_stored(arrived, records, new);
                 Next::Nothing
             }
             Outcome::Unwanted | Outcome::Repeated | Outcome::Differs => Next::Nothing,

@@ -19,8 +19,8 @@ const MOST: usize = 1000;
 pub(super) enum Verdict {
     /// All agree.
     Agreed,
-    /// Nobody has asked, or this machine has been heard.
-    NotHeard,
+    /// The part is not being checked, or this machine has voted already.
+    NotCounted,
     /// No result has more votes than the others: another machine is needed.
     Disputed,
     /// Most agree on `right`; those who found something else.
@@ -131,11 +131,12 @@ impl Checks {
         self.of_dictionary(id).filter(|(_, votes)| is_disputed(votes)).map(|(part, _)| part)
     }
 
-    /// Hears one more machine about a part that is being checked. `is_own` tells who has the same vote as it.
+    /// Adds the vote of one more machine about a part that is being checked. `is_own` is true for machines that share its
+    /// vote.
     pub fn vote(&mut self, part: PartId, new: Vote, is_own: impl Fn(Origin) -> bool) -> Verdict {
-        let Some(open) = self.open.get_mut(&part) else { return Verdict::NotHeard };
+        let Some(open) = self.open.get_mut(&part) else { return Verdict::NotCounted };
         if open.votes.iter().any(|vote| vote.by.is_some_and(&is_own)) {
-            return Verdict::NotHeard;
+            return Verdict::NotCounted;
         }
         open.votes.push(new);
         let Some(right) = most_agreed(&open.votes) else {
@@ -154,11 +155,11 @@ impl Checks {
         Verdict::Wrong { right, wrong }
     }
 
-    /// A machine's votes count no more. What others have said is still to be settled, if what is stored has a vote left.
-    pub fn unhear(&mut self, machine: Origin) {
-        let heard = |open: &Open| open.votes.iter().any(|vote| vote.by == Some(machine));
+    /// Withdraws the votes of a machine. A check stays open if the stored result has a vote left.
+    pub fn withdraw_votes(&mut self, machine: Origin) {
+        let has_voted = |open: &Open| open.votes.iter().any(|vote| vote.by == Some(machine));
         let of_it: Vec<PartId> =
-            self.open.iter().filter(|(_, open)| heard(open)).map(|(part, _)| *part).collect();
+            self.open.iter().filter(|(_, open)| has_voted(open)).map(|(part, _)| *part).collect();
         // Its blocks are gone.
         let begun_by = |votes: &[Vote]| votes.first().is_some_and(|first| first.by == Some(machine));
         let gone: Vec<PartId> =

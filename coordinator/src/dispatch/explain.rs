@@ -83,10 +83,11 @@ impl Dispatcher {
     fn explain_checks(&self, now: Duration, dictionary: &Dictionary, reasons: &mut Vec<Reason>) {
         let able: Vec<Origin> = self.able(now).collect();
         let machines = &self.workers.machines;
-        let heard = |machine: Origin, votes: &[Vote]| {
+        let has_voted = |machine: Origin, votes: &[Vote]| {
             votes.iter().any(|vote| vote.by.is_some_and(|by| machines.share_a_vote(machine, by)))
         };
-        let stuck = |votes: &[Vote]| !is_disputed(votes) && able.iter().all(|machine| heard(*machine, votes));
+        let stuck =
+            |votes: &[Vote]| !is_disputed(votes) && able.iter().all(|machine| has_voted(*machine, votes));
         let count = self.checks.of_dictionary(dictionary.id()).filter(|(_, votes)| stuck(votes)).count();
         if count > 0 {
             let text = format!(

@@ -1,4 +1,5 @@
-//! Results held against what is stored: who is believed, and who is fenced off.
+//! Compares results with the stored ones, records the votes of machines, and fences off those that are outvoted.
+//! A result that was not asked for never decides: it can only open a dispute.
 
 use farm_proto::lease::LeaseKey;
 use optics_model::Digest;
@@ -8,22 +9,22 @@ use super::job::{Job, Stage};
 use super::{Arrived, Count, Dispatcher, Effect, Event, EventKind, JobRef, PartId, Purpose};
 use crate::stored::{Origin, Vote};
 
-/// Who has computed what is stored, if that is known.
-struct Behind(Option<Origin>);
+/// The machine that computed the stored result, if it is known.
+struct Producer(Option<Origin>);
 
 impl Dispatcher {
     /// Compares a result with the one that is stored. True if they are equal.
     ///
-    /// It is a vote only if its worker was given it to check. Otherwise it can bring about a check, but decide nothing:
-    /// whoever has once held a lease could deliver for it as often as he likes.
-    pub fn compared(&mut self, arrived: &Arrived, stored: Digest, new: Digest) -> bool {
+    /// It is a vote only if its worker was given it to check. Otherwise it can bring about a check, but decide nothing: a
+    /// worker that once held a lease could deliver for it any number of times.
+    pub fn compare_with_stored(&mut self, arrived: &Arrived, stored: Digest, new: Digest) -> bool {
         let Arrived { by, key, .. } = *arrived;
         let was_asked = self.end_check(arrived);
         if self.workers.machines.is_fenced(by) {
             return stored == new;
         }
         let part = PartId::from(key);
-        let Some(Behind(first)) = self.behind(part, stored) else {
+        let Some(Producer(first)) = self.producer(part, stored) else {
             // What it was compared with is not what is there now: either not noted yet, or forgotten meanwhile.
             if stored != new && self.dictionaries.get(&part.dictionary).is_some_and(|d| d.job(part).is_some())
             {
@@ -33,9 +34,9 @@ impl Dispatcher {
         };
         self.outbox.changed = true;
         if was_asked {
-            self.heard(arrived, first, stored, new);
+            self.record_vote(arrived, first, stored, new);
         } else if stored != new {
-            self.doubted(arrived, first, stored);
+            self.open_dispute(arrived, first, stored);
         }
         stored == new
     }
@@ -52,20 +53,20 @@ impl Dispatcher {
         own
     }
 
-    /// Who has computed what is stored of a part; None if this is not what is stored.
-    fn behind(&self, part: PartId, stored: Digest) -> Option<Behind> {
+    /// The producer of the stored result of a part; None if this is not the stored result.
+    fn producer(&self, part: PartId, stored: Digest) -> Option<Producer> {
         let job = self.dictionaries.get(&part.dictionary)?.job(part)?;
         match &job.stage {
             Stage::Done { records, by, .. } if !job.is_divided() => {
-                (*records == stored).then_some(Behind(*by))
+                (*records == stored).then_some(Producer(*by))
             }
             // Only what is being checked is still known.
-            _ => (job.is_divided() && self.checks.subject(part) == Some(stored)).then_some(Behind(None)),
+            _ => (job.is_divided() && self.checks.subject(part) == Some(stored)).then_some(Producer(None)),
         }
     }
 
-    /// A machine that was asked has found something.
-    fn heard(&mut self, arrived: &Arrived, first: Option<Origin>, stored: Digest, new: Digest) {
+    /// Records the vote of a machine that was asked to check, and acts on the verdict.
+    fn record_vote(&mut self, arrived: &Arrived, first: Option<Origin>, stored: Digest, new: Digest) {
         let Arrived { by, key, .. } = *arrived;
         let part = PartId::from(key);
         let machines = &self.workers.machines;
@@ -74,7 +75,7 @@ impl Dispatcher {
         let confirms = match &verdict {
             Verdict::Agreed => true,
             Verdict::Wrong { right, .. } => *right == stored && stored == new,
-            Verdict::Disputed | Verdict::NotHeard => false,
+            Verdict::Disputed | Verdict::NotCounted => false,
         };
         if stored == new {
             self.workers.machines.succeeded(by);
@@ -83,7 +84,7 @@ impl Dispatcher {
             self.confirm(part, first, by);
         }
         match verdict {
-            Verdict::NotHeard => {}
+            Verdict::NotCounted => {}
             Verdict::Agreed => self.outbox.counts.push(Count::Agreed),
             Verdict::Disputed => {
                 self.outbox.counts.push(Count::Disputed);
@@ -98,7 +99,7 @@ impl Dispatcher {
                 for machine in wrong {
                     match machine {
                         Some(machine) => self.fence(part, machine),
-                        // Nobody knows in whose name it is stored.
+                        // The producer of the stored result is not known.
                         None if right != stored => {
                             let (dictionary, job) = (part.dictionary, part.job);
                             self.outbox.effects.push(Effect::Recompute { dictionary, job });
@@ -124,8 +125,9 @@ impl Dispatcher {
         }
     }
 
-    /// A result that nobody has asked for differs from what is stored.
-    fn doubted(&mut self, arrived: &Arrived, first: Option<Origin>, stored: Digest) {
+    /// Asks for a check, since a result that was not asked for differs from the stored one. A machine that contradicts its
+    /// own result is fenced off.
+    fn open_dispute(&mut self, arrived: &Arrived, first: Option<Origin>, stored: Digest) {
         let Arrived { by, key, .. } = *arrived;
         let part = PartId::from(key);
         if first == Some(by) {
@@ -172,7 +174,7 @@ impl Dispatcher {
                 self.free(token);
             }
         }
-        self.checks.unhear(machine);
+        self.checks.withdraw_votes(machine);
         self.outbox.effects.push(Effect::Fence { machine, reason });
         self.rely_on_others(machine);
     }

@@ -236,7 +236,7 @@ impl World {
     }
 
     pub fn compare(&mut self, arrived: &Arrived, stored: Digest) {
-        let equal = self.farm.compared(arrived, stored, arrived.digest);
+        let equal = self.farm.compare_with_stored(arrived, stored, arrived.digest);
         self.insist(equal == (stored == arrived.digest), || format!("{:?} is compared wrongly", arrived.key));
     }
 

@@ -1,4 +1,4 @@
-//! Who is heard about results, and what lasts of it.
+//! Which votes about results count, and which of them survive a restart.
 
 use farm_proto::ids::{DictionaryId, Token};
 use farm_proto::lease::{Lease, LeaseKey};
@@ -39,9 +39,9 @@ fn however_many_processes_a_machine_has_it_has_one_vote() {
     assert_eq!(check.key.job, lease.key.job);
     assert!(!bench.compare("b", &check, DIGEST, WRONG));
     for name in ["d", "e", "f"] {
-        assert!(!job_of(&bench.acquire(3, name, 9)).contains(&lease.key.job), "{name} would be heard");
+        assert!(!job_of(&bench.acquire(3, name, 9)).contains(&lease.key.job), "{name} would vote");
     }
-    // Nor is it heard with the lease of before.
+    // Nor does it vote with its earlier lease.
     bench.compare("b", &check, DIGEST, WRONG);
     assert!(bench.effects().is_empty(), "nobody is fenced off");
     let third = bench.acquire(4, "c", 1).remove(0);
