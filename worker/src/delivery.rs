@@ -102,7 +102,7 @@ fn next_batch(waiting: &mut VecDeque<PendingResult>) -> Vec<PendingResult> {
 /// not take.
 async fn send(session: &Session, held: &HeldLeases, batch: Vec<PendingResult>) -> Vec<PendingResult> {
     let limit = messages::time_limit(batch.iter().map(|result| result.bytes).sum());
-    match session.complete(|worker_id| messages::of_results(worker_id, &batch), limit).await {
+    match session.complete(|worker_token| messages::of_results(worker_token, &batch), limit).await {
         Ok(outcomes) => settle(held, batch, outcomes),
         // One of them is not as it should be; the others must not suffer.
         Err(status) if batch.len() > 1 && status.code() == Code::InvalidArgument => {

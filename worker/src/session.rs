@@ -53,7 +53,7 @@ pub(crate) struct Introduction {
 /// What the coordinator answered to the last registration.
 #[derive(Debug, Clone, Default)]
 struct Registration {
-    worker_id: String,
+    worker_token: String,
     lease: Duration,
 }
 
@@ -116,15 +116,15 @@ impl Session {
     pub(crate) async fn acquire(&self, max: usize, wait: Duration) -> Result<(Vec<Lease>, bool), Status> {
         // Between a registration and the announcement that follows, it could be given its own jobs.
         drop(self.registering.lock().await);
-        let worker_id = self.worker_id();
+        let worker_token = self.worker_token();
         let request = AcquireRequest {
-            worker_id: worker_id.clone(),
+            worker_token: worker_token.clone(),
             max_leases: max.min(RequestLimits::LEASES as usize) as u32,
             wait_ms: wait.as_millis() as u64,
             whole_sets: true,
         };
         let answer = self.call(self.client.clone().acquire(timed(request, CALL))).await;
-        let answer = self.known(&worker_id, answer).await?;
+        let answer = self.known(&worker_token, answer).await?;
         let leases =
             answer.leases.into_iter().map(|l| Lease::try_from(l).map_err(|invalid| to_status(&invalid)));
         Ok((leases.collect::<Result<_, _>>()?, answer.drain))
@@ -135,16 +135,16 @@ impl Session {
         &self,
         leases: Vec<(LeaseKey, bool, Digest)>,
     ) -> Result<(Vec<LeaseKey>, bool), Status> {
-        let worker_id = self.worker_id();
+        let worker_token = self.worker_token();
         let mut leases: Vec<HeldLease> = leases.into_iter().map(on_wire).collect();
         let (mut lost, mut drain) = (Vec::new(), false);
         // Also without leases: a worker must be heard of.
         loop {
             let rest = leases.split_off(leases.len().min(RequestLimits::LEASES as usize));
-            let request = RenewRequest { worker_id: worker_id.clone(), leases };
+            let request = RenewRequest { worker_token: worker_token.clone(), leases };
             // A heartbeat that comes late is worth nothing.
             let answer = self.call(self.client.clone().renew(timed(request, self.lease() / 2))).await;
-            let answer = self.known(&worker_id, answer).await?;
+            let answer = self.known(&worker_token, answer).await?;
             lost.extend(answer.lost.into_iter().map(LeaseKey::from));
             drain |= answer.drain;
             leases = rest;
@@ -158,7 +158,7 @@ impl Session {
     pub(crate) async fn begin(&self, jobs: Vec<(LeaseKey, Digest)>) {
         let Some(job) = jobs.first().map(|(key, _)| key.job) else { return };
         let leases = jobs.into_iter().map(|(key, identity)| on_wire((key, true, identity))).collect();
-        let request = RenewRequest { worker_id: self.worker_id(), leases };
+        let request = RenewRequest { worker_token: self.worker_token(), leases };
         let mut client = self.client.clone();
         let told = client.renew(timed(request, TELL));
         if let Ok(Err(status)) = tokio::time::timeout(TELL, told).await {
@@ -166,18 +166,18 @@ impl Session {
         }
     }
 
-    /// Delivers results until they are acknowledged or refused for good. `parts` makes the messages for a worker's id;
-    /// a call may take `limit`.
+    /// Delivers results until they are acknowledged or refused for good. `parts` makes the messages for a
+    /// worker's token; a call may take `limit`.
     pub(crate) async fn complete(
         &self,
         parts: impl Fn(&str) -> Vec<CompleteRequest>,
         limit: Duration,
     ) -> Result<Vec<CompletionOutcome>, Status> {
         repeat(self.back(), || async {
-            let worker_id = self.worker_id();
-            let parts = tokio_stream::iter(parts(&worker_id));
+            let worker_token = self.worker_token();
+            let parts = tokio_stream::iter(parts(&worker_token));
             let answer = self.call(self.client.clone().complete(timed(parts, limit))).await;
-            Ok(self.known(&worker_id, answer).await?.outcomes)
+            Ok(self.known(&worker_token, answer).await?.outcomes)
         })
         .await
     }
@@ -185,11 +185,12 @@ impl Session {
     /// Reports that a job could not be computed.
     pub(crate) async fn fail(&self, key: &LeaseKey, reason: &str) -> Result<(), Status> {
         repeat(self.back(), || async {
-            let worker_id = self.worker_id();
+            let worker_token = self.worker_token();
             let lease = Some((*key).into());
-            let request = FailRequest { worker_id: worker_id.clone(), lease, reason: reason.to_owned() };
+            let request =
+                FailRequest { worker_token: worker_token.clone(), lease, reason: reason.to_owned() };
             let answer = self.call(self.client.clone().fail(timed(request, CALL))).await;
-            self.known(&worker_id, answer).await.map(drop)
+            self.known(&worker_token, answer).await.map(drop)
         })
         .await
     }
@@ -206,7 +207,7 @@ impl Session {
 
     async fn hand_back(&self, leases: Vec<LeaseKey>, leaving: bool) -> Result<(), Status> {
         let leases = leases.into_iter().map(Into::into).collect();
-        let request = HandBackRequest { worker_id: self.worker_id(), leases, leaving, stopping: true };
+        let request = HandBackRequest { worker_token: self.worker_token(), leases, leaving, stopping: true };
         self.call(self.client.clone().hand_back(timed(request, LEAVE))).await.map(drop)
     }
 
@@ -233,15 +234,15 @@ impl Session {
         let response = self.call(self.client.clone().register(timed(request, CALL))).await?;
         self.reachability.joined(label, *threads);
         let lease = Duration::from_millis(response.lease_ms);
-        *self.registration() = Registration { worker_id: response.worker_id, lease };
+        *self.registration() = Registration { worker_token: response.worker_token, lease };
         Ok(())
     }
 
-    /// Registers again if that is what an answer to a call in the name of `worker` asks for.
-    async fn known<T>(&self, worker: &str, answer: Result<T, Status>) -> Result<T, Status> {
+    /// Registers again if the answer to a call with this token asks for it.
+    async fn known<T>(&self, worker_token: &str, answer: Result<T, Status>) -> Result<T, Status> {
         if answer.as_ref().is_err_and(|status| status.code() == Code::Aborted) {
             let _one_at_a_time = self.registering.lock().await;
-            if worker == self.worker_id() {
+            if worker_token == self.worker_token() {
                 tracing::warn!("the coordinator does not know this worker: registering again");
                 self.register().await?;
                 self.announce().await;
@@ -254,11 +255,11 @@ impl Session {
     /// Tells a coordinator that was restarted what this worker has in hand, before it asks for more: otherwise it could
     /// be given its own jobs again.
     async fn announce(&self) {
-        let Registration { worker_id, lease } = self.registration().clone();
+        let Registration { worker_token, lease } = self.registration().clone();
         let mut leases = self.held.all().into_iter().map(on_wire).peekable();
         while leases.peek().is_some() {
             let leases = leases.by_ref().take(RequestLimits::LEASES as usize).collect();
-            let request = RenewRequest { worker_id: worker_id.clone(), leases };
+            let request = RenewRequest { worker_token: worker_token.clone(), leases };
             // What is lost the next heartbeat finds out.
             if let Err(status) = self.call(self.client.clone().renew(timed(request, lease / 2))).await {
                 tracing::warn!(message = status.message(), "leases could not be announced");
@@ -267,8 +268,8 @@ impl Session {
         }
     }
 
-    fn worker_id(&self) -> String {
-        self.registration().worker_id.clone()
+    fn worker_token(&self) -> String {
+        self.registration().worker_token.clone()
     }
 
     fn registration(&self) -> MutexGuard<'_, Registration> {

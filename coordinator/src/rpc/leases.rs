@@ -56,13 +56,13 @@ impl Leases for Context {
         };
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
         let (id, settings) = self.farm.register(about, versions, self.gate.votes_by_token()).await?;
-        let worker_id = self.farm.worker_token(&id);
-        Ok(Response::new(RegisterResponse { worker_id, lease_ms: settings.lease.as_millis() as u64 }))
+        let worker_token = self.farm.worker_token(&id);
+        Ok(Response::new(RegisterResponse { worker_token, lease_ms: settings.lease.as_millis() as u64 }))
     }
 
     async fn acquire(&self, request: Request<AcquireRequest>) -> Result<Response<AcquireResponse>, Status> {
         let request = request.into_inner();
-        let worker = self.farm.verify_worker(&request.worker_id)?;
+        let worker = self.farm.verify_worker(&request.worker_token)?;
         let max = request.max_leases;
         if !(1..=RequestLimits::LEASES).contains(&max) {
             let allowed = format!("allowed are 1 to {}", RequestLimits::LEASES);
@@ -87,7 +87,7 @@ impl Leases for Context {
             Ok((key, lease.running, identity(&lease.identity).or_status()?))
         });
         let held = held.collect::<Result<_, Status>>()?;
-        let (lost, drain) = self.farm.renew(&self.farm.verify_worker(&request.worker_id)?, held)?;
+        let (lost, drain) = self.farm.renew(&self.farm.verify_worker(&request.worker_token)?, held)?;
         Ok(Response::new(RenewResponse { lost: lost.into_iter().map(Into::into).collect(), drain }))
     }
 
@@ -112,7 +112,7 @@ impl Leases for Context {
             (false, true) => Some(WorkerEnd::Stopping),
             (false, false) => None,
         };
-        self.farm.hand_back(&self.farm.verify_worker(&request.worker_id)?, &keys, end);
+        self.farm.hand_back(&self.farm.verify_worker(&request.worker_token)?, &keys, end);
         Ok(Response::new(HandBackResponse {}))
     }
 
@@ -120,7 +120,7 @@ impl Leases for Context {
         let request = request.into_inner();
         let key = LeaseKey::from(required("lease", request.lease)?);
         self.farm
-            .failed(&self.farm.verify_worker(&request.worker_id)?, &key, &one_line(&request.reason))
+            .failed(&self.farm.verify_worker(&request.worker_token)?, &key, &one_line(&request.reason))
             .await?;
         Ok(Response::new(FailResponse {}))
     }
@@ -142,7 +142,7 @@ fn piece(message: CompleteRequest, farm: &Farm) -> Result<Piece, Status> {
         Content::Header(header) => Piece::Header(Header {
             key: LeaseKey::from(required("key", header.key)?),
             identity: identity(&header.identity).or_status()?,
-            worker: farm.verify_worker(&header.worker_id)?,
+            worker: farm.verify_worker(&header.worker_token)?,
         }),
         Content::Records(bytes) => Piece::Records(bytes),
         Content::Sums(bytes) => Piece::Sums(bytes),

@@ -84,7 +84,7 @@ impl Crew {
                     host: String::new(),
                     facts: None,
                 };
-                let id = client.register(request).await.unwrap().into_inner().worker_id;
+                let id = client.register(request).await.unwrap().into_inner().worker_token;
                 Worker { client, id }
             }
         };
@@ -139,7 +139,7 @@ impl Crew {
     fn parts(&self, worker: &Worker, lease: &Lease) -> Vec<CompleteRequest> {
         let job = lease.job.as_ref().unwrap();
         let header = ResultHeader {
-            worker_id: worker.id.clone(),
+            worker_token: worker.id.clone(),
             key: lease.key.clone(),
             identity: job.identity.clone(),
         };
@@ -151,7 +151,7 @@ impl Crew {
 impl Worker {
     async fn acquire(&mut self, max_leases: u32) -> Vec<Lease> {
         let request = AcquireRequest {
-            worker_id: self.id.clone(),
+            worker_token: self.id.clone(),
             max_leases,
             whole_sets: false,
             wait_ms: WAIT.as_millis() as u64,

@@ -12,13 +12,13 @@ use crate::pool::JobResult;
 /// Bytes of one piece of a result.
 const PIECE: usize = 1 << 20;
 
-/// The messages of a call that delivers results for a worker.
-pub(super) fn of_results(worker_id: &str, results: &[PendingResult]) -> Vec<CompleteRequest> {
+/// The messages of a call that delivers results with a worker's token.
+pub(super) fn of_results(worker_token: &str, results: &[PendingResult]) -> Vec<CompleteRequest> {
     let mut messages = Vec::new();
     let mut push = |content| messages.push(CompleteRequest { content: Some(content) });
     for PendingResult { key, identity, result, .. } in results {
         push(Content::Header(ResultHeader {
-            worker_id: worker_id.to_owned(),
+            worker_token: worker_token.to_owned(),
             key: Some((*key).into()),
             identity: identity.as_bytes().to_vec(),
         }));

@@ -76,13 +76,13 @@ async fn an_unknown_worker_registers_and_renews_before_acquiring() {
     assert_eq!(registrations.len(), 2);
     assert_eq!(registrations[0].instance, registrations[1].instance, "it is the same process");
     let [renewal] = &coordinator.calls(Call::renew)[..] else { panic!("one renewal was expected") };
-    assert_eq!(renewal.worker_id, "worker-2");
+    assert_eq!(renewal.worker_token, "worker-2");
     let mut told: Vec<_> = renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
     told.sort_unstable();
     assert_eq!(told, [(0, false), (1, true)]);
     assert!(renewal.leases.iter().all(|l| l.identity == identity.as_bytes()));
     session.acquire(1, Duration::ZERO).await.unwrap();
-    assert_eq!(coordinator.calls(Call::acquire).last().unwrap().worker_id, "worker-2");
+    assert_eq!(coordinator.calls(Call::acquire).last().unwrap().worker_token, "worker-2");
 }
 
 #[tokio::test(start_paused = true)]

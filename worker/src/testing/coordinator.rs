@@ -221,11 +221,11 @@ impl Coordinator {
         }
     }
 
-    fn check(&self, worker_id: &str) -> Result<(), Status> {
-        if self.state().known.as_deref() == Some(worker_id) {
+    fn check(&self, worker_token: &str) -> Result<(), Status> {
+        if self.state().known.as_deref() == Some(worker_token) {
             return Ok(());
         }
-        Err(Status::aborted(format!("worker {worker_id} is not known: register")))
+        Err(Status::aborted(format!("worker {worker_token} is not known: register")))
     }
 
     /// Leases that are offered, or the wish that the worker leave.
@@ -246,16 +246,16 @@ impl Leases for Coordinator {
         self.receive(Method::Register, Call::Register(request.into_inner())).await?;
         Ok(Response::new(self.change(|state| {
             state.registrations += 1;
-            let worker_id = format!("worker-{}", state.registrations);
-            state.known = Some(worker_id.clone());
-            RegisterResponse { worker_id, lease_ms: state.lease.as_millis() as u64 }
+            let worker_token = format!("worker-{}", state.registrations);
+            state.known = Some(worker_token.clone());
+            RegisterResponse { worker_token, lease_ms: state.lease.as_millis() as u64 }
         })))
     }
 
     async fn acquire(&self, request: Request<AcquireRequest>) -> Result<Response<AcquireResponse>, Status> {
         let request = request.into_inner();
         self.receive(Method::Acquire, Call::Acquire(request.clone())).await?;
-        self.check(&request.worker_id)?;
+        self.check(&request.worker_token)?;
         let mut changes = self.0.changes.subscribe();
         let wait = tokio::time::sleep(Duration::from_millis(request.wait_ms));
         tokio::pin!(wait);
@@ -266,7 +266,7 @@ impl Leases for Coordinator {
             }
             tokio::select! {
                 () = &mut wait => return Ok(Response::new(AcquireResponse::default())),
-                _ = changes.changed() => self.check(&request.worker_id)?,
+                _ = changes.changed() => self.check(&request.worker_token)?,
             }
         }
     }
@@ -274,7 +274,7 @@ impl Leases for Coordinator {
     async fn renew(&self, request: Request<RenewRequest>) -> Result<Response<RenewResponse>, Status> {
         let request = request.into_inner();
         self.receive(Method::Renew, Call::Renew(request.clone())).await?;
-        self.check(&request.worker_id)?;
+        self.check(&request.worker_token)?;
         let named: Vec<LeaseKey> =
             request.leases.into_iter().filter_map(|lease| lease.key).map(Into::into).collect();
         let mut state = self.state();
@@ -287,12 +287,12 @@ impl Leases for Coordinator {
         request: Request<Streaming<CompleteRequest>>,
     ) -> Result<Response<CompleteResponse>, Status> {
         let mut messages = request.into_inner();
-        let mut worker_id = String::new();
+        let mut worker_token = String::new();
         let mut results: Vec<DeliveredResult> = Vec::new();
         while let Some(message) = messages.message().await? {
             match message.content.expect("no message is empty") {
                 Content::Header(header) => {
-                    worker_id = header.worker_id;
+                    worker_token = header.worker_token;
                     let key = header.key.expect("a header has a key").into();
                     results.push(DeliveredResult { key, identity: header.identity, bytes: 0 });
                 }
@@ -303,7 +303,7 @@ impl Leases for Coordinator {
         }
         let count = results.len();
         let outcomes = self.receive(Method::Complete, Call::Complete(results)).await?;
-        self.check(&worker_id)?;
+        self.check(&worker_token)?;
         let outcomes = outcomes.unwrap_or_else(|| vec![CompletionKind::Stored; count]);
         let outcome = |kind: CompletionKind| CompletionOutcome { kind: kind.into(), message: String::new() };
         Ok(Response::new(CompleteResponse { outcomes: outcomes.into_iter().map(outcome).collect() }))
@@ -320,7 +320,7 @@ impl Leases for Coordinator {
     async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailResponse>, Status> {
         let request = request.into_inner();
         self.receive(Method::Fail, Call::Fail(request.clone())).await?;
-        self.check(&request.worker_id)?;
+        self.check(&request.worker_token)?;
         Ok(Response::new(FailResponse {}))
     }
 }
