@@ -28,7 +28,7 @@ pub(crate) struct Workshop {
     pub finished: mpsc::UnboundedSender<PendingResult>,
 }
 
-/// What of a job's lease is needed when it has been traced.
+/// The part of a lease that is needed once its job has been traced.
 struct About {
     key: LeaseKey,
     identity: Digest,

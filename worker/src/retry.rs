@@ -1,4 +1,4 @@
-//! Which failed calls are made again, and when.
+//! Repeats failed calls after pauses that double. A pause is cut short when the coordinator answers again.
 
 use std::time::Duration;
 
@@ -11,7 +11,8 @@ use crate::reachability::is_silence;
 /// Pause after a call that is made again, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 
-/// So many pauses in a row may end early. A coordinator that is back and still turns calls away has another trouble.
+/// At most this many consecutive pauses are cut short, so that a coordinator that answers but keeps failing is not
+/// hammered.
 const EARLY: u32 = 3;
 
 /// A pause that doubles with every failure in a row.

@@ -1,4 +1,5 @@
-//! What becomes of results: which are wanted, which are compared, and who is fenced off.
+//! Admits results before they are stored, and notes their outcomes afterwards. Results that are not wanted are refused,
+//! those of jobs that are done already are compared.
 
 use std::time::Duration;
 

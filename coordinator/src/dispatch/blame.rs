@@ -1,4 +1,4 @@
-//! Leases that come to nothing: handed back or failed; and who is blamed for it.
+//! Leases that end without a result: handed back or failed. Failures are counted against jobs and machines.
 
 use std::collections::BTreeSet;
 use std::time::Duration;

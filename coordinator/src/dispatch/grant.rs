@@ -1,4 +1,4 @@
-//! Leases given out and extended.
+//! Grants leases and renews them. The order of work is checks, costliest jobs first, then second copies of late parts.
 
 use std::time::Duration;
 

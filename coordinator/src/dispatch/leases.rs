@@ -1,4 +1,5 @@
-//! Who holds which lease, and until when.
+//! The leases that are out, with their holders and deadlines. They are found by token, deadline, part
+//! and worker.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;

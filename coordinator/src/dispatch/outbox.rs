@@ -1,5 +1,5 @@
-//! What comes of a change of the dispatcher's state, noted where it is decided. Whoever made the change takes it all
-//! and carries it out.
+//! What a transition of the dispatcher produced: effects, events, counts and wake-ups. The scheduler empties it after each
+//! transition.
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;

@@ -1,4 +1,4 @@
-//! Makes durable what the dispatcher has decided, one effect after the other.
+//! Makes the dispatcher's decisions durable, one effect after the other. An effect that fails is put off and tried again.
 
 use std::collections::BTreeSet;
 use std::sync::Weak;

@@ -1,4 +1,5 @@
-//! Results as they come in: a stream of headers, records and sums, checked piece by piece.
+//! Receives streams of results: headers, records and sums, checked piece by piece. Each result is stored while the next
+//! is received.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! What workers ask for: to be let in, leases, renewals.
+//! The operations of workers: registration, leases, renewals. A request for leases waits until there is work.
 
 use std::time::Duration;
 

@@ -1,4 +1,5 @@
-//! What people ask for: submit, pause, resume, cancel, retry, delete, explain, drain.
+//! The operations of clients and admins: submit, pause, resume, cancel, retry, delete, explain, drain. Changes of
+//! dictionaries run one at a time.
 
 use std::collections::HashSet;
 

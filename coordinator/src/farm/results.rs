@@ -1,4 +1,4 @@
-//! The way of a result to the disk.
+//! Stores a result, or compares it with the stored one. The dispatcher takes note of the outcome under the ledger's guard.
 
 use std::sync::PoisonError;
 

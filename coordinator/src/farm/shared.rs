@@ -1,4 +1,4 @@
-//! Jobs that are ended by records that came for another dictionary.
+//! Ends jobs with records that were computed for another dictionary. It runs under the ledger's guard.
 
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
