@@ -39,7 +39,7 @@ pub fn falsified(records: &[Record]) -> Bytes {
 #[derive(Debug, Clone)]
 pub struct HandWorker {
     client: LeasesClient<Link>,
-    pub id: String,
+    pub token: String,
 }
 
 impl HandWorker {
@@ -56,13 +56,13 @@ impl HandWorker {
             host: String::new(),
             facts: None,
         };
-        let id = client.register(request).await?.into_inner().worker_token;
-        Ok(Self { client, id })
+        let token = client.register(request).await?.into_inner().worker_token;
+        Ok(Self { client, token })
     }
 
     pub async fn acquire(&mut self, max_leases: u32) -> Result<Vec<Lease>, Status> {
         let request =
-            AcquireRequest { worker_token: self.id.clone(), max_leases, whole_sets: false, wait_ms: 0 };
+            AcquireRequest { worker_token: self.token.clone(), max_leases, whole_sets: false, wait_ms: 0 };
         let leases = self.client.acquire(request).await?.into_inner().leases;
         leases
             .into_iter()
@@ -75,14 +75,14 @@ impl HandWorker {
     pub async fn renew(&mut self, lease: &Lease, running: bool) -> Result<bool, Status> {
         let identity = lease.job.identity().as_bytes().to_vec();
         let held = HeldLease { key: Some(lease.key.into()), running, identity };
-        let request = RenewRequest { worker_token: self.id.clone(), leases: vec![held] };
+        let request = RenewRequest { worker_token: self.token.clone(), leases: vec![held] };
         Ok(self.client.renew(request).await?.into_inner().lost.is_empty())
     }
 
     /// The messages that deliver a result.
     pub fn parts(&self, lease: &Lease, records: Bytes) -> Vec<CompleteRequest> {
         let header = ResultHeader {
-            worker_token: self.id.clone(),
+            worker_token: self.token.clone(),
             key: Some(lease.key.into()),
             identity: lease.job.identity().as_bytes().to_vec(),
         };
@@ -101,14 +101,14 @@ impl HandWorker {
 
     /// Reports that it could not compute the job.
     pub async fn fail(&mut self, lease: &Lease, reason: &str) -> Result<(), Status> {
-        let (worker_token, reason) = (self.id.clone(), reason.to_owned());
+        let (worker_token, reason) = (self.token.clone(), reason.to_owned());
         self.client.fail(FailRequest { worker_token, lease: Some(lease.key.into()), reason }).await.map(drop)
     }
 
     /// Leaves the farm.
     pub async fn leave(mut self) -> Result<(), Status> {
         let request =
-            HandBackRequest { worker_token: self.id, leases: vec![], leaving: true, stopping: true };
+            HandBackRequest { worker_token: self.token, leases: vec![], leaving: true, stopping: true };
         self.client.hand_back(request).await.map(drop)
     }
 }

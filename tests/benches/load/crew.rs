@@ -39,7 +39,7 @@ pub struct Crew {
 #[derive(Debug)]
 pub struct Worker {
     client: LeasesClient<Channel>,
-    id: String,
+    token: String,
 }
 
 impl Crew {
@@ -84,8 +84,8 @@ impl Crew {
                     host: String::new(),
                     facts: None,
                 };
-                let id = client.register(request).await.unwrap().into_inner().worker_token;
-                Worker { client, id }
+                let token = client.register(request).await.unwrap().into_inner().worker_token;
+                Worker { client, token }
             }
         };
         let tasks: Vec<_> = (0..count).map(|number| tokio::spawn(register(number))).collect();
@@ -139,7 +139,7 @@ impl Crew {
     fn parts(&self, worker: &Worker, lease: &Lease) -> Vec<CompleteRequest> {
         let job = lease.job.as_ref().unwrap();
         let header = ResultHeader {
-            worker_token: worker.id.clone(),
+            worker_token: worker.token.clone(),
             key: lease.key.clone(),
             identity: job.identity.clone(),
         };
@@ -151,7 +151,7 @@ impl Crew {
 impl Worker {
     async fn acquire(&mut self, max_leases: u32) -> Vec<Lease> {
         let request = AcquireRequest {
-            worker_token: self.id.clone(),
+            worker_token: self.token.clone(),
             max_leases,
             whole_sets: false,
             wait_ms: WAIT.as_millis() as u64,

@@ -127,9 +127,9 @@ async fn nobody_acts_as_a_worker_whose_id_he_has_read() {
     let lease = honest.acquire(1).await.unwrap().remove(0);
     let read = farm.ask(&["workers"])["workers"][0]["worker_id"].as_str().unwrap().to_owned();
     let mut liar = farm.hand_of("liar", "liar").await.unwrap();
-    let own_proof = liar.id.rsplit_once('.').unwrap().1.to_owned();
-    for id in [read.clone(), format!("{read}.{own_proof}")] {
-        liar.id = id;
+    let own_mac = liar.token.rsplit_once('.').unwrap().1.to_owned();
+    for token in [read.clone(), format!("{read}.{own_mac}")] {
+        liar.token = token;
         let records = on_wire(&traced(&grid_of(GRID), lease.key.job as usize));
         let codes = [
             liar.acquire(1).await.unwrap_err().code(),
@@ -138,7 +138,7 @@ async fn nobody_acts_as_a_worker_whose_id_he_has_read() {
             liar.fail(&lease, "no luck").await.unwrap_err().code(),
             liar.clone().leave().await.unwrap_err().code(),
         ];
-        assert_eq!(codes, [Code::Aborted; 5], "{}", liar.id);
+        assert_eq!(codes, [Code::Aborted; 5], "{}", liar.token);
     }
     assert!(honest.renew(&lease, true).await.unwrap(), "it still has its lease");
     assert!(farm.events("WORKER_LEFT").is_empty() && farm.events("ATTEMPT_FAILED").is_empty());
