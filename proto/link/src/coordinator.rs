@@ -152,7 +152,7 @@ mod tests {
 
     /// Other tokens have none, nor does a token's hash.
     #[test]
-    fn a_token_has_its_entrys_role_and_name() {
+    fn a_token_has_the_role_and_name_of_its_entry() {
         let entries =
             [entry("worker", "a", &other(1)), entry("client", "b", TOKEN), entry("admin", "c", &other(2))];
         let access = read(&content(&entries.concat())).unwrap();

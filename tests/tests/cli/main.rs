@@ -101,7 +101,7 @@ fn every_verb_tells_its_result_in_one_stable_json_shape() {
 
 /// For any number of threads.
 #[test]
-fn simulate_equals_the_dictionarys_profile() {
+fn simulate_equals_the_profile_of_the_dictionary() {
     let farm = farm();
     let dir = farm.path();
     let simulate = |threads: &str| {
