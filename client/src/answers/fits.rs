@@ -39,7 +39,7 @@ pub(crate) fn fits_text(report: &Report) -> String {
     text
 }
 
-/// What was made least, and what was assumed for that; nothing if it was the paper's distance.
+/// The objective and its assumptions; empty for the paper's distance.
 pub(crate) fn objective(fits: &[MaterialFit], assumed: Option<String>) -> Vec<String> {
     let refined = || fits.iter().flat_map(|f| &f.channels).filter_map(|c| c.refined.as_ref());
     if refined().all(|r| r.likelihood.is_none()) {

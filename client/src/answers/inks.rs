@@ -89,7 +89,7 @@ fn furthest(mixtures: &[MixtureFit]) -> Option<String> {
     let all: Vec<(String, f64)> = mixtures.iter().filter_map(told).collect();
     let (who, pull) = all.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let pull = significant(*pull, 2);
-    Some(format!("{} slabs and channels; furthest off its inks is {who}, by {pull} of its errors", all.len()))
+    Some(format!("{} slabs and channels; largest deviation from the ink model: {who}, {pull} σ", all.len()))
 }
 
 #[cfg(test)]
@@ -110,7 +110,7 @@ mod tests {
             "0.12…0.62",
             "paler R: its inks do not explain it: σ_t and α lie off by 7.3 of their errors",
             "deep R: left out: sigma_t_per_mm = 35",
-            "2 slabs and channels; furthest off its inks is paler R, by 7.3 of its errors",
+            "2 slabs and channels; largest deviation from the ink model: paler R, 7.3 σ",
         ] {
             assert!(flat.contains(told), "{told}\n{text}");
         }

@@ -10,7 +10,7 @@ const UNLIKELY: f64 = 1e-3;
 /// Most pixels, and most stretches, that are told one by one.
 const MOST: usize = 6;
 
-/// Whether noise explains what is left over; none if the paper's distance was made least.
+/// Whether noise explains the residuals; none if the paper's distance was minimised.
 pub(super) fn unlikely(refined: &Refined) -> Option<bool> {
     refined.likelihood.as_ref().map(|l| l.probability < UNLIKELY)
 }

@@ -23,7 +23,7 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurement)?.told(&args.measurement, output);
     let assumed = set_up.assumed(&materials);
-    let materials = set_up.told_of(materials)?;
+    let materials = set_up.apply_to(materials)?;
     let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let fits = fit_all(connection, &dictionary, &materials, &options).await?;

@@ -22,7 +22,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
         read_measurements(&args.measurement)?.told(&args.measurement, output);
     let materials = chosen(materials, &args)?;
     let assumed = set_up.assumed(&materials);
-    let materials = set_up.told_of(materials)?;
+    let materials = set_up.apply_to(materials)?;
     let (dictionary, maps) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let maps = map_all(connection, &dictionary, &materials, &options).await?;

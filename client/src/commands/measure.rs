@@ -40,7 +40,7 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let assumed = set_up.assumed(&materials);
-    let materials = set_up.told_of(materials)?;
+    let materials = set_up.apply_to(materials)?;
     let own = folder.as_ref().and_then(|folder| folder.dictionary.clone());
     let request = MeasureRequest {
         dictionary: String::new(),
@@ -52,9 +52,7 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
     };
     let (dictionary, found) = ask(global, given, own, &request).await?;
     if mixtures.is_some() && found.unmixed.is_none() {
-        bail!(
-            "the farm's answer tells nothing of mixtures: its coordinator is older than this farmctl; upgrade it"
-        );
+        bail!("the coordinator is too old to fit mixtures: upgrade it");
     }
     let pictures = match &args.plot {
         Some(path) => plot::write_fits(&found.materials, path)?,

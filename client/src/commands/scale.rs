@@ -22,7 +22,7 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let MeasurementFile { materials, notes } =
         read_measurements(&args.measurements)?.told(&args.measurements, output);
     let assumed = set_up.assumed(&materials);
-    let materials = set_up.told_of(materials)?;
+    let materials = set_up.apply_to(materials)?;
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = ScaleRequest {

@@ -1,4 +1,4 @@
-//! What is taken to be so since nobody told it.
+//! Set-up quantities without a value from the user, for which a default is used.
 
 use optics_model::fit::FitSettings;
 use optics_model::measurement::ProfileSetup;

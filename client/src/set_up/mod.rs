@@ -62,7 +62,7 @@ impl SetUp {
     }
 
     /// The measurements with what is told of their channels and not in their file.
-    pub(crate) fn told_of(&self, materials: Vec<Measurement>) -> Result<Vec<Measurement>> {
+    pub(crate) fn apply_to(&self, materials: Vec<Measurement>) -> Result<Vec<Measurement>> {
         let named = |v: &Option<ByChannel>| matches!(v, Some(ByChannel::Named(_)));
         if !named(&self.told.blur_mm) && !named(&self.told.blur_std_error_mm) {
             return Ok(materials);

@@ -40,14 +40,14 @@ fn set_up_precedence_is_measurement_command_line_session() {
     assert_eq!(set_up.settings(default), expected);
     let own = ProfileSetup { blur_mm: Some(0.05), ..ProfileSetup::default() };
     let none = ProfileSetup::default();
-    let told = set_up.told_of(vec![measurement(&[("R", none), ("G", own), ("B", none)])]).unwrap();
+    let told = set_up.apply_to(vec![measurement(&[("R", none), ("G", own), ("B", none)])]).unwrap();
     let blur: Vec<_> = told[0].profiles().iter().map(|p| p.setup().blur_mm).collect();
     assert_eq!(blur, [Some(0.025), Some(0.05), None]);
     // The command line's blur is that of all channels.
     let set_up = SetUpArgs { blur_mm: Some(0.04), ..args }.read().unwrap();
     assert_eq!(set_up.settings(default).blur_mm, 0.04);
     let measured = vec![measurement(&[("R", none), ("G", own)])];
-    assert_eq!(set_up.told_of(measured.clone()).unwrap(), measured);
+    assert_eq!(set_up.apply_to(measured.clone()).unwrap(), measured);
 }
 
 #[test]

@@ -72,7 +72,7 @@ pub fn measure_refined(
 }
 
 /// Finds inks from their own slabs and those of their mixtures together, after all were measured one by one in the same
-/// way. It is the likelihood that is made least, whatever the objective was.
+/// way. It minimises the likelihood's objective, whatever the objective was.
 pub fn unmix(
     dictionary: &FitDictionary,
     materials: &[Measurement],

@@ -1,8 +1,8 @@
-//! Questions that nobody waits for any more end.
+//! Cancellation by unwinding: a query that is cancelled panics with a private payload, without invoking the panic hook,
+//! and the panic is caught where the query began. Rayon carries it from its threads to the one that asked.
 //!
-//! A question is answered on several threads, deep in loops, and every one of its functions would have to tell that it
-//! came to no end. So a thread that finds its question unwanted unwinds up to where it was asked, without a word of the
-//! panic hook; rayon carries that from its threads to the one that asked.
+//! A query runs on several threads, deep in loops. With an error for cancellation every function there would return a
+//! `Result`.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -67,7 +67,7 @@ mod tests {
         }),
     ];
 
-    /// Every question looks whether it is wanted, whatever it makes least.
+    /// Every question looks whether it is wanted, whatever it minimises.
     #[test]
     fn every_question_ends_when_it_is_stopped() {
         for told in [false, true] {

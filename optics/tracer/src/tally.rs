@@ -90,7 +90,7 @@ impl Base {
     }
 }
 
-/// Products with what is so small would be slow.
+/// Flush to zero: arithmetic with subnormal operands is slow.
 fn flush(x: f32) -> f32 {
     if x.abs() < 1e-18 { 0.0 } else { x }
 }
@@ -111,14 +111,14 @@ impl<'a> Tally<'a> {
         let observed = observed(sensor.pixels());
         let shown = observed.len() * channels.len() * quantities(job) * job.albedo().len();
         let most_hits = vertices.most_hits as usize;
-        let px_a_mm = 1.0 / sensor.pitch_mm();
+        let px_per_mm = 1.0 / sensor.pitch_mm();
         Self {
             job,
             light,
             sensor,
-            free_path_px: (px_a_mm / job.point().sigma_t_per_mm()) as f32,
-            mm_px: px_a_mm as f32,
-            edge_px: (0.5 * sensor.width_mm() * px_a_mm) as f32,
+            free_path_px: (px_per_mm / job.point().sigma_t_per_mm()) as f32,
+            mm_px: px_per_mm as f32,
+            edge_px: (0.5 * sensor.width_mm() * px_per_mm) as f32,
             powers,
             hits,
             nodes,

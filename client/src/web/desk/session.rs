@@ -20,7 +20,7 @@ pub(super) fn open(folder: &Path) -> Result<OpenCaptureResponse> {
     let MeasurementFile { materials, notes } =
         read_measurements(&file).with_context(|| format!("reading {}", file.display()))?;
     let set_up = set_up(folder)?;
-    let materials = set_up.told_of(materials)?;
+    let materials = set_up.apply_to(materials)?;
     let known = set_up.mu_std_error();
     let settings = FitSettings { mu_std_error: known.unwrap_or_default(), ..FitSettings::default() };
     let options = FitOptions::new(FitSettings { curves: true, ..set_up.settings(settings) })?;

@@ -1,8 +1,8 @@
 //! The likelihood of a measurement, with what is wrong with every set-up estimated beside the medium.
 //!
-//! −2 ln L of all pixels and priors is made least over the medium, and over what is known of the set-up but not exactly:
-//! a common factor, the camera's blur, the thickness of every slab, and of every profile its origin, gain, zero and
-//! slope (`term`). Dust is left out (`robust`). The noise of the dictionary's records, which is alike in neighbouring
+//! −2 ln L of all pixels and priors is minimised over the medium, and over the quantities of the set-up that are not known
+//! exactly: a common factor, the camera's blur, the thickness of every slab, and of every profile its origin, gain, zero
+//! and slope (`term`). Dust is left out (`robust`). The noise of the dictionary's records, which is alike in neighbouring
 //! pixels, is modes with a prior of their own (`records_noise`). The optimum is global over the dictionary (`start`).
 //! Intervals follow the least −2 ln L with one quantity held, up to a rise of 1.96² (`profile`).
 

@@ -9,8 +9,8 @@ use crate::surrogate::Surrogate;
 
 /// Steps that one descent may take.
 const MOST_STEPS: usize = 40;
-/// Added to the information of every unknown when a step is taken, in units in which unknowns are of the order of 1. What
-/// the data leave open does not run away with the rest.
+/// Ridge, added to the information of every unknown when a step is taken, in units in which unknowns are of the order of
+/// 1. It keeps undetermined unknowns from dominating the step.
 const RIDGE: f64 = 0.1;
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;

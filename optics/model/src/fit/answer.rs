@@ -88,7 +88,7 @@ pub struct Refined {
     pub misfit: f64,
     /// The likeliest reason, if the misfit exceeds [`MISFIT`].
     pub suspicion: Option<Suspicion>,
-    /// What the likelihood tells beyond; none if the paper's distance was made least.
+    /// The answer of the likelihood beyond the medium; none if the paper's distance was minimised.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub likelihood: Option<Likelihood>,
     /// Medium and intervals come from mixtures with other inks: these profiles by themselves do not determine them.

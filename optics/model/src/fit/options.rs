@@ -18,7 +18,7 @@ pub enum Wavelet {
     Haar,
 }
 
-/// What is made least.
+/// The function that is minimised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Objective {
@@ -96,7 +96,7 @@ pub struct FitSettings {
     pub gain_std_error: f64,
     /// Standard error of the zero of each profile on its own, as a radiance factor: stray light, black level.
     pub offset_std_error: f64,
-    /// What is made least; none for the likelihood if every profile has standard errors, else the paper's distance.
+    /// The objective. None selects the likelihood if every profile has standard errors, and else the paper's distance.
     pub objective: Option<Objective>,
     /// Standard error of the thickness of each slab for which none is told, in mm.
     pub thickness_std_error_mm: f64,
