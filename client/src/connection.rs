@@ -129,7 +129,7 @@ fn is_local(global: &Global) -> bool {
 
 /// Whether commands use a folder on this machine that holds no farm yet.
 pub(crate) fn lacks_farm(global: &Global) -> bool {
-    is_local(global) && !global.data.join(DATABASE).exists()
+    is_local(global) && global.data.join(DATABASE).try_exists().is_ok_and(|there| !there)
 }
 
 /// The file by which a farm's folder is recognised.

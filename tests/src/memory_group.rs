@@ -22,8 +22,9 @@ impl MemoryGroup {
         let groups = std::fs::read_to_string("/proc/self/cgroup").ok()?;
         let own = groups.lines().find_map(|line| line.split_once(":memory:").map(|(_, path)| path))?;
         let folder = Path::new(MOUNT).join(own.trim_start_matches('/'));
-        let group = Self { folder: folder.join(format!("farm-tests-{}", std::process::id())) };
-        std::fs::create_dir(&group.folder).ok()?;
+        let folder = folder.join(format!("farm-tests-{}", std::process::id()));
+        std::fs::create_dir(&folder).ok()?;
+        let group = Self { folder };
         std::fs::write(group.folder.join("memory.limit_in_bytes"), limit_bytes.to_string()).ok()?;
         Some(group)
     }

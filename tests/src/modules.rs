@@ -16,6 +16,15 @@ pub struct Modules {
     pub sources: BTreeMap<Module, String>,
 }
 
+/// The names of one module's source.
+#[derive(Debug, Default)]
+struct Names {
+    /// Paths from `crate` or `super`.
+    paths: Vec<Module>,
+    /// Paths that `use` brings in, by the names that they have here.
+    uses: BTreeMap<String, Module>,
+}
+
 impl Modules {
     /// Of a folder with sources.
     ///
@@ -41,41 +50,42 @@ impl Modules {
 
     /// Circles among the modules that lie in one folder, each taken with all that lies below it.
     pub fn circles(&self) -> Vec<String> {
-        let named: Vec<(Module, Module)> =
-            self.sources.iter().flat_map(|(module, text)| self.named_by(module, text)).collect();
+        let names: BTreeMap<&Module, Names> =
+            self.sources.iter().map(|(module, text)| (module, Names::of(text))).collect();
+        let named: Vec<(Module, Module)> = names
+            .iter()
+            .flat_map(|(module, own)| {
+                own.paths.iter().map(|path| ((*module).clone(), resolved(&names, module, path)))
+            })
+            .collect();
         let folders: BTreeSet<&[String]> =
             self.sources.keys().filter_map(|module| Some(module.split_last()?.1)).collect();
         folders.into_iter().filter_map(|folder| circle_in(folder, &named)).collect()
     }
+}
 
-    /// The module with each that it names.
-    fn named_by(&self, module: &Module, text: &str) -> Vec<(Module, Module)> {
-        let tokens: TokenStream = text.parse().expect("the sources are Rust");
-        let mut paths = Vec::new();
-        find_paths(tokens, &mut paths);
-        let named = paths.iter().map(|path| (module.clone(), self.resolved(module, path)));
-        named.collect()
+/// The deepest module on the way of a path, which is seen from a module. Names that a module on the way brings in with
+/// `use` are followed.
+fn resolved(names: &BTreeMap<&Module, Names>, from: &Module, path: &[String]) -> Module {
+    let mut base = from.clone();
+    let mut parts = path.iter().peekable();
+    if parts.next_if(|part| *part == "crate").is_some() {
+        base.clear();
     }
-
-    /// The deepest module on the way of a path, which is seen from a module.
-    fn resolved(&self, from: &Module, path: &[String]) -> Module {
-        let mut base = from.clone();
-        let mut parts = path.iter().peekable();
-        if parts.next_if(|part| *part == "crate").is_some() {
-            base.clear();
-        }
-        while parts.next_if(|part| *part == "super").is_some() {
-            base.pop();
-        }
-        for part in parts {
-            let next = [&base[..], std::slice::from_ref(part)].concat();
-            if !self.sources.contains_key(&next) {
-                break;
-            }
-            base = next;
-        }
-        base
+    while parts.next_if(|part| *part == "super").is_some() {
+        base.pop();
     }
+    for part in parts {
+        let next = [&base[..], std::slice::from_ref(part)].concat();
+        let used = names.get(&base).and_then(|own| own.uses.get(part));
+        base = match used {
+            _ if names.contains_key(&next) => next,
+            // A name that stands for itself is another crate's.
+            Some(used) if used[0] != *part || used.len() > 1 => resolved(names, &base, used),
+            _ => break,
+        };
+    }
+    base
 }
 
 /// A file without its folder's `mod.rs` or extension: `fit/view` for both `fit/view.rs` and `fit/view/mod.rs`.
@@ -112,25 +122,82 @@ fn circle_in(folder: &[String], named: &[(Module, Module)]) -> Option<String> {
     (!circle.is_empty()).then(|| place + &circle.join(", "))
 }
 
-/// Collects all paths from `crate` or `super`, but not those of items for tests alone.
-fn find_paths(tokens: TokenStream, paths: &mut Vec<Module>) {
-    let mut tokens = tokens.into_iter().peekable();
-    let mut colons = 0;
-    while let Some(token) = tokens.next() {
-        match token {
-            TokenTree::Group(group) if is_for_tests(&group) => skip_item(&mut tokens),
-            TokenTree::Group(group) => find_paths(group.stream(), paths),
-            TokenTree::Ident(ident) if colons < 2 && (ident == "crate" || ident == "super") => {
-                follow_path(vec![ident.to_string()], &mut tokens, paths);
-            }
-            TokenTree::Punct(punct) if punct.as_char() == ':' => {
-                colons += 1;
-                continue;
-            }
-            _ => {}
-        }
-        colons = 0;
+impl Names {
+    /// # Panics
+    /// If the text is no Rust.
+    fn of(text: &str) -> Self {
+        let mut names = Self::default();
+        names.find(text.parse().expect("the sources are Rust"));
+        names
     }
+
+    /// Takes up all names, but not those of items for tests alone.
+    fn find(&mut self, tokens: TokenStream) {
+        let mut tokens = tokens.into_iter().peekable();
+        let mut colons = 0;
+        while let Some(token) = tokens.next() {
+            match token {
+                TokenTree::Group(group) if is_for_tests(&group) => skip_item(&mut tokens),
+                TokenTree::Group(group) => self.find(group.stream()),
+                TokenTree::Ident(ident) if ident == "use" => {
+                    if let Some(TokenTree::Ident(first)) =
+                        tokens.next_if(|t| matches!(t, TokenTree::Ident(_)))
+                    {
+                        self.follow(vec![first.to_string()], true, &mut tokens);
+                    }
+                }
+                TokenTree::Ident(ident) if colons < 2 && (ident == "crate" || ident == "super") => {
+                    self.follow(vec![ident.to_string()], false, &mut tokens);
+                }
+                TokenTree::Punct(punct) if punct.as_char() == ':' => {
+                    colons += 1;
+                    continue;
+                }
+                _ => {}
+            }
+            colons = 0;
+        }
+    }
+
+    /// Goes on with a path; of a list in braces, with each of its paths.
+    fn follow(&mut self, mut path: Module, is_use: bool, tokens: &mut Peekable<IntoIter>) {
+        while passes_colons(tokens) {
+            match tokens.next() {
+                Some(TokenTree::Ident(ident)) => path.push(ident.to_string()),
+                Some(TokenTree::Group(list)) => {
+                    let mut list = list.stream().into_iter().peekable();
+                    while let Some(token) = list.next() {
+                        if let TokenTree::Ident(name) = token {
+                            self.follow([&path[..], &[name.to_string()]].concat(), is_use, &mut list);
+                        }
+                    }
+                    return;
+                }
+                _ => break,
+            }
+        }
+        let mut name = path.last().cloned().unwrap_or_default();
+        if tokens.next_if(|token| matches!(token, TokenTree::Ident(word) if word == "as")).is_some()
+            && let Some(TokenTree::Ident(other)) = tokens.next()
+        {
+            name = other.to_string();
+        }
+        if path[0] == "self" {
+            path.remove(0);
+        }
+        if is_use && !path.is_empty() {
+            self.uses.insert(name, path.clone());
+        }
+        if path.first().is_some_and(|first| first == "crate" || first == "super") {
+            self.paths.push(path);
+        }
+    }
+}
+
+/// Passes two colons, if they come next.
+fn passes_colons(tokens: &mut Peekable<IntoIter>) -> bool {
+    let is_colon = |token: &TokenTree| matches!(token, TokenTree::Punct(punct) if punct.as_char() == ':');
+    tokens.next_if(is_colon).is_some() && tokens.next_if(is_colon).is_some()
 }
 
 /// Whether an attribute's brackets hold `cfg(test)`.
@@ -147,37 +214,4 @@ fn skip_item(tokens: &mut Peekable<IntoIter>) {
             _ => {}
         }
     }
-}
-
-/// Goes on with a path; of a list in braces, with each of its paths.
-fn follow_path(mut path: Module, tokens: &mut Peekable<IntoIter>, paths: &mut Vec<Module>) {
-    let is_colon = |token: &TokenTree| matches!(token, TokenTree::Punct(punct) if punct.as_char() == ':');
-    loop {
-        let mut colons = 0;
-        while tokens.next_if(is_colon).is_some() {
-            colons += 1;
-        }
-        if colons != 2 {
-            break;
-        }
-        match tokens.next() {
-            Some(TokenTree::Ident(ident)) => path.push(ident.to_string()),
-            Some(TokenTree::Group(list)) => {
-                let mut list = list.stream().into_iter().peekable();
-                while let Some(token) = list.next() {
-                    match token {
-                        TokenTree::Ident(name) if name == "as" => drop(list.next()),
-                        TokenTree::Ident(name) => {
-                            let path = [&path[..], &[name.to_string()]].concat();
-                            follow_path(path, &mut list, paths);
-                        }
-                        _ => {}
-                    }
-                }
-                return;
-            }
-            _ => break,
-        }
-    }
-    paths.push(path);
 }

@@ -205,4 +205,8 @@ fn a_circle_through_files_below_two_modules_is_found() {
         .sources
         .insert(vec!["config".to_owned()], "fn f() { println!(\"{}\", crate::farm::deep::g()) }".to_owned());
     assert_eq!(without.circles(), ["config, farm"]);
+    // By a name that the module around both brings in.
+    without.sources.insert(vec![], "mod farm; mod config; pub use farm::{deep::G as H, Farm};".to_owned());
+    without.sources.insert(vec!["config".to_owned()], "use super::H;".to_owned());
+    assert_eq!(without.circles(), ["config, farm"]);
 }

@@ -38,7 +38,9 @@ fn test_names(text: &str) -> Vec<(usize, &str)> {
     let (mut found, mut is_test) = (Vec::new(), false);
     for (number, line) in (1..).zip(text.lines().map(str::trim_start)) {
         is_test |= ["#[test]", "#[tokio::test", "#[rstest"].iter().any(|mark| line.starts_with(mark));
-        let function = line.strip_prefix("async ").unwrap_or(line).strip_prefix("fn ");
+        let line =
+            ["pub ", "async ", "unsafe "].iter().fold(line, |l, word| l.strip_prefix(word).unwrap_or(l));
+        let function = line.strip_prefix("fn ");
         if let Some(function) = function
             && std::mem::take(&mut is_test)
         {

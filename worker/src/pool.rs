@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn stopped_jobs_end_whether_begun_or_not() {
+    async fn stopped_jobs_do_not_begin_or_end_early() {
         let pool = Pool::new(1).unwrap();
         let before = Arc::<JobSwitches>::default();
         before.stop();

@@ -159,8 +159,9 @@ pub struct ScaleArgs {
 #[derive(Debug, Args)]
 pub struct MeasureArgs {
     /// CSV with the profiles of all materials of one set-up, or a folder that `farmctl capture` wrote: its white reference
-    /// is then taken for the scale factor (--mu 1), its report completed. On this machine a dictionary that is lacking is
-    /// computed first: the folder's own, or the paper's.
+    /// is then taken for the scale factor (--mu 1), its report completed, and its dictionary computed if it is not there.
+    /// Without --dictionary, a farm on this machine that has none computes the paper's first, and goes on with one that
+    /// was interrupted.
     pub measurements: PathBuf,
     #[command(flatten)]
     pub options: OptionArgs,

@@ -2,6 +2,7 @@
 
 use anyhow::{Result, bail};
 use farm_proto::DictionaryName;
+use farm_proto::status::{DictionaryState, DictionaryStatus};
 use optics_model::Grid;
 
 use super::list;
@@ -28,7 +29,17 @@ pub(crate) async fn name(connection: &Connection, given: Option<&String>) -> Res
 }
 
 /// A dictionary that is to be computed.
-pub(super) type Wanted = (DictionaryName, Grid);
+pub(super) struct Wanted {
+    pub name: DictionaryName,
+    pub grid: Grid,
+    pub records_done: usize,
+}
+
+impl Wanted {
+    pub fn new(name: DictionaryName, grid: Grid) -> Self {
+        Self { name, grid, records_done: 0 }
+    }
+}
 
 /// The dictionary of a command that computes one on this machine where there is none.
 pub(super) enum Chosen {
@@ -51,12 +62,16 @@ pub(super) async fn or_lacking(connection: &Connection, given: Option<&String>) 
         return Ok(Chosen::Lacking(usual()?));
     }
     let name = pick(&dictionaries.iter().map(|d| d.name.to_string()).collect::<Vec<_>>())?;
-    let open = dictionaries.into_iter().find(|d| d.name.as_str() == name && d.state().is_open());
-    Ok(open.map_or(Chosen::Complete(name), |d| Chosen::Lacking((d.name, d.grid))))
+    let is_running = |d: &DictionaryStatus| d.state() == DictionaryState::Running;
+    let running = dictionaries.into_iter().find(|d| d.name.as_str() == name && is_running(d));
+    Ok(running.map_or(Chosen::Complete(name), |d| {
+        let records_done = d.records_done();
+        Chosen::Lacking(Wanted { name: d.name, grid: d.grid, records_done })
+    }))
 }
 
 fn usual() -> Result<Wanted> {
-    Ok((DictionaryName::new(USUAL)?, Grid::paper()))
+    Ok(Wanted::new(DictionaryName::new(USUAL)?, Grid::paper()))
 }
 
 fn pick(names: &[String]) -> Result<String> {

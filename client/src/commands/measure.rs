@@ -12,6 +12,7 @@ use super::submit;
 use crate::answers::{Report, UsedOptions, budget_text, common_text, fits_text, inks_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
+use crate::interrupt::{Interrupted, interrupted};
 use crate::measurement_file::{MeasurementFile, Note, read_measurements};
 use crate::mixture_file::read_mixtures;
 use crate::output::{Output, grouped, write_whole};
@@ -42,6 +43,7 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
     let own = folder.as_ref().and_then(|folder| folder.dictionary.clone());
+    let own = own.map(|(name, grid)| Wanted::new(name, grid));
     let request = MeasureRequest {
         dictionary: String::new(),
         materials: materials.iter().map(Into::into).collect(),
@@ -115,7 +117,7 @@ async fn ask_once(
 ) -> Result<Asked> {
     let purpose = if wanted.is_some() { Purpose::Compute } else { Purpose::Ask };
     with_farm(global, purpose, async |connection| {
-        let dictionary = if let Some((name, grid)) = wanted {
+        let dictionary = if let Some(Wanted { name, grid, .. }) = wanted {
             submit::ensure(connection, name, grid, global.quiet).await?;
             name.to_string()
         } else {
@@ -125,18 +127,27 @@ async fn ask_once(
             }
         };
         let request = MeasureRequest { dictionary: dictionary.clone(), ..request.clone() };
-        let found = connection.fits().measure(request).await?.into_inner();
+        let fits = connection.fits();
+        let found = tokio::select! {
+            biased;
+            // The computation has taken signals over, so that they end nothing by themselves any more.
+            () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
+            found = fits.measure(request) => found?.into_inner(),
+        };
         Ok(Asked::Answered(dictionary, Box::new(found.try_into()?)))
     })
     .await
 }
 
-fn announce(global: &Global, (name, grid): &Wanted) {
+fn announce(global: &Global, wanted: &Wanted) {
+    let Wanted { name, grid, records_done } = wanted;
+    let total = grid.record_count();
     if !global.quiet {
         tell(format_args!(
-            "farmctl: dictionary {name} is not complete in {}: its {} records are computed first",
+            "farmctl: dictionary {name} is not complete in {}: {} of its {} records are computed first",
             global.data.display(),
-            grouped(grid.record_count() as u64)
+            grouped(total.saturating_sub(*records_done) as u64),
+            grouped(total as u64)
         ));
     }
 }

@@ -8,6 +8,7 @@ use farm_proto::wire::SubmitRequest;
 use optics_model::Grid;
 
 use super::following::{self, follow};
+use super::list;
 use super::watch::line;
 use crate::cli::{Global, SubmitArgs};
 use crate::connection::{Connection, Purpose, with_farm};
@@ -66,6 +67,10 @@ pub(super) async fn ensure(
     quiet: bool,
 ) -> Result<()> {
     let args = SubmitArgs { grid: None, name: None, quality: None, wait: true, priority: 0 };
+    let known = list::fetch(connection).await?.into_iter().find(|d| d.name == *name);
+    if known.is_some_and(|d| d.state() == DictionaryState::Paused) {
+        bail!("dictionary {name} is paused: `farmctl resume {name}` goes on with it");
+    }
     let (status, end) = submit(connection, name, grid, &args, quiet).await?;
     match (&end, status.state()) {
         (End::Followed(following::End::Ended(_)), DictionaryState::Done) => Ok(()),

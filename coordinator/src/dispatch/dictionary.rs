@@ -11,7 +11,7 @@ use optics_model::{Digest, Grid, Invalid, Walks};
 
 use super::job::{Job, Part, Stage, Strike};
 use super::plan::Plan;
-use super::{PartId, plan, shared};
+use super::{PartId, plan};
 use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary, Vote};
 
 /// Numbers that change with every job, kept so that nobody has to count.
@@ -63,7 +63,7 @@ impl Dictionary {
             }
         }
         let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
-        let (family, counts) = (shared::family(&stored.grid), Counts::default());
+        let (family, counts) = (plan::family(&stored.grid), Counts::default());
         let confirmed = ended.iter().filter_map(|end| match end {
             EndedJob::Done { job, confirmed, .. } if !confirmed.is_empty() => Some((*job, confirmed.clone())),
             _ => None,

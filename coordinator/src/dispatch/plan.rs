@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use optics_model::{Grid, Invalid, TransportPoint, Walks};
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Grid, Invalid, TransportPoint, Walks};
 
 use super::job::Job;
 
@@ -43,6 +44,21 @@ impl Plan {
         let pending = each.flat_map(|(job, index)| job.open_parts().map(move |part| (job.rank, index, part)));
         Self { pending: pending.collect(), jobs, too_large }
     }
+}
+
+/// What the walks of a grid depend on besides the transport point. None if it asks for a target error: then it is not
+/// known before with how many walks a job ends.
+pub(super) fn family(grid: &Grid) -> Option<Digest> {
+    if grid.quality().is_some() {
+        return None;
+    }
+    // Any point will do, as long as it is the same for all.
+    let point = TransportPoint::new(1.0, 0.0, 1.0, 1.5).ok()?;
+    let (scene, albedo) = (grid.shared_scene().clone(), vec![0.5]);
+    // With a level of noise the walks differ from point to point: jobs are compared by theirs, too.
+    let walks = grid.effort().walks(&point);
+    let job = JobSpec::new(scene, point, albedo, walks, grid.seed(), grid.derivatives()).ok()?;
+    Some(job.identity())
 }
 
 /// Parts of a job that are worked on.

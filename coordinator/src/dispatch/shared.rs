@@ -7,8 +7,7 @@ use std::cmp::Reverse;
 use std::time::Duration;
 
 use farm_proto::ids::DictionaryId;
-use optics_model::job::JobSpec;
-use optics_model::{Digest, Grid, TransportPoint, Walks};
+use optics_model::{Digest, Walks};
 
 use super::{Dictionary, Dispatcher, PartId};
 use crate::stored::{Origin, Vote};
@@ -28,21 +27,6 @@ impl Taker {
     pub fn new(machine: Origin) -> Self {
         Self { machine, kept: false }
     }
-}
-
-/// What the walks of a grid depend on besides the transport point. None if it asks for a target error: then it is not
-/// known before with how many walks a job ends.
-pub(super) fn family(grid: &Grid) -> Option<Digest> {
-    if grid.quality().is_some() {
-        return None;
-    }
-    // Any point will do, as long as it is the same for all.
-    let point = TransportPoint::new(1.0, 0.0, 1.0, 1.5).ok()?;
-    let (scene, albedo) = (grid.shared_scene().clone(), vec![0.5]);
-    // With a level of noise the walks differ from point to point: jobs are compared by theirs, too.
-    let walks = grid.effort().walks(&point);
-    let job = JobSpec::new(scene, point, albedo, walks, grid.seed(), grid.derivatives()).ok()?;
-    Some(job.identity())
 }
 
 /// Whether all of `some` are there; both rise.

@@ -211,7 +211,7 @@ async fn a_grid_that_is_too_large_is_refused_before_it_is_stored() {
 
 /// An earlier version may have stored one. It is cancelled with the reason and does not prevent the start.
 #[tokio::test]
-async fn a_too_large_dictionary_is_loaded_and_can_be_deleted() {
+async fn a_too_large_dictionary_is_cancelled_at_the_start() {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     let large = DictionaryName::new("large").unwrap();

@@ -16,6 +16,7 @@ impl Held<'_> {
 
 impl Exclusive<'_> {
     /// Deletes the records of a point: the jobs to be computed again.
+    #[cfg(test)]
     pub async fn delete_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
         delete_point(self.store, identity).await
     }

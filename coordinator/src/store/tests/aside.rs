@@ -102,7 +102,7 @@ async fn what_others_have_confirmed_stays_in_their_name() {
     assert_eq!(
         store.ledger().exclusive().await.fence(THIRD, "wrong, too").await.unwrap(),
         [(d.id, 1)],
-        "nobody is left"
+        "no other machine has confirmed it"
     );
 }
 
