@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn waiting_results_are_reported_and_continue_when_memory_is_free() {
+    async fn waiting_results_are_reported_and_continue_with_free_memory() {
         let budget = Arc::new(ResultBudget::of(4 * MIB, 4 * MIB, 4 * MIB));
         let (first, second) = (
             budget.stream("node1", "node1@10.0.0.1".to_owned()),
