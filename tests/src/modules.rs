@@ -31,7 +31,7 @@ impl Modules {
     /// # Panics
     /// If it cannot be read.
     pub fn of(source: &Path) -> Self {
-        Self::from_sources(source, crate::reference::sources(source))
+        Self::from_sources(source, crate::reference::files_below(source, "rs"))
     }
 
     /// Of files below `source` with their texts; those of tests are left out.

@@ -5,10 +5,10 @@
 use std::path::{Path, PathBuf};
 
 use farm_tests::modules::Modules;
-use farm_tests::reference::{root, sources};
+use farm_tests::reference::{files_below, root};
 
 fn assert_absent(folder: &str, words: &[&str]) {
-    for (path, text) in sources(&root().join(folder)) {
+    for (path, text) in files_below(&root().join(folder), "rs") {
         for word in words {
             assert!(!text.contains(word), "{} must not mention {word}", path.display());
         }
@@ -103,7 +103,7 @@ fn the_tracers_bits_are_the_same_on_every_machine() {
 /// Grids are stored as their messages, so one module of the store knows those too.
 #[test]
 fn wire_types_stay_at_the_edges_of_the_coordinator() {
-    for (path, text) in sources(&root().join("coordinator/src")) {
+    for (path, text) in files_below(&root().join("coordinator/src"), "rs") {
         let at_the_edge = ["src/rpc/", "src/store/dictionaries.rs", "src/store/tests.rs"]
             .iter()
             .any(|edge| path.to_string_lossy().contains(edge));
@@ -139,7 +139,7 @@ fn the_store_knows_nothing_above_it() {
 
 #[test]
 fn only_the_scheduler_holds_the_dispatcher() {
-    for (path, text) in sources(&root().join("coordinator/src/farm")) {
+    for (path, text) in files_below(&root().join("coordinator/src/farm"), "rs") {
         let is_scheduler = path.ends_with("scheduler.rs");
         for word in ["Mutex<Dispatcher>", "send_replace", "take_outbox", "recorder.record("] {
             assert!(
@@ -154,7 +154,7 @@ fn only_the_scheduler_holds_the_dispatcher() {
 /// Streams to clients are handed on in one place; everything else is one call.
 #[test]
 fn services_do_not_loop() {
-    for (path, text) in sources(&root().join("coordinator/src/rpc")) {
+    for (path, text) in files_below(&root().join("coordinator/src/rpc"), "rs") {
         let hands_on = path.ends_with("outgoing.rs");
         for word in ["    loop {", "while let", ".next().await"] {
             assert!(hands_on || !text.contains(word), "{} must not loop ({word})", path.display());

@@ -5,9 +5,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
-}
+use farm_tests::reference::{own_files, root};
 
 fn is_document(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "md")
@@ -15,25 +13,7 @@ fn is_document(path: &Path) -> bool {
 
 /// All Markdown files by their path from the root.
 fn documents() -> BTreeMap<PathBuf, String> {
-    let (root, mut found) = (root(), BTreeMap::new());
-    let mut folders = vec![root.clone()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(&folder).unwrap() {
-            let path = entry.unwrap().path();
-            let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            let is_folder = path.is_dir() && !path.is_symlink();
-            if is_folder
-                && !name.starts_with('.')
-                && !["target", "venv", "node_modules"].contains(&name.as_str())
-            {
-                folders.push(path);
-            } else if is_document(&path) {
-                let text = std::fs::read_to_string(&path).unwrap();
-                found.insert(path.strip_prefix(&root).unwrap().to_owned(), text);
-            }
-        }
-    }
-    found
+    own_files("md").into_iter().collect()
 }
 
 /// The lines outside of code blocks, with their numbers.

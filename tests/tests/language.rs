@@ -4,34 +4,10 @@
 
 use std::path::{Path, PathBuf};
 
-use farm_tests::reference::root;
+use farm_tests::reference::own_files;
 
 const LONGEST_NAME: usize = 60;
 const WIDEST_COMMENT: usize = 125;
-
-/// All Rust files by their path from the root.
-fn sources() -> Vec<(PathBuf, String)> {
-    let (root, mut found) = (root(), Vec::new());
-    let mut folders = vec![root.clone()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(&folder).unwrap() {
-            let path = entry.unwrap().path();
-            let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            let is_folder = path.is_dir() && !path.is_symlink();
-            if is_folder
-                && !name.starts_with('.')
-                && !["target", "venv", "node_modules"].contains(&name.as_str())
-            {
-                folders.push(path);
-            } else if path.extension().is_some_and(|extension| extension == "rs") {
-                let text = std::fs::read_to_string(&path).unwrap();
-                found.push((path.strip_prefix(&root).unwrap().to_owned(), text));
-            }
-        }
-    }
-    found.sort_unstable();
-    found
-}
 
 /// The functions under a test attribute: line and name.
 fn test_names(text: &str) -> Vec<(usize, &str)> {
@@ -68,7 +44,7 @@ fn assert_tests_are_found(sources: &[(PathBuf, String)]) {
 
 #[test]
 fn test_names_have_at_most_60_characters() {
-    let sources = sources();
+    let sources = own_files("rs");
     assert_tests_are_found(&sources);
     let long: Vec<_> = sources.iter().flat_map(|(path, text)| long_names(path, text)).collect();
     assert!(
@@ -80,7 +56,7 @@ fn test_names_have_at_most_60_characters() {
 
 #[test]
 fn comment_lines_have_at_most_125_columns() {
-    let sources = sources();
+    let sources = own_files("rs");
     assert_tests_are_found(&sources);
     let wide: Vec<_> = sources.iter().flat_map(|(path, text)| wide_comments(path, text)).collect();
     assert!(wide.is_empty(), "comments with more than {WIDEST_COMMENT} columns:\n{}", wide.join("\n"));
