@@ -2,6 +2,7 @@
 
 mod ending;
 mod figures;
+mod hardships;
 mod tokens;
 
 use std::io::pipe;
@@ -19,7 +20,6 @@ use optics_model::Grid;
 use serde_json::Value;
 
 use crate::hand::HandWorker;
-use crate::memory_group::MemoryGroup;
 use crate::process::{LONG, Process, Ran, SOON, Surroundings, farmctl, free_port, run, wait_for};
 use crate::wall_clock::WallClock;
 
@@ -150,21 +150,6 @@ impl Farm {
             self.page("/livez").filter(|(code, _)| *code == 200)
         });
         self.coordinator = Some(process);
-    }
-
-    /// From its next start on, the coordinator's log is a pipe without a reader.
-    pub fn abandon_log(&mut self) {
-        self.log_abandoned = true;
-    }
-
-    /// Programs of this farm that are started from now on share a group's memory.
-    pub fn limit_memory(&mut self, group: MemoryGroup) {
-        self.surroundings.memory = Some(group);
-    }
-
-    /// The group of this farm's programs, if there is one.
-    pub fn memory(&self) -> Option<&MemoryGroup> {
-        self.surroundings.memory.as_ref()
     }
 
     /// # Panics

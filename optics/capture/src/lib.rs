@@ -27,6 +27,8 @@ mod refusal;
 mod report;
 mod rho;
 mod saturation;
+#[cfg(test)]
+mod testing;
 mod view;
 
 pub use bins::{BIN_MM, BINS, EdgeProfile};

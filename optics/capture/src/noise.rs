@@ -192,16 +192,7 @@ fn group(blocks: &[Block]) -> (Block, f64) {
 mod tests {
     use super::*;
     use crate::frame::Pattern;
-
-    /// Numbers by a linear congruence, summed to nearly normal ones.
-    fn normal(state: &mut u64) -> f64 {
-        let mut sum = -6.0;
-        for _ in 0..12 {
-            *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            sum += (*state >> 11) as f64 / (1_u64 << 53) as f64;
-        }
-        sum
-    }
+    use crate::testing::normal;
 
     /// Eight grey stripes with σ_r = 4 and K = 0.7 over a black level of 100.
     fn frame(seed: u64) -> Frame {

@@ -1,0 +1,21 @@
+//! Surroundings that make life hard for a farm: a log without a reader, little memory.
+
+use super::Farm;
+use crate::memory_group::MemoryGroup;
+
+impl Farm {
+    /// From its next start on, the coordinator's log is a pipe without a reader.
+    pub fn abandon_log(&mut self) {
+        self.log_abandoned = true;
+    }
+
+    /// Programs of this farm that are started from now on share a group's memory.
+    pub fn limit_memory(&mut self, group: MemoryGroup) {
+        self.surroundings.memory = Some(group);
+    }
+
+    /// The group of this farm's programs, if there is one.
+    pub fn memory(&self) -> Option<&MemoryGroup> {
+        self.surroundings.memory.as_ref()
+    }
+}
