@@ -94,13 +94,13 @@ pub(crate) fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFi
 
 /// Of 716 pixels, where the data tell μ, blur and one origin, and nothing more of a gain than was known.
 pub(crate) fn likelihood(chi2: f64, probability: f64) -> Likelihood {
-    let estimate = |nuisance, profile_mm, value, std_error, (told, told_std_error)| NuisanceEstimate {
+    let estimate = |nuisance, profile_mm, value, std_error, (prior, prior_std_error)| NuisanceEstimate {
         nuisance,
         profile_mm,
         value,
         std_error,
-        told,
-        told_std_error,
+        prior,
+        prior_std_error,
     };
     let ends = |low, high| Ends { low, high };
     let share = |source, sigma_t| SourceShare {

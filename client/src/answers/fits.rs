@@ -4,7 +4,7 @@ use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
 
 use super::bound::bounds;
 use super::numbers::short;
-use super::told::{Remark, Told, ToldChannel, all_remarks};
+use super::summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
 use crate::output::{table, warning, wrapped};
 
 /// Fits, and how they are to be told.
@@ -59,11 +59,13 @@ fn known(fits: &[MaterialFit]) -> String {
     let row = |material: &str, channel: &ChannelFit| {
         let mut row = vec![short(material), channel.channel.clone()];
         if let Some(r) = &channel.refined {
-            let told = ToldChannel::of(r);
-            for Told { value, interval } in [told.reduced_scattering_per_mm, told.absorption_per_mm] {
+            let shown = ChannelSummary::of(r);
+            for NumberWithInterval { value, interval } in
+                [shown.reduced_scattering_per_mm, shown.absorption_per_mm]
+            {
                 row.extend([value, interval]);
             }
-            row.extend([told.misfit, format!("{:.4}", r.best.error)]);
+            row.extend([shown.misfit, format!("{:.4}", r.best.error)]);
         } else {
             row.extend(std::iter::repeat_n("–".to_owned(), 6));
         }
@@ -86,11 +88,11 @@ fn media(fits: &[MaterialFit]) -> String {
         let mut row = vec![short(material), format!("{}{star}", channel.channel)];
         match (&channel.refined, channel.candidates.first()) {
             (Some(r), _) => {
-                let told = ToldChannel::of(r);
+                let shown = ChannelSummary::of(r);
                 let mark = |value: String| if r.resolved { value } else { format!("({value})") };
-                row.extend([mark(told.sigma_t_per_mm.value), told.sigma_t_per_mm.interval]);
-                row.extend([mark(told.albedo.value), told.albedo.interval]);
-                row.extend([told.g.value, told.g.interval]);
+                row.extend([mark(shown.sigma_t_per_mm.value), shown.sigma_t_per_mm.interval]);
+                row.extend([mark(shown.albedo.value), shown.albedo.interval]);
+                row.extend([shown.g.value, shown.g.interval]);
             }
             (None, Some(c)) => {
                 let m = &c.medium;

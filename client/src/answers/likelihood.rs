@@ -54,7 +54,7 @@ pub(super) fn findings(refined: &Refined) -> Vec<String> {
 
 /// Whether the data say more of a nuisance than was known.
 fn moved(n: &NuisanceEstimate) -> bool {
-    (n.value - n.told).abs() > n.told_std_error || n.std_error < 0.5 * n.told_std_error
+    (n.value - n.prior).abs() > n.prior_std_error || n.std_error < 0.5 * n.prior_std_error
 }
 
 /// `origin −0.070 ± 0.004 mm (0.5 mm)`.
@@ -143,9 +143,9 @@ mod tests {
     use super::*;
     use crate::testing::likelihood;
 
-    fn estimate(nuisance: Nuisance, value: f64, std_error: f64, told: (f64, f64)) -> NuisanceEstimate {
-        let (told, told_std_error) = told;
-        NuisanceEstimate { nuisance, profile_mm: Some(0.5), value, std_error, told, told_std_error }
+    fn estimate(nuisance: Nuisance, value: f64, std_error: f64, prior: (f64, f64)) -> NuisanceEstimate {
+        let (prior, prior_std_error) = prior;
+        NuisanceEstimate { nuisance, profile_mm: Some(0.5), value, std_error, prior, prior_std_error }
     }
 
     #[test]
@@ -176,7 +176,7 @@ mod tests {
         let origin = |value, std_error| moved(&estimate(Nuisance::Origin, value, std_error, (0.01, 0.05)));
         assert!(!origin(0.03, 0.03));
         assert!(origin(0.03, 0.024), "much better known than before");
-        assert!(origin(-0.041, 0.05), "beyond what was told");
+        assert!(origin(-0.041, 0.05), "beyond the prior");
         let held = |value| moved(&estimate(Nuisance::Thickness, value, 0.0, (0.5, 0.0)));
         assert!(!held(0.5) && held(0.51));
     }

@@ -11,8 +11,8 @@ mod numbers;
 mod options;
 mod remarks;
 mod scale;
+mod summary;
 mod table;
-mod told;
 
 pub(crate) use budget::budget_text;
 pub(crate) use design::{design_text, slabs};
@@ -22,5 +22,5 @@ pub(crate) use misfit::misfit_short;
 pub(crate) use numbers::{albedo, significant};
 pub(crate) use options::UsedOptions;
 pub(crate) use scale::{common_text, scale_text};
+pub(crate) use summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
 pub(crate) use table::table_csv;
-pub(crate) use told::{Remark, Told, ToldChannel, all_remarks};

@@ -16,13 +16,13 @@ use super::api;
 use super::api::desk_server::Desk;
 use super::api::figures_request::Of;
 use super::api::{
-    AboutRequest, AboutResponse, ColorsRequest, ColorsResponse, FigureFormat, FiguresRequest, File, Files,
-    ListCapturesRequest, ListCapturesResponse, MediaRequest, Note, OpenCaptureRequest, OpenCaptureResponse,
-    ReadGridRequest, ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, Remark,
-    TellRequest, TellResponse, ToldChannel, ToldNumber,
+    AboutRequest, AboutResponse, ChannelSummary, ColorsRequest, ColorsResponse, FigureFormat, FiguresRequest,
+    File, Files, ListCapturesRequest, ListCapturesResponse, MediaRequest, Note, NumberWithInterval,
+    OpenCaptureRequest, OpenCaptureResponse, ReadGridRequest, ReadGridResponse, ReadMeasurementsRequest,
+    ReadMeasurementsResponse, Remark, SummarizeRequest, SummarizeResponse,
 };
 use super::captures::Captures;
-use crate::answers::{self, Told, all_remarks, common_text, objective};
+use crate::answers::{self, all_remarks, common_text, objective};
 
 use crate::commands::measure::{Found, media_files};
 use crate::grid_file::grid_of;
@@ -87,7 +87,10 @@ impl Desk for TheDesk {
         .await
     }
 
-    async fn tell(&self, request: Request<TellRequest>) -> Result<Response<TellResponse>, Status> {
+    async fn summarize(
+        &self,
+        request: Request<SummarizeRequest>,
+    ) -> Result<Response<SummarizeResponse>, Status> {
         let request = request.into_inner();
         let folder = request.capture.as_deref().map(|folder| self.captures.folder(folder)).transpose()?;
         answer(move || {
@@ -97,7 +100,7 @@ impl Desk for TheDesk {
                 request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
             let set_up = folder.map_or_else(|| Ok(SetUp::default()), |f| session::set_up(&f))?;
             let assumed = set_up.assumed(&materials).text(options.settings());
-            Ok(TellResponse {
+            Ok(SummarizeResponse {
                 common: common_text(&found.common),
                 channels: channels(&found),
                 objective: objective(&found.materials, assumed),
@@ -189,24 +192,25 @@ fn found(found: Option<wire::MeasureResponse>) -> Result<Found> {
     Found::try_from(found)
 }
 
-fn channels(found: &Found) -> Vec<ToldChannel> {
-    let told = |told: Told| Some(ToldNumber { value: told.value, interval: told.interval });
+fn channels(found: &Found) -> Vec<ChannelSummary> {
+    let number =
+        |n: answers::NumberWithInterval| Some(NumberWithInterval { value: n.value, interval: n.interval });
     let channels = found.materials.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
     let channel = |(fit, channel): (&optics_model::fit::MaterialFit, &optics_model::fit::ChannelFit)| {
-        let mut empty = ToldChannel {
+        let mut empty = ChannelSummary {
             material: fit.material.clone(),
             channel: channel.channel.clone(),
-            ..ToldChannel::default()
+            ..ChannelSummary::default()
         };
         if let Some(refined) = &channel.refined {
-            let numbers = answers::ToldChannel::of(refined);
+            let numbers = answers::ChannelSummary::of(refined);
             empty.resolved = refined.resolved;
             empty.resolved_at_g = refined.resolved_at_g;
-            empty.reduced_scattering_per_mm = told(numbers.reduced_scattering_per_mm);
-            empty.absorption_per_mm = told(numbers.absorption_per_mm);
-            empty.sigma_t_per_mm = told(numbers.sigma_t_per_mm);
-            empty.albedo = told(numbers.albedo);
-            empty.g = told(numbers.g);
+            empty.reduced_scattering_per_mm = number(numbers.reduced_scattering_per_mm);
+            empty.absorption_per_mm = number(numbers.absorption_per_mm);
+            empty.sigma_t_per_mm = number(numbers.sigma_t_per_mm);
+            empty.albedo = number(numbers.albedo);
+            empty.g = number(numbers.g);
             empty.misfit = numbers.misfit;
         }
         empty

@@ -57,8 +57,8 @@ impl From<NuisanceEstimate> for wire::NuisanceEstimate {
             profile_mm: n.profile_mm,
             value: n.value,
             std_error: n.std_error,
-            told: n.told,
-            told_std_error: n.told_std_error,
+            prior: n.prior,
+            prior_std_error: n.prior_std_error,
         }
     }
 }
@@ -71,8 +71,8 @@ fn nuisance_estimate(n: wire::NuisanceEstimate) -> Option<NuisanceEstimate> {
         profile_mm: n.profile_mm,
         value: n.value,
         std_error: n.std_error,
-        told: n.told,
-        told_std_error: n.told_std_error,
+        prior: n.prior,
+        prior_std_error: n.prior_std_error,
     })
 }
 
@@ -182,8 +182,8 @@ mod tests {
                 profile_mm: (i > 1).then_some(0.5),
                 value: n + 0.1,
                 std_error: n + 0.2,
-                told: n + 0.3,
-                told_std_error: n + 0.4,
+                prior: n + 0.3,
+                prior_std_error: n + 0.4,
             }
         };
         let ends = |low| Ends { low, high: 2.0 * low };

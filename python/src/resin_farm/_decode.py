@@ -114,8 +114,8 @@ _NUISANCES = {
 def _likelihood(wire: fits_pb2.Likelihood) -> Likelihood:
     def nuisance(n: fits_pb2.NuisanceEstimate) -> NuisanceEstimate:
         profile = n.profile_mm if n.HasField("profile_mm") else None
-        told = n.told_std_error if np.isfinite(n.told_std_error) else None
-        return NuisanceEstimate(_NUISANCES.get(n.nuisance, "unknown"), profile, n.value, n.std_error, n.told, told)
+        prior = n.prior_std_error if np.isfinite(n.prior_std_error) else None
+        return NuisanceEstimate(_NUISANCES.get(n.nuisance, "unknown"), profile, n.value, n.std_error, n.prior, prior)
 
     def share(s: fits_pb2.SourceShare) -> SourceShare:
         source = fits_pb2.ErrorSource.Name(s.source).removeprefix("ERROR_SOURCE_").lower()
@@ -218,7 +218,7 @@ def _refined_of_json(found: Mapping[str, Any]) -> Refined:
 def _likelihood_of_json(found: Mapping[str, Any]) -> Likelihood:
     def nuisance(n: Mapping[str, Any]) -> NuisanceEstimate:
         return NuisanceEstimate(
-            n["nuisance"], n["profile_mm"], n["value"], n["std_error"], n["told"], n["told_std_error"]
+            n["nuisance"], n["profile_mm"], n["value"], n["std_error"], n["prior"], n["prior_std_error"]
         )
 
     return Likelihood(

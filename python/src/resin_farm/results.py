@@ -104,8 +104,8 @@ class NuisanceEstimate:
     """The profile concerned, by its thickness; None if all are."""
     value: float
     std_error: float
-    told: float
-    told_std_error: float | None
+    prior: float
+    prior_std_error: float | None
     """None if nothing was known."""
 
 

@@ -1,5 +1,5 @@
 // The measurement at hand and what was found: shared by the places, and through a reload of the page.
-import type { Note, OpenCaptureResponse, TellResponse } from '../gen/desk/v1/desk_pb';
+import type { Note, OpenCaptureResponse, SummarizeResponse } from '../gen/desk/v1/desk_pb';
 import type { MeasureResponse } from '../gen/farm/v1/fits_pb';
 import type { Measurement } from '../gen/farm/v1/model_pb';
 import { desk, text } from './api';
@@ -10,7 +10,7 @@ import { route } from './route.svelte';
 // An answer, and what it was asked with: the choices on the page may be others by now.
 export type Answer = {
   found: MeasureResponse;
-  told: TellResponse;
+  summary: SummarizeResponse;
   colors: Map<string, [number, number, number]>;
   dictionary: string;
   options: Options;

@@ -1,4 +1,4 @@
-//! What was found of the set-up, beside what was told.
+//! Estimates of the set-up's nuisances, each with its prior.
 
 use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate};
@@ -9,28 +9,35 @@ use super::term::{Own, Reduced};
 use super::{BLUR, LN_SCALE, LN_THICKNESS, blur};
 
 impl Found<'_, '_> {
-    /// In the order in which they are told: common ones first, then by profile.
+    /// In the order of the answer: common ones first, then by profile.
     pub(super) fn nuisances(&self, covariance: &DMatrix<f64>, reduced: &[Reduced]) -> Vec<NuisanceEstimate> {
         let settings = self.data.options.settings();
         let mut all = Vec::new();
-        let mut add = |nuisance, profile_mm, value, variance: f64, told: f64, told_std_error: f64| {
+        let mut add = |nuisance, profile_mm, value, variance: f64, prior_value: f64, prior_std_error: f64| {
             let std_error = variance.max(0.0).sqrt();
-            all.push(NuisanceEstimate { nuisance, profile_mm, value, std_error, told, told_std_error });
+            all.push(NuisanceEstimate {
+                nuisance,
+                profile_mm,
+                value,
+                std_error,
+                prior: prior_value,
+                prior_std_error,
+            });
         };
         let slots = self.slots();
         let free = |slot: usize| !self.system.unknowns[slot].held;
         if free(slots[LN_SCALE]) {
             let (x, slot) = (self.x(LN_SCALE), slots[LN_SCALE]);
-            let (told, factor) = (1.0 / settings.mu, (-x).exp() / settings.mu);
+            let (prior_value, factor) = (1.0 / settings.mu, (-x).exp() / settings.mu);
             let relative = settings.mu_std_error / settings.mu;
-            let told_std_error = if relative > 0.0 { told * relative } else { f64::INFINITY };
+            let prior_std_error = if relative > 0.0 { prior_value * relative } else { f64::INFINITY };
             add(
                 Nuisance::Scale,
                 None,
                 factor,
                 covariance[(slot, slot)] * factor * factor,
-                told,
-                told_std_error,
+                prior_value,
+                prior_std_error,
             );
         }
         for (i, (term, profile)) in self.system.terms.iter().zip(&self.data.profiles).enumerate() {
@@ -40,8 +47,15 @@ impl Found<'_, '_> {
                 let profile_mm = at.filter(|_| i > 0);
                 let deviation = covariance[(blur, blur)].max(0.0).sqrt();
                 let (value, std_error) = variance_mm2((self.state.x[blur], deviation));
-                let (told, told_std_error) = variance_mm2(profile.blur);
-                add(Nuisance::BlurVariance, profile_mm, value, std_error.powi(2), told, told_std_error);
+                let (prior_value, prior_std_error) = variance_mm2(profile.blur);
+                add(
+                    Nuisance::BlurVariance,
+                    profile_mm,
+                    value,
+                    std_error.powi(2),
+                    prior_value,
+                    prior_std_error,
+                );
             }
             if free(thickness) {
                 let t = self.state.x[thickness].exp();
@@ -51,14 +65,21 @@ impl Found<'_, '_> {
             let shared = submatrix(covariance, slots);
             let own = reduced[i].own_covariance(&shared);
             for (k, prior) in term.priors.iter().enumerate() {
-                let (nuisance, told) = match prior.own {
+                let (nuisance, prior_value) = match prior.own {
                     Own::Origin => (Nuisance::Origin, term.origin_mm),
                     Own::Gain => (Nuisance::Gain, 0.0),
                     Own::Zero => (Nuisance::Zero, 0.0),
                     Own::Slope => (Nuisance::Slope, 0.0),
                 };
                 let sd = prior.std_error;
-                add(nuisance, at, told + sd * self.state.own[i][k], own[(k, k)] * sd * sd, told, sd);
+                add(
+                    nuisance,
+                    at,
+                    prior_value + sd * self.state.own[i][k],
+                    own[(k, k)] * sd * sd,
+                    prior_value,
+                    sd,
+                );
             }
         }
         all

@@ -125,7 +125,7 @@ pub struct Likelihood {
     pub budget: Vec<SourceShare>,
 }
 
-/// Something that is wrong with every set-up, told to some accuracy, and estimated beside the medium.
+/// A nuisance parameter of the set-up, with a prior, estimated along with the medium.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Nuisance {
@@ -156,9 +156,9 @@ pub struct NuisanceEstimate {
     pub profile_mm: Option<f64>,
     pub value: f64,
     pub std_error: f64,
-    /// What was told, or taken to be so.
-    pub told: f64,
-    pub told_std_error: f64,
+    /// Mean of its prior, as given or by default.
+    pub prior: f64,
+    pub prior_std_error: f64,
 }
 
 /// A pixel of a measurement that was given no weight.

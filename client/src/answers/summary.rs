@@ -1,4 +1,4 @@
-//! A channel's numbers as they are told, in tables and in the page.
+//! Formats a channel's numbers with their intervals, for tables and the page, and collects the remarks on them.
 
 use optics_model::fit::{MaterialFit, Refined};
 
@@ -7,37 +7,37 @@ use super::remarks::{remarks, warnings};
 
 /// A number with as many digits as mean something, and its interval of 95 %.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Told {
+pub(crate) struct NumberWithInterval {
     pub(crate) value: String,
     pub(crate) interval: String,
 }
 
 /// The numbers of a channel that was refined.
 #[derive(Debug, Clone)]
-pub(crate) struct ToldChannel {
-    pub(crate) reduced_scattering_per_mm: Told,
-    pub(crate) absorption_per_mm: Told,
-    pub(crate) sigma_t_per_mm: Told,
-    pub(crate) albedo: Told,
-    pub(crate) g: Told,
+pub(crate) struct ChannelSummary {
+    pub(crate) reduced_scattering_per_mm: NumberWithInterval,
+    pub(crate) absorption_per_mm: NumberWithInterval,
+    pub(crate) sigma_t_per_mm: NumberWithInterval,
+    pub(crate) albedo: NumberWithInterval,
+    pub(crate) g: NumberWithInterval,
     pub(crate) misfit: String,
 }
 
-impl ToldChannel {
+impl ChannelSummary {
     pub(crate) fn of(r: &Refined) -> Self {
         let three = |v: f64| significant(v, 3);
         let two = |v: f64| significant(v, 2);
-        let told = |value, interval| Told { value, interval };
+        let number = |value, interval| NumberWithInterval { value, interval };
         let m = &r.best.medium;
         Self {
-            reduced_scattering_per_mm: told(
+            reduced_scattering_per_mm: number(
                 three(m.reduced_scattering_per_mm()),
                 interval(&r.reduced_scattering_per_mm, three),
             ),
-            absorption_per_mm: told(two(m.absorption_per_mm()), interval(&r.absorption_per_mm, two)),
-            sigma_t_per_mm: told(three(m.sigma_t_per_mm()), interval(&r.sigma_t_per_mm, three)),
-            albedo: told(albedo(m.albedo()), interval(&r.albedo, albedo_end)),
-            g: told(three(m.g()), interval(&r.g, two)),
+            absorption_per_mm: number(two(m.absorption_per_mm()), interval(&r.absorption_per_mm, two)),
+            sigma_t_per_mm: number(three(m.sigma_t_per_mm()), interval(&r.sigma_t_per_mm, three)),
+            albedo: number(albedo(m.albedo()), interval(&r.albedo, albedo_end)),
+            g: number(three(m.g()), interval(&r.g, two)),
             misfit: two(r.misfit),
         }
     }
