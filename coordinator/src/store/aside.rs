@@ -78,13 +78,14 @@ pub(super) async fn done_again(
     Ok(())
 }
 
-#[derive(sqlx::FromRow)]
 struct AsideRow {
     dictionary_id: i64,
     job: i64,
     walks: Option<i64>,
     records_digest: Vec<u8>,
 }
+
+from_row!(AsideRow { dictionary_id, job, walks, records_digest });
 
 impl Store {
     /// Whether anything is set aside.

@@ -6,7 +6,6 @@ use optics_model::Digest;
 use super::{Result, Store, StoreError, doing};
 use crate::stored::{OpenCheck, Origin, Secret, Vote};
 
-#[derive(sqlx::FromRow)]
 struct VoteRow {
     dictionary_id: i64,
     job: i64,
@@ -14,6 +13,8 @@ struct VoteRow {
     worker_id: Option<i64>,
     digest: Vec<u8>,
 }
+
+from_row!(VoteRow { dictionary_id, job, block, worker_id, digest });
 
 impl VoteRow {
     fn vote(&self) -> Result<Vote> {

@@ -10,7 +10,6 @@ use prost::Message;
 use super::{Result, Store, StoreError, doing};
 use crate::stored::{DesiredState, StoredDictionary};
 
-#[derive(sqlx::FromRow)]
 struct DictionaryRow {
     id: i64,
     name: String,
@@ -22,6 +21,8 @@ struct DictionaryRow {
     reason: String,
     owner: String,
 }
+
+from_row!(DictionaryRow { id, name, grid, grid_digest, created_unix_ms, priority, desire, reason, owner });
 
 impl TryFrom<DictionaryRow> for StoredDictionary {
     type Error = StoreError;

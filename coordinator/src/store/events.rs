@@ -5,7 +5,7 @@ use super::{Result, Store, doing};
 /// Events that are kept.
 const KEPT: i64 = 100_000;
 
-#[derive(Debug, Clone, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoredEvent {
     pub id: i64,
     pub unix_ms: i64,
@@ -17,6 +17,8 @@ pub struct StoredEvent {
     /// Who brought it about, and from where; empty if the farm did.
     pub actor: String,
 }
+
+from_row!(StoredEvent { id, unix_ms, kind, dictionary, job, worker, message, actor });
 
 impl Store {
     /// Appends events, whose numbers are given by the store, and deletes the oldest if there are too many.

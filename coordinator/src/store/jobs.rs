@@ -6,7 +6,6 @@ use optics_model::{Digest, Grid, Walks};
 use super::{Result, Store, StoreError, doing};
 use crate::stored::{EndedJob, Origin};
 
-#[derive(sqlx::FromRow)]
 struct JobRow {
     job: i64,
     walks: Option<i64>,
@@ -18,6 +17,8 @@ struct JobRow {
     /// Numbers of machines, with commas.
     confirmed: Option<String>,
 }
+
+from_row!(JobRow { job, walks, records_digest, reused, failure, quarantined, worker, confirmed });
 
 impl JobRow {
     fn decode(self, grid: &Grid) -> Result<EndedJob> {

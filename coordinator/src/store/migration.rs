@@ -1,15 +1,45 @@
-//! What SQL alone cannot migrate: the records of the first schema, which belonged to dictionaries, are moved to points.
+//! Brings a database to the present schema: the migrations in SQL, and what SQL alone cannot migrate, the records of the
+//! first schema, which belonged to dictionaries and are moved to points.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Grid};
-use sqlx::SqliteConnection;
+use sqlx::migrate::{Migration, MigrationType, Migrator};
+use sqlx::{SqlSafeStr, SqliteConnection};
 
 use super::{Result, Store, doing, points};
 use crate::stored::StoredDictionary;
 
+macro_rules! migration {
+    ($file:literal) => {
+        ($file, include_str!(concat!("../../migrations/", $file, ".sql")))
+    };
+}
+
+/// All files of `migrations`, in order: `NUMBER_DESCRIPTION` and its SQL.
+const MIGRATIONS: [(&str, &str); 6] = [
+    migration!("0001_dictionaries_jobs_records"),
+    migration!("0002_points_workers_events"),
+    migration!("0003_digests_of_sums"),
+    migration!("0004_machines_votes_and_what_is_set_aside"),
+    migration!("0005_owners_and_who_did_what"),
+    migration!("0006_errors_in_bytes"),
+];
+
 const WHAT: &str = "moving records to the present schema";
+
+pub(super) fn migrator() -> Migrator {
+    Migrator::with_migrations(MIGRATIONS.into_iter().filter_map(parse).collect())
+}
+
+/// None if the name has no number.
+fn parse((name, sql): (&'static str, &'static str)) -> Option<Migration> {
+    let (version, description) = name.split_once('_')?;
+    let description = Cow::Owned(description.replace('_', " "));
+    Some(Migration::new(version.parse().ok()?, description, MigrationType::Simple, sql.into_sql_str(), false))
+}
 
 impl Store {
     /// In one transaction, so that a process that is killed leaves everything as it was.
@@ -68,4 +98,23 @@ async fn move_dictionary(tx: &mut SqliteConnection, id: DictionaryId, grid: &Arc
             .map_err(doing(WHAT))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A migration that is a file alone would never be applied.
+    #[test]
+    fn every_migration_file_is_applied() {
+        let folder = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/migrations")).unwrap();
+        let mut files: Vec<_> =
+            folder.map(|f| f.unwrap().file_name().into_string().unwrap().replace(".sql", "")).collect();
+        files.sort_unstable();
+        assert_eq!(MIGRATIONS.map(|(name, _)| name).to_vec(), files);
+        assert_eq!(
+            migrator().iter().map(|m| m.version).collect::<Vec<_>>(),
+            (1..=files.len() as i64).collect::<Vec<_>>()
+        );
+    }
 }

@@ -3,6 +3,9 @@
 //! One connection writes, a read-only pool reads. A job's records and its end are committed together, with
 //! `synchronous=FULL`, before anyone is told.
 
+#[macro_use]
+mod row;
+
 mod aside;
 pub mod backup;
 mod batch;
@@ -143,7 +146,7 @@ impl Store {
             .await
             .map_err(open("opening for writing"))?;
         check_version(&write).await?;
-        sqlx::migrate!()
+        migration::migrator()
             .run(&write)
             .await
             .map_err(|source| StoreError::Migrate { file: file.clone(), source })?;
@@ -231,7 +234,7 @@ impl Store {
 
 /// The newest schema that this program knows.
 pub fn newest_schema() -> i64 {
-    sqlx::migrate!().iter().map(|m| m.version).max().unwrap_or(0)
+    migration::migrator().iter().map(|m| m.version).max().unwrap_or(0)
 }
 
 /// Whether SQLite tells of a page that it could not read; what it has read and finds wrong has the code 11.

@@ -37,7 +37,6 @@ pub struct Damaged {
 pub type Found = std::result::Result<JobRecords, Damaged>;
 
 /// A record of a job that is done; a job that has lost all of its records has one row without any.
-#[derive(FromRow)]
 struct RecordRow<'r> {
     job: i64,
     records_digest: &'r [u8],
@@ -45,6 +44,8 @@ struct RecordRow<'r> {
     albedo: Option<f64>,
     profiles: Option<&'r [u8]>,
 }
+
+from_row!(RecordRow<'r> { job, records_digest, id, albedo, profiles });
 
 impl Store {
     /// The records of those jobs of a range that are finished, in their order.

@@ -281,7 +281,7 @@ async fn a_database_of_the_first_schema_keeps_its_records() {
             .filename(dir.path().join("farm.db"))
             .create_if_missing(true);
         let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
-        let mut first = sqlx::migrate!();
+        let mut first = crate::store::migration::migrator();
         first.migrations.to_mut().truncate(1);
         first.run(&pool).await.unwrap();
         sqlx::query("INSERT INTO dictionaries VALUES (1, 'd', ?, ?, 7)")
@@ -323,7 +323,7 @@ async fn blocks_of_the_second_schema_are_computed_again() {
             .filename(dir.path().join("farm.db"))
             .create_if_missing(true);
         let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
-        let mut second = sqlx::migrate!();
+        let mut second = crate::store::migration::migrator();
         second.migrations.to_mut().truncate(2);
         second.run(&pool).await.unwrap();
         sqlx::query("INSERT INTO points VALUES (1, ?)").bind(vec![1_u8; 32]).execute(&pool).await.unwrap();

@@ -5,7 +5,6 @@ use farm_proto::ids::DictionaryId;
 use super::{Result, Store, doing};
 use crate::stored::{KnownMachine, Machine, Origin};
 
-#[derive(sqlx::FromRow)]
 struct MachineRow {
     id: i64,
     label: String,
@@ -14,6 +13,8 @@ struct MachineRow {
     host: String,
     fenced: Option<String>,
 }
+
+from_row!(MachineRow { id, label, token, address, host, fenced });
 
 impl From<MachineRow> for KnownMachine {
     fn from(row: MachineRow) -> Self {

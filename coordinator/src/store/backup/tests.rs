@@ -16,7 +16,7 @@ const PAGE_BYTES: usize = super::super::PAGE_BYTES as usize;
 const MARK: &[u8] = b"a mark that no page holds by chance";
 
 fn newest() -> i64 {
-    sqlx::migrate!().iter().map(|migration| migration.version).max().unwrap()
+    crate::store::migration::migrator().iter().map(|migration| migration.version).max().unwrap()
 }
 
 /// A database as the store opens it.
@@ -29,7 +29,7 @@ async fn open(file: &Path) -> SqlitePool {
         .synchronous(SqliteSynchronous::Full)
         .foreign_keys(true);
     let pool = SqlitePoolOptions::new().max_connections(1).connect_with(options).await.unwrap();
-    sqlx::migrate!().run(&pool).await.unwrap();
+    crate::store::migration::migrator().run(&pool).await.unwrap();
     pool
 }
 

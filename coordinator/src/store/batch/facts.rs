@@ -33,7 +33,6 @@ const ENDED: i64 = 2;
 const POINT: i64 = 3;
 
 /// One fact; what its columns are depends on the kind.
-#[derive(sqlx::FromRow)]
 struct Row {
     kind: i64,
     id: i64,
@@ -41,6 +40,8 @@ struct Row {
     digest: Option<Vec<u8>>,
     walks: Option<i64>,
 }
+
+from_row!(Row { kind, id, job, digest, walks });
 
 impl Facts {
     pub(super) async fn look(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Self> {
