@@ -12,12 +12,12 @@ use optics_model::fit::{
 use optics_model::{Grid, Invalid, Medium};
 use rayon::prelude::*;
 
-use super::dictionary::FitDictionary;
-use super::likelihood::{Known, Plan};
-use super::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
-use super::question::find_channel;
-use super::refine::held;
-use super::surrogate::{G, Surrogate, coordinates};
+use crate::dictionary::FitDictionary;
+use crate::dictionary::axes::find_channel;
+use crate::likelihood::{Known, Plan};
+use crate::paper::refine::held;
+use crate::surrogate::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
+use crate::surrogate::{G, Surrogate, coordinates};
 
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,14 @@
 //! A dictionary in memory, laid out for comparison: channel by channel, so that a question loads what it needs.
 
+pub(crate) mod axes;
+mod channel;
+pub(crate) mod gradient;
+pub(crate) mod records;
+pub(crate) mod sketch;
+pub(crate) mod sum;
+pub(crate) mod view;
+pub(crate) mod wide;
+
 use std::borrow::Cow;
 use std::sync::Arc;
 
@@ -7,10 +16,10 @@ use optics_model::profile::RecordShape;
 use optics_model::{Grid, PackedRecords};
 use rayon::prelude::*;
 
-use super::channel::ChannelRecords;
-use super::records::{self, Records};
-use super::stop::{Stop, Stopped};
-use super::view::{self, View, ViewKey};
+use crate::stop::{Stop, Stopped};
+use channel::ChannelRecords;
+use records::Records;
+use view::{View, ViewKey};
 
 /// Collects the records of jobs, which may come in any order.
 #[derive(Debug)]
@@ -38,7 +47,7 @@ impl DictionaryBuilder {
 
     /// With all values rounded, as those of a large dictionary are.
     #[cfg(test)]
-    pub(super) fn rounded(grid: &Grid) -> Self {
+    pub(crate) fn rounded(grid: &Grid) -> Self {
         let mut builder = Self::new(grid.clone());
         for (_, records) in &mut builder.channels {
             *records = Records::kept(builder.grid.clone(), false);
@@ -98,7 +107,7 @@ pub struct FitDictionary {
     grid: Arc<Grid>,
     channels: Vec<Option<FitChannel>>,
     /// Of the question that is asked.
-    pub(super) stop: Stop,
+    pub(crate) stop: Stop,
 }
 
 impl FitDictionary {
@@ -137,17 +146,17 @@ impl FitDictionary {
         records.values(record, 0..records.pixels())
     }
 
-    pub(super) fn records(&self, channel: usize) -> &Records {
+    pub(crate) fn records(&self, channel: usize) -> &Records {
         self.channel(channel).records()
     }
 
     /// The view over all pixels, which is always at hand.
-    pub(super) fn whole_view(&self, channel: usize) -> Arc<View> {
+    pub(crate) fn whole_view(&self, channel: usize) -> Arc<View> {
         self.channel(channel).whole_view()
     }
 
     /// The view of a key, made if it is not at hand.
-    pub(super) fn view(&self, channel: usize, key: &ViewKey) -> Arc<View> {
+    pub(crate) fn view(&self, channel: usize, key: &ViewKey) -> Arc<View> {
         self.stop.check();
         self.channel(channel).view(key)
     }

@@ -3,62 +3,36 @@
 //! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and what goes beyond them: refinement
 //! between the records of the dictionary, and error bars.
 
-mod channel;
-mod common;
-mod curves;
 mod design;
 mod dictionary;
-mod gradient;
-mod interpolation;
-mod intervals;
-mod layers;
 mod likelihood;
-mod local_axis;
-mod map;
 mod measure;
 mod measured;
-mod noise;
-mod place;
+mod paper;
 mod profile;
-mod question;
-mod records;
-mod refine;
-mod resample;
-mod scale;
-mod search;
-mod shared;
-mod similarity;
-mod sketch;
 mod stop;
-mod sum;
 mod surrogate;
-mod suspicion;
 #[cfg(test)]
 mod testing;
-mod thickness;
-mod uncertainty;
-mod view;
-mod wide;
 
-use optics_model::fit::{ChannelFit, FitOptions, MaterialFit, Objective};
+use optics_model::fit::{ChannelFit, DistanceMap, FitOptions, MaterialFit, Objective};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
 pub use design::design;
+pub use dictionary::axes::channels_called;
+pub use dictionary::gradient::{derivative, shown_derivative};
 pub use dictionary::{DictionaryBuilder, FitChannel, FitDictionary};
-pub use gradient::{derivative, shown_derivative};
 pub use likelihood::objective;
-pub use map::distance_map;
 pub use measure::{measure, measure_refined, unmix};
 pub use measured::{MeasurePlan, Measured};
+pub use paper::scale::scale;
+pub use paper::similarity::similar;
 pub use profile::profile;
-pub use question::channels_called;
-pub use scale::scale;
-pub use similarity::similar;
 pub use stop::{Stop, Stopped};
 
-use question::{Question, questions};
-use uncertainty::Analysis;
+use paper::question::{Question, questions};
+use paper::uncertainty::Analysis;
 
 /// Fits every channel of a measurement on its own, jointly over its thicknesses.
 pub fn fit(
@@ -78,11 +52,27 @@ pub fn fit(
     Ok(MaterialFit { material: measurement.material().to_owned(), channels })
 }
 
+/// One map per channel of a measurement, over every admissible medium: the error of Eq. 1, or for the likelihood the root
+/// mean square of the residuals over their noise, with the set-up at its likeliest.
+pub fn distance_map(
+    dictionary: &FitDictionary,
+    measurement: &Measurement,
+    options: &FitOptions,
+) -> Result<Vec<DistanceMap>, Invalid> {
+    if likelihood::objective(options, [measurement]) == Objective::Likelihood {
+        return likelihood::distance_map(dictionary, measurement, options);
+    }
+    Ok(questions(dictionary, measurement, options)?.iter().map(paper::map::map).collect())
+}
+
 fn answer(question: &Question) -> ChannelFit {
     let settings = question.options.settings();
-    let candidates = search::best(question, settings.top as usize);
+    let candidates = paper::search::best(question, settings.top as usize);
     let refined = settings.refine.then(|| Analysis::new(question, &candidates[0]).refined(None));
-    let curves =
-        if settings.curves { curves::curves(question, &candidates, refined.as_ref()) } else { Vec::new() };
+    let curves = if settings.curves {
+        paper::curves::curves(question, &candidates, refined.as_ref())
+    } else {
+        Vec::new()
+    };
     ChannelFit { channel: question.name.to_owned(), candidates, refined, outside: question.outside(), curves }
 }

@@ -7,19 +7,19 @@ use optics_model::fit::{
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
-use super::common::{Found, Wanted, all_questions, find};
-use super::curves;
-use super::dictionary::FitDictionary;
-use super::intervals::Z;
-use super::likelihood;
-use super::measured::{MeasurePlan, Measured, mu_interval};
-use super::question::Question;
-use super::refine::SCALE;
-use super::scale::scale;
-use super::search;
-use super::shared::{Part, Shared};
-use super::surrogate::{G, Surrogate};
-use super::uncertainty::{Analysis, Company};
+use crate::dictionary::FitDictionary;
+use crate::likelihood;
+use crate::measured::{MeasurePlan, Measured, mu_interval};
+use crate::paper::common::{Found, Wanted, all_questions, find};
+use crate::paper::curves;
+use crate::paper::intervals::Z;
+use crate::paper::question::Question;
+use crate::paper::refine::SCALE;
+use crate::paper::scale::scale;
+use crate::paper::search;
+use crate::paper::shared::{Part, Shared};
+use crate::paper::uncertainty::{Analysis, Company};
+use crate::surrogate::{G, Surrogate};
 
 /// Measures a set of materials that were photographed in the same set-up.
 pub fn measure(

@@ -2,7 +2,7 @@
 
 use optics_model::fit::{Common, Interval, MaterialFit, MuRange, ScaleCurve};
 
-use super::intervals::Z;
+use crate::paper::intervals::Z;
 
 /// What was found for a set of materials.
 #[derive(Debug, Clone, PartialEq)]

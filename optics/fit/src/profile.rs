@@ -4,11 +4,11 @@ use optics_model::fit::{FitSettings, PredictedChannel, PredictedProfiles, Profil
 use optics_model::{Grid, Invalid, Medium};
 use rayon::prelude::*;
 
-use super::dictionary::FitDictionary;
-use super::gradient::shown_derivative;
-use super::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
-use super::question::find_channel;
-use super::surrogate::{Surrogate, coordinates};
+use crate::dictionary::FitDictionary;
+use crate::dictionary::axes::find_channel;
+use crate::dictionary::gradient::shown_derivative;
+use crate::surrogate::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
+use crate::surrogate::{Surrogate, coordinates};
 
 /// Records that a standard error must be read off, in units of independent ones: of fewer it would be a guess.
 const LEAST_DEGREES: f64 = 4.0;

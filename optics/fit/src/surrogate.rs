@@ -5,38 +5,43 @@
 //! walks of its own, a local model is fitted by weighted least squares, which averages the noise of the records about;
 //! across albedos, which share their walks, the four nearest are interpolated.
 
+pub(crate) mod interpolation;
+mod local_axis;
 mod noise;
+pub(crate) mod place;
+pub(crate) mod resample;
+pub(crate) mod thickness;
 
 use std::borrow::Cow;
 
 use optics_model::{Grid, Medium};
 
-use super::dictionary::FitDictionary;
-use super::local_axis::{BACKSCATTERED, LocalAxis, Weights};
-use super::records::{Row, Rows, Stored};
-use super::wide::wide;
+use crate::dictionary::FitDictionary;
+use crate::dictionary::records::{Row, Rows, Stored};
+use crate::dictionary::wide::wide;
+use local_axis::{BACKSCATTERED, LocalAxis, Weights};
 
-pub(super) use noise::{NoiseFactors, NoisePlace};
+pub(crate) use noise::{NoiseFactors, NoisePlace};
 
 /// Position in (ln σ_t, √(1 − α), ln(1 − g)).
-pub(super) type Coordinates = [f64; 3];
-pub(super) const SIGMA_T: usize = 0;
-pub(super) const ALBEDO: usize = 1;
-pub(super) const G: usize = 2;
+pub(crate) type Coordinates = [f64; 3];
+pub(crate) const SIGMA_T: usize = 0;
+pub(crate) const ALBEDO: usize = 1;
+pub(crate) const G: usize = 2;
 
-pub(super) fn coordinates(medium: &Medium) -> Coordinates {
+pub(crate) fn coordinates(medium: &Medium) -> Coordinates {
     [medium.sigma_t_per_mm().ln(), (1.0 - medium.albedo()).sqrt(), (1.0 - medium.g()).ln()]
 }
 
-pub(super) fn sigma_t(ln_sigma_t: f64) -> f64 {
+pub(crate) fn sigma_t(ln_sigma_t: f64) -> f64 {
     ln_sigma_t.exp()
 }
 
-pub(super) fn albedo(root_co_albedo: f64) -> f64 {
+pub(crate) fn albedo(root_co_albedo: f64) -> f64 {
     1.0 - root_co_albedo * root_co_albedo
 }
 
-pub(super) fn g(ln_one_minus_g: f64) -> f64 {
+pub(crate) fn g(ln_one_minus_g: f64) -> f64 {
     1.0 - ln_one_minus_g.exp()
 }
 
@@ -63,14 +68,14 @@ fn interpolation(nodes: &[f64], x: f64) -> Weights {
 
 /// A profile between the records and its derivatives by the coordinates.
 #[derive(Debug, Clone)]
-pub(super) struct Prediction {
+pub(crate) struct Prediction {
     pub values: Vec<f64>,
     pub slopes: [Vec<f64>; 3],
 }
 
 /// The model of one channel at one refractive index of the sample.
 #[derive(Debug)]
-pub(super) struct Surrogate<'a> {
+pub(crate) struct Surrogate<'a> {
     dictionary: &'a FitDictionary,
     channel: usize,
     ior: usize,
@@ -81,7 +86,7 @@ pub(super) struct Surrogate<'a> {
 }
 
 impl<'a> Surrogate<'a> {
-    pub(super) fn new(dictionary: &'a FitDictionary, channel: usize, ior: usize) -> Self {
+    pub(crate) fn new(dictionary: &'a FitDictionary, channel: usize, ior: usize) -> Self {
         let grid = dictionary.grid();
         let sigma_t = grid.sigma_t_per_mm().iter().map(|v| v.ln()).collect();
         let g = grid.g().iter().map(|v| (1.0 - v).ln()).collect();
@@ -97,27 +102,27 @@ impl<'a> Surrogate<'a> {
     }
 
     /// The same over a board whose ρ were measured with a darker white reference, if the scene tells.
-    pub(super) fn under_darker_white(&self) -> Option<Self> {
+    pub(crate) fn under_darker_white(&self) -> Option<Self> {
         let channel = self.grid().scene().under_darker_white(self.channel)?;
         Some(Self::new(self.dictionary, channel, self.ior))
     }
 
-    pub(super) fn grid(&self) -> &'a Grid {
+    pub(crate) fn grid(&self) -> &'a Grid {
         self.dictionary.grid()
     }
 
     /// Pixels of the dictionary's profiles.
-    pub(super) fn pixels(&self) -> usize {
+    pub(crate) fn pixels(&self) -> usize {
         self.grid().scene().sensor().pixels()
     }
 
     /// Index of the sample's refractive index.
-    pub(super) fn ior(&self) -> usize {
+    pub(crate) fn ior(&self) -> usize {
         self.ior
     }
 
     /// Least and greatest value of each coordinate.
-    pub(super) fn limits(&self) -> [(f64, f64); 3] {
+    pub(crate) fn limits(&self) -> [(f64, f64); 3] {
         let albedo = (self.albedo[self.albedo.len() - 1], self.albedo[0]);
         [self.sigma_t.range(), albedo, self.g.range()]
     }
@@ -132,7 +137,7 @@ impl<'a> Surrogate<'a> {
         self.dictionary.records(self.channel).values(self.record(place), pixels)
     }
 
-    pub(super) fn predict(
+    pub(crate) fn predict(
         &self,
         thickness: usize,
         pixels: std::ops::Range<usize>,
@@ -182,7 +187,7 @@ impl<'a> Surrogate<'a> {
 
     /// Records about `x` and what the model takes of each: number of the medium over all axes, weight, and the weight's
     /// derivatives by the coordinates.
-    pub(super) fn stencil(&self, x: Coordinates) -> Vec<(usize, f64, [f64; 3])> {
+    pub(crate) fn stencil(&self, x: Coordinates) -> Vec<(usize, f64, [f64; 3])> {
         self.dictionary.stop.check();
         let (s, g) = (self.sigma_t.weights(x[SIGMA_T]), self.g.weights(x[G]));
         let a = interpolation(&self.albedo, x[ALBEDO]);
@@ -284,7 +289,7 @@ fn accumulate_block<R: Row, const N: usize>(
 /// Adds factor · v.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-pub(super) fn add_scaled(sum: &mut [f64], factor: f64, v: &[f64]) {
+pub(crate) fn add_scaled(sum: &mut [f64], factor: f64, v: &[f64]) {
     sum.iter_mut().zip(v).for_each(|(s, v)| *s += factor * v);
 }
 

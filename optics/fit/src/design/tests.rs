@@ -8,7 +8,7 @@ use optics_model::grid::Axes;
 use optics_model::{Invalid, MeasuredProfile, Measurement, Medium};
 
 use super::design;
-use crate::intervals::Z;
+use crate::paper::intervals::Z;
 use crate::testing::{dense_axes, noisy_dictionary, profile_value};
 use crate::{FitDictionary, fit};
 

@@ -16,13 +16,14 @@ use super::residuals::{clustering, outliers, stretches};
 use super::system::{Normal, Quantity, State, System, inverse_over_free};
 use super::term::Linear;
 use super::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, ROOT_CO_ALBEDO, SHARED};
-use crate::question::{Admissible, Question};
-use crate::refine::held;
-use crate::search;
-use crate::sum::{dot, rms};
+use crate::dictionary::axes::Admissible;
+use crate::dictionary::sum::{dot, rms};
+use crate::dictionary::view::Slope;
+use crate::paper::question::Question;
+use crate::paper::refine::held;
+use crate::paper::search;
+use crate::paper::uncertainty::{Analysis, VALLEY, is_resolved};
 use crate::surrogate::{albedo, g, sigma_t};
-use crate::uncertainty::{Analysis, VALLEY, is_resolved};
-use crate::view::Slope;
 
 /// Probability of χ² below which residuals are said to be more than noise.
 const UNLIKELY: f64 = 0.001;

@@ -5,7 +5,7 @@ use optics_model::fit::{Bound, Ends};
 
 use super::system::{Quantity, State, System};
 use super::{Line, SHARED};
-use crate::intervals::Z;
+use crate::paper::intervals::Z;
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Covariance of all unknowns that the pixels, and what was known beforehand, allow at best. None if the information is

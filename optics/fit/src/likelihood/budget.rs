@@ -12,7 +12,7 @@ use super::answer::Found;
 use super::system::{Normal, Quantity, inverse_over};
 use super::term::{Linear, Own};
 use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS, SHARED};
-use crate::sum::dot;
+use crate::dictionary::sum::dot;
 
 /// In the order in which shares are listed.
 const SOURCES: [ErrorSource; 11] = [

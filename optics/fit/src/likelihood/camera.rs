@@ -7,8 +7,8 @@
 use std::f64::consts::PI;
 
 use super::Line;
-use crate::interpolation::Place;
-use crate::wide::wide;
+use crate::dictionary::wide::wide;
+use crate::surrogate::interpolation::Place;
 
 /// Pixels that a profile is carried on beyond its ends, on each side.
 const PADDING: usize = 40;

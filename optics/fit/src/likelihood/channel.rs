@@ -9,8 +9,8 @@ use super::robust::{is_dust, specks};
 use super::start::{Scan, Start};
 use super::system::{State, System, submatrix};
 use super::term::{Own, White};
+use crate::surrogate::thickness::NearThickness;
 use crate::surrogate::{NoisePlace, Surrogate};
-use crate::thickness::NearThickness;
 
 /// Cost by which a rough descent, and the last one, may miss their minimum.
 const ROUGHLY: f64 = 0.5;

@@ -4,7 +4,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::Line;
-use crate::sum::dot;
+use crate::dictionary::sum::dot;
 
 /// Standard deviations from its neighbours from which on a pixel is not looked at here.
 const SPECK: f64 = 6.0;

@@ -22,9 +22,9 @@ use super::outside;
 use super::problem::{ChannelData, Sharing, assemble};
 use super::start::{Scan, Start};
 use super::system::inverse_over_free;
-use crate::common::scales;
 use crate::dictionary::FitDictionary;
 use crate::measured::{MeasurePlan, Measured, mu_interval};
+use crate::paper::common::scales;
 use crate::surrogate::{Surrogate, g};
 use minimum::{Joint, common_slots};
 use response::Response;
@@ -256,7 +256,7 @@ impl<'a> Set<'a> {
 
     /// The anisotropy, if there is no choice.
     fn only_g(&self) -> Option<f64> {
-        crate::refine::held(self.dictionary.grid(), &self.channels[0].options)[2]
+        crate::paper::refine::held(self.dictionary.grid(), &self.channels[0].options)[2]
     }
 }
 

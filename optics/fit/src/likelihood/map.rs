@@ -6,7 +6,7 @@ use optics_model::{Invalid, Measurement, Medium};
 use super::problem::ChannelData;
 use super::start::Scan;
 use crate::dictionary::FitDictionary;
-use crate::layers::of_layers;
+use crate::paper::layers::of_layers;
 
 /// One map per channel: the root of −2 ln L a pixel, in the basis of `start`, which makes it good to a few per cent.
 pub(crate) fn distance_map(

@@ -12,9 +12,9 @@ use super::system::{State, System, Unknown};
 use super::term::{Own, OwnPrior, Term, White};
 use super::{Line, blur};
 use crate::dictionary::FitDictionary;
-use crate::noise::scatter_by_side;
-use crate::question::{Admissible, OUTSIDE, find_channel};
-use crate::refine::{held, limits};
+use crate::dictionary::axes::{Admissible, find_channel, outside};
+use crate::paper::noise::scatter_by_side;
+use crate::paper::refine::{held, limits};
 use crate::surrogate::Surrogate;
 
 /// How far, in the logarithm, a slab's thickness may be moved by a fit.
@@ -105,16 +105,10 @@ impl<'a> ProfileData<'a> {
     }
 
     /// Whether the profile is brighter or darker than records of these least and greatest means.
-    pub(super) fn outside(&self, (least, greatest): (f64, f64), mu: f64) -> Option<Outside> {
+    pub(super) fn outside(&self, levels: (f64, f64), mu: f64) -> Option<Outside> {
         let values = &self.profile.values()[self.pixels.clone()];
         let mean = mu * values.iter().sum::<f64>() / values.len() as f64;
-        if mean > greatest * (1.0 + OUTSIDE) {
-            Some(Outside::Brighter)
-        } else if mean < least * (1.0 - OUTSIDE) {
-            Some(Outside::Darker)
-        } else {
-            None
-        }
+        outside(mean, levels)
     }
 
     fn term(&self, grid: &Grid, options: &FitOptions, surrogate: &Surrogate, medium: [f64; 3]) -> Term {

@@ -5,7 +5,7 @@ use optics_model::fit::Interval;
 
 use super::Line;
 use super::system::{Held, Normal, Quantity, State, System, Unknown, free, inverse_over};
-use crate::intervals::Z;
+use crate::paper::intervals::Z;
 
 /// Cost by which descents may miss their minimum.
 const TOLERANCE: f64 = 0.02;

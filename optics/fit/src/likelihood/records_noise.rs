@@ -2,7 +2,7 @@
 
 use super::Line;
 use super::camera::Camera;
-use crate::sum::dot;
+use crate::dictionary::sum::dot;
 use crate::surrogate::NoiseFactors;
 
 /// Most modes that are kept.

@@ -13,10 +13,10 @@ use optics_model::MeasuredProfile;
 use super::Line;
 use super::form::{Form, Loose, loose_columns, smoothed, without_specks};
 use crate::dictionary::FitDictionary;
-use crate::resample::resample;
+use crate::dictionary::view::View;
+use crate::dictionary::wide::wide;
 use crate::surrogate::Surrogate;
-use crate::view::View;
-use crate::wide::wide;
+use crate::surrogate::resample::resample;
 
 /// Share of the value that neither the basis nor the records are better than.
 const FLOOR: f64 = 0.003;
@@ -187,7 +187,7 @@ impl Compressed {
 #[derive(Debug, Clone)]
 pub(super) struct Region {
     /// As in `Admissible`, by index of the axes.
-    pub admissible: crate::question::Admissible,
+    pub admissible: crate::dictionary::axes::Admissible,
     pub limits: [(f64, f64); 3],
     pub held: [bool; 3],
 }

@@ -18,10 +18,10 @@ use optics_model::scene::DARKER_WHITE;
 use super::camera::Camera;
 use super::robust::{rho, weight};
 use super::{Line, Point, SHARED, blur};
-use crate::sum::dot;
+use crate::dictionary::sum::dot;
+use crate::dictionary::wide::wide;
+use crate::surrogate::thickness::NearThickness;
 use crate::surrogate::{Coordinates, Surrogate};
-use crate::thickness::NearThickness;
-use crate::wide::wide;
 
 /// What a profile has for itself, apart from the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

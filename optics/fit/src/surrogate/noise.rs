@@ -1,7 +1,7 @@
 //! What the records' noise does to predictions, as far as the records about show it.
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, albedo, interpolation};
-use crate::local_axis::{Direction, Weights};
+use crate::surrogate::local_axis::{Direction, Weights};
 
 /// Share of walks that go on to another scattering, q. Assumed: slabs thin and thick lie on either side of it.
 const SCATTERED_ON: f64 = 0.9;

@@ -12,14 +12,14 @@ use super::profile::Profile;
 use super::system::{Chart, Look, Normal};
 use super::{Slab, Solved};
 use crate::dictionary::FitDictionary;
-use crate::intervals::Z;
+use crate::dictionary::sum::dot;
 use crate::likelihood::chi2::exceedance;
 use crate::likelihood::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::measured::{MeasurePlan, mu_interval};
-use crate::refine::held;
-use crate::sum::dot;
+use crate::paper::intervals::Z;
+use crate::paper::refine::held;
+use crate::paper::uncertainty::is_resolved;
 use crate::surrogate::{albedo, g, sigma_t};
-use crate::uncertainty::is_resolved;
 
 /// Probability below which a disagreement is said to be more than noise.
 const UNLIKELY: f64 = 0.01;

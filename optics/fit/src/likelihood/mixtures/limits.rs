@@ -1,9 +1,9 @@
 //! Which media the dictionary predicts for a slab, and what to compute where it does not.
 
 use super::system::Member;
+use crate::dictionary::axes::list;
 use crate::likelihood::system::State;
 use crate::likelihood::{LN_SIGMA_T, ROOT_CO_ALBEDO};
-use crate::question::list;
 use crate::surrogate::{Surrogate, albedo, sigma_t};
 
 /// Media that are predicted at a thickness. Albedos go on below the least by as much as the least two differ, where

@@ -5,9 +5,9 @@ use optics_model::fit::Interval;
 
 use super::blend::{Ink, InkQuantity};
 use super::system::{Chart, Held};
-use crate::intervals::Z;
 use crate::likelihood::profile::{End, interval, reach};
 use crate::likelihood::system::State;
+use crate::paper::intervals::Z;
 use crate::surrogate::{albedo, g};
 
 /// Cost by which descents may miss their minimum.

@@ -15,8 +15,8 @@ use std::ops::Range;
 use optics_model::scene::LayerMedium;
 use optics_model::{Grid, Invalid};
 
-use super::question::list;
-use super::surrogate::{ALBEDO, Coordinates, G, Prediction, SIGMA_T, Surrogate, add_scaled};
+use crate::dictionary::axes::list;
+use crate::surrogate::{ALBEDO, Coordinates, G, Prediction, SIGMA_T, Surrogate, add_scaled};
 use stretch::{Stretch, Tail};
 
 /// How far from one of the dictionary's thicknesses profiles are predicted: a share of it.
@@ -50,7 +50,7 @@ const INVISIBLE: f64 = 1e-6;
 
 /// A profile at some thickness, its derivatives by the coordinates at that thickness, and by ln t at given coordinates.
 #[derive(Debug, Clone)]
-pub(super) struct PredictionAt {
+pub(crate) struct PredictionAt {
     pub values: Vec<f64>,
     pub slopes: [Vec<f64>; 3],
     pub by_ln_thickness: Vec<f64>,
@@ -59,7 +59,7 @@ pub(super) struct PredictionAt {
 /// Near one of the dictionary's thicknesses the other's part in a prediction is small, and hardly depends on the medium:
 /// it is taken from a medium near by, and half of the work is saved.
 #[derive(Debug, Clone)]
-pub(super) struct NearThickness {
+pub(crate) struct NearThickness {
     /// Index into the grid's thicknesses.
     base: usize,
     /// What the thick slab's profile has beyond the thin one's, at the thickness that was asked for; none if records are
@@ -87,7 +87,7 @@ enum Basis {
 
 impl Surrogate<'_> {
     /// Least and greatest ln σ_t that can be predicted at a thickness, or why it is too far from the dictionary's.
-    pub(super) fn supported(&self, thickness_mm: f64) -> Result<(f64, f64), Invalid> {
+    pub(crate) fn supported(&self, thickness_mm: f64) -> Result<(f64, f64), Invalid> {
         let (grid, axis) = (self.grid(), self.grid().thickness_mm());
         let ranges = ranges(grid);
         let within =
@@ -104,7 +104,7 @@ impl Surrogate<'_> {
 
     /// The profile at any thickness, on the dictionary's pixels. It is continued beyond [`Surrogate::supported`], but
     /// not to be trusted there.
-    pub(super) fn predict_at(&self, thickness_mm: f64, pixels: Range<usize>, x: Coordinates) -> PredictionAt {
+    pub(crate) fn predict_at(&self, thickness_mm: f64, pixels: Range<usize>, x: Coordinates) -> PredictionAt {
         let whole = match Basis::of(self.grid(), thickness_mm) {
             Basis::One(thickness) => self.scaled(thickness, thickness_mm, x),
             Basis::Two { thin, thick } => self.interpolated(thin, thick, thickness_mm, x),
@@ -118,7 +118,7 @@ impl Surrogate<'_> {
     }
 
     /// For predictions at thicknesses about this one, and media about this; none if it is not near one of the dictionary's.
-    pub(super) fn near(&self, thickness_mm: f64, x: Coordinates) -> Option<NearThickness> {
+    pub(crate) fn near(&self, thickness_mm: f64, x: Coordinates) -> Option<NearThickness> {
         let axis = self.grid().thickness_mm();
         let Basis::Two { thin, thick } = Basis::of(self.grid(), thickness_mm) else {
             let Basis::One(base) = Basis::of(self.grid(), thickness_mm) else { return None };
@@ -150,7 +150,7 @@ impl Surrogate<'_> {
     }
 
     /// The profile at a thickness about the one of `near`.
-    pub(super) fn predict_near(
+    pub(crate) fn predict_near(
         &self,
         near: &NearThickness,
         thickness_mm: f64,

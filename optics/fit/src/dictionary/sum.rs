@@ -31,45 +31,45 @@ fn of_lanes([a, b, c, d, e, f, g, h]: [f64; LANES]) -> f64 {
 /// Root mean square of a_i − b_i.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-pub(super) fn rms_difference(a: &[f64], b: &[f32]) -> f64 {
+pub(crate) fn rms_difference(a: &[f64], b: &[f32]) -> f64 {
     (striped(a, b, |a, b| (a - b) * (a - b)) / a.len() as f64).sqrt()
 }
 
 /// Mean of a_i b_i.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-pub(super) fn mean_product(a: &[f64], b: &[f32]) -> f64 {
+pub(crate) fn mean_product(a: &[f64], b: &[f32]) -> f64 {
     striped(a, b, |a, b| a * b) / a.len() as f64
 }
 
 /// Mean of a_i².
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-pub(super) fn mean_square<A: Into<f64> + Copy>(a: &[A]) -> f64 {
+pub(crate) fn mean_square<A: Into<f64> + Copy>(a: &[A]) -> f64 {
     striped(a, a, |a, b| a * b) / a.len() as f64
 }
 
 /// Mean of a_i.
-pub(super) fn mean(a: &[f32]) -> f64 {
+pub(crate) fn mean(a: &[f32]) -> f64 {
     a.iter().map(|v| f64::from(*v)).sum::<f64>() / a.len() as f64
 }
 
 /// Root mean square.
-pub(super) fn rms(a: &[f64]) -> f64 {
+pub(crate) fn rms(a: &[f64]) -> f64 {
     mean_square(a).sqrt()
 }
 
 /// Σ a_i b_i.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     striped(a, b, |a, b| a * b)
 }
 
 /// Σ a_i b_i with each of `N` b. They run side by side: a sum by itself mostly waits for its last addition.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-pub(super) fn dots<const N: usize>(a: &[f64], b: [&[f64]; N]) -> [f64; N] {
+pub(crate) fn dots<const N: usize>(a: &[f64], b: [&[f64]; N]) -> [f64; N] {
     let whole = a.len() / LANES * LANES;
     let mut sums = [[0.0; LANES]; N];
     for at in (0..whole).step_by(LANES) {

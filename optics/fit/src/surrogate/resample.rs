@@ -10,7 +10,7 @@ const SLACK: f64 = 0.02;
 
 /// The dictionary pixels that a measurement covers, and how they follow from its own.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Resampled {
+pub(crate) struct Resampled {
     pub pixels: Range<usize>,
     pub values: Vec<f64>,
     shares: Vec<Share>,
@@ -25,7 +25,7 @@ struct Share {
 
 impl Resampled {
     /// Brings a functional of the dictionary's pixels to the measured pixels: Σ_i g_i w_ik.
-    pub(super) fn pull_back(&self, functional: &[f64], measured_pixels: usize) -> Vec<f64> {
+    pub(crate) fn pull_back(&self, functional: &[f64], measured_pixels: usize) -> Vec<f64> {
         let mut pulled = vec![0.0; measured_pixels];
         for (g, share) in functional.iter().zip(&self.shares) {
             for (out, w) in pulled[share.first..].iter_mut().zip(&share.weights) {
@@ -36,7 +36,7 @@ impl Resampled {
     }
 
     /// Variances of the dictionary pixels' values, the measured pixels being independent.
-    pub(super) fn variances(&self, std_errors: &[f64]) -> Vec<f64> {
+    pub(crate) fn variances(&self, std_errors: &[f64]) -> Vec<f64> {
         let variance = |share: &Share| {
             share.weights.iter().zip(&std_errors[share.first..]).map(|(w, e)| (w * e).powi(2)).sum()
         };
@@ -50,7 +50,7 @@ impl Resampled {
 /// Between the edges the integral is straight if the measured pixels are as fine as the dictionary's – then these are
 /// box averages – and of fifth order if they are coarser, since the profile may not be taken as a staircase then: its
 /// steps would count as blur. Pixels that the measurement does not cover are left out.
-pub(super) fn resample(x_mm: &[f64], values: &[f64], sensor: Sensor) -> Resampled {
+pub(crate) fn resample(x_mm: &[f64], values: &[f64], sensor: Sensor) -> Resampled {
     let cells = x_mm.len();
     let pitch = (x_mm[cells - 1] - x_mm[0]) / (cells - 1) as f64;
     let left = x_mm[0] - 0.5 * pitch;

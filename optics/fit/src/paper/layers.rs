@@ -3,11 +3,11 @@
 use optics_model::Grid;
 use optics_model::fit::{DistanceMap, MapLayer};
 
-use super::question::Admissible;
-use super::similarity::similar;
+use crate::dictionary::axes::Admissible;
+use crate::paper::similarity::similar;
 
 /// The map of a channel at one refractive index, given a layer for each admissible anisotropy.
-pub(super) fn of_layers(
+pub(crate) fn of_layers(
     grid: &Grid,
     channel: &str,
     admissible: &Admissible,

@@ -7,8 +7,8 @@ use std::ops::Range;
 
 use optics_model::fit::Candidate;
 
-use super::question::Question;
-use super::wide::wide;
+use crate::dictionary::wide::wide;
+use crate::paper::question::Question;
 
 /// Media that are compared before any can be ruled out.
 const FIRST_LOOK: usize = 8;
@@ -27,12 +27,12 @@ impl Compared {
 }
 
 /// The best media, best first; equal errors are in the order of the records.
-pub(super) fn best(question: &Question, top: usize) -> Vec<Candidate> {
+pub(crate) fn best(question: &Question, top: usize) -> Vec<Candidate> {
     best_within(question, &question.admissible.g, top)
 }
 
 /// The best media among those of a range of the grid's anisotropies.
-pub(super) fn best_within(question: &Question, g: &Range<usize>, top: usize) -> Vec<Candidate> {
+pub(crate) fn best_within(question: &Question, g: &Range<usize>, top: usize) -> Vec<Candidate> {
     let mut media: Vec<(f32, u32)> = bounds(question, g);
     let mut kept = Kept { top: top.min(media.len()), compared: Vec::new() };
     let compare = |medium: u32| {

@@ -3,11 +3,11 @@
 use optics_model::fit::PixelRow;
 use optics_model::{Grid, Invalid, Medium};
 
-use super::question::list;
-use super::surrogate::Surrogate;
+use crate::dictionary::axes::list;
+use crate::surrogate::Surrogate;
 
 /// Index of a sample's refractive index; the first if none is told.
-pub(super) fn sample_ior(grid: &Grid, wanted: Option<f64>) -> Result<usize, Invalid> {
+pub(crate) fn sample_ior(grid: &Grid, wanted: Option<f64>) -> Result<usize, Invalid> {
     let Some(wanted) = wanted else { return Ok(0) };
     let found = grid.sample_ior().iter().position(|ior| (ior - wanted).abs() < 1e-9);
     let allowed = || format!("the dictionary has {}", list(grid.sample_ior()));
@@ -15,7 +15,7 @@ pub(super) fn sample_ior(grid: &Grid, wanted: Option<f64>) -> Result<usize, Inva
 }
 
 /// A medium must lie between those of the dictionary.
-pub(super) fn check_medium(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
+pub(crate) fn check_medium(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
     for (field, value, axis) in axes(grid, medium) {
         let (least, greatest) = (axis[0], axis[axis.len() - 1]);
         if !(least..=greatest).contains(&value) {
@@ -31,7 +31,7 @@ pub(super) fn check_medium(grid: &Grid, medium: &Medium) -> Result<(), Invalid> 
 }
 
 /// The parameters of a medium, with the dictionary's values of each.
-pub(super) fn axes<'a>(grid: &'a Grid, medium: &Medium) -> [(&'static str, f64, &'a [f64]); 3] {
+pub(crate) fn axes<'a>(grid: &'a Grid, medium: &Medium) -> [(&'static str, f64, &'a [f64]); 3] {
     [
         ("sigma_t_per_mm", medium.sigma_t_per_mm(), grid.sigma_t_per_mm()),
         ("albedo", medium.albedo(), grid.albedo()),
@@ -40,14 +40,14 @@ pub(super) fn axes<'a>(grid: &'a Grid, medium: &Medium) -> [(&'static str, f64, 
 }
 
 /// The dictionary's pixels.
-pub(super) fn own_pixels(grid: &Grid) -> Result<PixelRow, Invalid> {
+pub(crate) fn own_pixels(grid: &Grid) -> Result<PixelRow, Invalid> {
     let sensor = grid.scene().sensor();
     let half = 0.5 * sensor.width_mm();
     PixelRow::new(-half, half, sensor.pitch_mm())
 }
 
 /// A medium must be within what can be predicted at a thickness.
-pub(super) fn check_thickness(
+pub(crate) fn check_thickness(
     surrogate: &Surrogate,
     medium: &Medium,
     thickness_mm: f64,

@@ -3,15 +3,15 @@
 use glam::DMat4;
 use optics_model::fit::Interval;
 
-use super::noise::Spread;
-use super::refine::{Block, Objective, Optimum, PARAMETERS};
-use super::surrogate::{ALBEDO, G, SIGMA_T};
+use crate::paper::noise::Spread;
+use crate::paper::refine::{Block, Objective, Optimum, PARAMETERS};
+use crate::surrogate::{ALBEDO, G, SIGMA_T};
 
 /// Two-sided 95 % of the normal distribution.
-pub(super) const Z: f64 = 1.959_964;
+pub(crate) const Z: f64 = 1.959_964;
 /// What the ends of intervals are found with.
 #[derive(Clone, Copy)]
-pub(super) struct Intervals<'a> {
+pub(crate) struct Intervals<'a> {
     pub objective: &'a Objective<'a>,
     pub optimum: &'a Optimum,
     /// At the optimum.
@@ -31,7 +31,7 @@ struct End {
 impl Intervals<'_> {
     /// The intervals of all parameters. Where the data do not bound σ_t the albedo's systematic error is that at any
     /// one σ_t: the linear theory would let it run along with the other.
-    pub(super) fn all(&self, systematic_at_any_sigma_t: impl Fn() -> DMat4) -> [Interval; 3] {
+    pub(crate) fn all(&self, systematic_at_any_sigma_t: impl Fn() -> DMat4) -> [Interval; 3] {
         let sigma_t = self.of(SIGMA_T);
         let mut others = *self;
         if sigma_t.open_low || sigma_t.open_high {

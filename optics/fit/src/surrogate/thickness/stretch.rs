@@ -2,7 +2,7 @@
 //!
 //! The integral of the profile is interpolated, and not across the edge if that lies between two pixels.
 
-use crate::interpolation::{NODES, Place};
+use crate::surrogate::interpolation::{NODES, Place};
 
 /// A tail is continued from the mean over this share of the pixels, at the end, and from its slope there.
 const TAIL_SHARE: f64 = 1.0 / 15.0;

@@ -97,7 +97,7 @@ pub fn objective<'a>(
 }
 
 /// Fits every channel of a measurement on its own, jointly over its thicknesses.
-pub(super) fn fit(
+pub(crate) fn fit(
     dictionary: &FitDictionary,
     measurement: &Measurement,
     options: &FitOptions,

@@ -2,10 +2,10 @@
 
 use optics_model::fit::{Candidate, Curve, FitCurves, Refined};
 
-use super::question::{Question, Term};
-use super::refine::Objective;
+use crate::paper::question::{Question, Term};
+use crate::paper::refine::Objective;
 
-pub(super) fn curves(
+pub(crate) fn curves(
     question: &Question,
     candidates: &[Candidate],
     refined: Option<&Refined>,

@@ -8,14 +8,14 @@ use glam::{DMat4, DVec4};
 use optics_model::fit::{Bounds, Candidate, FitOptions};
 use optics_model::{Grid, Medium};
 
-use super::question::{Question, Term};
-use super::sum::{dot, rms};
-use super::surrogate::{ALBEDO, G, Prediction, SIGMA_T, Surrogate, albedo, coordinates, g, sigma_t};
+use crate::dictionary::sum::{dot, rms};
+use crate::paper::question::{Question, Term};
+use crate::surrogate::{ALBEDO, G, Prediction, SIGMA_T, Surrogate, albedo, coordinates, g, sigma_t};
 
 /// What Eq. 1 is minimised over: the medium's coordinates, and the logarithm of a factor on the question's μ.
-pub(super) type Unknowns = [f64; 4];
+pub(crate) type Unknowns = [f64; 4];
 /// Index of the factor's logarithm.
-pub(super) const SCALE: usize = 3;
+pub(crate) const SCALE: usize = 3;
 
 /// Steps that one optimisation may take.
 const MOST_STEPS: usize = 40;
@@ -24,7 +24,7 @@ const CONVERGED: f64 = 1e-8;
 
 /// Value and gradient part of one term of Eq. 1 at some unknowns.
 #[derive(Debug)]
-pub(super) struct Block {
+pub(crate) struct Block {
     /// Index of the term.
     pub term: usize,
     /// 1 for values, λ for gradients.
@@ -43,7 +43,7 @@ pub(super) struct Block {
 /// With a factor e^m on the question's μ it is e^(−m) d(e^m μ F_A, F_S) = d(μ F_A, e^(−m) F_S), as Eq. 3 has it: without
 /// the division a smaller factor would always be better.
 #[derive(Debug)]
-pub(super) struct Objective<'a> {
+pub(crate) struct Objective<'a> {
     pub question: &'a Question<'a>,
     pub surrogate: Surrogate<'a>,
     pub limits: [(f64, f64); 4],
@@ -54,13 +54,13 @@ pub(super) struct Objective<'a> {
 }
 
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Optimum {
+pub(crate) struct Optimum {
     pub x: Unknowns,
     pub error: f64,
 }
 
 /// Parameters that cannot move: by the bounds, or since the dictionary has one value only.
-pub(super) fn held(grid: &Grid, options: &FitOptions) -> [Option<f64>; 3] {
+pub(crate) fn held(grid: &Grid, options: &FitOptions) -> [Option<f64>; 3] {
     let settings = options.settings();
     let held = |axis: &[f64], bounds: Bounds| match axis {
         [one] => Some(*one),
@@ -74,7 +74,7 @@ pub(super) fn held(grid: &Grid, options: &FitOptions) -> [Option<f64>; 3] {
 }
 
 /// Least and greatest coordinates within both the dictionary and the bounds.
-pub(super) fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64); 4] {
+pub(crate) fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64); 4] {
     let settings = options.settings();
     let within = |(low, high): (f64, f64), bounds: Bounds, forward: fn(f64) -> f64| {
         let (a, b) = (forward(bounds.min()), forward(bounds.max()));
@@ -91,7 +91,7 @@ pub(super) fn limits(surrogate: &Surrogate, options: &FitOptions) -> [(f64, f64)
 }
 
 impl<'a> Objective<'a> {
-    pub(super) fn new(question: &'a Question<'a>, start: &Candidate) -> Self {
+    pub(crate) fn new(question: &'a Question<'a>, start: &Candidate) -> Self {
         let iors = question.dictionary.grid().sample_ior();
         let ior = iors.iter().position(|v| *v == start.sample_ior).unwrap_or(0);
         let surrogate = Surrogate::new(question.dictionary, question.channel, ior);
@@ -107,7 +107,7 @@ impl<'a> Objective<'a> {
     }
 
     /// The parameter that a coordinate stands for; what is held comes back as it was given.
-    pub(super) fn parameter(&self, index: usize, x: f64) -> f64 {
+    pub(crate) fn parameter(&self, index: usize, x: f64) -> f64 {
         let grid = self.question.dictionary.grid();
         let axis = [grid.sigma_t_per_mm(), grid.albedo(), grid.g()][index];
         // Exponentials and logarithms come back a rounding beside the ends.
@@ -115,21 +115,21 @@ impl<'a> Objective<'a> {
         self.held[index].unwrap_or_else(|| within([sigma_t, albedo, g][index](x)))
     }
 
-    pub(super) fn sample_ior(&self) -> f64 {
+    pub(crate) fn sample_ior(&self) -> f64 {
         self.question.dictionary.grid().sample_ior()[self.surrogate.ior()]
     }
 
-    pub(super) fn medium(&self, x: Unknowns) -> Medium {
+    pub(crate) fn medium(&self, x: Unknowns) -> Medium {
         let [s, a, g] = PARAMETERS.map(|i| self.parameter(i, x[i]));
         Medium::new(s, a, g).expect("the limits are those of a grid")
     }
 
-    pub(super) fn start(&self, medium: &Medium) -> Unknowns {
+    pub(crate) fn start(&self, medium: &Medium) -> Unknowns {
         let [s, a, g] = coordinates(medium);
         self.clamp([s, a, g, 0.0])
     }
 
-    pub(super) fn clamp(&self, mut x: Unknowns) -> Unknowns {
+    pub(crate) fn clamp(&self, mut x: Unknowns) -> Unknowns {
         for (x, (low, high)) in x.iter_mut().zip(self.limits) {
             *x = x.clamp(low, high);
         }
@@ -137,13 +137,13 @@ impl<'a> Objective<'a> {
     }
 
     /// Which unknowns may move; the factor on μ does only in the search of what all channels share.
-    pub(super) fn free(&self) -> [bool; 4] {
+    pub(crate) fn free(&self) -> [bool; 4] {
         let free = |i: usize| self.held[i].is_none() && self.limits[i].1 > self.limits[i].0;
         [free(SIGMA_T), free(ALBEDO), free(G), false]
     }
 
     /// The model's profile of a term, with its derivatives by the medium's coordinates.
-    pub(super) fn predict(&self, term: &Term, x: Unknowns) -> Prediction {
+    pub(crate) fn predict(&self, term: &Term, x: Unknowns) -> Prediction {
         let [sigma_t, albedo, g, scale] = x;
         let mut model = self.surrogate.predict(term.thickness, term.view.pixels(), [sigma_t, albedo, g]);
         if scale != 0.0 {
@@ -154,7 +154,7 @@ impl<'a> Objective<'a> {
         model
     }
 
-    pub(super) fn blocks(&self, x: Unknowns) -> Vec<Block> {
+    pub(crate) fn blocks(&self, x: Unknowns) -> Vec<Block> {
         let lambda = self.question.options.settings().lambda;
         let mut blocks = Vec::with_capacity(2 * self.question.terms.len());
         for (i, term) in self.question.terms.iter().enumerate() {
@@ -170,12 +170,12 @@ impl<'a> Objective<'a> {
     }
 
     /// Goes down from `x`, moving only the unknowns that are free, to a minimum of Eq. 1.
-    pub(super) fn descend(&self, x: Unknowns, free: [bool; 4]) -> Optimum {
+    pub(crate) fn descend(&self, x: Unknowns, free: [bool; 4]) -> Optimum {
         self.descend_until(x, free, CONVERGED)
     }
 
     /// The same, until a step lowers the error by less than the share `converged`.
-    pub(super) fn descend_until(&self, mut x: Unknowns, free: [bool; 4], converged: f64) -> Optimum {
+    pub(crate) fn descend_until(&self, mut x: Unknowns, free: [bool; 4], converged: f64) -> Optimum {
         let mut blocks = self.blocks(x);
         let mut error = total(&blocks);
         let mut damping = 1e-6;
@@ -213,7 +213,7 @@ impl<'a> Objective<'a> {
     }
 
     /// Of the free unknowns those that are not pulled over their limits.
-    pub(super) fn inwards(&self, x: Unknowns, downhill: DVec4, mut free: [bool; 4]) -> [bool; 4] {
+    pub(crate) fn inwards(&self, x: Unknowns, downhill: DVec4, mut free: [bool; 4]) -> [bool; 4] {
         for (i, (free, (low, high))) in free.iter_mut().zip(self.limits).enumerate() {
             let outwards = (x[i] <= low && downhill[i] < 0.0) || (x[i] >= high && downhill[i] > 0.0);
             *free &= !outwards;
@@ -223,13 +223,13 @@ impl<'a> Objective<'a> {
 }
 
 /// Where Eq. 1 falls, and how fast the fall ends: gradient and matrix of the weighted squares that bound it.
-pub(super) struct Descent {
+pub(crate) struct Descent {
     pub downhill: DVec4,
     pub normal: DMat4,
 }
 
 impl Descent {
-    pub(super) fn new(blocks: &[Block]) -> Self {
+    pub(crate) fn new(blocks: &[Block]) -> Self {
         let mut descent = Self { downhill: DVec4::ZERO, normal: DMat4::ZERO };
         for block in blocks {
             let weight = block.weight / (block.residual.len() as f64 * block.rms.max(1e-9));
@@ -249,12 +249,12 @@ impl Descent {
 }
 
 /// The vector with zeros where nothing is free.
-pub(super) fn masked(v: DVec4, free: [bool; 4]) -> DVec4 {
+pub(crate) fn masked(v: DVec4, free: [bool; 4]) -> DVec4 {
     DVec4::from_array(UNKNOWNS.map(|i| if free[i] { v[i] } else { 0.0 }))
 }
 
 /// The inverse over the free unknowns, zero in the others; none if nothing is free or it is singular.
-pub(super) fn invert(mut matrix: DMat4, free: [bool; 4]) -> Option<DMat4> {
+pub(crate) fn invert(mut matrix: DMat4, free: [bool; 4]) -> Option<DMat4> {
     if free == [false; 4] {
         return None;
     }
@@ -303,14 +303,14 @@ fn negative(values: &[f64]) -> Vec<f64> {
 }
 
 /// Eq. 1.
-pub(super) fn total(blocks: &[Block]) -> f64 {
+pub(crate) fn total(blocks: &[Block]) -> f64 {
     blocks.iter().map(|b| b.weight * b.rms).sum()
 }
 
 /// The medium's coordinates, for loops over parameters.
-pub(super) const PARAMETERS: [usize; 3] = [SIGMA_T, ALBEDO, G];
+pub(crate) const PARAMETERS: [usize; 3] = [SIGMA_T, ALBEDO, G];
 /// All unknowns.
-pub(super) const UNKNOWNS: [usize; 4] = [SIGMA_T, ALBEDO, G, SCALE];
+pub(crate) const UNKNOWNS: [usize; 4] = [SIGMA_T, ALBEDO, G, SCALE];
 
 #[cfg(test)]
 mod tests;

@@ -12,12 +12,12 @@ use optics_model::fit::{FitOptions, GError, MuRange};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
-use super::dictionary::FitDictionary;
-use super::question::{Question, questions};
-use super::refine::{Descent, Objective, Optimum, SCALE, UNKNOWNS, Unknowns, invert, masked};
-use super::search;
-use super::shared::inverse_of_shared;
-use super::surrogate::{ALBEDO, G, SIGMA_T};
+use crate::dictionary::FitDictionary;
+use crate::paper::question::{Question, questions};
+use crate::paper::refine::{Descent, Objective, Optimum, SCALE, UNKNOWNS, Unknowns, invert, masked};
+use crate::paper::search;
+use crate::paper::shared::inverse_of_shared;
+use crate::surrogate::{ALBEDO, G, SIGMA_T};
 
 /// Widest distance of two scale factors of the mesh, in the logarithm.
 const MESH_STEP: f64 = 0.05;
@@ -31,14 +31,14 @@ const MOST_STEPS: usize = 20;
 
 /// What is looked for.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Wanted {
+pub(crate) struct Wanted {
     pub mu: Option<MuRange>,
     pub g: bool,
 }
 
 /// What was found.
 #[derive(Debug, Clone)]
-pub(super) struct Found {
+pub(crate) struct Found {
     pub mu: f64,
     /// None if every channel keeps its own, or was told it.
     pub g: Option<f64>,
@@ -47,7 +47,7 @@ pub(super) struct Found {
 }
 
 /// Searches what `wanted` says, with the options' bounds; their μ is kept unless it is looked for.
-pub(super) fn find(
+pub(crate) fn find(
     dictionary: &FitDictionary,
     materials: &[Measurement],
     options: &FitOptions,
@@ -70,7 +70,7 @@ pub(super) fn find(
     Ok(Found { mu, g, by_g })
 }
 
-pub(super) fn all_questions<'a>(
+pub(crate) fn all_questions<'a>(
     dictionary: &'a FitDictionary,
     materials: &'a [Measurement],
     options: &FitOptions,
@@ -84,7 +84,7 @@ pub(super) fn all_questions<'a>(
 }
 
 /// Logarithms of factors on μ, evenly over the range.
-pub(super) fn scales(range: Option<&MuRange>, base: f64) -> Vec<f64> {
+pub(crate) fn scales(range: Option<&MuRange>, base: f64) -> Vec<f64> {
     let Some(range) = range else { return vec![0.0] };
     let (min, max, _) = range.parts();
     let (low, high) = ((min / base).ln(), (max / base).ln());

@@ -8,6 +8,6 @@ use fearless_simd::{Level, dispatch};
 /// is not runs all the same, in vectors of two numbers.
 #[expect(clippy::inline_always, reason = "what is left out is compiled for every machine")]
 #[inline(always)]
-pub(super) fn wide<R>(f: impl FnOnce() -> R) -> R {
+pub(crate) fn wide<R>(f: impl FnOnce() -> R) -> R {
     dispatch!(Level::new(), _simd => f())
 }

@@ -6,11 +6,11 @@
 
 use optics_model::fit::{Cause, MISFIT, Suspicion};
 
-use super::noise::{add_direction, pixel_variances};
-use super::question::Question;
-use super::refine::{Block, Objective, Unknowns};
-use super::search;
-use super::sum::dot;
+use crate::dictionary::sum::dot;
+use crate::paper::noise::{add_direction, pixel_variances};
+use crate::paper::question::Question;
+use crate::paper::refine::{Block, Objective, Unknowns};
+use crate::paper::search;
 
 /// Share of the unexplained χ² that a cause must take away, …
 const CONVINCING: f64 = 0.6;
@@ -25,7 +25,7 @@ const APART: f64 = 5.0;
 const FEW: f64 = 0.15;
 
 /// The likeliest cause of a misfit; none if there is no misfit.
-pub(super) fn suspicion(
+pub(crate) fn suspicion(
     objective: &Objective,
     x: Unknowns,
     blocks: &[Block],

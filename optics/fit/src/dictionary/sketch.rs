@@ -11,8 +11,8 @@ use std::borrow::Cow;
 
 use rayon::prelude::*;
 
-use super::sum::{dot, dots, mean};
-use super::wide::wide;
+use crate::dictionary::sum::{dot, dots, mean};
+use crate::dictionary::wide::wide;
 
 /// Directions of a basis. More make the bound sharper and longer to compute.
 const DIRECTIONS: usize = 16;
@@ -22,14 +22,14 @@ const ROUNDING: f32 = 1e-5;
 
 /// An orthonormal basis about a mean profile.
 #[derive(Debug)]
-pub(super) struct Basis {
+pub(crate) struct Basis {
     mean: Vec<f64>,
     directions: Vec<Vec<f64>>,
 }
 
 impl Basis {
     /// Gram–Schmidt with pivoting: the sample that the basis describes worst gives the next direction.
-    pub(super) fn of(samples: &[&[f32]]) -> Self {
+    pub(crate) fn of(samples: &[&[f32]]) -> Self {
         let n = samples.first().map_or(0, |s| s.len());
         let mut mean = vec![0.0; n];
         for sample in samples {
@@ -61,7 +61,7 @@ impl Basis {
     }
 
     /// Coefficients of a profile, and the norm of what they leave, both as root mean squares over the pixels.
-    pub(super) fn describe<T: Into<f64> + Copy>(&self, profile: &[T]) -> Description {
+    pub(crate) fn describe<T: Into<f64> + Copy>(&self, profile: &[T]) -> Description {
         let mut numbers = Vec::with_capacity(self.directions.len() + 1);
         let size = self.describe_into(profile, &mut numbers);
         Description { numbers, size }
@@ -94,11 +94,11 @@ impl Basis {
         (square.sqrt() * scale) as f32
     }
 
-    pub(super) fn mean(&self) -> &[f64] {
+    pub(crate) fn mean(&self) -> &[f64] {
         &self.mean
     }
 
-    pub(super) fn directions(&self) -> &[Vec<f64>] {
+    pub(crate) fn directions(&self) -> &[Vec<f64>] {
         &self.directions
     }
 }
@@ -137,7 +137,7 @@ fn take_off(from: &mut [f64], direction: &[f64]) -> f64 {
 
 /// One profile in a basis.
 #[derive(Debug)]
-pub(super) struct Description {
+pub(crate) struct Description {
     /// The coefficients, then the norm of what they leave.
     numbers: Vec<f32>,
     size: f32,
@@ -145,7 +145,7 @@ pub(super) struct Description {
 
 /// Descriptions of many profiles, coefficient by coefficient.
 #[derive(Debug)]
-pub(super) struct Sketch {
+pub(crate) struct Sketch {
     profiles: usize,
     /// `[coefficient][profile]`, the norms of the rests last.
     rows: Vec<f32>,
@@ -167,10 +167,10 @@ fn together(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
 
 impl Sketch {
     /// Bytes of a profile.
-    pub(super) const BYTES: usize = (DIRECTIONS + 1) * size_of::<f32>();
+    pub(crate) const BYTES: usize = (DIRECTIONS + 1) * size_of::<f32>();
 
     /// The profiles of these numbers.
-    pub(super) fn new<'a>(
+    pub(crate) fn new<'a>(
         basis: &Basis,
         profiles: usize,
         profile: impl Fn(usize) -> Cow<'a, [f32]> + Sync,
@@ -204,14 +204,14 @@ impl Sketch {
     }
 
     /// A coefficient of all profiles, as a root mean square over the pixels.
-    pub(super) fn row(&self, coefficient: usize) -> &[f32] {
+    pub(crate) fn row(&self, coefficient: usize) -> &[f32] {
         &self.rows[coefficient * self.profiles..][..self.profiles]
     }
 
     /// Adds `weight` times a lower bound of the root mean square distance between the target and each of the
     /// profiles from `first` on.
     #[inline(always)]
-    pub(super) fn add_bounds(&self, target: &Description, weight: f32, first: usize, bounds: &mut [f32]) {
+    pub(crate) fn add_bounds(&self, target: &Description, weight: f32, first: usize, bounds: &mut [f32]) {
         const BLOCK: usize = 256;
         let slack = ROUNDING * (target.size + self.largest);
         let mut squares = [0.0_f32; BLOCK];
@@ -234,7 +234,7 @@ impl Sketch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sum::rms_difference;
+    use crate::dictionary::sum::rms_difference;
 
     /// Profiles with structure and noise.
     fn profiles(count: usize) -> Vec<Vec<f32>> {

@@ -11,11 +11,11 @@ use optics_model::fit::{FitOptions, GError, MuRange, ScaleCurve, ScalePoint};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
-use super::dictionary::FitDictionary;
-use super::question::{Place, Question, Term, check_ranges, questions};
-use super::sum::{mean_product, mean_square};
-use super::view::View;
-use super::wide::wide;
+use crate::dictionary::FitDictionary;
+use crate::dictionary::sum::{mean_product, mean_square};
+use crate::dictionary::view::View;
+use crate::dictionary::wide::wide;
+use crate::paper::question::{Place, Question, Term, check_ranges, questions};
 
 /// Searches the scale factor that is common to all materials, with its options' bounds; their μ is not used.
 pub fn scale(

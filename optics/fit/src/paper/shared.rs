@@ -14,12 +14,12 @@
 
 use glam::{DMat4, DVec4};
 
-use super::noise::{Noise, outer};
-use super::refine::invert;
+use crate::paper::noise::{Noise, outer};
+use crate::paper::refine::invert;
 
 /// A channel's noise, and which unknowns are its own.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Part<'a> {
+pub(crate) struct Part<'a> {
     pub noise: &'a Noise,
     pub own: [bool; 4],
     /// Where the channel's error falls, by all unknowns, at the common optimum.
@@ -28,7 +28,7 @@ pub(super) struct Part<'a> {
 
 /// The shared unknowns as functions of all channels' data.
 #[derive(Debug)]
-pub(super) struct Shared {
+pub(crate) struct Shared {
     /// Which unknowns are shared.
     which: [bool; 4],
     /// S⁻¹, zero outside the shared unknowns.
@@ -43,7 +43,7 @@ pub(super) struct Shared {
 }
 
 /// The identity on what is free.
-pub(super) fn mask(free: [bool; 4]) -> DMat4 {
+pub(crate) fn mask(free: [bool; 4]) -> DMat4 {
     DMat4::from_diagonal(DVec4::from_array(free.map(|free| if free { 1.0 } else { 0.0 })))
 }
 
@@ -53,7 +53,7 @@ fn eliminated(hessian: DMat4, inverse_own: DMat4, shared: [bool; 4]) -> DMat4 {
 }
 
 /// S⁻¹ of the channels' second derivatives, each with its own unknowns; zero if it is singular.
-pub(super) fn inverse_of_shared(
+pub(crate) fn inverse_of_shared(
     channels: impl IntoIterator<Item = (DMat4, DMat4)>,
     shared: [bool; 4],
 ) -> DMat4 {
@@ -65,7 +65,7 @@ pub(super) fn inverse_of_shared(
 }
 
 impl Shared {
-    pub(super) fn new(parts: &[Part], shared: [bool; 4]) -> Self {
+    pub(crate) fn new(parts: &[Part], shared: [bool; 4]) -> Self {
         let inverse_own = |part: &Part| part.noise.inverse_hessian(part.own);
         let inverse = inverse_of_shared(parts.iter().map(|p| (p.noise.hessian, inverse_own(p))), shared);
         let eliminated = |p: &Part| eliminated(p.noise.hessian, inverse_own(p), shared);
@@ -84,13 +84,13 @@ impl Shared {
     }
 
     /// Covariance of the shared unknowns.
-    pub(super) fn covariance(&self) -> DMat4 {
+    pub(crate) fn covariance(&self) -> DMat4 {
         let random = self.inverse * self.pull * self.inverse.transpose();
         random * self.disagreement + outer(self.inverse * self.by_scale)
     }
 
     /// Covariance of all unknowns of a channel, of which `part.own` are its own.
-    pub(super) fn of(&self, channel: usize, part: &Part) -> DMat4 {
+    pub(crate) fn of(&self, channel: usize, part: &Part) -> DMat4 {
         let (noise, inverse_own) = (part.noise, part.noise.inverse_hessian(part.own));
         // δ = H_xx⁻¹ ψ + (1 − H_xx⁻¹ H) δθ.
         let through = (DMat4::IDENTITY - inverse_own * noise.hessian) * mask(self.which) * self.inverse;

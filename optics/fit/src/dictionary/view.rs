@@ -12,12 +12,12 @@ use optics_model::Grid;
 use optics_model::fit::Wavelet;
 use rayon::prelude::*;
 
-use super::gradient::{derivative, shown_derivative};
-use super::records::{self, Records};
-use super::sketch::{Basis, Description, Sketch};
+use crate::dictionary::gradient::{derivative, shown_derivative};
+use crate::dictionary::records::{self, Records};
+use crate::dictionary::sketch::{Basis, Description, Sketch};
 
 /// Pixel pitch that gradients are told per, in mm: 360 pixels over 10 mm.
-pub(super) const REFERENCE_PITCH_MM: f64 = 10.0 / 360.0;
+pub(crate) const REFERENCE_PITCH_MM: f64 = 10.0 / 360.0;
 
 /// Profiles that a basis is made from.
 const SAMPLES: usize = 2000;
@@ -25,14 +25,14 @@ const SAMPLES: usize = 2000;
 const BLOCK: usize = 256;
 
 /// Bytes that the view of a channel over all pixels takes at most.
-pub(super) fn bytes_of(grid: &Grid) -> usize {
+pub(crate) fn bytes_of(grid: &Grid) -> usize {
     let sketches = grid.record_count().saturating_mul(2 * Sketch::BYTES);
     sketches + if records::is_small(grid) { records::bytes_of(grid) } else { 0 }
 }
 
 /// How gradients are taken: per sample of the reference pitch, whatever the pixels'.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Slope {
+pub(crate) struct Slope {
     pub wavelet: Wavelet,
     pub level: u32,
     pub pitch_mm: f64,
@@ -40,7 +40,7 @@ pub(super) struct Slope {
 
 impl Slope {
     /// ∇f, signed.
-    pub(super) fn of(self, f: &[f64]) -> Vec<f64> {
+    pub(crate) fn of(self, f: &[f64]) -> Vec<f64> {
         let scale = REFERENCE_PITCH_MM / self.pitch_mm;
         let mut slope = derivative(f, self.wavelet, self.level);
         for d in &mut slope {
@@ -50,7 +50,7 @@ impl Slope {
     }
 
     /// |∇f|.
-    pub(super) fn magnitude(self, f: &[f64]) -> Vec<f64> {
+    pub(crate) fn magnitude(self, f: &[f64]) -> Vec<f64> {
         let mut slope = self.of(f);
         for d in &mut slope {
             *d = d.abs();
@@ -59,7 +59,7 @@ impl Slope {
     }
 
     /// |∇f| as it is shown.
-    pub(super) fn shown(self, f: &[f64]) -> Vec<f64> {
+    pub(crate) fn shown(self, f: &[f64]) -> Vec<f64> {
         let scale = REFERENCE_PITCH_MM / self.pitch_mm;
         shown_derivative(f, self.wavelet, self.level).into_iter().map(|d| (scale * d).abs()).collect()
     }
@@ -67,14 +67,14 @@ impl Slope {
 
 /// Which pixels are compared, and how their gradients are taken.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct ViewKey {
+pub(crate) struct ViewKey {
     pub pixels: Range<usize>,
     pub wavelet: Wavelet,
     pub level: u32,
 }
 
 #[derive(Debug)]
-pub(super) struct View {
+pub(crate) struct View {
     records: Arc<Records>,
     key: ViewKey,
     slope: Slope,
@@ -95,14 +95,14 @@ struct Described {
 
 /// Descriptions of the values and gradients of all media at one thickness.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct PairSketch<'a> {
+pub(crate) struct PairSketch<'a> {
     values: &'a Sketch,
     gradients: &'a Sketch,
 }
 
 /// A measured profile in the bases of a view.
 #[derive(Debug)]
-pub(super) struct PairDescription {
+pub(crate) struct PairDescription {
     values: Description,
     gradient: Description,
 }
@@ -111,7 +111,7 @@ impl PairSketch<'_> {
     /// Adds lower bounds of d(target, medium) for the media from `first` on.
     #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
     #[inline(always)]
-    pub(super) fn add_bounds(&self, target: &PairDescription, lambda: f64, first: usize, bounds: &mut [f32]) {
+    pub(crate) fn add_bounds(&self, target: &PairDescription, lambda: f64, first: usize, bounds: &mut [f32]) {
         self.values.add_bounds(&target.values, 1.0, first, bounds);
         self.gradients.add_bounds(&target.gradient, lambda as f32, first, bounds);
     }
@@ -136,7 +136,7 @@ impl Described {
 }
 
 impl View {
-    pub(super) fn new(records: &Arc<Records>, key: ViewKey) -> Self {
+    pub(crate) fn new(records: &Arc<Records>, key: ViewKey) -> Self {
         let grid = records.grid();
         let slope =
             Slope { wavelet: key.wavelet, level: key.level, pitch_mm: grid.scene().sensor().pitch_mm() };
@@ -171,28 +171,28 @@ impl View {
         })
     }
 
-    pub(super) fn slope(&self) -> Slope {
+    pub(crate) fn slope(&self) -> Slope {
         self.slope
     }
 
     /// Pixels of a whole profile of the dictionary.
-    pub(super) fn all_pixels(&self) -> usize {
+    pub(crate) fn all_pixels(&self) -> usize {
         self.records.pixels()
     }
 
-    pub(super) fn pixels(&self) -> Range<usize> {
+    pub(crate) fn pixels(&self) -> Range<usize> {
         self.key.pixels.clone()
     }
 
     /// The values and gradient magnitudes of a record on the view's pixels.
-    pub(super) fn profile(&self, record: usize) -> (Cow<'_, [f32]>, Cow<'_, [f32]>) {
+    pub(crate) fn profile(&self, record: usize) -> (Cow<'_, [f32]>, Cow<'_, [f32]>) {
         let values = self.values(record);
         let gradient = self.gradient(record, &values);
         (values, gradient)
     }
 
     /// What bounds the distances of all media at a thickness from below.
-    pub(super) fn sketch(&self, thickness: usize) -> PairSketch<'_> {
+    pub(crate) fn sketch(&self, thickness: usize) -> PairSketch<'_> {
         PairSketch {
             values: &self.values.sketches[thickness],
             gradients: &self.gradients_described().sketches[thickness],
@@ -200,20 +200,20 @@ impl View {
     }
 
     /// The values of all media at a thickness in the view's basis.
-    pub(super) fn value_sketch(&self, thickness: usize) -> &Sketch {
+    pub(crate) fn value_sketch(&self, thickness: usize) -> &Sketch {
         &self.values.sketches[thickness]
     }
 
-    pub(super) fn value_basis(&self) -> &Basis {
+    pub(crate) fn value_basis(&self) -> &Basis {
         &self.values.basis
     }
 
     /// Factor from the coefficients of sketches to those of profiles.
-    pub(super) fn sketch_scale(&self) -> f64 {
+    pub(crate) fn sketch_scale(&self) -> f64 {
         (self.key.pixels.len() as f64).sqrt()
     }
 
-    pub(super) fn describe(&self, values: &[f64], gradient: &[f64]) -> PairDescription {
+    pub(crate) fn describe(&self, values: &[f64], gradient: &[f64]) -> PairDescription {
         PairDescription {
             values: self.values.basis.describe(values),
             gradient: self.gradients_described().basis.describe(gradient),
@@ -223,7 +223,7 @@ impl View {
 
 /// Made at its first use, outside the lock: a thread that waits for parts of it may begin another question that wants the
 /// same, and would wait for itself. At worst everyone who asks for it at the same time makes it.
-pub(super) fn made_once<T>(cell: &OnceLock<T>, make: impl FnOnce() -> T) -> &T {
+pub(crate) fn made_once<T>(cell: &OnceLock<T>, make: impl FnOnce() -> T) -> &T {
     if let Some(made) = cell.get() {
         return made;
     }

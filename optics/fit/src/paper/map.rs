@@ -1,28 +1,13 @@
 //! Maps of the distance over all media, Fig. 9 of the paper.
 
-use optics_model::fit::{DistanceMap, FitOptions, MapLayer, Objective};
-use optics_model::{Invalid, Measurement};
+use optics_model::fit::{DistanceMap, MapLayer};
 use rayon::prelude::*;
 
-use super::dictionary::FitDictionary;
-use super::layers::of_layers;
-use super::likelihood;
-use super::question::{Place, Question, questions};
+use crate::paper::layers::of_layers;
+use crate::paper::question::{Place, Question};
 
-/// One map per channel of a measurement, over every admissible medium: the error of Eq. 1, or for the likelihood the root
-/// mean square of the residuals over their noise, with the set-up at its likeliest.
-pub fn distance_map(
-    dictionary: &FitDictionary,
-    measurement: &Measurement,
-    options: &FitOptions,
-) -> Result<Vec<DistanceMap>, Invalid> {
-    if likelihood::objective(options, [measurement]) == Objective::Likelihood {
-        return likelihood::distance_map(dictionary, measurement, options);
-    }
-    Ok(questions(dictionary, measurement, options)?.iter().map(map).collect())
-}
-
-fn map(question: &Question) -> DistanceMap {
+/// The error of Eq. 1 over every admissible medium.
+pub(crate) fn map(question: &Question) -> DistanceMap {
     let grid = question.dictionary.grid();
     // Maps of several refractive indices would be maps of several dictionaries: that of the best is drawn.
     let ior = best_ior(question);
@@ -32,7 +17,7 @@ fn map(question: &Question) -> DistanceMap {
 
 fn best_ior(question: &Question) -> usize {
     let iors = question.dictionary.grid().sample_ior();
-    let best = super::search::best(question, 1);
+    let best = crate::paper::search::best(question, 1);
     iors.iter().position(|v| *v == best[0].sample_ior).unwrap_or(0)
 }
 

@@ -8,24 +8,24 @@
 use glam::{DMat4, DVec4};
 use optics_model::fit::{Candidate, Interval, Refined, ThicknessError};
 
-use super::intervals::{Intervals, Z};
-use super::noise::{Noise, Spread};
-use super::question::{Question, Term};
-use super::refine::{Block, Descent, Objective, Optimum, Unknowns};
-use super::shared::{Part, Shared};
-use super::surrogate::{ALBEDO, G, SIGMA_T, albedo, sigma_t};
-use super::suspicion::suspicion;
+use crate::paper::intervals::{Intervals, Z};
+use crate::paper::noise::{Noise, Spread};
+use crate::paper::question::{Question, Term};
+use crate::paper::refine::{Block, Descent, Objective, Optimum, Unknowns};
+use crate::paper::shared::{Part, Shared};
+use crate::paper::suspicion::suspicion;
+use crate::surrogate::{ALBEDO, G, SIGMA_T, albedo, sigma_t};
 
 /// A channel is resolved if its intervals of σ_t and of the albedo span at most this factor …
 const RESOLVED_FACTOR: f64 = 2.0;
 /// … and that of the albedo at most this.
 const RESOLVED_ALBEDO: f64 = 0.2;
 /// Correlation of ln σ_t with ln(1 − g) from which on they are said to trade off.
-pub(super) const VALLEY: f64 = 0.9;
+pub(crate) const VALLEY: f64 = 0.9;
 
 /// A channel's continuous optimum and what noise does to it.
 #[derive(Debug)]
-pub(super) struct Analysis<'a> {
+pub(crate) struct Analysis<'a> {
     pub objective: Objective<'a>,
     optimum: Optimum,
     blocks: Vec<Block>,
@@ -36,7 +36,7 @@ pub(super) struct Analysis<'a> {
 
 /// What a channel has in common with others.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Company<'a> {
+pub(crate) struct Company<'a> {
     /// The channel's place among them.
     pub channel: usize,
     pub shared: &'a Shared,
@@ -48,7 +48,7 @@ pub(super) struct Company<'a> {
 
 impl<'a> Analysis<'a> {
     /// Of the optimum that is reached from the best record.
-    pub(super) fn new(question: &'a Question<'a>, best: &Candidate) -> Self {
+    pub(crate) fn new(question: &'a Question<'a>, best: &Candidate) -> Self {
         let objective = Objective::new(question, best);
         let optimum = objective.descend(objective.start(&best.medium), objective.free());
         let blocks = objective.blocks(optimum.x);
@@ -57,7 +57,7 @@ impl<'a> Analysis<'a> {
         Self { objective, optimum, blocks, downhill, noise }
     }
 
-    pub(super) fn part(&self) -> Part<'_> {
+    pub(crate) fn part(&self) -> Part<'_> {
         self.part_with(self.objective.free())
     }
 
@@ -66,7 +66,7 @@ impl<'a> Analysis<'a> {
     }
 
     /// The refined fit of a channel on its own, or in company.
-    pub(super) fn refined(&self, company: Option<&Company>) -> Refined {
+    pub(crate) fn refined(&self, company: Option<&Company>) -> Refined {
         let free = self.objective.free();
         let spread = self.noise.spread(free);
         let total = company.map_or(spread.total, |c| c.shared.of(c.channel, &self.part()));
@@ -150,7 +150,7 @@ impl<'a> Analysis<'a> {
     }
 }
 
-pub(super) fn is_resolved(sigma_t: &Interval, albedo: &Interval) -> bool {
+pub(crate) fn is_resolved(sigma_t: &Interval, albedo: &Interval) -> bool {
     let bounded = |i: &Interval| !i.open_low && i.high <= RESOLVED_FACTOR * i.low;
     bounded(sigma_t) && !sigma_t.open_high && bounded(albedo) && albedo.high - albedo.low <= RESOLVED_ALBEDO
 }

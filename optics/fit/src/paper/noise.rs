@@ -9,16 +9,16 @@
 use glam::{DMat4, DVec4};
 use optics_model::measurement::MIN_PIXELS;
 
-use super::gradient::derivative_adjoint;
-use super::question::Term;
-use super::refine::{Block, Objective, PARAMETERS, UNKNOWNS, Unknowns, invert};
-use super::sum::dot;
-use super::surrogate::SIGMA_T;
-use super::view::REFERENCE_PITCH_MM;
+use crate::dictionary::gradient::derivative_adjoint;
+use crate::dictionary::sum::dot;
+use crate::dictionary::view::REFERENCE_PITCH_MM;
+use crate::paper::question::Term;
+use crate::paper::refine::{Block, Objective, PARAMETERS, UNKNOWNS, Unknowns, invert};
+use crate::surrogate::SIGMA_T;
 
 /// The sources of noise as functionals of the residuals, before H⁻¹.
 #[derive(Debug)]
-pub(super) struct Noise {
+pub(crate) struct Noise {
     /// Second derivative of Eq. 1.
     pub hessian: DMat4,
     /// Covariances of Σ K δr, of each source.
@@ -36,7 +36,7 @@ pub(super) struct Noise {
 
 /// Covariance of the optimum.
 #[derive(Debug)]
-pub(super) struct Spread {
+pub(crate) struct Spread {
     pub total: DMat4,
     /// From noise: of the measurement's pixels and of the dictionary.
     pub random: DMat4,
@@ -48,7 +48,7 @@ pub(super) struct Spread {
 }
 
 impl Noise {
-    pub(super) fn new(objective: &Objective, x: Unknowns, blocks: &[Block]) -> Self {
+    pub(crate) fn new(objective: &Objective, x: Unknowns, blocks: &[Block]) -> Self {
         let settings = objective.question.options.settings();
         let mut noise = Self {
             hessian: DMat4::ZERO,
@@ -95,7 +95,7 @@ impl Noise {
 
     /// With these second derivatives, this noise of the pixels, and this effect of the scale factor.
     #[cfg(test)]
-    pub(super) fn for_test(hessian: DMat4, measurement: DMat4, by_scale: DVec4) -> Self {
+    pub(crate) fn for_test(hessian: DMat4, measurement: DMat4, by_scale: DVec4) -> Self {
         let zero = DMat4::ZERO;
         Self {
             hessian,
@@ -109,23 +109,23 @@ impl Noise {
     }
 
     /// Covariance of Σ K δr from noise: noise of the measurement that is smaller than the residuals is scaled up to them.
-    pub(super) fn random(&self) -> DMat4 {
+    pub(crate) fn random(&self) -> DMat4 {
         self.measurement * self.misfit.max(1.0).powi(2) + self.dictionary
     }
 
     /// Covariance of Σ K δr from all that is this channel's own: noise, and the gains and zeros of its profiles.
-    pub(super) fn own(&self) -> DMat4 {
+    pub(crate) fn own(&self) -> DMat4 {
         self.random() + self.profiles
     }
 
     /// H⁻¹ over the unknowns that are free.
-    pub(super) fn inverse_hessian(&self, free: [bool; 4]) -> DMat4 {
+    pub(crate) fn inverse_hessian(&self, free: [bool; 4]) -> DMat4 {
         let ridge = DMat4::from_diagonal(DVec4::splat(1e-12));
         invert(self.hessian + ridge, free).unwrap_or(DMat4::ZERO)
     }
 
     /// The covariance of the unknowns that are free.
-    pub(super) fn spread(&self, free: [bool; 4]) -> Spread {
+    pub(crate) fn spread(&self, free: [bool; 4]) -> Spread {
         let inverse_hessian = self.inverse_hessian(free);
         let through = |source: DMat4| inverse_hessian * source * inverse_hessian.transpose();
         let dictionary = through(self.dictionary);
@@ -142,7 +142,7 @@ impl Noise {
 const SAMPLED: usize = 12;
 
 /// Variances that noise explains, of the measured pixels and of the records, on the pixels that are compared.
-pub(super) fn pixel_variances(objective: &Objective, i: usize, x: Unknowns, values: &Block) -> Vec<f64> {
+pub(crate) fn pixel_variances(objective: &Objective, i: usize, x: Unknowns, values: &Block) -> Vec<f64> {
     let (term, mu) = (&objective.question.terms[i], objective.question.options.settings().mu);
     let std_errors = std_errors(term, &objective.predict(term, x).values, mu);
     let records = records_variance(objective, term, x, values);
@@ -173,7 +173,7 @@ fn records_variance(objective: &Objective, term: &Term, x: Unknowns, values: &Bl
 }
 
 /// Adds what a vector has beyond the orthonormal ones, if that is anything, and tells its length.
-pub(super) fn add_direction(basis: &mut Vec<Vec<f64>>, mut vector: Vec<f64>) -> f64 {
+pub(crate) fn add_direction(basis: &mut Vec<Vec<f64>>, mut vector: Vec<f64>) -> f64 {
     let whole = dot(&vector, &vector).sqrt();
     for direction in basis.iter() {
         let along = dot(direction, &vector);
@@ -211,7 +211,7 @@ fn outer_sum(a: &[Vec<f64>; 4], b: &[Vec<f64>; 4]) -> DMat4 {
     sum
 }
 
-pub(super) fn outer(v: DVec4) -> DMat4 {
+pub(crate) fn outer(v: DVec4) -> DMat4 {
     DMat4::from_cols(v * v.x, v * v.y, v * v.z, v * v.w)
 }
 
@@ -262,7 +262,7 @@ fn std_errors(term: &Term, model: &[f64], mu: f64) -> Vec<f64> {
 
 /// Standard errors of a profile that does not tell them: from how its values scatter from pixel to pixel, on the dark and
 /// on the light side by themselves.
-pub(super) fn scatter_by_side(x_mm: &[f64], values: &[f64]) -> Vec<f64> {
+pub(crate) fn scatter_by_side(x_mm: &[f64], values: &[f64]) -> Vec<f64> {
     let edge = x_mm.partition_point(|x| *x < 0.0);
     if edge.min(x_mm.len() - edge) < MIN_PIXELS {
         return vec![scatter(values); x_mm.len()];

@@ -4,7 +4,7 @@
 
 /// Weights of the nodes from `first` on, and their derivatives by the coordinate.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Weights {
+pub(crate) struct Weights {
     pub first: usize,
     pub values: Vec<f64>,
     pub slopes: Vec<f64>,
@@ -12,19 +12,19 @@ pub(super) struct Weights {
 
 /// Weights of the nodes from `first` on.
 #[derive(Debug)]
-pub(super) struct Direction {
+pub(crate) struct Direction {
     first: usize,
     values: Vec<f64>,
 }
 
 impl Direction {
     /// 1 for the same weights, 0 for weights that share no node.
-    pub(super) fn cosine(&self, other: &Self) -> f64 {
+    pub(crate) fn cosine(&self, other: &Self) -> f64 {
         self.cosine_where(other, |node, of_other| node == of_other)
     }
 
     /// The same between two axes, whose nodes are told to be the same or not.
-    pub(super) fn cosine_where(&self, other: &Self, same: impl Fn(usize, usize) -> bool) -> f64 {
+    pub(crate) fn cosine_where(&self, other: &Self, same: impl Fn(usize, usize) -> bool) -> f64 {
         let products = self.nodes().flat_map(|(node, a)| {
             let alike = other.nodes().filter(|(of_other, _)| same(node, *of_other)).map(|(_, b)| b);
             alike.map(move |b| a * b).collect::<Vec<_>>()
@@ -44,7 +44,7 @@ type Shape = fn(f64) -> f64;
 
 /// How light that is scattered once, backwards, depends on ln(1 − g): straight back, and at the cosine −0.6. Powers of
 /// the coordinate miss it by up to 5 %, which is what a dark medium's profile is then off by.
-pub(super) const BACKSCATTERED: [Shape; 2] = [|y| henyey_greenstein(y, -1.0), |y| henyey_greenstein(y, -0.6)];
+pub(crate) const BACKSCATTERED: [Shape; 2] = [|y| henyey_greenstein(y, -1.0), |y| henyey_greenstein(y, -0.6)];
 
 /// 4π p(cos θ) of Henyey and Greenstein, with y = ln(1 − g).
 fn henyey_greenstein(y: f64, cosine: f64) -> f64 {
@@ -55,7 +55,7 @@ fn henyey_greenstein(y: f64, cosine: f64) -> f64 {
 
 /// Local models over the nodes of one axis.
 #[derive(Debug)]
-pub(super) struct LocalAxis {
+pub(crate) struct LocalAxis {
     /// Strictly rising or falling.
     nodes: Vec<f64>,
     /// How many powers of the coordinate a model has, from 0 on.
@@ -68,7 +68,7 @@ pub(super) struct LocalAxis {
 
 impl LocalAxis {
     /// Models of powers alone. `reach` is how far, in the coordinate, one of them describes the profiles well.
-    pub(super) fn new(nodes: Vec<f64>, reach: f64) -> Self {
+    pub(crate) fn new(nodes: Vec<f64>, reach: f64) -> Self {
         let half_width = half_width(&nodes, reach);
         // Fewer nodes than a fit needs are interpolated.
         let powers = match nodes.len() {
@@ -82,7 +82,7 @@ impl LocalAxis {
     }
 
     /// Models that have these shapes too, as far as there are nodes for them.
-    pub(super) fn with_shapes(nodes: Vec<f64>, reach: f64, shapes: &'static [Shape]) -> Self {
+    pub(crate) fn with_shapes(nodes: Vec<f64>, reach: f64, shapes: &'static [Shape]) -> Self {
         let half_width = half_width(&nodes, reach);
         let (powers, room) = match nodes.len() {
             n @ 1..5 => (n, 0),
@@ -92,7 +92,7 @@ impl LocalAxis {
         Self { nodes, powers, shapes: &shapes[..room.min(shapes.len())], half_width }
     }
 
-    pub(super) fn range(&self) -> (f64, f64) {
+    pub(crate) fn range(&self) -> (f64, f64) {
         let (a, b) = (self.nodes[0], self.nodes[self.nodes.len() - 1]);
         (a.min(b), a.max(b))
     }
@@ -150,7 +150,7 @@ impl LocalAxis {
         (first, values)
     }
 
-    pub(super) fn weights(&self, x: f64) -> Weights {
+    pub(crate) fn weights(&self, x: f64) -> Weights {
         if self.nodes.len() == 1 {
             return Weights { first: 0, values: vec![1.0], slopes: vec![0.0] };
         }
@@ -171,14 +171,14 @@ impl LocalAxis {
     }
 
     /// The weights at a coordinate, as a vector over the nodes.
-    pub(super) fn direction(&self, x: f64) -> Direction {
+    pub(crate) fn direction(&self, x: f64) -> Direction {
         let (first, values) = if self.nodes.len() == 1 { (0, vec![1.0]) } else { self.values_at(x) };
         Direction { first, values }
     }
 
     /// For the nodes of the window about a coordinate: their weight, and the functionals that give the window's
     /// model at each of them.
-    pub(super) fn hat(&self, x: f64) -> (usize, Vec<f64>, Vec<Vec<f64>>) {
+    pub(crate) fn hat(&self, x: f64) -> (usize, Vec<f64>, Vec<Vec<f64>>) {
         let (first, window) = self.window(x);
         let at: Vec<f64> = self.nodes[first..first + window.len()].to_vec();
         let hat = self.functionals(first, &window, x, &at);

@@ -3,7 +3,7 @@
 
 use optics_model::fit::Wavelet;
 
-use super::wide::wide;
+use crate::dictionary::wide::wide;
 
 /// Derivative per sample of f, at i + ½.
 ///
@@ -135,7 +135,7 @@ mod tests {
 
     /// Columns of `tests/data/wavelet.csv`: f, spline levels 2 to 5, Haar level 4.
     fn golden() -> Vec<Vec<f64>> {
-        let text = include_str!("../../../tests/data/wavelet.csv");
+        let text = include_str!("../../../../tests/data/wavelet.csv");
         let rows = text.lines().filter(|l| !l.starts_with('#')).skip(1);
         let rows: Vec<Vec<f64>> = rows.map(|l| l.split(',').map(|v| v.parse().unwrap()).collect()).collect();
         (0..rows[0].len()).map(|c| rows.iter().map(|r| r[c]).collect()).collect()

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use optics_model::Grid;
 
-use super::wide::wide;
+use crate::dictionary::wide::wide;
 
 /// Largest dictionary whose values are kept exactly, and whose gradients are kept: bytes of the values of all channels that
 /// are seen. Of larger ones gradients are taken anew whenever a record is compared: most never are.
@@ -21,13 +21,13 @@ const SMALL: usize = 512 << 20;
 const STEPS: f32 = u16::MAX as f32;
 
 /// Whether a dictionary's values are kept exactly, and its gradients too.
-pub(super) fn is_small(grid: &Grid) -> bool {
+pub(crate) fn is_small(grid: &Grid) -> bool {
     let exact = grid.record_count().saturating_mul(grid.scene().sensor().pixels() * size_of::<f32>());
     exact.saturating_mul(grid.scene().seen_channels().count()) <= SMALL
 }
 
 /// Bytes of the values of a grid's records in one channel.
-pub(super) fn bytes_of(grid: &Grid) -> usize {
+pub(crate) fn bytes_of(grid: &Grid) -> usize {
     let pixels = grid.scene().sensor().pixels();
     let of_record =
         if is_small(grid) { pixels * size_of::<f32>() } else { pixels * size_of::<u16>() + size_of::<f32>() };
@@ -36,34 +36,34 @@ pub(super) fn bytes_of(grid: &Grid) -> usize {
 
 /// Radiance factors of all records.
 #[derive(Debug)]
-pub(super) struct Records {
+pub(crate) struct Records {
     grid: Arc<Grid>,
     stored: Stored,
 }
 
 #[derive(Debug)]
-pub(super) enum Stored {
+pub(crate) enum Stored {
     Exact(Exact),
     Rounded(Rounded),
 }
 
 /// Values as `[record][pixel]`.
 #[derive(Debug)]
-pub(super) struct Exact {
+pub(crate) struct Exact {
     pixels: usize,
     values: Vec<f32>,
 }
 
 /// Roots in steps as `[record][pixel]`, and the square of a step by record.
 #[derive(Debug)]
-pub(super) struct Rounded {
+pub(crate) struct Rounded {
     pixels: usize,
     roots: Vec<u16>,
     units: Vec<f32>,
 }
 
 /// Records whose numbers are read where they lie.
-pub(super) trait Rows {
+pub(crate) trait Rows {
     type Row<'a>: Row
     where
         Self: 'a;
@@ -73,7 +73,7 @@ pub(super) trait Rows {
 }
 
 /// The values of one record.
-pub(super) trait Row: Copy {
+pub(crate) trait Row: Copy {
     /// The values of `N` pixels, from `first` on.
     fn block<const N: usize>(self, first: usize) -> [f32; N];
 }
@@ -96,7 +96,7 @@ impl Row for &[f32] {
 
 /// A record of [`Rounded`].
 #[derive(Debug, Clone, Copy)]
-pub(super) struct RoundedRow<'a> {
+pub(crate) struct RoundedRow<'a> {
     roots: &'a [u16],
     unit: f32,
 }
@@ -130,13 +130,13 @@ fn square(root: u16, unit: f32) -> f32 {
 
 impl Records {
     /// All values are 0 at first.
-    pub(super) fn new(grid: Arc<Grid>) -> Self {
+    pub(crate) fn new(grid: Arc<Grid>) -> Self {
         let exactly = is_small(&grid);
         Self::kept(grid, exactly)
     }
 
     /// The same, with values kept exactly or not, whatever their number.
-    pub(super) fn kept(grid: Arc<Grid>, exactly: bool) -> Self {
+    pub(crate) fn kept(grid: Arc<Grid>, exactly: bool) -> Self {
         let (records, pixels) = (grid.record_count(), grid.scene().sensor().pixels());
         let stored = if exactly {
             Stored::Exact(Exact { pixels, values: vec![0.0; records * pixels] })
@@ -146,20 +146,20 @@ impl Records {
         Self { grid, stored }
     }
 
-    pub(super) fn grid(&self) -> &Grid {
+    pub(crate) fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    pub(super) fn are_exact(&self) -> bool {
+    pub(crate) fn are_exact(&self) -> bool {
         matches!(self.stored, Stored::Exact(_))
     }
 
-    pub(super) fn stored(&self) -> &Stored {
+    pub(crate) fn stored(&self) -> &Stored {
         &self.stored
     }
 
     /// The values of a record on some of the pixels.
-    pub(super) fn values(&self, record: usize, pixels: Range<usize>) -> Cow<'_, [f32]> {
+    pub(crate) fn values(&self, record: usize, pixels: Range<usize>) -> Cow<'_, [f32]> {
         match &self.stored {
             Stored::Exact(exact) => Cow::Borrowed(exact.row(record, pixels)),
             Stored::Rounded(rounded) => {
@@ -175,7 +175,7 @@ impl Records {
     }
 
     /// Takes in the values of a record, which are not negative.
-    pub(super) fn set(&mut self, record: usize, new: impl ExactSizeIterator<Item = f32>) {
+    pub(crate) fn set(&mut self, record: usize, new: impl ExactSizeIterator<Item = f32>) {
         let pixels = self.pixels();
         let numbers = record * pixels..(record + 1) * pixels;
         match &mut self.stored {
@@ -190,7 +190,7 @@ impl Records {
         }
     }
 
-    pub(super) fn pixels(&self) -> usize {
+    pub(crate) fn pixels(&self) -> usize {
         self.grid.scene().sensor().pixels()
     }
 }

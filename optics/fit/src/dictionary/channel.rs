@@ -2,8 +2,8 @@
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use super::records::Records;
-use super::view::{View, ViewKey, made_once};
+use crate::dictionary::records::Records;
+use crate::dictionary::view::{View, ViewKey, made_once};
 
 /// Views kept besides the one over all pixels with the default wavelet.
 const OTHER_VIEWS: usize = 1;
@@ -11,30 +11,30 @@ const OTHER_VIEWS: usize = 1;
 type Slot = Arc<OnceLock<Arc<View>>>;
 
 #[derive(Debug)]
-pub(super) struct ChannelRecords {
+pub(crate) struct ChannelRecords {
     records: Arc<Records>,
     /// The default first, then the last other one.
     views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
 impl ChannelRecords {
-    pub(super) fn new(records: Records) -> Self {
+    pub(crate) fn new(records: Records) -> Self {
         Self { records: Arc::new(records), views: Mutex::default() }
     }
 
-    pub(super) fn records(&self) -> &Records {
+    pub(crate) fn records(&self) -> &Records {
         &self.records
     }
 
     /// The view over all pixels, which is always at hand once it was made.
-    pub(super) fn whole_view(&self) -> Arc<View> {
+    pub(crate) fn whole_view(&self) -> Arc<View> {
         let settings = optics_model::fit::FitSettings::default();
         let pixels = 0..self.records.pixels();
         self.view(&ViewKey { pixels, wavelet: settings.wavelet, level: settings.level })
     }
 
     /// The view of a key, made if it is not at hand.
-    pub(super) fn view(&self, key: &ViewKey) -> Arc<View> {
+    pub(crate) fn view(&self, key: &ViewKey) -> Arc<View> {
         let slot = {
             let mut views = self.views.lock().unwrap_or_else(PoisonError::into_inner);
             if let Some(i) = views.iter().position(|(other, _)| other == key) {
