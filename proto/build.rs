@@ -14,6 +14,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let descriptors = protox::compile(FILES, ["proto"])?;
     let out = std::path::PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(out.join("descriptors.bin"), prost::Message::encode_to_vec(&descriptors))?;
+    let services = descriptors.file.iter().flat_map(|file| &file.service);
+    let methods = services.flat_map(|service| {
+        service.method.iter().map(|m| format!("/farm.v1.{}/{}", service.name(), m.name()))
+    });
+    std::fs::write(out.join("methods.rs"), format!("&{:?}", methods.collect::<Vec<_>>()))?;
     // By its name the codec finds what a message may have in it.
     let mut config = tonic_prost_build::Config::new();
     config.enable_type_names();

@@ -24,6 +24,7 @@ mod turns;
 use std::sync::Arc;
 use std::time::Duration;
 
+use farm_proto::METHODS;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
@@ -63,7 +64,7 @@ impl Coordinator {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             physics_version: PHYSICS_VERSION.to_string(),
         };
-        let metrics = Metrics::new(build, rpc::METHODS);
+        let metrics = Metrics::new(build, METHODS.iter().copied());
         let of_commits = metrics.clone();
         let committed = move |commit: Commit| {
             of_commits.committed(commit.took, commit.results as u64, commit.records as u64);

@@ -12,12 +12,15 @@ pub mod status;
 pub use convert::{check_pixels, is_printable, mixtures, to_status};
 pub use ids::{DictionaryName, RequestLimits};
 
-/// Version of the messages between workers and coordinator. Whoever changes them so that older programs would
-/// misunderstand them raises it: then these are refused when they register.
+/// Version of the messages between workers and coordinator. It is raised by every change that older programs would
+/// misunderstand, so that they are refused when they register.
 pub const PROTOCOL_VERSION: u32 = 2;
 
 /// Metadata of the answer to an export: how many of the records asked for are done when it begins.
 pub const RECORDS_PROMISED: &str = "farm-records-promised";
+
+/// The paths of all methods, as in `/farm.v1.Fits/Fit`.
+pub const METHODS: &[&str] = include!(concat!(env!("OUT_DIR"), "/methods.rs"));
 
 /// Generated from `proto/farm/v1/*.proto`.
 #[expect(clippy::pedantic, clippy::allow_attributes, reason = "generated code")]

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryState, MachineFacts};
-use farm_proto::{DictionaryName, PROTOCOL_VERSION};
+use farm_proto::{DictionaryName, METHODS, PROTOCOL_VERSION};
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::scene::{Scene, Sensor};
@@ -23,7 +23,6 @@ use crate::actor::Actor;
 use crate::config::Config;
 use crate::dispatch::Registration;
 use crate::metrics::{BuildInfo, Metrics};
-use crate::rpc;
 use crate::store::{DataDir, Store};
 use crate::stored::{Completion, DesiredState, JobResult, Machine, Origin, Outcome};
 
@@ -75,7 +74,7 @@ async fn load(store: Store) -> Arc<Farm> {
 async fn load_with(store: Store, check_share: f64) -> Arc<Farm> {
     let build = BuildInfo { version: String::new(), physics_version: String::new() };
     let config = Config { check_share, ..Config::new("") };
-    Farm::load(store, &config, Metrics::new(build, rpc::METHODS)).await.unwrap()
+    Farm::load(store, &config, Metrics::new(build, METHODS.iter().copied())).await.unwrap()
 }
 
 /// A farm with a dictionary that is done. Its records lie in the database's log.
