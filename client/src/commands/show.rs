@@ -59,7 +59,9 @@ async fn all_failed(connection: &Connection, name: &DictionaryName) -> Result<Ve
     loop {
         let request = ListFailedRequest { name: name.to_string(), page_size: 1000, page_token };
         let page = connection.dictionaries().list_failed(request).await?.into_inner();
-        failed.extend(page.failed.into_iter().map(FailedJob::from));
+        for job in page.failed {
+            failed.push(FailedJob::try_from(job)?);
+        }
         page_token = page.next_page_token;
         if page_token.is_empty() {
             return Ok(failed);

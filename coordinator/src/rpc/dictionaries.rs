@@ -70,7 +70,7 @@ impl Dictionaries for Context {
         let next = failed.get(most).map(|failed| failed.job.to_string());
         failed.truncate(most);
         Ok(Response::new(ListFailedResponse {
-            failed: failed.iter().map(Into::into).collect(),
+            failed: failed.into_iter().map(Into::into).collect(),
             next_page_token: next.unwrap_or_default(),
         }))
     }

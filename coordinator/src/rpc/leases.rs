@@ -133,7 +133,8 @@ fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
 }
 
 fn facts(told: wire::MachineFacts) -> MachineFacts {
-    MachineFacts { kernel: short_line(&told.kernel), log: one_line(&told.log), ..told.into() }
+    let wire::MachineFacts { cores, memory_bytes, kernel, log } = told;
+    MachineFacts { cores, memory_bytes, kernel: short_line(&kernel), log: one_line(&log) }
 }
 
 /// A piece of the stream in which results come.

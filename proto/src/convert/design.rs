@@ -1,12 +1,12 @@
 //! Which slabs are worth photographing.
 
-use super::required;
+use super::mirror::{known_ones, list, mirror, mirror_enum, number, optional, required};
 use crate::wire;
 use optics_model::fit::{
     Design, DesignQuestion, DesignSettings, FitOptions, HalfWidths, Improvement, Limitation, PixelRow,
     SlabSet,
 };
-use optics_model::invalid::{Invalid, Result, each};
+use optics_model::invalid::{Invalid, Result};
 use optics_model::medium::Medium;
 
 impl TryFrom<wire::DesignRequest> for DesignQuestion {
@@ -52,137 +52,25 @@ impl From<&DesignQuestion> for wire::DesignRequest {
     }
 }
 
-impl TryFrom<wire::PixelRow> for PixelRow {
-    type Error = Invalid;
-
-    fn try_from(row: wire::PixelRow) -> Result<Self> {
-        Self::new(row.from_mm, row.to_mm, row.pitch_mm)
-    }
-}
-
-impl From<PixelRow> for wire::PixelRow {
-    fn from(row: PixelRow) -> Self {
-        Self { from_mm: row.from_mm(), to_mm: row.to_mm(), pitch_mm: row.pitch_mm() }
-    }
-}
-
-impl From<Design> for wire::DesignResponse {
-    fn from(design: Design) -> Self {
-        Self {
-            channel: design.channel,
-            medium: Some(design.medium.into()),
-            sample_ior: design.sample_ior,
-            pixels: Some(design.pixels.into()),
-            sets: design.sets.into_iter().map(Into::into).collect(),
-        }
-    }
-}
-
-impl TryFrom<wire::DesignResponse> for Design {
-    type Error = Invalid;
-
-    fn try_from(design: wire::DesignResponse) -> Result<Self> {
-        Ok(Self {
-            channel: design.channel,
-            medium: required("medium", design.medium)?.try_into()?,
-            sample_ior: design.sample_ior,
-            pixels: required("pixels", design.pixels)?.try_into()?,
-            sets: each("sets", design.sets, SlabSet::try_from)?,
-        })
-    }
-}
-
-impl From<SlabSet> for wire::SlabSet {
-    fn from(set: SlabSet) -> Self {
-        Self {
-            slabs_mm: set.slabs_mm,
-            shots: set.shots,
-            g_held: Some(set.g_held.into()),
-            g_free: set.g_free.map(Into::into),
-            best_of_its_effort: set.best_of_its_effort,
-            best: set.best,
-            improvements: set.improvements.into_iter().map(Into::into).collect(),
-        }
-    }
-}
-
-impl TryFrom<wire::SlabSet> for SlabSet {
-    type Error = Invalid;
-
-    fn try_from(set: wire::SlabSet) -> Result<Self> {
-        Ok(Self {
-            slabs_mm: set.slabs_mm,
-            shots: set.shots,
-            g_held: required("g_held", set.g_held)?.into(),
-            g_free: set.g_free.map(Into::into),
-            best_of_its_effort: set.best_of_its_effort,
-            best: set.best,
-            improvements: set.improvements.into_iter().filter_map(improvement).collect(),
-        })
-    }
-}
-
-impl From<HalfWidths> for wire::HalfWidths {
-    fn from(w: HalfWidths) -> Self {
-        Self {
-            sigma_t_per_mm: w.sigma_t_per_mm,
-            albedo: w.albedo,
-            g: w.g,
-            reduced_scattering_per_mm: w.reduced_scattering_per_mm,
-            absorption_per_mm: w.absorption_per_mm,
-        }
-    }
-}
-
-impl From<wire::HalfWidths> for HalfWidths {
-    fn from(w: wire::HalfWidths) -> Self {
-        Self {
-            sigma_t_per_mm: w.sigma_t_per_mm,
-            albedo: w.albedo,
-            g: w.g,
-            reduced_scattering_per_mm: w.reduced_scattering_per_mm,
-            absorption_per_mm: w.absorption_per_mm,
-        }
-    }
-}
-
-const LIMITATIONS: [(Limitation, wire::Limitation); 8] = [
-    (Limitation::Noise, wire::Limitation::Noise),
-    (Limitation::Thickness, wire::Limitation::Thickness),
-    (Limitation::Origin, wire::Limitation::Origin),
-    (Limitation::Blur, wire::Limitation::Blur),
-    (Limitation::Gain, wire::Limitation::Gain),
-    (Limitation::Zero, wire::Limitation::Zero),
-    (Limitation::Slope, wire::Limitation::Slope),
-    (Limitation::Scale, wire::Limitation::Scale),
-];
-
-impl From<Improvement> for wire::Improvement {
-    fn from(i: Improvement) -> Self {
-        let limitation = LIMITATIONS.into_iter().find(|(limitation, _)| *limitation == i.limitation);
-        Self {
-            limitation: limitation.map_or(wire::Limitation::Unspecified, |(_, wire)| wire).into(),
-            std_error: i.std_error,
-            halved: i.halved.map(Into::into),
-            removed: i.removed.map(Into::into),
-        }
-    }
-}
-
-/// None for what only a newer coordinator knows: without its name the numbers say nothing.
-fn improvement(i: wire::Improvement) -> Option<Improvement> {
-    let (limitation, _) = LIMITATIONS.into_iter().find(|(_, wire)| i32::from(*wire) == i.limitation)?;
-    Some(Improvement {
-        limitation,
-        std_error: i.std_error,
-        halved: i.halved.map(Into::into),
-        removed: i.removed.map(Into::into),
-    })
-}
+mirror!(PixelRow::new(from_mm, to_mm, pitch_mm));
+mirror!(Design as DesignResponse { channel, medium: required, sample_ior, pixels: required, sets: list });
+mirror!(SlabSet {
+    slabs_mm,
+    shots,
+    g_held: required,
+    g_free: optional,
+    best_of_its_effort,
+    best,
+    improvements: known_ones,
+});
+mirror!(HalfWidths { sigma_t_per_mm, albedo, g, reduced_scattering_per_mm, absorption_per_mm });
+mirror!(Improvement { limitation: number, std_error, halved: optional, removed: optional });
+mirror_enum!(Limitation { Noise, Thickness, Origin, Blur, Gain, Zero, Slope, Scale });
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::convert::mirror::Numbered;
     use optics_model::fit::FitSettings;
 
     fn medium() -> Medium {
@@ -231,8 +119,8 @@ mod tests {
             reduced_scattering_per_mm: 0.3 * v,
             absorption_per_mm: 0.2 * v,
         };
-        let improvement = |(limitation, _): (Limitation, wire::Limitation)| Improvement {
-            limitation,
+        let improvement = |number: i32| Improvement {
+            limitation: Limitation::of_number(number).unwrap(),
             std_error: Some(0.005),
             halved: Some(widths(0.04)),
             removed: Some(widths(0.03)),
@@ -249,7 +137,7 @@ mod tests {
                 g_free: Some(widths(0.9)),
                 best_of_its_effort: true,
                 best: true,
-                improvements: LIMITATIONS.into_iter().map(improvement).collect(),
+                improvements: (1..=8).map(improvement).collect(),
             }],
         };
         let mut wire = wire::DesignResponse::from(design.clone());

@@ -1,6 +1,6 @@
 //! Leases and jobs.
 
-use super::required;
+use super::mirror::required;
 use crate::ids::{DictionaryId, Token};
 use crate::lease::{Lease, LeaseKey};
 use crate::wire;

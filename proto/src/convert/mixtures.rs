@@ -1,19 +1,27 @@
-//! Mixtures, and what they tell of their inks.
+//! Mixtures, and the inks found from them.
 
-use super::required;
+use super::mirror::{list, mirror, optional, required};
 use crate::wire;
 use optics_model::fit::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
 use optics_model::invalid::{Invalid, Result, each};
 
-impl From<&MixturePart> for wire::MixturePart {
-    fn from(part: &MixturePart) -> Self {
+impl From<MixturePart> for wire::MixturePart {
+    fn from(part: MixturePart) -> Self {
         Self { ink: part.ink().to_owned(), volume_fraction: part.volume_fraction() }
+    }
+}
+
+impl TryFrom<wire::MixturePart> for MixturePart {
+    type Error = Invalid;
+
+    fn try_from(part: wire::MixturePart) -> Result<Self> {
+        Ok(Self::new(part.ink, part.volume_fraction))
     }
 }
 
 impl From<&Mixture> for wire::Mixture {
     fn from(mixture: &Mixture) -> Self {
-        let parts = mixture.parts().iter().map(Into::into).collect();
+        let parts = mixture.parts().iter().cloned().map(Into::into).collect();
         Self { material: mixture.material().to_owned(), parts }
     }
 }
@@ -29,112 +37,21 @@ pub fn mixtures(all: Vec<wire::Mixture>) -> Result<Option<Mixtures>> {
     Ok(Some(Mixtures::new(each("mixtures", all, mixture)?)?))
 }
 
-impl From<Unmixed> for wire::Unmixed {
-    fn from(unmixed: Unmixed) -> Self {
-        Self {
-            common: Some(unmixed.common.into()),
-            inks: unmixed.inks.into_iter().map(Into::into).collect(),
-            mixtures: unmixed.mixtures.into_iter().map(Into::into).collect(),
-        }
-    }
-}
-
-impl TryFrom<wire::Unmixed> for Unmixed {
-    type Error = Invalid;
-
-    fn try_from(unmixed: wire::Unmixed) -> Result<Self> {
-        Ok(Self {
-            common: required("common", unmixed.common)?.try_into()?,
-            inks: each("inks", unmixed.inks, TryInto::try_into)?,
-            mixtures: each("mixtures", unmixed.mixtures, TryInto::try_into)?,
-        })
-    }
-}
-
-impl From<InkFit> for wire::InkFit {
-    fn from(ink: InkFit) -> Self {
-        Self { material: ink.material, channels: ink.channels.into_iter().map(Into::into).collect() }
-    }
-}
-
-impl TryFrom<wire::InkFit> for InkFit {
-    type Error = Invalid;
-
-    fn try_from(ink: wire::InkFit) -> Result<Self> {
-        Ok(Self { material: ink.material, channels: each("channels", ink.channels, TryInto::try_into)? })
-    }
-}
-
-impl From<InkChannel> for wire::InkChannel {
-    fn from(ink: InkChannel) -> Self {
-        Self {
-            channel: ink.channel,
-            medium: Some(ink.medium.into()),
-            sigma_t_per_mm: Some(ink.sigma_t_per_mm.into()),
-            albedo: Some(ink.albedo.into()),
-            g: Some(ink.g.into()),
-            reduced_scattering_per_mm: Some(ink.reduced_scattering_per_mm.into()),
-            absorption_per_mm: Some(ink.absorption_per_mm.into()),
-            resolved: ink.resolved,
-            from_mixtures: ink.from_mixtures,
-        }
-    }
-}
-
-impl TryFrom<wire::InkChannel> for InkChannel {
-    type Error = Invalid;
-
-    fn try_from(ink: wire::InkChannel) -> Result<Self> {
-        Ok(Self {
-            channel: ink.channel,
-            medium: required("medium", ink.medium)?.try_into()?,
-            sigma_t_per_mm: required("sigma_t_per_mm", ink.sigma_t_per_mm)?.into(),
-            albedo: required("albedo", ink.albedo)?.into(),
-            g: required("g", ink.g)?.into(),
-            reduced_scattering_per_mm: required("reduced_scattering_per_mm", ink.reduced_scattering_per_mm)?
-                .into(),
-            absorption_per_mm: required("absorption_per_mm", ink.absorption_per_mm)?.into(),
-            resolved: ink.resolved,
-            from_mixtures: ink.from_mixtures,
-        })
-    }
-}
-
-impl From<MixtureFit> for wire::MixtureFit {
-    fn from(fit: MixtureFit) -> Self {
-        let agreement = fit.agreement.map(|a| {
-            let Agreement { chi2, pixels, misfit, pull } = a;
-            wire::Agreement { chi2, pixels, misfit, pull }
-        });
-        Self {
-            material: fit.material,
-            channel: fit.channel,
-            parts: fit.parts.iter().map(Into::into).collect(),
-            medium: Some(fit.medium.into()),
-            agreement,
-            left_out: fit.left_out,
-        }
-    }
-}
-
-impl TryFrom<wire::MixtureFit> for MixtureFit {
-    type Error = Invalid;
-
-    fn try_from(fit: wire::MixtureFit) -> Result<Self> {
-        let agreement = fit.agreement.map(|a| {
-            let wire::Agreement { chi2, pixels, misfit, pull } = a;
-            Agreement { chi2, pixels, misfit, pull }
-        });
-        Ok(Self {
-            material: fit.material,
-            channel: fit.channel,
-            parts: fit.parts.into_iter().map(|p| MixturePart::new(p.ink, p.volume_fraction)).collect(),
-            medium: required("medium", fit.medium)?.try_into()?,
-            agreement,
-            left_out: fit.left_out,
-        })
-    }
-}
+mirror!(Unmixed { common: required, inks: list, mixtures: list });
+mirror!(InkFit { material, channels: list });
+mirror!(InkChannel {
+    channel,
+    medium: required,
+    sigma_t_per_mm: required,
+    albedo: required,
+    g: required,
+    reduced_scattering_per_mm: required,
+    absorption_per_mm: required,
+    resolved,
+    from_mixtures,
+});
+mirror!(MixtureFit { material, channel, parts: list, medium: required, agreement: optional, left_out });
+mirror!(Agreement { chi2, pixels, misfit, pull });
 
 #[cfg(test)]
 mod tests {

@@ -6,6 +6,7 @@ mod fit;
 mod lease;
 mod likelihood;
 mod measurement;
+mod mirror;
 mod mixtures;
 mod model;
 mod profile;
@@ -15,7 +16,7 @@ mod text;
 
 pub use measurement::check_pixels;
 pub use mixtures::mixtures;
-use optics_model::{Invalid, Result};
+use optics_model::Invalid;
 pub use text::is_printable;
 pub(crate) use text::{check_text, shortened};
 use tonic_types::{ErrorDetails, StatusExt};
@@ -25,9 +26,4 @@ pub fn to_status(invalid: &Invalid) -> tonic::Status {
     let why = format!("{} is not valid: {}", invalid.given(), invalid.allowed());
     let details = ErrorDetails::with_bad_request_violation(invalid.field(), why);
     tonic::Status::with_error_details(tonic::Code::InvalidArgument, invalid.to_string(), details)
-}
-
-/// A message field that must be there.
-fn required<T>(field: &str, value: Option<T>) -> Result<T> {
-    value.ok_or_else(|| Invalid::new(field, "nothing", "a value is needed"))
 }

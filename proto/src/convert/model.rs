@@ -1,6 +1,6 @@
 //! Scenes, grids, points, profiles, records.
 
-use super::required;
+use super::mirror::{Numbered, mirror, mirror_enum, required};
 use crate::wire;
 use optics_model::grid::{Axes, Effort, Grid, NoiseLevel, Quality, Walks};
 use optics_model::invalid::{Invalid, Result, each};
@@ -80,12 +80,9 @@ impl From<&Grid> for wire::Grid {
                 max_walks: q.max_walks().get(),
             }),
             noise: match grid.effort() {
-                Effort::Walks(_) => wire::NoiseLevel::Unspecified,
-                Effort::Noise(NoiseLevel::Draft) => wire::NoiseLevel::Draft,
-                Effort::Noise(NoiseLevel::Paper) => wire::NoiseLevel::Paper,
-                Effort::Noise(NoiseLevel::Fine) => wire::NoiseLevel::Fine,
-            }
-            .into(),
+                Effort::Walks(_) => 0,
+                Effort::Noise(level) => level.number(),
+            },
         }
     }
 }
@@ -114,51 +111,20 @@ impl TryFrom<wire::Grid> for Grid {
 }
 
 fn effort(walks: u64, noise: i32) -> Result<Effort> {
-    let level = match wire::NoiseLevel::try_from(noise) {
-        Ok(wire::NoiseLevel::Unspecified) => return Ok(Walks::new(walks)?.into()),
-        Ok(wire::NoiseLevel::Draft) => NoiseLevel::Draft,
-        Ok(wire::NoiseLevel::Paper) => NoiseLevel::Paper,
-        Ok(wire::NoiseLevel::Fine) => NoiseLevel::Fine,
-        Err(_) => return Err(Invalid::new("noise", noise, "allowed are the levels 1 to 3")),
-    };
+    if noise == 0 {
+        return Ok(Walks::new(walks)?.into());
+    }
+    let level = NoiseLevel::of_number(noise)
+        .ok_or_else(|| Invalid::new("noise", noise, "allowed are the levels 1 to 3"))?;
     if walks != 0 {
         return Err(Invalid::new("walks", walks, "a level of noise says how many already"));
     }
     Ok(level.into())
 }
 
-impl From<TransportPoint> for wire::TransportPoint {
-    fn from(point: TransportPoint) -> Self {
-        Self {
-            sigma_t_per_mm: point.sigma_t_per_mm(),
-            g: point.g(),
-            thickness_mm: point.thickness_mm(),
-            sample_ior: point.sample_ior(),
-        }
-    }
-}
-
-impl TryFrom<wire::TransportPoint> for TransportPoint {
-    type Error = Invalid;
-
-    fn try_from(p: wire::TransportPoint) -> Result<Self> {
-        Self::new(p.sigma_t_per_mm, p.g, p.thickness_mm, p.sample_ior)
-    }
-}
-
-impl From<Medium> for wire::Medium {
-    fn from(m: Medium) -> Self {
-        Self { sigma_t_per_mm: m.sigma_t_per_mm(), albedo: m.albedo(), g: m.g() }
-    }
-}
-
-impl TryFrom<wire::Medium> for Medium {
-    type Error = Invalid;
-
-    fn try_from(m: wire::Medium) -> Result<Self> {
-        Self::new(m.sigma_t_per_mm, m.albedo, m.g)
-    }
-}
+mirror!(TransportPoint::new(sigma_t_per_mm, g, thickness_mm, sample_ior));
+mirror!(Medium::new(sigma_t_per_mm, albedo, g));
+mirror_enum!(NoiseLevel { Draft, Paper, Fine });
 
 impl From<Estimate> for wire::Estimate {
     fn from(estimate: Estimate) -> Self {

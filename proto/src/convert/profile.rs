@@ -1,6 +1,6 @@
 //! What a slab looks like by a dictionary.
 
-use super::required;
+use super::mirror::{absent_if_empty, mirror, required};
 use crate::wire;
 use optics_model::fit::{PixelRow, PredictedChannel, PredictedProfiles, ProfileQuestion};
 use optics_model::invalid::{Invalid, Result, each};
@@ -58,23 +58,13 @@ impl TryFrom<wire::ProfileResponse> for PredictedProfiles {
     }
 }
 
-impl From<PredictedChannel> for wire::PredictedChannel {
-    fn from(channel: PredictedChannel) -> Self {
-        Self {
-            channel: channel.channel,
-            values: channel.values,
-            std_errors: channel.std_errors.unwrap_or_default(),
-            gradient: channel.gradient,
-        }
-    }
-}
+mirror!(PredictedChannel { channel, values, std_errors: absent_if_empty, gradient });
 
 /// A channel with a number for each pixel.
 fn checked(channel: wire::PredictedChannel, pixels: usize) -> Result<PredictedChannel> {
-    let wire::PredictedChannel { channel, values, std_errors, gradient } = channel;
-    let std_errors = (!std_errors.is_empty()).then_some(std_errors);
-    let lengths = [("values", values.len()), ("gradient", gradient.len())];
-    let of_errors = std_errors.as_ref().map(|errors| ("std_errors", errors.len()));
+    let channel = PredictedChannel::try_from(channel)?;
+    let lengths = [("values", channel.values.len()), ("gradient", channel.gradient.len())];
+    let of_errors = channel.std_errors.as_ref().map(|errors| ("std_errors", errors.len()));
     if let Some((field, given)) = lengths.into_iter().chain(of_errors).find(|(_, given)| *given != pixels) {
         return Err(Invalid::new(
             field,
@@ -82,7 +72,7 @@ fn checked(channel: wire::PredictedChannel, pixels: usize) -> Result<PredictedCh
             format!("{pixels} pixels have one each"),
         ));
     }
-    Ok(PredictedChannel { channel, values, std_errors, gradient })
+    Ok(channel)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The search of the scale factor, and distance maps.
 
-use super::required;
+use super::mirror::{list, mirror, optional, required};
 use crate::wire;
 use optics_model::fit::{Common, DistanceMap, GError, MapLayer, MuRange, ScaleCurve, ScalePoint};
 use optics_model::invalid::{Invalid, Result, each};
@@ -22,17 +22,7 @@ impl From<MuRange> for wire::MuRange {
     }
 }
 
-impl From<ScalePoint> for wire::ScalePoint {
-    fn from(point: ScalePoint) -> Self {
-        Self { mu: point.mu, error: point.error }
-    }
-}
-
-impl From<wire::ScalePoint> for ScalePoint {
-    fn from(point: wire::ScalePoint) -> Self {
-        Self { mu: point.mu, error: point.error }
-    }
-}
+mirror!(ScalePoint { mu, error });
 
 impl From<GError> for wire::GError {
     fn from(e: GError) -> Self {
@@ -50,65 +40,8 @@ impl TryFrom<wire::GError> for GError {
     }
 }
 
-impl From<Common> for wire::Common {
-    fn from(common: Common) -> Self {
-        Self {
-            mu: common.mu,
-            mu_std_error: common.mu_std_error,
-            mu_interval: Some(common.mu_interval.into()),
-            mu_chosen: common.mu_chosen,
-            g: common.g,
-            g_interval: common.g_interval.map(Into::into),
-            by_g: common.by_g.into_iter().map(Into::into).collect(),
-        }
-    }
-}
-
-impl TryFrom<wire::Common> for Common {
-    type Error = Invalid;
-
-    fn try_from(common: wire::Common) -> Result<Self> {
-        Ok(Self {
-            mu: common.mu,
-            mu_std_error: common.mu_std_error,
-            mu_interval: required("mu_interval", common.mu_interval)?.into(),
-            mu_chosen: common.mu_chosen,
-            g: common.g,
-            g_interval: common.g_interval.map(Into::into),
-            by_g: each("by_g", common.by_g, TryInto::try_into)?,
-        })
-    }
-}
-
-impl From<ScaleCurve> for wire::ScaleCurve {
-    fn from(curve: ScaleCurve) -> Self {
-        Self {
-            points: curve.points.into_iter().map(Into::into).collect(),
-            best: Some(curve.best.into()),
-            std_error: curve.std_error,
-            curvature: curve.curvature,
-            at_end: curve.at_end,
-            by_g: curve.by_g.into_iter().map(Into::into).collect(),
-            best_g: curve.best_g,
-        }
-    }
-}
-
-impl TryFrom<wire::ScaleCurve> for ScaleCurve {
-    type Error = Invalid;
-
-    fn try_from(curve: wire::ScaleCurve) -> Result<Self> {
-        Ok(Self {
-            points: curve.points.into_iter().map(Into::into).collect(),
-            best: required("best", curve.best)?.into(),
-            std_error: curve.std_error,
-            curvature: curve.curvature,
-            at_end: curve.at_end,
-            by_g: each("by_g", curve.by_g, TryInto::try_into)?,
-            best_g: curve.best_g,
-        })
-    }
-}
+mirror!(Common { mu, mu_std_error, mu_interval: required, mu_chosen, g, g_interval: optional, by_g: list });
+mirror!(ScaleCurve { points: list, best: required, std_error, curvature, at_end, by_g: list, best_g });
 
 impl From<DistanceMap> for wire::DistanceMap {
     fn from(map: DistanceMap) -> Self {

@@ -1,6 +1,7 @@
 //! Progress of dictionaries and workers.
 
-use super::{required, shortened};
+use super::mirror::{Numbered, list, mirror, mirror_enum, number, optional, required};
+use super::shortened;
 use crate::ids::{DictionaryName, WorkerId};
 use crate::status::{
     DictionaryState, DictionaryStatus, FAILED_JOBS, FailedJob, JobState, MachineFacts, WorkerState,
@@ -11,70 +12,22 @@ use optics_model::digest::Digest;
 use optics_model::grid::Grid;
 use optics_model::invalid::{Invalid, Result};
 
-impl From<DictionaryState> for wire::DictionaryState {
-    fn from(state: DictionaryState) -> Self {
-        match state {
-            DictionaryState::Running => Self::Running,
-            DictionaryState::Done => Self::Done,
-            DictionaryState::Failed => Self::Failed,
-            DictionaryState::Paused => Self::Paused,
-            DictionaryState::Cancelled => Self::Cancelled,
-            DictionaryState::Outdated => Self::Outdated,
-        }
-    }
-}
-
-fn state(number: i32) -> Result<DictionaryState> {
-    match wire::DictionaryState::try_from(number) {
-        Ok(wire::DictionaryState::Running) => Ok(DictionaryState::Running),
-        Ok(wire::DictionaryState::Done) => Ok(DictionaryState::Done),
-        Ok(wire::DictionaryState::Failed) => Ok(DictionaryState::Failed),
-        Ok(wire::DictionaryState::Paused) => Ok(DictionaryState::Paused),
-        Ok(wire::DictionaryState::Cancelled) => Ok(DictionaryState::Cancelled),
-        Ok(wire::DictionaryState::Outdated) => Ok(DictionaryState::Outdated),
-        Ok(wire::DictionaryState::Unspecified) | Err(_) => {
-            Err(Invalid::new("state", number, "a state that this version knows is needed"))
-        }
-    }
-}
-
-impl From<JobState> for wire::JobState {
-    fn from(state: JobState) -> Self {
-        match state {
-            JobState::Waiting => Self::Waiting,
-            JobState::Computing => Self::Computing,
-            JobState::Done => Self::Done,
-            JobState::Checked => Self::Checked,
-            JobState::Failed => Self::Failed,
-        }
-    }
-}
+mirror_enum!(DictionaryState { Running, Done, Failed, Paused, Cancelled, Outdated });
+mirror_enum!(JobState { Waiting, Computing, Done, Checked, Failed });
+mirror_enum!(WorkerState { Working, Idle, Draining, Fenced, Silent, Suspended });
+mirror!(FailedJob { job, reason, quarantined });
+mirror!(MachineFacts { cores, memory_bytes, kernel, log });
 
 impl wire::JobStates {
     /// States of jobs that follow each other.
     pub fn new(first: u32, states: &[JobState]) -> Self {
-        Self { first, states: states.iter().map(|state| wire::JobState::from(*state) as u8).collect() }
+        Self { first, states: states.iter().map(|state| state.number() as u8).collect() }
     }
 
     /// The first job, and the states from it on.
     pub fn read(&self) -> Result<(usize, Vec<JobState>)> {
-        let state = |byte: &u8| {
-            let known = JobState::ALL.into_iter().find(|state| wire::JobState::from(*state) as u8 == *byte);
-            known.ok_or_else(|| Invalid::new("states", byte, "a state that this version knows is needed"))
-        };
+        let state = |byte: &u8| number::from_wire("state", i32::from(*byte)).map_err(|e| e.renamed("states"));
         Ok((self.first as usize, self.states.iter().map(state).collect::<Result<_>>()?))
-    }
-}
-
-impl From<&FailedJob> for wire::FailedJob {
-    fn from(failed: &FailedJob) -> Self {
-        Self { job: failed.job, reason: failed.reason.clone(), quarantined: failed.quarantined }
-    }
-}
-
-impl From<wire::FailedJob> for FailedJob {
-    fn from(failed: wire::FailedJob) -> Self {
-        Self { job: failed.job, reason: failed.reason, quarantined: failed.quarantined }
     }
 }
 
@@ -86,13 +39,13 @@ impl From<&DictionaryStatus> for wire::Dictionary {
             grid_digest: status.grid_digest.to_string(),
             records_digest: status.records_digest.map(|d| d.to_string()).unwrap_or_default(),
             created_unix_ms: status.created_unix_ms,
-            state: wire::DictionaryState::from(status.state).into(),
+            state: status.state.number(),
             records_total: status.records_total() as u64,
             records_done: status.records_done() as u64,
             jobs_total: status.jobs_total() as u64,
             jobs_done: status.jobs_done as u64,
             jobs_leased: status.jobs_leased as u64,
-            failed: status.failed.iter().take(FAILED_JOBS).map(Into::into).collect(),
+            failed: status.failed.iter().take(FAILED_JOBS).cloned().map(Into::into).collect(),
             work_done: status.work_done,
             priority: status.priority,
             reason: status.reason.clone(),
@@ -134,13 +87,13 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
                 hex => Some(digest("records_digest", hex)?),
             },
             created_unix_ms: d.created_unix_ms,
-            state: state(d.state)?,
+            state: number::from_wire("state", d.state)?,
             jobs_done: d.jobs_done as usize,
             jobs_leased: d.jobs_leased as usize,
             jobs_disputed: d.jobs_disputed as usize,
             // One of before tells the jobs alone.
             jobs_failed: d.failed.len().max(d.jobs_failed as usize),
-            failed: d.failed.into_iter().map(Into::into).collect(),
+            failed: list::from_wire("failed", d.failed)?,
             work_done: d.work_done,
             priority: d.priority,
             reason: d.reason,
@@ -156,31 +109,6 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
     }
 }
 
-impl From<WorkerState> for wire::WorkerState {
-    fn from(state: WorkerState) -> Self {
-        match state {
-            WorkerState::Working => Self::Working,
-            WorkerState::Idle => Self::Idle,
-            WorkerState::Draining => Self::Draining,
-            WorkerState::Fenced => Self::Fenced,
-            WorkerState::Silent => Self::Silent,
-            WorkerState::Suspended => Self::Suspended,
-        }
-    }
-}
-
-impl From<MachineFacts> for wire::MachineFacts {
-    fn from(facts: MachineFacts) -> Self {
-        Self { cores: facts.cores, memory_bytes: facts.memory_bytes, kernel: facts.kernel, log: facts.log }
-    }
-}
-
-impl From<wire::MachineFacts> for MachineFacts {
-    fn from(facts: wire::MachineFacts) -> Self {
-        Self { cores: facts.cores, memory_bytes: facts.memory_bytes, kernel: facts.kernel, log: facts.log }
-    }
-}
-
 impl From<WorkerStatus> for wire::Worker {
     fn from(w: WorkerStatus) -> Self {
         Self {
@@ -190,7 +118,7 @@ impl From<WorkerStatus> for wire::Worker {
             leases: w.leases,
             jobs_done: w.jobs_done,
             silent_ms: w.silent_ms,
-            state: wire::WorkerState::from(w.state).into(),
+            state: w.state.number(),
             version: w.version,
             suspended_ms: w.suspended_ms,
             facts: Some(w.facts.into()),
@@ -203,17 +131,6 @@ impl TryFrom<wire::Worker> for WorkerStatus {
     type Error = Invalid;
 
     fn try_from(w: wire::Worker) -> Result<Self> {
-        let state = match wire::WorkerState::try_from(w.state) {
-            Ok(wire::WorkerState::Working) => WorkerState::Working,
-            Ok(wire::WorkerState::Idle) => WorkerState::Idle,
-            Ok(wire::WorkerState::Draining) => WorkerState::Draining,
-            Ok(wire::WorkerState::Fenced) => WorkerState::Fenced,
-            Ok(wire::WorkerState::Silent) => WorkerState::Silent,
-            Ok(wire::WorkerState::Suspended) => WorkerState::Suspended,
-            Ok(wire::WorkerState::Unspecified) | Err(_) => {
-                return Err(Invalid::new("state", w.state, "a state that this version knows is needed"));
-            }
-        };
         Ok(Self {
             id: WorkerId(w.worker_id),
             label: w.label,
@@ -221,10 +138,10 @@ impl TryFrom<wire::Worker> for WorkerStatus {
             leases: w.leases,
             jobs_done: w.jobs_done,
             silent_ms: w.silent_ms,
-            state,
+            state: number::from_wire("state", w.state)?,
             suspended_ms: w.suspended_ms,
             version: w.version,
-            facts: w.facts.map(Into::into).unwrap_or_default(),
+            facts: optional::from_wire("facts", w.facts)?.unwrap_or_default(),
             machine: w.machine,
         })
     }
