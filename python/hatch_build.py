@@ -1,4 +1,4 @@
-"""What a wheel has besides Python: the three programs, and the modules of the gRPC interface.
+"""Adds the three programs and the modules of the gRPC interface to a wheel.
 
 `cargo build --release` makes the programs, or FARM_PROGRAMS names the folder where they are. The wheel runs on what the
 programs run on: any Python, and a C library at least as new as the newest symbol that they use.
@@ -45,13 +45,13 @@ class Wheel(BuildHookInterface):
 
 
 def built_programs() -> list[pathlib.Path]:
-    told = os.environ.get("FARM_PROGRAMS")
-    if told is None:
+    named = os.environ.get("FARM_PROGRAMS")
+    if named is None:
         packages = [option for program in ["farmctl", *PROGRAMS[1:]] for option in ("--package", program)]
         command = ["cargo", "build", "--release", "--locked", *packages]
         subprocess.run(command, cwd=CHECKOUT, check=True)
     target = os.environ.get("CARGO_TARGET_DIR", CHECKOUT / "target")
-    folder = pathlib.Path(told) if told else pathlib.Path(target) / "release"
+    folder = pathlib.Path(named) if named else pathlib.Path(target) / "release"
     programs = [folder.resolve() / program for program in PROGRAMS]
     missing = [str(program) for program in programs if not program.is_file()]
     if missing:

@@ -1,4 +1,4 @@
-"""Python tells the numbers that farmctl tells, and shows them well."""
+"""Answers have the numbers of farmctl, and readable forms."""
 
 import io
 import json
@@ -50,7 +50,7 @@ def test_a_measurement_is_what_farmctl_measures(farm: resin_farm.Farm) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "options"),
+    ("given", "options"),
     [
         ({"g": 0.4}, ["--g", "0.4"]),
         (
@@ -63,9 +63,9 @@ def test_a_measurement_is_what_farmctl_measures(farm: resin_farm.Farm) -> None:
         ),
     ],
 )
-def test_a_fit_is_what_farmctl_fits(farm: resin_farm.Farm, told: resin_farm.FitOptions, options: list[str]) -> None:
+def test_a_fit_is_what_farmctl_fits(farm: resin_farm.Farm, given: resin_farm.FitOptions, options: list[str]) -> None:
     found = farmctl(farm, "fit", str(WHITE), *options)
-    same(farm.fit(WHITE, **told), _decode.material_of_json(found["materials"][0], found["assumed"]))
+    same(farm.fit(WHITE, **given), _decode.material_of_json(found["materials"][0], found["assumed"]))
 
 
 def test_fits_say_what_is_wrong(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
@@ -114,7 +114,7 @@ def test_numbers_in_memory_are_checked_as_files_are(farm: resin_farm.Farm, white
     assert any("misfit" in remark or "brighter" in remark for remark in fit.remarks), fit.remarks
     assert fit.remarks[0] in str(fit) and "<p>white" in fit._repr_html_()
     assert "assumed" not in str(fit), "the paper's distance assumes nothing"
-    assert "assumed, as nobody told them: thickness_std_error_mm" in str(farm.fit(white, g=0.4))
+    assert "assumed: thickness_std_error_mm" in str(farm.fit(white, g=0.4))
 
 
 def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement, tmp_path: pathlib.Path) -> None:
@@ -127,10 +127,10 @@ def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement
         )
         for p in white.profiles
     ]
-    told = resin_farm.Measurement("told", known)
-    told.to_pandas().to_csv(tmp_path / "told.csv", index=False)
-    same(resin_farm.read_measurements(tmp_path / "told.csv"), [told])
-    assert told.profiles[0].set_up == {"origin_mm": 0.1}
+    complete = resin_farm.Measurement("complete", known)
+    complete.to_pandas().to_csv(tmp_path / "complete.csv", index=False)
+    same(resin_farm.read_measurements(tmp_path / "complete.csv"), [complete])
+    assert complete.profiles[0].set_up == {"origin_mm": 0.1}
     (tmp_path / "bad.csv").write_text("material,channel,x_mm,value\n", encoding="utf-8")
     with pytest.raises(resin_farm.InvalidArgument, match="thickness_mm"):
         resin_farm.read_measurements(tmp_path / "bad.csv")
@@ -167,21 +167,21 @@ def test_a_dictionary_as_an_array_has_the_records(farm: resin_farm.Farm) -> None
     record = dataset["value"].sel(at, method="nearest").isel(sample_ior=0)
     np.testing.assert_allclose(profile["G"], record.sel(channel="G"), atol=0.01)
     options = "profile --sigma-t 6 --albedo 0.999 --g 0.4 --thickness 0.5 --channel G".split()
-    told = farmctl(farm, *options)
-    np.testing.assert_array_equal(profile["G"], told["channels"][0]["values"])
+    expected = farmctl(farm, *options)
+    np.testing.assert_array_equal(profile["G"], expected["channels"][0]["values"])
     np.testing.assert_allclose(profile.x_mm, dataset["x_mm"], atol=1e-12)
     between = dictionary.profile(sigma_t=6.5, albedo=0.9992, g=0.35, thickness_mm=0.5, channels=("R",))
     assert not between.recorded and list(between.channels) == ["R"]
 
 
 def test_a_simulation_is_that_of_farmctl(farm: resin_farm.Farm) -> None:
-    told = {"sigma_t": 6.0, "albedo": 0.99, "g": -0.4, "thickness_mm": 0.5, "walks": 5000}
-    profile = farm.simulate(**told)  # type: ignore[arg-type]
+    options = {"sigma_t": 6.0, "albedo": 0.99, "g": -0.4, "thickness_mm": 0.5, "walks": 5000}
+    profile = farm.simulate(**options)  # type: ignore[arg-type]
     frame = profile.to_pandas()
     command = "simulate --sigma-t 6 --albedo 0.99 --g=-0.4 --thickness 0.5 --walks 5000".split()
     ran = subprocess.run([_programs.program("farmctl"), *command], check=True, capture_output=True, encoding="utf-8")
-    told_there = pd.read_csv(io.StringIO(ran.stdout))
-    np.testing.assert_array_equal(frame["value"].astype(np.float32), told_there["value"].astype(np.float32))
+    expected = pd.read_csv(io.StringIO(ran.stdout))
+    np.testing.assert_array_equal(frame["value"].astype(np.float32), expected["value"].astype(np.float32))
     with pytest.raises(resin_farm.FarmError, match=r"albedo = 1\.5 is not valid"):
         resin_farm.simulate(sigma_t=1, albedo=1.5, g=0, thickness_mm=1)
 
@@ -223,8 +223,8 @@ def test_maps_and_designs_are_those_of_farmctl(farm: resin_farm.Farm, white: res
     import matplotlib
 
     matplotlib.use("Agg")
-    told = farmctl(farm, "map", str(WHITE))
-    for found, expected in zip(farm.map(white), told["maps"], strict=True):
+    answer = farmctl(farm, "map", str(WHITE))
+    for found, expected in zip(farm.map(white), answer["maps"], strict=True):
         assert found.channel == expected["channel"] and found.errors.shape == (2, 9, 4)
         np.testing.assert_array_equal(found.errors.ravel(), np.ravel([layer["errors"] for layer in expected["layers"]]))
         assert found.plot().axes

@@ -11,7 +11,7 @@ import pytest
 import resin_farm
 from conftest import GRID
 
-# A farm that waits for nobody must not hang its test.
+# A farm that waits without end must not hang its test.
 SOON = 60.0
 
 
@@ -20,6 +20,7 @@ def medium(farm: resin_farm.Farm, white: resin_farm.Measurement) -> resin_farm.M
 
 
 def names(dictionary: resin_farm.Dictionary) -> tuple[str, list[str]]:
+    assert isinstance(dictionary._farm, resin_farm.Farm)
     return dictionary.refresh().name, [d.name for d in dictionary._farm.dictionaries()]
 
 

@@ -164,8 +164,8 @@ def test_a_link_that_is_dead_without_a_word_is_left(
     server: Server, link: Link, waiting: Future[resin_farm.Dictionary], caplog: pytest.LogCaptureFixture
 ) -> None:
     link.freeze()
-    until("it is told", lambda: "does not answer and is waited for" in caplog.text)
-    until("it is told", lambda: "answers again" in caplog.text)
+    until("it is logged", lambda: "does not answer and is waited for" in caplog.text)
+    until("it is logged", lambda: "answers again" in caplog.text)
     server.work()
     assert waiting.result(SOON).state == "done"
 
@@ -175,9 +175,9 @@ def test_a_coordinator_that_is_killed_and_comes_back_is_waited_for(
 ) -> None:
     server.process.send_signal(signal.SIGKILL)
     server.process.wait()
-    until("it is told", lambda: "does not answer and is waited for" in caplog.text)
+    until("it is logged", lambda: "does not answer and is waited for" in caplog.text)
     server.start()
-    until("it is told", lambda: "answers again" in caplog.text)
+    until("it is logged", lambda: "answers again" in caplog.text)
     server.work()
     assert waiting.result(SOON).records_done == 2
 
@@ -188,7 +188,7 @@ def test_another_grid_of_the_same_name_is_not_waited_for(
     # So that the wait sees nothing in between.
     link.refuses = True
     link.freeze()
-    until("it is told", lambda: "does not answer and is waited for" in caplog.text)
+    until("it is logged", lambda: "does not answer and is waited for" in caplog.text)
     farm = resin_farm.Farm.connect(f"http://127.0.0.1:{server.port}")
     replace(farm)
     farm.close()

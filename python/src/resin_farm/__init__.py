@@ -11,6 +11,15 @@ air under the same light.
 """
 
 from resin_farm.capture import Capture
+from resin_farm.channel_fit import (
+    Candidate,
+    ChannelFit,
+    Curves,
+    Likelihood,
+    NuisanceEstimate,
+    Refined,
+    SourceShare,
+)
 from resin_farm.design import Design, HalfWidths, SlabSet
 from resin_farm.dictionary import Dictionary
 from resin_farm.errors import Deleted, FarmError, InvalidArgument, NotFound, Refused, Unavailable
@@ -18,22 +27,10 @@ from resin_farm.farm import Farm
 from resin_farm.grid import Grid
 from resin_farm.maps import DistanceMap
 from resin_farm.measurement import MeasuredProfile, Measurement, MeasurementWarning, read_measurements
+from resin_farm.medium import Interval, Medium
 from resin_farm.options import FitOptions
 from resin_farm.profile import Profile, simulate
-from resin_farm.results import (
-    Candidate,
-    ChannelFit,
-    Curves,
-    Interval,
-    Likelihood,
-    MaterialFit,
-    Measured,
-    Medium,
-    NuisanceEstimate,
-    Refined,
-    ScaleCurve,
-    SourceShare,
-)
+from resin_farm.results import MaterialFit, Measured, ScaleCurve
 
 __all__ = [
     "Candidate",

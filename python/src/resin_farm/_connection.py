@@ -17,10 +17,10 @@ from resin_farm import errors
 
 Answer = TypeVar("Answer")
 
-# Whole dictionaries' answers; the coordinator's own limit is smaller.
+# Answers about whole dictionaries; the coordinator's own limit is smaller.
 _LARGEST = 256 << 20
 
-# Pings find links that were cut without a word.
+# Pings detect links that were cut without a reset.
 _KEEPALIVE_MS = 20_000
 
 # Codes with which proxies, and the transport itself, end a stream.
@@ -86,7 +86,7 @@ class Connection:
         return errors.Unavailable(f"the connection to {self.address} was closed")
 
     def answers(self) -> bool:
-        """Whether there is somebody at the other end."""
+        """Whether the other end answers."""
         if self._closed:
             return False
         ready = grpc.channel_ready_future(self._channel)
@@ -114,7 +114,7 @@ def not_in_a_fork() -> None:
     if _process != os.getpid():
         raise errors.FarmError(
             f"process {_process} has opened a farm, and this one ({os.getpid()}) is a fork of it, where gRPC does not "
-            'work: use multiprocessing.get_context("spawn") or "forkserver", where a Farm opens itself anew'
+            'work: use multiprocessing.get_context("spawn") or "forkserver", where a Farm opens itself again'
         )
 
 
@@ -125,7 +125,7 @@ def of_loopback(url: str) -> Connection:
     port = address.rpartition(":")[2]
     if _is_loopback(address):
         if path := _socket(port):
-            # A path is no name of a host, which HTTP/2 wants to see.
+            # HTTP/2 needs the name of a host, which a path is not.
             options = [*_options(address), ("grpc.default_authority", "localhost")]
             return Connection(grpc.insecure_channel(f"unix:{path}", options), url)
         for owner in _listeners(int(port)) - {os.geteuid(), 0}:
@@ -137,12 +137,12 @@ def _socket(port: str) -> pathlib.Path | None:
     """The socket of this user's coordinator on a port, in a folder that is closed to others."""
     user = os.geteuid()
     folders = [f"/run/user/{user}/resin-farm", f"/tmp/resin-farm-{user}"]
-    for folder in map(pathlib.Path, [told] if (told := os.environ.get("FARM_SOCKETS")) else folders):
+    for folder in map(pathlib.Path, [given] if (given := os.environ.get("FARM_SOCKETS")) else folders):
         try:
             about = folder.lstat()
             closed = stat.S_ISDIR(about.st_mode) and about.st_uid == user and not about.st_mode & 0o077
             with socket.socket(socket.AF_UNIX) as trial:
-                # One that was killed leaves its name.
+                # A coordinator that was killed leaves its socket's name.
                 trial.connect(str(folder / port))
         except OSError:
             continue
@@ -169,7 +169,7 @@ def of_access_file(path: pathlib.Path) -> Connection:
     for key in ("server", "ca_certificate", "token"):
         if key not in access:
             raise errors.FarmError(f"{path}: {key} is missing; an access file is made by `farmctl access create`")
-    # The key and the certificate are only there if the coordinator asks for them.
+    # The key and the certificate are there only if the coordinator requires them.
     keys = [access[name].encode() if name in access else None for name in ("ca_certificate", "key", "certificate")]
     credentials = grpc.composite_channel_credentials(
         grpc.ssl_channel_credentials(*keys), grpc.access_token_call_credentials(access["token"])
@@ -192,6 +192,6 @@ def _options(address: str) -> list[tuple[str, Any]]:
     # A second channel to an address would otherwise use the connection of the first, which may lead nowhere.
     options.append(("grpc.use_local_subchannel_pool", 1))
     if _is_loopback(address) or address.startswith("unix:"):
-        # What http_proxy names leads to another machine's loopback, or sees the key.
+        # A proxy would connect to its own machine's loopback, or see the token.
         options.append(("grpc.enable_http_proxy", 0))
     return options

@@ -8,21 +8,17 @@ from typing import Any
 import numpy as np
 
 from resin_farm._wire import fits_pb2
-from resin_farm.results import (
-    Array,
+from resin_farm.channel_fit import (
     Candidate,
     ChannelFit,
     Curves,
-    Interval,
     Likelihood,
-    MaterialFit,
-    Measured,
-    Medium,
     NuisanceEstimate,
     Refined,
-    ScaleCurve,
     SourceShare,
 )
+from resin_farm.medium import Array, Interval, Medium
+from resin_farm.results import MaterialFit, Measured, ScaleCurve
 
 
 def material_fit(wire: fits_pb2.MaterialFit, assumed: tuple[str, ...] = ()) -> MaterialFit:

@@ -23,8 +23,8 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str 
         return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in row) + "</tr>"
 
     body = "".join(cells("td", row) for row in rows)
-    told = f"<caption>{html.escape(caption)}</caption>" if caption else ""
-    return f"<table>{told}<thead>{cells('th', head)}</thead><tbody>{body}</tbody></table>"
+    title = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+    return f"<table>{title}<thead>{cells('th', head)}</thead><tbody>{body}</tbody></table>"
 
 
 def html_lines(lines: Sequence[str]) -> str:
@@ -32,7 +32,7 @@ def html_lines(lines: Sequence[str]) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """With so many digits that count."""
+    """With a number of significant digits."""
     return f"{value:.{digits}g}"
 
 
@@ -43,12 +43,12 @@ def ends(low: float, high: float) -> tuple[str, str]:
 
 
 def end(value: float) -> str:
-    """The only end of an interval: three digits, of an albedo near 1 of what is missing to 1."""
+    """The only end of an interval: three digits, for an albedo near 1 three of 1 − α."""
     return albedo(value) if 0.9 < value < 1 else number(value)
 
 
 def albedo(value: float) -> str:
-    """With three digits of what is missing to 1."""
+    """With three digits of 1 − α."""
     missing = 1 - value
     places = 3 if missing <= 0 or missing >= 0.1 else min(9, 3 + max(0, int(f"{missing:e}".split("e-")[1]) - 1))
     return f"{value:.{places}f}"

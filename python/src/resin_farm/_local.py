@@ -17,21 +17,21 @@ _PATIENCE_S = 20.0
 
 
 class LocalFarm:
-    """Keeps `farmctl serve` running. It serves the folder, or finds the process that does already."""
+    """Keeps `farmctl serve` running, which serves the folder, or finds the process that serves it already."""
 
     def __init__(self, folder: pathlib.Path) -> None:
         self.folder = folder
         self._start()
 
     def _start(self) -> None:
-        # Its standard input is a pipe from this process: it ends with it, however this one ends.
-        said = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
+        # Its standard input is a pipe from this process, so that it ends with this process, however that ends.
+        errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
         command = [_programs.program("farmctl"), "--json", "--quiet", "--local", "--data", str(self.folder)]
         self._process = subprocess.Popen(
             [*command, "serve", "--until-input-ends"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=said,
+            stderr=errors,
             encoding="utf-8",
             # Ctrl-C is for this process, which then ends that one.
             process_group=0,
@@ -42,8 +42,8 @@ class LocalFarm:
         line = self._process.stdout.readline()
         if not line or json.loads(line)["kind"] != "serve":
             _end(self._process)
-            said.seek(0)
-            why = json.loads(line)["data"]["message"] if line else said.read().strip()
+            errors.seek(0)
+            why = json.loads(line)["data"]["message"] if line else errors.read().strip()
             raise FarmError(f"the farm of {self.folder} does not start: {why}")
         self.address: str = json.loads(line)["data"]["address"]
 
@@ -51,7 +51,7 @@ class LocalFarm:
         return _connection.of_loopback(self.address)
 
     def find_again(self) -> _connection.Connection:
-        """The farm after it has gone: the other process that served the folder has ended, or ours was killed."""
+        """Connects again after the process that served the folder has ended or was killed."""
         gone, end = self.address, time.monotonic() + _PATIENCE_S
         while time.monotonic() < end:
             if self._process.poll() is not None:
@@ -96,5 +96,5 @@ def _end(process: subprocess.Popen[str]) -> None:
         process.stdout.close()
 
 
-def folder_of(told: str | os.PathLike[str]) -> pathlib.Path:
-    return pathlib.Path(told).expanduser().resolve()
+def folder_of(path: str | os.PathLike[str]) -> pathlib.Path:
+    return pathlib.Path(path).expanduser().resolve()

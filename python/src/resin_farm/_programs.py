@@ -1,4 +1,4 @@
-"""The farm's programs, which the wheel brings along."""
+"""The farm's programs, which are part of the wheel."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from resin_farm.errors import FarmError
 
 
 def program(name: str) -> str:
-    """Where a program is: in the folder that FARM_PROGRAMS names, beside this Python, or on the path."""
-    told = os.environ.get("FARM_PROGRAMS")
-    folders = [told] if told else [sysconfig.get_path("scripts"), str(pathlib.Path(sys.executable).parent), None]
+    """The path of a program: in the folder that FARM_PROGRAMS names, next to this Python, or on the path."""
+    named = os.environ.get("FARM_PROGRAMS")
+    folders = [named] if named else [sysconfig.get_path("scripts"), str(pathlib.Path(sys.executable).parent), None]
     for folder in folders:
         if found := shutil.which(name, path=folder):
             return found
-    raise FarmError(f"{name} is not there: looked in {told or 'the scripts of this Python and on the path'}")
+    raise FarmError(f"{name} is not there: looked in {named or 'the scripts of this Python and on the path'}")
 
 
 def farmctl(arguments: Sequence[str], *, timeout: float | None = None) -> dict[str, Any]:
     """Runs farmctl and returns the data of its answer.
 
     Raises:
-        FarmError: with what farmctl says, if it fails.
+        FarmError: with the message of farmctl, if it fails.
     """
     command = [program("farmctl"), "--json", "--quiet", *arguments]
-    # The farm is told by its arguments alone.
+    # Only the arguments select the farm.
     inherited = {
         name: value for name, value in os.environ.items() if name not in ("FARM_SERVER", "FARM_ACCESS", "FARM_DATA")
     }

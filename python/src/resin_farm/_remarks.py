@@ -1,14 +1,12 @@
-"""What people must know of an answer before they use it, as farmctl tells it."""
+"""Remarks on an answer that affect how it may be used, in the words of farmctl."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING
 
 from resin_farm import _display
-
-if TYPE_CHECKING:
-    from resin_farm.results import ChannelFit, Interval
+from resin_farm.channel_fit import ChannelFit
+from resin_farm.medium import Interval
 
 # Below this, noise and what is known of the set-up do not explain a measurement; as farmctl has it.
 _UNLIKELY = 1e-3
@@ -19,7 +17,7 @@ _MISFIT = 2.0
 def of_assumed(names: Sequence[str], channels: Iterable[ChannelFit]) -> list[str]:
     """What was assumed of the set-up; the paper's distance assumes nothing."""
     has_likelihood = any(fit.refined is not None and fit.refined.likelihood is not None for fit in channels)
-    return [f"assumed, as nobody told them: {', '.join(names)}"] if names and has_likelihood else []
+    return [f"assumed: {', '.join(names)}"] if names and has_likelihood else []
 
 
 def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
@@ -30,13 +28,13 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
     if refined is None:
         return
     cause = f"; the likeliest cause: {refined.suspicion}" if refined.suspicion else ""
-    if (told := refined.likelihood) is None:
+    if (likelihood := refined.likelihood) is None:
         if refined.misfit > _MISFIT:
             meaning = "the intervals are not to be trusted" if cause else "the intervals are too narrow"
             yield f"{name}: misfit {refined.misfit:.2g}, the fit does not explain the data: {meaning}{cause}"
     else:
-        chi2 = f"χ² {told.chi2:.0f} of {told.degrees_of_freedom:.0f}"
-        if told.probability < _UNLIKELY:
+        chi2 = f"χ² {likelihood.chi2:.0f} of {likelihood.degrees_of_freedom:.0f}"
+        if likelihood.probability < _UNLIKELY:
             yield (
                 f"{name}: {chi2}, p < {_UNLIKELY}: noise and what is known of the set-up do not explain the data; the "
                 f"intervals were widened, but are not to be trusted blindly{cause}"
@@ -46,10 +44,10 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
                 f"{name}: {chi2}, but all materials together contradict the set-up as given: the intervals are not to "
                 f"be trusted{cause}"
             )
-        elif told.degrees_of_freedom >= 100 and told.chi2 < 0.5 * told.degrees_of_freedom:
+        elif likelihood.degrees_of_freedom >= 100 and likelihood.chi2 < 0.5 * likelihood.degrees_of_freedom:
             yield f"{name}: {chi2} is too small: neighbouring pixels share their errors, or the errors are too large"
-        if told.outliers:
-            yield f"{name}: {told.outliers} of its pixels left out"
+        if likelihood.outliers:
+            yield f"{name}: {likelihood.outliers} of its pixels left out"
     if not refined.resolved_at_g and fit.outside is None:
         yield f"{name}: unresolved: {_unresolved(refined.sigma_t_per_mm)}"
     elif not refined.resolved and fit.outside is None:
@@ -65,5 +63,5 @@ def _unresolved(sigma_t: Interval) -> str:
     side, end = ("above", sigma_t.high) if sigma_t.open_high else ("below", sigma_t.low)
     return (
         f"σ_t may lie {side} {_display.number(end)} /mm, where the dictionary or sigma_t_per_mm ends; compute a wider "
-        "dictionary, or tell g"
+        "dictionary, or give g"
     )

@@ -14,11 +14,11 @@ from resin_farm.measurement import Measurement, read_measurements
 
 @dataclass(frozen=True)
 class Capture:
-    """The folder that photographs of a session were turned into."""
+    """The results of `Farm.capture`, in a folder."""
 
     folder: pathlib.Path
     session: dict[str, Any] = field(repr=False)
-    """What is known of the set-up, of board, camera, noise and errors by source (session.json)."""
+    """Set-up, board, camera, noise and errors by source (session.json)."""
 
     @classmethod
     def read(cls, folder: pathlib.Path) -> Capture:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from resin_farm import _display
 from resin_farm._wire import fits_pb2
-from resin_farm.results import Medium
+from resin_farm.medium import Medium
 
 if TYPE_CHECKING:
     import pandas
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HalfWidths:
-    """Half of the widths of 95 % intervals; infinite where the pixels tell nothing."""
+    """Half of the widths of 95 % intervals; infinite where the pixels hold no information."""
 
     sigma_t_per_mm: float
     albedo: float
@@ -31,17 +31,17 @@ class HalfWidths:
 
 @dataclass(frozen=True)
 class SlabSet:
-    """A set of slabs, and what photographs of it would tell (Cramér–Rao bounds)."""
+    """A set of slabs, and how well photographs of it would determine the medium (Cramér–Rao bounds)."""
 
     slabs_mm: tuple[float, ...]
     shots: int
     """Photographs of each slab."""
     g_held: HalfWidths
-    """The anisotropy being known."""
+    """With a known anisotropy."""
     g_free: HalfWidths | None
-    """The anisotropy being told by the same pixels; None if the dictionary has one only."""
+    """With the anisotropy estimated from the same pixels; None if the dictionary has only one."""
     best: bool
-    """No other set tells more of σ_t and 1 − α together, g held."""
+    """No other set determines σ_t and 1 − α together better, g held."""
     best_of_its_effort: bool
     """The same among sets of at most as many photographs."""
 
@@ -88,10 +88,10 @@ class Design:
 
     def _rows(self) -> list[list[str]]:
         def row(one: SlabSet) -> list[str]:
-            told = self._record(one)
+            record = self._record(one)
             shares = [
                 f"{100 * share:.2g} %"
-                for share in (told["sigma_t"], told["one_minus_albedo"])
+                for share in (record["sigma_t"], record["one_minus_albedo"])
                 if isinstance(share, float)
             ]
             slabs = " + ".join(f"{t:g}" for t in one.slabs_mm)

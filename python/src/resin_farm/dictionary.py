@@ -12,28 +12,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from resin_farm import _display, _programs
+from resin_farm._access import FarmAccess
 from resin_farm._wire import dictionaries_pb2 as wire
 from resin_farm._wire import fits_pb2, model_pb2
 from resin_farm.errors import Deleted, FarmError, NotFound
+from resin_farm.medium import Medium
 from resin_farm.profile import Profile
-from resin_farm.results import Medium
 
 if TYPE_CHECKING:
     import xarray
-
-    from resin_farm.farm import Farm
 
 _ENDED = ("done", "failed", "cancelled", "outdated", "paused")
 
 
 class Dictionary:
-    """A dictionary of a farm, as it was when it was last looked at; `refresh()` looks again."""
+    """A dictionary of a farm, with the state of its last refresh; `refresh()` asks again."""
 
-    def __init__(self, farm: Farm, status: wire.Dictionary) -> None:
+    def __init__(self, farm: FarmAccess, status: wire.Dictionary) -> None:
         self._farm = farm
         self._status = status
 
-    def __reduce__(self) -> tuple[object, tuple[Farm, bytes]]:
+    def __reduce__(self) -> tuple[object, tuple[FarmAccess, bytes]]:
         return _of_bytes, (self._farm, self._status.SerializeToString())
 
     @property
@@ -60,12 +59,12 @@ class Dictionary:
 
     @property
     def eta_s(self) -> float | None:
-        """Seconds that the rest takes; None while that is not known."""
+        """Estimated seconds until it is done; None while there is no estimate."""
         return self._status.eta_s if self._status.HasField("eta_s") else None
 
     @property
     def records_digest(self) -> str | None:
-        """BLAKE3 of all records, which is the same wherever they were computed; None until all are done."""
+        """BLAKE3 of all records, which does not depend on where they were computed; None until all are done."""
         return self._status.records_digest or None
 
     @property
@@ -80,7 +79,7 @@ class Dictionary:
         return tuple(channel.name for channel in self._status.grid.scene.channels)
 
     def refresh(self) -> Dictionary:
-        """Looks again."""
+        """Asks the farm for the current state."""
         self._status = self._farm._call("Dictionaries/Get", wire.GetRequest(name=self.name), wire.Dictionary)
         return self
 
@@ -88,8 +87,8 @@ class Dictionary:
         """Waits until it is done.
 
         Raises:
-            FarmError: if it ended otherwise: cancelled, paused, or with jobs that nobody could compute.
-            Deleted: if it was deleted; another one of its name is not waited for in its place.
+            FarmError: if it ended otherwise: cancelled, paused, or with failed jobs.
+            Deleted: if it was deleted, or replaced by another one of its name.
         """
         bar = _Progress(self.name) if progress else None
         try:
@@ -108,7 +107,7 @@ class Dictionary:
                 bar.end()
         if self.state != "done":
             why = f": {self._status.reason}" if self._status.reason else ""
-            raise FarmError(f"dictionary {self.name} is {self.state}{why}; `explain()` says more")
+            raise FarmError(f"dictionary {self.name} is {self.state}{why}; `explain()` gives the reasons")
         return self
 
     def _take(self, status: wire.Dictionary) -> None:
@@ -117,12 +116,12 @@ class Dictionary:
         self._status = status
 
     def explain(self) -> list[str]:
-        """Why it is not done yet, the most important first."""
+        """Reasons why it is not done yet, the most important first."""
         answer = self._farm._call("Dictionaries/Explain", wire.ExplainRequest(name=self.name), wire.ExplainResponse)
         return [reason.text for reason in answer.reasons]
 
     def pause(self) -> Dictionary:
-        """Gives out no more of its jobs."""
+        """Hands out no more of its jobs."""
         self._status = self._farm._call("Dictionaries/Pause", wire.PauseRequest(name=self.name), wire.Dictionary)
         return self
 
@@ -132,13 +131,13 @@ class Dictionary:
         return self
 
     def cancel(self, reason: str = "") -> Dictionary:
-        """Ends the work; finished records stay."""
+        """Ends the work; finished records are kept."""
         request = wire.CancelRequest(name=self.name, reason=reason)
         self._status = self._farm._call("Dictionaries/Cancel", request, wire.Dictionary)
         return self
 
     def delete(self) -> int:
-        """Deletes it, and the records that no other one uses; returns how many these were."""
+        """Deletes it, and the records that no other one uses; returns the number of these records."""
         answer = self._farm._call("Dictionaries/Delete", wire.DeleteRequest(name=self.name), wire.DeleteResponse)
         return answer.records_deleted
 
@@ -152,7 +151,7 @@ class Dictionary:
         channels: tuple[str, ...] = (),
         sample_ior: float | None = None,
     ) -> Profile:
-        """What a slab looks like, at the records or between them.
+        """The profile of a slab, at the records or between them.
 
         Args:
             sigma_t: extinction coefficient, in 1/mm.
@@ -182,7 +181,20 @@ class Dictionary:
 
     def to_xarray(self) -> xarray.Dataset:
         """All records, which must be done: `value` and `std_error`, with derivatives also these, over sample_ior,
-        sigma_t_per_mm, g, thickness_mm, albedo, channel and x_mm. The paper's dictionary takes 300 MB."""
+        sigma_t_per_mm, g, thickness_mm, albedo, channel and x_mm. The paper's dictionary takes 300 MB.
+
+        """
+        dataset, about = self._records()
+        found = about["dictionary"]
+        dataset.attrs = {
+            "dictionary": self.name,
+            "records_digest": found["records_digest"],
+            "about": json.dumps(about),
+        }
+        return dataset
+
+    def _records(self) -> tuple[xarray.Dataset, dict[str, Any]]:
+        """All records, and the description that comes with them."""
         import xarray
 
         with tempfile.TemporaryDirectory() as folder:
@@ -195,13 +207,11 @@ class Dictionary:
         coords = {name: arrays.pop(name) for name in dims}
         units = about["units"]
         variables = {name: (dims, values, {"units": units[name]}) for name, values in arrays.items()}
-        told = about["dictionary"]
-        attrs = {"dictionary": self.name, "records_digest": told["records_digest"], "about": json.dumps(about)}
-        dataset = xarray.Dataset(variables, coords, attrs)
+        dataset = xarray.Dataset(variables, coords)
         for name in dims:
             if name in units:
                 dataset[name].attrs["units"] = units[name]
-        return dataset
+        return dataset, about
 
     def __repr__(self) -> str:
         return f"Dictionary({self.name!r}: {self.state}, {self.records_done:,} of {self.records_total:,} records)"
@@ -215,7 +225,7 @@ class Dictionary:
         return _display.html_table(("axis", "values"), rows, repr(self))
 
 
-def _of_bytes(farm: Farm, status: bytes) -> Dictionary:
+def _of_bytes(farm: FarmAccess, status: bytes) -> Dictionary:
     return Dictionary(farm, wire.Dictionary.FromString(status))
 
 

@@ -1,4 +1,4 @@
-"""What can go wrong, as exceptions."""
+"""The exceptions of this package."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Unavailable(FarmError):
 
 
 def of_call(error: grpc.RpcError) -> FarmError:
-    """The exception that a failed call stands for."""
-    # An error of a call is a call, too.
+    """The exception for a failed call."""
+    # grpc raises errors of calls that are calls themselves.
     if not isinstance(error, grpc.Call):
         return FarmError(str(error))
     code, message = error.code(), error.details() or ""

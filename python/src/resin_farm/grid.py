@@ -16,7 +16,7 @@ Axis: TypeAlias = Sequence[float] | NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """A grid: the product of its axes. What is None has the values of the paper's grid.
+    """A grid: the product of its axes. Fields that are None have the values of the paper's grid.
 
     Every axis must rise strictly.
     """
@@ -29,7 +29,7 @@ class Grid:
     scene: str | None = None
     """"paper", "smooth" or the path of a scene file."""
     quality: Literal["draft", "paper", "fine"] | None = None
-    """How quiet the records are to be; "paper" if None."""
+    """The noise of the records; "paper" if None."""
     walks: int | None = None
     """Random walks at each transport point, instead of a quality: a multiple of 500 from 1,000 on."""
     seed: int | None = None
@@ -37,7 +37,7 @@ class Grid:
     """Also ∂/∂α and ∂/∂σ_t."""
 
     def __post_init__(self) -> None:
-        # Axes as tuples: grids can be compared, and stay as they are.
+        # Axes as tuples, so that grids are immutable and can be compared.
         for name in _AXES:
             values = getattr(self, name)
             if values is not None:
@@ -47,11 +47,11 @@ class Grid:
 
     def to_toml(self) -> str:
         """The grid as a grid file."""
-        told = {field.name: getattr(self, field.name) for field in fields(self)}
+        values_by_name = {field.name: getattr(self, field.name) for field in fields(self)}
         if self.scene is not None and self.scene not in ("paper", "smooth"):
-            # Wherever the grid file will lie.
-            told["scene"] = str(pathlib.Path(self.scene).resolve())
-        return "".join(f"{name} = {_toml(value)}\n" for name, value in told.items() if value is not None)
+            # Absolute, since the grid file may lie elsewhere.
+            values_by_name["scene"] = str(pathlib.Path(self.scene).resolve())
+        return "".join(f"{name} = {_toml(value)}\n" for name, value in values_by_name.items() if value is not None)
 
 
 _AXES = ("sigma_t_per_mm", "albedo", "g", "thickness_mm", "sample_ior")

@@ -1,4 +1,4 @@
-"""How far a measurement is from every medium of a dictionary."""
+"""Distances between a measurement and every medium of a dictionary."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resin_farm import _plots
 from resin_farm._wire import fits_pb2
-from resin_farm.results import Medium
+from resin_farm.medium import Array, Medium
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
-
-# Arrays have no truth value of their equality.
+# eq=False: the equality of arrays has no single truth value.
 @dataclass(frozen=True, eq=False)
 class DistanceMap:
     """The distances of one channel, at the refractive index of the best medium."""
@@ -31,13 +29,15 @@ class DistanceMap:
     best: tuple[Medium, ...] = field(repr=False)
     """The best medium at each g."""
     similar: tuple[Medium | None, ...] = field(repr=False)
-    """What similarity theory makes of the best of all, at each g."""
+    """The medium that is similar to the best of all, at each g."""
 
     def plot(self) -> Figure:
         """One panel for each g: the best medium as a cross, the similar one as a ring."""
-        from resin_farm import _plots
-
-        return _plots.distance_map(self)
+        layers = [
+            _plots.Layer(f"{self.channel}, g = {g:g}", errors, best, similar)
+            for g, errors, best, similar in zip(self.g, self.errors, self.best, self.similar, strict=True)
+        ]
+        return _plots.distance_map(self.sigma_t_per_mm, self.albedo, layers)
 
     @classmethod
     def _of_wire(cls, wire: fits_pb2.DistanceMap) -> DistanceMap:

@@ -13,23 +13,22 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from resin_farm import _display, _programs
+from resin_farm import _display, _plots, _programs
 from resin_farm._wire import model_pb2
 from resin_farm.errors import FarmError, InvalidArgument
+from resin_farm.medium import Array
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
-
 _SET_UP = ("thickness_std_error_mm", "origin_mm", "origin_std_error_mm", "blur_mm", "blur_std_error_mm")
 _NEEDED = ("material", "channel", "thickness_mm", "x_mm", "value")
 
 
-# Arrays have no truth value of their equality.
+# eq=False: the equality of arrays has no single truth value.
 @dataclass(frozen=True, eq=False)
 class MeasuredProfile:
     """The brightness across the edge of one slab in one channel."""
@@ -42,8 +41,8 @@ class MeasuredProfile:
     """Linear radiance factors."""
     std_errors: Array | None = None
     set_up: Mapping[str, float] = field(default_factory=dict)
-    """What is known of this profile: `thickness_std_error_mm`, `origin_mm`, `origin_std_error_mm`, `blur_mm`,
-    `blur_std_error_mm`. What is missing is taken from the options of a fit."""
+    """Parameters of this profile: `thickness_std_error_mm`, `origin_mm`, `origin_std_error_mm`, `blur_mm`,
+    `blur_std_error_mm`. Missing ones are taken from the options of a fit."""
 
     def __init__(
         self,
@@ -55,7 +54,7 @@ class MeasuredProfile:
         **set_up: float,
     ) -> None:
         if unknown := set(set_up) - set(_SET_UP):
-            raise TypeError(f"{', '.join(sorted(unknown))}: what is known of a profile is {', '.join(_SET_UP)}")
+            raise TypeError(f"{', '.join(sorted(unknown))}: the parameters of a profile are {', '.join(_SET_UP)}")
         # A frozen dataclass with its own constructor, so that lists are taken as well.
         for name, value in (
             ("channel", channel),
@@ -107,7 +106,7 @@ class Measurement:
     @classmethod
     def from_pandas(cls, frame: pandas.DataFrame) -> list[Measurement]:
         """The materials of a frame with the columns of a measurement file: material, channel, thickness_mm, x_mm, value
-        and, as far as they are known, std_error and what is known of the set-up. It is checked as a file is."""
+        and optionally std_error and the set-up of each profile. It is checked as a file is."""
         with tempfile.TemporaryDirectory() as folder:
             file = pathlib.Path(folder, "frame.csv")
             # In quotes a name may begin with #, which begins a comment otherwise.
@@ -145,28 +144,27 @@ class Measurement:
 
     def plot(self) -> Figure:
         """All profiles, one panel for each thickness."""
-        from resin_farm import _plots
-
-        return _plots.measurement(self)
+        lines = [_plots.Line(p.thickness_mm, p.channel, p.x_mm, p.values, p.channel) for p in self.profiles]
+        return _plots.slabs(self.material, lines)
 
     def _wire(self) -> model_pb2.Measurement:
         return model_pb2.Measurement(material=self.material, profiles=[p._wire() for p in self.profiles])
 
 
 def _own(numbers: ArrayLike) -> Array:
-    """A copy that stays as it is: a profile that was checked cannot become another."""
+    """A read-only copy, so that a checked profile cannot change."""
     copy = np.array(numbers, dtype=float)
     copy.setflags(write=False)
     return copy
 
 
 class MeasurementWarning(UserWarning):
-    """What was assumed when a measurement was read, or is likely to be wrong with it."""
+    """An assumption that was made when a measurement was read, or a likely error in it."""
 
 
 def read_measurements(path: str | os.PathLike[str]) -> list[Measurement]:
     """The materials of a measurement file, as farmctl reads it: CSV, also with decimal commas, other separators, units
-    and names of columns. What is assumed, or likely to be wrong, is a `MeasurementWarning`.
+    and names of columns. Assumptions and likely errors cause a `MeasurementWarning`.
 
     Raises:
         InvalidArgument: with line and column, if it cannot be read, or holds what no medium can show.
@@ -175,16 +173,17 @@ def read_measurements(path: str | os.PathLike[str]) -> list[Measurement]:
 
 
 def checked(materials: Iterable[Measurement]) -> list[Measurement]:
-    """Measurements after the checks that those of a file go through; each is checked once."""
+    """Applies the checks of measurement files to measurements in memory, once each."""
     found = list(materials)
     unchecked = [material for material in found if not material._checked]
     if unchecked:
         with tempfile.TemporaryDirectory() as folder:
             file = pathlib.Path(folder, "measurement.csv")
             with open(file, "w", encoding="utf-8", newline="") as out:
-                # In the rows of a profile that has none they are empty.
-                told = any(profile.std_errors is not None for material in unchecked for profile in material.profiles)
-                columns = [*_NEEDED, *(["std_error"] if told else []), *_SET_UP]
+                has_errors = any(
+                    profile.std_errors is not None for material in unchecked for profile in material.profiles
+                )
+                columns = [*_NEEDED, *(["std_error"] if has_errors else []), *_SET_UP]
                 writer = csv.DictWriter(out, columns, extrasaction="ignore", quoting=csv.QUOTE_NONNUMERIC)
                 writer.writeheader()
                 writer.writerows(row for material in unchecked for row in _rows(material))
@@ -196,15 +195,15 @@ def checked(materials: Iterable[Measurement]) -> list[Measurement]:
 
 def _rows(material: Measurement) -> Iterator[dict[str, Any]]:
     for profile in material.profiles:
-        told = {"material": material.material, "channel": profile.channel, "thickness_mm": profile.thickness_mm}
-        told |= profile.set_up
+        common = {"material": material.material, "channel": profile.channel, "thickness_mm": profile.thickness_mm}
+        common |= profile.set_up
         errors = [None] * profile.values.size if profile.std_errors is None else profile.std_errors.tolist()
         for x, value, error in zip(profile.x_mm.tolist(), profile.values.tolist(), errors, strict=True):
-            yield told | {"x_mm": x, "value": value, "std_error": error}
+            yield common | {"x_mm": x, "value": value, "std_error": error}
 
 
 def _read(path: str, name: str | None) -> list[Measurement]:
-    """What farmctl reads from a file; `name` is what its messages call it."""
+    """Reads a file through farmctl; messages call it by `name`."""
     try:
         found = _programs.farmctl(["check", path])
     except FarmError as error:
@@ -221,7 +220,7 @@ def warn(texts: Iterable[str]) -> None:
 
 
 def _outside() -> int:
-    """How far up, from the function that calls this, the line is that used this package."""
+    """The number of frames from the calling function up to the line that used this package."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(os.path.dirname(__file__)):
         level, frame = level + 1, frame.f_back

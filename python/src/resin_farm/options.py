@@ -13,7 +13,7 @@ Range: TypeAlias = float | tuple[float | None, float | None]
 
 
 class FitOptions(TypedDict, total=False):
-    """Everything that may be told of a fit. What is left out has the default of `farmctl fit`."""
+    """Options of a fit. One that is left out has the default of `farmctl fit`."""
 
     sigma_t_per_mm: Range
     albedo: Range
@@ -30,7 +30,7 @@ class FitOptions(TypedDict, total=False):
     top: int
     """How many records to return for each channel."""
     curves: bool
-    """Return the profiles that were compared, to plot them."""
+    """Return the compared profiles, to plot them."""
     gain_std_error: float
     offset_std_error: float
     slope_std_error: float
@@ -44,17 +44,17 @@ _OBJECTIVES = {"paper": fits_pb2.OBJECTIVE_PAPER, "likelihood": fits_pb2.OBJECTI
 _WAVELETS = {"spline": fits_pb2.WAVELET_QUADRATIC_SPLINE, "haar": fits_pb2.WAVELET_HAAR}
 
 
-def wire(told: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
+def wire(given: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
     """The options as a message.
 
     Raises:
         TypeError: if there is no such option.
         ValueError: if a name is not one of those that are allowed.
     """
-    if unknown := set(told) - set(FitOptions.__annotations__):
+    if unknown := set(given) - set(FitOptions.__annotations__):
         raise TypeError(f"{', '.join(sorted(unknown))}: options are {', '.join(FitOptions.__annotations__)}")
     fields: dict[str, Any] = {"refine": refine}
-    for name, value in told.items():
+    for name, value in given.items():
         match name:
             case "sigma_t_per_mm" | "albedo" | "g":
                 fields[name] = _bounds(value)
@@ -69,7 +69,7 @@ def wire(told: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
     return fits_pb2.FitOptions(**fields)
 
 
-# In the order in which farmctl tells them; what may be told of a profile, too.
+# In the order of farmctl; True if a profile may have its own.
 _SET_UP = {
     "thickness_std_error_mm": True,
     "origin_std_error_mm": True,
@@ -80,18 +80,18 @@ _SET_UP = {
 }
 
 
-def assumed(told: Mapping[str, Any], materials: Iterable[Measurement]) -> tuple[str, ...]:
-    """The options about the set-up that nobody told, of one profile at least."""
+def assumed(given: Mapping[str, Any], materials: Iterable[Measurement]) -> tuple[str, ...]:
+    """The options about the set-up that have their defaults, for at least one profile."""
     profiles = [profile for material in materials for profile in material.profiles]
 
     def is_assumed(name: str, of_profile: bool) -> bool:
-        return name not in told and not (of_profile and all(name in profile.set_up for profile in profiles))
+        return name not in given and not (of_profile and all(name in profile.set_up for profile in profiles))
 
     return tuple(name for name, of_profile in _SET_UP.items() if is_assumed(name, of_profile))
 
 
-def _bounds(told: Range) -> fits_pb2.Bounds:
-    low, high = told if isinstance(told, tuple) else (told, told)
+def _bounds(given: Range) -> fits_pb2.Bounds:
+    low, high = given if isinstance(given, tuple) else (given, given)
     return fits_pb2.Bounds(min=low, max=high)
 
 

@@ -7,22 +7,19 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resin_farm import _programs
-from resin_farm.results import Medium
+from resin_farm import _plots, _programs
+from resin_farm.medium import Array, Medium
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
-
-# Arrays have no truth value of their equality.
+# eq=False: the equality of arrays has no single truth value.
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """What a slab of a medium looks like across the edge."""
+    """The radiance factors of a slab across the edge."""
 
     medium: Medium
     thickness_mm: float
@@ -30,7 +27,7 @@ class Profile:
     channels: Mapping[str, Array] = field(repr=False)
     """Radiance factors of each channel, one for each pixel."""
     std_errors: Mapping[str, Array] = field(repr=False)
-    """What the noise of the walks does to them; missing for a channel if that is not known."""
+    """Standard errors from the noise of the walks; missing for a channel if they are unknown."""
     recorded: bool = False
     """The dictionary has a record of this medium and thickness; otherwise it lies between records."""
 
@@ -50,9 +47,9 @@ class Profile:
 
     def plot(self) -> Figure:
         """All channels, with bands of two standard errors."""
-        from resin_farm import _plots
-
-        return _plots.profile(self)
+        m = self.medium
+        title = f"σ_t {m.sigma_t_per_mm:g} /mm, α {m.albedo:g}, g {m.g:g}, {self.thickness_mm:g} mm"
+        return _plots.profile(title, self.x_mm, self.channels, self.std_errors)
 
 
 def simulate(
@@ -79,9 +76,9 @@ def simulate(
         seed: of the random numbers.
 
     Raises:
-        FarmError: with what is wrong with the arguments.
+        FarmError: if an argument is not valid; its message names it.
     """
-    told: dict[str, Any] = {
+    options: dict[str, Any] = {
         "--sigma-t": sigma_t,
         "--albedo": albedo,
         "--g": g,
@@ -91,7 +88,7 @@ def simulate(
         "--walks": walks,
         "--seed": seed,
     }
-    found = _programs.farmctl(["simulate", *(f"{option}={value}" for option, value in told.items())])
+    found = _programs.farmctl(["simulate", *(f"{option}={value}" for option, value in options.items())])
     profiles = {one["channel"]: one for one in found["channels"]}
     return Profile(
         medium=Medium(sigma_t, albedo, g),

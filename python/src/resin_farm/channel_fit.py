@@ -1,0 +1,117 @@
+"""The fit of one channel: the records that were compared, the continuous optimum, and its error bars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from resin_farm.medium import Array, Interval, Medium
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A record that was compared."""
+
+    medium: Medium
+    sample_ior: float
+    error: float
+    """The minimised objective: Eq. 1 of the paper, or the misfit by the likelihood."""
+    records: tuple[int | None, ...]
+    """Numbers of its records in the dictionary, one for each thickness."""
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate:
+    """An estimate of a nuisance of the set-up, with its prior."""
+
+    name: str
+    """`scale`, `blur_variance_mm2`, `thickness_mm`, `origin_mm`, `gain`, `zero` or `slope`."""
+    profile_mm: float | None
+    """The profile concerned, by its thickness; None if all are."""
+    value: float
+    std_error: float
+    prior: float
+    prior_std_error: float | None
+    """None without a prior."""
+
+
+@dataclass(frozen=True)
+class SourceShare:
+    """Share of a source of error in the variances of ln σ_t, √(1 - α), ln σ_s(1 - g) and √σ_a; they sum to 1."""
+
+    source: str
+    """`noise`, `dictionary`, `thickness`, `origin`, `blur`, `gain`, `zero`, `slope`, `scale`, `other_channels`, `g`."""
+    sigma_t: float
+    albedo: float
+    reduced_scattering: float
+    absorption: float
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """Results of the likelihood for a channel, in addition to its medium."""
+
+    chi2: float
+    degrees_of_freedom: float
+    probability: float
+    """Of a χ² at least as large from noise alone."""
+    nuisances: tuple[NuisanceEstimate, ...]
+    outliers: int
+    """Pixels that were given no weight."""
+    budget: tuple[SourceShare, ...] = ()
+    """Shares of the variances of the medium by source; empty if the data determine nothing."""
+
+
+# eq=False: the equality of arrays has no single truth value.
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A continuous optimum, with error bars of 95 %."""
+
+    medium: Medium
+    sigma_t_per_mm: Interval
+    albedo: Interval
+    g: Interval
+    reduced_scattering_per_mm: Interval
+    absorption_per_mm: Interval
+    resolved: bool
+    """Whether the data determine σ_t and the albedo: both intervals are bounded and narrow."""
+    resolved_at_g: bool
+    """Whether they would with g held at its best value; if this alone is true, g is open."""
+    valley: bool
+    """σ_t and g trade off along media that similarity theory calls equal."""
+    misfit: float
+    """Root mean square of the residuals over the noise: 1 if noise alone explains them."""
+    error: float
+    covariance: Array = field(repr=False)
+    """Of (ln σ_t, √(1 − α), ln(1 − g)); zeros where a parameter was held."""
+    suspicion: str | None = None
+    """The most likely single cause of a misfit beyond noise."""
+    likelihood: Likelihood | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """The compared profiles at one thickness."""
+
+    thickness_mm: float
+    x_mm: Array
+    measured: Array
+    """Times μ, on the dictionary's pixels."""
+    best_record: Array
+    refined: Array | None
+
+
+@dataclass(frozen=True)
+class ChannelFit:
+    """One channel of a material."""
+
+    channel: str
+    candidates: tuple[Candidate, ...]
+    refined: Refined | None
+    outside: str | None
+    """`brighter` or `darker`, if a profile's mean lies beyond that of every record."""
+    curves: tuple[Curves, ...] = field(default=(), repr=False)
+
+    @property
+    def medium(self) -> Medium:
+        """The continuous optimum; without one the best record's medium."""
+        return self.refined.medium if self.refined else self.candidates[0].medium

@@ -1,0 +1,77 @@
+"""Media, and intervals of their coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resin_farm import _display
+from resin_farm._wire import fits_pb2, model_pb2
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Medium:
+    """A homogeneous medium with a Henyey–Greenstein phase function."""
+
+    sigma_t_per_mm: float
+    """Extinction coefficient, in 1/mm."""
+    albedo: float
+    """Single-scattering albedo."""
+    g: float
+    """Anisotropy."""
+
+    @property
+    def reduced_scattering_per_mm(self) -> float:
+        """σ_s (1 − g), in 1/mm."""
+        return self.sigma_t_per_mm * self.albedo * (1 - self.g)
+
+    @property
+    def absorption_per_mm(self) -> float:
+        """σ_a = σ_t (1 − α), in 1/mm."""
+        return self.sigma_t_per_mm * (1 - self.albedo)
+
+    @classmethod
+    def _of_wire(cls, wire: model_pb2.Medium) -> Medium:
+        return cls(wire.sigma_t_per_mm, wire.albedo, wire.g)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where a quantity lies with a confidence of 95 %."""
+
+    low: float
+    high: float
+    open_low: bool = False
+    """The data allow still lower values: `low` is where the dictionary or the given range ends."""
+    open_high: bool = False
+
+    @property
+    def is_closed(self) -> bool:
+        return not (self.open_low or self.open_high)
+
+    def __contains__(self, value: float) -> bool:
+        return (self.open_low or self.low <= value) and (self.open_high or value <= self.high)
+
+    def __str__(self) -> str:
+        match self.open_low, self.open_high:
+            case True, True:
+                return "open"
+            case True, False:
+                return f"≤ {_display.end(self.high)}"
+            case False, True:
+                return f"≥ {_display.end(self.low)}"
+        return "…".join(_display.ends(self.low, self.high)) if self.high > self.low else "held"
+
+    @classmethod
+    def _of_wire(cls, wire: fits_pb2.Interval) -> Interval:
+        return cls(wire.low, wire.high, wire.open_low, wire.open_high)
+
+    @classmethod
+    def _of_json(cls, found: Mapping[str, Any]) -> Interval:
+        return cls(found["low"], found["high"], found["open_low"], found["open_high"])
