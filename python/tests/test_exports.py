@@ -1,13 +1,13 @@
-"""What `farmctl export` writes is read by the programs that it is written for."""
+"""Exports of a dictionary are read back by the packages that they are written for."""
 
 import json
 import pathlib
 import subprocess
+import sys
 import warnings
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet
 import pytest
 import xarray as xr
 
@@ -17,6 +17,7 @@ from resin_farm import _programs
 DERIVATIVES = resin_farm.Grid(
     sigma_t_per_mm=[4, 8], albedo=[0.5, 0.9, 0.99], g=[0.0, 0.4], thickness_mm=[0.5, 1], walks=5000, derivatives=True
 )
+NAMES = ["value", "std_error", "d_albedo", "d_albedo_std_error", "d_sigma_t", "d_sigma_t_std_error"]
 
 
 @pytest.fixture(scope="module")
@@ -29,56 +30,100 @@ def export(farm: resin_farm.Farm, *arguments: str) -> subprocess.CompletedProces
     return subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
 
 
-def test_zarr_npz_and_parquet_hold_the_same_numbers(
-    farm: resin_farm.Farm, small: resin_farm.Dictionary, tmp_path: pathlib.Path
+@pytest.fixture(scope="module")
+def arrays(farm: resin_farm.Farm, small: resin_farm.Dictionary, tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
+    """The arrays that farmctl writes."""
+    path = tmp_path_factory.mktemp("npz") / "small.npz"
+    ran = export(farm, "--npz", str(path))
+    assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
+    with np.load(path) as archive:
+        about = json.loads(archive["about.json"])
+        coords = {axis: archive[axis] for axis in about["axes"]}
+        return xr.Dataset({name: (about["axes"], archive[name]) for name in NAMES}, coords, about)
+
+
+def test_a_zarr_store_has_arrays_and_attributes(
+    small: resin_farm.Dictionary, arrays: xr.Dataset, tmp_path: pathlib.Path
 ) -> None:
-    paths = {kind: tmp_path / f"small.{kind}" for kind in ("npz", "zarr", "parquet")}
-    for kind, path in paths.items():
-        ran = export(farm, f"--{kind}", str(path))
-        assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
-    with np.load(paths["npz"]) as archive:
-        arrays = {name: archive[name] for name in archive.files if name != "about.json"}
+    path = tmp_path / "small.zarr"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        store = xr.open_zarr(paths["zarr"]).load()
-    rows = pd.read_parquet(paths["parquet"])
-    names = ["value", "std_error", "d_albedo", "d_albedo_std_error", "d_sigma_t", "d_sigma_t_std_error"]
-    assert set(store.data_vars) == set(names) and store["value"].shape == (1, 2, 2, 2, 3, 3, 360)
-    for name in names:
-        np.testing.assert_array_equal(store[name].values, arrays[name])
-        np.testing.assert_array_equal(np.stack(rows[name].tolist()).ravel(), arrays[name].ravel())
-    for axis in store.dims:
-        np.testing.assert_array_equal(store[axis].values.astype(arrays[str(axis)].dtype), arrays[str(axis)])
+        small.to_zarr(path)
+        store = xr.open_zarr(path).load()
+    assert set(store.data_vars) == set(NAMES) and store["value"].shape == (1, 2, 2, 2, 3, 3, 360)
+    assert store["value"].dtype == np.float32
+    xr.testing.assert_equal(store, arrays)
     assert store["value"].attrs["units"] == "radiance factor" and store["x_mm"].attrs["units"] == "mm"
+    assert store.attrs == arrays.attrs
     assert store.attrs["dictionary"]["records_digest"] == small.records_digest
-    metadata = pyarrow.parquet.read_metadata(paths["parquet"]).metadata
-    assert json.loads(metadata[b"about"])["dictionary"]["records_digest"] == small.records_digest
-    np.testing.assert_allclose(json.loads(metadata[b"x_mm"]), arrays["x_mm"])
-    assert list(rows["channel"][:4]) == ["R", "G", "B", "R"] and rows["albedo"].nunique() == 3
+    head = json.loads((path / "value" / "zarr.json").read_text(encoding="utf-8"))
+    assert head["chunk_grid"]["configuration"]["chunk_shape"] == [1, 1, 1, 2, 3, 3, 360]
+    assert json.loads((path / "zarr.json").read_text(encoding="utf-8"))["zarr_format"] == 3
+    before = sorted(path.rglob("*"))
+    with pytest.raises(FileExistsError, match="is not written over"):
+        small.to_zarr(path)
+    assert sorted(path.rglob("*")) == before and list(tmp_path.iterdir()) == [path], "nothing half-written is left"
+    with pytest.raises(FileNotFoundError):
+        small.to_zarr(tmp_path / "none" / "x")
 
 
-def test_a_part_is_exported_and_nothing_is_written_over(
+def test_a_parquet_file_has_a_row_for_each_channel(
+    small: resin_farm.Dictionary, arrays: xr.Dataset, tmp_path: pathlib.Path
+) -> None:
+    path = tmp_path / "small.parquet"
+    for _ in range(2):
+        small.to_parquet(path)
+    assert list(tmp_path.iterdir()) == [path], "nothing half-written is left"
+    rows = pd.read_parquet(path)
+    keys = ["sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo"]
+    assert list(rows.columns) == ["record", *keys, "channel", *NAMES]
+    for name in NAMES:
+        pixels = np.stack(rows[name].tolist())
+        assert pixels.dtype == np.float32
+        np.testing.assert_array_equal(pixels.ravel(), arrays[name].values.ravel())
+    assert list(rows["channel"][:4]) == ["R", "G", "B", "R"] and list(rows["record"][:4]) == [0, 0, 0, 1]
+    # A row's parameters lead to its pixels.
+    row = rows.iloc[50]
+    found = arrays["value"].sel({name: row[name] for name in [*keys, "channel"]})
+    np.testing.assert_array_equal(row["value"], found)
+    assert rows.attrs["about"] == arrays.attrs
+    assert rows.attrs["about"]["dictionary"]["records_digest"] == small.records_digest
+    assert rows.attrs["x_mm"] == arrays["x_mm"].values.tolist()
+
+
+def test_the_rows_have_the_numbers_of_farmctl(
     farm: resin_farm.Farm, small: resin_farm.Dictionary, tmp_path: pathlib.Path
 ) -> None:
-    path = tmp_path / "part.zarr"
-    chosen = ["--g", "0.4", "--albedo", "0.5,0.99", "--zarr", str(path)]
-    assert export(farm, *chosen).returncode == 0
-    part, whole = xr.open_zarr(path)["value"], small.to_xarray()["value"]
-    xr.testing.assert_equal(part.load(), whole.sel(g=[0.4], albedo=[0.5, 0.99]))
-    again = export(farm, *chosen)
-    assert again.returncode == 1 and "it is there already" in again.stderr
-    assert list(tmp_path.iterdir()) == [path], "nothing half-written is left"
-    assert export(farm, "--zarr", str(tmp_path / "none" / "x")).returncode == 1
+    """Numbers of records and parameters are those of the CSV."""
+    small.to_parquet(tmp_path / "small.parquet")
+    assert export(farm, "--output", str(tmp_path / "small.csv")).returncode == 0
+    keys = ["record", "sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel"]
+    rows = pd.read_parquet(tmp_path / "small.parquet", columns=keys).set_index("record")
+    records = pd.read_csv(tmp_path / "small.csv").drop_duplicates(keys)[keys].set_index("record")
+    pd.testing.assert_frame_equal(rows, records, check_dtype=False, check_index_type=False)
 
 
-def test_what_is_not_complete_is_refused_at_once(tmp_path: pathlib.Path) -> None:
+@pytest.mark.parametrize("package", ["xarray", "zarr", "pyarrow"])
+def test_a_missing_package_is_named(
+    small: resin_farm.Dictionary, package: str, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=rf"this needs {package}: pip install 'resin-farm\[data\]'"):
+        small.to_parquet(tmp_path / "x") if package == "pyarrow" else small.to_zarr(tmp_path / "x")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_incomplete_dictionary_is_not_exported(tmp_path: pathlib.Path) -> None:
+    """Arrays have no place for missing records."""
     with resin_farm.Farm(tmp_path) as farm:
-        # So many walks that it is not done in the meantime.
+        # Enough walks that it is not done in the meantime.
         grid = resin_farm.Grid(sigma_t_per_mm=[4, 8], albedo=[0.9], g=[0.0], thickness_mm=[1], walks=1_000_000_000)
         dictionary = farm.submit(grid, "derivatives", wait=False)
-        for kind in ("npz", "zarr", "parquet"):
-            ran = export(farm, f"--{kind}", str(tmp_path / "out"))
-            assert ran.returncode == 1 and "0 of 2 records are done: arrays have no place" in ran.stderr, ran.stderr
-            assert not (tmp_path / "out").exists()
+        ran = export(farm, "--npz", str(tmp_path / "out"))
+        assert ran.returncode == 1 and "0 of 2 records are done: arrays have no place" in ran.stderr, ran.stderr
+        for write in (dictionary.to_zarr, dictionary.to_parquet):
+            with pytest.raises(resin_farm.FarmError, match="0 of 2 records are done"):
+                write(tmp_path / "out")
+        assert not (tmp_path / "out").exists()
         dictionary.cancel("enough")
         assert dictionary.refresh().state == "cancelled"

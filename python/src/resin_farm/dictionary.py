@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import pathlib
 import sys
 import tempfile
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from resin_farm import _display, _programs
+from resin_farm import _display, _exports, _optional, _programs
 from resin_farm._access import FarmAccess
 from resin_farm._wire import dictionaries_pb2 as wire
 from resin_farm._wire import fits_pb2, model_pb2
@@ -183,6 +184,8 @@ class Dictionary:
         """All records, which must be done: `value` and `std_error`, with derivatives also these, over sample_ior,
         sigma_t_per_mm, g, thickness_mm, albedo, channel and x_mm. The paper's dictionary takes 300 MB.
 
+        Raises:
+            ImportError: if xarray is not installed.
         """
         dataset, about = self._records()
         found = about["dictionary"]
@@ -193,8 +196,32 @@ class Dictionary:
         }
         return dataset
 
+    def to_zarr(self, path: str | os.PathLike[str]) -> None:
+        """Writes all records as a Zarr store (format 3), with the variables and axes of `to_xarray`. Its attributes are
+        what `farmctl show --json` reports, the axes and the units.
+
+        Raises:
+            FileExistsError: if there is something at the path.
+            ImportError: if xarray or zarr is not installed.
+        """
+        _optional.require("data", "xarray", "zarr")
+        dataset, attributes = self._records()
+        _exports.write_zarr(dataset.assign_attrs(attributes), pathlib.Path(path))
+
+    def to_parquet(self, path: str | os.PathLike[str]) -> None:
+        """Writes all records as a Parquet file: a row for each record and channel, with its parameters, and the pixels
+        as lists. `attrs` of the frame that `pandas.read_parquet` returns hold `about` and `x_mm`.
+
+        Raises:
+            ImportError: if xarray, pandas or pyarrow is not installed.
+        """
+        _optional.require("data", "xarray", "pandas", "pyarrow")
+        dataset, about = self._records()
+        _exports.write_parquet(dataset, about, pathlib.Path(path))
+
     def _records(self) -> tuple[xarray.Dataset, dict[str, Any]]:
         """All records, and the description that comes with them."""
+        _optional.require("data", "xarray")
         import xarray
 
         with tempfile.TemporaryDirectory() as folder:
