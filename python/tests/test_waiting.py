@@ -125,7 +125,7 @@ def server(tmp_path: pathlib.Path) -> Iterator[Server]:
 
 @pytest.fixture
 def link(server: Server, monkeypatch: pytest.MonkeyPatch) -> Iterator[Link]:
-    monkeypatch.setattr("resin_farm.farm._STREAM_S", 2.0)
+    monkeypatch.setattr("resin_farm._access._STREAM_S", 2.0)
     link = Link(server.port)
     yield link
     link.close()
