@@ -21,7 +21,7 @@ use rcgen::{
 };
 use time::{Duration, OffsetDateTime};
 
-use crate::whole_file::folder_of;
+use farm_lab::whole_file::folder_of;
 
 /// How long certificates hold: ten years.
 const VALID: Duration = Duration::days(3653);

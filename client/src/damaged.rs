@@ -6,6 +6,11 @@
 use std::path::Path;
 use std::sync::OnceLock;
 
+use farm_lab::capture::Session;
+use farm_lab::grid_file::read_grid;
+use farm_lab::measurement_file::read_measurements;
+use farm_lab::mixture_file::read_mixtures;
+use farm_lab::set_up;
 use farm_link::{ClientAccess, CoordinatorAccess};
 use farm_proto::wire;
 use optics_model::fit::{DesignQuestion, FitOptions, MuRange};
@@ -17,10 +22,7 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use prost::Message;
 
-use crate::capture::Session;
-use crate::mixture_file::read_mixtures;
 use crate::output::sentence;
-use crate::{read_grid, read_measurements, set_up};
 
 /// Pieces that parsers have stumbled over.
 const PIECES: [&[u8]; 25] = [
@@ -188,7 +190,7 @@ proptest! {
         match kind {
             0 => read(&changed(include_bytes!("../../examples/grid.toml")), "grid.toml", read_grid)?,
             1 => read(&changed(include_bytes!("../../examples/scene.toml")), "scene.toml", |path| {
-                crate::read_scene(path.to_str().unwrap())
+                farm_lab::grid_file::read_scene(path.to_str().unwrap())
             })?,
             2 => read(&changed(SHORT_CSV.as_bytes()), "m.csv", read_measurements)?,
             3 => read(&changed(MIXTURES), "chart.toml", read_mixtures)?,

@@ -4,41 +4,28 @@
 
 pub mod access_files;
 mod answers;
-mod bounded_file;
-mod capture;
 pub mod cli;
 mod commands;
 mod connection;
 #[cfg(test)]
 mod damaged;
 mod exit;
-mod grid_file;
+mod figure_files;
 mod interrupt;
-mod measurement_file;
-mod mixture_file;
 mod outage;
 mod output;
-mod photograph;
-mod plot;
 mod progress;
 mod questions;
 mod records;
 mod renderers;
-mod set_up;
 mod slurm;
 mod terminal;
-#[cfg(test)]
-mod testing;
 mod web;
-mod whole_file;
 
 use std::process::ExitCode;
 
 use cli::{Cli, Command};
 use output::Output;
-
-pub use grid_file::{read_grid, read_scene};
-pub use measurement_file::{MeasurementFile, Note, read_measurements};
 
 /// Runs a command. Errors are told on standard error (or, with `--json`, as an object on standard output) and by the
 /// exit code, see `exit`.

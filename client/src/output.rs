@@ -1,15 +1,17 @@
 //! What people and programs read: tables, and JSON in one stable envelope.
 
 use std::fmt::Write as _;
+use std::path::Path;
 
 use comfy_table::{Attribute, Cell, CellAlignment, LineStyle, Table, TableStyle};
+use farm_lab::measurement_file::{MeasurementFile, Note, read_measurements};
 use farm_link::logs::tell;
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use serde::Serialize;
 
 pub(crate) use crate::terminal::print_line;
 use crate::terminal::{harmless, with_escapes};
-pub(crate) use crate::whole_file::write_whole;
+pub(crate) use farm_lab::whole_file::write_whole;
 
 /// Version of the JSON shapes: fields may be added to a version, never changed or removed.
 const API: &str = "farmctl/1";
@@ -45,6 +47,22 @@ impl Output {
     ) -> anyhow::Result<()> {
         let line = if self.json { envelope(kind, data)? } else { text() };
         print_line(&line)
+    }
+
+    /// Reads measurements and prints their notes.
+    pub(crate) fn read_measurements(&self, path: &Path) -> anyhow::Result<MeasurementFile> {
+        let file = read_measurements(path)?;
+        self.notes(&file.notes, path);
+        Ok(file)
+    }
+
+    /// Prints notes on a file on standard error, unless the answer, as JSON, holds them.
+    pub(crate) fn notes(&self, notes: &[Note], path: &Path) {
+        if !self.json {
+            for note in notes {
+                tell(format_args!("farmctl: note: {}: {}", path.display(), note.text));
+            }
+        }
     }
 
     pub(crate) fn error(&self, error: &anyhow::Error) {

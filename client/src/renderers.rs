@@ -195,8 +195,9 @@ fn identifier(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use farm_figures::testing;
+
     use super::*;
-    use crate::testing;
 
     pub(super) fn channel(name: &str, sigma_t_per_mm: f64, albedo: f64) -> ChannelFit {
         with_g(testing::channel(name, sigma_t_per_mm, 1.0), albedo, 0.4)

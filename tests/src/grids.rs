@@ -32,7 +32,7 @@ pub fn grid_of(text: &str) -> Grid {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("grid.toml");
     std::fs::write(&file, text).unwrap();
-    farmctl::read_grid(&file).unwrap()
+    farm_lab::grid_file::read_grid(&file).unwrap()
 }
 
 /// The records of a job of a grid, as the tracer makes them.

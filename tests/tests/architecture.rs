@@ -22,7 +22,7 @@ fn dependencies(krate: &str) -> Vec<String> {
 }
 
 /// What every crate may use of the project.
-const ARROWS: [(&str, &[&str]); 11] = [
+const ARROWS: [(&str, &[&str]); 13] = [
     ("optics/model", &[]),
     ("optics/tracer", &["optics-model"]),
     ("optics/fit", &["optics-model"]),
@@ -31,9 +31,13 @@ const ARROWS: [(&str, &[&str]); 11] = [
     ("proto/link", &[]),
     ("coordinator", &["optics-model", "optics-fit", "farm-proto", "farm-link"]),
     ("worker", &["optics-model", "optics-tracer", "farm-proto", "farm-link"]),
+    ("client/figures", &["optics-model"]),
+    ("client/lab", &["optics-model", "optics-tracer", "optics-capture", "farm-figures"]),
     (
         "client",
         &[
+            "farm-figures",
+            "farm-lab",
             "optics-model",
             "optics-tracer",
             "optics-fit",
@@ -56,6 +60,7 @@ const ARROWS: [(&str, &[&str]); 11] = [
             "farm-link",
             "farm-coordinator",
             "farm-worker",
+            "farm-lab",
             "farmctl",
         ],
     ),
@@ -93,6 +98,20 @@ fn the_science_knows_no_runtime_network_clock_database_or_file() {
         let ambient = ["std::time", "std::fs", "std::net", "std::env", "std::process"];
         assert_absent(&format!("{krate}/src"), &ambient);
     }
+}
+
+/// Files are for `lab`; figures are drawn in memory.
+#[test]
+fn lab_and_figures_know_no_runtime_network_or_database() {
+    let farm = ["tokio", "tonic", "prost", "hyper", "axum", "sqlx", "clap"];
+    for krate in ["client/lab", "client/figures"] {
+        for dependency in dependencies(krate) {
+            assert!(!farm.iter().any(|name| dependency.starts_with(name)), "{krate} must not depend on {dependency}");
+        }
+        let ambient = ["std::time", "std::net", "std::env", "async fn"];
+        assert_absent(&format!("{krate}/src"), &ambient);
+    }
+    assert_absent("client/figures/src", &["std::fs", "std::path"]);
 }
 
 #[test]

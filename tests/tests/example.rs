@@ -69,9 +69,10 @@ fn one_command_measures_in_an_empty_folder() {
 
 #[test]
 fn the_example_grid_and_scene_are_valid() {
-    let grid = farmctl::read_grid(&root().join("examples/grid.toml")).unwrap();
+    let grid = farm_lab::grid_file::read_grid(&root().join("examples/grid.toml")).unwrap();
     assert!(grid.derivatives() && grid.record_count() < 1000);
-    let scene = farmctl::read_scene(root().join("examples/scene.toml").to_str().unwrap()).unwrap();
+    let scene =
+        farm_lab::grid_file::read_scene(root().join("examples/scene.toml").to_str().unwrap()).unwrap();
     assert_eq!(scene, *grid.scene());
     // The scene file spells the paper's scene out.
     assert_eq!(SceneFile::from(&scene).layers, SceneFile::from(Grid::paper().scene()).layers);

@@ -227,5 +227,5 @@ fn from_an_empty_folder_to_a_dictionary_whose_jobs_are_watched() {
 
 /// The grid of a file, as `farmctl submit` would send it.
 fn farmctl_grid(folder: &Path) -> wire::Grid {
-    (&farmctl::read_grid(&folder.join("grid.toml")).unwrap()).into()
+    (&farm_lab::grid_file::read_grid(&folder.join("grid.toml")).unwrap()).into()
 }

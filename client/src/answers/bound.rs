@@ -1,8 +1,8 @@
 //! Intervals beside the least that the pixels allow.
 
+use farm_figures::numbers::{short, significant};
 use optics_model::fit::{Ends, Interval, Likelihood, MaterialFit, Refined};
 
-use super::numbers::{short, significant};
 use crate::output::{table, wrapped};
 
 /// One row a quantity: half-widths of the interval and of the Cramér–Rao bound, in per cent of it, and their ratio.
@@ -64,8 +64,9 @@ fn row(name: &str, value: f64, interval: &Interval, bound: &Ends) -> Vec<String>
 
 #[cfg(test)]
 mod tests {
+    use farm_figures::testing::{channel, likelihood};
+
     use super::*;
-    use crate::testing::{channel, likelihood};
 
     #[test]
     fn half_widths_and_their_ratio_are_in_per_cent_of_the_quantity() {

@@ -1,9 +1,9 @@
 //! The error budget of the printed intervals of σ_t: the share of the variance that each source of error makes, and which
 //! source to improve first.
 
+use farm_figures::numbers::{interval, significant};
 use optics_model::fit::{ErrorSource, MaterialFit, Refined, SourceShare};
 
-use super::numbers::{interval, significant};
 use crate::output::wrapped;
 
 /// Shares below this are listed together.
@@ -104,8 +104,9 @@ fn remedy(source: ErrorSource) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    use farm_figures::testing::{channel, likelihood};
+
     use super::*;
-    use crate::testing::{channel, likelihood};
 
     fn share(source: ErrorSource, sigma_t: f64) -> SourceShare {
         SourceShare { source, sigma_t, albedo: 0.0, reduced_scattering: 0.0, absorption: 0.0 }

@@ -1,9 +1,9 @@
 //! Which slabs are worth photographing, for people.
 
+use farm_figures::numbers::{albedo, significant, slabs};
 use optics_model::Medium;
 use optics_model::fit::{Design, DesignQuestion, HalfWidths, Improvement, Limitation, SlabSet};
 
-use super::numbers::{albedo, significant};
 use crate::output::{table, wrapped};
 
 /// Two tables, g held and g free, and what limits the best set.
@@ -14,11 +14,6 @@ pub(crate) fn design_text(design: &Design, question: &DesignQuestion) -> String 
     }
     parts.push(limits(design));
     parts.join("\n\n")
-}
-
-/// `0.5 + 1`.
-pub(crate) fn slabs(set: &SlabSet) -> String {
-    set.slabs_mm.iter().map(f64::to_string).collect::<Vec<_>>().join(" + ")
 }
 
 fn head(design: &Design, question: &DesignQuestion) -> String {
@@ -176,10 +171,10 @@ fn with_unit(limitation: Limitation, std_error: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use farm_figures::testing::design;
     use optics_model::fit::{DesignSettings, PixelRow};
 
     use super::*;
-    use crate::testing::design;
 
     fn text(design: &Design) -> String {
         let question = DesignQuestion::new(DesignSettings::of(design.medium)).unwrap();

@@ -1,9 +1,9 @@
 //! Fits as people read them.
 
+use farm_figures::numbers::short;
 use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
 
 use super::bound::bounds;
-use super::numbers::short;
 use super::summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
 use crate::output::{table, warning, wrapped};
 
@@ -145,9 +145,10 @@ pub(crate) fn neighbours(candidates: &[Candidate]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use farm_figures::testing::{channel, likelihood};
+
     use super::super::table_csv;
     use super::*;
-    use crate::testing::{channel, likelihood};
 
     /// The text without its colours.
     fn text(report: &Report) -> String {

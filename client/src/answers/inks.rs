@@ -1,8 +1,8 @@
 //! What mixtures tell of their inks, as people read it.
 
+use farm_figures::numbers::{albedo, albedo_end, interval, short, significant};
 use optics_model::fit::{Agreement, InkChannel, MISFIT, MixtureFit, Unmixed};
 
-use super::numbers::{albedo, albedo_end, interval, short, significant};
 use super::scale::common_text;
 use crate::output::{table, warning, wrapped};
 
@@ -94,8 +94,9 @@ fn furthest(mixtures: &[MixtureFit]) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use farm_figures::testing::unmixed;
+
     use super::*;
-    use crate::testing::unmixed;
 
     #[test]
     fn inks_are_told_in_eighty_columns_with_mixtures_that_disagree() {

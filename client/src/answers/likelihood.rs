@@ -1,19 +1,12 @@
 //! What the likelihood tells of the set-up, as people read it.
 
-use optics_model::fit::{Likelihood, Nuisance, NuisanceEstimate, OutlierPixel, Refined, Stretch};
+use optics_model::fit::{Nuisance, NuisanceEstimate, OutlierPixel, Refined, Stretch};
 
-use super::numbers::{minus, significant, with_error};
-
-/// Probability of χ² below which noise and what is known of the set-up do not explain a measurement.
-const UNLIKELY: f64 = 1e-3;
+use farm_figures::misfit::{goodness, unlikely};
+use farm_figures::numbers::{minus, significant, with_error};
 
 /// Most pixels, and most stretches, that are told one by one.
 const MOST: usize = 6;
-
-/// Whether noise explains the residuals; none if the paper's distance was minimised.
-pub(super) fn unlikely(refined: &Refined) -> Option<bool> {
-    refined.likelihood.as_ref().map(|l| l.probability < UNLIKELY)
-}
 
 /// Share of the degrees of freedom below which χ² shows that the told errors are no noise of single pixels, and from how
 /// many of these on.
@@ -29,16 +22,6 @@ pub(super) fn too_quiet(refined: &Refined) -> Option<String> {
                    neighbouring pixels share their errors, as in smoothed or simulated profiles, the intervals are too \
                    narrow; if the errors are too large, they are too wide";
     quiet.then(|| warning.to_owned())
-}
-
-/// `χ² 712 of 716, p = 0.53`.
-pub(super) fn goodness(l: &Likelihood) -> String {
-    let p = if l.probability < UNLIKELY {
-        format!("p < {UNLIKELY}")
-    } else {
-        format!("p = {}", significant(l.probability, 2))
-    };
-    format!("χ² {:.0} of {:.0}, {p}", l.chi2, l.degrees_of_freedom)
 }
 
 /// What the data say of the set-up; χ² comes first unless a warning has told it.
@@ -140,8 +123,9 @@ fn position(x_mm: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use farm_figures::testing::likelihood;
+
     use super::*;
-    use crate::testing::likelihood;
 
     fn estimate(nuisance: Nuisance, value: f64, std_error: f64, prior: (f64, f64)) -> NuisanceEstimate {
         let (prior, prior_std_error) = prior;
@@ -183,7 +167,7 @@ mod tests {
 
     #[test]
     fn data_that_scatter_less_than_their_errors_warn() {
-        let mut refined = crate::testing::channel("R", 6.21, 1.0).refined.unwrap();
+        let mut refined = farm_figures::testing::channel("R", 6.21, 1.0).refined.unwrap();
         assert_eq!(too_quiet(&refined), None, "the paper's distance knows no χ²");
         for (chi2, warns) in [(300.0, true), (400.0, false), (716.0, false), (1130.0, false)] {
             refined.likelihood = Some(likelihood(chi2, 1.0));
@@ -211,7 +195,7 @@ mod tests {
     /// Also the pixels left out and runs of too bright or too dark ones. A warning has χ² itself, so it is not repeated.
     #[test]
     fn findings_give_goodness_of_fit_and_nuisances() {
-        let mut refined = crate::testing::channel("R", 6.21, 1.0).refined.unwrap();
+        let mut refined = farm_figures::testing::channel("R", 6.21, 1.0).refined.unwrap();
         assert_eq!(findings(&refined), Vec::<String>::new());
         refined.likelihood = Some(likelihood(712.4, 0.5312));
         let expected = [

@@ -1,13 +1,12 @@
 //! What people are told of a fit that noise does not explain.
 
-use optics_model::fit::{Cause, MISFIT, Refined, Suspicion};
-
-use super::likelihood::{goodness, unlikely};
-use super::numbers::significant;
+use farm_figures::misfit::{absorbed_by_media, unexplained};
+use farm_figures::numbers::significant;
+use optics_model::fit::{Cause, Refined, Suspicion};
 
 /// `misfit 3.4: …` or `χ² 1130 of 716, …` with the likeliest reason; none if noise explains the fit.
 pub(crate) fn misfit(refined: &Refined) -> Option<String> {
-    let Some(told) = told(refined) else { return absorbed(refined) };
+    let Some(left_over) = unexplained(refined) else { return absorbed(refined) };
     let meaning = match (&refined.likelihood, &refined.suspicion) {
         (Some(_), _) => {
             "noise and what is known of the set-up do not explain the data; the intervals were widened, but are not to \
@@ -23,7 +22,7 @@ pub(crate) fn misfit(refined: &Refined) -> Option<String> {
             _ => format!("; {} (misfit {left} without that)", reason(s)),
         }
     });
-    Some(format!("{told}: {meaning}{}", reason.unwrap_or_default()))
+    Some(format!("{left_over}: {meaning}{}", reason.unwrap_or_default()))
 }
 
 /// An error that the media absorb, so that χ² does not show it.
@@ -31,42 +30,6 @@ fn absorbed(refined: &Refined) -> Option<String> {
     let suspicion = absorbed_by_media(refined)?;
     let text = "the intervals are not to be trusted, although χ² is small";
     Some(format!("{text}: all materials together contradict the set-up as given; {}", reason(suspicion)))
-}
-
-fn absorbed_by_media(refined: &Refined) -> Option<&Suspicion> {
-    refined.likelihood.as_ref().and(refined.suspicion.as_ref())
-}
-
-/// The same in few words, for pictures.
-pub(crate) fn misfit_short(refined: &Refined) -> Option<String> {
-    let goodness = match told(refined) {
-        Some(goodness) => goodness,
-        None => absorbed_by_media(refined).map(|_| "not to be trusted".to_owned())?,
-    };
-    let Some(s) = &refined.suspicion else { return Some(format!("{goodness}: not explained")) };
-    let amount = |unit: &str| format!("{} {unit}", significant(s.amount, 2));
-    let percent = format!("{} %", significant(100.0 * s.amount, 2));
-    let short = match s.cause {
-        Cause::Unknown => return Some(format!("{goodness}: not explained")),
-        Cause::EdgeOffset => format!("edge {} off?", amount("mm")),
-        Cause::Gain => format!("values {percent} off?"),
-        Cause::Zero => format!("zero {} off?", significant(s.amount, 2)),
-        Cause::Slope => format!("slope {percent}?"),
-        Cause::Blur => format!("blur {}?", amount("mm")),
-        Cause::Outliers => format!("{} outliers?", s.amount),
-        Cause::GammaCoded => "sRGB, not linear?".to_owned(),
-        Cause::Exponent => format!("power {} of linear values?", significant(s.amount, 2)),
-        Cause::ThicknessesSwapped => "thicknesses exchanged?".to_owned(),
-    };
-    Some(format!("{goodness}: {short}"))
-}
-
-/// How much is left over, if it is more than noise explains.
-fn told(refined: &Refined) -> Option<String> {
-    match &refined.likelihood {
-        Some(likelihood) => (unlikely(refined) == Some(true)).then(|| goodness(likelihood)),
-        None => (refined.misfit > MISFIT).then(|| format!("misfit {}", significant(refined.misfit, 2))),
-    }
 }
 
 fn reason(s: &Suspicion) -> String {
@@ -118,8 +81,10 @@ fn reason(s: &Suspicion) -> String {
 
 #[cfg(test)]
 mod tests {
+    use farm_figures::misfit::misfit_short;
+    use farm_figures::testing::{channel, likelihood};
+
     use super::*;
-    use crate::testing::{channel, likelihood};
 
     #[test]
     fn an_unlikely_chi2_warns_whatever_the_misfit_is() {

@@ -3,7 +3,7 @@
 use optics_model::fit::{Bounds, FitOptions, Objective, Wavelet};
 use serde::Serialize;
 
-use crate::set_up::Assumed;
+use farm_lab::set_up::Assumed;
 
 /// Settings of a fit, as they were used.
 #[derive(Debug, Serialize)]

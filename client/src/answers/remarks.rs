@@ -1,10 +1,10 @@
 //! What a reader of a fit's numbers must know.
 
+use farm_figures::numbers::significant;
 use optics_model::fit::{ChannelFit, Interval, Outside, Refined};
 
 use super::likelihood::{findings, too_quiet};
 use super::misfit::misfit;
-use super::numbers::significant;
 
 /// What a reader of the numbers must know.
 pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {

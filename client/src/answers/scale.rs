@@ -1,8 +1,8 @@
 //! What all channels share, as people read it: scale factor and anisotropy.
 
+use farm_figures::numbers::{interval, significant, with_error};
 use optics_model::fit::{Common, GError, ScaleCurve};
 
-use super::numbers::{interval, significant, with_error};
 use crate::output::{table, wrapped};
 
 /// What was chosen for all channels, or given.

@@ -1,8 +1,8 @@
 //! Formats a channel's numbers with their intervals, for tables and the page, and collects the remarks on them.
 
+use farm_figures::numbers::{albedo, albedo_end, interval, significant};
 use optics_model::fit::{MaterialFit, Refined};
 
-use super::numbers::{albedo, albedo_end, interval, significant};
 use super::remarks::{remarks, warnings};
 
 /// A number with as many digits as mean something, and its interval of 95 %.

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::Args;
+use farm_lab::set_up::SetUp;
 use optics_model::fit::{DesignQuestion, DesignSettings, FitOptions, FitSettings, PixelRow};
 use optics_model::{Invalid, Medium};
 
 use super::set_up::{SET_UP, SetUpArgs};
-use crate::set_up::SetUp;
 
 /// Headings of the help.
 const MEDIUM: &str = "Guess of the medium";

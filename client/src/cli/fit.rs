@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use farm_lab::set_up::SetUp;
 use optics_model::fit::{FitOptions, FitSettings, MuRange, Objective, Wavelet};
 
 use super::bounds::BoundsArg;
 use super::set_up::{SET_UP, SetUpArgs};
-use crate::set_up::SetUp;
 
 /// What all questions to a dictionary have in common.
 #[derive(Debug, Args)]

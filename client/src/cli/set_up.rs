@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::set_up::{ByChannel, Session, SetUp};
+use farm_lab::set_up::{ByChannel, Session, SetUp};
 
 /// Heading of the help.
 pub(super) const SET_UP: &str = "What is known of the set-up";

@@ -7,14 +7,14 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Parser as _;
+use farm_lab::capture::{self, Captured, FILES, SessionErrors};
+use farm_lab::measurement_file::Note;
 use indicatif::{ProgressBar, ProgressStyle};
 use optics_capture::Source;
 use serde_json::{Value, json};
 
 use super::measure;
-use crate::capture::{self, Captured, FILES, SessionErrors};
 use crate::cli::{CaptureArgs, Cli, Command, Global};
-use crate::measurement_file::Note;
 use crate::output::{Output, table, warning, wrapped, write_whole};
 use crate::progress::has_bars;
 

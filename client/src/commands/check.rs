@@ -1,18 +1,18 @@
 //! `farmctl check`: what a measurement file holds, as it is read, and what may be wrong with it.
 
 use anyhow::Result;
+use farm_lab::measurement_file::{MeasurementFile, Note, beyond_limits, read_measurements};
 use optics_model::measurement::ProfileSetup;
 use optics_model::{MeasuredProfile, Measurement};
 use serde::Serialize;
 
 use crate::cli::CheckArgs;
-use crate::measurement_file::{MeasurementFile, Note, beyond_limits, read_measurements};
 use crate::output::{Output, table};
 
 pub(crate) fn run(args: &CheckArgs, output: &Output) -> Result<()> {
     let mut file = read_measurements(&args.measurements)?;
     file.notes.extend(beyond_limits(&file.materials));
-    let file = file.told(&args.measurements, output);
+    output.notes(&file.notes, &args.measurements);
     output.print("check", &data(&file), || text(&file))
 }
 

@@ -1,4 +1,6 @@
 use anyhow::Result;
+use farm_figures::design_figure;
+use farm_lab::set_up::Assumed;
 use farm_proto::wire::DesignRequest;
 use optics_model::fit::{Design, DesignQuestion};
 use serde::Serialize;
@@ -7,9 +9,8 @@ use super::chosen_dictionary;
 use crate::answers::design_text;
 use crate::cli::{DesignArgs, Global};
 use crate::connection::{Purpose, with_farm};
+use crate::figure_files::{self, drawn};
 use crate::output::{Output, wrapped};
-use crate::plot::{Picture, design_figure, drawn};
-use crate::set_up::Assumed;
 
 pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> Result<()> {
     let set_up = args.set_up.read()?;
@@ -17,7 +18,7 @@ pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> R
     let assumed = set_up.assumed_of(args.channel.as_deref());
     let given = args.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
     let (dictionary, design) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = DesignRequest { dictionary: dictionary.clone(), ..(&question).into() };
@@ -26,7 +27,7 @@ pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> R
     })
     .await?;
     if let Some(path) = &args.plot {
-        design_figure(&design)?.write(path)?;
+        figure_files::write(&design_figure(&design)?, path)?;
     }
     let data = data(&dictionary, &question, &assumed, &design);
     output.print("design", &data, || {

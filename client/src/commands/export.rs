@@ -7,6 +7,8 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use farm_lab::measurement_file::MeasurementWriter;
+use farm_lab::whole_file::{Draft, open_node};
 use farm_link::logs::tell;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
@@ -17,10 +19,8 @@ use serde::Serialize;
 use crate::cli::{ExportArgs, Global};
 use crate::connection::{Connection, Purpose};
 use crate::interrupt::{Interrupted, interrupted};
-use crate::measurement_file::MeasurementWriter;
 use crate::output::{Output, envelope};
 use crate::records::Records;
-use crate::whole_file::{Draft, open_node};
 
 pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name.as_str())?;

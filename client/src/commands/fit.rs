@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use farm_lab::measurement_file::{MeasurementFile, Note};
 use farm_proto::wire::FitRequest;
 use optics_model::Measurement;
 use optics_model::fit::{FitOptions, MaterialFit};
@@ -10,18 +11,16 @@ use super::chosen_dictionary;
 use crate::answers::{Report, UsedOptions, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::measurement_file::{MeasurementFile, Note, read_measurements};
+use crate::figure_files;
 use crate::output::Output;
-use crate::plot::{self, Picture};
 
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
     let set_up = args.options.set_up.read()?;
     let options = args.options(&set_up)?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let MeasurementFile { materials, notes } =
-        read_measurements(&args.measurement)?.told(&args.measurement, output);
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    let MeasurementFile { materials, notes } = output.read_measurements(&args.measurement)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
     let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
@@ -31,7 +30,7 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     })
     .await?;
     let pictures = match &args.plot {
-        Some(path) => plot::write_fits(&fits, path)?,
+        Some(path) => figure_files::write_fits(&fits, path)?,
         None => Vec::new(),
     };
     let used = UsedOptions::new(&dictionary, &options, &assumed);
@@ -89,5 +88,5 @@ fn text(report: &Report, top: u32, pictures: &[PathBuf]) -> String {
             }
         }
     }
-    text + &plot::drawn(pictures)
+    text + &figure_files::drawn(pictures)
 }

@@ -1,25 +1,25 @@
 use anyhow::{Context, Result, bail};
+use farm_figures::numbers::{albedo, significant};
+use farm_lab::measurement_file::{MeasurementFile, Note, normal};
 use farm_proto::wire::MapRequest;
 use optics_model::Measurement;
 use optics_model::fit::{DistanceMap, FitOptions, FitSettings, MapLayer};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{UsedOptions, albedo, significant};
+use crate::answers::UsedOptions;
 use crate::cli::{Global, MapArgs};
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::measurement_file::{MeasurementFile, Note, normal, read_measurements};
+use crate::figure_files;
 use crate::output::{Output, table};
-use crate::plot::{self, Picture};
 
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
     let set_up = args.options.set_up.read()?;
     let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings(&set_up)? })?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let MeasurementFile { materials, notes } =
-        read_measurements(&args.measurement)?.told(&args.measurement, output);
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    let MeasurementFile { materials, notes } = output.read_measurements(&args.measurement)?;
     let materials = chosen(materials, &args)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
@@ -31,7 +31,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     .await?;
     if let Some(path) = &args.plot {
         let maps: Vec<_> = maps.iter().map(|m| (m.material.as_str(), &m.map)).collect();
-        plot::write_maps(&maps, path)?;
+        figure_files::write_maps(&maps, path)?;
     }
     let used = UsedOptions::new(&dictionary, &options, &assumed);
     let data = data(used, &maps, &notes);

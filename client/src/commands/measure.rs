@@ -1,6 +1,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use farm_lab::measurement_file::{MeasurementFile, Note};
+use farm_lab::mixture_file::read_mixtures;
 use farm_link::logs::tell;
 use farm_proto::wire::{MeasureRequest, MeasureResponse};
 use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, Mixtures, ScaleCurve, Unmixed};
@@ -12,11 +14,9 @@ use super::submit;
 use crate::answers::{Report, UsedOptions, budget_text, common_text, fits_text, inks_text, table_csv};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
+use crate::figure_files;
 use crate::interrupt::{Interrupted, interrupted};
-use crate::measurement_file::{MeasurementFile, Note, read_measurements};
-use crate::mixture_file::read_mixtures;
 use crate::output::{Output, grouped, write_whole};
-use crate::plot::{self, Picture};
 use crate::renderers;
 
 pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output) -> Result<()> {
@@ -36,10 +36,9 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
     let range = args.search.range()?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
     let mixtures = args.mixtures.as_deref().map(read_mixtures).transpose()?;
-    let MeasurementFile { materials, notes } =
-        read_measurements(&args.measurements)?.told(&args.measurements, output);
+    let MeasurementFile { materials, notes } = output.read_measurements(&args.measurements)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
     let own = folder.as_ref().and_then(|folder| folder.dictionary.clone());
@@ -57,7 +56,7 @@ pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output)
         bail!("the coordinator is too old to fit mixtures: upgrade it");
     }
     let pictures = match &args.plot {
-        Some(path) => plot::write_fits(&found.materials, path)?,
+        Some(path) => figure_files::write_fits(&found.materials, path)?,
         None => Vec::new(),
     };
     if let Some(folder) = &args.output {
@@ -184,7 +183,7 @@ fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathB
     if let Some(unmixed) = &found.unmixed {
         text += &format!("\n\n{}", inks_text(unmixed));
     }
-    text += &plot::drawn(pictures);
+    text += &figure_files::drawn(pictures);
     if let Some(folder) = folder {
         text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
     }

@@ -1,6 +1,7 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
+use farm_figures::profile_figure;
 use farm_proto::wire::ProfileRequest;
 use optics_model::Medium;
 use optics_model::fit::{PredictedProfiles, ProfileQuestion};
@@ -9,15 +10,15 @@ use serde::Serialize;
 use super::chosen_dictionary;
 use crate::cli::{Global, ProfileArgs};
 use crate::connection::{Purpose, with_farm};
+use crate::figure_files;
 use crate::output::Output;
-use crate::plot::{Picture, profile_figure};
 
 pub(crate) async fn run(global: &Global, args: ProfileArgs, output: &Output) -> Result<()> {
     let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
     let question = ProfileQuestion::new(medium, args.thickness, args.sample_ior, args.channel)?;
     let given = args.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
     let (dictionary, profiles) = with_farm(global, Purpose::Ask, async |connection| {
         let dictionary = chosen_dictionary::name(connection, given).await?;
         let request = ProfileRequest { dictionary: dictionary.clone(), ..(&question).into() };
@@ -26,7 +27,7 @@ pub(crate) async fn run(global: &Global, args: ProfileArgs, output: &Output) -> 
     })
     .await?;
     if let Some(path) = &args.plot {
-        profile_figure(&profiles)?.write(path)?;
+        figure_files::write(&profile_figure(&profiles)?, path)?;
     }
     let data = JsonData { dictionary: &dictionary, x_mm: profiles.pixels.x_mm(), profiles: &profiles };
     output.print("profile", &data, || table(&profiles))

@@ -1,4 +1,6 @@
 use anyhow::{Context, Result};
+use farm_figures::scale_figure;
+use farm_lab::measurement_file::{MeasurementFile, Note};
 use farm_proto::wire::ScaleRequest;
 use optics_model::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use serde::Serialize;
@@ -8,9 +10,8 @@ use super::measure::OLDER;
 use crate::answers::{UsedOptions, common_text, scale_text};
 use crate::cli::{Global, ScaleArgs};
 use crate::connection::{Purpose, with_farm};
-use crate::measurement_file::{MeasurementFile, Note, read_measurements};
+use crate::figure_files::{self, drawn};
 use crate::output::Output;
-use crate::plot::{Picture, drawn, scale_figure};
 
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
     let set_up = args.options.set_up.read()?;
@@ -18,9 +19,8 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let range = args.mu.range()?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
-    let MeasurementFile { materials, notes } =
-        read_measurements(&args.measurements)?.told(&args.measurements, output);
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    let MeasurementFile { materials, notes } = output.read_measurements(&args.measurements)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
     let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
@@ -39,7 +39,8 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let fits: Vec<MaterialFit> =
         answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?;
     if let Some(path) = &args.plot {
-        scale_figure(&scale, &common, optics_fit::objective(&options, &materials))?.write(path)?;
+        let objective = optics_fit::objective(&options, &materials);
+        figure_files::write(&scale_figure(&scale, &common, objective)?, path)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
     let used = UsedOptions::new(&dictionary, &options, &assumed);

@@ -3,16 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use farm_figures::fit_figure;
+use farm_lab::capture::{Simulated, with_fits};
+use farm_lab::grid_file::read_grid;
 use farm_proto::DictionaryName;
 use optics_model::Grid;
 use optics_model::fit::{FitCurves, Interval, MaterialFit, Refined, SourceShare};
 use serde::Serialize;
 
-use crate::capture::{Simulated, with_fits};
 use crate::cli::MeasureArgs;
-use crate::grid_file::read_grid;
 use crate::output::write_whole;
-use crate::plot::fit_figure;
 
 /// The session whose folder is to be measured.
 #[derive(Debug)]

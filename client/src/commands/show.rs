@@ -13,14 +13,14 @@ use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
 use crate::connection::{Connection, Purpose, with_farm};
+use crate::figure_files;
 use crate::output::{DictionaryJson, Output, grouped, state};
-use crate::plot::Picture;
 use crate::records::Records;
 use noise::Noise;
 
 pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name)?;
-    args.plot.as_deref().map_or(Ok(()), Picture::check_path)?;
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
     let (status, noise) = with_farm(global, Purpose::Ask, async |connection| {
         let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
         let mut status = DictionaryStatus::try_from(answer.into_inner())?;
@@ -35,7 +35,7 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         }
         let found = noise::read(connection, &status).await?;
         if let Some(path) = &args.plot {
-            noise::picture(status.name.as_str(), &status.grid, &found)?.write(path)?;
+            figure_files::write(&noise::picture(status.name.as_str(), &status.grid, &found)?, path)?;
         }
         let noise = Noise::of(&status.grid, &found);
         Ok((status, Some(noise)))
@@ -115,7 +115,7 @@ async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -
     if records.is_empty() {
         bail!("none of the records to be drawn is done yet");
     }
-    overview::picture(status.name.as_str(), &status.grid, &axes, &records)?.write(path)
+    figure_files::write(&overview::picture(status.name.as_str(), &status.grid, &axes, &records)?, path)
 }
 
 fn text(status: &DictionaryStatus) -> String {

@@ -1,8 +1,8 @@
 use anyhow::Result;
+use farm_figures::numbers::{albedo, significant};
 use optics_model::Medium;
 use serde::Serialize;
 
-use crate::answers::{albedo, significant};
 use crate::cli::SimilarArgs;
 use crate::output::{Output, table};
 

@@ -12,13 +12,13 @@ use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
 use serde::Serialize;
 
 use camera::{Camera, NOISE};
+use farm_lab::grid_file::read_scene;
+use farm_lab::measurement_file::{MeasurementWriter, check_name};
+use farm_lab::whole_file::open_node;
 
 use crate::cli::SimulateArgs;
-use crate::grid_file::read_scene;
-use crate::measurement_file::{MeasurementWriter, check_name};
+use crate::figure_files;
 use crate::output::{Output, envelope, write_whole};
-use crate::plot::Picture;
-use crate::whole_file::open_node;
 
 /// Most profiles of one command: more are the work of a farm.
 const MOST_PROFILES: usize = 1000;
@@ -43,7 +43,7 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
 fn simulate(args: &SimulateArgs, style: &Style, jobs: &[JobSpec]) -> Result<()> {
     if let Some(path) = &args.plot {
         let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], args.g[0])?);
-        changes::picture(job, &medium, args.change)?.write(path)?;
+        figure_files::write(&changes::picture(job, &medium, args.change)?, path)?;
     }
     let Some(path) = &args.output else {
         return write(style, jobs, std::io::BufWriter::new(std::io::stdout().lock()));
@@ -106,7 +106,7 @@ fn scene(args: &SimulateArgs) -> Result<Scene> {
 
 fn check_plot(args: &SimulateArgs, jobs: &[JobSpec]) -> Result<()> {
     let Some(path) = &args.plot else { return Ok(()) };
-    Picture::check_path(path)?;
+    figure_files::check_path(path)?;
     if !(args.change > 0.0 && args.change < 1.0) {
         return Err(Invalid::new("change", args.change, "allowed are numbers above 0, below 1").into());
     }

@@ -2,6 +2,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
+use farm_lab::grid_file::read_grid;
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
@@ -13,7 +14,6 @@ use super::watch::line;
 use crate::cli::{Global, SubmitArgs};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
-use crate::grid_file::read_grid;
 use crate::interrupt::Interrupted;
 use crate::output::{DictionaryJson, Output, duration, grouped, is_closed_pipe};
 use crate::questions::patient;

@@ -1,5 +1,8 @@
 //! What programs read: the JSON of `farmctl/1`, byte by byte.
 
+use farm_figures::testing::{interval, likelihood};
+use farm_lab::measurement_file::Note;
+use farm_lab::set_up::{Assumed, SetUp};
 use farm_proto::DictionaryName;
 use farm_proto::ids::WorkerId;
 use farm_proto::status::{
@@ -21,10 +24,7 @@ use serde::Serialize;
 use super::{design, fit, list, map, measure, profile, scale, show, similar, simulate, status, workers};
 use crate::answers::UsedOptions;
 use crate::cli::SimilarArgs;
-use crate::measurement_file::Note;
 use crate::output::envelope;
-use crate::set_up::{Assumed, SetUp};
-use crate::testing::{interval, likelihood};
 
 /// One answer a line, as `--json` prints it. Fields may be added to a version, never changed or removed: a line may only
 /// grow.
@@ -79,7 +79,10 @@ fn answers() -> Vec<String> {
         line("list", &list::data(&dictionaries)),
         line("workers", &workers::data(&[worker()])),
         line("fit", &fit::data(used(&likely, &assumed), &[with_likelihood()], &[])),
-        line("design", &design::data("paper", &design_question(likely), &assumed, &crate::testing::design())),
+        line(
+            "design",
+            &design::data("paper", &design_question(likely), &assumed, &farm_figures::testing::design()),
+        ),
         line("measure", &measure::data(used(&likely, &assumed), &with_inks(fits[..1].to_vec()), &[])),
     ]
 }
@@ -106,7 +109,7 @@ fn with_inks(materials: Vec<MaterialFit>) -> measure::Found {
         scale: None,
         common: common(Some(0.4)),
         materials,
-        unmixed: Some(crate::testing::unmixed()),
+        unmixed: Some(farm_figures::testing::unmixed()),
     }
 }
 

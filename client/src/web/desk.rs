@@ -6,6 +6,7 @@ mod session;
 use std::path::Path;
 
 use anyhow::{Result, bail};
+use farm_figures::{Picture, fit_figure, map_figure, profile_figure};
 use farm_proto::{to_status, wire};
 use optics_model::fit::{DistanceMap, FitOptions, PredictedProfiles};
 use optics_model::grid::NoiseLevel;
@@ -23,13 +24,13 @@ use super::api::{
 };
 use super::captures::Captures;
 use crate::answers::{self, all_remarks, common_text, objective};
+use farm_lab::grid_file::grid_of;
+use farm_lab::measurement_file::{self, MeasurementFile};
+use farm_lab::set_up::SetUp;
 
 use crate::commands::measure::{Found, media_files};
-use crate::grid_file::grid_of;
-use crate::measurement_file::{self, MeasurementFile};
+use crate::figure_files::file_name;
 use crate::output::sentence;
-use crate::plot::{Picture, file_name, fit_figure, map_figure, profile_figure};
-use crate::set_up::SetUp;
 
 /// The measurement of the documentation, for whoever has none yet.
 const EXAMPLE: &[u8] = include_bytes!("../../../examples/white.csv");

@@ -73,9 +73,9 @@ fn the_example_session_gives_true_profiles_and_set_up() {
         assert!((rho[0] - light).abs() < 0.005 && (rho[1] - dark).abs() < 0.0005, "{channel}: {rho:?}");
     }
     assert_eq!(session_json["inputs"].as_array().unwrap().len(), 14);
-    let grid = farmctl::read_grid(&white.join("grid.toml")).unwrap();
+    let grid = farm_lab::grid_file::read_grid(&white.join("grid.toml")).unwrap();
     assert_eq!(grid.thickness_mm(), [0.512, 1.006]);
-    let measured = farmctl::read_measurements(&white.join("measurements.csv")).unwrap();
+    let measured = farm_lab::measurement_file::read_measurements(&white.join("measurements.csv")).unwrap();
     assert!(measured.notes.is_empty(), "{:?}", measured.notes);
 
     let again = run(folder.path(), &["capture", text(&session()), "-o", "again"]);

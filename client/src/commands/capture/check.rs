@@ -4,13 +4,13 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Result;
+use farm_lab::capture::{Shots, pattern};
+use farm_lab::photograph::Orientation;
 use optics_capture::{Darks, Photo, ShotCheck, check_shot};
 use serde_json::{Value, json};
 
-use crate::capture::{Shots, pattern};
 use crate::cli::CaptureArgs;
 use crate::output::{Output, warning};
-use crate::photograph::Orientation;
 
 /// A photograph that is usable.
 struct Seen {

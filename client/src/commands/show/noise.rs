@@ -4,6 +4,7 @@
 //! mean, in the channel where that is greatest.
 
 use anyhow::{Result, bail};
+use farm_figures::{Picture, noise_figure};
 use farm_proto::status::DictionaryStatus;
 use optics_model::Grid;
 use optics_model::fit::{Candidate, DistanceMap, MapLayer};
@@ -12,7 +13,6 @@ use serde::Serialize;
 
 use crate::connection::Connection;
 use crate::output::table;
-use crate::plot::{Picture, noise_figure};
 use crate::records::Records;
 
 /// Rows of the table by albedo.

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use anyhow::Result;
 use optics_model::{Grid, Record};
 
-use crate::plot::{OverviewFigure, Picture, overview_figure};
+use farm_figures::{OverviewFigure, Picture, overview_figure};
 
 /// Indices into the axes of σ_t, albedo and g that are shown.
 #[derive(Debug)]

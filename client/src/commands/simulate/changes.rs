@@ -8,8 +8,8 @@ use optics_model::fit::{Curve, FitSettings};
 use optics_model::job::JobSpec;
 use optics_model::{Medium, Record, TransportPoint};
 
-use crate::answers::{albedo, significant};
-use crate::plot::{ChangesFigure, ChangesPanel, LabelledCurve, Picture, changes_figure};
+use farm_figures::numbers::{albedo, significant};
+use farm_figures::{ChangesFigure, ChangesPanel, LabelledCurve, Picture, changes_figure};
 
 /// Traces the medium and its neighbours, of which each has σ_t, 1 − α or 1 − g smaller or larger by the relative
 /// `change`, and draws the first channel. Runs on the current rayon pool.

@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use farm_lab::measurement_file::{MeasurementFile, read_measurements};
+use farm_lab::set_up::{Session, SetUp};
 use optics_model::fit::{FitOptions, FitSettings};
 
 use super::{api::OpenCaptureResponse, note};
 use crate::commands::session_folder::own_dictionary;
-use crate::measurement_file::{MeasurementFile, read_measurements};
-use crate::set_up::{Session, SetUp};
 
 /// What the session of a folder tells of its set-up.
 pub(super) fn set_up(folder: &Path) -> Result<SetUp> {

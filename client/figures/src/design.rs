@@ -1,0 +1,253 @@
+//! How well sets of slabs would determine a medium: half-widths of intervals, a row for each set.
+
+use anyhow::ensure;
+use optics_model::Medium;
+use optics_model::fit::{Design, HalfWidths, SlabSet};
+
+use super::axis::{Axis, Direction, extent};
+use super::canvas::{Area, Canvas, Stroke, at};
+use super::color::Color;
+use super::frame::{Frame, TICKS_BELOW};
+use super::head::{Head, MARGIN};
+use super::legend::{Key, Sample};
+use super::number::number;
+use super::picture::Picture;
+use super::text::{Anchor, LABEL, SMALL, TICK, Text};
+use crate::numbers::slabs;
+
+const PANEL_WIDTH: f64 = 178.0;
+const BETWEEN: f64 = 22.0;
+const ROW: f64 = 19.0;
+const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
+const RADIUS: f64 = 3.4;
+/// By the number of photographs; used again if there are more.
+const COLORS: [Color; 5] = [Color::BLUE, Color::ORANGE, Color::GREEN, Color::VERMILLION, Color::PURPLE];
+
+/// Of a quantity, as a share of it.
+type Share = fn(&HalfWidths, &Medium) -> f64;
+
+const QUANTITIES: [(&str, Share); 4] = [
+    ("σ_t", HalfWidths::of_sigma_t),
+    ("1 − α", HalfWidths::of_co_albedo),
+    ("σ_s (1 − g)", HalfWidths::of_reduced_scattering),
+    ("σ_a", HalfWidths::of_absorption),
+];
+
+/// A panel for each quantity, a row for each set of slabs, a colour for each number of photographs; g held and free.
+pub fn design_figure(design: &Design) -> anyhow::Result<Picture> {
+    let rows = Rows::of(design);
+    let panels: Vec<Panel> =
+        QUANTITIES.iter().filter_map(|(name, share)| Panel::new(name, *share, design, &rows)).collect();
+    ensure!(!panels.is_empty(), "no set of slabs determines anything: there is nothing to draw");
+    let left = MARGIN + rows.width();
+    let width = left + panels.len() as f64 * (PANEL_WIDTH + BETWEEN) - BETWEEN + MARGIN;
+    let m = &design.medium;
+    let title = format!(
+        "How well slabs determine σ_t = {} / mm, α = {}, g = {} (channel {})",
+        number(m.sigma_t_per_mm(), 4),
+        number(m.albedo(), 6),
+        number(m.g(), 3),
+        design.channel
+    );
+    let keys = rows.keys(design, panels.iter().any(|panel| panel.incomplete));
+    let head = Head::new(&title, &keys, width - 2.0 * MARGIN);
+    let height = rows.slabs.len() as f64 * ROW;
+    let top = head.height() + 1.6 * SMALL;
+    let mut canvas = Canvas::new(width, top + height + BELOW + MARGIN);
+    head.draw(&mut canvas);
+    rows.draw_names(&mut canvas, left, top);
+    for (i, panel) in panels.iter().enumerate() {
+        let left = left + i as f64 * (PANEL_WIDTH + BETWEEN);
+        panel.draw(&mut canvas, Area { left, top, width: PANEL_WIDTH, height });
+    }
+    Ok(canvas.finish())
+}
+
+/// What the rows and the colours stand for.
+struct Rows {
+    /// Name of each set, and whether it is the best.
+    slabs: Vec<(String, bool)>,
+    shots: Vec<u32>,
+}
+
+impl Rows {
+    fn of(design: &Design) -> Self {
+        let (mut all, mut shots) = (Vec::<(String, bool)>::new(), Vec::new());
+        for set in &design.sets {
+            let name = slabs(set);
+            match all.iter_mut().find(|(other, _)| *other == name) {
+                Some((_, best)) => *best |= set.best,
+                None => all.push((name, set.best)),
+            }
+            if !shots.contains(&set.shots) {
+                shots.push(set.shots);
+            }
+        }
+        Self { slabs: all, shots }
+    }
+
+    fn name(name: &str, best: bool) -> Text {
+        let text = Text::new(name, SMALL).anchor(Anchor::End);
+        if best { text.bold() } else { text }
+    }
+
+    /// Down to the axis of the first panel.
+    fn width(&self) -> f64 {
+        let names = self.slabs.iter().map(|(name, best)| Self::name(name, *best).width());
+        names.fold(Text::new("slabs in mm", SMALL).width(), f64::max) + 10.0
+    }
+
+    fn draw_names(&self, canvas: &mut Canvas, right: f64, top: f64) {
+        let head = Text::new("slabs in mm", SMALL).anchor(Anchor::End).color(Color::FAINT_INK);
+        canvas.text(at(right - 8.0, top - 0.5 * SMALL), &head);
+        for (i, (name, best)) in self.slabs.iter().enumerate() {
+            let middle = top + (i as f64 + 0.5) * ROW;
+            canvas.text(at(right - 8.0, middle + 0.36 * SMALL), &Self::name(name, *best));
+        }
+    }
+
+    fn row(&self, set: &SlabSet) -> usize {
+        let name = slabs(set);
+        self.slabs.iter().position(|(other, _)| *other == name).unwrap_or(0)
+    }
+
+    fn color(&self, set: &SlabSet) -> Color {
+        let place = self.shots.iter().position(|n| *n == set.shots).unwrap_or(0);
+        COLORS[place % COLORS.len()]
+    }
+
+    fn keys(&self, design: &Design, incomplete: bool) -> Vec<Key> {
+        let patch = |(i, n): (usize, &u32)| {
+            let words = if *n == 1 { "photograph" } else { "photographs" };
+            let sample = Sample::Patch(COLORS[i % COLORS.len()]);
+            Key { sample, label: format!("{n} {words} of each slab") }
+        };
+        let mut keys: Vec<Key> = self.shots.iter().enumerate().map(patch).collect();
+        if design.sets.iter().any(|set| set.g_free.is_some()) {
+            keys.push(Key::note("filled: g held, open: g free"));
+        }
+        if self.slabs.iter().any(|(_, best)| *best) {
+            keys.push(Key::note("bold: best"));
+        }
+        if incomplete {
+            keys.push(Key::note("beyond 100 %: not drawn"));
+        }
+        keys
+    }
+}
+
+/// Half-width in per cent, in its row.
+struct Dot {
+    row: usize,
+    percent: f64,
+    color: Color,
+    filled: bool,
+}
+
+struct Panel {
+    name: &'static str,
+    dots: Vec<Dot>,
+    axis: Axis,
+    /// Some half-widths are not drawn.
+    incomplete: bool,
+}
+
+impl Panel {
+    /// None if there is nothing to draw.
+    fn new(name: &'static str, share: Share, design: &Design, rows: &Rows) -> Option<Self> {
+        let of_set = |set: &SlabSet| {
+            let dot = |widths: &HalfWidths, filled: bool| Dot {
+                row: rows.row(set),
+                percent: 100.0 * share(widths, &design.medium),
+                color: rows.color(set),
+                filled,
+            };
+            // What is held lies upon what is free.
+            let free = set.g_free.as_ref().map(|w| dot(w, false));
+            free.into_iter().chain([dot(&set.g_held, true)]).collect::<Vec<_>>()
+        };
+        let all: Vec<Dot> = design.sets.iter().flat_map(of_set).collect();
+        let incomplete = all.iter().any(|dot| dot.percent > 100.0);
+        let dots: Vec<Dot> = all.into_iter().filter(|d| d.percent > 0.0 && d.percent <= 100.0).collect();
+        let (low, high) = extent(dots.iter().map(|dot| dot.percent))?;
+        Some(Self { name, dots, axis: Axis::logarithmic(low / 1.15, high * 1.15), incomplete })
+    }
+
+    fn draw(&self, canvas: &mut Canvas, area: Area) {
+        let frame = Frame { area, x: self.axis, y: Axis::exact(None) };
+        let pen = Stroke::solid(Color::AXIS, 0.8);
+        let ticks = self.axis.ticks(area.width, Direction::Across);
+        for tick in ticks.iter().filter(|tick| tick.label.is_some()) {
+            let x = frame.across(tick.value);
+            canvas.line(at(x, area.top), at(x, area.bottom()), Stroke::solid(Color::RULE, 0.7));
+        }
+        let rows = (area.height / ROW).round() as usize;
+        for row in 0..rows {
+            let y = area.top + (row as f64 + 0.5) * ROW;
+            canvas.line(at(area.left, y), at(area.right(), y), Stroke::solid(Color::RULE, 0.7));
+        }
+        for dot in &self.dots {
+            let place = at(frame.across(dot.percent), area.top + (dot.row as f64 + 0.5) * ROW);
+            let fill = if dot.filled { dot.color } else { Color::WHITE };
+            canvas.circle(place, RADIUS, Some(fill), Stroke::solid(dot.color, 1.4));
+        }
+        canvas.line(at(area.left, area.bottom()), at(area.right(), area.bottom()), pen);
+        for tick in ticks {
+            let (x, bottom) = (frame.across(tick.value), area.bottom());
+            let length = if tick.label.is_some() { 3.5 } else { 2.0 };
+            canvas.line(at(x, bottom), at(x, bottom + length), pen);
+            if let Some(label) = tick.label {
+                let text = Text::new(label, TICK).anchor(Anchor::Middle);
+                canvas.text(at(x, bottom + TICKS_BELOW - 0.15 * TICK), &text);
+            }
+        }
+        let name = Text::new(format!("{}: ± %", self.name), LABEL).anchor(Anchor::Middle);
+        canvas.text(at(area.center().x, area.bottom() + TICKS_BELOW + 1.3 * LABEL), &name);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::checks::{assert_well_laid_out, texts};
+    use super::*;
+    use crate::testing::design;
+
+    #[test]
+    fn every_set_has_its_row_and_the_best_is_named() {
+        let picture = design_figure(&design()).unwrap();
+        assert_well_laid_out(&picture);
+        let texts = texts(&picture);
+        for label in
+            ["0.5", "0.5 + 1", "1 photograph of each slab", "2 photographs of each slab", "bold: best"]
+        {
+            assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
+        }
+        assert!(texts.iter().any(|text| text == "beyond 100 %: not drawn"), "{texts:?}");
+        // A row is one set, whatever the photographs.
+        assert_eq!(texts.iter().filter(|text| *text == "0.5").count(), 1);
+    }
+
+    #[test]
+    fn many_sets_of_many_slabs_fit() {
+        let mut design = design();
+        let one = design.sets[0].clone();
+        design.sets = (1..=25)
+            .map(|i| SlabSet { slabs_mm: vec![0.25 * f64::from(i), 0.123_456, 1.0, 2.0], ..one.clone() })
+            .collect();
+        assert_well_laid_out(&design_figure(&design).unwrap());
+        design.sets.truncate(1);
+        assert_well_laid_out(&design_figure(&design).unwrap());
+    }
+
+    #[test]
+    fn without_a_number_there_is_no_picture() {
+        let mut design = design();
+        for set in &mut design.sets {
+            (set.g_held, set.g_free) = (HalfWidths::UNKNOWN, None);
+        }
+        let refused = design_figure(&design).unwrap_err().to_string();
+        assert!(refused.starts_with("no set of slabs determines anything"), "{refused}");
+        design.sets[0].g_held.sigma_t_per_mm = 0.3;
+        assert_well_laid_out(&design_figure(&design).unwrap());
+    }
+}

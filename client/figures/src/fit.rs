@@ -1,0 +1,141 @@
+//! Fig. 7: measured profiles with the best fits.
+
+use optics_model::Medium;
+use optics_model::fit::{ChannelFit, FitCurves, MaterialFit};
+
+use super::canvas::Stroke;
+use super::color::Color;
+use super::legend::Key;
+use super::picture::Picture;
+use super::sheet::{Cell, Sheet};
+use crate::misfit::misfit_short;
+use crate::numbers::{albedo, significant};
+
+const MEASURED: Stroke = Stroke::dots(Color::GREY, 2.0);
+const NEIGHBOUR: Stroke = Stroke::solid(Color::SKY_BLUE, 0.6);
+const GRID: Stroke = Stroke::solid(Color::BLUE, 1.3);
+const REFINED: Stroke = Stroke::dashed(Color::VERMILLION, 1.3, "5 3");
+
+/// Fits of one material: channels beside each other, thicknesses below each other.
+pub fn fit_figure(fit: &MaterialFit) -> anyhow::Result<Picture> {
+    let curves = || fit.channels.iter().flat_map(|channel| &channel.curves);
+    let mut legend = vec![Key::line(MEASURED, "measured"), Key::line(GRID, "best record of the dictionary")];
+    if curves().any(|curves| curves.refined.is_some()) {
+        legend.push(Key::line(REFINED, "refined between records"));
+    }
+    if curves().any(|curves| curves.candidates.len() > 1) {
+        legend.push(Key::line(NEIGHBOUR, "adjacent records"));
+    }
+    legend.push(Key::note("|∇| per pixel of 10 mm / 360"));
+    let cells =
+        fit.channels.iter().flat_map(|channel| channel.curves.iter().filter_map(|c| cell(channel, c)));
+    Sheet { title: &fit.material, legend, cells: cells.collect(), alike: false }.draw()
+}
+
+/// None without a record to compare with.
+fn cell<'a>(channel: &'a ChannelFit, compared: &'a FitCurves) -> Option<Cell<'a>> {
+    let (best, neighbours) = compared.candidates.split_first()?;
+    let mut keys = vec![Key::line(GRID, label(&channel.candidates.first()?.medium))];
+    let mut curves = vec![(MEASURED, &compared.measured)];
+    curves.extend(neighbours.iter().map(|curve| (NEIGHBOUR, curve)));
+    curves.push((GRID, best));
+    if let (Some(curve), Some(refined)) = (&compared.refined, &channel.refined) {
+        keys.push(Key::line(REFINED, label(&refined.best.medium)));
+        curves.push((REFINED, curve));
+    }
+    keys.extend(channel.refined.as_ref().and_then(misfit_short).map(Key::note));
+    let (column, thickness_mm) = (&channel.channel, compared.thickness_mm);
+    Some(Cell { column, thickness_mm, keys, x_mm: &compared.x_mm, curves })
+}
+
+fn label(m: &Medium) -> String {
+    let three = |v| significant(v, 3);
+    format!("σ_t {}, α {}, g {}", three(m.sigma_t_per_mm()), albedo(m.albedo()), three(m.g()))
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::fit::Curve;
+
+    use super::super::checks::{assert_well_laid_out, edge, texts, x_mm};
+    use super::*;
+    use crate::testing;
+
+    fn compared(thickness_mm: f64) -> FitCurves {
+        FitCurves {
+            thickness_mm,
+            x_mm: x_mm(),
+            measured: edge(0.1, 0.8, 0.5),
+            candidates: vec![edge(0.12, 0.79, 0.5), edge(0.14, 0.78, 0.6), edge(0.1, 0.8, 0.4)],
+            refined: Some(edge(0.11, 0.8, 0.5)),
+        }
+    }
+
+    fn figure(channels: usize, thicknesses_mm: &[f64]) -> MaterialFit {
+        let channel = |i| ChannelFit {
+            curves: thicknesses_mm.iter().map(|t| compared(*t)).collect(),
+            ..testing::channel(&format!("{} nm", 400 + 10 * i), 6.2134, 3.4)
+        };
+        MaterialFit { material: "Vero White".into(), channels: (0..channels).map(channel).collect() }
+    }
+
+    #[test]
+    fn one_panel_or_many_are_well_laid_out() {
+        for (channels, thicknesses) in
+            [(1, &[0.5][..]), (3, &[0.5, 1.0]), (9, &[0.5]), (31, &[0.5, 1.0, 2.0])]
+        {
+            let picture = fit_figure(&figure(channels, thicknesses)).unwrap();
+            assert_well_laid_out(&picture);
+            let texts = texts(&picture);
+            assert_eq!(texts.iter().filter(|text| text.ends_with(" nm")).count(), channels);
+            for label in
+                ["Vero White", "x [mm]", "radiance factor", "|∇| per pixel", "t = 0.5 mm", "measured"]
+            {
+                assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
+            }
+            let warnings = texts.iter().filter(|text| text.starts_with("misfit 3.4: edge 0.071 mm off?"));
+            assert_eq!(warnings.count(), channels);
+        }
+    }
+
+    #[test]
+    fn parameters_are_told_once_where_all_thicknesses_share_them() {
+        let mut shared = figure(1, &[0.5, 1.0]);
+        let count = |figure: &MaterialFit| {
+            let texts = texts(&fit_figure(figure).unwrap());
+            texts.iter().filter(|text| text.starts_with("σt 7, α ")).count()
+        };
+        assert_eq!(count(&shared), 1);
+        shared.channels[0].curves[1].refined = None;
+        assert_eq!(count(&shared), 2);
+    }
+
+    #[test]
+    fn odd_data_are_drawn_and_wrong_data_refused() {
+        let mut figure = figure(2, &[0.5, 1.0]);
+        figure.material = "a title that is <longer> than the figure & ".repeat(6);
+        figure.channels[0].channel = "a channel with a name that does not fit above its panel at all".into();
+        figure.channels[1].curves.pop();
+        let empty = || Curve { values: vec![], gradient: vec![] };
+        let nothing =
+            FitCurves { x_mm: vec![], measured: empty(), candidates: vec![empty()], ..compared(0.5) };
+        figure.channels[1].curves[0] = FitCurves { refined: None, ..nothing };
+        let flat = |value: f64| Curve { values: vec![value; 3], gradient: vec![0.0; 3] };
+        figure.channels[0].curves[1] = FitCurves {
+            thickness_mm: 1.0,
+            x_mm: vec![-5.0, 0.0, 5.0],
+            measured: flat(f64::NAN),
+            candidates: vec![flat(0.5)],
+            refined: None,
+        };
+        assert_well_laid_out(&fit_figure(&figure).unwrap());
+
+        figure.channels[0].curves.push(compared(0.5));
+        assert!(fit_figure(&figure).unwrap_err().to_string().starts_with("two panels for a channel"));
+        figure.channels[0].curves.truncate(1);
+        figure.channels[0].curves[0].candidates[0].gradient.pop();
+        assert!(fit_figure(&figure).unwrap_err().to_string().contains("360 values and 359 gradients"));
+        figure.channels.clear();
+        assert_eq!(fit_figure(&figure).unwrap_err().to_string(), "no panels to draw");
+    }
+}

@@ -1,0 +1,235 @@
+//! Fig. 9: maps over co-albedo and extinction, one for each g: of the distance to a measurement, or of records' noise.
+
+mod nodes;
+mod overlay;
+mod plan;
+
+use anyhow::ensure;
+use optics_model::fit::DistanceMap;
+
+use super::canvas::Canvas;
+use super::head::{Head, MARGIN};
+use super::picture::Picture;
+use overlay::keys;
+use plan::Plan;
+
+/// What the cells of a map tell, and what its marks stand for.
+#[derive(Debug)]
+struct Words {
+    title: String,
+    value: &'static str,
+    /// Marked in all maps together, and in each.
+    mark_of_all: &'static str,
+    mark: &'static str,
+}
+
+pub fn map_figure(material: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
+    let words = Words {
+        title: format!("{material}, channel {}: distance to every medium", map.channel),
+        value: "distance",
+        mark_of_all: "best fit",
+        mark: "best fit for this g",
+    };
+    figure(&words, map)
+}
+
+/// The noise of a dictionary's records in the place of distances, and the noisiest in the place of the best.
+pub fn noise_figure(dictionary: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
+    let words = Words {
+        title: format!("Dictionary {dictionary}: noise of its records"),
+        value: "relative standard error",
+        mark_of_all: "noisiest",
+        mark: "noisiest for this g",
+    };
+    figure(&words, map)
+}
+
+fn figure(words: &Words, map: &DistanceMap) -> anyhow::Result<Picture> {
+    let cells = map.sigma_t_per_mm.len() * map.albedo.len();
+    for layer in &map.layers {
+        let n: usize = layer.errors.iter().map(Vec::len).sum();
+        ensure!(n == cells, "map for g = {}: {n} distances for {cells} cells", layer.g);
+    }
+    let plan = Plan::new(map)?;
+    let keys = keys(words, map, &plan.frame(0, 0.0));
+    let head = Head::new(&words.title, &keys, plan.width - 2.0 * MARGIN);
+    let top = head.height().ceil();
+    let mut canvas = Canvas::new(plan.width, top + plan.height() + MARGIN);
+    head.draw(&mut canvas);
+    for i in 0..map.layers.len() {
+        plan.draw_panel(&mut canvas, map, i, top)?;
+    }
+    plan.draw_bar(&mut canvas, words.value, top)?;
+    Ok(canvas.finish())
+}
+
+#[cfg(test)]
+mod tests {
+    use base64::Engine as _;
+    use optics_model::Medium;
+    use optics_model::fit::{Candidate, MapLayer};
+    use resvg::tiny_skia::Pixmap;
+
+    use super::super::checks::{assert_well_laid_out, texts};
+    use super::super::color::Color;
+    use super::plan::FINENESS;
+    use super::*;
+    use crate::testing;
+
+    fn figure(gs: usize) -> DistanceMap {
+        let sigma_t_per_mm = vec![1.0, 2.0, 4.0, 10.0, 30.0];
+        let albedo = vec![0.05, 0.5, 0.9, 0.99, 0.999, 0.99999];
+        let distance = |s: f64, a: f64| 0.01 + (s / 4.0).ln().abs() + 5.0 * (a - 0.99_f64).abs();
+        let row = |s: &f64| albedo.iter().map(|a| distance(*s, *a)).collect();
+        let layer = |i: usize| MapLayer {
+            g: 0.1 * i as f64,
+            errors: sigma_t_per_mm.iter().map(row).collect(),
+            best: best(4.0, 0.99),
+            similar: Some(best(if i == 1 { 80.0 } else { 5.0 }, 0.995).medium),
+        };
+        DistanceMap {
+            channel: "R".into(),
+            sample_ior: 1.53,
+            best_layer: 0,
+            layers: (0..gs).map(layer).collect(),
+            sigma_t_per_mm: sigma_t_per_mm.clone(),
+            albedo: albedo.clone(),
+        }
+    }
+
+    fn best(sigma_t_per_mm: f64, albedo: f64) -> Candidate {
+        let medium = Medium::new(sigma_t_per_mm, albedo, 0.0).unwrap();
+        Candidate { medium, ..testing::candidate(sigma_t_per_mm) }
+    }
+
+    fn draw(map: &DistanceMap) -> anyhow::Result<Picture> {
+        map_figure("Vero White", map)
+    }
+
+    fn images(picture: &Picture) -> Vec<Pixmap> {
+        let document = roxmltree::Document::parse(picture.svg()).unwrap();
+        let images = document.descendants().filter_map(|node| node.attribute("href"));
+        let decode = |href: &str| {
+            let data = href.strip_prefix("data:image/png;base64,").unwrap();
+            let png = base64::engine::general_purpose::STANDARD.decode(data).unwrap();
+            Pixmap::decode_png(&png).unwrap()
+        };
+        images.map(decode).collect()
+    }
+
+    #[test]
+    fn one_map_or_many_are_well_laid_out() {
+        for gs in [1, 2, 3, 4, 5, 11] {
+            let picture = draw(&figure(gs)).unwrap();
+            assert_well_laid_out(&picture);
+            let texts = texts(&picture);
+            assert_eq!(texts.iter().filter(|text| text.starts_with("g = ")).count(), gs);
+            for label in [
+                "Vero White, channel R: distance to every medium",
+                "1 − α",
+                "σt [1/mm]",
+                "distance",
+                "best fit",
+                "similarity theory",
+            ] {
+                assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
+            }
+            let outside = texts.iter().any(|text| text == "similarity theory, outside the grid");
+            assert_eq!(outside, gs > 1);
+        }
+    }
+
+    #[test]
+    fn noise_is_named_as_such() {
+        let mut map = figure(4);
+        map.layers.iter_mut().for_each(|layer| layer.similar = None);
+        let picture = noise_figure("paper", &map).unwrap();
+        assert_well_laid_out(&picture);
+        let texts = texts(&picture);
+        for label in
+            ["Dictionary paper: noise of its records", "relative standard error", "noisiest for this g"]
+        {
+            assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
+        }
+        assert!(
+            !texts.iter().any(|text| text.contains("distance") || text.contains("similarity")),
+            "{texts:?}"
+        );
+    }
+
+    /// Each cell has the colour of its node's distance.
+    #[test]
+    fn map_cells_end_at_geometric_midpoints() {
+        let figure = figure(1);
+        let plan = Plan::new(&figure).unwrap();
+        let frame = plan.frame(0, 0.0);
+        let pixels = images(&draw(&figure).unwrap()).remove(0);
+        let color = |sigma_t: f64, co_albedo: f64| {
+            let place = [frame.across(co_albedo) - frame.area.left, frame.up(sigma_t) - frame.area.top];
+            let [x, y] = place.map(|length| (FINENESS * length) as u32);
+            let pixel = pixels.pixel(x, y).unwrap();
+            Color(pixel.red(), pixel.green(), pixel.blue())
+        };
+        assert_eq!(color(4.0, 0.01), Color::viridis(0.0), "the smallest distance");
+        assert_eq!(color(30.0, 0.95), Color::viridis(1.0), "the largest distance");
+        // The edges beside the node are at √(2 · 4) and √(4 · 10), at √(0.001 · 0.01) and √(0.01 · 0.1).
+        for (sigma_t, co_albedo) in [(2.86, 0.01), (6.29, 0.01), (4.0, 0.0032), (4.0, 0.0314)] {
+            assert_eq!(color(sigma_t, co_albedo), color(4.0, 0.01));
+        }
+        for (sigma_t, co_albedo) in [(2.80, 0.01), (6.37, 0.01), (4.0, 0.0031), (4.0, 0.0319)] {
+            assert_ne!(color(sigma_t, co_albedo), color(4.0, 0.01));
+        }
+    }
+
+    #[test]
+    fn the_png_shows_the_maps_and_is_the_same_every_time() {
+        let figure = figure(2);
+        let png = || draw(&figure).unwrap().png().unwrap();
+        let bytes = png();
+        assert!(bytes == png());
+        let drawn = Pixmap::decode_png(&bytes).unwrap();
+        let map = &images(&draw(&figure).unwrap())[1];
+        let first_cell = map.pixel(0, map.height() - 1).unwrap();
+        let same = drawn.pixels().iter().filter(|pixel| **pixel == first_cell).count();
+        assert!(same > 100, "{same} pixels have the colour of the first cell");
+    }
+
+    #[test]
+    fn missing_distances_are_grey_and_told() {
+        let mut figure = figure(2);
+        figure.layers[1].errors.iter_mut().for_each(|row| row.fill(f64::NAN));
+        let picture = draw(&figure).unwrap();
+        assert!(images(&picture)[1].pixels().iter().all(|p| [p.red(), p.green(), p.blue()] == [0xdd; 3]));
+        assert!(texts(&picture).iter().any(|text| text == "no record"));
+    }
+
+    #[test]
+    fn odd_grids_are_drawn_and_wrong_data_refused() {
+        let layer = MapLayer { g: -0.25, errors: vec![vec![0.0, 0.0]], best: best(3.0, 0.9), similar: None };
+        let mut figure = DistanceMap {
+            channel: String::new(),
+            sigma_t_per_mm: vec![3.0],
+            albedo: vec![1.0, 0.9],
+            sample_ior: 1.53,
+            best_layer: 0,
+            layers: vec![layer],
+        };
+        let picture = draw(&figure).unwrap();
+        assert_well_laid_out(&picture);
+        let texts = texts(&picture);
+        assert!(
+            texts.iter().any(|t| t.starts_with("α = 1 has no place"))
+                && texts.iter().any(|t| t == "g = −0.25")
+        );
+
+        figure.layers[0].errors[0].pop();
+        assert_eq!(draw(&figure).unwrap_err().to_string(), "map for g = -0.25: 1 distances for 2 cells");
+        figure.layers[0].errors = vec![vec![f64::NAN; 2]];
+        assert_eq!(draw(&figure).unwrap_err().to_string(), "no distances to draw");
+        figure.albedo.pop();
+        figure.layers[0].errors[0].pop();
+        assert_eq!(draw(&figure).unwrap_err().to_string(), "albedos");
+        figure.layers.clear();
+        assert_eq!(draw(&figure).unwrap_err().to_string(), "no maps to draw");
+    }
+}

@@ -1,0 +1,21 @@
+//! From a session's photographs to its profiles: reads the files, runs the steps of `optics_capture`, writes the results.
+
+mod board_sheet;
+mod budget;
+mod globs;
+mod picture;
+mod report;
+mod results;
+mod session_file;
+mod shots;
+mod stage;
+mod strip;
+
+pub use board_sheet::board_sheet;
+pub use budget::{SessionErrors, error_of};
+pub use report::{Simulated, ends, mean, with_fits};
+pub use results::{FILES, write_folder};
+pub use session_file::Session;
+pub use session_file::pattern;
+pub use shots::Shots;
+pub use stage::{Captured, capture};

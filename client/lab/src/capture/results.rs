@@ -1,0 +1,324 @@
+//! What a session's folder holds: profiles, what is known of the set-up, the scene and the grid of its dictionary.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use optics_capture::{Colour, EdgeProfile, Estimate, Source};
+use optics_model::{GridFile, SceneFile, SceneRef, scene::Channel};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::budget::{SessionErrors, sum, thickness_std_error_mm};
+use super::report;
+use super::stage::{Captured, CapturedSample};
+use crate::measurement_file::{self, COLUMNS, Note};
+use crate::whole_file::{folder_of, sync_folder};
+
+/// The files of a folder, in the order in which they are told.
+pub const FILES: [&str; 5] = ["measurements.csv", "session.json", "scene.toml", "grid.toml", "report.html"];
+
+/// Thicknesses that differ by less share a thickness of the dictionary: the fit allows for much more.
+const ALIKE: f64 = 1.04;
+
+/// Writes the folder: nothing if anything cannot be made, and each file whole. Returns what reading its measurements
+/// notes.
+pub fn write_folder(folder: &Path, captured: &Captured) -> Result<Vec<Note>> {
+    let measurements = measurements(captured)?;
+    let read = measurement_file::read(&measurements)
+        .context("profiles of these photographs (as in measurements.csv)")?;
+    let contents = [
+        measurements,
+        with_end(serde_json::to_string_pretty(&session(captured))?),
+        with_end(scene(captured)?),
+        with_end(grid(captured)?),
+        report::page(captured).into_bytes(),
+    ];
+    check_folder(folder)?;
+    let place = || format!("writing {}", folder.display());
+    let beside = folder_of(folder);
+    std::fs::create_dir_all(beside).with_context(place)?;
+    let draft = tempfile::Builder::new().prefix(".capture-").tempdir_in(beside).with_context(place)?;
+    for (name, bytes) in FILES.iter().zip(contents) {
+        let path = draft.path().join(name);
+        std::fs::write(&path, bytes)
+            .and_then(|()| std::fs::File::open(&path)?.sync_all())
+            .with_context(place)?;
+    }
+    std::fs::create_dir_all(folder).with_context(place)?;
+    for name in FILES {
+        std::fs::rename(draft.path().join(name), folder.join(name)).with_context(place)?;
+    }
+    sync_folder(folder).with_context(place)?;
+    Ok(read.notes)
+}
+
+fn with_end(mut text: String) -> Vec<u8> {
+    text.push('\n');
+    text.into_bytes()
+}
+
+/// A folder with other things in it may be a slip of the hand. Of what is to be replaced all are regular files.
+fn check_folder(folder: &Path) -> Result<()> {
+    for path in FILES.iter().map(|name| folder.join(name)) {
+        if path.metadata().is_ok_and(|found| !found.is_file()) {
+            bail!("{} is no regular file: name another folder with --output", path.display());
+        }
+    }
+    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
+    let mut entries = entries.peekable();
+    if entries.peek().is_some() && !folder.join("session.json").exists() {
+        bail!("{} holds other files: name a folder that does not exist yet with --output", folder.display());
+    }
+    Ok(())
+}
+
+/// The profiles in the strict format, with what is known of each.
+fn measurements(captured: &Captured) -> Result<Vec<u8>> {
+    let mut rows = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(Vec::new());
+    rows.write_record(COLUMNS)?;
+    for sample in &captured.samples {
+        for (c, profile) in sample.profile.profiles.iter().enumerate() {
+            let blur = captured.board.blur_mm[c];
+            let set_up = [
+                format!("{:.6}", thickness_std_error_mm(sample, c)),
+                "0".to_owned(),
+                format!("{:.6}", sum(&sample.profile.budget, &[Source::Origin], c)),
+                format!("{:.6}", blur.value),
+                format!("{:.6}", blur.std_error),
+            ];
+            for [x, value, error] in points(profile) {
+                let names = [sample.about.material.clone(), profile.colour.letter().to_owned()];
+                let numbers = [
+                    sample.about.thickness_mm.to_string(),
+                    format!("{x:.6}"),
+                    format!("{value:.7}"),
+                    format!("{error:.7}"),
+                ];
+                rows.write_record(names.iter().chain(&numbers).chain(&set_up))?;
+            }
+        }
+    }
+    Ok(rows.into_inner()?)
+}
+
+/// Bins from the first to the last with a value. One between them that has none, since all its samples were rejected, gets
+/// its neighbour's value with an error that makes it tell nothing: profiles have no gaps.
+fn points(profile: &EdgeProfile) -> Vec<[f64; 3]> {
+    const TELLS_NOTHING: f64 = 1.0;
+    let all = profile.x_mm.iter().zip(&profile.values).zip(&profile.std_errors);
+    let sound = |v: f64, e: f64| v.is_finite() && e.is_finite() && e > 0.0;
+    let mut points: Vec<[f64; 3]> = Vec::new();
+    for ((x, value), error) in all {
+        match points.last() {
+            _ if sound(*value, *error) => points.push([*x, *value, *error]),
+            Some([_, before, _]) => points.push([*x, *before, TELLS_NOTHING]),
+            None => {}
+        }
+    }
+    while points.last().is_some_and(|p| p[2] == TELLS_NOTHING) {
+        points.pop();
+    }
+    points
+}
+
+/// The session's scene with the board that was found, and as it would be under a darker white reference.
+fn scene(captured: &Captured) -> Result<String> {
+    let found = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
+        Channel::new(colour.letter(), rounded(rho.light.value), rounded(rho.dark.value))
+    });
+    let darker = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
+        // Where ρ is put at an end, its change is kept.
+        let [light, dark] = [(rho.light, 0), (rho.dark, 1)].map(|(told, side)| {
+            rounded(told.value.clamp(0.0, 1.0) - (told.value - rho.under_darker_white[side]))
+        });
+        Channel::new(Channel::darker_white(colour.letter()), light, dark)
+    });
+    let channels = found.chain(darker).collect::<Result<Vec<_>, _>>().context("reflectances of the board")?;
+    let scene = captured.session.scene.clone().with_channels(channels)?;
+    Ok(format!(
+        "# The scene of a session: `rho_light` and `rho_dark` are what its bare board shows. The channels called\n\
+         # \"(white -1 %)\" have the board as it would be, were the white reference darker by 1 %: so the fit knows\n\
+         # what an error of the reference does.\n\n{}",
+        toml::to_string(&SceneFile::from(&scene))?.trim_end()
+    ))
+}
+
+/// What is beyond 0 and 1 by less than its error, as the stage has seen to, is at the end of what can be.
+fn rounded(rho: f64) -> f64 {
+    (1e6 * rho.clamp(0.0, 1.0)).round() / 1e6
+}
+
+/// The paper's axes with this session's thicknesses.
+fn grid(captured: &Captured) -> Result<String> {
+    let thicknesses = captured.samples.iter().map(|sample| sample.about.thickness_mm);
+    let file = GridFile {
+        scene: SceneRef::Named("scene.toml".to_owned()),
+        sigma_t_per_mm: None,
+        albedo: None,
+        g: None,
+        thickness_mm: Some(grouped(thicknesses.collect())),
+        sample_ior: None,
+        walks: None,
+        seed: None,
+        derivatives: false,
+        quality: None,
+    };
+    Ok(format!(
+        "# The dictionary of a session: axes that are left out are the paper's. Slabs that are nearly alike share a\n\
+         # thickness; the fit knows the difference.\n\n{}",
+        toml::to_string(&file)?.trim_end()
+    ))
+}
+
+/// The middles of groups of thicknesses that are nearly alike.
+fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
+    thicknesses.sort_by(f64::total_cmp);
+    let mut groups: Vec<[f64; 2]> = Vec::new();
+    for t in thicknesses {
+        match groups.last_mut() {
+            Some(group) if t <= ALIKE * group[0] => group[1] = t,
+            _ => groups.push([t, t]),
+        }
+    }
+    groups.into_iter().map(|[from, to]| (1e4 * f64::midpoint(from, to)).round() / 1e4).collect()
+}
+
+/// Everything as numbers, for programs; the fit reads the fields at its head.
+pub(super) fn session(captured: &Captured) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Session {
+        format: &'static str,
+        #[serde(flatten)]
+        errors: SessionErrors,
+        blur_mm: Value,
+        blur_std_error_mm: Value,
+        board: Value,
+        camera: Value,
+        samples: Vec<Value>,
+        inputs: Vec<Value>,
+        digest: String,
+    }
+    let blur = captured.board.blur_mm;
+    let digest = blake3::hash(captured.session.text.as_bytes());
+    let inputs =
+        captured.inputs.iter().map(|input| json!({"photograph": input.label, "blake3": input.digest}));
+    Session {
+        format: "farmctl-session/1",
+        errors: SessionErrors::of(captured),
+        blur_mm: by_channel(|c| json!(blur[c].value)),
+        blur_std_error_mm: by_channel(|c| json!(blur[c].std_error)),
+        board: board(captured),
+        camera: camera(captured),
+        samples: captured.samples.iter().map(|s| sample(captured, s)).collect(),
+        inputs: inputs.collect(),
+        digest: digest.to_hex().to_string(),
+    }
+}
+
+fn by_channel(of: impl Fn(usize) -> Value) -> Value {
+    let channel = |colour: &Colour| (colour.letter().to_owned(), of(colour.index()));
+    Value::Object(Colour::ALL.iter().map(channel).collect())
+}
+
+fn estimate(e: Estimate) -> Value {
+    json!({"value": e.value, "std_error": e.std_error})
+}
+
+fn board(captured: &Captured) -> Value {
+    let board = &captured.board;
+    json!({
+        "mm_per_px": estimate(board.mm_per_px),
+        "edge_angle_deg": estimate(board.edge.angle_deg),
+        "edge_bend_px": estimate(board.edge.bend_px),
+        "dark_side": board.edge.dark_side.to_string(),
+        "corners_found": board.corners_px.len(),
+        "seen_light": by_channel(|c| estimate(board.light[c])),
+        "seen_dark": by_channel(|c| estimate(board.dark[c])),
+        "rho_light": by_channel(|c| estimate(captured.rho[c].light)),
+        "rho_dark": by_channel(|c| estimate(captured.rho[c].dark)),
+        "warnings": report::texts(&board.warnings),
+    })
+}
+
+fn camera(captured: &Captured) -> Value {
+    let calibration = &captured.calibration;
+    let first = captured.inputs.first().map(|input| &input.about);
+    let areas =
+        calibration.patches.iter().map(|p| [p.area.x, p.area.y, p.area.width, p.area.height].map(f64::round));
+    let noise = calibration.noise.iter().map(|n| json!({"read": n.read.value, "per_number": n.gain.value}));
+    json!({
+        "model": first.and_then(|about| about.camera.clone()),
+        "exposure_s": first.and_then(|about| about.exposure_s),
+        "iso": first.and_then(|about| about.iso),
+        "f_number": first.and_then(|about| about.f_number),
+        "noise": noise.collect::<Vec<_>>(),
+        "glare": by_channel(|c| estimate(calibration.glare[c])),
+        "numbers_per_unit": by_channel(|c| estimate(calibration.gain[c])),
+        "linearity": by_channel(|c| json!(calibration.linearity[c])),
+        "drift": by_channel(|c| json!(calibration.drift[c])),
+        "patches_px": areas.collect::<Vec<_>>(),
+        "warnings": report::texts(&calibration.warnings),
+    })
+}
+
+fn sample(captured: &Captured, sample: &CapturedSample) -> Value {
+    let thickness = (
+        "thickness".to_owned(),
+        json!({"unit": "mm", "std_error": by_channel(|_| json!(sample.about.thickness_std_error_mm))}),
+    );
+    let blur = captured.board.blur_mm;
+    let blur =
+        ("blur".to_owned(), json!({"unit": "mm", "std_error": by_channel(|c| json!(blur[c].std_error))}));
+    let budget = sample.profile.budget.iter().map(|line| {
+        let errors = by_channel(|c| json!(line.std_error[c]));
+        (line.source.name().to_owned(), json!({"unit": line.source.unit(), "std_error": errors}))
+    });
+    let light =
+        sample.profile.shots.iter().map(|shot| shot.light.map(|light| by_channel(|c| estimate(light[c]))));
+    json!({
+        "material": sample.about.material,
+        "thickness_mm": sample.about.thickness_mm,
+        "shots": sample.profile.shots.iter().map(|shot| shot.label.clone()).collect::<Vec<_>>(),
+        "light": light.collect::<Vec<_>>(),
+        "budget": Value::Object(budget.chain([thickness, blur]).collect()),
+        "warnings": report::texts(&sample.profile.warnings),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nearly_equal_slabs_share_a_dictionary_thickness() {
+        assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.505, 1.01]);
+        assert_eq!(grouped(vec![0.5, 0.6]), [0.5, 0.6]);
+    }
+
+    #[test]
+    fn a_bin_without_samples_tells_nothing_and_leaves_no_gap() {
+        let nan = f64::NAN;
+        let profile = EdgeProfile {
+            colour: Colour::Red,
+            x_mm: vec![-2.0, -1.0, 0.0, 1.0, 2.0],
+            values: vec![nan, 0.1, nan, 0.3, nan],
+            std_errors: vec![nan, 0.01, nan, 0.02, nan],
+            counts: vec![0, 9, 0, 9, 0],
+            rejected: vec![0.0; 5],
+        };
+        assert_eq!(points(&profile), [[-1.0, 0.1, 0.01], [0.0, 0.1, 1.0], [1.0, 0.3, 0.02]]);
+    }
+
+    #[test]
+    fn a_folder_with_other_files_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(check_folder(folder.path()).is_ok());
+        std::fs::write(folder.path().join("thesis.tex"), "").unwrap();
+        assert!(check_folder(folder.path()).unwrap_err().to_string().contains("holds other files"));
+        std::fs::write(folder.path().join("session.json"), "").unwrap();
+        assert!(check_folder(folder.path()).is_ok());
+        let pipe = folder.path().join("scene.toml");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        assert!(check_folder(folder.path()).unwrap_err().to_string().contains("is no regular file"));
+    }
+}

@@ -1,0 +1,294 @@
+//! Session files: which photographs there are, and what is known of patches, board and slabs, as TOML.
+
+mod doubts;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use optics_capture::{Area, Colour, Neutral, Side, Target};
+use optics_model::Invalid;
+use serde::Deserialize;
+
+use super::globs::files_of;
+use crate::grid_file::{from_toml, in_file, read_scene_beside, read_text};
+use crate::measurement_file::normal;
+
+const WHAT: &str = "session file";
+
+/// A session whose files are there and whose numbers can be.
+#[derive(Debug)]
+pub struct Session {
+    pub dark: Vec<PathBuf>,
+    pub flat: Vec<PathBuf>,
+    /// Of mosaics whose files do not tell it.
+    pub pattern: Option<[Colour; 4]>,
+    pub neutral_shots: Vec<PathBuf>,
+    pub neutral: Neutral,
+    pub bare: Vec<PathBuf>,
+    pub target: Target,
+    pub samples: Vec<Sample>,
+    pub scene: optics_model::Scene,
+    /// Numbers that are hardly meant.
+    pub doubts: Vec<String>,
+    /// The file's own bytes.
+    pub text: String,
+}
+
+/// A slab and its photographs.
+#[derive(Debug)]
+pub struct Sample {
+    pub material: String,
+    pub thickness_mm: f64,
+    pub thickness_std_error_mm: f64,
+    pub shots: Vec<PathBuf>,
+}
+
+impl Sample {
+    /// As people are told of it.
+    pub fn label(&self) -> String {
+        format!("{} {} mm", self.material, self.thickness_mm)
+    }
+}
+
+impl Session {
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = read_text(path, WHAT)?;
+        let file: SessionFile = from_toml(&text, path, WHAT)?;
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let scene = match &file.scene {
+            None => optics_model::Scene::paper(),
+            Some(name) => {
+                read_scene_beside(name, folder).with_context(|| format!("{WHAT} {}", path.display()))?
+            }
+        };
+        let session = file.checked(folder, scene, text.clone());
+        session.map_err(|wrong| in_file(wrong, &text, path, WHAT))
+    }
+
+    /// All photographs, in the order in which they are used.
+    pub fn shots(&self) -> impl Iterator<Item = &PathBuf> {
+        let samples = self.samples.iter().flat_map(|sample| &sample.shots);
+        [&self.dark, &self.flat, &self.neutral_shots, &self.bare].into_iter().flatten().chain(samples)
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SessionFile {
+    /// "paper", "smooth" or a scene file.
+    scene: Option<String>,
+    #[serde(default)]
+    camera: CameraTable,
+    neutral: NeutralTable,
+    target: TargetTable,
+    #[serde(rename = "sample")]
+    samples: Vec<SampleTable>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CameraTable {
+    #[serde(default)]
+    dark: Vec<String>,
+    #[serde(default)]
+    flat: Vec<String>,
+    pattern: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NeutralTable {
+    shots: Vec<String>,
+    rho: Vec<Rho>,
+    std_error: Option<f64>,
+    areas_px: Option<Vec<[f64; 4]>>,
+}
+
+/// A reflectance for all channels, or one for each.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(untagged)]
+enum Rho {
+    All(f64),
+    Each([f64; 3]),
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TargetTable {
+    bare: Vec<String>,
+    square_mm: Option<f64>,
+    square_std_error_mm: Option<f64>,
+    dark_side: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SampleTable {
+    material: String,
+    thickness_mm: f64,
+    thickness_std_error_mm: Option<f64>,
+    shots: Vec<String>,
+}
+
+/// The squares and patches of the paper, for what a session leaves out.
+const SQUARE_MM: f64 = 20.0;
+const SQUARE_STD_ERROR_MM: f64 = 0.01;
+const NEUTRAL_STD_ERROR: f64 = 0.01;
+const THICKNESS_STD_ERROR_MM: f64 = 0.005;
+
+impl SessionFile {
+    fn checked(self, folder: &Path, scene: optics_model::Scene, text: String) -> Result<Session, Invalid> {
+        let doubts = doubts::of(&self);
+        let pattern = self.camera.pattern.as_deref().map(pattern).transpose()?;
+        let neutral = neutral(&self.neutral)?;
+        let target = target(&self.target)?;
+        let files = |field: &str, globs: &[String]| files_of(folder, field, globs);
+        if self.samples.is_empty() {
+            return Err(Invalid::new("sample", "none", "at least one [[sample]] is needed"));
+        }
+        let samples = self.samples.into_iter().enumerate();
+        let samples = samples
+            .map(|(i, table)| sample(folder, table).map_err(|e| e.within(format_args!("sample[{i}]"))));
+        let session = Session {
+            dark: files("camera.dark", &self.camera.dark)?,
+            flat: files("camera.flat", &self.camera.flat)?,
+            pattern,
+            neutral_shots: needed("neutral.shots", files("neutral.shots", &self.neutral.shots)?)?,
+            neutral,
+            bare: needed("target.bare", files("target.bare", &self.target.bare)?)?,
+            target,
+            samples: samples.collect::<Result<_, _>>()?,
+            scene,
+            doubts,
+            text,
+        };
+        check_once(&session)?;
+        check_slabs(&session.samples)?;
+        Ok(session)
+    }
+}
+
+fn sample(folder: &Path, table: SampleTable) -> Result<Sample, Invalid> {
+    let SampleTable { material, thickness_mm, thickness_std_error_mm, shots } = table;
+    let within = |field: &str, value: f64, from: f64, to: f64| {
+        let allowed = format!("allowed are {from} to {to}");
+        if (from..=to).contains(&value) { Ok(value) } else { Err(Invalid::new(field, value, allowed)) }
+    };
+    let named = !material.is_empty() && material.trim() == material && !material.contains(char::is_control);
+    if !named {
+        let allowed = "a name is wanted, without spaces at its ends and without line breaks";
+        return Err(Invalid::new("material", format_args!("{material:?}"), allowed));
+    }
+    Ok(Sample {
+        material: normal(&material).into_owned(),
+        thickness_mm: within("thickness_mm", thickness_mm, 0.01, 100.0)?,
+        thickness_std_error_mm: within(
+            "thickness_std_error_mm",
+            thickness_std_error_mm.unwrap_or(THICKNESS_STD_ERROR_MM),
+            0.0,
+            1.0,
+        )?,
+        shots: needed("shots", files_of(folder, "shots", &shots)?)?,
+    })
+}
+
+fn needed(field: &str, files: Vec<PathBuf>) -> Result<Vec<PathBuf>, Invalid> {
+    if files.is_empty() {
+        Err(Invalid::new(field, "[]", "at least one photograph is needed"))
+    } else {
+        Ok(files)
+    }
+}
+
+/// Each photograph is used once: one that is used twice would agree with itself.
+fn check_once(session: &Session) -> Result<(), Invalid> {
+    let mut places: HashMap<PathBuf, String> = HashMap::new();
+    let lists = [
+        ("camera.dark".to_owned(), &session.dark),
+        ("camera.flat".to_owned(), &session.flat),
+        ("neutral.shots".to_owned(), &session.neutral_shots),
+        ("target.bare".to_owned(), &session.bare),
+    ];
+    let samples = session.samples.iter().enumerate().map(|(i, s)| (format!("sample[{i}].shots"), &s.shots));
+    for (field, files) in lists.into_iter().chain(samples) {
+        for file in files {
+            let real = std::fs::canonicalize(file).unwrap_or_else(|_| file.clone());
+            if let Some(before) = places.insert(real, field.clone()) {
+                let allowed = format!("the photograph is also in {before}; each may be used once");
+                return Err(Invalid::new(field, file.display(), allowed));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A slab has one entry, so that its shots are one profile.
+fn check_slabs(samples: &[Sample]) -> Result<(), Invalid> {
+    for (i, sample) in samples.iter().enumerate() {
+        let same = |s: &&Sample| s.material == sample.material && s.thickness_mm == sample.thickness_mm;
+        if samples[..i].iter().any(|s| same(&s)) {
+            let allowed =
+                "a slab has one [[sample]] with all its shots; another slab needs another thickness or name";
+            return Err(Invalid::new(format!("sample[{i}].thickness_mm"), sample.label(), allowed));
+        }
+    }
+    Ok(())
+}
+
+fn neutral(table: &NeutralTable) -> Result<Neutral, Invalid> {
+    let rho = table.rho.iter().map(|rho| match rho {
+        Rho::All(value) => [*value; 3],
+        Rho::Each(values) => *values,
+    });
+    let area = |[x, y, width, height]: &[f64; 4]| Area { x: *x, y: *y, width: *width, height: *height };
+    let areas = table.areas_px.as_ref().map(|areas| areas.iter().map(area).collect());
+    let std_error = table.std_error.unwrap_or(NEUTRAL_STD_ERROR);
+    Neutral::new(rho.collect(), std_error, areas).map_err(|e| e.within("neutral"))
+}
+
+fn target(table: &TargetTable) -> Result<Target, Invalid> {
+    let dark_side = match table.dark_side.as_deref() {
+        None => None,
+        Some("left") => Some(Side::Left),
+        Some("right") => Some(Side::Right),
+        Some("top") => Some(Side::Top),
+        Some("bottom") => Some(Side::Bottom),
+        Some(other) => {
+            let allowed = "allowed are \"left\", \"right\", \"top\" and \"bottom\"";
+            return Err(Invalid::new("target.dark_side", format_args!("{other:?}"), allowed));
+        }
+    };
+    let square_mm = table.square_mm.unwrap_or(SQUARE_MM);
+    if !(0.1..=1000.0).contains(&square_mm) {
+        return Err(Invalid::new("target.square_mm", square_mm, "allowed are 0.1 to 1000"));
+    }
+    let square_std_error_mm = table.square_std_error_mm.unwrap_or(SQUARE_STD_ERROR_MM);
+    if !(0.0..=0.1 * square_mm).contains(&square_std_error_mm) {
+        let allowed = "allowed are 0 to a tenth of square_mm";
+        return Err(Invalid::new("target.square_std_error_mm", square_std_error_mm, allowed));
+    }
+    Ok(Target { square_mm, square_std_error_mm, dark_side })
+}
+
+/// "RGGB", row by row. The pixels of a monochrome camera are shared out among three channels that are one.
+pub fn pattern(text: &str) -> Result<[Colour; 4], Invalid> {
+    if text.eq_ignore_ascii_case("mono") {
+        return pattern("RGGB");
+    }
+    let colour = |c: char| Colour::ALL.into_iter().find(|colour| colour.letter().starts_with(c));
+    let colours: Option<Vec<Colour>> = text.to_uppercase().chars().map(colour).collect();
+    let refused = || {
+        let allowed = "allowed are \"RGGB\", \"BGGR\", \"GRBG\" and \"GBRG\", the \
+                       colours of 2 × 2 pixels, row by row, and \"mono\"";
+        Invalid::new("camera.pattern", format_args!("{text:?}"), allowed)
+    };
+    let colours: [Colour; 4] = colours.and_then(|c| c.try_into().ok()).ok_or_else(refused)?;
+    let greens = colours.iter().filter(|c| **c == Colour::Green).count();
+    let diagonal = colours[0] == colours[3] || colours[1] == colours[2];
+    let whole = Colour::ALL.iter().all(|c| colours.contains(c));
+    if greens == 2 && diagonal && whole { Ok(colours) } else { Err(refused()) }
+}
+
+#[cfg(test)]
+mod tests;

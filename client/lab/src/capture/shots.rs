@@ -1,0 +1,154 @@
+//! A session's photographs, read one at a time.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use optics_capture::{Colour, Exposure, Frame, Levels, Pattern, Photo};
+
+use super::picture::Thumbnail;
+use crate::photograph::{self, About, Layout, Photograph};
+
+/// Reads photographs, refuses what does not belong to one session, and remembers what was read.
+#[derive(Debug, Default)]
+pub struct Shots {
+    /// Of files that do not tell it.
+    pattern: Option<[Colour; 4]>,
+    /// Folder that labels are relative to.
+    folder: PathBuf,
+    /// The first camera, and the label of its photograph.
+    camera: Option<(String, String)>,
+    read: Vec<Input>,
+}
+
+/// A photograph that was read.
+#[derive(Debug, Clone)]
+pub struct Input {
+    pub label: String,
+    pub digest: String,
+    /// Digest of the samples, which a copy under another format's tags shares.
+    picture: blake3::Hash,
+    /// What the photograph is of.
+    group: String,
+    pub about: About,
+    pub thumbnail: Thumbnail,
+}
+
+impl Shots {
+    pub fn new(pattern: Option<[Colour; 4]>, folder: &Path) -> Self {
+        Self { pattern, folder: folder.to_owned(), ..Self::default() }
+    }
+
+    /// Reads the next one, which shows the same as others of its group.
+    pub fn read(&mut self, path: &Path, group: &str) -> Result<Photo> {
+        let label = path.strip_prefix(&self.folder).unwrap_or(path).display().to_string();
+        let (photograph, digest) = photograph::read(path)?;
+        self.check_camera(&photograph.about, &label)?;
+        let picture = digest_of(&photograph.samples);
+        self.check_another(picture, &label)?;
+        let about = photograph.about.clone();
+        let photo =
+            self.photo(photograph, &label).with_context(|| format!("photograph {}", path.display()))?;
+        let thumbnail = Thumbnail::of(&photo.frame);
+        let (digest, group) = (digest.to_hex().to_string(), group.to_owned());
+        self.read.push(Input { label, digest, picture, group, about, thumbnail });
+        Ok(photo)
+    }
+
+    pub fn into_inputs(self) -> Vec<Input> {
+        self.read
+    }
+
+    fn check_camera(&mut self, about: &About, label: &str) -> Result<()> {
+        match (&self.camera, &about.camera) {
+            (Some((first, of)), Some(camera)) if first != camera => {
+                bail!("{label} was taken with {camera}, {of} with {first}: a session has one camera")
+            }
+            (None, Some(camera)) => self.camera = Some((camera.clone(), label.to_owned())),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Two shots never have the same noise: such files are one photograph, which would agree with itself.
+    fn check_another(&self, picture: blake3::Hash, label: &str) -> Result<()> {
+        let same = self.read.iter().find(|input| input.picture == picture);
+        same.map_or(Ok(()), |Input { label: other, .. }| {
+            bail!("{label} holds the same photograph as {other}, sample by sample: each may be used once")
+        })
+    }
+
+    fn photo(&self, photograph: Photograph, label: &str) -> Result<Photo> {
+        let pattern = match (photograph.layout, self.pattern) {
+            (Layout::Rgb, None) => Pattern::Rgb,
+            (Layout::Mosaic(Some(colours)), None) => Pattern::Bayer(colours.map(colour)),
+            (Layout::Mosaic(None), Some(told)) => Pattern::Bayer(told),
+            (Layout::Mosaic(Some(colours)), Some(told)) => {
+                let colours = colours.map(colour);
+                if colours != told {
+                    let [says, told] = [colours, told].map(|p| p.map(Colour::letter).concat());
+                    bail!("camera.pattern is {told:?}, but the file says {says:?}: leave it out");
+                }
+                Pattern::Bayer(told)
+            }
+            (Layout::Mosaic(None), None) => bail!(
+                "the file does not tell the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
+                 under [camera], `--pattern` beside --check (`dcraw -i -v` tells it as \"Filter pattern\"); of a \
+                 monochrome camera set `pattern = \"mono\"`, which gives three channels that are one"
+            ),
+            (Layout::Rgb, Some(_)) => {
+                bail!("the file has three colours in each pixel, so camera.pattern must be left out")
+            }
+        };
+        let Photograph { width, height, samples, black, white, about, .. } = photograph;
+        let exposure =
+            about.exposure_s.map(|time_s| Exposure { time_s, f_number: about.f_number, iso: about.iso });
+        Ok(Photo {
+            label: label.to_owned(),
+            frame: Frame::new(width, height, pattern, samples)?,
+            levels: Levels { black, white },
+            seconds: about.taken_s,
+            exposure,
+        })
+    }
+}
+
+/// Shots of one subject whose Orientation differs from that of the first. A viewer that turns files leaves such tags, but
+/// so does a camera that looks straight down; whether samples are turned shows in the shots' agreement.
+pub fn turned(inputs: &[Input]) -> Vec<String> {
+    let stated = |input: &Input| input.about.orientation.filter(|o| !o.is_as_stored());
+    let name = |input: &Input| input.about.orientation.map_or_else(|| "none".to_owned(), |o| o.to_string());
+    let of = |input: &Input| {
+        let first = inputs.iter().find(|other| other.group == input.group)?;
+        (stated(first) != stated(input)).then(|| {
+            format!(
+                "{} has Orientation {}, {} has {}; all are used as stored: if a viewer turned some, take the files as they \
+                 left the camera",
+                input.label,
+                name(input),
+                first.label,
+                name(first)
+            )
+        })
+    };
+    inputs.iter().filter_map(of).collect()
+}
+
+fn digest_of(samples: &[u16]) -> blake3::Hash {
+    let mut hasher = blake3::Hasher::new();
+    for part in samples.chunks(1 << 16) {
+        let bytes: Vec<u8> = part.iter().flat_map(|v| v.to_le_bytes()).collect();
+        hasher.update(&bytes);
+    }
+    hasher.finalize()
+}
+
+fn colour(colour: photograph::Colour) -> Colour {
+    match colour {
+        photograph::Colour::Red => Colour::Red,
+        photograph::Colour::Green => Colour::Green,
+        photograph::Colour::Blue => Colour::Blue,
+    }
+}
+
+#[cfg(test)]
+mod tests;

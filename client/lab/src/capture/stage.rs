@@ -1,0 +1,136 @@
+//! The steps of a session, in their order.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use optics_capture::{
+    BareShots, Board, BoardRho, Calibration, Darks, Flats, Mountings, Patches, Photo, SampleProfile, Shown,
+};
+use optics_tracer::BareBoard;
+
+use super::session_file::{Sample, Session};
+use super::shots::{Input, Shots, turned};
+use super::strip::Strip;
+
+/// All that a session's photographs tell.
+#[derive(Debug)]
+pub struct Captured {
+    pub session: Session,
+    pub calibration: Calibration,
+    pub board: Board,
+    pub rho: [BoardRho; 3],
+    pub samples: Vec<CapturedSample>,
+    /// Every photograph, in the order of their use.
+    pub inputs: Vec<Input>,
+}
+
+#[derive(Debug)]
+pub struct CapturedSample {
+    pub about: Sample,
+    pub profile: SampleProfile,
+    pub strip: Strip,
+}
+
+/// Runs all steps; `tell` hears what is being done, with the share of photographs that are read.
+pub fn capture(path: &Path, mut tell: impl FnMut(&str, f64)) -> Result<Captured> {
+    let mut session = Session::read(path)?;
+    let mut run = Run {
+        shots: Shots::new(session.pattern, path.parent().unwrap_or(Path::new(""))),
+        total: session.shots().count(),
+        done: 0,
+        tell: &mut tell,
+    };
+    let stages = run.stages(&mut session);
+    let inputs = run.shots.into_inputs();
+    session.doubts.extend(turned(&inputs));
+    match stages {
+        Ok(Stages { calibration, board, rho, samples }) => {
+            Ok(Captured { session, calibration, board, rho, samples, inputs })
+        }
+        // They may be why.
+        Err(error) if session.doubts.is_empty() => Err(error),
+        Err(error) => Err(error.context(format!("doubtful: {}", session.doubts.join("; ")))),
+    }
+}
+
+/// What the photographs give.
+struct Stages {
+    calibration: Calibration,
+    board: Board,
+    rho: [BoardRho; 3],
+    samples: Vec<CapturedSample>,
+}
+
+struct Run<'a> {
+    shots: Shots,
+    total: usize,
+    done: usize,
+    tell: &'a mut dyn FnMut(&str, f64),
+}
+
+impl Run<'_> {
+    fn stages(&mut self, session: &mut Session) -> Result<Stages> {
+        let calibration = self.calibrate(session)?;
+        let board = self.board(session, &calibration)?;
+        // The same light and the same coat for all channels.
+        let seen = BareBoard::of(&session.scene).context("the session's scene")?;
+        let shown = Shown { s: seen.specular, a: seen.gain, b: seen.returned };
+        let rho = board.rho(&[shown; 3], calibration.reference_std_error)?;
+        let slabs = std::mem::take(&mut session.samples);
+        let samples =
+            slabs.into_iter().map(|slab| self.sample(slab, &calibration, &board)).collect::<Result<_>>()?;
+        Ok(Stages { calibration, board, rho, samples })
+    }
+
+    fn read(&mut self, path: &Path, what: &str) -> Result<Photo> {
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+        (self.tell)(&format!("{what}: {name}"), self.done as f64 / self.total as f64);
+        self.done += 1;
+        self.shots.read(path, what)
+    }
+
+    fn calibrate(&mut self, session: &Session) -> Result<Calibration> {
+        let mut darks = Darks::new();
+        for path in &session.dark {
+            darks.add(self.read(path, "dark")?)?;
+        }
+        // A photograph with light tells the black level of a session without dark shots.
+        let (first, others) =
+            session.neutral_shots.split_first().context("a session has shots of patches")?;
+        let first = self.read(first, "grey patches")?;
+        let black = darks.finish(&first)?;
+        let mut flats = Flats::new(&black);
+        for path in &session.flat {
+            flats.add(self.read(path, "flat")?)?;
+        }
+        let flat = flats.finish()?;
+        let mut patches = Patches::new(black, flat, session.neutral.clone());
+        patches.add(first)?;
+        for path in others {
+            patches.add(self.read(path, "grey patches")?)?;
+        }
+        Ok(patches.finish()?)
+    }
+
+    fn board(&mut self, session: &Session, calibration: &Calibration) -> Result<Board> {
+        let mut bare = BareShots::new(calibration, session.target)?;
+        for path in &session.bare {
+            bare.add(self.read(path, "bare board")?)?;
+        }
+        Ok(bare.finish()?)
+    }
+
+    fn sample(&mut self, slab: Sample, calibration: &Calibration, board: &Board) -> Result<CapturedSample> {
+        let label = slab.label();
+        let mut mountings = Mountings::new(calibration, board, &label);
+        let mut strip = None;
+        for path in &slab.shots {
+            let photo = self.read(path, &label)?;
+            let x_mm = &board.profiles[1].x_mm;
+            strip.get_or_insert_with(|| Strip::of(&photo.frame, board, x_mm));
+            mountings.add(photo)?;
+        }
+        let strip = strip.context("a sample has shots")?;
+        Ok(CapturedSample { about: slab, profile: mountings.finish()?, strip })
+    }
+}

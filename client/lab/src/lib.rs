@@ -1,0 +1,13 @@
+//! What a laboratory keeps in files: photographs and sessions, measurements, grids, scenes and mixtures.
+//!
+//! Reads these files, checks them, runs `optics_capture` on photographs, and writes what it found. It uses no network and
+//! no runtime.
+
+mod bounded_file;
+pub mod capture;
+pub mod grid_file;
+pub mod measurement_file;
+pub mod mixture_file;
+pub mod photograph;
+pub mod set_up;
+pub mod whole_file;

@@ -1,0 +1,70 @@
+//! Measurements as tidy CSV: `material,channel,thickness_mm,x_mm,value[,std_error]`, and columns for what is known of a
+//! profile's set-up; lines beginning with # are comments. What people's programs write instead is read too, with a note
+//! of what was assumed; what can be read in two ways is refused.
+
+mod columns;
+mod names;
+mod note;
+mod number;
+mod pixels;
+mod rows;
+mod suspicions;
+mod table;
+mod text;
+mod write;
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use optics_model::Measurement;
+
+pub use columns::NAMES as COLUMNS;
+pub use names::normal;
+pub use note::Note;
+use number::Decimal;
+pub use suspicions::beyond_limits;
+use table::Table;
+pub use text::plain;
+pub use write::{MeasurementWriter, check_name};
+
+/// What a file holds.
+#[derive(Debug)]
+pub struct MeasurementFile {
+    /// One per material, in the order of their first rows.
+    pub materials: Vec<Measurement>,
+    /// What was assumed in reading, and what looks suspicious; none for a sound file in the strict format.
+    pub notes: Vec<Note>,
+}
+
+/// Reads and checks the measurements of a file. Errors name line, material, channel and thickness.
+pub fn read_measurements(path: &Path) -> Result<MeasurementFile> {
+    let place = || match path.to_str() {
+        Some(text::STDIN) => "measurement of standard input".to_owned(),
+        _ => format!("measurement {}", path.display()),
+    };
+    let bytes = text::read(path).with_context(place)?;
+    read(&bytes).with_context(place)
+}
+
+/// Reads and checks the measurements of a file's bytes.
+pub fn read(bytes: &[u8]) -> Result<MeasurementFile> {
+    let mut notes = Vec::new();
+    let bytes = text::unpacked(bytes, &mut notes)?;
+    let text = text::decode(&bytes, &mut notes)?;
+    let table = Table::open(&text, &mut notes)?;
+    let decimal = Decimal::of(&table, &mut notes)?;
+    let mut drafts = rows::drafts(&table, decimal, &mut notes)?;
+    let blank = table.blank_rows();
+    if blank > 0 {
+        notes.push(Note::new("BLANK_ROWS", format!("rows without any entry are left out ({blank})")));
+    }
+    rows::name_colours(&mut drafts, &mut notes)?;
+    rows::look_alike(&drafts, &mut notes);
+    rows::sort(&mut drafts, &mut notes)?;
+    let profiles = rows::profiles(drafts, &mut notes)?;
+    suspicions::examine(&profiles, &mut notes)?;
+    Ok(MeasurementFile { materials: profiles.materials, notes })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,394 @@
+mod forms;
+mod pixels;
+mod spellings;
+
+use super::*;
+
+/// Pixels of a profile whose edge is blurred over the slab's thickness and loses contrast with it.
+fn pixels(thickness: f64) -> impl DoubleEndedIterator<Item = (f64, f64)> {
+    let value = move |x: f64| 0.45 + 0.35 * (1.25 - 0.5 * thickness) * (0.5 * x / thickness).tanh();
+    (0..60).map(|i| (f64::from(i) - 29.5) / 6.0).map(move |x| (x, value(x)))
+}
+
+fn rows(material: &str, channel: &str, thickness: f64) -> String {
+    let row = |(x, v): (f64, f64)| {
+        // Channels and materials differ, as in life.
+        let v = v * (0.7 + 0.01 * channel.len() as f64 + 0.001 * f64::from(channel.as_bytes()[0] % 32));
+        let v = v + 0.01 * material.len() as f64;
+        format!("{material},{channel},{thickness},{x:.5},{v:.5},0.002\n")
+    };
+    pixels(thickness).map(row).collect()
+}
+
+const HEAD: &str = "material,channel,thickness_mm,x_mm,value,std_error\n";
+
+fn strict() -> String {
+    let body: Vec<String> =
+        ["R", "G", "B"].into_iter().flat_map(|c| [0.5, 1.0].map(|t| rows("white", c, t))).collect();
+    format!("# a comment\n{HEAD}{}", body.concat())
+}
+
+fn parse(text: &str) -> MeasurementFile {
+    read(text.as_bytes()).unwrap_or_else(|e| panic!("{e:#}"))
+}
+
+fn error(text: &str) -> String {
+    format!("{:#}", read(text.as_bytes()).unwrap_err())
+}
+
+/// Reads the same as the strict file, with one note of a kind, which says what is expected.
+fn reads_the_same(bytes: &[u8], code: &str, told: &str) {
+    let (found, strict) = (read(bytes).unwrap_or_else(|e| panic!("{code}: {e:#}")), parse(&strict()));
+    assert_eq!(found.materials, strict.materials, "{code}");
+    assert_eq!(found.notes.iter().map(|n| n.code).collect::<Vec<_>>(), code.split(' ').collect::<Vec<_>>());
+    let all: String = found.notes.iter().map(|n| n.text.clone() + "\n").collect();
+    assert!(all.contains(told), "{all}");
+}
+
+#[test]
+fn the_strict_format_is_read_in_silence() {
+    let body = rows("white", "R", 0.5) + &rows("yellow", "R", 0.5) + &rows("white", "R", 1.0);
+    let file = parse(&format!("# a comment\n{HEAD}{body}"));
+    assert_eq!(file.notes, []);
+    assert_eq!(file.materials.iter().map(Measurement::material).collect::<Vec<_>>(), ["white", "yellow"]);
+    assert_eq!(file.materials[0].profiles().len(), 2);
+    assert_eq!(file.materials[0].profiles()[1].std_errors().unwrap(), [0.002; 60]);
+    let shipped = read(include_bytes!("../../../../examples/white.csv")).unwrap();
+    assert_eq!(shipped.notes, []);
+}
+
+/// Each assumption has a note: separators, decimal commas, headings, colours, blank rows, encodings and order.
+#[test]
+fn spreadsheet_variants_are_read_with_a_note() {
+    let strict = strict();
+    let semicolons = strict.replace(',', ";");
+    reads_the_same(semicolons.as_bytes(), "SEPARATOR", "separated by semicolons");
+    reads_the_same(strict.replace(',', "\t").as_bytes(), "SEPARATOR", "separated by tabs");
+    reads_the_same(format!("sep=;\r\n{semicolons}").as_bytes(), "SEPARATOR", "semicolons");
+    let german = semicolons.replace('.', ",");
+    reads_the_same(german.as_bytes(), "SEPARATOR DECIMAL_COMMA", "\"0,5\" is read as 0.5");
+    let renamed = strict.replacen(HEAD, "Sample,Channel,Thickness (mm),Position,Radiance,sigma\n", 1);
+    reads_the_same(renamed.as_bytes(), "COLUMNS", "\"Thickness (mm)\" is read as thickness_mm");
+    let colours = strict.replace(",R,", ",red,").replace(",G,", ",Green,").replace(",B,", ",b,");
+    reads_the_same(
+        colours.as_bytes(),
+        "CHANNELS",
+        "\"red\" is read as R, \"Green\" is read as G, \"b\" is read as B",
+    );
+    let blank = strict.replacen("white,G", ",,,,,\n \nwhite,G", 1) + "\n\n,,,,,\n";
+    reads_the_same(blank.as_bytes(), "BLANK_ROWS", "without any entry");
+    let marked = ["\u{feff}", &strict].concat();
+    reads_the_same(marked.as_bytes(), "ENCODING", "byte-order mark");
+    for (little, name) in [(true, "UTF-16LE"), (false, "UTF-16BE")] {
+        let units = marked.encode_utf16();
+        let bytes: Vec<u8> =
+            units.flat_map(|u| if little { u.to_le_bytes() } else { u.to_be_bytes() }).collect();
+        reads_the_same(&bytes, "ENCODING", name);
+    }
+    let (head, body) = strict.split_at(strict.find("white").unwrap());
+    let falling: String = body.lines().rev().map(|l| format!("{l}\n")).collect();
+    let falling = parse(&format!("{head}{falling}"));
+    assert_eq!(falling.notes[0].text, "x falls along 6 profiles, read from the other end");
+    for profile in falling.materials[0].profiles() {
+        assert!(parse(&strict).materials[0].profiles().contains(profile));
+    }
+    let everything = ["\u{feff}", &german.replace("material", "Resin").replace(";R;", ";Red;")].concat();
+    reads_the_same(everything.as_bytes(), "ENCODING SEPARATOR COLUMNS DECIMAL_COMMA CHANNELS", "Resin");
+}
+
+#[test]
+fn wavelengths_and_other_names_of_channels_stay() {
+    let text = HEAD.to_owned() + &rows("white", "450", 0.5) + &rows("white", "red", 0.5);
+    let file = parse(&text);
+    assert_eq!(file.materials[0].channels(), ["450", "red"]);
+    assert_eq!(file.notes, []);
+}
+
+#[test]
+fn units_in_the_names_of_columns_are_converted() {
+    let row = |(x, v): (f64, f64)| format!("w,R,500,{:.4},{:.4}\n", 1000.0 * x, 100.0 * v);
+    let text: String = pixels(0.5).map(row).collect();
+    let file = parse(&format!("material,channel,thickness (um),x_um,value (%)\n{text}"));
+    let profile = &file.materials[0].profiles()[0];
+    assert_eq!(profile.thickness_mm(), 0.5);
+    assert!((profile.x_mm()[0] + 29.5 / 6.0).abs() < 1e-6 && profile.values()[59] < 0.81);
+}
+
+#[test]
+fn what_can_be_read_in_two_ways_is_refused() {
+    let strict = strict();
+    let mixed = error(&strict.replacen("white,R,0.5,-4.91667", "white,R,\"0,5\",-4.91667", 1));
+    assert!(
+        mixed.contains("line 3 has \"0,5\" and line 3 has \"-4.91667\": with points and commas"),
+        "{mixed}"
+    );
+    let doubtful: String = (0..20).map(|i| format!("w;R;1;{};1,{:03}\n", i - 10, 100 + i)).collect();
+    let told = error(&format!("material;channel;thickness_mm;x_mm;value\n{doubtful}"));
+    assert_eq!(told, "line 2: \"1,100\" can be 1.100 or 1100; write it with a decimal point");
+    let told = error(&(HEAD.to_owned() + "w,R,0.5,\"1,234\",0.5,0\n"));
+    assert!(told.contains("line 2 has \"1,234\" and line 2 has \"0.5\""), "{told}");
+    let told = error(&(HEAD.to_owned() + "w,R,1,\"1,234.5\",0,0\n"));
+    assert_eq!(
+        told,
+        "line 2: \"1,234.5\" seems to have commas between thousands: write numbers without them"
+    );
+    let unquoted = error("material,channel,thickness_mm,x_mm,value\nw,R,0,5,-4,97,0,31\n");
+    assert_eq!(
+        unquoted,
+        "line 2 has 8 entries where the header has 5: if its commas are decimal, separate the columns by semicolons"
+    );
+    let two = error(&strict.replacen("std_error", "radiance", 1));
+    assert!(two.contains("columns \"value\" and \"radiance\" could both be value"), "{two}");
+    let red = HEAD.to_owned() + &rows("w", "R", 0.5) + &rows("w", "red", 0.5);
+    assert!(
+        error(&red).contains("line 62, material w, 0.5 mm: channel \"red\" means R, which is there under")
+    );
+    let twice = HEAD.to_owned() + &rows("w", "R", 0.5) + &rows("w", "R", 0.5);
+    let told = error(&twice);
+    assert!(
+        told.contains("line 2, material w, channel R, 0.5 mm: x_mm = -4.91667 stands here and in line 62"),
+        "{told}"
+    );
+}
+
+#[test]
+fn bad_files_are_refused_with_line_and_column() {
+    let start = || rows("w", "R", 0.5).lines().take(2).map(|l| l.to_owned() + "\n").collect::<String>();
+    let text = |body: &str| format!("# a comment\n{HEAD}{body}");
+    let missing = error("material,channel,x_mm\nw,R,0\n");
+    assert!(missing.contains("missing columns thickness_mm, value; needed are"), "{missing}");
+    assert!(error("material,hue\n").contains("column \"hue\" is not known"));
+    assert_eq!(error(&text(&(start() + "w,R,0.5,zero,1,0\n"))), "line 5: x_mm = \"zero\" is not a number");
+    assert_eq!(
+        error(&text(&(start() + "w,R,0.5,0.2,inf,0\n"))),
+        "line 5: value = inf is not a finite number"
+    );
+    assert!(error(&text("")).contains("no rows"));
+    assert_eq!(error("\n \n"), "the file is empty");
+    assert!(error(&start()).contains("the first line holds numbers"));
+    let short = error(&text(&start()));
+    assert!(short.contains("line 3, material w, channel R, 0.5 mm: x_mm = 2 pixels is not valid"), "{short}");
+    let gap = error(&text(&rows("w", "R", 0.5).replacen("w,R,0.5,-4.41667", "w,R,0.5,-4.40667", 1)));
+    assert!(gap.contains("line 6, material w, channel R, 0.5 mm: x_mm["), "{gap}");
+    assert!(gap.contains("pixels must be equally spaced"), "{gap}");
+}
+
+#[test]
+fn mistakes_of_the_measurement_are_refused_at_their_lines() {
+    let change = |f: fn(f64, f64) -> (f64, f64)| -> String {
+        let row = |(x, v)| {
+            let (x, v) = f(x, v);
+            format!("w,R,0.5,{x:.6},{v}\n")
+        };
+        error(
+            &("material,channel,thickness_mm,x_mm,value\n".to_owned()
+                + &pixels(0.5).map(row).collect::<String>()),
+        )
+    };
+    let place = "line 2, material w, channel R, 0.5 mm: ";
+    let bytes = change(|x, v| (x, (255.0 * v).round()));
+    assert!(bytes.starts_with(place) && bytes.contains("values up to 204: wanted are linear radiance factors, 1 for ideal white; these look like 8-bit pixel values"), "{bytes}");
+    let pixel = change(|x, v| ((6.0 * x + 29.5).round(), v));
+    assert!(
+        pixel.starts_with(place)
+            && pixel.contains("x runs from 0 to 59 in steps of 1: these look like pixel numbers"),
+        "{pixel}"
+    );
+    let micrometres = change(|x, v| (1000.0 * x, v));
+    assert!(micrometres.contains("this looks like µm"), "{micrometres}");
+    let beside = change(|x, v| (x + 5.0, v));
+    assert!(
+        beside
+            .contains("its edge seems to be at x = 5.00 mm: x = 0 must be at the edge, so subtract 5.00 mm"),
+        "{beside}"
+    );
+    let swapped = change(|x, v| (x, 0.9 - v));
+    assert!(
+        swapped.contains(
+            "values fall from 0.800 at x = -4.92 to 0.100 at x = 4.92 mm: dark and light side are swapped"
+        ),
+        "{swapped}"
+    );
+    let slabs: String = [(0.5, 1.0), (1.0, 0.5)]
+        .iter()
+        .map(|(t, told)| rows("w", "R", *t).replace(&format!("w,R,{t},"), &format!("w,R,{told},")))
+        .collect();
+    let slabs = error(&(HEAD.to_owned() + &slabs));
+    assert!(
+        slabs.starts_with("line 62, material w, channel R, 0.5 mm: the slab of 1 mm shows more of the edge"),
+        "{slabs}"
+    );
+    let twin = rows("w", "R", 0.5).replace(",R,", ",G,");
+    let twin = error(&(HEAD.to_owned() + &rows("w", "R", 0.5) + &twin));
+    assert!(
+        twin.starts_with(
+            "line 62, material w, channel G, 0.5 mm: the values are those of channel R at 0.5 mm"
+        ),
+        "{twin}"
+    );
+}
+
+#[test]
+fn a_row_without_x_is_a_patch() {
+    let found = parse(&(strict() + "white,R,2,,0.61,0.004\n"));
+    let patch = found.materials[0].profiles().last().unwrap();
+    assert!(patch.thickness_mm() == 2.0 && patch.values().iter().all(|v| *v == 0.61));
+    // All its pixels together are as certain as the row.
+    let information: f64 = patch.std_errors().unwrap().iter().map(|e| e.powi(-2)).sum();
+    assert!((information.powf(-0.5) - 0.004).abs() < 1e-12);
+    let told = error(&(strict() + "white,R,2,,0.61,0\n"));
+    assert!(told.contains("line 363") && told.contains("a patch needs one above 0"), "{told}");
+    let told = error(&(strict() + "white,R,2,,0.61,0.004\nwhite,R,2,,0.62,0.004\n"));
+    assert!(told.contains("line 363") && told.contains("a patch has one"), "{told}");
+}
+
+const SETUP_HEAD: &str = "material,channel,thickness_mm,x_mm,value,std_error,thickness_std_error_mm,origin_mm,\
+                          origin_std_error_mm,blur_mm,blur_std_error_mm\n";
+
+/// A profile with the same cells at the end of every row.
+fn with_cells(channel: &str, thickness: f64, cells: &str) -> String {
+    rows("w", channel, thickness).lines().map(|line| format!("{line},{cells}\n")).collect()
+}
+
+#[test]
+fn set_up_columns_are_read_and_may_be_empty() {
+    let thin = with_cells("R", 0.5, "0.004,0.02,0.005,0.025,0.001");
+    let file = parse(&format!("{SETUP_HEAD}{thin}{}", with_cells("R", 1.0, ",,,,")));
+    assert_eq!(file.notes, []);
+    let [thin, thick] = file.materials[0].profiles() else { panic!("two profiles") };
+    let setup = thin.setup();
+    assert_eq!((setup.thickness_std_error_mm, setup.origin_mm), (Some(0.004), Some(0.02)));
+    assert_eq!((setup.origin_std_error_mm, setup.blur_mm), (Some(0.005), Some(0.025)));
+    assert_eq!(setup.blur_std_error_mm, Some(0.001));
+    assert_eq!(thick.setup(), &optics_model::measurement::ProfileSetup::default());
+}
+
+/// The edge is expected at origin_mm, or at zero. Elsewhere it is refused with the value that would do.
+#[test]
+fn an_edge_away_from_zero_needs_origin_mm() {
+    let shifted = |origin: &str| {
+        let row = |(x, v): (f64, f64)| format!("w,R,0.5,{:.5},{v:.5},{origin}\n", x + 2.0);
+        let body: String = pixels(0.5).map(row).collect();
+        read(format!("material,channel,thickness_mm,x_mm,value,origin_mm\n{body}").as_bytes())
+    };
+    let told = shifted("2").unwrap();
+    assert_eq!(told.notes, []);
+    assert_eq!(told.materials[0].profiles()[0].setup().origin_mm, Some(2.0));
+    let refused = |origin| format!("{:#}", shifted(origin).unwrap_err());
+    assert!(
+        refused("").contains("x = 0 must be at the edge, so subtract 2.00 mm from every x"),
+        "{}",
+        refused("")
+    );
+    let wrong = refused("-1");
+    let expected =
+        "does not rise at origin_mm = -1; its edge seems to be at x = 2.00 mm: tell origin_mm = 2.00";
+    assert!(wrong.contains(expected), "{wrong}");
+}
+
+/// The message names line and field. Values must be in range, and the same in all rows of a profile.
+#[test]
+fn inconsistent_set_up_columns_are_refused() {
+    let told = |cells: &str| error(&format!("{SETUP_HEAD}{}", with_cells("R", 0.5, cells)));
+    let place = "line 2, material w, channel R, 0.5 mm: ";
+    for (cells, expected) in [
+        (
+            ",6,,,",
+            "origin_mm = 6 is not valid: the profile's x runs from -4.91667 to 4.91667 mm, and the edge must lie within",
+        ),
+        (",-11,,,", "origin_mm = -11 is not valid: allowed are -10 to 10"),
+        ("-0.01,,,,", "thickness_std_error_mm = -0.01 is not valid: allowed are 0 to 1"),
+        (",,,1.5,", "blur_mm = 1.5 is not valid: allowed are 0 to 1"),
+        (",,,,-1", "blur_std_error_mm = -1 is not valid: allowed are 0 to 1"),
+    ] {
+        assert_eq!(told(cells), format!("{place}{expected}"));
+    }
+    assert_eq!(told(",wide,,,"), "line 2: origin_mm = \"wide\" is not a number");
+    let mut lines: Vec<String> = with_cells("R", 0.5, ",,,0.02,").lines().map(ToOwned::to_owned).collect();
+    lines[7] = lines[7].replace(",0.02,", ",0.03,");
+    let varying = error(&format!("{SETUP_HEAD}{}", lines.join("\n")));
+    let wanted =
+        "line 9: blur_mm = 0.03, but line 2 of the same profile has 0.02: it must be the same in all rows";
+    assert!(varying.starts_with(wanted), "{varying}");
+    lines[7] = lines[7].replace(",0.03,", ",,");
+    let absent = error(&format!("{SETUP_HEAD}{}", lines.join("\n")));
+    assert!(
+        absent.starts_with("line 9: blur_mm = nothing, but line 2 of the same profile has 0.02"),
+        "{absent}"
+    );
+}
+
+#[test]
+fn suspicions_are_notes_one_of_a_kind() {
+    let centimetres = strict().replace("thickness_mm,x_mm", "thickness_mm,position");
+    let narrow: String = centimetres
+        .lines()
+        .map(|line| {
+            let mut cells: Vec<String> = line.split(',').map(ToOwned::to_owned).collect();
+            if let Some(Ok(x)) = cells.get(3).map(|x| x.parse::<f64>()) {
+                cells[3] = format!("{:.6}", 0.1 * x);
+            }
+            cells.join(",") + "\n"
+        })
+        .collect();
+    let file = parse(&narrow);
+    assert_eq!(file.notes.iter().map(|n| n.code).collect::<Vec<_>>(), ["COLUMNS", "UNIT_OF_X"]);
+    let told = &file.notes[1].text;
+    assert!(
+        told.starts_with("line 3, material white, channel R, 0.5 mm: x runs from -0.491667 to"),
+        "{told}"
+    );
+    assert!(told.ends_with("if it is cm, multiply by 10 (the same in 5 more profiles)"), "{told}");
+}
+
+/// Lines of old spreadsheets end in CR; a comment among them ends with its line.
+#[test]
+fn a_comment_among_lines_ending_in_cr_ends_with_its_line() {
+    let lines: Vec<String> = strict().lines().map(ToOwned::to_owned).collect();
+    let half = lines.len() / 2;
+    let text = [&lines[..half], &["# second half".to_owned()], &lines[half..]].concat().join("\r");
+    assert_eq!(parse(&text).materials, parse(&strict()).materials);
+}
+
+/// A material called `#2` makes rows that look like comments.
+#[test]
+fn whole_rows_among_the_comments_are_noted() {
+    let other = strict().lines().skip(2).map(|line| format!("#2 {line}\n")).collect::<String>();
+    let count = 360;
+    let file = parse(&format!("{}{other}# an end\n", strict()));
+    let note = &file.notes[0];
+    assert_eq!((file.materials.len(), note.code), (1, "COMMENTED_ROWS"));
+    let wanted = format!(
+        "{count} lines that begin with # hold whole rows and are left out as comments, the first of them"
+    );
+    assert!(note.text.starts_with(&wanted), "{}", note.text);
+}
+
+#[test]
+fn what_is_written_is_read_back_in_silence() {
+    use optics_model::{Estimate, Profile, Scene};
+    let scene = Scene::paper();
+    let profile = |i: usize| {
+        let x = |pixel| scene.sensor().centre_mm(pixel);
+        let values = (0..360).map(|p| (0.45 + 0.01 * i as f64 + 0.3 * x(p).tanh()) as f32).collect();
+        Profile { radiance_factor: Estimate::new(values, vec![0.001; 360]).unwrap(), derivatives: None }
+    };
+    let profiles: Vec<Profile> = (0..3).map(profile).collect();
+    for name in ["white", "#1, \"Vero\" white"] {
+        let mut bytes = Vec::new();
+        let mut writer = MeasurementWriter::new(&mut bytes, name).unwrap();
+        writer.add(&scene, 0.5, &profiles).unwrap();
+        writer.finish().unwrap();
+        let file = read(&bytes).unwrap();
+        assert_eq!((file.materials[0].material(), file.notes.len()), (name, 0));
+        assert_eq!(file.materials[0].channels(), ["R", "G", "B"]);
+        let setup = file.materials[0].profiles()[1].setup();
+        assert_eq!((setup.thickness_std_error_mm, setup.origin_mm), (Some(0.0), Some(0.0)));
+        assert_eq!((setup.blur_mm, setup.blur_std_error_mm), (Some(0.0), Some(0.0)));
+        let value = profiles[2].radiance_factor.values()[7];
+        assert_eq!(file.materials[0].profiles()[2].values()[7] as f32, value);
+    }
+    for bad in ["", " white", "a\nb"] {
+        assert!(MeasurementWriter::new(Vec::new(), bad).is_err(), "{bad:?}");
+    }
+}

@@ -1,0 +1,79 @@
+//! Which materials are mixtures of which, from a TOML file.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use optics_model::fit::{Mixture, Mixtures};
+use optics_model::invalid::each;
+use serde::Deserialize;
+
+use crate::grid_file::{from_toml, read_text};
+use crate::measurement_file::normal;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(default)]
+    mixture: Vec<Entry>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    material: String,
+    /// Volume fractions by ink.
+    parts: BTreeMap<String, f64>,
+}
+
+/// Reads and checks a file of mixtures.
+pub fn read_mixtures(path: &Path) -> Result<Mixtures> {
+    let what = "mixture file";
+    let file: File = from_toml(&read_text(path, what)?, path, what)?;
+    mixtures(file).with_context(|| format!("{what} {}", path.display()))
+}
+
+fn mixtures(file: File) -> optics_model::Result<Mixtures> {
+    // Names as measurements have them.
+    let mixture = |entry: Entry| {
+        let parts = entry.parts.into_iter().map(|(ink, share)| (normal(&ink).into_owned(), share));
+        Mixture::new(normal(&entry.material), parts)
+    };
+    Mixtures::new(each("mixture", file.mixture, mixture)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Mixtures, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("chart.toml");
+        std::fs::write(&path, text).unwrap();
+        read_mixtures(&path).map_err(|e| format!("{e:#}"))
+    }
+
+    #[test]
+    fn mixtures_are_read_with_their_parts() {
+        let text = "[[mixture]]\nmaterial = 'pale'\nparts = { white = 0.75, cyan = 0.25 }\n";
+        let found = read(text).unwrap();
+        assert_eq!(found.all()[0].material(), "pale");
+        assert_eq!(found.parts_of("pale"), Some(vec![("cyan", 0.25), ("white", 0.75)]));
+    }
+
+    #[test]
+    fn what_is_wrong_in_a_file_is_told_with_its_place() {
+        for (text, told) in [
+            ("", "mixture = none is not valid: at least one is needed"),
+            ("[[mixture]]\nmaterial = 'pale'\n", "missing field `parts`"),
+            ("[[mixtures]]\n", "unknown field `mixtures`"),
+            (
+                "[[mixture]]\nmaterial = 'pale'\nparts = { white = 0.75 }\n",
+                "chart.toml: mixture[0].parts of pale = a sum of 0.750000 is not valid: volume fractions must add up to 1",
+            ),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

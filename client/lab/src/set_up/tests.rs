@@ -1,0 +1,99 @@
+use super::*;
+
+fn measurement(channels: &[(&str, ProfileSetup)]) -> Measurement {
+    let x: Vec<f64> = (0..8).map(f64::from).collect();
+    let profile = |(channel, setup): &(&str, ProfileSetup)| {
+        MeasuredProfile::new(*channel, 0.5, x.clone(), x.clone(), None).unwrap().with_setup(*setup).unwrap()
+    };
+    Measurement::new("white", channels.iter().map(profile).collect()).unwrap()
+}
+
+fn session(text: &str) -> tempfile::NamedTempFile {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), text).unwrap();
+    file
+}
+
+const SESSION: &str = r#"{"format": "farmctl-session/1", "gain_std_error": 0.01, "thickness_std_error_mm": 0.002,
+                          "blur_mm": {"R": 0.025, "G": 0.024}, "blur_std_error_mm": 0.001}"#;
+
+/// What a measurement has of its own wins over the command line, and this over the session file.
+#[test]
+fn set_up_precedence_is_measurement_command_line_session() {
+    let file = session(SESSION);
+    let given =
+        Session { gain_std_error: Some(0.02), origin_std_error_mm: Some(0.004), ..Session::default() };
+    let set_up = SetUp::new(Some(file.path()), given.clone()).unwrap();
+    let default = FitSettings::default();
+    let expected = FitSettings {
+        gain_std_error: 0.02,
+        thickness_std_error_mm: 0.002,
+        origin_std_error_mm: 0.004,
+        blur_std_error_mm: 0.001,
+        ..default
+    };
+    assert_eq!(set_up.settings(default), expected);
+    let own = ProfileSetup { blur_mm: Some(0.05), ..ProfileSetup::default() };
+    let none = ProfileSetup::default();
+    let told = set_up.apply_to(vec![measurement(&[("R", none), ("G", own), ("B", none)])]).unwrap();
+    let blur: Vec<_> = told[0].profiles().iter().map(|p| p.setup().blur_mm).collect();
+    assert_eq!(blur, [Some(0.025), Some(0.05), None]);
+    // The command line's blur is that of all channels.
+    let given = Session { blur_mm: Some(ByChannel::All(0.04)), ..given };
+    let set_up = SetUp::new(Some(file.path()), given).unwrap();
+    assert_eq!(set_up.settings(default).blur_mm, 0.04);
+    let measured = vec![measurement(&[("R", none), ("G", own)])];
+    assert_eq!(set_up.apply_to(measured.clone()).unwrap(), measured);
+}
+
+#[test]
+fn what_nobody_told_is_said_to_be_assumed() {
+    let default = FitSettings::default();
+    let assumed = |given: &Session, setup: ProfileSetup| {
+        let set_up = SetUp::new(None, given.clone()).unwrap();
+        let exact = ProfileSetup {
+            thickness_std_error_mm: Some(0.0),
+            origin_mm: Some(0.0),
+            origin_std_error_mm: Some(0.0),
+            blur_mm: Some(0.0),
+            blur_std_error_mm: Some(0.0),
+        };
+        let assumed = set_up.assumed(&[measurement(&[("R", exact), ("G", setup)])]);
+        assumed.text(&set_up.settings(default))
+    };
+    let nothing = ProfileSetup::default();
+    let all = "assumed: thickness ± 0.005 mm, origin ± 0.05 mm, blur unknown up to 0.03 mm, gain ± 0.3 %, zero ± 0.001, \
+               slope ± 0.2 % per 10 mm";
+    assert_eq!(assumed(&Session::default(), nothing).unwrap(), all);
+    let set_up = ProfileSetup {
+        thickness_std_error_mm: Some(0.001),
+        origin_std_error_mm: Some(0.01),
+        blur_mm: Some(0.02),
+        ..nothing
+    };
+    let some = "assumed: blur ± 0.03 mm, gain ± 0.3 %, zero ± 0.001, slope ± 0.2 % per 10 mm";
+    assert_eq!(assumed(&Session::default(), set_up).unwrap(), some);
+    let told = Session {
+        gain_std_error: Some(0.003),
+        offset_std_error: Some(0.001),
+        slope_std_error: Some(0.002),
+        blur_std_error_mm: Some(ByChannel::All(0.0)),
+        ..Session::default()
+    };
+    assert_eq!(assumed(&told, set_up), None);
+    assert_eq!(assumed(&told, nothing).unwrap(), "assumed: thickness ± 0.005 mm, origin ± 0.05 mm");
+}
+
+#[test]
+fn a_session_file_that_is_wrong_is_refused_by_its_name() {
+    let refused = |text: &str| {
+        let file = session(text);
+        let error = format!("{:#}", SetUp::new(Some(file.path()), Session::default()).unwrap_err());
+        let place = format!("session file {}: ", file.path().display());
+        error.strip_prefix(&place).unwrap_or_else(|| panic!("{error}")).to_owned()
+    };
+    let format = "format = nothing is not valid: allowed is \"farmctl-session/1\"";
+    assert_eq!(refused("{}"), format);
+    assert!(refused("{").starts_with("EOF while parsing"));
+    assert!(refused(&SESSION.replace("0.001}", "7}")).starts_with("blur_std_error_mm = 7 is not valid"));
+}

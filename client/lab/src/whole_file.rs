@@ -1,0 +1,259 @@
+//! Files that are whole or not there, and devices and pipes, which are written to and never replaced.
+
+use std::ffi::OsString;
+use std::fs::{File, Permissions};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, PermissionsExt as _};
+use std::path::{Path, PathBuf};
+
+use tempfile::{Builder, NamedTempFile};
+
+/// What a new file may be used for, before the process's mask.
+const NEW_FILE: u32 = 0o666;
+
+/// A file that is written beside its place under a name of its own, and gets its name by [`Draft::finish`]. Dropped before,
+/// it leaves nothing. What goes to a device or a pipe is collected in a temporary file.
+#[derive(Debug)]
+pub struct Draft {
+    file: BufWriter<NamedTempFile>,
+    place: Place,
+}
+
+/// Where a draft goes when it is whole.
+#[derive(Debug)]
+enum Place {
+    Name(PathBuf),
+    Node(File),
+}
+
+impl Draft {
+    pub fn create(path: &Path) -> io::Result<Self> {
+        if let Some(node) = open_node(path)? {
+            let file = BufWriter::new(NamedTempFile::new()?);
+            return Ok(Self { file, place: Place::Node(node) });
+        }
+        // What a link leads to is replaced, not the link.
+        let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let Some(name) = path.file_name() else {
+            return Err(io::Error::new(io::ErrorKind::IsADirectory, "this is no name for a file"));
+        };
+        let mut prefix = OsString::from(".");
+        prefix.push(name);
+        prefix.push(".");
+        let folder = folder_of(&path);
+        let mut builder = Builder::new();
+        builder.prefix(&prefix).suffix(".partial").permissions(Permissions::from_mode(NEW_FILE));
+        let file = builder.tempfile_in(folder)?;
+        if let Ok(before) = std::fs::metadata(&path) {
+            file.as_file().set_permissions(before.permissions())?;
+        }
+        Ok(Self { file: BufWriter::new(file), place: Place::Name(path) })
+    }
+
+    /// Gives the file its name, when all of it is on the disk.
+    pub fn finish(self) -> io::Result<()> {
+        let mut file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
+        match self.place {
+            Place::Name(path) => {
+                file.as_file().sync_all()?;
+                file.persist(&path).map_err(|error| error.error)?;
+                // The name is on the disk when its folder is.
+                sync_folder(folder_of(&path))
+            }
+            Place::Node(mut node) => {
+                file.rewind()?;
+                io::copy(&mut file, &mut node).map(drop)
+            }
+        }
+    }
+}
+
+impl Write for Draft {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Seek for Draft {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+/// Writes a file as a whole.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut draft = Draft::create(path)?;
+    draft.write_all(bytes)?;
+    draft.finish()
+}
+
+/// Opens a character device or a pipe for what is written to it; None if a regular file is there, or nothing. Block
+/// devices, sockets and folders are refused.
+pub fn open_node(path: &Path) -> io::Result<Option<File>> {
+    let Ok(found) = std::fs::metadata(path) else { return Ok(None) };
+    let kind = found.file_type();
+    let refused = |what: &str| {
+        let allowed = "name a regular file, a character device or a pipe";
+        Err(io::Error::new(io::ErrorKind::InvalidInput, format!("is {what}: {allowed}")))
+    };
+    if kind.is_file() {
+        return Ok(None);
+    }
+    if kind.is_dir() {
+        return refused("a folder");
+    }
+    if kind.is_block_device() {
+        return refused("a block device");
+    }
+    if kind.is_socket() {
+        return refused("a socket");
+    }
+    let node = File::options().write(true).open(path)?;
+    let opened = node.metadata()?;
+    if (opened.dev(), opened.ino()) != (found.dev(), found.ino()) {
+        return refused("another file than a moment ago");
+    }
+    Ok(Some(node))
+}
+
+/// Puts the names in a folder on the disk. Network filesystems and those in user space may answer EINVAL or ENOTSUP for
+/// every folder: there is nothing to sync.
+pub fn sync_folder(folder: &Path) -> io::Result<()> {
+    let synced = File::open(folder)?.sync_all();
+    match synced.as_ref().map_err(io::Error::kind) {
+        Err(io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => Ok(()),
+        _ => synced,
+    }
+}
+
+/// The folder that a file or folder is in.
+pub fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = std::fs::read_dir(folder).unwrap();
+        let mut names: Vec<_> =
+            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn two_drafts_of_one_file_do_not_meet() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.csv");
+        let (mut first, mut second) = (Draft::create(&path).unwrap(), Draft::create(&path).unwrap());
+        first.write_all(b"first").unwrap();
+        second.write_all(b"the second").unwrap();
+        assert!(!path.exists(), "it has its name only when it is whole");
+        second.finish().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"the second");
+        first.finish().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"first");
+        assert_eq!(names(folder.path()), ["out.csv"]);
+    }
+
+    #[test]
+    fn a_pipe_is_written_to_and_stays_a_pipe() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let reader = std::thread::spawn({
+            let path = path.clone();
+            move || std::fs::read(path).unwrap()
+        });
+        let mut draft = Draft::create(&path).unwrap();
+        draft.write_all(b"?irst").unwrap();
+        // As for the directory of a ZIP archive, which no pipe could go back for.
+        draft.rewind().unwrap();
+        draft.write_all(b"f").unwrap();
+        draft.finish().unwrap();
+        assert_eq!(reader.join().unwrap(), b"first");
+        assert!(std::fs::metadata(&path).unwrap().file_type().is_fifo());
+        assert_eq!(names(folder.path()), ["pipe"]);
+    }
+
+    #[test]
+    fn devices_stay_devices_and_block_devices_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let (null, disk) = (folder.path().join("null"), folder.path().join("disk"));
+        let mknod = |path: &Path, numbers: [&str; 3]| {
+            let made = std::process::Command::new("mknod").arg(path).args(numbers).output().unwrap();
+            made.status.success() && File::options().write(true).open(path).is_ok()
+        };
+        // Of the kind of /dev/null, and of a disk that there is none of. Only root can make and open them.
+        if !mknod(&null, ["c", "1", "3"]) {
+            return;
+        }
+        mknod(&disk, ["b", "240", "0"]);
+        write_whole(&null, b"anything").unwrap();
+        assert!(std::fs::metadata(&null).unwrap().file_type().is_char_device());
+        if disk.exists() {
+            let refused = write_whole(&disk, b"anything").unwrap_err().to_string();
+            assert_eq!(refused, "is a block device: name a regular file, a character device or a pipe");
+        }
+    }
+
+    #[test]
+    fn folders_and_sockets_are_refused_and_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let socket = folder.path().join("socket");
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        for (path, what) in [(folder.path(), "is a folder"), (&socket, "is a socket")] {
+            let refused = write_whole(path, b"anything").unwrap_err().to_string();
+            assert!(refused.starts_with(what), "{refused}");
+        }
+        assert!(std::fs::metadata(&socket).unwrap().file_type().is_socket());
+        assert_eq!(names(folder.path()), ["socket"]);
+    }
+
+    #[test]
+    fn what_is_given_up_leaves_the_file_of_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.csv");
+        write_whole(&path, b"before").unwrap();
+        let mut draft = Draft::create(&path).unwrap();
+        draft.write_all(b"half").unwrap();
+        draft.flush().unwrap();
+        drop(draft);
+        assert_eq!(std::fs::read(&path).unwrap(), b"before");
+        assert_eq!(names(folder.path()), ["out.csv"]);
+    }
+
+    /// A new file has those of any new file.
+    #[test]
+    fn a_replaced_file_keeps_its_permissions() {
+        let folder = tempfile::tempdir().unwrap();
+        let mode = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().permissions().mode();
+        std::fs::write(folder.path().join("usual"), "").unwrap();
+        write_whole(&folder.path().join("new"), b"").unwrap();
+        assert_eq!(mode("new"), mode("usual"));
+        let own = Permissions::from_mode(0o640);
+        std::fs::set_permissions(folder.path().join("new"), own).unwrap();
+        write_whole(&folder.path().join("new"), b"again").unwrap();
+        assert_eq!(mode("new") & 0o777, 0o640);
+    }
+
+    #[test]
+    fn a_link_stays_and_what_it_leads_to_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("there")).unwrap();
+        std::fs::write(folder.path().join("there/real.csv"), "before").unwrap();
+        std::os::unix::fs::symlink("there/real.csv", folder.path().join("link.csv")).unwrap();
+        write_whole(&folder.path().join("link.csv"), b"after").unwrap();
+        assert_eq!(std::fs::read_to_string(folder.path().join("there/real.csv")).unwrap(), "after");
+        assert!(folder.path().join("link.csv").is_symlink());
+    }
+}

@@ -1,0 +1,151 @@
+//! Figures as files: the extension of a path selects SVG or PNG, and several figures get distinct names.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use farm_figures::{Picture, fit_figure, map_figure};
+use farm_lab::whole_file::write_whole;
+use optics_model::fit::{DistanceMap, MaterialFit};
+
+#[derive(Clone, Copy, Debug)]
+enum Format {
+    Svg,
+    Png,
+}
+
+/// Checks, before any long work, that a figure can be written to a path.
+pub(crate) fn check_path(path: &Path) -> Result<()> {
+    format_of(path)?;
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+    if parent.is_some_and(|parent| !parent.is_dir()) {
+        bail!("figure {}: no such directory", path.display());
+    }
+    Ok(())
+}
+
+/// Writes SVG or PNG, by the extension. The file is whole or not there.
+pub(crate) fn write(picture: &Picture, path: &Path) -> Result<()> {
+    let bytes = match format_of(path)? {
+        Format::Svg => picture.svg().as_bytes().to_vec(),
+        Format::Png => picture.png().with_context(|| format!("figure {}", path.display()))?,
+    };
+    write_whole(path, &bytes).with_context(|| format!("figure {}", path.display()))
+}
+
+fn format_of(path: &Path) -> Result<Format> {
+    match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+        Some("svg") => Ok(Format::Svg),
+        Some("png") => Ok(Format::Png),
+        _ => bail!("figure {}: unknown kind of file, use .svg or .png", path.display()),
+    }
+}
+
+/// One picture per material: `FILE.svg`, or `FILE-MATERIAL.svg` if there are several. Returns the files.
+pub(crate) fn write_fits(fits: &[MaterialFit], path: &Path) -> Result<Vec<PathBuf>> {
+    let paths = paths(path, fits.iter().map(|fit| fit.material.clone()));
+    for (fit, path) in fits.iter().zip(&paths) {
+        write(&fit_figure(fit)?, path)?;
+    }
+    Ok(paths)
+}
+
+/// One picture per map and material: `FILE.svg`, or `FILE-MATERIAL-CHANNEL.svg` if there are several.
+pub(crate) fn write_maps(maps: &[(&str, &DistanceMap)], path: &Path) -> Result<()> {
+    let paths = paths(path, maps.iter().map(|(material, map)| format!("{material}-{}", map.channel)));
+    for ((material, map), path) in maps.iter().zip(paths) {
+        write(&map_figure(material, map)?, &path)?;
+    }
+    Ok(())
+}
+
+/// A line for each picture that was drawn.
+pub(crate) fn drawn<P: AsRef<Path>>(pictures: impl IntoIterator<Item = P>) -> String {
+    pictures.into_iter().map(|path| format!("\ndrawn: {}", path.as_ref().display())).collect()
+}
+
+/// The path itself for one picture; otherwise a path for each name, all different, also where case does not count.
+fn paths(path: &Path, names: impl ExactSizeIterator<Item = String>) -> Vec<PathBuf> {
+    if names.len() == 1 {
+        return vec![path.to_owned()];
+    }
+    let mut taken = HashSet::new();
+    let distinct = |name: String| {
+        let with = |n: usize| if n == 1 { name.clone() } else { format!("{name}_{n}") };
+        let free = (1..).map(|n| named(path, &with(n)));
+        let mut free = free.filter(|path| taken.insert(path.to_string_lossy().to_lowercase()));
+        free.next().expect("numbers do not end")
+    };
+    names.map(distinct).collect()
+}
+
+/// `dir/name-SUFFIX.ext`, with what does not belong in a file name replaced.
+fn named(path: &Path, suffix: &str) -> PathBuf {
+    let safe = file_name(suffix);
+    let (stem, extension) = (path.file_stem().unwrap_or_default(), path.extension().unwrap_or_default());
+    path.with_file_name(format!("{}-{safe}.{}", stem.to_string_lossy(), extension.to_string_lossy()))
+}
+
+/// Text with what does not belong in a file name replaced.
+pub(crate) fn file_name(text: &str) -> String {
+    text.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn several_pictures_get_names_of_their_own() {
+        assert_eq!(named(Path::new("a/fit.svg"), "Vero White/1"), Path::new("a/fit-Vero_White_1.svg"));
+        let names = ["white/1", "white 1", "White 1"].map(str::to_owned);
+        let paths = paths(Path::new("fit.svg"), names.into_iter());
+        assert_eq!(paths, ["fit-white_1.svg", "fit-white_1_2.svg", "fit-White_1_3.svg"].map(PathBuf::from));
+    }
+
+    fn picture() -> Picture {
+        let svg = "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"120\" height=\"40\"><path d=\"M0 0h9v9z\"/></svg>";
+        Picture::new(svg.to_owned(), 120.0, 40.0)
+    }
+
+    #[test]
+    fn the_extension_decides_in_any_case_and_others_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let (svg, png) = (dir.path().join("a.SVG"), dir.path().join("a.Png"));
+        write(&picture(), &svg).unwrap();
+        write(&picture(), &png).unwrap();
+        assert!(std::fs::read_to_string(svg).unwrap().starts_with("<svg"));
+        assert!(std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
+        for name in ["a.pdf", "a", ".svg"] {
+            let path = dir.path().join(name);
+            for error in [check_path(&path), write(&picture(), &path)].map(Result::unwrap_err) {
+                let message = format!("{error:#}");
+                assert!(message.contains(name) && message.contains("use .svg or .png"), "{message}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_path_without_its_directory_is_refused_early() {
+        let dir = tempfile::tempdir().unwrap();
+        let error = check_path(&dir.path().join("not-there/a.svg")).unwrap_err();
+        assert!(error.to_string().contains("no such directory"));
+        check_path(&dir.path().join("a.svg")).unwrap();
+        check_path(Path::new("a.png")).unwrap();
+    }
+
+    #[test]
+    fn nothing_half_written_stays() {
+        let dir = tempfile::tempdir().unwrap();
+        // A directory in the place of the file makes the renaming fail.
+        let taken = dir.path().join("a.svg");
+        std::fs::create_dir(&taken).unwrap();
+        std::fs::write(taken.join("inside"), "").unwrap();
+        write(&picture(), &taken).unwrap_err();
+        write(&picture(), &dir.path().join("b.png")).unwrap();
+        let mut names: Vec<_> =
+            std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        assert_eq!(names, ["a.svg", "b.png"]);
+    }
+}
