@@ -1,18 +1,18 @@
 //! What the coordinator can do, each operation once: dispatch, store and fit tied together.
 
 mod backup;
+mod completion;
 mod effects;
 mod event_shares;
 mod events;
 mod export;
 mod fit_cache;
 mod inspection;
-mod intake;
 mod leasing;
 mod manage;
 mod records;
 mod result_budget;
-mod results;
+mod result_stream;
 mod scheduled_backup;
 mod scheduler;
 mod shared;
@@ -42,9 +42,9 @@ use events::Recorder;
 pub(crate) use export::Export;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
-pub(crate) use intake::{Delivered, Header, Piece};
 pub(crate) use leasing::{Versions, WorkerEnd};
 use result_budget::ResultBudget;
+pub(crate) use result_stream::{Header, Piece, Refusal};
 use scheduled_backup::LastBackup;
 use scheduler::Scheduler;
 pub(crate) use watch::Watch;
@@ -160,7 +160,7 @@ impl Farm {
         metrics: Metrics,
     ) -> Result<Arc<Self>, StoreError> {
         let dispatcher = dispatcher_of(&store, config).await?;
-        let ids: Vec<_> = dispatcher.dictionaries().map(Dictionary::id).collect();
+        let ids: Vec<_> = dispatcher.schedule().dictionaries().map(Dictionary::id).collect();
         let (scheduler, orders) = Scheduler::new(dispatcher, Recorder::start(store.clone()), metrics);
         let farm = Arc::new(Self {
             store,
@@ -200,7 +200,7 @@ impl Farm {
     }
 
     pub(crate) fn status(&self, name: &DictionaryName) -> Result<DictionaryStatus> {
-        self.scheduler.query(|d, now| d.status(now, name).ok_or_else(|| not_found(d, name)))
+        self.scheduler.query(|d, now| Ok(d.status_of(now, named(d, name)?)))
     }
 
     /// Dictionaries in the order of their numbers, from the one after `after` on, and the number of the last.
@@ -210,7 +210,7 @@ impl Farm {
         most: usize,
     ) -> (Vec<DictionaryStatus>, Option<DictionaryId>) {
         self.scheduler.query(|dispatcher, now| {
-            let mut rest = dispatcher.dictionaries().filter(|d| d.id() > after);
+            let mut rest = dispatcher.schedule().dictionaries().filter(|d| d.id() > after);
             let page: Vec<&Dictionary> = rest.by_ref().take(most).collect();
             let last = rest.next().and(page.last()).map(|d| d.id());
             (page.into_iter().map(|d| dispatcher.status_of(now, d)).collect(), last)
@@ -226,18 +226,18 @@ impl Farm {
         let database_bytes = self.store.bytes();
         let store_fault = self.store_fault();
         self.scheduler.query(|dispatcher, now| {
-            let (jobs_pending, jobs_leased) = dispatcher.load();
-            let (workers, threads) = dispatcher.strength();
+            let (jobs_pending, jobs_leased) = dispatcher.schedule().load();
+            let (workers, threads) = dispatcher.roster().strength();
             Overview {
                 jobs_pending,
                 jobs_leased,
-                jobs_done: dispatcher.jobs_done(),
-                dictionaries: dispatcher.dictionaries().count(),
+                jobs_done: dispatcher.schedule().jobs_done(),
+                dictionaries: dispatcher.schedule().dictionaries().count(),
                 workers,
                 threads,
                 uptime_ms: now.as_millis() as u64,
                 database_bytes,
-                checks: dispatcher.checks(),
+                checks: dispatcher.verification().counts(),
                 store_fault,
             }
         })
@@ -245,7 +245,7 @@ impl Farm {
 
     /// What was finished in each period of the last hour, and the time since the start.
     pub(crate) fn paces(&self) -> (Vec<Period>, Duration) {
-        self.scheduler.query(|dispatcher, now| (dispatcher.paces(now), now))
+        self.scheduler.query(|dispatcher, now| (dispatcher.schedule().paces(now), now))
     }
 
     /// Why the last result could not be stored, if it could not.
@@ -263,7 +263,7 @@ impl Farm {
     /// Number and grid of a dictionary.
     fn found(&self, name: &DictionaryName) -> Result<(DictionaryId, Arc<Grid>)> {
         self.scheduler.query(|dispatcher, _| {
-            let dictionary = dispatcher.by_name(name).ok_or_else(|| not_found(dispatcher, name))?;
+            let dictionary = named(dispatcher, name)?;
             Ok((dictionary.id(), dictionary.grid().clone()))
         })
     }
@@ -278,7 +278,7 @@ async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, Sto
         secret: store.secret(random_secret()).await?,
     });
     for machine in store.machines().await? {
-        dispatcher.remember_machine(machine);
+        dispatcher.roster_mut().remember_machine(machine);
     }
     for stored in store.dictionaries().await? {
         let ended = store.ended_jobs(stored.id, &stored.grid).await?;
@@ -295,9 +295,13 @@ async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, Sto
     Ok(dispatcher)
 }
 
-fn not_found(dispatcher: &Dispatcher, name: &DictionaryName) -> FarmError {
-    let known = dispatcher.dictionaries().take(10).map(|d| d.name().to_string()).collect();
-    FarmError::NotFound { name: name.to_string(), known }
+/// The dictionary of a name.
+fn named<'a>(dispatcher: &'a Dispatcher, name: &DictionaryName) -> Result<&'a Dictionary> {
+    let schedule = dispatcher.schedule();
+    schedule.by_name(name).ok_or_else(|| {
+        let known = schedule.dictionaries().take(10).map(|d| d.name().to_string()).collect();
+        FarmError::NotFound { name: name.to_string(), known }
+    })
 }
 
 /// Runs numerics off the async threads; a panic there is passed on.

@@ -182,10 +182,36 @@ pub enum Outcome {
     Repeated,
 }
 
+/// What an outcome amounts to, for the worker and for the metrics.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OutcomeKind {
+    Stored,
+    /// The same was stored before.
+    Duplicate,
+    /// Other records are stored than these.
+    Conflict,
+    Unwanted,
+}
+
 impl Outcome {
-    /// Whether other records are stored than these.
-    pub fn is_conflict(self) -> bool {
-        matches!(self, Self::Differs) || matches!(self, Self::Before { records, new } if records != new)
+    pub fn kind(self) -> OutcomeKind {
+        match self {
+            Self::Finished { .. } | Self::Part | Self::MoreWalks(_) => OutcomeKind::Stored,
+            Self::Before { records, new } if records == new => OutcomeKind::Duplicate,
+            Self::Repeated => OutcomeKind::Duplicate,
+            Self::Before { .. } | Self::Differs => OutcomeKind::Conflict,
+            Self::Unwanted => OutcomeKind::Unwanted,
+        }
+    }
+}
+
+impl OutcomeKind {
+    /// The labels under which outcomes are counted.
+    pub const LABELS: [&str; 3] = ["stored", "duplicate", "conflict"];
+
+    /// The label under which it is counted. None for results that are not wanted any more.
+    pub fn label(self) -> Option<&'static str> {
+        Self::LABELS.get(self as usize).copied()
     }
 }
 

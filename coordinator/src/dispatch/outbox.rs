@@ -4,7 +4,7 @@
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 
-use super::Purpose;
+use super::part::Purpose;
 use crate::stored::{OpenCheck, Origin};
 
 /// All that came of the changes since it was last taken.
@@ -18,6 +18,13 @@ pub struct Outbox {
     pub work: bool,
     /// People who watch may see something new.
     pub changed: bool,
+}
+
+impl Outbox {
+    /// There may be work for a worker that waits, and people may see something new.
+    pub fn work_came(&mut self) {
+        (self.work, self.changed) = (true, true);
+    }
 }
 
 /// Something that the metrics count.
@@ -161,6 +168,7 @@ impl Event {
     pub fn of_worker(kind: EventKind, worker: impl Into<String>, message: impl Into<String>) -> Self {
         Self::of_farm(kind, message).by(worker)
     }
+
     pub fn of_job(kind: EventKind, name: &DictionaryName, job: u32, message: impl Into<String>) -> Self {
         Self { job: Some(job), ..Self::of_dictionary(kind, name, message) }
     }

@@ -165,7 +165,7 @@ impl Bench {
     }
 
     fn status(&self) -> DictionaryStatus {
-        self.farm.status(seconds(0), &DictionaryName::new("d").unwrap()).unwrap()
+        self.farm.status_of(seconds(0), self.farm.schedule.by_id(DictionaryId(1)).unwrap())
     }
 
     fn fail(&mut self, at: u64, name: &str, lease: &Lease) {
@@ -178,7 +178,8 @@ impl Bench {
 
     fn reasons_of(&self, name: &str, at: u64) -> Vec<&'static str> {
         let name = DictionaryName::new(name).unwrap();
-        self.farm.explain(seconds(at), &name).unwrap().into_iter().map(|r| r.code).collect()
+        let dictionary = self.farm.schedule.by_name(&name).unwrap();
+        self.farm.explain(seconds(at), dictionary).into_iter().map(|r| r.code).collect()
     }
 }
 

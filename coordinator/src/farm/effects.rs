@@ -57,8 +57,9 @@ impl Farm {
                 let exclusive = self.store.ledger().exclusive().await;
                 self.begin_again(&exclusive, exclusive.fence(*machine, reason).await?);
                 // Blocks of jobs that had not ended are gone too.
-                let all =
-                    self.scheduler.query(|d, _| d.dictionaries().map(Dictionary::id).collect::<Vec<_>>());
+                let all = self
+                    .scheduler
+                    .query(|d, _| d.schedule().dictionaries().map(Dictionary::id).collect::<Vec<_>>());
                 for id in all {
                     self.find_blocks(&exclusive, id).await?;
                 }
@@ -76,7 +77,7 @@ impl Farm {
         self.scheduler.transition(|dispatcher, _| {
             for (id, ended) in restored {
                 if let EndedJob::Done { job, walks, records, by, .. } = ended {
-                    dispatcher.restored((id, job), walks, records, by);
+                    dispatcher.taken_over((id, job), walks, records, by);
                 }
             }
         });

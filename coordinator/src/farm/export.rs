@@ -32,8 +32,10 @@ impl Farm {
         let (_, grid) = self.found(&name)?;
         let mut ranges = ranges(&grid, first, indices)?;
         let promised = self.scheduler.query(|dispatcher, _| {
-            let finished =
-                dispatcher.by_name(&name).map(|d| ranges.iter().map(|r| d.finished_records(r.clone())).sum());
+            let finished = dispatcher
+                .schedule()
+                .by_name(&name)
+                .map(|d| ranges.iter().map(|r| d.finished_records(r.clone())).sum());
             finished.unwrap_or_default()
         });
         ranges.reverse();

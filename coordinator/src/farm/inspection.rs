@@ -46,7 +46,11 @@ impl Farm {
     /// Compares all records with their digests. Jobs that are damaged are computed again if `repair` says so.
     pub(crate) async fn inspect(&self, repair: bool) -> Inspection {
         let all: Vec<_> = self.scheduler.query(|dispatcher, _| {
-            dispatcher.dictionaries().map(|d| (d.name().clone(), d.id(), d.grid().clone())).collect()
+            dispatcher
+                .schedule()
+                .dictionaries()
+                .map(|d| (d.name().clone(), d.id(), d.grid().clone()))
+                .collect()
         });
         let mut inspection = Inspection::default();
         match self.store.faults().await {

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Farm, FarmError, Result};
 use crate::clock::{Random, random_token};
-use crate::dispatch::{Admission, Dispatcher, Grant, Registration, Settings, Wish};
+use crate::dispatch::{Admission, Dispatcher, Grant, Registration, Wish};
 
 /// How a worker comes to its end.
 #[derive(Debug, Clone, Copy)]
@@ -43,29 +43,30 @@ impl Versions {
 impl Farm {
     /// The worker of a token, which it was issued at its registration and which others cannot read.
     pub(crate) fn verify_worker(&self, token: &str) -> Result<WorkerId> {
-        Ok(self.scheduler.query(|dispatcher, _| dispatcher.verify_worker(token))?)
+        Ok(self.scheduler.query(|dispatcher, _| dispatcher.roster().verify_worker(token))?)
     }
 
     /// The token that authenticates a worker in its calls.
     pub(crate) fn worker_token(&self, worker: &WorkerId) -> String {
-        self.scheduler.query(|dispatcher, _| dispatcher.worker_token(worker))
+        self.scheduler.query(|dispatcher, _| dispatcher.roster().worker_token(worker))
     }
 
-    /// Lets a worker in. `votes_by_token`: each token has one vote about results, or else each machine.
+    /// Lets a worker in; its id, and how long its leases hold. `votes_by_token`: each token has one vote about results, or
+    /// else each machine.
     pub(crate) async fn register(
         &self,
         about: Registration,
         versions: Versions,
         votes_by_token: bool,
-    ) -> Result<(WorkerId, Settings)> {
+    ) -> Result<(WorkerId, Duration)> {
         versions.check()?;
         let origin = self.store.register_worker(&about.machine, &about.label).await?;
         let id = WorkerId(random_token());
-        let settings = self.scheduler.transition(|dispatcher, now| {
-            dispatcher.set_votes_by_token(votes_by_token);
-            dispatcher.register(now, id.clone(), origin, about).map(|()| dispatcher.settings())
+        let lease = self.scheduler.transition(|dispatcher, now| {
+            dispatcher.roster_mut().set_votes_by_token(votes_by_token);
+            dispatcher.register(now, id.clone(), origin, about)
         })?;
-        Ok((id, settings))
+        Ok((id, lease))
     }
 
     /// Gives out leases; waits for work up to `patience`. None if none has come.
@@ -119,7 +120,7 @@ impl Farm {
             dispatcher.hand_back(leases);
             match end {
                 Some(WorkerEnd::Left) => dispatcher.leave(worker),
-                Some(WorkerEnd::Stopping) => dispatcher.stopping(worker),
+                Some(WorkerEnd::Stopping) => dispatcher.roster_mut().stopping(worker),
                 None => {}
             }
         });

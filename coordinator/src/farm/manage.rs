@@ -8,7 +8,7 @@ use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryState, DictionaryStatus, FailedJob};
 use optics_model::{Digest, Grid};
 
-use super::{Farm, FarmError, Result, blocking, not_found};
+use super::{Farm, FarmError, Result, blocking, named};
 use crate::actor::Actor;
 use crate::clock::Clock;
 use crate::dispatch::{Dictionary, EventKind, Plan, Reason};
@@ -32,7 +32,7 @@ impl Farm {
         priority: i32,
     ) -> Result<DictionaryStatus> {
         let _one_at_a_time = self.managing.lock().await;
-        let existing = self.scheduler.query(|d, _| d.by_name(&name).map(Dictionary::grid_digest));
+        let existing = self.scheduler.query(|d, _| d.schedule().by_name(&name).map(Dictionary::grid_digest));
         if let Some(existing) = existing {
             if existing == Digest::of_grid(&grid) {
                 return self.status(&name);
@@ -62,15 +62,20 @@ impl Farm {
     /// The coordinator keeps account of every job of every dictionary: all together have a limit, and what one token has
     /// submitted leaves room for others.
     fn check_room(&self, by: &Actor, plan: &Plan) -> Result<()> {
-        let of_one = self.scheduler.query(|d, _| d.dictionaries().filter(|d| d.owner() == by.name()).count());
+        let of_one = self
+            .scheduler
+            .query(|d, _| d.schedule().dictionaries().filter(|d| d.owner() == by.name()).count());
         if !by.shares_as().is_empty() && of_one >= DICTIONARIES_OF_ONE {
             return Err(FarmError::ManyDictionaries { most: DICTIONARIES_OF_ONE });
         }
         let (own, all) = self.scheduler.query(|dispatcher, _| {
-            dispatcher.dictionaries().fold((plan.entries(), plan.entries()), |(own, all), dictionary| {
-                let is_own = dictionary.owner() == by.name();
-                (own + if is_own { dictionary.entries() } else { 0 }, all + dictionary.entries())
-            })
+            dispatcher.schedule().dictionaries().fold(
+                (plan.entries(), plan.entries()),
+                |(own, all), dictionary| {
+                    let is_own = dictionary.owner() == by.name();
+                    (own + if is_own { dictionary.entries() } else { 0 }, all + dictionary.entries())
+                },
+            )
         });
         if all > ENTRIES {
             return Err(FarmError::TooMany { whose: "all dictionaries", entries: all, most: ENTRIES });
@@ -92,8 +97,9 @@ impl Farm {
         } else {
             let of_jobs = grid.clone();
             let jobs = blocking(move || identities(&of_jobs)).await;
-            let grids =
-                self.scheduler.query(|d, _| d.dictionaries().map(|d| (d.id(), d.grid().clone())).collect());
+            let grids = self
+                .scheduler
+                .query(|d, _| d.schedule().dictionaries().map(|d| (d.id(), d.grid().clone())).collect());
             shared.reuse(id, &grid, &jobs, &grids).await?.len()
         };
         let ended = self.store.ended_jobs(id, &grid).await?;
@@ -104,16 +110,19 @@ impl Farm {
         self.take_over_done(&shared, id).await?;
         let (jobs, records) = (grid.job_count(), grid.record_count());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
-        self.scheduler.transition_by(by, |dispatcher, _| dispatcher.tell(id, EventKind::Submitted, message));
+        self.scheduler
+            .transition_by(by, |dispatcher, _| dispatcher.note(id, None, EventKind::Submitted, message));
         Ok(())
     }
 
     /// Takes up blocks of divided jobs that the store holds.
     pub(super) async fn find_blocks(&self, _held: &Held<'_>, id: DictionaryId) -> Result<(), StoreError> {
-        let wanted = self.scheduler.query(|d, _| d.by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs));
+        let wanted = self
+            .scheduler
+            .query(|d, _| d.schedule().by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs));
         for (job, spec) in wanted {
             let blocks = self.store.stored_blocks(&spec).await?;
-            self.scheduler.transition(|d, _| d.parts_stored(id, job, spec.walks(), &blocks));
+            self.scheduler.transition(|d, _| d.parts_stored((id, job), spec.walks(), &blocks));
         }
         Ok(())
     }
@@ -224,7 +233,7 @@ impl Farm {
         let blocks = self.blocks_of_none_but(id);
         let records = exclusive.delete_dictionary(id, &blocks).await?;
         self.scheduler.transition_by(by, |dispatcher, _| {
-            dispatcher.tell(id, EventKind::Deleted, format!("{records} records deleted"));
+            dispatcher.note(id, None, EventKind::Deleted, format!("{records} records deleted"));
             dispatcher.remove_dictionary(id);
         });
         self.fits.forget(id);
@@ -235,16 +244,16 @@ impl Farm {
     fn blocks_of_none_but(&self, id: DictionaryId) -> Vec<Digest> {
         let gathered = |d: &Dictionary| d.divided_jobs().into_iter().map(|(_, job)| job.sums_identity());
         self.scheduler.query(|dispatcher, _| {
-            let others = dispatcher.dictionaries().filter(|d| d.id() != id);
+            let others = dispatcher.schedule().dictionaries().filter(|d| d.id() != id);
             let others: HashSet<Digest> = others.flat_map(gathered).collect();
-            let own = dispatcher.by_id(id).into_iter().flat_map(gathered);
+            let own = dispatcher.schedule().by_id(id).into_iter().flat_map(gathered);
             own.filter(|digest| !others.contains(digest)).collect()
         })
     }
 
     pub(crate) fn explain(&self, name: &DictionaryName) -> Result<Vec<Reason>> {
         let mut reasons =
-            self.scheduler.query(|d, now| d.explain(now, name).ok_or_else(|| not_found(d, name)))?;
+            self.scheduler.query(|d, now| Ok::<_, FarmError>(d.explain(now, named(d, name)?)))?;
         if let Some(fault) = self.store_fault() {
             let text = format!("results cannot be stored: {fault}; workers keep them and try again");
             reasons.insert(0, Reason { code: "STORE_FAULT", text });
@@ -274,10 +283,7 @@ impl Farm {
         from: u32,
         most: usize,
     ) -> Result<Vec<FailedJob>> {
-        self.scheduler.query(|d, _| {
-            let dictionary = d.by_name(name).ok_or_else(|| not_found(d, name))?;
-            Ok(dictionary.given_up(from, most))
-        })
+        self.scheduler.query(|d, _| Ok(named(d, name)?.given_up(from, most)))
     }
 
     pub(crate) async fn events(&self, after: i64, dictionary: &str, most: u32) -> Result<Vec<StoredEvent>> {

@@ -12,6 +12,7 @@ use optics_model::{Grid, Invalid, Record};
 use tokio::task::JoinError;
 
 use super::{Farm, FarmError, Result};
+use crate::dispatch::EventKind;
 use crate::store::{Damaged, JobRecords, StoreError};
 
 /// What is said of records that were damaged at the first reading, and not at the second.
@@ -70,7 +71,8 @@ impl Farm {
         again.push((id, job));
         self.begin_again(&exclusive, again);
         drop(exclusive);
-        self.scheduler.transition(|dispatcher, _| dispatcher.tell_damage(id, job, &what));
+        self.scheduler
+            .transition(|dispatcher, _| dispatcher.note(id, Some(job), EventKind::JobDamaged, what.as_str()));
         Ok(Some(what))
     }
 

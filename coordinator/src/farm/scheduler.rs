@@ -60,6 +60,11 @@ impl Scheduler {
 
     /// Changes the state and publishes what the change produced.
     pub fn transition<T>(&self, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
+        self.transition_by(&Actor::default(), change)
+    }
+
+    /// The same on behalf of an actor, whose name goes into the events.
+    pub fn transition_by<T>(&self, actor: &Actor, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
         let (value, outbox) = {
             let mut dispatcher = self.lock();
             let value = change(&mut dispatcher, self.clock.now());
@@ -71,18 +76,8 @@ impl Scheduler {
             }
             (value, outbox)
         };
-        self.publish(&outbox);
+        self.publish(actor, outbox);
         value
-    }
-
-    /// The same on behalf of an actor, whose name goes into the events.
-    pub fn transition_by<T>(&self, actor: &Actor, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
-        let actor = actor.to_string();
-        self.transition(|dispatcher, now| {
-            let value = change(dispatcher, now);
-            dispatcher.tell_who(&actor);
-            value
-        })
     }
 
     /// Looks at the state.
@@ -137,9 +132,9 @@ impl Scheduler {
         self.dispatcher.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn publish(&self, outbox: &Outbox) {
-        for event in &outbox.events {
-            self.recorder.record(event);
+    fn publish(&self, actor: &Actor, outbox: Outbox) {
+        for event in outbox.events {
+            self.recorder.record(&Event { actor: actor.to_string(), ..event });
         }
         for count in &outbox.counts {
             self.count(*count);

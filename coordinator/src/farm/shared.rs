@@ -22,7 +22,7 @@ impl Farm {
 
     /// Ends the open jobs of a dictionary whose records came for others.
     pub(super) async fn take_over_done(&self, held: &Held<'_>, id: DictionaryId) -> Result<(), StoreError> {
-        let done = self.scheduler.query(|dispatcher, _| dispatcher.done_elsewhere(id));
+        let done = self.scheduler.query(|dispatcher, _| dispatcher.schedule().done_elsewhere(id));
         if done.is_empty() { Ok(()) } else { self.take_over(held, id, &done, None).await }
     }
 
@@ -34,10 +34,10 @@ impl Farm {
         by: Option<Origin>,
     ) -> Result<(), StoreError> {
         let found = self.scheduler.query(|dispatcher, _| {
-            let dictionary = dispatcher.by_id(id)?;
+            let dictionary = dispatcher.schedule().by_id(id)?;
             let specs: Vec<(u32, JobSpec)> =
                 jobs.iter().map(|job| (*job, dictionary.spec(*job, 0))).collect();
-            let grids = dispatcher.dictionaries().map(|d| (d.id(), d.grid().clone())).collect();
+            let grids = dispatcher.schedule().dictionaries().map(|d| (d.id(), d.grid().clone())).collect();
             Some((dictionary.grid().clone(), specs, grids))
         });
         let Some((grid, specs, grids)) = found else { return Ok(()) };

@@ -27,9 +27,9 @@ impl Farm {
 
 fn snapshot(dispatcher: &Dispatcher, now: Duration) -> Snapshot {
     let mut snapshot = Snapshot::default();
-    let (pending, leased) = dispatcher.load();
+    let (pending, leased) = dispatcher.schedule().load();
     snapshot.jobs = JobCounts { pending: pending as u64, leased: leased as u64, ..JobCounts::default() };
-    for dictionary in dispatcher.dictionaries() {
+    for dictionary in dispatcher.schedule().dictionaries() {
         let (done, failed) = dictionary.ended();
         snapshot.jobs.done += done as u64;
         snapshot.jobs.failed += failed as u64;

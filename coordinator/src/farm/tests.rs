@@ -2,7 +2,7 @@
 //! how dictionaries share records.
 
 mod fitting;
-mod intake;
+mod result_stream;
 mod waiting;
 
 use std::os::unix::fs::FileExt;
@@ -24,7 +24,7 @@ use crate::config::Config;
 use crate::dispatch::Registration;
 use crate::metrics::{BuildInfo, Metrics};
 use crate::store::{DataDir, Store};
-use crate::stored::{Completion, DesiredState, JobResult, Machine, Origin, Outcome};
+use crate::stored::{Completion, DesiredState, JobResult, Machine, Origin, Outcome, OutcomeKind};
 
 const JOBS: u32 = 40;
 /// As few as a fit may have.
@@ -223,7 +223,11 @@ async fn a_too_large_dictionary_is_cancelled_at_the_start() {
     assert_eq!(farm.explain(&large).unwrap()[0].code, "TOO_LARGE");
     assert!(matches!(farm.resume(&Actor::default(), &large).await, Err(FarmError::Invalid(_))));
     assert_eq!(farm.status(&name()).unwrap().state, DictionaryState::Running);
-    assert_eq!(farm.scheduler.query(|d, _| d.load().0), JOBS as usize, "the other one's jobs wait");
+    assert_eq!(
+        farm.scheduler.query(|d, _| d.schedule().load().0),
+        JOBS as usize,
+        "the other one's jobs wait"
+    );
     farm.delete(&Actor::default(), &large).await.unwrap();
     assert!(matches!(farm.status(&large), Err(FarmError::NotFound { .. })));
 }
@@ -263,7 +267,7 @@ async fn a_dispute_wakes_workers_that_wait() {
     let admission = farm.admit(&second, &lease.key, lease.job.identity()).unwrap();
     let other = content(&lease.job, 0.5);
     let outcome = farm.complete(second, lease.key, admission, other).await.unwrap();
-    assert!(outcome.is_conflict());
+    assert_eq!(outcome.kind(), OutcomeKind::Conflict);
     assert!(third.has_changed().unwrap(), "there is something to decide");
 }
 

@@ -24,7 +24,7 @@ pub(super) async fn keep(farm: Weak<Farm>) {
 impl Farm {
     /// Gives back room on the disk, unless there are leases: their results would have to wait.
     async fn give_back_room(&self) {
-        let (_, leased) = self.scheduler.query(|dispatcher, _| dispatcher.load());
+        let (_, leased) = self.scheduler.query(|dispatcher, _| dispatcher.schedule().load());
         if leased > 0 {
             return;
         }

@@ -68,7 +68,7 @@ impl Watch {
 
     fn look(&self) -> Result<DictionaryStatus> {
         self.farm.scheduler.query(|dispatcher, now| {
-            let dictionary = dispatcher.by_id(self.id);
+            let dictionary = dispatcher.schedule().by_id(self.id);
             let status = dictionary.map(|dictionary| dispatcher.status_of(now, dictionary));
             status.ok_or_else(|| FarmError::Deleted { name: self.name.clone() })
         })

@@ -93,7 +93,7 @@ impl JobWatch {
 
     fn look(&mut self) {
         let (states, open) = self.farm.scheduler.query(|dispatcher, _| {
-            let open = dispatcher.by_id(self.id).is_some_and(|d| d.state().is_open());
+            let open = dispatcher.schedule().by_id(self.id).is_some_and(|d| d.state().is_open());
             (dispatcher.job_states(self.id), open)
         });
         self.runs = changed(&self.last, &states);

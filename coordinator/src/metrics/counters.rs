@@ -13,6 +13,8 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
+use crate::stored::OutcomeKind;
+
 use super::exposition::{self, Format};
 use super::snapshot::{Scrape, Snapshot};
 
@@ -64,10 +66,6 @@ macro_rules! label {
     };
 }
 
-label! {
-    /// What became of a result that a worker delivered.
-    JobOutcome { Stored = "stored", Duplicate = "duplicate", Conflict = "conflict" }
-}
 label! {
     /// `Failed`: one attempt; `Quarantined`: given up.
     JobFailure { Failed = "failed", Quarantined = "quarantined" }
@@ -143,7 +141,7 @@ impl Metrics {
             registry: Registry::default(),
             methods: methods.into_iter().collect(),
             rpc_seconds: Family::new_with_constructor(NewSeconds),
-            jobs_completed: family(JobOutcome::VALUES, |outcome| Outcome { outcome }),
+            jobs_completed: family(&OutcomeKind::LABELS, |outcome| Outcome { outcome }),
             jobs_failed: family(JobFailure::VALUES, |kind| Kind { kind }),
             leases_expired: Counter::default(),
             leases_granted: family(LeaseKind::VALUES, |kind| Kind { kind }),
@@ -168,8 +166,10 @@ impl Metrics {
         self.0.rpc_seconds.get_or_create(&Rpc { method, code }).observe(elapsed.as_secs_f64());
     }
 
-    pub fn job_completed(&self, outcome: JobOutcome) {
-        self.0.jobs_completed.get_or_create(&Outcome { outcome: outcome.value() }).inc();
+    pub fn job_completed(&self, kind: OutcomeKind) {
+        if let Some(outcome) = kind.label() {
+            self.0.jobs_completed.get_or_create(&Outcome { outcome }).inc();
+        }
     }
 
     pub fn job_failed(&self, kind: JobFailure) {

@@ -30,7 +30,7 @@ use tokio_util::sync::CancellationToken;
 
 use self::exposition::Format;
 
-pub use self::counters::{BuildInfo, JobFailure, JobOutcome, LeaseKind, Metrics, VerificationOutcome};
+pub use self::counters::{BuildInfo, JobFailure, LeaseKind, Metrics, VerificationOutcome};
 pub use self::snapshot::{DictionaryCounts, JobCounts, Snapshot, WorkerCounts};
 
 /// What a request may take to arrive. A connection brings one: places are few, and probes need one soon.

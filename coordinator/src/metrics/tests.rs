@@ -9,6 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::snapshot::MOST_RATIOS;
 use super::*;
+use crate::stored::OutcomeKind;
 
 const FIT: &str = "/farm.v1.Fits/Fit";
 
@@ -70,7 +71,7 @@ async fn what_was_counted_is_told() {
     let metrics = fresh();
     metrics.rpc(FIT, 0, Duration::from_micros(200));
     metrics.rpc(FIT, 5, Duration::from_secs(100));
-    metrics.job_completed(JobOutcome::Duplicate);
+    metrics.job_completed(OutcomeKind::Duplicate);
     metrics.job_failed(JobFailure::Quarantined);
     metrics.leases_expired(2);
     metrics.leases_granted(LeaseKind::Speculative, 8);

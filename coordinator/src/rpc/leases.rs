@@ -21,8 +21,8 @@ use super::status::{OrStatus, required};
 use super::text::{one_line, short_line};
 use crate::authorisation::machine;
 use crate::dispatch::{Grant, Registration, Wish};
-use crate::farm::{Delivered, Farm, Header, Piece, Versions, WorkerEnd};
-use crate::stored::{Machine, Outcome};
+use crate::farm::{Farm, Header, Piece, Refusal, Versions, WorkerEnd};
+use crate::stored::{Machine, Outcome, OutcomeKind};
 
 /// Longest instance that a worker may choose.
 const INSTANCE_BYTES: usize = 64;
@@ -55,9 +55,9 @@ impl Leases for Context {
             facts: facts(request.facts.unwrap_or_default()),
         };
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
-        let (id, settings) = self.farm.register(about, versions, self.gate.votes_by_token()).await?;
+        let (id, lease) = self.farm.register(about, versions, self.gate.votes_by_token()).await?;
         let worker_token = self.farm.worker_token(&id);
-        Ok(Response::new(RegisterResponse { worker_token, lease_ms: settings.lease.as_millis() as u64 }))
+        Ok(Response::new(RegisterResponse { worker_token, lease_ms: lease.as_millis() as u64 }))
     }
 
     async fn acquire(&self, request: Request<AcquireRequest>) -> Result<Response<AcquireResponse>, Status> {
@@ -150,21 +150,19 @@ fn piece(message: CompleteRequest, farm: &Farm) -> Result<Piece, Status> {
     })
 }
 
-/// What a worker is told of a result.
-fn outcome(delivered: Delivered) -> CompletionOutcome {
-    let (kind, message) = match delivered {
-        Delivered::Refused(why) => (CompletionKind::Refused, why),
-        Delivered::NotStored(error) => (CompletionKind::NotStored, error.to_string()),
-        Delivered::Done(Outcome::Finished { .. } | Outcome::Part | Outcome::MoreWalks(_)) => {
-            (CompletionKind::Stored, String::new())
-        }
-        Delivered::Done(Outcome::Unwanted) => (CompletionKind::Refused, "not wanted any more".to_owned()),
-        Delivered::Done(outcome) if outcome.is_conflict() => {
+/// The answer to a worker about one result.
+fn outcome(delivered: Result<Outcome, Refusal>) -> CompletionOutcome {
+    let (kind, message) = match delivered.map(Outcome::kind) {
+        Err(Refusal::Unwanted(error)) => (CompletionKind::Refused, error.to_string()),
+        Err(Refusal::NotStored(error)) => (CompletionKind::NotStored, error.to_string()),
+        Ok(OutcomeKind::Stored) => (CompletionKind::Stored, String::new()),
+        Ok(OutcomeKind::Duplicate) => (CompletionKind::Duplicate, String::new()),
+        Ok(OutcomeKind::Conflict) => {
             let message =
                 "other records than these are stored: this worker or an earlier one computes wrongly";
             (CompletionKind::Conflict, message.to_owned())
         }
-        Delivered::Done(_) => (CompletionKind::Duplicate, String::new()),
+        Ok(OutcomeKind::Unwanted) => (CompletionKind::Refused, "not wanted any more".to_owned()),
     };
     CompletionOutcome { kind: kind.into(), message }
 }

@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use farm_proto::ids::DictionaryId;
 
-use super::super::job::{Part, Stage};
-use super::super::{Dictionary, PartId, Purpose};
+use super::super::part::PartId;
+use super::super::schedule::{Part, Stage};
+use super::super::{Dictionary, Purpose};
 use super::world::{LEASE, MAX_ATTEMPTS, World};
 
 macro_rules! must {
@@ -23,19 +24,23 @@ impl World {
         }
         self.check_leases()?;
         let (mut waiting, farm) = (0, &self.farm);
-        let known: Vec<_> = farm.dictionaries().map(Dictionary::id).collect();
+        let known: Vec<_> = farm.schedule.dictionaries().map(Dictionary::id).collect();
         must!(known.iter().eq(self.store.dictionaries.keys()), "the dictionaries are {known:?}");
         for (id, stored) in &self.store.dictionaries {
-            let dictionary = farm.by_id(*id).unwrap();
+            let dictionary = farm.schedule.by_id(*id).unwrap();
             self.check_jobs(*id, dictionary)?;
             must!(dictionary.priority() == stored.priority, "{id:?} has another priority");
             waiting += if dictionary.is_active() { dictionary.pending() } else { 0 };
         }
-        let leases = farm.leases.iter().count();
-        must!(farm.load() == (waiting, leases), "the load is {:?}, not {waiting}, {leases}", farm.load());
-        let served: Vec<_> = farm.order.iter().copied().collect();
+        let leases = farm.schedule.leases().iter().count();
+        must!(
+            farm.schedule.load() == (waiting, leases),
+            "the load is {:?}, not {waiting}, {leases}",
+            farm.schedule.load()
+        );
+        let served: Vec<_> = farm.schedule.order().collect();
         let mut wanted: Vec<_> =
-            farm.dictionaries().map(|d| (std::cmp::Reverse(d.priority()), d.id())).collect();
+            farm.schedule.dictionaries().map(|d| (std::cmp::Reverse(d.priority()), d.id())).collect();
         wanted.sort_unstable();
         must!(served == wanted, "dictionaries are served as {served:?}");
         for worker in self.store.fenced.keys() {
@@ -47,10 +52,10 @@ impl World {
     fn check_leases(&self) -> Result<(), String> {
         let mut of_parts: BTreeMap<PartId, Vec<_>> = BTreeMap::new();
         let mut of_workers = BTreeMap::new();
-        for held in self.farm.leases.iter() {
+        for held in self.farm.schedule.leases().iter() {
             of_parts.entry(PartId::from(&held.key)).or_default().push(held);
             *of_workers.entry(&held.worker).or_insert(0) += 1;
-            let known = self.farm.workers.get(&held.worker);
+            let known = self.farm.roster.get(&held.worker);
             must!(known.is_ok(), "{held:?} is held by one that may not");
             must!(self.origin(&held.worker).is_some(), "{held:?} is held by nobody");
             must!(held.deadline <= self.now + LEASE, "{held:?} ends too late");
@@ -62,10 +67,13 @@ impl World {
             let workers: BTreeSet<_> =
                 holders.iter().filter(|h| h.purpose != Purpose::Check).map(|h| &h.worker).collect();
             must!(workers.len() == holders.len() - checks, "{part:?} is twice with one worker");
-            must!(self.farm.leases.of_part(part).count() == holders.len(), "{part:?} is indexed wrongly");
+            must!(
+                self.farm.schedule.leases().of_part(part).count() == holders.len(),
+                "{part:?} is indexed wrongly"
+            );
         }
         for (worker, count) in of_workers {
-            must!(self.farm.leases.count_of(worker) == count, "{worker} is indexed wrongly");
+            must!(self.farm.schedule.leases().count_of(worker) == count, "{worker} is indexed wrongly");
         }
         Ok(())
     }
@@ -112,10 +120,10 @@ impl World {
             }
         }
         must!(dictionary.pending() == pending, "{id:?}: {} wait, not {pending}", dictionary.pending());
-        must!(dictionary.leased == leased, "{id:?}: {} are leased, not {leased}", dictionary.leased);
+        must!(dictionary.leased() == leased, "{id:?}: {} are leased, not {leased}", dictionary.leased());
         let ended = dictionary.ended();
         must!(ended == (done, given_up), "{id:?}: {ended:?} have ended, not {done}, {given_up}");
-        let status = self.farm.status(self.now, dictionary.name()).ok_or("no status")?;
+        let status = self.farm.status_of(self.now, dictionary);
         let told = (status.jobs_done, status.jobs_leased, status.failed.len());
         must!(told == (done, leased, given_up), "{id:?}: the status tells {told:?}");
         must!(status.records_digest.is_some() == (done == dictionary.jobs()), "{id:?}: complete or not?");
@@ -124,7 +132,7 @@ impl World {
     }
 
     fn holders(&self, part: PartId) -> bool {
-        self.farm.leases.of_part(part).any(|held| held.purpose != Purpose::Check)
+        self.farm.schedule.leases().is_part_held(part)
     }
 
     /// With every result checked, what is left is right.

@@ -73,9 +73,9 @@ impl World {
     /// Tells the dispatcher which blocks there are.
     pub fn find_blocks(&mut self) {
         for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
-            for (job, spec) in self.farm.by_id(id).unwrap().divided_jobs() {
+            for (job, spec) in self.farm.schedule.by_id(id).unwrap().divided_jobs() {
                 let blocks = self.store.stored_blocks(id, job, spec.walks());
-                self.farm.parts_stored(id, job, spec.walks(), &blocks);
+                self.farm.parts_stored((id, job), spec.walks(), &blocks);
             }
         }
     }

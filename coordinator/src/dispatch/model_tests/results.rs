@@ -25,7 +25,7 @@ impl World {
                 self.farm.finished(self.now, &arrived, records);
                 // Now and then the store fails: then the others compute for themselves.
                 if !self.chance.tokens.is_multiple_of(4) {
-                    for served in self.farm.served_by(place) {
+                    for served in self.farm.schedule.served_by(place) {
                         self.take_over(served, place, Some(by));
                     }
                 }
@@ -54,19 +54,19 @@ impl World {
             return;
         }
         let Arriving { worker, by, key, job } = self.arriving.remove(which.min(last));
-        if self.farm.by_id(key.dictionary).is_none() || (key.dictionary, key.job) == other {
+        if self.farm.schedule.by_id(key.dictionary).is_none() || (key.dictionary, key.job) == other {
             return;
         }
         let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
         let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks(), digest };
-        if self.farm.by_id(key.dictionary).unwrap().is_open(key.job) {
+        if self.farm.schedule.by_id(key.dictionary).unwrap().is_open(key.job) {
             self.strike(key.dictionary, key.job, by, None);
         }
-        if self.farm.is_confirmed(&[other]) {
-            self.farm.contradict(self.now, &arrived);
+        if self.farm.verification.is_confirmed(&[other]) {
+            self.farm.contradict(self.now, &arrived, None);
             return;
         }
-        self.farm.distrust(self.now, &arrived, &[other]);
+        self.farm.contradict(self.now, &arrived, Some(&[other]));
         self.recompute(other.0, other.1);
     }
 }

@@ -3,14 +3,15 @@
 use farm_proto::ids::DictionaryId;
 use farm_proto::lease::LeaseKey;
 
-use super::super::shared::JobRef;
-use super::super::{Dictionary, Origin};
+use super::super::Dictionary;
+use super::super::JobRef;
 use super::store::DoneJob;
 use super::world::World;
+use crate::stored::Origin;
 
 impl World {
     pub fn take_over(&mut self, place: JobRef, from: JobRef, by: Option<Origin>) {
-        let is_open = self.farm.by_id(place.0).is_some_and(|d| d.is_open(place.1));
+        let is_open = self.farm.schedule.by_id(place.0).is_some_and(|d| d.is_open(place.1));
         self.insist(is_open && self.store.kind(place.0) == self.store.kind(from.0), || {
             format!("{place:?} is served by {from:?}")
         });
@@ -22,7 +23,7 @@ impl World {
 
     /// Ends the open jobs of a dictionary with records that others have.
     pub fn take_over_done(&mut self, id: DictionaryId) {
-        for job in self.farm.done_elsewhere(id) {
+        for job in self.farm.schedule.done_elsewhere(id) {
             let kind = self.store.kind(id);
             let walks = self.walks_of((id, job));
             let same = |(of, done): &(&JobRef, &DoneJob)| {
@@ -38,9 +39,9 @@ impl World {
 
     /// Another dictionary that is served and has a job under way whose records will serve this one.
     pub fn computed_elsewhere(&self, key: &LeaseKey) -> Option<DictionaryId> {
-        let own = self.farm.by_id(key.dictionary)?;
+        let own = self.farm.schedule.by_id(key.dictionary)?;
         let walks = self.walks_of((key.dictionary, key.job));
-        let others = self.farm.dictionaries().filter(|other| {
+        let others = self.farm.schedule.dictionaries().filter(|other| {
             other.id() != own.id()
                 && other.is_active()
                 && self.store.kind(other.id()) == self.store.kind(own.id())
@@ -49,7 +50,7 @@ impl World {
         let computes = |other: &&Dictionary| {
             other.is_open(key.job)
                 && self.walks_of((other.id(), key.job)) == walks
-                && self.farm.leases.is_held(other.id(), key.job)
+                && self.farm.schedule.leases().is_held((other.id(), key.job))
         };
         others.filter(computes).map(Dictionary::id).next()
     }

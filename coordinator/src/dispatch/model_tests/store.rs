@@ -9,8 +9,9 @@ use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Quality, Scene, Walks};
 
-use super::super::Origin;
-use crate::stored::{DesiredState, EndedJob, KnownMachine, Machine, OpenCheck, Outcome, StoredDictionary};
+use crate::stored::{
+    DesiredState, EndedJob, KnownMachine, Machine, OpenCheck, Origin, Outcome, StoredDictionary,
+};
 
 /// Blocks of a job with so many walks, and who computed them.
 type Blocks = BTreeMap<u32, Origin>;

@@ -7,8 +7,10 @@ use farm_proto::lease::{Lease, LeaseKey};
 use farm_proto::status::MachineFacts;
 use optics_model::Digest;
 
-use super::super::{Admission, Arrived, DispatchError, Dispatcher, Origin, PartId, Purpose, Registration};
+use super::super::part::PartId;
+use super::super::{Admission, Arrived, DispatchError, Dispatcher, Purpose, Registration};
 use super::world::{Arriving, LEASE, Process, WORKERS, World};
+use crate::stored::Origin;
 
 impl World {
     pub fn register(&mut self, worker: usize) {
@@ -32,7 +34,7 @@ impl World {
         }
         self.store.met.insert(origin, self.processes[worker].machine.clone());
         let before = std::mem::replace(&mut self.processes[worker].id, id.clone());
-        if self.draining.contains(&before) && self.farm.workers.get(&id).is_ok_and(|w| w.draining) {
+        if self.draining.contains(&before) && self.farm.roster.get(&id).is_ok_and(|w| w.draining) {
             self.draining.insert(id.clone());
         }
         self.instances.insert(id.clone(), self.processes[worker].instance.clone());
@@ -69,10 +71,10 @@ impl World {
 
     pub fn acquire(&mut self, worker: usize, max: usize) {
         let Process { id, origin, .. } = self.processes[worker].clone();
-        let paused = self.farm.workers.machines.pause_left(self.now, origin).is_some();
+        let paused = self.farm.roster.pause_left(self.now, origin).is_some();
         // Of a divided job that was under way before another one was, the rest may be given out.
         let place = |key: &LeaseKey| (key.dictionary, key.job);
-        let held = self.farm.leases.iter().filter(|held| held.purpose != Purpose::Check);
+        let held = self.farm.schedule.leases().iter().filter(|held| held.purpose != Purpose::Check);
         let under_way: BTreeSet<_> = held.map(|held| place(&held.key)).collect();
         let answer = self.farm.acquire(self.now, &id, max, &mut self.chance);
         let Some(grant) = self.answer(worker, answer) else { return };
@@ -84,16 +86,16 @@ impl World {
         });
         for lease in grant.leases {
             let key = lease.key;
-            let purpose = self.farm.leases.get(&key).expect("it was just given out").purpose;
+            let purpose = self.farm.schedule.leases().get(&key).expect("it was just given out").purpose;
             let new = self.tokens.insert(key.token);
             self.insist(new, || format!("{key:?} has a token that was used before"));
-            let dictionary = self.farm.by_id(key.dictionary);
+            let dictionary = self.farm.schedule.by_id(key.dictionary);
             let serves =
                 dictionary.is_some_and(|d| d.is_active() || purpose == Purpose::Check && d.is_complete());
             self.insist(serves, || format!("{key:?} is of a dictionary that is not served"));
             if purpose == Purpose::Check {
                 let part = PartId::from(&key);
-                let votes = self.farm.checks.of_dictionary(key.dictionary).find(|(of, _)| *of == part);
+                let votes = self.farm.verification.of_dictionary(key.dictionary).find(|(of, _)| *of == part);
                 let own = votes.is_none_or(|(_, votes)| votes.iter().any(|vote| vote.by == Some(origin)));
                 self.insist(!own, || format!("{key:?} lets a machine check itself, or nothing"));
             }
@@ -114,7 +116,7 @@ impl World {
     fn check_struck(&mut self, key: &LeaseKey, origin: Origin) {
         let strikes = self.strikes.get(&(key.dictionary, key.job)).cloned().unwrap_or_default();
         let struck = |machine: Origin| strikes.iter().any(|(by, _)| *by == machine);
-        let other = self.farm.able(self.now).find(|machine| !struck(*machine));
+        let other = self.farm.roster.able(self.now).find(|machine| !struck(*machine));
         self.insist(!struck(origin) || other.is_none(), || {
             format!("{key:?} goes to {origin:?}, which has failed at it, rather than to {other:?}")
         });
@@ -138,14 +140,16 @@ impl World {
         let bit = |bits: u8, i: usize| bits >> (i % 8) & 1 == 1;
         let chosen = held.iter().enumerate().filter(|(i, _)| bit(which, *i));
         let leases: Vec<_> = chosen.map(|(i, l)| (l.key, bit(running, i), l.job.identity())).collect();
-        let mine = |farm: &Dispatcher, key: &LeaseKey| farm.leases.get(key).is_some_and(|h| h.worker == id);
+        let mine = |farm: &Dispatcher, key: &LeaseKey| {
+            farm.schedule.leases().get(key).is_some_and(|h| h.worker == id)
+        };
         let valid: Vec<_> = leases.iter().filter(|l| mine(&self.farm, &l.0)).map(|l| l.0).collect();
         let answer = self.farm.renew(self.now, &id, leases.clone());
         let Some((lost, _)) = self.answer(worker, answer) else { return };
         for (key, running, _) in leases {
             let is_lost = lost.contains(&key);
             self.insist(!(is_lost && valid.contains(&key)), || format!("{key:?} was valid and is lost"));
-            let held = self.farm.leases.get(&key).filter(|h| h.worker == id);
+            let held = self.farm.schedule.leases().get(&key).filter(|h| h.worker == id);
             let noted = held.is_some_and(|h| h.running == running && h.deadline >= self.now + LEASE);
             self.insist(is_lost || noted, || format!("{key:?} is not lost and not noted"));
         }
@@ -168,7 +172,7 @@ impl World {
             3 => key.attempt = u32::MAX,
             _ => key.part += 1,
         }
-        let before = self.farm.leases.get(&key).cloned();
+        let before = self.farm.schedule.leases().get(&key).cloned();
         let in_use = self.is_held(key.token);
         let id = self.processes[worker].id.clone();
         let answer = self.farm.renew(self.now, &id, vec![(key, true, job.identity())]);
@@ -192,7 +196,7 @@ impl World {
     }
 
     pub fn is_held(&self, token: Token) -> bool {
-        self.farm.leases.iter().any(|held| held.key.token == token)
+        self.farm.schedule.leases().iter().any(|held| held.key.token == token)
     }
 
     pub fn begin(&mut self, worker: usize, lease: usize) {
@@ -222,7 +226,7 @@ impl World {
         let answer = self.farm.admit(self.now, &id, &lease.key, lease.job.identity());
         let key = lease.key;
         match self.answer(worker, answer) {
-            Some(Admission::Store { job, by }) => {
+            Some(Admission::Store { job, by, .. }) => {
                 self.insist(by == origin, || format!("{key:?} came from {origin:?}, not {by:?}"));
                 self.arriving.push(Arriving { worker: id, by, key, job });
             }
@@ -243,7 +247,7 @@ impl World {
     pub fn fail(&mut self, worker: usize, lease: usize) {
         let Some(Lease { key, .. }) = self.take_lease(worker, lease) else { return };
         let Process { id, origin, .. } = self.processes[worker].clone();
-        let held = self.farm.leases.get(&key).filter(|h| h.worker == id).map(|h| h.purpose);
+        let held = self.farm.schedule.leases().get(&key).filter(|h| h.worker == id).map(|h| h.purpose);
         let answer = self.farm.failed(self.now, &id, &key, "boom");
         self.insist(answer.is_err() || held.is_some(), || format!("{key:?} fails and is not held"));
         if self.answer(worker, answer).is_some() && held != Some(Purpose::Check) {
@@ -257,11 +261,11 @@ impl World {
 
     pub fn leave(&mut self, worker: usize) {
         let id = self.processes[worker].id.clone();
-        if self.farm.workers.get(&id).is_ok() {
+        if self.farm.roster.get(&id).is_ok() {
             self.forgive(worker);
         }
         self.farm.leave(&id);
-        let left = !self.farm.leases.iter().any(|held| held.worker == id);
+        let left = !self.farm.schedule.leases().iter().any(|held| held.worker == id);
         self.insist(left, || format!("{id} has left and holds leases"));
         self.begin_anew(worker);
     }

@@ -9,12 +9,12 @@ use farm_proto::status::DictionaryState;
 use optics_model::Walks;
 use optics_model::job::JobSpec;
 
-use super::super::look_over::STALL;
+use super::super::schedule::STALL;
 use super::super::tests::Counted;
-use super::super::{Dictionary, Dispatcher, Origin, Purpose, Settings};
+use super::super::{Dictionary, Dispatcher, Purpose, Settings};
 use super::ops::Op;
 use super::store::ModelStore;
-use crate::stored::{DesiredState, Machine, Secret};
+use crate::stored::{DesiredState, Machine, Origin, Secret};
 
 pub const LEASE: Duration = Duration::from_secs(8);
 pub const MAX_ATTEMPTS: u32 = 2;
@@ -125,13 +125,14 @@ impl World {
 
     /// What a worker that waits could get: parts, and checks.
     fn offers(&self) -> (usize, usize) {
-        let checks = self.farm.checks.open_to(|_| false).filter(|part| self.farm.may_check(*part));
-        (self.farm.load().0, checks.count())
+        let checks =
+            self.farm.verification.open_to(|_| false).filter(|part| self.farm.schedule.may_check(*part));
+        (self.farm.schedule.load().0, checks.count())
     }
 
     /// What people see of the dictionaries.
     fn seen(&self) -> Vec<(DictionaryId, DictionaryState, (usize, usize))> {
-        self.farm.dictionaries().map(|d| (d.id(), d.state(), d.ended())).collect()
+        self.farm.schedule.dictionaries().map(|d| (d.id(), d.state(), d.ended())).collect()
     }
 
     /// Whoever waits for work or news must be woken when there is some, since nobody asks again before.
@@ -233,8 +234,14 @@ impl World {
         let stalled = self.last_look.map_or(Duration::ZERO, |last| self.now.saturating_sub(last));
         let stalled = if stalled > STALL { stalled } else { Duration::ZERO };
         self.last_look = Some(self.now);
-        let mut due: Vec<_> =
-            self.farm.leases.iter().filter(|h| h.deadline + stalled <= self.now).cloned().collect();
+        let mut due: Vec<_> = self
+            .farm
+            .schedule
+            .leases()
+            .iter()
+            .filter(|h| h.deadline + stalled <= self.now)
+            .cloned()
+            .collect();
         due.sort_by_key(|held| (held.deadline, held.key.token));
         let freed = self.farm.look_over(self.now);
         self.insist(freed == due.len(), || format!("{freed} leases are freed, not {}", due.len()));
@@ -254,7 +261,7 @@ impl World {
 
     fn set_desire(&mut self, at: usize, desire: DesiredState) {
         let Some(id) = self.dictionary(at) else { return };
-        if self.farm.by_id(id).unwrap().open_jobs() > 0 {
+        if self.farm.schedule.by_id(id).unwrap().open_jobs() > 0 {
             self.store.dictionaries.get_mut(&id).unwrap().desire = desire;
             self.farm.set_desire(id, desire, String::new());
         }
@@ -284,7 +291,7 @@ impl World {
     fn restart(&mut self) {
         self.farm = Dispatcher::new(self.settings);
         for known in self.store.machines() {
-            self.farm.remember_machine(known);
+            self.farm.roster.remember_machine(known);
         }
         for (id, stored) in &self.store.dictionaries {
             self.farm.add_dictionary(Dictionary::new(stored.clone(), &self.store.ended(*id)));
@@ -327,17 +334,21 @@ impl World {
                 self.step(&Op::Deliver { worker, lease: 0 });
             }
             self.check()?;
-            let active = |id: &&DictionaryId| self.farm.by_id(**id).unwrap().is_active();
+            let active = |id: &&DictionaryId| self.farm.schedule.by_id(**id).unwrap().is_active();
             let done = self
                 .store
                 .dictionaries
                 .keys()
                 .filter(active)
-                .all(|id| self.farm.by_id(*id).unwrap().is_complete());
-            if done && self.farm.checks().2 == 0 && self.farm.load() == (0, 0) {
+                .all(|id| self.farm.schedule.by_id(*id).unwrap().is_complete());
+            if done && self.farm.verification.counts().2 == 0 && self.farm.schedule.load() == (0, 0) {
                 return self.check_digests();
             }
         }
-        Err(format!("the work is not done in time: {:?} {:?}", self.farm.load(), self.farm.checks()))
+        Err(format!(
+            "the work is not done in time: {:?} {:?}",
+            self.farm.schedule.load(),
+            self.farm.verification.counts()
+        ))
     }
 }

@@ -1,6 +1,5 @@
 //! Who is to blame for what comes to nothing.
 
-use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::{DictionaryState, MachineFacts};
 
@@ -45,7 +44,7 @@ fn silence_after_a_request_to_stop_is_nobodys_fault() {
         bench.farm.register(seconds(at), worker(&id), origin("a"), about(&id)).unwrap();
         let lease = bench.acquire(at, &id, 1);
         assert!(bench.renew(at, &id, &lease[0], true));
-        bench.farm.stopping(&worker(&id));
+        bench.farm.roster.stopping(&worker(&id));
         for second in (at..at + 40).step_by(4) {
             bench.farm.look_over(seconds(second));
         }
@@ -68,7 +67,8 @@ fn who_asks_about_a_failed_job_is_told_where_the_log_is() {
         bench.farm.register(seconds(0), worker(name), origin(name), logged(name)).unwrap();
     }
     let told = |bench: &Bench, second| {
-        let reasons = bench.farm.explain(seconds(second), &DictionaryName::new("d").unwrap()).unwrap();
+        let reasons =
+            bench.farm.explain(seconds(second), bench.farm.schedule.by_id(DictionaryId(1)).unwrap());
         reasons.into_iter().map(|reason| reason.text).collect::<Vec<_>>().join("\n")
     };
     let first = bench.acquire(0, "a", 1);

@@ -75,7 +75,7 @@ fn blocks_that_the_store_has_forgotten_are_computed_again() {
     let mut bench = divided(0.0);
     let leases = bench.acquire(0, "a", 2);
     arrive("a", &leases[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
-    bench.farm.parts_stored(DictionaryId(1), 0, leases[0].job.walks(), &[2].into());
+    bench.farm.parts_stored((DictionaryId(1), 0), leases[0].job.walks(), &[2].into());
     let left: Vec<_> = bench.acquire(2, "b", 9).iter().map(|l| l.key.part).collect();
     assert_eq!(left, [0], "block 1 is held, block 2 is there");
 }
@@ -86,13 +86,13 @@ fn missing_shared_blocks_are_computed_again() {
     let mut bench = divided(0.0);
     let blocks = |left: &[Lease]| left.iter().map(|l| l.key.part).collect::<Vec<_>>();
     // Blocks 0 and 1 were there, from the other one; then it ended, and they are gone with it.
-    let walks = bench.farm.by_id(DictionaryId(1)).unwrap().spec(0, 0).walks();
-    bench.farm.parts_stored(DictionaryId(1), 0, walks, &[0, 1].into());
+    let walks = bench.farm.schedule.by_id(DictionaryId(1)).unwrap().spec(0, 0).walks();
+    bench.farm.parts_stored((DictionaryId(1), 0), walks, &[0, 1].into());
     let last = bench.acquire(0, "a", 9);
     assert_eq!(blocks(&last), [2]);
-    assert!(!bench.farm.waits_for_nothing(&last[0].key));
+    assert!(!bench.farm.schedule.waits_for_nothing((DictionaryId(1), 0)));
     arrive("a", &last[0], |arrived| bench.farm.part_finished(seconds(1), arrived));
-    assert!(bench.farm.waits_for_nothing(&last[0].key));
-    bench.farm.parts_stored(DictionaryId(1), 0, walks, &[2].into());
+    assert!(bench.farm.schedule.waits_for_nothing((DictionaryId(1), 0)));
+    bench.farm.parts_stored((DictionaryId(1), 0), walks, &[2].into());
     assert_eq!(blocks(&bench.acquire(2, "b", 9)), [0, 1]);
 }

@@ -17,7 +17,11 @@ const SECOND: DictionaryId = DictionaryId(2);
 
 /// The bench's dictionary of three points, and one with two of these, and others between.
 fn overlapping(albedo: Vec<f64>) -> Bench {
-    let mut bench = Bench::new(&[]);
+    overlapping_with_checks(albedo, 0.0)
+}
+
+fn overlapping_with_checks(albedo: Vec<f64>, check_share: f64) -> Bench {
+    let mut bench = Bench::with_checks(&[], check_share);
     let axes = Axes {
         sigma_t_per_mm: vec![2.0, 15.0, 30.0],
         albedo,
@@ -48,11 +52,11 @@ fn shared_walks_are_computed_once() {
     let leases = bench.acquire(0, "a", 9);
     assert_eq!(places(&leases), [(FIRST, 2), (FIRST, 1), (FIRST, 0), (SECOND, 1)]);
     assert!(bench.reasons_of("e", 0).contains(&"SHARED"), "{:?}", bench.reasons_of("e", 0));
-    assert_eq!(bench.farm.served_by((FIRST, 2)), [(SECOND, 2)]);
+    assert_eq!(bench.farm.schedule.served_by((FIRST, 2)), [(SECOND, 2)]);
     bench.finish(1, "a", &leases[0]);
     bench.farm.taken_over((SECOND, 2), Walks::PAPER, DIGEST, None);
-    assert_eq!(bench.farm.by_id(SECOND).unwrap().ended(), (1, 0));
-    assert!(bench.farm.served_by((FIRST, 2)).is_empty());
+    assert_eq!(bench.farm.schedule.by_id(SECOND).unwrap().ended(), (1, 0));
+    assert!(bench.farm.schedule.served_by((FIRST, 2)).is_empty());
 }
 
 #[test]
@@ -106,8 +110,7 @@ fn what_the_second_has_begun_the_first_waits_for() {
 #[test]
 fn a_check_outlives_the_deletion_of_its_dictionary() {
     for (albedo, of_heir) in [(vec![0.5, 0.9], DIGEST), (vec![0.9], Digest::from_bytes([8; 32]))] {
-        let mut bench = overlapping(albedo);
-        bench.farm.settings.check_share = 1.0;
+        let mut bench = overlapping_with_checks(albedo, 1.0);
         let lease = bench.acquire(0, "a", 1).remove(0);
         assert_eq!(places(std::slice::from_ref(&lease)), [(FIRST, 2)]);
         bench.finish(1, "a", &lease);
@@ -117,7 +120,7 @@ fn a_check_outlives_the_deletion_of_its_dictionary() {
         let check = bench.acquire(2, "b", 1).remove(0);
         assert_eq!((check.key.dictionary, check.key.job), (SECOND, 2));
         assert!(bench.compare("b", &check, of_heir, of_heir));
-        assert_eq!(bench.farm.checks(), (1, 0, 0));
+        assert_eq!(bench.farm.verification.counts(), (1, 0, 0));
     }
 }
 
@@ -127,7 +130,7 @@ fn a_straggler_that_others_wait_for_gets_a_second_copy() {
     let leases = bench.acquire(0, "a", 9);
     for lease in &leases[1..] {
         bench.finish(1, "a", lease);
-        for place in bench.farm.served_by((lease.key.dictionary, lease.key.job)) {
+        for place in bench.farm.schedule.served_by((lease.key.dictionary, lease.key.job)) {
             bench.farm.taken_over(place, Walks::PAPER, DIGEST, None);
         }
     }

@@ -43,7 +43,7 @@ fn a_worker_that_contradicts_itself_is_fenced() {
     let check = bench.acquire(2, "b", 1);
     assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still wanted");
     assert!(bench.compare("b", &check[0], DIGEST, DIGEST));
-    assert_eq!(bench.farm.checks(), (1, 0, 0));
+    assert_eq!(bench.farm.verification.counts(), (1, 0, 0));
     let agreed = bench.effects();
     assert!(matches!(&agreed[..], [Effect::Agreed { job: 2, machine: Origin(2), .. }]), "{agreed:?}");
     bench.compare("a", &lease[0], DIGEST, Digest::from_bytes([1; 32]));
@@ -87,7 +87,9 @@ fn checks_that_nobody_has_made_are_wanted_after_a_restart_too() {
 fn conflicting_shared_records_are_always_checked() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let lease = bench.acquire(0, "a", 1);
-    arrive("a", &lease[0], |arrived| bench.farm.distrust(seconds(0), arrived, &[(DictionaryId(1), 0)]));
+    arrive("a", &lease[0], |arrived| {
+        bench.farm.contradict(seconds(0), arrived, Some(&[(DictionaryId(1), 0)]))
+    });
     let again = bench.acquire(1, "b", 1);
     assert_eq!(again[0].key.job, lease[0].key.job, "it waits again");
     bench.finish(2, "b", &again[0]);
@@ -108,7 +110,7 @@ fn results_are_not_compared_with_replaced_records() {
     for _ in 0..3 {
         assert!(!bench.compare("b", &lease[0], wrong, right));
     }
-    assert_eq!(bench.farm.checks(), (0, 0, 0), "nobody is accused");
+    assert_eq!(bench.farm.verification.counts(), (0, 0, 0), "nobody is accused");
     assert!(bench.effects().is_empty());
 }
 
@@ -143,7 +145,7 @@ fn checks_that_no_machine_can_take_are_explained() {
 /// The workers of one token leave room for those of others, and what was registered can register again.
 #[test]
 fn one_token_has_so_many_workers() {
-    use crate::dispatch::workers::WORKERS_OF_ONE;
+    use crate::dispatch::roster::WORKERS_OF_ONE;
     let mut bench = Bench::with_checks(&[], 1.0);
     let of = |token: &str, instance: usize| {
         let mut about = about(&instance.to_string());

@@ -62,10 +62,10 @@ fn unrequested_results_trigger_a_check_but_do_not_vote() {
         bench.compare(name, &lease, DIGEST, WRONG);
     }
     assert!(bench.effects().is_empty());
-    assert_eq!((bench.farm.checks(), bench.status().jobs_disputed), ((0, 0, 1), 0));
+    assert_eq!((bench.farm.verification.counts(), bench.status().jobs_disputed), ((0, 0, 1), 0));
     let check = bench.acquire(2, "c", 1).remove(0);
     bench.compare("c", &check, DIGEST, DIGEST);
-    assert_eq!(bench.farm.checks(), (1, 0, 0));
+    assert_eq!(bench.farm.verification.counts(), (1, 0, 0));
 }
 
 /// Forged tokens and attempts are refused. A restarted coordinator accepts leases from before.
@@ -100,8 +100,8 @@ fn what_several_have_found_is_not_undone_by_fewer() {
     assert_eq!(again.key.job, lease.key.job);
     bench.compare("c", &again, DIGEST, WRONG);
     assert!(matches!(&bench.effects()[..], [Effect::Fence { machine: Origin(3), .. }]), "two against one");
-    arrive("c", &lease, |arrived| bench.farm.contradict(seconds(4), arrived));
-    assert!(bench.farm.is_confirmed(&[(DictionaryId(1), lease.key.job)]));
+    arrive("c", &lease, |arrived| bench.farm.contradict(seconds(4), arrived, None));
+    assert!(bench.farm.verification.is_confirmed(&[(DictionaryId(1), lease.key.job)]));
 }
 
 /// Records that a second machine confirmed stay when the first is fenced, and a third machine checks them.
@@ -193,10 +193,10 @@ fn more_walks_end_the_checks_of_the_blocks_of_fewer() {
     let mut bench = divided(1.0);
     let leases = bench.acquire(0, "a", 2);
     block(&mut bench, "a", &leases[0], DIGEST);
-    assert_eq!(bench.farm.checks(), (0, 0, 1));
+    assert_eq!(bench.farm.verification.counts(), (0, 0, 1));
     let more = optics_model::Walks::new(3_500_000).unwrap();
     arrive("a", &leases[1], |arrived| bench.farm.prolong(seconds(2), arrived, more));
-    assert_eq!(bench.farm.checks(), (0, 0, 0));
+    assert_eq!(bench.farm.verification.counts(), (0, 0, 0));
 }
 
 /// It is there when the job is tried again.
@@ -212,5 +212,5 @@ fn a_block_that_comes_after_its_job_was_given_up_is_checked_too() {
     }
     assert_eq!(bench.status().failed.len(), 1);
     block(&mut bench, "a", &late, WRONG);
-    assert_eq!(bench.farm.checks(), (0, 0, 1));
+    assert_eq!(bench.farm.verification.counts(), (0, 0, 1));
 }

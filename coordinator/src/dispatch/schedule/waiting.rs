@@ -11,7 +11,7 @@ impl Dictionary {
 
     /// Whether a part waits for a worker.
     #[cfg(test)]
-    pub(super) fn waits(&self, index: u32, part: u32) -> bool {
+    pub fn waits(&self, index: u32, part: u32) -> bool {
         self.pending.contains(&(self.jobs[index as usize].rank, index, part))
     }
 

@@ -33,30 +33,26 @@ pub(crate) enum Piece {
     Sums(Bytes),
 }
 
-/// Whose result follows, and for what.
+/// The worker whose result follows, and its lease.
 #[derive(Debug)]
 pub(crate) struct Header {
     pub worker: WorkerId,
     pub key: LeaseKey,
-    /// What the worker was told to compute.
+    /// The identity of the job as the worker received it.
     pub identity: Digest,
 }
 
-/// What became of a result that was delivered.
+/// Why a result came to nothing.
 #[derive(Debug)]
-pub(crate) enum Delivered {
-    Done(Outcome),
+pub(crate) enum Refusal {
     /// The worker is to deliver it again later.
     NotStored(StoreError),
     /// The worker is to drop it.
-    Refused(String),
+    Unwanted(DispatchError),
 }
 
 /// A result on its way to the disk, or one that is not wanted.
-enum Task {
-    Storing(JoinHandle<Result<Outcome>>),
-    Refused(String),
-}
+type Task = Result<JoinHandle<Result<Outcome>>, DispatchError>;
 
 impl Farm {
     /// Receives all results of a machine's stream, storing each while the next comes in; what became of them, in their
@@ -65,14 +61,14 @@ impl Farm {
         self: &Arc<Self>,
         machine: &Machine,
         stream: S,
-    ) -> Result<Vec<Delivered>, E>
+    ) -> Result<Vec<Result<Outcome, Refusal>>, E>
     where
         S: Stream<Item = Result<Piece, E>> + Unpin,
         E: From<FarmError>,
     {
         let mut pieces =
             Pieces { stream, budget: self.result_budget.stream(&machine.token, machine.identity()) };
-        let mut tasks = Vec::new();
+        let mut tasks: Vec<Task> = Vec::new();
         let mut next = pieces.next().await?;
         if next.is_none() {
             return Err(refused("content", "nothing", "a header comes first"));
@@ -98,7 +94,7 @@ impl Farm {
                         }
                     };
                     let farm = self.clone();
-                    tasks.push(Task::Storing(tokio::spawn(async move {
+                    tasks.push(Ok(tokio::spawn(async move {
                         let _reservation = reservation;
                         farm.complete(worker, key, admission, result).await
                     })));
@@ -107,7 +103,7 @@ impl Farm {
                 Err(FarmError::Dispatch(
                     error @ (DispatchError::LeaseLost { .. } | DispatchError::UnknownJob(_)),
                 )) => {
-                    tasks.push(Task::Refused(error.to_string()));
+                    tasks.push(Err(error));
                     next = pieces.skip().await?;
                 }
                 Err(error) => return Err(error.into()),
@@ -115,7 +111,7 @@ impl Farm {
         }
         let mut delivered = Vec::with_capacity(tasks.len());
         for task in tasks {
-            delivered.push(task.ended().await?);
+            delivered.push(ended(task).await?);
         }
         Ok(delivered)
     }
@@ -128,18 +124,16 @@ impl Farm {
     }
 }
 
-impl Task {
-    async fn ended(self) -> Result<Delivered> {
-        let stored = match self {
-            Self::Refused(why) => return Ok(Delivered::Refused(why)),
-            Self::Storing(task) => task.await.map_err(|_| FarmError::Broken)?,
-        };
-        match stored {
-            Ok(outcome) => Ok(Delivered::Done(outcome)),
-            // The other results of the stream may be stored.
-            Err(FarmError::Store(error)) => Ok(Delivered::NotStored(error)),
-            Err(error) => Err(error),
-        }
+async fn ended(task: Task) -> Result<Result<Outcome, Refusal>> {
+    let stored = match task {
+        Ok(task) => task.await.map_err(|_| FarmError::Broken)?,
+        Err(error) => return Ok(Err(Refusal::Unwanted(error))),
+    };
+    match stored {
+        Ok(outcome) => Ok(Ok(outcome)),
+        // The other results of the stream may be stored.
+        Err(FarmError::Store(error)) => Ok(Err(Refusal::NotStored(error))),
+        Err(error) => Err(error),
     }
 }
 

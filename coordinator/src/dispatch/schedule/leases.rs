@@ -1,5 +1,4 @@
-//! The leases that are out, with their holders and deadlines. They are found by token, deadline, part
-//! and worker.
+//! The leases that are out, with their holders and deadlines. They are found by token, deadline, part and worker.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -7,46 +6,22 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::LeaseKey;
 
-/// A unit of work: a job, or one block of a divided job.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PartId {
-    pub dictionary: DictionaryId,
-    pub job: u32,
-    pub part: u32,
-}
-
-impl From<&LeaseKey> for PartId {
-    fn from(key: &LeaseKey) -> Self {
-        Self { dictionary: key.dictionary, job: key.job, part: key.part }
-    }
-}
-
-/// What a lease was given out for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Purpose {
-    First,
-    /// After an attempt that came to nothing.
-    Retry,
-    /// A second copy of a part whose first takes too long.
-    Copy,
-    /// To compare with a result that is stored.
-    Check,
-}
+use super::super::part::{JobRef, PartId, Purpose};
 
 #[derive(Debug, Clone)]
-pub(super) struct Held {
+pub struct Held {
     pub key: LeaseKey,
     pub worker: WorkerId,
     pub purpose: Purpose,
     pub since: Duration,
     pub deadline: Duration,
-    /// The worker has said that it traces it now.
+    /// The worker has reported that it traces it now.
     pub running: bool,
 }
 
 /// All leases that are out, found by token, deadline, part and worker.
 #[derive(Debug, Default)]
-pub(super) struct Leases {
+pub struct Leases {
     all: BTreeMap<Token, Held>,
     deadlines: BTreeSet<(Duration, Token)>,
     of_parts: BTreeMap<PartId, Vec<Token>>,
@@ -86,9 +61,14 @@ impl Leases {
         self.all.contains_key(&token)
     }
 
-    /// The lease of this key, if it is held by this worker.
+    /// The lease of this key.
     pub fn get(&self, key: &LeaseKey) -> Option<&Held> {
         self.all.get(&key.token).filter(|held| held.key == *key)
+    }
+
+    /// The lease of this key, if this worker holds it.
+    pub fn held_by(&self, key: &LeaseKey, worker: &WorkerId) -> Option<&Held> {
+        self.get(key).filter(|held| held.worker == *worker)
     }
 
     /// Ends all leases of a part.
@@ -111,16 +91,24 @@ impl Leases {
     }
 
     /// Parts of a job that are leased.
-    pub fn parts_of_job(&self, dictionary: DictionaryId, job: u32) -> Vec<PartId> {
-        let part = |part| PartId { dictionary, job, part };
-        self.of_parts.range(part(0)..=part(u32::MAX)).map(|(part, _)| *part).collect()
+    pub fn parts_of_job(&self, job: JobRef) -> Vec<PartId> {
+        self.of_parts.range(PartId::range_of(job)).map(|(part, _)| *part).collect()
     }
 
     /// Whether a part of a job is leased, for more than a check.
-    pub fn is_held(&self, dictionary: DictionaryId, job: u32) -> bool {
-        let part = |part| PartId { dictionary, job, part };
-        let tokens = self.of_parts.range(part(0)..=part(u32::MAX)).flat_map(|(_, tokens)| tokens);
+    pub fn is_held(&self, job: JobRef) -> bool {
+        let tokens = self.of_parts.range(PartId::range_of(job)).flat_map(|(_, tokens)| tokens);
         tokens.filter_map(|token| self.all.get(token)).any(|held| held.purpose != Purpose::Check)
+    }
+
+    /// Whether a part is leased to be computed, not only to be checked.
+    pub fn is_part_held(&self, part: PartId) -> bool {
+        self.of_part(part).any(|held| held.purpose != Purpose::Check)
+    }
+
+    /// Whether a part is leased to be checked.
+    pub fn is_checked(&self, part: PartId) -> bool {
+        self.of_part(part).any(|held| held.purpose == Purpose::Check)
     }
 
     /// What the leases of a dictionary were given out for.

@@ -4,14 +4,23 @@ use std::sync::PoisonError;
 
 use farm_proto::ids::WorkerId;
 use farm_proto::lease::LeaseKey;
+use optics_model::Quality;
 use optics_model::job::JobSpec;
 
 use super::records::UNSTEADY;
 use super::{Farm, Result};
-use crate::dispatch::{Admission, Arrived, Next};
-use crate::metrics::JobOutcome;
+use crate::dispatch::{Admission, Arrived, EventKind, JobRef};
 use crate::store::{Held, StoreError};
 use crate::stored::{Completion, JobResult, Outcome};
+
+/// What is to be looked up in the store now that a result is stored.
+enum Next {
+    Nothing,
+    /// The blocks of the job that there are.
+    FindBlocks,
+    /// These jobs of other dictionaries, which the records may serve too.
+    Serve(Vec<JobRef>),
+}
 
 impl Farm {
     /// Stores a result, or compares it with what is stored.
@@ -22,16 +31,14 @@ impl Farm {
         admission: Admission,
         result: JobResult,
     ) -> Result<Outcome> {
+        let (walks, digest) = (admission.job().walks(), result.digest());
+        let arrived = |by| Arrived { worker: &worker, by, key: &key, walks, digest };
         let outcome = match admission {
-            Admission::Store { job, by } => {
-                let (walks, digest) = (job.walks(), result.digest());
-                let arrived = Arrived { worker: &worker, by, key: &key, walks, digest };
-                self.store_result(&arrived, job, result).await
+            Admission::Store { job, by, quality } => {
+                self.store_result(&arrived(by), job, quality, result).await
             }
-            Admission::Compare { job, by, stored } => {
-                let (walks, digest) = (job.walks(), result.digest());
-                let outcome = Outcome::Before { records: stored, new: digest };
-                let arrived = Arrived { worker: &worker, by, key: &key, walks, digest };
+            Admission::Compare { by, stored, .. } => {
+                let (arrived, outcome) = (arrived(by), Outcome::Before { records: stored, new: digest });
                 self.scheduler.transition(|dispatcher, now| dispatcher.arrived(now, &arrived, outcome));
                 Ok(outcome)
             }
@@ -39,36 +46,27 @@ impl Farm {
         };
         self.scheduler.settled().await;
         let outcome = outcome?;
-        match outcome {
-            Outcome::Finished { .. } | Outcome::Part | Outcome::MoreWalks(_) => {
-                self.scheduler.metrics().job_completed(JobOutcome::Stored);
-            }
-            _ if outcome.is_conflict() => self.scheduler.metrics().job_completed(JobOutcome::Conflict),
-            Outcome::Unwanted => {}
-            _ => self.scheduler.metrics().job_completed(JobOutcome::Duplicate),
-        }
+        self.scheduler.metrics().job_completed(outcome.kind());
         Ok(outcome)
     }
 
-    async fn store_result(&self, arrived: &Arrived<'_>, job: JobSpec, result: JobResult) -> Result<Outcome> {
-        let key = arrived.key;
-        let quality = self.scheduler.query(|d, _| d.by_id(key.dictionary).and_then(|d| d.grid().quality()));
-        let completion = Completion {
-            dictionary: key.dictionary,
-            job_number: key.job,
-            job: job.clone(),
-            worker: arrived.by,
-            content: result,
-            quality,
-        };
+    async fn store_result(
+        &self,
+        arrived: &Arrived<'_>,
+        job: JobSpec,
+        quality: Option<Quality>,
+        content: JobResult,
+    ) -> Result<Outcome> {
+        let ((dictionary, job_number), key) = (arrived.job(), arrived.key);
+        let (of, worker) = (job.clone(), arrived.by);
+        let completion = Completion { dictionary, job_number, job, worker, content, quality };
         let shared = self.store.ledger().shared().await;
         let stored = shared.complete(completion).await;
         self.note_store_fault(stored.as_ref().err());
         if let Ok(outcome) = stored
             && outcome != Outcome::Differs
         {
-            let next = self.scheduler.transition(|dispatcher, now| dispatcher.arrived(now, arrived, outcome));
-            match next {
+            match self.note_outcome(arrived, outcome) {
                 Next::Nothing => {}
                 Next::FindBlocks => self.find_blocks_of(&shared, key).await?,
                 Next::Serve(others) => self.serve_others(&shared, others, arrived.by).await,
@@ -77,11 +75,28 @@ impl Farm {
         }
         drop(shared);
         match &stored {
-            Ok(_) => self.distrust(arrived, &job).await?,
-            Err(StoreError::Corrupt { table: "sums", .. }) => self.forget_blocks(key, &job).await?,
+            Ok(_) => self.distrust(arrived, &of).await?,
+            Err(StoreError::Corrupt { table: "sums", .. }) => self.forget_blocks(key, &of).await?,
             Err(_) => {}
         }
         Ok(stored?)
+    }
+
+    /// Lets the dispatcher take note of an outcome.
+    fn note_outcome(&self, arrived: &Arrived<'_>, outcome: Outcome) -> Next {
+        let job = arrived.job();
+        self.scheduler.transition(|dispatcher, now| {
+            dispatcher.arrived(now, arrived, outcome);
+            let schedule = dispatcher.schedule();
+            match outcome {
+                Outcome::Finished { .. } => Next::Serve(schedule.served_by(job)),
+                // Blocks are shared by dictionaries that ask for the same: another one may have merged those that this one
+                // has counted.
+                Outcome::Part if schedule.waits_for_nothing(job) => Next::FindBlocks,
+                Outcome::MoreWalks(_) => Next::FindBlocks,
+                _ => Next::Nothing,
+            }
+        })
     }
 
     /// Other records are stored for the same walks, by a job of another dictionary: one of two machines has computed
@@ -92,11 +107,11 @@ impl Farm {
         // Blocks that were merged with this one are gone anyway.
         exclusive.delete_blocks(job).await?;
         let others = self.store.jobs_of_point(job.identity()).await?;
-        if self.scheduler.query(|dispatcher, _| dispatcher.is_confirmed(&others)) {
-            self.scheduler.transition(|dispatcher, now| dispatcher.contradict(now, arrived));
+        if self.scheduler.query(|dispatcher, _| dispatcher.verification().is_confirmed(&others)) {
+            self.scheduler.transition(|dispatcher, now| dispatcher.contradict(now, arrived, None));
         } else {
             let again = exclusive.set_point_aside(job.identity()).await?;
-            self.scheduler.transition(|dispatcher, now| dispatcher.distrust(now, arrived, &again));
+            self.scheduler.transition(|dispatcher, now| dispatcher.contradict(now, arrived, Some(&again)));
             self.begin_again(&exclusive, again);
         }
         self.find_blocks_of(&exclusive, arrived.key).await
@@ -112,16 +127,18 @@ impl Farm {
         };
         exclusive.delete_blocks(job).await?;
         self.find_blocks_of(&exclusive, key).await?;
-        self.scheduler.transition(|dispatcher, _| dispatcher.tell_damage(key.dictionary, key.job, &what));
+        self.scheduler.transition(|dispatcher, _| {
+            dispatcher.note(key.dictionary, Some(key.job), EventKind::JobDamaged, what);
+        });
         Ok(())
     }
 
     /// Takes up which blocks of a job the store holds.
     async fn find_blocks_of(&self, _held: &Held<'_>, key: &LeaseKey) -> Result<(), StoreError> {
-        let job = self.scheduler.query(|d, _| d.by_id(key.dictionary).map(|d| d.spec(key.job, 0)));
+        let job = self.scheduler.query(|d, _| d.schedule().by_id(key.dictionary).map(|d| d.spec(key.job, 0)));
         if let Some(job) = job.filter(|job| job.block().is_some()) {
             let blocks = self.store.stored_blocks(&job).await?;
-            self.scheduler.transition(|d, _| d.parts_stored(key.dictionary, key.job, job.walks(), &blocks));
+            self.scheduler.transition(|d, _| d.parts_stored((key.dictionary, key.job), job.walks(), &blocks));
         }
         Ok(())
     }

@@ -47,7 +47,7 @@ impl Dictionary {
         if self.counts.done == self.jobs.len() { 1.0 } else { self.counts.cost_done / self.counts.cost }
     }
 
-    pub fn status(
+    pub(super) fn status(
         &self,
         eta_s: Option<f64>,
         goes_first: Option<DictionaryName>,
@@ -61,7 +61,7 @@ impl Dictionary {
             created_unix_ms: self.stored.created_unix_ms,
             state: self.state(),
             jobs_done: self.counts.done,
-            jobs_leased: self.leased,
+            jobs_leased: self.leased(),
             jobs_disputed,
             jobs_failed: self.counts.given_up,
             failed: self.given_up(0, FAILED_JOBS),
@@ -87,7 +87,7 @@ impl Dictionary {
         self.jobs.iter().map(digest).collect::<Option<Vec<_>>>().map(Digest::of_jobs)
     }
 
-    /// Jobs that were given up, from one on, so many at most.
+    /// Jobs that were given up, from one on, `most` at most.
     pub fn given_up(&self, from: u32, most: usize) -> Vec<FailedJob> {
         if self.counts.given_up == 0 {
             return Vec::new();

@@ -9,9 +9,9 @@ use farm_proto::status::DictionaryState;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Invalid, Walks};
 
+use super::super::part::PartId;
 use super::job::{Job, Part, Stage, Strike};
-use super::plan::Plan;
-use super::{PartId, plan};
+use super::plan::{self, Plan};
 use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary, Vote};
 
 /// Numbers that change with every job, kept so that nobody has to count.
@@ -39,10 +39,10 @@ pub struct Dictionary {
     /// Parts that wait, as (rank, job, part).
     pub(super) pending: BTreeSet<(u32, u32, u32)>,
     pub(super) counts: Counts,
-    /// Parts that are leased; the dispatcher keeps who holds them.
-    pub(super) leased: usize,
-    /// Who has confirmed what the store has, until the dispatcher takes that.
-    pub(super) confirmed: Vec<(u32, Vec<Origin>)>,
+    /// Parts that are leased; the schedule keeps the leases.
+    leased: usize,
+    /// The machines that have confirmed stored results, until they are taken out.
+    confirmed: Vec<(u32, Vec<Origin>)>,
 }
 
 impl Dictionary {
@@ -89,6 +89,11 @@ impl Dictionary {
                 Stage::Open { .. } => {}
             }
         }
+    }
+
+    /// Takes out which machines have confirmed the result of which job, as the store has it.
+    pub fn take_confirmed(&mut self) -> Vec<(u32, Vec<Origin>)> {
+        std::mem::take(&mut self.confirmed)
     }
 
     pub fn id(&self) -> DictionaryId {
@@ -139,6 +144,21 @@ impl Dictionary {
         (self.counts.done, self.counts.given_up)
     }
 
+    /// Parts that are leased.
+    pub fn leased(&self) -> usize {
+        self.leased
+    }
+
+    /// Notes that a part is leased.
+    pub(super) fn lease_began(&mut self) {
+        self.leased += 1;
+    }
+
+    /// Notes that a part is not leased any more.
+    pub(super) fn lease_ended(&mut self) {
+        self.leased = self.leased.saturating_sub(1);
+    }
+
     /// Whether results are wanted. What was leased before a pause may still be finished.
     pub(super) fn takes_results(&self) -> bool {
         self.stored.desire != DesiredState::Cancel && self.is_workable()
@@ -160,16 +180,16 @@ impl Dictionary {
     }
 
     /// The job that a part belongs to, if there is such a part.
-    pub(super) fn job(&self, id: PartId) -> Option<&Job> {
+    pub fn job(&self, id: PartId) -> Option<&Job> {
         self.jobs.get(id.job as usize).filter(|job| job.has_part(id.part))
     }
 
-    pub(super) fn open_parts(&self, index: u32) -> Vec<u32> {
+    pub fn open_parts(&self, index: u32) -> Vec<u32> {
         self.jobs.get(index as usize).map(|job| job.open_parts().collect()).unwrap_or_default()
     }
 
-    /// Jobs that one machine has done alone, with its result. Blocks are checked one by one.
-    /// Also told: whether the records came for another dictionary.
+    /// Jobs that one machine has done alone, each with its result, and whether its records came for another dictionary.
+    /// Blocks are checked one by one.
     pub(super) fn unchecked(&self) -> impl Iterator<Item = (u32, Vote, bool)> {
         let wanted = |(job, index): (&Job, u32)| match job.stage {
             Stage::Done { records, by: Some(by), reused } if !job.is_divided() && !self.outdated => {
@@ -271,7 +291,7 @@ impl Dictionary {
     }
 
     /// Whether a job has not ended.
-    pub(super) fn is_open(&self, index: u32) -> bool {
+    pub fn is_open(&self, index: u32) -> bool {
         self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Open { .. }))
     }
 
@@ -283,7 +303,7 @@ impl Dictionary {
         }
     }
 
-    pub(super) fn is_done(&self, index: u32) -> bool {
+    pub fn is_done(&self, index: u32) -> bool {
         self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Done { .. }))
     }
 
@@ -322,10 +342,10 @@ impl Dictionary {
         }
     }
 
-    /// What is stored of a job now stands in another machine's name, or in nobody's.
-    pub(super) fn set_by(&mut self, index: u32, machine: Option<Origin>) {
+    /// The stored result of a job is credited to another machine, which has found the same.
+    pub(super) fn set_producer(&mut self, index: u32, machine: Origin) {
         if let Some(Job { stage: Stage::Done { by, .. }, .. }) = self.jobs.get_mut(index as usize) {
-            *by = machine;
+            *by = Some(machine);
         }
     }
 

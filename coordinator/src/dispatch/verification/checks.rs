@@ -1,14 +1,14 @@
-//! Results compared bit for bit between machines, and who is believed when they differ.
+//! Open checks: the votes of machines about results, and the verdicts that follow from them.
 //!
-//! Results are deterministic, so of two that differ one is wrong. A third machine decides: what most agree on is right, if
-//! that are two at least. A machine has one vote, and only for a check that it was given.
+//! Results are deterministic, so of two that differ one is wrong. A third machine decides: the result with most votes is
+//! right, if it has at least two. A machine has one vote, and only for a check that it was given.
 
 use std::collections::BTreeMap;
 
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 
-use super::PartId;
+use super::super::part::{JobRef, PartId};
 use crate::stored::{Origin, Vote};
 
 /// Checks that may wait; when there are more, the oldest are dropped.
@@ -23,7 +23,7 @@ pub(super) enum Verdict {
     NotCounted,
     /// No result has more votes than the others: another machine is needed.
     Disputed,
-    /// Most agree on `right`; those who found something else.
+    /// Most agree on `right`; the machines that found something else.
     Wrong { right: Digest, wrong: Vec<Option<Origin>> },
 }
 
@@ -35,20 +35,20 @@ struct Open {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct Checks {
+pub struct Checks {
     open: BTreeMap<PartId, Open>,
     /// Votes about blocks of jobs that have no such blocks at present: after a restart a job begins with as many walks as at
     /// first, and finds its blocks again when it goes on to more. The store has them too.
     aside: BTreeMap<PartId, Vec<Vote>>,
-    /// Those that the store is to be told of.
+    /// Those that the store has yet to note.
     changed: BTreeMap<PartId, Vec<Vote>>,
     pub agreed: u64,
     pub disputed: u64,
 }
 
 impl Checks {
-    /// Asks for another opinion on a result, for which these stand so far. `lasting`: it could not be found out after a
-    /// restart that it was asked for.
+    /// Opens a check of a result, with the votes so far. `lasting`: the store notes it, since a restart would not sample it
+    /// again.
     pub fn want(&mut self, part: PartId, votes: Vec<Vote>, lasting: bool) {
         if self.open.contains_key(&part) {
             return;
@@ -86,12 +86,20 @@ impl Checks {
     }
 
     /// The blocks of a job will not come again.
-    pub fn forget_aside(&mut self, dictionary: DictionaryId, job: u32) {
-        let of_job = PartId { dictionary, job, part: 0 }..=PartId { dictionary, job, part: u32::MAX };
-        let gone: Vec<PartId> = self.aside.range(of_job).map(|(part, _)| *part).collect();
+    pub fn forget_aside(&mut self, job: JobRef) {
+        let gone: Vec<PartId> = self.aside.range(PartId::range_of(job)).map(|(part, _)| *part).collect();
         for part in gone {
             self.drop_aside(part);
         }
+    }
+
+    /// A dictionary is gone.
+    pub fn forget_dictionary(&mut self, id: DictionaryId) {
+        let gone: Vec<PartId> = self.aside.keys().filter(|part| part.dictionary == id).copied().collect();
+        for part in gone {
+            self.drop_aside(part);
+        }
+        self.retain(|part| part.dictionary != id);
     }
 
     fn drop_aside(&mut self, part: PartId) {
@@ -100,7 +108,7 @@ impl Checks {
         }
     }
 
-    /// What the store is to be told: the votes of a check, none if it is settled.
+    /// Checks that the store has yet to note: their votes, none if settled.
     pub fn take_changed(&mut self) -> BTreeMap<PartId, Vec<Vote>> {
         std::mem::take(&mut self.changed)
     }
@@ -112,7 +120,7 @@ impl Checks {
         of_it.map(|(part, open)| (*part, &open.votes[..]))
     }
 
-    /// Parts that a machine may check: no vote is its own, which `is_own` tells.
+    /// Parts that a machine may check: no vote is its own, as `is_own` decides.
     pub fn open_to(&self, is_own: impl Fn(Origin) -> bool) -> impl Iterator<Item = PartId> {
         let unseen = move |open: &Open| !open.votes.iter().any(|vote| vote.by.is_some_and(&is_own));
         self.open.iter().filter(move |(_, open)| unseen(open)).map(|(part, _)| *part)
@@ -122,7 +130,7 @@ impl Checks {
         self.open.len()
     }
 
-    /// What stands first in an open check: the result that is stored.
+    /// The first vote of an open check, which is about the stored result.
     pub fn subject(&self, part: PartId) -> Option<Digest> {
         Some(self.open.get(&part)?.votes.first()?.digest)
     }
@@ -202,7 +210,7 @@ pub(super) fn is_disputed(votes: &[Vote]) -> bool {
     votes.iter().any(|vote| vote.digest != votes[0].digest)
 }
 
-/// What at least two found, and more than found anything else.
+/// The digest that at least two machines found, and more than any other.
 fn most_agreed(votes: &[Vote]) -> Option<Digest> {
     let count = |digest: Digest| votes.iter().filter(|vote| vote.digest == digest).count();
     let most = votes.iter().map(|vote| count(vote.digest)).max()?;

@@ -1,10 +1,10 @@
-//! The machines that workers run on: who has one vote, who is fenced off, and who gets nothing for a while since it
-//! fails at whatever it is given.
+//! The machines that workers run on. Keeps which of them share a vote, which are fenced off, and which are suspended since
+//! they fail one job after the other.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use super::shared::JobRef;
+use super::super::part::JobRef;
 use crate::stored::{KnownMachine, Machine, Origin};
 
 /// Different jobs that a machine may fail one after the other before it gets a pause.
@@ -13,7 +13,7 @@ const IN_A_ROW: usize = 3;
 const FIRST_PAUSE: Duration = Duration::from_secs(10);
 const LONGEST_PAUSE: Duration = Duration::from_mins(10);
 
-/// What a machine has failed at since it last did something well.
+/// What a machine has failed at since its last success.
 #[derive(Debug, Default)]
 struct Failures {
     jobs: BTreeSet<JobRef>,
@@ -25,7 +25,7 @@ struct Failures {
 pub(super) struct Machines {
     known: BTreeMap<Origin, KnownMachine>,
     failures: BTreeMap<Origin, Failures>,
-    /// Each token has one vote, however many machines show it.
+    /// Each access token has one vote, however many machines present it.
     votes_by_token: bool,
 }
 
@@ -59,8 +59,8 @@ impl Machines {
         self.known.get(&origin).map_or("", |known| &known.label)
     }
 
-    /// Name of the token that a machine has shown.
-    pub fn token(&self, origin: Origin) -> &str {
+    /// Name of the access token that a machine has presented.
+    pub fn access_token(&self, origin: Origin) -> &str {
         self.known.get(&origin).map_or("", |known| &known.machine.token)
     }
 
@@ -121,7 +121,7 @@ impl Machines {
         ended
     }
 
-    /// Notes that a machine has done something well.
+    /// Notes that a machine has succeeded at something.
     pub fn succeeded(&mut self, origin: Origin) {
         self.failures.remove(&origin);
     }
@@ -132,7 +132,7 @@ impl Machines {
         until.checked_sub(now).filter(|left| !left.is_zero())
     }
 
-    /// Whether a machine has had a pause and not done anything well since: it is tried with one job at a time.
+    /// Whether a machine has had a pause and no success since: it is tried with one job at a time.
     pub fn is_on_trial(&self, origin: Origin) -> bool {
         self.failures.get(&origin).is_some_and(|failures| failures.pauses > 0)
     }
@@ -174,7 +174,11 @@ mod tests {
             machines.failed(at(10_000 * round), A, job(4), false);
         }
         assert_eq!(machines.failed(at(1_000_000), A, job(4), false), Some(at(600)));
-        assert_eq!(machines.failed(at(2_000_000), A, job(4), true), Some(at(10)), "nobody else is there");
+        assert_eq!(
+            machines.failed(at(2_000_000), A, job(4), true),
+            Some(at(10)),
+            "no other machine is there"
+        );
         machines.succeeded(A);
         assert_eq!((machines.is_on_trial(A), machines.pause_left(at(2_000_000), A)), (false, None));
     }

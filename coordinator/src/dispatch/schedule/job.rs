@@ -6,13 +6,13 @@ use crate::stored::{EndedJob, Origin};
 
 /// A block of a divided job, or the whole of one that is not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
+pub enum Part {
     Open,
     Stored,
 }
 
 #[derive(Debug)]
-pub(super) enum Stage {
+pub enum Stage {
     Open { parts: Vec<Part> },
     Done { records: Digest, by: Option<Origin>, reused: bool },
     GivenUp { reason: String, quarantined: bool },
@@ -20,7 +20,7 @@ pub(super) enum Stage {
 
 /// Why an attempt came to nothing.
 #[derive(Debug, Clone)]
-pub(super) struct Strike {
+pub struct Strike {
     pub machine: Origin,
     /// The process that fell silent while it computed; it may still come back.
     pub silent: Option<String>,
@@ -28,7 +28,7 @@ pub(super) struct Strike {
 }
 
 #[derive(Debug)]
-pub(super) struct Job {
+pub struct Job {
     pub stage: Stage,
     pub walks: Walks,
     /// Leases given out so far.

@@ -6,7 +6,7 @@ use optics_model::Digest;
 
 use super::*;
 use crate::actor::Actor;
-use crate::farm::{Delivered, Header, Piece};
+use crate::farm::{Header, Piece, Refusal};
 use crate::stored::Machine;
 
 async fn begun() -> (Arc<Farm>, WorkerId, Vec<Lease>, tempfile::TempDir) {
@@ -31,7 +31,7 @@ fn pieces(worker: &WorkerId, lease: &Lease, value: f32) -> Vec<Piece> {
     vec![header(worker, lease.key, lease.job.identity()), Piece::Records(first), Piece::Records(second)]
 }
 
-async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Delivered>, FarmError> {
+async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Result<Outcome, Refusal>>, FarmError> {
     let machine = Machine { token: "node1".to_owned(), address: "10.0.0.1".to_owned(), ..Machine::default() };
     farm.receive(&machine, tokio_stream::iter(pieces.into_iter().map(Ok))).await
 }
@@ -48,19 +48,15 @@ async fn a_refused_result_does_not_affect_its_stream() {
     assert!(
         matches!(
             &delivered[..],
-            [
-                Delivered::Done(Outcome::Finished { .. }),
-                Delivered::Refused(_),
-                Delivered::Done(Outcome::Finished { .. })
-            ]
+            [Ok(Outcome::Finished { .. }), Err(Refusal::Unwanted(_)), Ok(Outcome::Finished { .. })]
         ),
         "{delivered:?}"
     );
     assert_eq!(jobs_done(&farm), 2);
     let again = receive(&farm, pieces(&worker, &leases[0], 0.25)).await.unwrap();
-    assert!(matches!(&again[..], [Delivered::Done(outcome)] if !outcome.is_conflict()), "{again:?}");
+    assert!(matches!(&again[..], [Ok(outcome)] if outcome.kind() == OutcomeKind::Duplicate), "{again:?}");
     let other = receive(&farm, pieces(&worker, &leases[0], 0.75)).await.unwrap();
-    assert!(matches!(&other[..], [Delivered::Done(outcome)] if outcome.is_conflict()), "{other:?}");
+    assert!(matches!(&other[..], [Ok(outcome)] if outcome.kind() == OutcomeKind::Conflict), "{other:?}");
     assert_eq!(jobs_done(&farm), 0, "who contradicts itself is believed in nothing");
 }
 

@@ -1,40 +1,24 @@
 //! Jobs of several dictionaries that ask for the same walks: one of them is computed, and its records serve all.
 //!
-//! Nothing of this is kept. Who computes is found anew whenever work is given out, from what the dictionaries are at that
-//! moment: when one is paused, cancelled or deleted, or its job given up, the others compute for themselves.
+//! Nothing of this is kept. Which job is computed is decided at each grant, from the present states of the dictionaries:
+//! when one is paused, cancelled or deleted, or its job given up, the others compute for themselves.
 
 use std::cmp::Reverse;
 use std::time::Duration;
 
 use farm_proto::ids::DictionaryId;
-use optics_model::{Digest, Walks};
+use optics_model::Digest;
 
-use super::{Dictionary, Dispatcher, PartId};
-use crate::stored::{Origin, Vote};
-
-/// A job of a dictionary.
-pub type JobRef = (DictionaryId, u32);
-
-/// A machine that asks for work.
-#[derive(Debug)]
-pub(super) struct Taker {
-    pub machine: Origin,
-    /// Something was kept for others.
-    pub kept: bool,
-}
-
-impl Taker {
-    pub fn new(machine: Origin) -> Self {
-        Self { machine, kept: false }
-    }
-}
+use super::super::part::{JobRef, PartId};
+use super::{Dictionary, Schedule, Taker};
+use crate::stored::Vote;
 
 /// Whether all of `some` are there; both rise.
 fn holds(all: &[f64], some: &[f64]) -> bool {
     some.iter().all(|albedo| all.binary_search_by(|there| there.total_cmp(albedo)).is_ok())
 }
 
-impl Dispatcher {
+impl Schedule {
     /// Jobs of other dictionaries that ask for the same walks as a job, for whatever albedos.
     fn kin(&self, (id, job): JobRef) -> impl Iterator<Item = (&Dictionary, u32)> {
         let own = self.dictionaries.get(&id).and_then(|own| {
@@ -59,7 +43,7 @@ impl Dispatcher {
         let own = &self.dictionaries[&id];
         let rank = |dictionary: &Dictionary, job| {
             let (id, albedos) = (dictionary.id(), dictionary.grid().albedo().len());
-            (albedos, self.leases.is_held(id, job), Reverse(id))
+            (albedos, self.leases.is_held((id, job)), Reverse(id))
         };
         let serves =
             |other: &Dictionary| other.is_active() && holds(other.grid().albedo(), own.grid().albedo());
@@ -76,19 +60,23 @@ impl Dispatcher {
 
     /// The same for a machine: what it has failed at goes to others first.
     pub(super) fn next_part_for(
-        &self,
+        &mut self,
         now: Duration,
-        taker: &mut Taker,
+        taker: Taker<'_>,
         id: DictionaryId,
         cheapest: bool,
     ) -> Option<PartId> {
-        self.next_part_that(id, cheapest, |part| {
-            let others = self.dictionaries[&part.dictionary].job(part).is_some_and(|job| {
-                job.is_struck_by(taker.machine) && self.able(now).any(|other| !job.is_struck_by(other))
+        let mut kept = false;
+        let next = self.next_part_that(id, cheapest, |part| {
+            let others = self.job(part).is_some_and(|job| {
+                job.is_struck_by(taker.machine)
+                    && taker.roster.able(now).any(|other| !job.is_struck_by(other))
             });
-            taker.kept |= others;
+            kept |= others;
             !others
-        })
+        });
+        self.kept_for_others |= kept;
+        next
     }
 
     fn next_part_that(
@@ -134,48 +122,27 @@ impl Dispatcher {
         open.map(|(other, job)| (other.id(), job)).collect()
     }
 
-    /// Asks for second opinions on the results of a dictionary's jobs. Records that came for another dictionary are
-    /// checked there, as long as it has them.
-    pub(super) fn want_checks(&mut self, id: DictionaryId) {
-        let Some(own) = self.dictionaries.get(&id) else { return };
-        let elsewhere = |job: u32| self.kin((id, job)).any(|(other, job)| other.is_done(job));
-        let (mac, share) = (self.mac(), self.settings.check_share);
-        let wanted: Vec<(PartId, Vote)> = own
-            .unchecked()
-            .map(|(job, first, reused)| (PartId { dictionary: id, job, part: 0 }, first, reused))
-            .filter(|(part, first, reused)| {
-                mac.is_sampled(*part, first.digest, share)
-                    && !self.confirmed.contains_key(&(id, part.job))
-                    && !(*reused && elsewhere(part.job))
-            })
-            .map(|(part, first, _)| (part, first))
-            .collect();
-        for (part, first) in wanted {
-            self.checks.want(part, vec![first], false);
-        }
+    /// Results of a dictionary's jobs that one machine has found alone, as far as they are `sampled`. Records that came for
+    /// another dictionary are checked there, as long as it has them.
+    pub fn unchecked(
+        &self,
+        id: DictionaryId,
+        sampled: impl Fn(PartId, Digest) -> bool,
+    ) -> Vec<(PartId, Vote)> {
+        let elsewhere = |job: JobRef| self.kin(job).any(|(other, job)| other.is_done(job));
+        let unchecked = self.by_id(id).into_iter().flat_map(Dictionary::unchecked);
+        let parts = unchecked.map(|(job, first, reused)| (PartId::first_of((id, job)), first, reused));
+        let wanted = parts.filter(|(part, first, reused)| {
+            sampled(*part, first.digest) && !(*reused && elsewhere(part.job_ref()))
+        });
+        wanted.map(|(part, first, _)| (part, first)).collect()
     }
 
-    /// A dictionary goes: whoever shares the records of its jobs takes over the open checks, and what was confirmed.
-    pub(super) fn hand_over_checks(&mut self, id: DictionaryId) {
-        let Some(own) = self.dictionaries.get(&id) else { return };
-        let open: Vec<_> =
-            self.checks.of_dictionary(id).map(|(part, votes)| (part, votes.to_vec())).collect();
-        let undivided = |part: &PartId| own.job(*part).is_some_and(|job| !job.is_divided());
-        for (part, votes) in open.into_iter().filter(|(part, _)| undivided(part)) {
-            let heir = self.kin((id, part.job)).find_map(|(other, job)| {
-                let records = other.records_of(job)?;
-                Some((PartId { dictionary: other.id(), job, part: 0 }, records))
-            });
-            let Some((heir, records)) = heir else { continue };
-            let first = votes[0];
-            if first.digest == records {
-                self.checks.want(heir, votes, true);
-            } else {
-                // It holds other albedos of the same walks: what others said of those is of no use.
-                self.checks.want(heir, vec![Vote { by: first.by, digest: records }], true);
-            }
-            self.outbox.work = true;
-        }
+    /// Another job that is done with the walks of an undivided one, and the digest of its records.
+    pub fn heir(&self, part: PartId) -> Option<(PartId, Digest)> {
+        self.job(part).filter(|job| !job.is_divided())?;
+        self.kin(part.job_ref())
+            .find_map(|(other, job)| Some((PartId::first_of((other.id(), job)), other.records_of(job)?)))
     }
 
     /// Open jobs of a dictionary that ask for the same walks as some that are done.
@@ -183,20 +150,5 @@ impl Dispatcher {
         let Some(own) = self.dictionaries.get(&id).filter(|d| d.takes_results()) else { return Vec::new() };
         let is_done = |job: &u32| self.kin((id, *job)).any(|(other, job)| other.is_done(job));
         (0..own.jobs() as u32).filter(|job| own.is_open(*job)).filter(is_done).collect()
-    }
-
-    /// Notes that the store has ended a job with records that came for another dictionary.
-    pub fn taken_over(&mut self, (id, job): JobRef, walks: Walks, records: Digest, by: Option<Origin>) {
-        if !self.dictionaries.get(&id).is_some_and(|dictionary| dictionary.is_open(job)) {
-            return;
-        }
-        self.end_leases_of_job(id, job);
-        self.suspects.remove(&(id, job));
-        if let Some(dictionary) = self.dictionaries.get_mut(&id) {
-            dictionary.finish(job, walks, records, by, true);
-        }
-        self.checks.forget_aside(id, job);
-        self.work_came();
-        self.tell_end(id);
     }
 }

@@ -1,0 +1,151 @@
+//! The ends of attempts. A result is admitted, and noted once it is stored; a failure is counted against job and machine.
+
+use std::time::Duration;
+
+use farm_proto::ids::WorkerId;
+use farm_proto::lease::LeaseKey;
+use optics_model::{Digest, Walks};
+
+use super::admission::{Admission, Arrived};
+use super::part::{JobRef, Purpose};
+use super::roster::Process;
+use super::schedule::{Held, Strike};
+use super::verification::Context;
+use super::{DispatchError, Dispatcher};
+use crate::stored::{Origin, Outcome};
+
+impl Dispatcher {
+    /// Whether a result is wanted. It counts also if its lease is lost, as long as the coordinator gave it, be it before a
+    /// restart: records depend on the job alone. `identity` is that of the job as the worker received it, so that a
+    /// result for another grid or another number of walks is refused.
+    pub fn admit(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        key: &LeaseKey,
+        identity: Digest,
+    ) -> Result<Admission, DispatchError> {
+        let by = self.seen(now, worker)?;
+        let holder = self.roster.access_token(by);
+        let checked = |part| self.verification.subject(part);
+        let admitted = self.schedule.admit(key, identity, by, holder, checked);
+        let unused = matches!(admitted, Err(_) | Ok(Admission::Repeated { .. }));
+        if unused && self.schedule.leases().held_by(key, worker).is_some() {
+            // The worker drops the result and forgets the lease: nobody must be blamed for its end.
+            self.schedule.free(key.token, &mut self.outbox);
+        }
+        admitted
+    }
+
+    /// Notes what the store has made of a result. [`Outcome::Differs`] is for [`Self::contradict`].
+    pub fn arrived(&mut self, now: Duration, arrived: &Arrived, outcome: Outcome) {
+        match outcome {
+            Outcome::Finished { records } => self.finished(now, arrived, records),
+            Outcome::Part => self.part_finished(now, arrived),
+            Outcome::MoreWalks(walks) => self.prolong(now, arrived, walks),
+            Outcome::Before { records, new } => {
+                self.compare_with_stored(arrived, records, new);
+            }
+            Outcome::Unwanted | Outcome::Repeated | Outcome::Differs => {}
+        }
+    }
+
+    /// Notes that a job's records are stored.
+    pub(super) fn finished(&mut self, now: Duration, arrived: &Arrived, records: Digest) {
+        self.result_came(now, arrived);
+        if self.schedule.finish(now, arrived, records) {
+            self.verification.job_finished(arrived, records, &mut self.outbox);
+            self.schedule.note_end(arrived.key.dictionary, &mut self.outbox);
+        }
+    }
+
+    /// Notes that a block of a divided job is stored.
+    pub(super) fn part_finished(&mut self, now: Duration, arrived: &Arrived) {
+        // A block of fewer walks may arrive after its job was begun again with more.
+        if self.schedule.has_walks(arrived.job(), arrived.walks) {
+            self.result_came(now, arrived);
+            if self.schedule.part_stored(arrived.part()) {
+                self.verification.block_stored(arrived, &mut self.outbox);
+            }
+        }
+    }
+
+    /// The target error is not reached: begins the job again with more walks.
+    pub(super) fn prolong(&mut self, now: Duration, arrived: &Arrived, more: Walks) {
+        let job = arrived.job();
+        // Of two copies that came at once, the second asks for what the first has brought about.
+        if self.schedule.has_walks(job, arrived.walks) && self.schedule.is_open(job) {
+            self.result_came(now, arrived);
+            self.schedule.prolong(job, more, &mut self.outbox);
+            self.verification.forget_blocks(job);
+        }
+    }
+
+    fn result_came(&mut self, now: Duration, arrived: &Arrived) {
+        self.schedule.result_came(now, arrived, &mut self.outbox);
+        self.roster.delivered(arrived.worker, arrived.by);
+    }
+
+    /// Compares a result with the one that is stored; true if they are equal.
+    pub(super) fn compare_with_stored(&mut self, arrived: &Arrived, stored: Digest, new: Digest) -> bool {
+        let (schedule, roster, outbox) = (&mut self.schedule, &mut self.roster, &mut self.outbox);
+        self.verification.compare(arrived, stored, new, Context { schedule, roster, outbox })
+    }
+
+    /// Notes that the store has ended a job with records that came for another dictionary, or were set aside.
+    pub fn taken_over(&mut self, job: JobRef, walks: Walks, records: Digest, by: Option<Origin>) {
+        if self.schedule.take_over(job, walks, records, by) {
+            self.verification.job_taken_over(job);
+            self.outbox.work_came();
+            self.schedule.note_end(job.0, &mut self.outbox);
+        }
+    }
+
+    /// A result differs from the records of other jobs that asked for the same walks. Those in `again` were set aside and
+    /// are computed again; `None` if several machines have confirmed them. It counts as a failed attempt, so that it
+    /// cannot go on for ever.
+    pub fn contradict(&mut self, now: Duration, arrived: &Arrived, again: Option<&[JobRef]>) {
+        let key = arrived.key;
+        self.schedule.hand_back(&[*key], &mut self.outbox);
+        let (schedule, roster, outbox) = (&mut self.schedule, &mut self.roster, &mut self.outbox);
+        let what = self.verification.contradict(arrived, again, Context { schedule, roster, outbox });
+        let reason = format!("attempt {}: {what}", key.attempt);
+        self.strike(now, arrived.job(), Strike { machine: arrived.by, silent: None, reason });
+    }
+
+    /// Counts a failed attempt; the job is tried again or given up.
+    pub fn failed(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        key: &LeaseKey,
+        reason: &str,
+    ) -> Result<(), DispatchError> {
+        self.seen(now, worker)?;
+        if self.schedule.leases().held_by(key, worker).is_none() {
+            return Err(DispatchError::LeaseLost { job: key.job, attempt: key.attempt });
+        }
+        if let Some(held) = self.schedule.free(key.token, &mut self.outbox) {
+            self.blame(now, &held, None, reason);
+        }
+        Ok(())
+    }
+
+    /// Counts a lease that came to nothing against its worker's machine and, unless it was a check, against its job.
+    pub(super) fn blame(&mut self, now: Duration, held: &Held, silent: Option<Process>, what: &str) {
+        let Ok(worker) = self.roster.get(&held.worker) else { return };
+        let (machine, job) = (worker.origin, (held.key.dictionary, held.key.job));
+        let reason = format!("attempt {}: {what}{}", held.key.attempt, worker.log_note());
+        self.roster.failed(now, machine, job, &reason, &mut self.outbox);
+        if held.purpose != Purpose::Check {
+            self.strike(now, job, Strike { machine, silent, reason });
+        }
+    }
+
+    fn strike(&mut self, now: Duration, job: JobRef, strike: Strike) {
+        let machines_struck = self.schedule.strike(now, job, strike, &self.roster, &mut self.outbox);
+        if machines_struck > 1 {
+            self.outbox.work |= self.roster.exonerate(now, job);
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Grants leases and renews them. The order of work is checks, costliest jobs first, then second copies of late parts.
+
+use std::time::Duration;
+
+use farm_proto::ids::{DictionaryId, Token, WorkerId};
+use farm_proto::lease::{Lease, LeaseKey};
+use optics_model::Digest;
+
+use super::super::outbox::{Count, Outbox};
+use super::super::part::{PartId, Purpose};
+use super::super::roster::Roster;
+use super::super::{Settings, TokenSource};
+use super::{Dictionary, Held, Schedule, lease_token};
+use crate::stored::Origin;
+
+/// Most parts that come with another because they share its walks, and how much their records may take.
+const MOST_COMPANIONS: usize = 15;
+const MOST_BYTES: usize = 32 << 20;
+/// Leases of a grant from which on none come on top.
+const MOST_LEASES: usize = 256;
+
+/// What a worker asks for.
+#[derive(Debug, Clone, Copy)]
+pub struct Wish {
+    pub parts: usize,
+    /// It traces parts that share their walks together.
+    pub whole_sets: bool,
+}
+
+impl From<usize> for Wish {
+    /// Each part by itself.
+    fn from(parts: usize) -> Self {
+        Self { parts, whole_sets: false }
+    }
+}
+
+/// A worker that asks for leases.
+#[derive(Debug, Clone, Copy)]
+pub struct Taker<'a> {
+    pub worker: &'a WorkerId,
+    pub machine: Origin,
+    /// All workers, since parts that this machine has failed at go to others first.
+    pub roster: &'a Roster,
+}
+
+/// One answer to a worker that asks for leases.
+struct Round<'a> {
+    schedule: &'a mut Schedule,
+    now: Duration,
+    taker: Taker<'a>,
+    tokens: &'a mut dyn TokenSource,
+    outbox: &'a mut Outbox,
+    leases: Vec<Lease>,
+}
+
+impl Schedule {
+    /// Grants as many parts as are wished: first `checks`, then the costliest of the dictionary that is served first, and
+    /// when nothing waits any more, second copies of those that take too long. With whole sets, parts that share their
+    /// walks with one that was granted come on top of that.
+    pub fn grant(
+        &mut self,
+        now: Duration,
+        taker: Taker<'_>,
+        wish: Wish,
+        checks: impl Iterator<Item = PartId>,
+        tokens: &mut dyn TokenSource,
+        outbox: &mut Outbox,
+    ) -> Vec<Lease> {
+        let checks: Vec<PartId> = checks.filter(|part| self.may_check(*part)).take(wish.parts).collect();
+        let mut round = Round { schedule: self, now, taker, tokens, outbox, leases: Vec::new() };
+        for part in checks {
+            round.grant_besides(part, Purpose::Check);
+        }
+        round.grant_waiting(wish);
+        let leases = round.leases;
+        self.pace.working(now, self.leases.len() > 0);
+        outbox.changed |= !leases.is_empty();
+        leases
+    }
+
+    /// Whether a check of a part may be given out.
+    pub fn may_check(&self, part: PartId) -> bool {
+        let serves = |d: &Dictionary| d.job(part).is_some() && (d.is_active() || d.is_complete());
+        self.by_id(part.dictionary).is_some_and(serves) && !self.leases.is_checked(part)
+    }
+
+    /// Parts that are to be granted together with one: they share its walks, and none of them was tried before, so that
+    /// none is blamed for another.
+    fn companions(&self, part: PartId) -> Vec<PartId> {
+        let Some(dictionary) = self.by_id(part.dictionary) else { return Vec::new() };
+        let bytes = dictionary.grid().albedo().len() * dictionary.grid().record_bytes();
+        let most = MOST_COMPANIONS.min(MOST_BYTES / bytes.max(1));
+        let others = dictionary.companions(part.job, part.part).into_iter();
+        let own = others.filter(|job| self.computed_by((part.dictionary, *job)).is_none());
+        own.map(|job| PartId { job, ..part }).take(most).collect()
+    }
+
+    /// A part that takes too long, and is not this worker's own.
+    fn next_late(&mut self, worker: &WorkerId) -> Option<PartId> {
+        let fits = |part: &PartId| {
+            // A part whose result is only checked any more is not late.
+            let mut holders = self.leases.of_part(*part);
+            self.by_id(part.dictionary).is_some_and(Dictionary::is_active)
+                && matches!((holders.next(), holders.next()), (Some(held), None) if held.purpose != Purpose::Check && held.worker != *worker)
+        };
+        let place = self.late.iter().position(fits)?;
+        Some(self.late.swap_remove(place))
+    }
+
+    /// Extends a lease; false if it is lost. A lease that is not known (the coordinator was restarted, or it had expired)
+    /// is taken up again if its part still waits.
+    pub fn renew(
+        &mut self,
+        now: Duration,
+        worker: &WorkerId,
+        holder: &str,
+        (key, running, identity): &(LeaseKey, bool, Digest),
+    ) -> bool {
+        let (deadline, running) = (now + self.settings.lease, *running);
+        if let Some(held) = self.leases.get(key) {
+            let own = held.worker == *worker;
+            if own {
+                self.leases.extend(key.token, deadline, running);
+            }
+            return own;
+        }
+        if !lease_token::verify(&self.settings.secret, key, holder) || self.leases.has(key.token) {
+            return false;
+        }
+        let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) else { return false };
+        let wanted = dictionary.job(PartId::from(key)).is_some()
+            && dictionary.is_active()
+            && dictionary.spec(key.job, key.part).identity() == *identity;
+        if !wanted || !dictionary.take(key.job, key.part, key.attempt) {
+            return false;
+        }
+        dictionary.lease_began();
+        let (key, worker) = (*key, worker.clone());
+        self.leases.insert(Held { key, worker, purpose: Purpose::Retry, since: now, deadline, running });
+        true
+    }
+}
+
+impl Round<'_> {
+    /// Grants parts that wait, and then copies of those that are late.
+    fn grant_waiting(&mut self, wish: Wish) {
+        // Those that come with others do not count.
+        let mut companions = 0;
+        let order: Vec<DictionaryId> = self.schedule.order().map(|(_, id)| id).collect();
+        for id in order {
+            // Workers that outlived a restart may have the costliest of these in hand, and have not renewed them yet.
+            let returning = self.now < self.schedule.settings.lease && self.schedule.taken_up.contains(&id);
+            while self.leases.len() - companions < wish.parts
+                && let Some(part) = self.schedule.next_part_for(self.now, self.taker, id, returning)
+            {
+                let with_others = wish.whole_sets && self.leases.len() < MOST_LEASES;
+                let others = if with_others { self.schedule.companions(part) } else { Vec::new() };
+                companions += others.len();
+                for part in std::iter::once(part).chain(others) {
+                    self.begin(part);
+                }
+            }
+        }
+        while self.leases.len() - companions < wish.parts
+            && let Some(part) = self.schedule.next_late(self.taker.worker)
+        {
+            self.grant_besides(part, Purpose::Copy);
+        }
+    }
+
+    /// Grants a part that waits.
+    fn begin(&mut self, part: PartId) {
+        let Some(dictionary) = self.schedule.dictionaries.get_mut(&part.dictionary) else { return };
+        let attempt = dictionary.begin(part.job, part.part);
+        let purpose = if dictionary.is_retry(part.job) { Purpose::Retry } else { Purpose::First };
+        dictionary.lease_began();
+        self.lease(part, attempt, purpose);
+    }
+
+    /// Grants a part that does not wait: to check its result, or as a second copy.
+    fn grant_besides(&mut self, part: PartId, purpose: Purpose) {
+        if let Some(dictionary) = self.schedule.dictionaries.get_mut(&part.dictionary) {
+            let attempt = dictionary.attempt(part.job);
+            self.lease(part, attempt, purpose);
+        }
+    }
+
+    fn lease(&mut self, part: PartId, attempt: u32, purpose: Purpose) {
+        let PartId { dictionary, job, part } = part;
+        let Settings { secret, lease, .. } = &self.schedule.settings;
+        let Taker { worker, machine, roster } = self.taker;
+        let bare = LeaseKey { dictionary, job, attempt, token: Token(0), part };
+        let nonce = self.tokens.token().0 as u64;
+        let token = lease_token::issue(secret, &bare, nonce, roster.access_token(machine));
+        let (key, worker, deadline) = (LeaseKey { token, ..bare }, worker.clone(), self.now + *lease);
+        let held = Held { key, worker, purpose, since: self.now, deadline, running: false };
+        self.schedule.leases.insert(held);
+        self.leases.push(Lease { key, job: self.schedule.dictionaries[&dictionary].spec(job, part) });
+        self.outbox.counts.push(Count::Granted(purpose));
+    }
+}

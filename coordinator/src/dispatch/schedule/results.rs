@@ -1,0 +1,175 @@
+//! Results: whether one is wanted, and how far its job is once it is stored.
+
+use std::time::Duration;
+
+use farm_proto::lease::LeaseKey;
+
+use super::super::DispatchError;
+use super::super::admission::{Admission, Arrived};
+use super::*;
+
+/// The machine that computed a stored result; None if that is not known.
+pub type Producer = Option<Origin>;
+
+impl Schedule {
+    /// Whether a result is wanted. `holder` is the access token of its worker, by name. `checked`: the stored result of a
+    /// part that is being checked.
+    pub fn admit(
+        &self,
+        key: &LeaseKey,
+        identity: Digest,
+        by: Origin,
+        holder: &str,
+        checked: impl FnOnce(PartId) -> Option<Digest>,
+    ) -> Result<Admission, DispatchError> {
+        let part = PartId::from(key);
+        let lost = DispatchError::LeaseLost { job: key.job, attempt: key.attempt };
+        if !lease_token::verify(&self.settings.secret, key, holder) {
+            return Err(lost);
+        }
+        let unknown = DispatchError::UnknownJob(key.dictionary.0);
+        let Some(dictionary) = self.by_id(key.dictionary) else { return Err(unknown) };
+        let Some(job) = dictionary.job(part) else { return Err(unknown) };
+        let spec = dictionary.spec(key.job, key.part);
+        if spec.identity() != identity {
+            return Err(lost);
+        }
+        let is_check = self.leases.get(key).is_some_and(|held| held.purpose == Purpose::Check);
+        if is_check
+            && job.is_divided()
+            && let Some(stored) = checked(part)
+        {
+            return Ok(Admission::Compare { job: spec, by, stored });
+        }
+        match &job.stage {
+            Stage::Done { .. } if job.is_divided() => Ok(Admission::Repeated { job: spec }),
+            Stage::Done { records, .. } => Ok(Admission::Compare { job: spec, by, stored: *records }),
+            Stage::Open { .. } if !dictionary.open_parts(key.job).contains(&key.part) => {
+                Ok(Admission::Repeated { job: spec })
+            }
+            Stage::Open { .. } | Stage::GivenUp { .. } if dictionary.takes_results() => {
+                Ok(Admission::Store { job: spec, by, quality: dictionary.grid().quality() })
+            }
+            Stage::Open { .. } | Stage::GivenUp { .. } => Err(lost),
+        }
+    }
+
+    /// Notes that a result for a part came: its leases end, and the pace is measured.
+    pub fn result_came(&mut self, now: Duration, arrived: &Arrived, outbox: &mut Outbox) {
+        let (key, part) = (arrived.key, arrived.part());
+        let cost = self.job(part).map(Job::part_cost);
+        for held in self.end_leases(part) {
+            if held.key == *key
+                && let Some(cost) = cost
+            {
+                self.pace.completed(now, cost, now.saturating_sub(held.since));
+                self.pace_history.part_done(now, cost);
+            }
+        }
+        // A check, if the job was begun again in the meantime.
+        if self.leases.get(key).is_some() {
+            self.leases.remove(key.token);
+            outbox.work = true;
+        }
+        self.pace.working(now, self.leases.len() > 0);
+        outbox.changed = true;
+    }
+
+    /// Notes that a job's records are stored; false if its dictionary is gone.
+    pub fn finish(&mut self, now: Duration, arrived: &Arrived, records: Digest) -> bool {
+        let (id, job) = arrived.job();
+        self.jobs_done += 1;
+        self.pace_history.job_done(now);
+        self.end_leases_of_job((id, job));
+        let Some(dictionary) = self.dictionaries.get_mut(&id) else { return false };
+        dictionary.finish(job, arrived.walks, records, Some(arrived.by), false);
+        true
+    }
+
+    /// Notes that the store has ended a job with records that came for another dictionary; false if the job is not open.
+    pub fn take_over(&mut self, (id, job): JobRef, walks: Walks, records: Digest, by: Producer) -> bool {
+        let is_open = self.is_open((id, job));
+        if is_open {
+            self.end_leases_of_job((id, job));
+            if let Some(dictionary) = self.dictionaries.get_mut(&id) {
+                dictionary.finish(job, walks, records, by, true);
+            }
+        }
+        is_open
+    }
+
+    /// Records that a dictionary has ended, if none of its jobs is open.
+    pub fn note_end(&self, id: DictionaryId, outbox: &mut Outbox) {
+        if let Some((done, given_up)) = self.by_id(id).filter(|d| d.open_jobs() == 0).map(Dictionary::ended) {
+            let kind = if given_up == 0 { EventKind::Done } else { EventKind::Ended };
+            self.note(id, None, kind, format!("{done} jobs done, {given_up} given up"), outbox);
+        }
+    }
+
+    /// Notes that a block of a divided job is stored; false if it was before.
+    pub fn part_stored(&mut self, PartId { dictionary, job, part }: PartId) -> bool {
+        self.dictionaries.get_mut(&dictionary).is_some_and(|d| d.part_stored(job, part))
+    }
+
+    /// Whether the blocks of a job are those of this many walks.
+    pub fn has_blocks_of(&self, (id, job): JobRef, walks: Walks) -> bool {
+        self.by_id(id).is_some_and(|d| d.too_large.is_none()) && self.has_walks((id, job), walks)
+    }
+
+    /// Notes that the store holds a block; false if that was known.
+    pub fn part_found(&mut self, part: PartId, outbox: &mut Outbox) -> bool {
+        outbox.changed |= !self.end_leases(part).is_empty();
+        let is_news = self.part_stored(part);
+        outbox.changed |= is_news;
+        is_news
+    }
+
+    /// Notes that the store does not hold a block, or not any more.
+    pub fn part_missing(&mut self, part: PartId, outbox: &mut Outbox) {
+        let held = self.leases.is_part_held(part);
+        if let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary)
+            && dictionary.part_missing(part.job, part.part, held)
+        {
+            outbox.work_came();
+        }
+    }
+
+    /// Begins a job again with more walks, since the target error is not reached.
+    pub fn prolong(&mut self, job: JobRef, more: Walks, outbox: &mut Outbox) {
+        self.end_leases_of_job(job);
+        if let Some(dictionary) = self.dictionaries.get_mut(&job.0) {
+            dictionary.prolong(job.1, more);
+            outbox.work = true;
+        }
+    }
+
+    pub fn is_open(&self, job: JobRef) -> bool {
+        self.by_id(job.0).is_some_and(|dictionary| dictionary.is_open(job.1))
+    }
+
+    pub fn has_walks(&self, job: JobRef, walks: Walks) -> bool {
+        self.job(PartId::first_of(job)).is_some_and(|job| job.walks == walks)
+    }
+
+    /// Whether a job is open although all of its blocks are counted as stored.
+    pub fn waits_for_nothing(&self, (id, job): JobRef) -> bool {
+        self.by_id(id).is_some_and(|d| d.is_open(job) && d.open_parts(job).is_empty())
+    }
+
+    /// Ends the lease of a check; whether the result was one that its worker was asked for.
+    pub fn end_check(&mut self, arrived: &Arrived, outbox: &mut Outbox) -> bool {
+        let held = self.leases.held_by(arrived.key, arrived.worker);
+        let own = held.is_some_and(|held| held.purpose == Purpose::Check);
+        if own {
+            self.leases.remove(arrived.key.token);
+            // If this settles nothing another machine may check.
+            outbox.work = true;
+        }
+        own
+    }
+
+    /// The digest of a job's records, if it is done.
+    pub fn records_of(&self, job: JobRef) -> Option<Digest> {
+        self.by_id(job.0)?.records_of(job.1)
+    }
+}

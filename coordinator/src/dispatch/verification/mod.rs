@@ -1,0 +1,469 @@
+//! Verification of results. A share of them is computed by a second machine too, a third decides when two differ, and a
+//! machine that is outvoted is fenced off.
+//!
+//! Only a machine that was given a check has a vote. Any other result that differs from the stored one opens a check, and
+//! decides nothing: a worker that once held a lease could deliver for it any number of times.
+
+mod checks;
+mod sampling;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use farm_proto::ids::DictionaryId;
+use farm_proto::status::JobState;
+use optics_model::Digest;
+
+use super::Settings;
+use super::admission::Arrived;
+use super::outbox::{Count, Effect, Event, EventKind, Outbox};
+use super::part::{JobRef, PartId};
+use super::roster::Roster;
+use super::schedule::{Dictionary, Job, Reason, Schedule, Stage};
+use crate::stored::{OpenCheck, Origin, Vote};
+use checks::{Checks, Verdict, is_disputed};
+
+/// The checks that are open, and the results that have passed one.
+#[derive(Debug)]
+pub struct Verification {
+    settings: Settings,
+    checks: Checks,
+    /// Jobs whose next result is checked in any case.
+    suspects: BTreeSet<JobRef>,
+    /// Machines that have confirmed the stored result of a job, besides the one that computed it.
+    confirmed: BTreeMap<JobRef, Vec<Origin>>,
+}
+
+/// What verification acts on: the states of jobs, the machines, and the decisions to be published.
+#[derive(Debug)]
+pub struct Context<'a> {
+    pub schedule: &'a mut Schedule,
+    pub roster: &'a mut Roster,
+    pub outbox: &'a mut Outbox,
+}
+
+impl Context<'_> {
+    fn note_difference(&mut self, by: Origin, part: PartId, message: impl Into<String>) {
+        if let Some(dictionary) = self.schedule.by_id(part.dictionary) {
+            let event = Event::of_job(EventKind::ResultsDiffer, dictionary.name(), part.job, message);
+            self.outbox.events.push(event.by(self.roster.label_of(by)));
+        }
+    }
+}
+
+impl Verification {
+    pub fn new(settings: Settings) -> Self {
+        Self { settings, checks: Checks::default(), suspects: BTreeSet::new(), confirmed: BTreeMap::new() }
+    }
+
+    /// Samples the results that a dictionary begins with, and takes up which of them were confirmed.
+    pub fn add_dictionary(
+        &mut self,
+        id: DictionaryId,
+        confirmed: Vec<(u32, Vec<Origin>)>,
+        schedule: &Schedule,
+    ) {
+        self.confirmed.extend(confirmed.into_iter().map(|(job, by)| ((id, job), by)));
+        let unchecked = schedule.unchecked(id, |part, digest| {
+            self.is_sampled(part, digest) && !self.confirmed.contains_key(&part.job_ref())
+        });
+        for (part, first) in unchecked {
+            self.checks.want(part, vec![first], false);
+        }
+    }
+
+    /// A dictionary goes: another that shares the records of its jobs inherits their open checks.
+    pub fn hand_over(&mut self, id: DictionaryId, schedule: &Schedule, outbox: &mut Outbox) {
+        let open: Vec<_> =
+            self.checks.of_dictionary(id).map(|(part, votes)| (part, votes.to_vec())).collect();
+        for (part, votes) in open {
+            let Some((heir, records)) = schedule.heir(part) else { continue };
+            let first = votes[0];
+            // If it holds other albedos of the same walks, the votes of others about those are of no use.
+            let same = first.digest == records;
+            let votes = if same { votes } else { vec![Vote { by: first.by, digest: records }] };
+            self.checks.want(heir, votes, true);
+            outbox.work = true;
+        }
+    }
+
+    pub fn forget_dictionary(&mut self, id: DictionaryId) {
+        self.checks.forget_dictionary(id);
+        self.confirmed.retain(|(dictionary, _), _| *dictionary != id);
+        self.suspects.retain(|(dictionary, _)| *dictionary != id);
+    }
+
+    /// Forgets all about jobs whose records are gone.
+    pub fn forget_jobs(&mut self, id: DictionaryId, jobs: &[u32]) {
+        self.checks.retain(|part| part.dictionary != id || !jobs.contains(&part.job));
+        for job in jobs {
+            self.checks.forget_aside((id, *job));
+            self.confirmed.remove(&(id, *job));
+        }
+    }
+
+    /// Forgets the checks of a job's blocks, which is begun again with more walks.
+    pub fn forget_blocks(&mut self, job: JobRef) {
+        self.checks.retain(|part| part.job_ref() != job);
+    }
+
+    /// A block is not stored any more.
+    pub fn forget_block(&mut self, part: PartId) {
+        self.checks.settle(part);
+    }
+
+    /// A block is there again; whether a check of it goes on that the store remembers.
+    pub fn block_found(&mut self, part: PartId) -> bool {
+        self.checks.take_up(part)
+    }
+
+    /// A block is stored: asks for a second opinion if it is sampled, or its job is suspect.
+    pub fn block_stored(&mut self, arrived: &Arrived, outbox: &mut Outbox) {
+        let is_suspect = self.suspects.contains(&arrived.job());
+        self.want_check_of_block(arrived, is_suspect, outbox);
+    }
+
+    /// A job is done: asks for a second opinion if its result is sampled, or it is suspect.
+    pub fn job_finished(&mut self, arrived: &Arrived, records: Digest, outbox: &mut Outbox) {
+        let (job, part) = (arrived.job(), arrived.part());
+        self.checks.forget_aside(job);
+        self.confirmed.remove(&job);
+        let is_suspect = self.suspects.remove(&job);
+        if arrived.walks.blocks() > 1 {
+            self.want_check_of_block(arrived, is_suspect, outbox);
+        } else if is_suspect || self.is_sampled(part, records) {
+            self.checks.want(part, vec![Vote { by: Some(arrived.by), digest: records }], is_suspect);
+            outbox.work = true;
+        }
+    }
+
+    /// A job is done with the records of another one.
+    pub fn job_taken_over(&mut self, job: JobRef) {
+        self.suspects.remove(&job);
+        self.checks.forget_aside(job);
+    }
+
+    /// The sums of a block are merged and cannot be recovered later, so the store keeps their digest.
+    fn want_check_of_block(&mut self, arrived: &Arrived, is_suspect: bool, outbox: &mut Outbox) {
+        let Arrived { by, digest, .. } = *arrived;
+        if is_suspect || self.is_sampled(arrived.part(), digest) {
+            self.checks.want(arrived.part(), vec![Vote { by: Some(by), digest }], true);
+            outbox.work = true;
+        }
+    }
+
+    fn is_sampled(&self, part: PartId, digest: Digest) -> bool {
+        sampling::is_sampled(&self.settings.secret, part, digest, self.settings.check_share)
+    }
+
+    /// The next results of these jobs are checked in any case.
+    pub fn suspect(&mut self, jobs: impl IntoIterator<Item = JobRef>) {
+        self.suspects.extend(jobs);
+    }
+
+    /// Whether several machines have found the records of one of these jobs.
+    pub fn is_confirmed(&self, jobs: &[JobRef]) -> bool {
+        jobs.iter().any(|job| self.confirmed.contains_key(job))
+    }
+
+    /// Parts that a machine may check: those about which it has no vote yet. `is_own` is true for machines that share its
+    /// vote.
+    pub fn open_to(&self, is_own: impl Fn(Origin) -> bool) -> impl Iterator<Item = PartId> {
+        self.checks.open_to(is_own)
+    }
+
+    /// The digest of the stored result of a part that is being checked.
+    pub fn subject(&self, part: PartId) -> Option<Digest> {
+        self.checks.subject(part)
+    }
+
+    /// Comparisons between machines: equal, unequal, and waiting for a worker.
+    pub fn counts(&self) -> (u64, u64, usize) {
+        (self.checks.agreed, self.checks.disputed, self.checks.waiting())
+    }
+
+    /// The checks of a dictionary that are open, with their votes.
+    pub fn of_dictionary(&self, id: DictionaryId) -> impl Iterator<Item = (PartId, &[Vote])> {
+        self.checks.of_dictionary(id)
+    }
+
+    /// Jobs of a dictionary about which machines disagree.
+    pub fn disputed(&self, id: DictionaryId) -> usize {
+        let mut jobs: Vec<u32> = self.checks.disputed_in(id).map(|part| part.job).collect();
+        jobs.dedup();
+        jobs.len()
+    }
+
+    /// Marks the jobs of a dictionary that are done and were confirmed.
+    pub fn mark_checked(&self, id: DictionaryId, states: &mut [JobState]) {
+        for ((_, job), by) in self.confirmed.range((id, 0)..=(id, u32::MAX)) {
+            if !by.is_empty()
+                && let Some(state @ JobState::Done) = states.get_mut(*job as usize)
+            {
+                *state = JobState::Checked;
+            }
+        }
+    }
+
+    /// What there is to say about the checks of a dictionary: disputes, and checks that no machine can take.
+    pub fn explain(&self, now: Duration, id: DictionaryId, roster: &Roster) -> Vec<Reason> {
+        let mut reasons = Vec::new();
+        if let Some(PartId { job, .. }) = self.checks.disputed_in(id).next() {
+            let count = self.disputed(id);
+            let text = format!(
+                "machines disagree about {count} jobs, the first is job {job}: one that has not computed it must decide"
+            );
+            reasons.push(Reason::new("DISPUTED", text));
+        }
+        let able: Vec<Origin> = roster.able(now).collect();
+        let has_voted = |machine: Origin, votes: &[Vote]| {
+            votes.iter().any(|vote| vote.by.is_some_and(|by| roster.share_a_vote(machine, by)))
+        };
+        let stuck =
+            |votes: &[Vote]| !is_disputed(votes) && able.iter().all(|machine| has_voted(*machine, votes));
+        let count = self.checks.of_dictionary(id).filter(|(_, votes)| stuck(votes)).count();
+        if count > 0 {
+            let text = format!(
+                "{count} results wait to be compared, and no machine is there that has not computed them: start a worker \
+                 on another one"
+            );
+            reasons.push(Reason::new("CHECKS_WAIT", text));
+        }
+        reasons
+    }
+
+    /// Orders the store to note the checks that have changed.
+    pub fn publish(&mut self, outbox: &mut Outbox) {
+        for (PartId { dictionary, job, part }, votes) in self.checks.take_changed() {
+            outbox.effects.push(Effect::NoteCheck(OpenCheck { dictionary, job, block: part, votes }));
+            outbox.changed = true;
+        }
+    }
+
+    /// Takes up a check that the store remembers, if it is still about what is stored.
+    pub fn remember(&mut self, check: OpenCheck, schedule: &Schedule) {
+        let part = PartId { dictionary: check.dictionary, job: check.job, part: check.block };
+        let first = check.votes.first().map(|first| first.digest);
+        let holds = schedule.job(part).is_some_and(|job| {
+            job.is_divided() || matches!(job.stage, Stage::Done { records, .. } if first == Some(records))
+        });
+        let goes_on = |d: &Dictionary| d.grid().quality().is_some() && !d.is_done(part.job);
+        if !holds && schedule.by_id(part.dictionary).is_some_and(goes_on) {
+            // With more walks it may have this block again.
+            self.checks.put_aside(part, check.votes);
+            return;
+        }
+        self.checks.remember(part, check.votes);
+        if !holds {
+            // The store notes that it is over.
+            self.checks.settle(part);
+        }
+    }
+
+    /// Compares a result with the one that is stored; true if they are equal. It is a vote if its worker was given it to
+    /// check.
+    pub fn compare(
+        &mut self,
+        arrived: &Arrived,
+        stored: Digest,
+        new: Digest,
+        mut context: Context<'_>,
+    ) -> bool {
+        let part = arrived.part();
+        let was_asked = context.schedule.end_check(arrived, context.outbox);
+        if context.roster.is_fenced(arrived.by) {
+            return stored == new;
+        }
+        let Some(Producer(first)) = self.producer(part, stored, context.schedule) else {
+            // What it was compared with is not what is there now: either not noted yet, or forgotten meanwhile.
+            if stored != new && context.schedule.job(part).is_some() {
+                self.suspects.insert(arrived.job());
+            }
+            return stored == new;
+        };
+        context.outbox.changed = true;
+        if was_asked {
+            self.record_vote(arrived, first, (stored, new), &mut context);
+        } else if stored != new {
+            self.open_dispute(arrived, first, stored, &mut context);
+        }
+        stored == new
+    }
+
+    /// The producer of the stored result of a part; None if this is not the stored result.
+    fn producer(&self, part: PartId, stored: Digest, schedule: &Schedule) -> Option<Producer> {
+        let job = schedule.job(part)?;
+        match &job.stage {
+            Stage::Done { records, by, .. } if !job.is_divided() => {
+                (*records == stored).then_some(Producer(*by))
+            }
+            // Of blocks only those that are being checked are still known.
+            _ => (job.is_divided() && self.checks.subject(part) == Some(stored)).then_some(Producer(None)),
+        }
+    }
+
+    /// Records the vote of a machine that was asked to check, and acts on the verdict.
+    fn record_vote(
+        &mut self,
+        arrived: &Arrived,
+        first: Option<Origin>,
+        (stored, new): (Digest, Digest),
+        context: &mut Context<'_>,
+    ) {
+        let (by, part) = (arrived.by, arrived.part());
+        let is_own = |other| context.roster.share_a_vote(by, other);
+        let verdict = self.checks.vote(part, Vote { by: Some(by), digest: new }, is_own);
+        if stored == new {
+            context.roster.succeeded(by);
+        }
+        match verdict {
+            Verdict::NotCounted => {}
+            Verdict::Agreed => {
+                self.confirm(part, first, by, context);
+                context.outbox.counts.push(Count::Agreed);
+            }
+            Verdict::Disputed => {
+                context.outbox.counts.push(Count::Disputed);
+                // A third machine decides, which may be waiting for work.
+                context.outbox.work = true;
+                let first = first.map_or_else(|| "an earlier one".to_owned(), |o| context.roster.label_of(o));
+                let message = format!("other records than those of {first}: a third machine decides");
+                context.note_difference(by, part, message);
+            }
+            Verdict::Wrong { right, wrong } => {
+                if right == stored && stored == new {
+                    self.confirm(part, first, by, context);
+                }
+                context.note_difference(by, part, "records differ between machines");
+                for machine in wrong {
+                    match machine {
+                        Some(machine) => self.fence(part, machine, context),
+                        // The producer of the stored result is not known.
+                        None if right != stored => {
+                            let (dictionary, job) = part.job_ref();
+                            context.outbox.effects.push(Effect::Recompute { dictionary, job });
+                        }
+                        None => {}
+                    }
+                }
+            }
+        }
+    }
+
+    /// A machine has found what is stored of a job. Of a divided one that is known of the block alone.
+    fn confirm(&mut self, part: PartId, first: Option<Origin>, by: Origin, context: &mut Context<'_>) {
+        let divided = context.schedule.job(part).is_none_or(Job::is_divided);
+        if divided || first == Some(by) {
+            return;
+        }
+        let confirmed = self.confirmed.entry(part.job_ref()).or_default();
+        if !confirmed.contains(&by) {
+            confirmed.push(by);
+            let (dictionary, job) = part.job_ref();
+            context.outbox.effects.push(Effect::Agreed { dictionary, job, machine: by });
+        }
+    }
+
+    /// Opens a check, since a result that was not asked for differs from the stored one. A machine that contradicts its own
+    /// result is fenced off.
+    fn open_dispute(
+        &mut self,
+        arrived: &Arrived,
+        first: Option<Origin>,
+        stored: Digest,
+        context: &mut Context<'_>,
+    ) {
+        let (by, part) = (arrived.by, arrived.part());
+        if first == Some(by) {
+            context.outbox.counts.push(Count::Disputed);
+            context.note_difference(by, part, "other records than its own before");
+            self.fence(part, by, context);
+            return;
+        }
+        if self.checks.subject(part).is_some() {
+            return;
+        }
+        let confirmed = self.confirmed.get(&part.job_ref()).into_iter().flatten().copied().map(Some);
+        let votes = std::iter::once(first).chain(confirmed).map(|by| Vote { by, digest: stored }).collect();
+        context.note_difference(
+            by,
+            part,
+            "other records than those that are stored: another machine is asked",
+        );
+        self.checks.want(part, votes, true);
+        context.outbox.work = true;
+    }
+
+    /// A result differs from the records of other jobs for the same walks. If they are confirmed it is not taken. If not,
+    /// which is wrong is not known: all are computed again, and then checked.
+    pub fn contradict(
+        &mut self,
+        arrived: &Arrived,
+        again: Option<&[JobRef]>,
+        mut context: Context<'_>,
+    ) -> &'static str {
+        let (what, then) = match again {
+            None => (
+                "other records than those that several machines found for the same walks in another dictionary",
+                "they are not taken",
+            ),
+            Some(others) => {
+                self.suspects.insert(arrived.job());
+                self.suspects.extend(others);
+                (
+                    "other records than those of the same walks in another dictionary",
+                    "both are computed again",
+                )
+            }
+        };
+        context.note_difference(arrived.by, arrived.part(), format!("{what}: {then}"));
+        what
+    }
+
+    /// Fences a machine off that has computed wrongly.
+    fn fence(&mut self, part: PartId, machine: Origin, context: &mut Context<'_>) {
+        let name = context.schedule.by_id(part.dictionary).map(|d| d.name().to_string()).unwrap_or_default();
+        let reason = format!(
+            "its records of job {} of {name} are wrong: others agree against it; \
+             once the cause is gone, `farmctl workers readmit` lets the machine in again",
+            part.job
+        );
+        if !context.roster.fence(machine, &reason, context.outbox) {
+            return;
+        }
+        for id in context.roster.ids_of(machine) {
+            context.schedule.free_worker(id, context.outbox);
+        }
+        self.checks.withdraw_votes(machine);
+        context.outbox.effects.push(Effect::Fence { machine, reason });
+        self.rely_on_others(machine, context);
+    }
+
+    /// What others have confirmed stays when a machine is fenced off, credited to them.
+    fn rely_on_others(&mut self, machine: Origin, context: &mut Context<'_>) {
+        let schedule = &mut *context.schedule;
+        let mut alone: Vec<(JobRef, Origin)> = Vec::new();
+        for (job, confirmed) in &mut self.confirmed {
+            confirmed.retain(|by| *by != machine);
+            if schedule.producer(*job) == Some(machine) && !confirmed.is_empty() {
+                schedule.set_producer(*job, confirmed.remove(0));
+            }
+            if confirmed.is_empty()
+                && let Some(by) = schedule.producer(*job).filter(|by| *by != machine)
+            {
+                alone.push((*job, by));
+            }
+        }
+        self.confirmed.retain(|_, confirmed| !confirmed.is_empty());
+        for (job, by) in alone {
+            let part = PartId::first_of(job);
+            if let Some(digest) = schedule.records_of(job).filter(|digest| self.is_sampled(part, *digest)) {
+                self.checks.want(part, vec![Vote { by: Some(by), digest }], false);
+                context.outbox.work = true;
+            }
+        }
+    }
+}
+
+/// The machine that computed the stored result, if it is known.
+struct Producer(Option<Origin>);

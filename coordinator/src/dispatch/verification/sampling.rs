@@ -1,0 +1,56 @@
+//! Which results a second machine verifies: a share of them, chosen by a keyed hash.
+
+use optics_model::Digest;
+
+use super::super::mac::{first_bytes, hasher, write_part};
+use super::super::part::PartId;
+use crate::stored::Secret;
+
+/// Whether a result is in the sampled share that is verified. Unpredictable without the secret, so a worker cannot
+/// know which of its results will be verified.
+pub(super) fn is_sampled(secret: &Secret, part: PartId, result: Digest, share: f64) -> bool {
+    let mut hasher = hasher(secret, "draw");
+    write_part(&mut hasher, part);
+    hasher.update(result.as_bytes());
+    let sample = u32::from_le_bytes(first_bytes(&hasher));
+    f64::from(sample) < share * 2.0_f64.powi(32)
+}
+
+#[cfg(test)]
+mod tests {
+    use farm_proto::ids::DictionaryId;
+
+    use super::*;
+
+    const SECRET: Secret = Secret([1; 32]);
+
+    fn part(job: u32) -> PartId {
+        PartId { dictionary: DictionaryId(1), job, part: 0 }
+    }
+
+    fn digest(number: u32) -> Digest {
+        Digest::of_bytes(&number.to_le_bytes())
+    }
+
+    #[test]
+    fn the_sampled_share_has_the_size_asked_for() {
+        let is_sampled = |i, share| is_sampled(&SECRET, part(0), digest(i), share);
+        let sampled = |share| (0..20_000).filter(|i| is_sampled(*i, share)).count();
+        assert_eq!((sampled(0.0), sampled(1.0)), (0, 20_000));
+        // Three standard deviations.
+        assert!(sampled(0.01).abs_diff(200) < 43, "{}", sampled(0.01));
+    }
+
+    /// Which results are checked cannot be predicted without the secret, nor from the samples of another job.
+    #[test]
+    fn samples_depend_on_the_secret_and_the_job() {
+        let differ = |a: &dyn Fn(u32) -> bool, b: &dyn Fn(u32) -> bool| {
+            let unequal = (0..20_000).filter(|i| a(*i) != b(*i)).count();
+            // Independent samples of one half differ in one half: five standard deviations.
+            assert!(unequal.abs_diff(10_000) < 354, "{unequal}");
+        };
+        let own = |i| is_sampled(&SECRET, part(0), digest(i), 0.5);
+        differ(&own, &|i| is_sampled(&Secret([2; 32]), part(0), digest(i), 0.5));
+        differ(&own, &|i| is_sampled(&SECRET, part(1), digest(i), 0.5));
+    }
+}
