@@ -1,4 +1,5 @@
-//! The worker's life: lease, trace, deliver, until there is a reason to end.
+//! The worker's main loop: leases jobs, traces them and delivers their results until there is a reason to end. On the
+//! way out it gives running jobs a grace period, delivers finished results and hands the other leases back.
 
 use std::fmt;
 use std::sync::Arc;
@@ -16,7 +17,7 @@ use crate::config::Config;
 use crate::delivery::{ResultBuffer, deliver};
 use crate::heartbeat::beat;
 use crate::idle::IdleTime;
-use crate::job::Workshop;
+use crate::job::JobRunner;
 use crate::kernels;
 use crate::leases::{HeldLeases, SetSwitch};
 use crate::machine;
@@ -26,14 +27,14 @@ use crate::session::{Error, Introduction, Session};
 
 /// Pause after a call that failed, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
-/// How long finished records may take to be delivered once the worker is told to stop.
+/// How long the delivery of finished records may take once the worker stops.
 const DELIVERY: Duration = Duration::from_secs(10);
-/// How long jobs that were told to stop may take to do so.
+/// How long stopped jobs may take to end.
 const STOPPING: Duration = Duration::from_secs(2);
-/// Time before the limit at which everything is to be handed back, besides the grace.
+/// Time before the limit by which all leases are handed back, in addition to the grace.
 const MARGIN: Duration = Duration::from_secs(5);
 
-/// Most jobs that are traced together, and the memory that their sums may take.
+/// Limits of a set of jobs that are traced together: its number of jobs, and the memory of their sums.
 const MOST_JOBS: usize = 16;
 const MOST_BYTES: usize = 64 << 20;
 
@@ -52,15 +53,15 @@ impl fmt::Display for Ended {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Stopped => "stopped",
-            Self::Drained => "it asked for that",
+            Self::Drained => "the coordinator requested it",
             Self::TimeLimit => "the time limit is near",
-            Self::Idle => "there was no work for long enough",
+            Self::Idle => "there was no work",
         })
     }
 }
 
-/// Works until `shutdown`, the time limit, or the coordinator's wish; then gives jobs that are being traced the grace
-/// to end, delivers what is finished and hands the other leases back.
+/// Works until `shutdown`, the time limit, or a drain request of the coordinator. Then running jobs get the grace
+/// period to end, finished results are delivered, and the other leases are handed back.
 pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, Error> {
     let link = config.coordinator.connect_lazy();
     work_over(link, config, shutdown).await
@@ -87,14 +88,14 @@ async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> R
     let (finished, queue) = mpsc::unbounded_channel();
     let delivery = tokio::spawn(deliver(session.clone(), held.clone(), queue));
     let buffer = ResultBuffer::new(config.buffer_bytes);
-    let workshop = Workshop { session: session.clone(), held: held.clone(), pool, buffer, finished };
+    let runner = JobRunner { session: session.clone(), held: held.clone(), pool, buffer, finished };
     let agent = Agent::new(session, held, &config);
-    agent.work_until(limit, shutdown, workshop, delivery).await
+    agent.work_until(limit, shutdown, runner, delivery).await
 }
 
-/// Time to work in, so that grace and delivery end before the limit.
+/// Time after which to stop, so that grace and delivery end before the limit.
 fn working_time(config: &Config) -> Duration {
-    /// As good as for ever, and still an instant that the clock can tell.
+    /// Practically for ever, but still a valid instant of the clock.
     const FOREVER: Duration = Duration::from_secs(u32::MAX as u64);
     config.time_limit.map_or(FOREVER, |limit| limit.saturating_sub(config.grace + MARGIN).max(limit / 2))
 }
@@ -102,9 +103,9 @@ fn working_time(config: &Config) -> Duration {
 struct Agent {
     session: Arc<Session>,
     held: Arc<HeldLeases>,
-    /// One for each job that may be on this worker without a result.
+    /// One permit per job that this worker may hold without a result.
     slots: Arc<Semaphore>,
-    /// The coordinator wants the worker to leave.
+    /// Cancelled when the coordinator asks the worker to leave.
     drain: CancellationToken,
     grace: Duration,
     idle_exit: Option<Duration>,
@@ -115,7 +116,7 @@ impl Agent {
         Self {
             session,
             held,
-            // One job more than threads: the next is there when one ends.
+            // One job more than threads, so that the next can begin at once when one ends.
             slots: Arc::new(Semaphore::new(config.threads + 1)),
             drain: CancellationToken::new(),
             grace: config.grace,
@@ -127,7 +128,7 @@ impl Agent {
         &self,
         limit: Instant,
         shutdown: CancellationToken,
-        workshop: Workshop,
+        runner: JobRunner,
         delivery: JoinHandle<()>,
     ) -> Result<Ended, Error> {
         let ending = CancellationToken::new();
@@ -138,7 +139,7 @@ impl Agent {
             () = shutdown.cancelled() => Ok(Ended::Stopped),
             () = self.drain.cancelled() => Ok(Ended::Drained),
             () = sleep_until(limit) => Ok(Ended::TimeLimit),
-            ended = self.work(&mut jobs, workshop) => ended,
+            ended = self.work(&mut jobs, runner) => ended,
         };
         self.wind_up(jobs, delivery, if ended.is_ok() { self.grace } else { Duration::ZERO }).await;
         // A heartbeat after this would register the worker again.
@@ -151,7 +152,7 @@ impl Agent {
     }
 
     /// Leases and traces until there is a reason to end.
-    async fn work(&self, jobs: &mut JoinSet<()>, workshop: Workshop) -> Result<Ended, Error> {
+    async fn work(&self, jobs: &mut JoinSet<()>, runner: JobRunner) -> Result<Ended, Error> {
         loop {
             let Some((leases, slots)) = self.next_leases().await? else {
                 return Ok(if self.drain.is_cancelled() { Ended::Drained } else { Ended::Idle });
@@ -161,7 +162,7 @@ impl Agent {
                 let set = SetSwitch::new(leases.len());
                 let add = |lease: &Lease| self.held.add(lease.key, lease.job.identity(), set.clone());
                 let switches = leases.iter().map(add).collect();
-                // There is one for each, unless the coordinator has another notion of what sets are.
+                // One slot per set, unless the coordinator groups jobs into sets by other rules.
                 let slot = match slots.next() {
                     Some(slot) => slot,
                     None => match self.slots.clone().acquire_owned().await {
@@ -169,13 +170,13 @@ impl Agent {
                         Err(_) => break,
                     },
                 };
-                jobs.spawn(workshop.clone().run(leases, switches, slot));
+                jobs.spawn(runner.clone().run(leases, switches, slot));
             }
             while jobs.try_join_next().is_some() {}
         }
     }
 
-    /// Leases for the slots that are free, with their slots; None if the worker is to end.
+    /// Leases for the free slots, with these slots; None if the worker should end.
     async fn next_leases(&self) -> Result<Option<(Vec<Lease>, Vec<OwnedSemaphorePermit>)>, Error> {
         let mut pauses = Pauses::new(PAUSE.0, PAUSE.1);
         let mut back = self.session.back();
@@ -202,17 +203,17 @@ impl Agent {
         }
     }
 
-    /// Waits for a slot, and takes all that are free then.
+    /// Waits for a slot, then takes all free ones.
     async fn free_slots(&self) -> Vec<OwnedSemaphorePermit> {
         let first = self.slots.clone().acquire_owned().await.ok();
         let others = std::iter::from_fn(|| self.slots.clone().try_acquire_owned().ok());
         first.into_iter().chain(others).collect()
     }
 
-    /// Hands back what has not begun, lets the rest end within the grace, and delivers.
+    /// Hands back leases of jobs that have not begun, lets the others end within the grace, and waits for the delivery.
     async fn wind_up(&self, jobs: JoinSet<()>, mut delivery: JoinHandle<()>, grace: Duration) {
         let waiting = self.held.give_up_waiting();
-        // Also if none waits: whoever wants it to stop may kill it before the grace is over.
+        // Also if no lease waits: the process may be killed before the grace is over, so the stop is announced now.
         if !self.held.is_empty()
             && grace > Duration::ZERO
             && let Err(status) = self.session.stop(waiting).await
@@ -220,7 +221,7 @@ impl Agent {
             tracing::warn!(message = status.message(), "leases could not be handed back yet");
         }
         self.end_jobs(jobs, grace).await;
-        // All senders are gone with the jobs: the delivery ends when all is delivered.
+        // The jobs owned all senders, so the delivery ends when its queue is empty.
         if timeout(DELIVERY, &mut delivery).await.is_err() {
             delivery.abort();
             tracing::warn!(
@@ -235,13 +236,13 @@ impl Agent {
             return;
         }
         self.held.stop_all();
-        // One that waits for room, or tells of its failure, would wait as long as the coordinator is away.
+        // A job that waits for buffer space, or reports its failure, would wait until the coordinator is back.
         if timeout(STOPPING, all_ended(&mut jobs)).await.is_err() {
             jobs.shutdown().await;
         }
     }
 
-    /// Takes leave of the coordinator, handing back what is left.
+    /// Deregisters from the coordinator and hands back the remaining leases.
     async fn leave(&self, reason: Ended) {
         let url = self.session.url();
         match self.session.leave(self.held.untraced()).await {
@@ -257,8 +258,8 @@ impl Agent {
     }
 }
 
-/// Leases by the walks that their jobs share; those of a set follow one another. What was given out before and came to
-/// nothing is traced by itself, so that nobody is blamed for it but itself.
+/// Groups leases into sets of jobs that share their walks; the leases of a set are consecutive. A retried job is traced
+/// alone, so that no other job is blamed if it fails again.
 fn sets(leases: Vec<Lease>) -> Vec<Vec<Lease>> {
     let is_retry = |lease: &Lease| lease.key.attempt > lease.job.walks().blocks();
     let fits = |set: &[Lease], lease: &Lease| {

@@ -13,26 +13,26 @@ pub struct Config {
     pub coordinator: Target,
     /// Threads that trace.
     pub threads: usize,
-    /// Tells people which worker this is.
+    /// Name of this worker, shown to users.
     pub label: String,
-    /// Tells this machine from others, whichever process runs on it.
+    /// Identifies this machine, whichever process runs on it.
     pub host: String,
-    /// Where this worker's log is to be read; empty if nobody can.
+    /// Where this worker's log can be read; empty if unknown.
     pub log: String,
-    /// Memory for results that wait to be delivered: when it is full, tracing waits.
+    /// Memory for undelivered results: when it is full, tracing waits.
     pub buffer_bytes: usize,
-    /// How long jobs may go on that are being traced when the worker is told to stop.
+    /// How long running jobs may continue once the worker stops.
     pub grace: Duration,
-    /// Stop so long before this time after the start that everything is handed back in time.
+    /// Limit of the run time. The worker stops early enough to hand everything back before it.
     pub time_limit: Option<Duration>,
-    /// Stop when there was no work for so long.
+    /// Stop after this long without work.
     pub idle_exit: Option<Duration>,
-    /// Kernel to trace with; the fastest if none is told.
+    /// Kernel to trace with; the fastest if None.
     pub kernel: Option<String>,
 }
 
 impl Config {
-    /// A worker on all cores, named after its machine and process, that stops at once when it is told to.
+    /// A worker on all cores, named after its machine and process, without a grace period.
     pub fn new(coordinator: Target) -> Self {
         let threads = std::thread::available_parallelism().map_or(1, Into::into);
         Self {

@@ -1,4 +1,5 @@
-//! Results on their way to the coordinator: kept until they are acknowledged, sent together when several wait.
+//! Delivers results to the coordinator and keeps each one until it is acknowledged. Results that wait are sent
+//! together.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,12 +19,12 @@ use crate::session::Session;
 
 mod messages;
 
-/// Bytes after which a call takes no more results.
+/// Bytes after which no further result is added to a call.
 const BATCH_BYTES: usize = 16 << 20;
-/// Pause after a call of which nothing was stored, first and longest.
+/// First and longest pause after a call of which no result was stored.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 
-/// A result that is not acknowledged yet, with its room in the buffer.
+/// A result that is not acknowledged yet, with its share of the buffer.
 #[derive(Debug)]
 pub(crate) struct PendingResult {
     pub key: LeaseKey,
@@ -46,11 +47,12 @@ impl ResultBuffer {
         Self { room: Arc::new(Semaphore::new(kib as usize)), kib }
     }
 
-    /// Waits until there is room for all results of a set. What is larger than the whole buffer gets all of it.
+    /// Waits until all results of a set fit into the buffer. A result that is larger than the buffer reserves all of
+    /// it.
     pub(crate) async fn take(&self, bytes: &[usize]) -> Option<Vec<OwnedSemaphorePermit>> {
         let kib = |bytes: usize| u32::try_from(bytes.div_ceil(1024)).unwrap_or(u32::MAX).min(self.kib);
         let all = kib(bytes.iter().sum());
-        // At once: two that hold a part each and wait for the rest would wait for ever.
+        // In one step: two sets that each hold a part and wait for the rest would deadlock.
         let mut room = self.room.clone().acquire_many_owned(all).await.ok()?;
         let share = |bytes: &usize| {
             let kib = (kib(*bytes) as usize).min(room.num_permits());
@@ -80,7 +82,7 @@ pub(crate) async fn deliver(
         } else {
             pauses.wait(&mut back).await;
         }
-        // The others first: one that cannot be stored must not keep them waiting.
+        // Behind the others, so that a result that cannot be stored does not block them.
         waiting.extend(not_stored);
     }
 }
@@ -102,9 +104,9 @@ fn next_batch(waiting: &mut VecDeque<PendingResult>) -> Vec<PendingResult> {
 /// not take.
 async fn send(session: &Session, held: &HeldLeases, batch: Vec<PendingResult>) -> Vec<PendingResult> {
     let limit = messages::time_limit(batch.iter().map(|result| result.bytes).sum());
-    match session.complete(|worker_token| messages::of_results(worker_token, &batch), limit).await {
+    match session.complete(|worker_token| messages::result_messages(worker_token, &batch), limit).await {
         Ok(outcomes) => settle(held, batch, outcomes),
-        // One of them is not as it should be; the others must not suffer.
+        // One of the results is invalid; sent singly, the others get through.
         Err(status) if batch.len() > 1 && status.code() == Code::InvalidArgument => {
             let mut not_stored = Vec::new();
             for result in batch {
@@ -135,7 +137,7 @@ fn settle(
         if let Some(outcome) = &outcome {
             log_outcome(&result.key, outcome);
         }
-        // What the answer leaves out is not acknowledged either.
+        // A result without an outcome in the answer is not acknowledged either.
         if outcome.is_none_or(|outcome| outcome.kind() == CompletionKind::NotStored) {
             not_stored.push(result);
         } else {
@@ -154,7 +156,7 @@ fn log_outcome(key: &LeaseKey, outcome: &CompletionOutcome) {
             tracing::debug!(dictionary, job, attempt, "these records were stored before");
         }
         CompletionKind::Refused | CompletionKind::Unspecified => {
-            tracing::info!(dictionary, job, attempt, message, "this result is not wanted any more");
+            tracing::info!(dictionary, job, attempt, message, "this result is no longer needed");
         }
         CompletionKind::Conflict => tracing::error!(dictionary, job, attempt, message, "result refused"),
         CompletionKind::NotStored => {
@@ -163,14 +165,14 @@ fn log_outcome(key: &LeaseKey, outcome: &CompletionOutcome) {
     }
 }
 
-/// Gives up a result that no repetition would bring in.
+/// Gives up a result that would be refused again, and reports its job as failed.
 async fn give_up(session: &Session, key: &LeaseKey, status: &Status) {
     tracing::error!(job = key.job, attempt = key.attempt, message = status.message(), "result refused");
-    // The job would come back for ever if nobody told that it came to nothing.
+    // Without a report, the job would be leased again and again.
     if status.code() == Code::InvalidArgument
         && let Err(error) = session.fail(key, &format!("result refused: {}", status.message())).await
     {
-        tracing::warn!(job = key.job, message = error.message(), "the failure is not wanted any more");
+        tracing::warn!(job = key.job, message = error.message(), "the failure report is no longer needed");
     }
 }
 

@@ -1,4 +1,4 @@
-//! Keeps leases alive while their jobs are traced, and stops those that are lost.
+//! Renews leases while their jobs are traced, and stops the jobs of lost leases.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use crate::leases::HeldLeases;
 use crate::retry::log_failure;
 use crate::session::Session;
 
-/// Renews four times per lease until `end`; cancels `drain` when the coordinator wants the worker to leave.
+/// Renews four times per lease until `end`; cancels `drain` when the coordinator asks the worker to leave.
 pub(crate) async fn beat(
     session: Arc<Session>,
     held: Arc<HeldLeases>,
@@ -19,7 +19,7 @@ pub(crate) async fn beat(
 ) {
     end.run_until_cancelled(async {
         loop {
-            // A coordinator that was restarted may have another length of leases.
+            // A restarted coordinator may grant leases of another length.
             let next = Instant::now() + interval(session.lease());
             renew(&session, &held, &drain).await;
             sleep_until(next).await;

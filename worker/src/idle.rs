@@ -1,4 +1,4 @@
-//! How long there has been nothing to do, for workers that end when that is long enough.
+//! Measures how long the worker has been without work, for workers that end after a time limit.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use tokio::time::Instant;
 /// Longest time that one call waits for work.
 const WAIT: Duration = Duration::from_secs(20);
 
-/// Idle time, against its limit.
+/// Idle time, compared with its limit.
 #[derive(Debug)]
 pub(crate) struct IdleTime {
     limit: Option<Duration>,
@@ -19,12 +19,12 @@ impl IdleTime {
         Self { limit, since: Instant::now() }
     }
 
-    /// There is something to do now.
+    /// Restarts the measurement: there is work now.
     pub(crate) fn reset(&mut self) {
         self.since = Instant::now();
     }
 
-    /// How long to wait for work.
+    /// How long the next call may wait for work.
     pub(crate) fn wait(&self) -> Duration {
         self.limit.map_or(WAIT, |limit| limit.saturating_sub(self.since.elapsed()).min(WAIT))
     }

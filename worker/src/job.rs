@@ -1,4 +1,5 @@
-//! Jobs that share their walks, on their way from lease to result.
+//! Takes jobs that share their walks from their leases to their results: announces them, has them traced, and queues
+//! results for delivery or reports failures.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -15,12 +16,12 @@ use crate::leases::{HeldLeases, JobSwitches};
 use crate::pool::{JobResult, Pool, Start, TraceEnd};
 use crate::session::Session;
 
-/// By then a message has left this machine, wherever the coordinator is.
+/// After this time a message has left this machine, even if the answer takes longer.
 const ON_ITS_WAY: Duration = Duration::from_millis(50);
 
-/// What all jobs of a worker share. The delivery ends when the last of these is dropped.
+/// State that all jobs of a worker share. The delivery ends when the last clone is dropped.
 #[derive(Debug, Clone)]
-pub(crate) struct Workshop {
+pub(crate) struct JobRunner {
     pub session: Arc<Session>,
     pub held: Arc<HeldLeases>,
     pub pool: Pool,
@@ -28,57 +29,56 @@ pub(crate) struct Workshop {
     pub finished: mpsc::UnboundedSender<PendingResult>,
 }
 
-/// The part of a lease that is needed once its job has been traced.
-struct About {
+/// The data of a lease that the delivery of its result needs.
+struct ResultHeader {
     key: LeaseKey,
     identity: Digest,
     bytes: usize,
 }
 
-impl About {
-    fn of(lease: &Lease) -> Self {
+impl ResultHeader {
+    fn new(lease: &Lease) -> Self {
         Self { key: lease.key, identity: lease.job.identity(), bytes: result_bytes(&lease.job) }
     }
 }
 
-impl Workshop {
-    /// Traces jobs that share their walks and passes their results on; gives their slot back as soon as others may begin.
-    ///
-    /// The leases of jobs that are stopped with the worker stay held, to be handed back.
+impl JobRunner {
+    /// Traces jobs that share their walks and queues their results; frees their slot as soon as other jobs may begin.
+    /// Leases of jobs that are stopped with the worker stay in the table, to be handed back.
     pub(crate) async fn run(
         self,
         leases: Vec<Lease>,
         switches: Vec<Arc<JobSwitches>>,
         slot: OwnedSemaphorePermit,
     ) {
-        let about: Vec<About> = leases.iter().map(About::of).collect();
-        let bytes: Vec<usize> = about.iter().map(|job| job.bytes).collect();
-        // If results cannot be delivered, tracing waits here.
+        let headers: Vec<ResultHeader> = leases.iter().map(ResultHeader::new).collect();
+        let bytes: Vec<usize> = headers.iter().map(|job| job.bytes).collect();
+        // Back-pressure: tracing waits here while results cannot be delivered.
         let Some(room) = self.buffer.take(&bytes).await else { return };
         let (begun, begins) = oneshot::channel();
-        let announced = self.announce(about.iter().map(|job| (job.key, job.identity)).collect(), begins);
+        let announced = self.announce(headers.iter().map(|job| (job.key, job.identity)).collect(), begins);
         let jobs: Vec<JobSpec> = leases.into_iter().map(|lease| lease.job).collect();
         let (end, ()) = tokio::join!(self.pool.trace(jobs.clone(), switches.clone(), begun), announced);
         let ends = match end {
             TraceEnd::Finished(results) => results.into_iter().map(Ok).collect(),
             TraceEnd::Failed(reason) if jobs.len() == 1 => vec![Err(reason)],
-            // One of them is to blame, and not the others.
+            // Only one of the jobs may be the cause.
             TraceEnd::Failed(_) => self.trace_one_by_one(jobs, &switches).await,
             TraceEnd::Stopped => return,
         };
-        let all = about.into_iter().zip(ends).zip(room).zip(switches);
-        // A result counts whatever became of its lease meanwhile; a failure only of what is still wanted.
+        let all = headers.into_iter().zip(ends).zip(room).zip(switches);
+        // A result counts even if its lease was lost meanwhile; a failure only if its job was not stopped.
         let counts = |end: &Result<_, _>, switches: &JobSwitches| end.is_ok() || !switches.is_stopped();
-        let wanted: Vec<_> =
+        let ended: Vec<_> =
             all.filter(|(((_, end), _), switches)| counts(end, switches)).map(|(end, _)| end).collect();
-        for ((job, end), _) in &wanted {
+        for ((job, end), _) in &ended {
             if end.is_ok() {
                 self.held.mark_traced(&job.key);
             }
         }
-        // The next jobs may begin while these results are on their way.
+        // The next jobs may begin while these results are delivered.
         drop(slot);
-        for ((About { key, identity, bytes }, end), room) in wanted {
+        for ((ResultHeader { key, identity, bytes }, end), room) in ended {
             match end {
                 Ok(result) => {
                     let _ = self.finished.send(PendingResult { key, identity, result, bytes, _room: room });
@@ -88,7 +88,8 @@ impl Workshop {
         }
     }
 
-    /// What each job yields by itself, or why it does not; of one that is stopped, anything.
+    /// The result of each job when it is traced alone, or the reason why it has none. Entries of stopped jobs are
+    /// arbitrary.
     async fn trace_one_by_one(
         &self,
         jobs: Vec<JobSpec>,
@@ -106,17 +107,17 @@ impl Workshop {
         ends
     }
 
-    /// Tells the coordinator when a thread is about to begin, which waits until that is on its way: the answer of a
-    /// coordinator far away would cost small jobs more time than it is worth.
+    /// Announces to the coordinator that a thread is about to begin. The thread waits until the message is sent, but
+    /// not for the answer of a distant coordinator, which would slow small jobs.
     async fn announce(&self, jobs: Vec<(LeaseKey, Digest)>, begins: oneshot::Receiver<Start>) {
-        // Otherwise the jobs were stopped before.
+        // An error means that the jobs were stopped first.
         let Ok(start) = begins.await else { return };
         let keys: Vec<LeaseKey> = jobs.iter().map(|(key, _)| *key).collect();
-        let mut told = pin!(self.session.begin(jobs));
-        let answered = tokio::time::timeout(ON_ITS_WAY, &mut told).await.is_ok();
+        let mut announcement = pin!(self.session.begin(jobs));
+        let answered = tokio::time::timeout(ON_ITS_WAY, &mut announcement).await.is_ok();
         let _ = start.send(());
         if !answered {
-            told.await;
+            announcement.await;
         }
         for LeaseKey { dictionary, job, attempt, .. } in keys {
             tracing::debug!(dictionary = dictionary.0, job, attempt, "job begins");
@@ -127,7 +128,7 @@ impl Workshop {
         tracing::error!(job = key.job, attempt = key.attempt, reason, "job failed");
         if let Err(status) = self.session.fail(key, reason).await {
             let message = status.message();
-            tracing::warn!(job = key.job, message, "the failure is not wanted any more");
+            tracing::warn!(job = key.job, message, "the failure is not ended any more");
         }
         self.held.remove(key);
     }
@@ -146,11 +147,11 @@ mod tests {
         let (session, held) = session(&coordinator).await;
         let (finished, _queue) = mpsc::unbounded_channel();
         let (pool, buffer) = (Pool::new(1).unwrap(), ResultBuffer::new(1));
-        let workshop = Workshop { session, held: held.clone(), pool, buffer, finished };
+        let runner = JobRunner { session, held: held.clone(), pool, buffer, finished };
         let key = lease(4).key;
         held.add(key, job(4).identity(), SetSwitch::new(1));
         coordinator.answer(Method::Fail, Answer::Lost);
-        workshop.report_failure(&key, "the tracer panicked: no message").await;
+        runner.report_failure(&key, "the tracer panicked: no message").await;
         let failures = coordinator.calls(Call::fail);
         assert_eq!(failures.len(), 2, "the first report got no answer");
         assert!(failures.iter().all(|f| f.lease.as_ref().unwrap().job == 4 && f.reason.contains("panicked")));

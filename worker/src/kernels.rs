@@ -1,4 +1,4 @@
-//! Which kernel this machine traces with, and how fast.
+//! Chooses the kernel that this process traces with, and measures how fast a kernel is on this machine.
 
 use std::time::Duration;
 
@@ -10,18 +10,18 @@ use tokio::time::Instant;
 
 /// Walks of a trial: some milliseconds.
 const WALKS: u64 = 2000;
-/// The quickest of so many counts.
+/// Number of trials, of which the quickest counts.
 const TRIALS: u32 = 3;
 
 /// How fast a kernel is on this machine.
 #[derive(Debug, Clone, Copy)]
 pub struct Speed {
     pub kernel: Kernel,
-    /// Scatterings a second and core, with all else that walks do, in a medium of the paper's grid.
+    /// Scatterings per second and core, all other work of the walks included, in a medium of the paper's grid.
     pub scatterings_per_s: f64,
 }
 
-/// Measures a kernel; takes some hundredths of a second.
+/// Measures a kernel in some hundredths of a second.
 pub fn measure(kernel: Kernel) -> Speed {
     let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).expect("a point of the paper's grid");
     let walks = Walks::new(WALKS).expect("whole batches");
@@ -36,8 +36,8 @@ pub fn measure(kernel: Kernel) -> Speed {
     Speed { kernel, scatterings_per_s: scatterings / quickest.as_secs_f64().max(1e-9) }
 }
 
-/// Chooses the kernel that this process traces with: the one of the name, or by the rule. Where the rule takes the widest
-/// registers, they are measured against the next: some machines slow down when they use them.
+/// Chooses the kernel to trace with: the named one, or the fastest. AVX-512 is chosen only if it is measured to be
+/// faster than AVX2, because some machines lower their clock when they use it.
 pub fn choose(name: Option<&str>) -> Result<Kernel, UnknownKernel> {
     let kernel = match name {
         Some(name) => Kernel::named(name).ok_or_else(|| UnknownKernel::new(name))?,
@@ -52,22 +52,22 @@ pub fn choose(name: Option<&str>) -> Result<Kernel, UnknownKernel> {
 
 fn faster(wide: Kernel, narrow: Kernel) -> Kernel {
     let [wide, narrow] = [wide, narrow].map(measure);
-    // Not for a difference that a busy machine makes by chance.
+    // The margin covers differences that are due to other load on the machine.
     if narrow.scatterings_per_s > 1.1 * wide.scatterings_per_s { narrow.kernel } else { wide.kernel }
 }
 
-/// No kernel of this machine has that name.
+/// This machine has no kernel of that name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("kernel {name:?} is none of this machine: it has {known}")]
+#[error("this machine has no kernel {name:?}, only {available}")]
 pub struct UnknownKernel {
     name: String,
-    known: String,
+    available: String,
 }
 
 impl UnknownKernel {
     fn new(name: &str) -> Self {
-        let known: Vec<_> = Kernel::all().into_iter().map(Kernel::name).collect();
-        Self { name: name.to_owned(), known: known.join(", ") }
+        let available: Vec<_> = Kernel::all().into_iter().map(Kernel::name).collect();
+        Self { name: name.to_owned(), available: available.join(", ") }
     }
 }
 
@@ -78,7 +78,7 @@ mod tests {
     #[test]
     fn a_kernel_that_is_not_there_is_refused_with_those_that_are() {
         let error = choose(Some("abacus")).unwrap_err().to_string();
-        assert!(error.starts_with("kernel \"abacus\" is none of this machine: it has "), "{error}");
+        assert!(error.starts_with("this machine has no kernel \"abacus\", only "), "{error}");
         assert!(error.ends_with("scalar"), "{error}");
     }
 

@@ -1,4 +1,4 @@
-//! The leases that this worker holds, and the switches of their jobs.
+//! The table of the leases that this worker holds, and the switches that stop their jobs.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use farm_proto::lease::LeaseKey;
 use optics_model::Digest;
 
-/// Ends the tracing of jobs that share their walks when all of them are stopped.
+/// Stops the tracing of a set of jobs that share their walks once all of them are stopped.
 #[derive(Debug)]
 pub(crate) struct SetSwitch {
     going: AtomicUsize,
@@ -15,16 +15,16 @@ pub(crate) struct SetSwitch {
 }
 
 impl SetSwitch {
-    /// For so many jobs.
+    /// A switch for a set of `jobs`.
     pub(crate) fn new(jobs: usize) -> Arc<Self> {
         Arc::new(Self { going: AtomicUsize::new(jobs), stop: AtomicBool::new(false) })
     }
 }
 
-/// What connects a job's lease with its tracing, which happens on another thread.
+/// State that a job's lease shares with its tracing, which runs on another thread.
 #[derive(Debug)]
 pub(crate) struct JobSwitches {
-    /// The job's result is not wanted.
+    /// The job is stopped: its result is not needed.
     stop: AtomicBool,
     /// The job is being traced.
     running: AtomicBool,
@@ -32,18 +32,18 @@ pub(crate) struct JobSwitches {
 }
 
 impl Default for JobSwitches {
-    /// For a job by itself.
+    /// The switches of a job that is traced alone.
     fn default() -> Self {
-        Self::of(SetSwitch::new(1))
+        Self::in_set(SetSwitch::new(1))
     }
 }
 
 impl JobSwitches {
-    fn of(set: Arc<SetSwitch>) -> Self {
+    fn in_set(set: Arc<SetSwitch>) -> Self {
         Self { stop: AtomicBool::new(false), running: AtomicBool::new(false), set }
     }
 
-    /// Keeps the job from beginning, or ends it as soon as nobody else needs its walks.
+    /// Keeps the job from beginning, or ends it as soon as no other job needs its walks.
     pub(crate) fn stop(&self) {
         if !self.stop.swap(true, Ordering::SeqCst) && self.set.going.fetch_sub(1, Ordering::SeqCst) == 1 {
             self.set.stop.store(true, Ordering::SeqCst);
@@ -54,7 +54,7 @@ impl JobSwitches {
         self.stop.load(Ordering::SeqCst)
     }
 
-    /// Ends the tracing.
+    /// The flag that ends the tracing of the set.
     pub(crate) fn all_stopped(&self) -> &AtomicBool {
         &self.set.stop
     }
@@ -63,9 +63,9 @@ impl JobSwitches {
         self.running.load(Ordering::SeqCst)
     }
 
-    /// Marks the job as running; false if it has been stopped before.
+    /// Marks the job as running; false if it was stopped before.
     pub(crate) fn start(&self) -> bool {
-        // In this order: whoever finds the job not running and stops it can be sure that it will not be traced.
+        // In this order: a job that is stopped before it is marked as running is certain not to be traced.
         self.running.store(true, Ordering::SeqCst);
         !self.is_stopped()
     }
@@ -86,7 +86,7 @@ pub(crate) struct HeldLeases(Mutex<HashMap<LeaseKey, Entry>>);
 impl HeldLeases {
     /// Adds the lease of a job of a set.
     pub(crate) fn add(&self, key: LeaseKey, identity: Digest, set: Arc<SetSwitch>) -> Arc<JobSwitches> {
-        let switches = Arc::new(JobSwitches::of(set));
+        let switches = Arc::new(JobSwitches::in_set(set));
         self.map().insert(key, Entry { switches: switches.clone(), identity, traced: false });
         switches
     }
@@ -112,7 +112,7 @@ impl HeldLeases {
         self.map().iter().map(|(key, e)| (*key, e.switches.is_running(), e.identity)).collect()
     }
 
-    /// Forgets a lease that is lost and stops its job; false if the job has a result or had ended already.
+    /// Removes a lost lease and stops its job; false if the job has a result or had ended already.
     pub(crate) fn lose(&self, key: &LeaseKey) -> bool {
         let mut map = self.map();
         if map.get(key).is_none_or(|e| e.traced) {
@@ -124,7 +124,7 @@ impl HeldLeases {
         true
     }
 
-    /// Stops the jobs that are not being traced yet and forgets their leases, which it returns.
+    /// Stops the jobs that have not begun and removes their leases, which it returns.
     pub(crate) fn give_up_waiting(&self) -> Vec<LeaseKey> {
         let mut given_up = Vec::new();
         self.map().retain(|key, entry| {
@@ -205,12 +205,12 @@ mod tests {
         let (held, switches, keys) = one_of_each();
         assert_eq!(held.give_up_waiting(), [keys[0]]);
         assert_eq!(stopped(&switches), [true, false, false]);
-        assert!(!switches[0].start(), "what was given up does not begin");
+        assert!(!switches[0].start(), "a job that was given up does not begin");
         assert_eq!(held.untraced(), [keys[1]]);
         assert_eq!(held.all().len(), 2);
     }
 
-    /// As long as one of them is wanted, the walks go on.
+    /// The walks continue while one of its jobs is not stopped.
     #[test]
     fn a_set_is_stopped_with_its_last_job() {
         let (held, set) = (HeldLeases::default(), SetSwitch::new(2));

@@ -1,8 +1,9 @@
 //! The worker: leases jobs, traces their walks on all cores, returns the records.
 //!
-//! `optics-tracer` is the physics and knows nothing of networks; `session` talks to the coordinator; `pool` stands between
-//! them, so that no walk ever blocks an async thread. `agent` ties them together: it leases jobs, `job` takes each from
-//! its lease to its result, `delivery` keeps results until they are acknowledged, `heartbeat` renews the leases.
+//! `optics-tracer` is the physics, without any networking; `session` makes the calls to the coordinator; `pool` runs
+//! the tracing threads, so that no walk blocks an async thread. `agent` is the main loop: it leases jobs, `job` takes
+//! each from its lease to its result, `delivery` keeps results until they are acknowledged, `heartbeat` renews the
+//! leases.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 

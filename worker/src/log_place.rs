@@ -1,4 +1,5 @@
-//! Where the log of this process can be read when the process is gone: an administrator is told with each failed job.
+//! Finds out where the log of this process can be read after it has ended. The coordinator shows that place with each
+//! failed job.
 
 use std::env;
 use std::ffi::OsString;
@@ -8,7 +9,7 @@ use std::path::Path;
 
 use crate::machine;
 
-/// What of its surroundings tells where standard error goes.
+/// The properties of the environment that determine where standard error goes.
 struct Surroundings<'a> {
     variable: &'a dyn Fn(&str) -> Option<OsString>,
     /// The device and inode of standard error, as `DEVICE:INODE`.
@@ -19,8 +20,8 @@ struct Surroundings<'a> {
     host: &'a str,
 }
 
-/// Where what this process writes to standard error can be read, as a path with its host or a command: a regular file,
-/// the journal, a container's log. Empty if that is not known, as of a terminal or a pipe.
+/// Where this process's standard error can be read, as a path with its host or as a command: a regular file, the
+/// journal, a container's log. Empty if unknown, as for a terminal or a pipe.
 pub fn log_place() -> String {
     let stderr = fs::read_link("/proc/self/fd/2").ok();
     let about = stderr.as_deref().and_then(|_| fs::metadata("/proc/self/fd/2").ok());
@@ -40,7 +41,7 @@ fn place(around: &Surroundings) -> String {
     if let Some(file) = around.stderr_file {
         return format!("{host}:{}", file.display());
     }
-    // As systemd.exec(5) says: only if standard error is still that stream.
+    // According to systemd.exec(5), only if standard error is still that stream.
     let in_journal = text("JOURNAL_STREAM").is_some_and(|stream| Some(stream) == around.stderr_id);
     if let (true, Some(invocation)) = (in_journal, text("INVOCATION_ID")) {
         return format!("`journalctl _SYSTEMD_INVOCATION_ID={invocation}` on {host}");
@@ -58,7 +59,7 @@ mod tests {
 
     fn placed(variables: &[(&str, &str)], file: Option<&str>, in_docker: bool) -> String {
         let variable = |name: &str| {
-            variables.iter().find(|(known, _)| *known == name).map(|(_, value)| OsString::from(value))
+            variables.iter().find(|(variable, _)| *variable == name).map(|(_, value)| OsString::from(value))
         };
         place(&Surroundings {
             variable: &variable,

@@ -1,4 +1,4 @@
-//! `farm-worker`: runs the library until a signal.
+//! `farm-worker`: parses the command line and runs the library until a signal.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 
@@ -9,7 +9,7 @@ use farm_worker::cli::Args;
 use farm_worker::{Config, Error};
 use tokio_util::sync::CancellationToken;
 
-/// The coordinator does not want this worker: starting it again is of no use.
+/// Exit code if the coordinator refuses this worker, so that a restart would be useless.
 const REFUSED: u8 = 4;
 
 #[tokio::main]

@@ -1,4 +1,5 @@
-//! The threads that trace, apart from those that talk to the coordinator.
+//! The threads that trace, separate from those that talk to the coordinator. A panic or a job that is too large becomes
+//! an error message for the coordinator.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -13,24 +14,24 @@ use tokio::sync::oneshot;
 
 use crate::leases::JobSwitches;
 
-/// What tracing a job yields.
+/// The result of tracing a job.
 #[derive(Debug, Clone)]
 pub(crate) enum JobResult {
     Records(PackedRecords),
-    /// Of one block of a divided job.
+    /// The sums of one block of a divided job.
     Sums(Sums),
 }
 
-/// Lets a thread begin that has said that it is about to.
+/// Signal to a thread that has announced a job and waits to begin.
 pub(crate) type Start = oneshot::Sender<()>;
 
 /// How the tracing of jobs that share their walks ended.
 #[derive(Debug)]
 pub(crate) enum TraceEnd {
-    /// What every job yields.
+    /// The results, one per job.
     Finished(Vec<JobResult>),
     Stopped,
-    /// The tracer panicked, which is a defect, or the jobs are too large. The coordinator is given this text.
+    /// The tracer panicked, which is a defect, or the jobs are too large. The text is reported to the coordinator.
     Failed(String),
 }
 
@@ -43,8 +44,8 @@ impl Pool {
         Ok(Self(Arc::new(rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build()?)))
     }
 
-    /// Traces jobs that share their walks; their switches end it early. When a thread is about to begin, it says so through
-    /// `begun`, and waits for the start.
+    /// Traces jobs that share their walks; their switches end it early. A thread that is about to begin announces it
+    /// through `begun`, and waits for the start signal.
     pub(crate) async fn trace(
         &self,
         jobs: Vec<JobSpec>,
@@ -53,7 +54,7 @@ impl Pool {
     ) -> TraceEnd {
         let (sender, receiver) = oneshot::channel();
         self.0.spawn(move || {
-            // Nobody listens any more if the agent was dropped.
+            // The receiver is gone if the agent was dropped.
             let _ = sender.send(trace_now(&jobs, &switches, begun));
         });
         receiver.await.unwrap_or(TraceEnd::Stopped)
@@ -61,16 +62,16 @@ impl Pool {
 }
 
 fn trace_now(jobs: &[JobSpec], switches: &[Arc<JobSwitches>], begun: oneshot::Sender<Start>) -> TraceEnd {
-    // All of them are to be marked.
-    let wanted = switches.iter().filter(|switches| switches.start()).count();
-    let Some(stop) = switches.first().filter(|_| wanted > 0).map(|switches| switches.all_stopped()) else {
+    // `count` visits all switches, so that all jobs are marked as running.
+    let started = switches.iter().filter(|switches| switches.start()).count();
+    let Some(stop) = switches.first().filter(|_| started > 0).map(|switches| switches.all_stopped()) else {
         return TraceEnd::Stopped;
     };
     if let Err(reason) = fits(jobs) {
         return TraceEnd::Failed(reason);
     }
     let (start, started) = oneshot::channel();
-    // Nobody waits to be told, or is there to give the start: it begins at once.
+    // Without a receiver, or if the start signal is dropped, tracing begins at once.
     if begun.send(start).is_ok() {
         let _ = started.blocking_recv();
     }
@@ -85,11 +86,11 @@ fn trace_now(jobs: &[JobSpec], switches: &[Arc<JobSwitches>], begun: oneshot::Se
     })
 }
 
-/// Whether this process may use the memory that jobs need. Without it the process would end.
+/// Checks that this process may use the memory that jobs need. Otherwise it would be killed.
 fn fits(jobs: &[JobSpec]) -> Result<(), String> {
-    /// Jobs of less memory are not looked at.
+    /// Jobs that need less memory are not checked.
     const SMALL: usize = 256 << 20;
-    /// Sums of threads that have not been merged yet, and the records that are made of them.
+    /// Unmerged sums of other threads, and the records that are computed from them.
     const COPIES: usize = 4;
     let needed = jobs.iter().map(Sums::bytes).fold(0, usize::saturating_add).saturating_mul(COPIES);
     if needed <= SMALL {
@@ -100,8 +101,8 @@ fn fits(jobs: &[JobSpec]) -> Result<(), String> {
         return Ok(());
     }
     Err(format!(
-        "it takes {} MiB of memory, this worker may use {}: a grid with fewer albedos or a scene with fewer pixels or \
-         channels takes less",
+        "the job needs {} MiB of memory, this worker may use {}: use a grid with fewer albedos or a scene with fewer \
+         pixels or channels",
         needed >> 20,
         usable >> 20
     ))
@@ -133,8 +134,8 @@ mod tests {
     use super::*;
     use crate::testing::{as_thick_as, endless_job, job};
 
-    /// Nobody waits to be told that the job begins.
-    fn unheard() -> oneshot::Sender<Start> {
+    /// A channel for the announcement whose receiver is gone.
+    fn no_receiver() -> oneshot::Sender<Start> {
         oneshot::channel().0
     }
 
@@ -159,7 +160,7 @@ mod tests {
         let small = job(1);
         let large = JobSpec::new(scene, small.point(), albedo, small.walks(), 1, false).unwrap();
         let pool = Pool::new(1).unwrap();
-        let end = pool.trace(vec![large], vec![Arc::default()], unheard()).await;
+        let end = pool.trace(vec![large], vec![Arc::default()], no_receiver()).await;
         let TraceEnd::Failed(text) = end else { panic!("{end:?}") };
         assert!(text.contains("MiB of memory, this worker may use"), "{text}");
     }
@@ -168,7 +169,7 @@ mod tests {
     async fn jobs_have_the_records_that_the_tracer_yields() {
         let pool = Pool::new(1).unwrap();
         let jobs = [job(1), as_thick_as(1)];
-        let end = pool.trace(jobs.to_vec(), vec![Arc::default(), Arc::default()], unheard()).await;
+        let end = pool.trace(jobs.to_vec(), vec![Arc::default(), Arc::default()], no_receiver()).await;
         let TraceEnd::Finished(results) = end else { panic!("{end:?}") };
         assert_eq!(results.len(), 2);
         for (result, job) in results.iter().zip(&jobs) {
@@ -183,11 +184,14 @@ mod tests {
         let pool = Pool::new(1).unwrap();
         let before = Arc::<JobSwitches>::default();
         before.stop();
-        assert!(matches!(pool.trace(vec![endless_job()], vec![before], unheard()).await, TraceEnd::Stopped));
+        assert!(matches!(
+            pool.trace(vec![endless_job()], vec![before], no_receiver()).await,
+            TraceEnd::Stopped
+        ));
         let during = Arc::<JobSwitches>::default();
         let traced = tokio::spawn({
             let (pool, switches) = (pool.clone(), during.clone());
-            async move { pool.trace(vec![endless_job()], vec![switches], unheard()).await }
+            async move { pool.trace(vec![endless_job()], vec![switches], no_receiver()).await }
         });
         while !during.is_running() {
             tokio::task::yield_now().await;

@@ -1,4 +1,4 @@
-//! Whether the coordinator answers: logged in one line when that changes, however many calls find it out.
+//! Tracks whether the coordinator answers. A change is logged once, however many calls observe it.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -6,7 +6,7 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 use tonic::{Code, Status};
 
-/// What the calls of all tasks have found out.
+/// Reachability of the coordinator, from the outcomes of all calls.
 #[derive(Debug)]
 pub(crate) struct Reachability {
     url: String,
@@ -18,13 +18,13 @@ pub(crate) struct Reachability {
 #[derive(Debug, Default)]
 struct State {
     joined: bool,
-    /// When the latest call began that was answered.
+    /// Start of the latest call that was answered.
     answered: Option<Instant>,
-    /// Since when no call has been answered.
+    /// Time since which no call has been answered.
     lost: Option<Instant>,
 }
 
-/// What is worth a line in the log.
+/// A change that is logged.
 #[derive(Debug, PartialEq)]
 enum Change {
     NotReached,
@@ -41,18 +41,18 @@ impl Reachability {
         &self.url
     }
 
-    /// Changes from now on when calls that failed may succeed: the coordinator is found again, or knows this worker
-    /// again.
+    /// Changes from now on when calls that failed may succeed: the coordinator is found again, or has registered this
+    /// worker again.
     pub(crate) fn back(&self) -> watch::Receiver<()> {
         self.back.subscribe()
     }
 
-    /// The coordinator has let this worker in again. Calls that it turned away meanwhile need not wait.
+    /// Notes that the coordinator has registered this worker again, so that refused calls are repeated at once.
     pub(crate) fn joined_again(&self) {
         self.back.send_replace(());
     }
 
-    /// Logs that the coordinator has let this worker in, the first time.
+    /// Logs the first registration.
     pub(crate) fn joined(&self, label: &str, threads: usize) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if !std::mem::replace(&mut state.joined, true) {
@@ -86,14 +86,14 @@ impl Reachability {
 }
 
 impl State {
-    /// A call that began before the coordinator was lost tells nothing new: one that stops still answers it.
+    /// A call that began before the coordinator was lost is ignored: a stopping coordinator still answers it.
     fn answered(&mut self, began: Instant) -> Option<Change> {
         self.answered = self.answered.max(Some(began));
         let lost = self.lost.take_if(|lost| began >= *lost)?;
         self.joined.then_some(Change::Found { lost })
     }
 
-    /// A call that began before the latest that was answered tells nothing new.
+    /// A call that began before the latest answered one is ignored.
     fn failed(&mut self, began: Instant, now: Instant) -> Option<Change> {
         if self.lost.is_some() || self.answered.is_some_and(|answered| began < answered) {
             return None;
@@ -103,7 +103,7 @@ impl State {
     }
 }
 
-/// Whether a call failed for want of an answer.
+/// Whether a call failed because there was no answer.
 pub(crate) fn is_silence(status: &Status) -> bool {
     matches!(status.code(), Code::Unavailable | Code::DeadlineExceeded | Code::Cancelled | Code::Unknown)
 }
@@ -123,7 +123,7 @@ mod tests {
         let mut state = State::default();
         assert_eq!(state.failed(at(0), at(1)), Some(Change::NotReached));
         assert_eq!(state.failed(at(2), at(3)), None);
-        assert_eq!(state.answered(at(4)), None, "joining is told by itself");
+        assert_eq!(state.answered(at(4)), None, "registration has its own message");
         state.joined = true;
         assert_eq!(state.answered(at(5)), None);
         assert_eq!(state.failed(at(6), at(7)), Some(Change::Lost));

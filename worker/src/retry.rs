@@ -8,20 +8,20 @@ use tonic::{Code, Status};
 
 use crate::reachability::is_silence;
 
-/// Pause after a call that is made again, first and longest.
+/// First and longest pause before a call is repeated.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 
 /// At most this many consecutive pauses are cut short, so that a coordinator that answers but keeps failing is not
 /// hammered.
 const EARLY: u32 = 3;
 
-/// A pause that doubles with every failure in a row.
+/// Pauses that double with each consecutive failure.
 #[derive(Debug)]
 pub(crate) struct Pauses {
     first: Duration,
     longest: Duration,
     next: Duration,
-    /// How many have ended early.
+    /// How many pauses have ended early.
     early: u32,
 }
 
@@ -30,22 +30,22 @@ impl Pauses {
         Self { first, longest, next: first, early: 0 }
     }
 
-    /// The next failure will be the first in a row.
+    /// Begins with the first pause again.
     pub(crate) fn reset(&mut self) {
         (self.next, self.early) = (self.first, 0);
     }
 
-    /// Half to the whole of what is next, so that workers do not come back all at once.
+    /// Between half and all of the next pause, so that workers do not return at the same moment.
     fn next(&mut self) -> Duration {
         let pause = self.next;
         self.next = (2 * pause).min(self.longest);
         let mut byte = [0_u8];
-        // Without randomness the pauses are all the same.
+        // Without randomness the pauses are not spread.
         let _ = getrandom::fill(&mut byte);
         pause.mul_f64(0.5 + f64::from(byte[0]) / 512.0)
     }
 
-    /// Waits for the next pause to be over, or for the coordinator to be back.
+    /// Waits until the next pause is over or the coordinator is back.
     pub(crate) async fn wait(&mut self, back: &mut watch::Receiver<()>) {
         let pause = self.next();
         self.wait_for(pause, back).await;
@@ -53,7 +53,7 @@ impl Pauses {
 
     async fn wait_for(&mut self, pause: Duration, back: &mut watch::Receiver<()>) {
         let is_back = async {
-            // When the session has ended, nobody tells any more, and the pause is as long as it is.
+            // The session has ended, so no change will come: the pause has its full length.
             if self.early >= EARLY || back.changed().await.is_err() {
                 std::future::pending::<()>().await;
             }
@@ -64,8 +64,8 @@ impl Pauses {
     }
 }
 
-/// Calls until the answer is something other than a passing fault, with growing pauses of random length. When the
-/// coordinator is back, whichever call finds that out, no pause goes on: others would compute again what lies here.
+/// Repeats a call while it fails with a transient error, with growing pauses of random length. All pauses end when the
+/// coordinator is back, so that results are delivered before their jobs are leased to other workers.
 pub(crate) async fn repeat<T, F: Future<Output = Result<T, Status>>>(
     mut back: watch::Receiver<()>,
     mut call: impl FnMut() -> F,
@@ -83,13 +83,13 @@ pub(crate) async fn repeat<T, F: Future<Output = Result<T, Status>>>(
     }
 }
 
-/// Whether the coordinator does not want this worker, now or later.
+/// Whether the coordinator refuses this worker for good.
 pub(crate) fn is_refusal(status: &Status) -> bool {
     matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied | Code::FailedPrecondition)
 }
 
-/// Logs that a call failed. That the coordinator does not answer, or does not know this worker any more, is logged
-/// elsewhere, once and not for each call.
+/// Logs that a call failed. Silence of the coordinator and a lost registration are logged elsewhere, once instead of
+/// per call.
 pub(crate) fn log_failure(status: &Status, what: &str) {
     let (code, message) = (status.code(), status.message());
     if is_silence(status) || status.code() == Code::Aborted {
@@ -107,7 +107,7 @@ mod tests {
 
     use super::*;
 
-    /// The code of the answer of `repeat`, if calls are answered in turn, and how many calls there were.
+    /// The final code of `repeat` if calls get these answers in turn, and the number of calls.
     async fn repeated(codes: &[Code]) -> (Code, usize) {
         let calls = RefCell::new(codes.iter());
         let (_never, back) = watch::channel(());
@@ -151,23 +151,23 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn nobody_waits_any_longer_when_the_coordinator_is_back() {
-        let (teller, back) = watch::channel(());
+        let (sender, back) = watch::channel(());
         let (start, away) = (Instant::now(), Duration::from_secs(100));
         let answer = repeat(back, || async {
             if start.elapsed() < away { Err(Status::unavailable("")) } else { Ok(start.elapsed()) }
         });
-        let tells = async {
+        let notify = async {
             tokio::time::sleep(away).await;
-            teller.send_replace(());
+            sender.send_replace(());
         };
-        let (answer, ()) = tokio::join!(answer, tells);
+        let (answer, ()) = tokio::join!(answer, notify);
         assert!(answer.unwrap() < away + Duration::from_millis(10));
-        // Told while a call was under way, which then failed: the next comes at once, those after it do not.
+        // Notified during a call that then fails: the next call follows at once, later ones after pauses.
         let calls = RefCell::new(Vec::new());
-        let answer = repeat(teller.subscribe(), || async {
+        let answer = repeat(sender.subscribe(), || async {
             calls.borrow_mut().push(Instant::now());
             if calls.borrow().len() == 1 {
-                teller.send_replace(());
+                sender.send_replace(());
             }
             if calls.borrow().len() < 4 { Err(Status::aborted("")) } else { Ok(()) }
         });
@@ -180,11 +180,11 @@ mod tests {
     /// A coordinator that returns again and again and refuses each call gets about ten calls a minute.
     #[tokio::test(start_paused = true)]
     async fn repeated_reconnections_do_not_skip_the_pauses() {
-        let (teller, back) = watch::channel(());
+        let (sender, back) = watch::channel(());
         let (start, calls) = (Instant::now(), RefCell::new(0));
         let answer = repeat(back, || async {
             *calls.borrow_mut() += 1;
-            teller.send_replace(());
+            sender.send_replace(());
             if start.elapsed() < Duration::from_mins(10) { Err(Status::aborted("")) } else { Ok(()) }
         });
         answer.await.unwrap();

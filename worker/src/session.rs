@@ -1,4 +1,5 @@
-//! The worker's side of `farm.v1.Leases`: registration, and calls that are repeated until they get an answer.
+//! The client of `farm.v1.Leases`: registers the worker and makes its calls. Calls that must not be lost are repeated
+//! until they are answered.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -23,11 +24,11 @@ use crate::leases::HeldLeases;
 use crate::reachability::Reachability;
 use crate::retry::repeat;
 
-/// Longest time a call may take that neither carries records nor holds leases.
+/// Time limit of a call that neither carries records nor renews leases.
 const CALL: Duration = Duration::from_mins(1);
-/// Longest time that it is tried to tell that a job begins.
-const TELL: Duration = Duration::from_millis(500);
-/// Longest time that leaving may take: whoever stops a worker waits for it.
+/// Time limit of the announcement that jobs begin.
+const BEGIN: Duration = Duration::from_millis(500);
+/// Time limit of deregistration, for which the end of the process waits.
 const LEAVE: Duration = Duration::from_secs(5);
 
 #[derive(Debug, thiserror::Error)]
@@ -40,39 +41,39 @@ pub enum Error {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// What a worker says of itself when it registers.
+/// Properties of the worker that it sends when it registers.
 #[derive(Debug, Clone)]
 pub(crate) struct Introduction {
     pub label: String,
-    /// Tells this machine from others.
+    /// Identifies this machine.
     pub host: String,
     pub threads: usize,
     pub facts: MachineFacts,
 }
 
-/// What the coordinator answered to the last registration.
+/// The coordinator's answer to the last registration.
 #[derive(Debug, Clone, Default)]
 struct Registration {
     worker_token: String,
     lease: Duration,
 }
 
-/// A registered connection. Registers anew by itself when the coordinator has forgotten the worker.
+/// A registered connection. It registers again when the coordinator does not recognise the worker.
 #[derive(Debug)]
 pub(crate) struct Session {
     client: LeasesClient<Link>,
     introduction: Introduction,
-    /// Tells the coordinator that this is the same process when it registers again.
+    /// Random id of this process, equal in all its registrations.
     instance: String,
     registration: Mutex<Registration>,
-    /// Held while the worker registers again: every registration frees the leases of the one before.
+    /// Locked during a repeated registration: each one frees the leases of the one before.
     registering: tokio::sync::Mutex<()>,
     held: Arc<HeldLeases>,
     reachability: Reachability,
 }
 
 impl Session {
-    /// Registers, waiting for the coordinator at `url` as long as it takes; None if `shutdown` comes first.
+    /// Registers; waits for the coordinator at `url` without limit. None if `shutdown` comes first.
     pub(crate) async fn open(
         link: Link,
         url: &str,
@@ -98,12 +99,12 @@ impl Session {
         Ok(Some(session))
     }
 
-    /// How long a lease holds without renewal.
+    /// How long a lease is valid without renewal.
     pub(crate) fn lease(&self) -> Duration {
         self.registration().lease
     }
 
-    /// Changes from now on when calls that failed may succeed.
+    /// Notifies when calls that failed may succeed.
     pub(crate) fn back(&self) -> watch::Receiver<()> {
         self.reachability.back()
     }
@@ -112,9 +113,10 @@ impl Session {
         self.reachability.url()
     }
 
-    /// Waits up to `wait` for jobs, and with each those that share its walks; tells also whether the worker is to leave.
+    /// Waits up to `wait` for jobs, each together with those that share its walks. The flag is true if the worker
+    /// should leave.
     pub(crate) async fn acquire(&self, max: usize, wait: Duration) -> Result<(Vec<Lease>, bool), Status> {
-        // Between a registration and the announcement that follows, it could be given its own jobs.
+        // Between a registration and the announcement that follows, the worker could be leased its own jobs.
         drop(self.registering.lock().await);
         let worker_token = self.worker_token();
         let request = AcquireRequest {
@@ -124,13 +126,13 @@ impl Session {
             whole_sets: true,
         };
         let answer = self.call(self.client.clone().acquire(timed(request, CALL))).await;
-        let answer = self.known(&worker_token, answer).await?;
+        let answer = self.reregister_if_unknown(&worker_token, answer).await?;
         let leases =
             answer.leases.into_iter().map(|l| Lease::try_from(l).map_err(|invalid| to_status(&invalid)));
         Ok((leases.collect::<Result<_, _>>()?, answer.drain))
     }
 
-    /// Extends leases; returns those that are lost, and whether the worker is to leave.
+    /// Extends leases; returns the lost ones, and whether the worker should leave.
     pub(crate) async fn renew(
         &self,
         leases: Vec<(LeaseKey, bool, Digest)>,
@@ -138,13 +140,13 @@ impl Session {
         let worker_token = self.worker_token();
         let mut leases: Vec<HeldLease> = leases.into_iter().map(on_wire).collect();
         let (mut lost, mut drain) = (Vec::new(), false);
-        // Also without leases: a worker must be heard of.
+        // Also without leases, as a sign of life.
         loop {
             let rest = leases.split_off(leases.len().min(RequestLimits::LEASES as usize));
             let request = RenewRequest { worker_token: worker_token.clone(), leases };
-            // A heartbeat that comes late is worth nothing.
+            // A late heartbeat is useless.
             let answer = self.call(self.client.clone().renew(timed(request, self.lease() / 2))).await;
-            let answer = self.known(&worker_token, answer).await?;
+            let answer = self.reregister_if_unknown(&worker_token, answer).await?;
             lost.extend(answer.lost.into_iter().map(LeaseKey::from));
             drain |= answer.drain;
             leases = rest;
@@ -154,30 +156,30 @@ impl Session {
         }
     }
 
-    /// Tells that jobs begin, so that they can be blamed if they make this process die at once.
+    /// Announces that jobs begin, so that they can be identified as the cause if this process dies at once.
     pub(crate) async fn begin(&self, jobs: Vec<(LeaseKey, Digest)>) {
         let Some(job) = jobs.first().map(|(key, _)| key.job) else { return };
         let leases = jobs.into_iter().map(|(key, identity)| on_wire((key, true, identity))).collect();
         let request = RenewRequest { worker_token: self.worker_token(), leases };
         let mut client = self.client.clone();
-        let told = client.renew(timed(request, TELL));
-        if let Ok(Err(status)) = tokio::time::timeout(TELL, told).await {
-            tracing::debug!(job, message = status.message(), "that a job begins could not be told");
+        let announced = client.renew(timed(request, BEGIN));
+        if let Ok(Err(status)) = tokio::time::timeout(BEGIN, announced).await {
+            tracing::debug!(job, message = status.message(), "the start of a job could not be announced");
         }
     }
 
-    /// Delivers results until they are acknowledged or refused for good. `parts` makes the messages for a
-    /// worker's token; a call may take `limit`.
+    /// Delivers results until they are acknowledged or refused for good. `messages` builds the messages of a call with
+    /// the worker's token; a call may take `limit`.
     pub(crate) async fn complete(
         &self,
-        parts: impl Fn(&str) -> Vec<CompleteRequest>,
+        messages: impl Fn(&str) -> Vec<CompleteRequest>,
         limit: Duration,
     ) -> Result<Vec<CompletionOutcome>, Status> {
         repeat(self.back(), || async {
             let worker_token = self.worker_token();
-            let parts = tokio_stream::iter(parts(&worker_token));
-            let answer = self.call(self.client.clone().complete(timed(parts, limit))).await;
-            Ok(self.known(&worker_token, answer).await?.outcomes)
+            let messages = tokio_stream::iter(messages(&worker_token));
+            let answer = self.call(self.client.clone().complete(timed(messages, limit))).await;
+            Ok(self.reregister_if_unknown(&worker_token, answer).await?.outcomes)
         })
         .await
     }
@@ -190,17 +192,17 @@ impl Session {
             let request =
                 FailRequest { worker_token: worker_token.clone(), lease, reason: reason.to_owned() };
             let answer = self.call(self.client.clone().fail(timed(request, CALL))).await;
-            self.known(&worker_token, answer).await.map(drop)
+            self.reregister_if_unknown(&worker_token, answer).await.map(drop)
         })
         .await
     }
 
-    /// Hands leases back, and says that the worker was asked to stop. One try: if it does not get through, they expire.
+    /// Hands leases back and announces that the worker stops. It is tried once: if it fails, the leases expire.
     pub(crate) async fn stop(&self, leases: Vec<LeaseKey>) -> Result<(), Status> {
         self.hand_back(leases, false).await
     }
 
-    /// Hands all leases back for good. One try: if it does not get through, they expire.
+    /// Hands all leases back and deregisters. It is tried once: if it fails, the leases expire.
     pub(crate) async fn leave(&self, leases: Vec<LeaseKey>) -> Result<(), Status> {
         self.hand_back(leases, true).await
     }
@@ -211,7 +213,7 @@ impl Session {
         self.call(self.client.clone().hand_back(timed(request, LEAVE))).await.map(drop)
     }
 
-    /// Makes a call, and notes whether there was an answer.
+    /// Makes a call, and records whether it was answered.
     async fn call<T>(&self, call: impl Future<Output = Result<Response<T>, Status>>) -> Result<T, Status> {
         let began = Instant::now();
         let answer = call.await;
@@ -238,12 +240,16 @@ impl Session {
         Ok(())
     }
 
-    /// Registers again if the answer to a call with this token asks for it.
-    async fn known<T>(&self, worker_token: &str, answer: Result<T, Status>) -> Result<T, Status> {
+    /// Registers again if the answer to a call with this token is that the worker is unknown.
+    async fn reregister_if_unknown<T>(
+        &self,
+        worker_token: &str,
+        answer: Result<T, Status>,
+    ) -> Result<T, Status> {
         if answer.as_ref().is_err_and(|status| status.code() == Code::Aborted) {
             let _one_at_a_time = self.registering.lock().await;
             if worker_token == self.worker_token() {
-                tracing::warn!("the coordinator does not know this worker: registering again");
+                tracing::warn!("this worker is unknown to the coordinator: registering again");
                 self.register().await?;
                 self.announce().await;
                 self.reachability.joined_again();
@@ -252,15 +258,15 @@ impl Session {
         answer
     }
 
-    /// Tells a coordinator that was restarted what this worker has in hand, before it asks for more: otherwise it could
-    /// be given its own jobs again.
+    /// Announces the leases of this worker to a restarted coordinator before it requests more: otherwise it could be
+    /// leased its own jobs again.
     async fn announce(&self) {
         let Registration { worker_token, lease } = self.registration().clone();
         let mut leases = self.held.all().into_iter().map(on_wire).peekable();
         while leases.peek().is_some() {
             let leases = leases.by_ref().take(RequestLimits::LEASES as usize).collect();
             let request = RenewRequest { worker_token: worker_token.clone(), leases };
-            // What is lost the next heartbeat finds out.
+            // The next heartbeat finds out which leases are lost.
             if let Err(status) = self.call(self.client.clone().renew(timed(request, lease / 2))).await {
                 tracing::warn!(message = status.message(), "leases could not be announced");
                 return;
@@ -291,7 +297,7 @@ fn timed<T>(message: T, limit: Duration) -> tonic::Request<T> {
 fn instance() -> String {
     let mut bytes = [0_u8; 16];
     if getrandom::fill(&mut bytes).is_err() {
-        // Without randomness the process number must do.
+        // Without randomness, the process number is used instead.
         bytes[..4].copy_from_slice(&std::process::id().to_le_bytes());
     }
     format!("{:032x}", u128::from_be_bytes(bytes))

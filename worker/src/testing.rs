@@ -1,4 +1,4 @@
-//! What the tests share: small jobs, and a coordinator in the process that answers as it is told.
+//! Shared by the unit tests: small jobs, and a coordinator in the same process with scripted answers.
 
 mod coordinator;
 mod network;
@@ -31,7 +31,7 @@ pub(crate) fn as_thick_as(seed: u64) -> JobSpec {
     JobSpec::new(one.scene().clone(), point, one.albedo().to_vec(), one.walks(), seed, false).unwrap()
 }
 
-/// A job of a good part of a second.
+/// A job that takes a good part of a second.
 pub(crate) fn long_job() -> JobSpec {
     job_of_walks(0, 400 * BATCH_WALKS)
 }
@@ -72,5 +72,5 @@ pub(crate) async fn session(coordinator: &Coordinator) -> (Arc<Session>, Arc<Hel
     let shutdown = CancellationToken::new();
     let session =
         Session::open(coordinator.link(), "http://test", introduction(), held.clone(), &shutdown).await;
-    (Arc::new(session.unwrap().expect("nobody shuts it down")), held)
+    (Arc::new(session.unwrap().expect("it is not shut down")), held)
 }

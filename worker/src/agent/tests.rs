@@ -1,4 +1,4 @@
-//! Whole workers, from their first lease to their leave. The clock is paused where nothing is traced.
+//! Whole workers, from the first lease to deregistration. The clock is paused in tests that trace nothing.
 
 use std::collections::BTreeSet;
 
@@ -17,14 +17,14 @@ use crate::testing::{
 const SHORT_LEASE: Duration = Duration::from_millis(200);
 const FOREVER: Duration = Duration::from_hours(1);
 
-/// A worker at work.
-struct Working {
+/// A running worker.
+struct RunningWorker {
     coordinator: Coordinator,
     shutdown: CancellationToken,
     worker: JoinHandle<Result<Ended, Error>>,
 }
 
-impl Working {
+impl RunningWorker {
     fn start(coordinator: &Coordinator, change: impl FnOnce(Config) -> Config) -> Self {
         let target = Target::new(None, Some("http://test")).unwrap();
         let config = Config { threads: 1, grace: FOREVER, ..Config::new(target) };
@@ -37,8 +37,8 @@ impl Working {
         timeout(Duration::from_mins(1), self.worker).await.expect("the worker ends").unwrap()
     }
 
-    /// Waits until a renewal says of these jobs that they are being traced. Others may be, too: a thread that waits for
-    /// another's part of its job begins the next one meanwhile.
+    /// Waits until a renewal reports these jobs as running. Others may run too: a thread that waits for another
+    /// thread's part of a job begins the next job meanwhile.
     async fn runs(&self, jobs: &[u32]) {
         let running = |call: &Call| {
             let leases = call.renew()?.leases;
@@ -49,7 +49,7 @@ impl Working {
         self.coordinator.wait_for(1, running).await;
     }
 
-    /// Waits until a renewal is for this job alone, and says that it is being traced.
+    /// Waits until a renewal names only this job and reports it as running.
     async fn runs_only(&self, job: u32) {
         let running = |call: &Call| match &call.renew()?.leases[..] {
             [lease] => (lease.running && lease.key.as_ref()?.job == job).then_some(()),
@@ -73,7 +73,7 @@ fn delivered(coordinator: &Coordinator) -> Vec<DeliveredResult> {
     results.concat()
 }
 
-/// Jobs of each call that hands leases back, and whether the worker left with it.
+/// Jobs of each call that hands leases back, and whether the call deregistered the worker.
 fn handed_back(coordinator: &Coordinator) -> Vec<(Vec<u32>, bool)> {
     let calls = coordinator.calls(Call::hand_back);
     calls.into_iter().map(|c| (c.leases.into_iter().map(|key| key.job).collect(), c.leaving)).collect()
@@ -83,19 +83,19 @@ fn assert_left_for_good(coordinator: &Coordinator) {
     let last = coordinator.calls(|call| Some(call.clone())).pop();
     assert!(
         matches!(&last, Some(Call::HandBack(request)) if request.leaving),
-        "{last:?} would let it in again"
+        "{last:?} would register it again"
     );
 }
 
-/// Jobs and a block of a divided job, all with the right bytes.
+/// For whole jobs and for a block of a divided job, with the expected number of bytes.
 #[tokio::test]
 async fn an_idle_worker_delivers_all_results_before_it_exits() {
     let coordinator = coordinator();
     let (jobs, block) = (0..5, job(9).with_block(0).unwrap());
     coordinator.offer(jobs.clone().map(lease).chain([lease_of(5, block.clone())]));
     let idle_exit = Some(Duration::from_millis(50));
-    let working = Working::start(&coordinator, |config| Config { idle_exit, ..config });
-    assert_eq!(working.ended().await.unwrap(), Ended::Idle);
+    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
+    assert_eq!(running.ended().await.unwrap(), Ended::Idle);
     let mut results = delivered(&coordinator);
     results.sort_unstable_by_key(|result| result.key.job);
     let expected = jobs.map(|n| job(n.into())).chain([block]);
@@ -111,24 +111,24 @@ async fn an_idle_worker_delivers_all_results_before_it_exits() {
 async fn a_worker_holds_one_job_more_than_it_has_threads() {
     let coordinator = coordinator();
     coordinator.offer((0..9).map(|n| lease_of(n, endless_job_of(n.into()))));
-    let working =
-        Working::start(&coordinator, |config| Config { threads: 2, grace: Duration::ZERO, ..config });
-    working.runs(&[0, 1]).await;
-    let asked: Vec<_> = coordinator.calls(Call::acquire).iter().map(|call| call.max_leases).collect();
-    assert_eq!(asked, [3]);
-    working.shutdown.cancel();
-    assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
+    let running =
+        RunningWorker::start(&coordinator, |config| Config { threads: 2, grace: Duration::ZERO, ..config });
+    running.runs(&[0, 1]).await;
+    let max_leases: Vec<_> = coordinator.calls(Call::acquire).iter().map(|call| call.max_leases).collect();
+    assert_eq!(max_leases, [3]);
+    running.shutdown.cancel();
+    assert_eq!(running.ended().await.unwrap(), Ended::Stopped);
 }
 
-/// It hands back those that have not begun.
+/// Jobs that have not begun are handed back.
 #[tokio::test]
 async fn a_drained_worker_finishes_its_running_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, long_job()), lease(1)]);
-    let working = Working::start(&coordinator, |config| config);
-    working.runs(&[0]).await;
+    let running = RunningWorker::start(&coordinator, |config| config);
+    running.runs(&[0]).await;
     coordinator.drain();
-    assert_eq!(working.ended().await.unwrap(), Ended::Drained);
+    assert_eq!(running.ended().await.unwrap(), Ended::Drained);
     assert_eq!(delivered(&coordinator).iter().map(|result| result.key.job).collect::<Vec<_>>(), [0]);
     assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![], true)]);
     assert_left_for_good(&coordinator);
@@ -140,10 +140,10 @@ async fn a_stopped_worker_hands_back_unfinished_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, endless_job()), lease(1)]);
     let grace = Duration::from_millis(100);
-    let working = Working::start(&coordinator, |config| Config { grace, ..config });
-    working.runs(&[0]).await;
-    working.shutdown.cancel();
-    assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
+    let running = RunningWorker::start(&coordinator, |config| Config { grace, ..config });
+    running.runs(&[0]).await;
+    running.shutdown.cancel();
+    assert_eq!(running.ended().await.unwrap(), Ended::Stopped);
     assert!(delivered(&coordinator).is_empty());
     assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![0], true)]);
     assert_left_for_good(&coordinator);
@@ -154,25 +154,25 @@ async fn a_lost_lease_makes_room_for_the_next_job() {
     let coordinator = coordinator();
     let [lost, next] = [0, 1].map(|n| lease_of(n, endless_job()));
     coordinator.offer([lost.clone(), next]);
-    let working = Working::start(&coordinator, |config| Config { grace: Duration::ZERO, ..config });
-    working.runs(&[0]).await;
+    let running = RunningWorker::start(&coordinator, |config| Config { grace: Duration::ZERO, ..config });
+    running.runs(&[0]).await;
     coordinator.lose(lost.key);
-    working.runs_only(1).await;
-    working.shutdown.cancel();
-    assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
+    running.runs_only(1).await;
+    running.shutdown.cancel();
+    assert_eq!(running.ended().await.unwrap(), Ended::Stopped);
     assert_eq!(handed_back(&coordinator), [(vec![1], true)]);
 }
 
-/// Whoever asks it to stop may kill it before its grace is over.
+/// It may be killed before its grace is over.
 #[tokio::test]
 async fn a_worker_announces_that_it_stops_before_its_grace() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, endless_job())]);
     let grace = Duration::from_millis(200);
-    let working = Working::start(&coordinator, |config| Config { grace, ..config });
-    working.runs(&[0]).await;
-    working.shutdown.cancel();
-    assert_eq!(working.ended().await.unwrap(), Ended::Stopped);
+    let running = RunningWorker::start(&coordinator, |config| Config { grace, ..config });
+    running.runs(&[0]).await;
+    running.shutdown.cancel();
+    assert_eq!(running.ended().await.unwrap(), Ended::Stopped);
     let calls = coordinator.calls(Call::hand_back);
     let announced: Vec<_> =
         calls.iter().map(|call| (call.stopping, call.leaving, call.leases.len())).collect();
@@ -185,10 +185,10 @@ async fn a_restarted_coordinator_does_not_interrupt_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, long_job())]);
     let idle_exit = Some(Duration::from_millis(50));
-    let working = Working::start(&coordinator, |config| Config { idle_exit, ..config });
-    working.runs(&[0]).await;
+    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
+    running.runs(&[0]).await;
     coordinator.restart(SHORT_LEASE);
-    assert_eq!(working.ended().await.unwrap(), Ended::Idle);
+    assert_eq!(running.ended().await.unwrap(), Ended::Idle);
     assert_eq!(coordinator.calls(Call::register).len(), 2);
     assert_eq!(delivered(&coordinator).len(), 1);
 }
@@ -199,12 +199,12 @@ async fn a_fenced_worker_stops_with_the_reason() {
     let coordinator = coordinator();
     let fenced = Status::permission_denied("this worker is fenced off: its records were wrong");
     coordinator.offer([lease_of(0, endless_job())]);
-    let working = Working::start(&coordinator, |config| config);
-    working.runs(&[0]).await;
+    let running = RunningWorker::start(&coordinator, |config| config);
+    running.runs(&[0]).await;
     coordinator.answer(Method::Acquire, Answer::Error(fenced));
     // Ends the call that waits for work.
     coordinator.restart(SHORT_LEASE);
-    let error = working.ended().await.unwrap_err().to_string();
+    let error = running.ended().await.unwrap_err().to_string();
     assert_eq!(
         error,
         "the coordinator refused this worker: this worker is fenced off: its records were wrong"
@@ -220,11 +220,11 @@ async fn faults_are_outlasted_until_the_time_limit() {
     }
     let (time_limit, grace) = (Some(Duration::from_mins(10)), Duration::from_mins(1));
     let start = Instant::now();
-    let worker = Working::start(&coordinator, |config| Config { grace, time_limit, ..config }).worker;
+    let worker = RunningWorker::start(&coordinator, |config| Config { grace, time_limit, ..config }).worker;
     assert_eq!(worker.await.unwrap().unwrap(), Ended::TimeLimit);
     let worked = Duration::from_secs(600 - 60 - 5);
     assert!((worked..worked + Duration::from_secs(1)).contains(&start.elapsed()), "{:?}", start.elapsed());
-    assert!(coordinator.calls(Call::acquire).len() > 20, "it asked for work until then");
+    assert!(coordinator.calls(Call::acquire).len() > 20, "it requests work until then");
 }
 
 #[tokio::test(start_paused = true)]
@@ -232,7 +232,7 @@ async fn a_worker_is_idle_only_after_its_time_without_work() {
     let coordinator = Coordinator::start();
     let start = Instant::now();
     let idle_exit = Some(Duration::from_secs(50));
-    let worker = Working::start(&coordinator, |config| Config { idle_exit, ..config }).worker;
+    let worker = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config }).worker;
     assert_eq!(worker.await.unwrap().unwrap(), Ended::Idle);
     assert!((50..52).contains(&start.elapsed().as_secs()), "{:?}", start.elapsed());
 }
@@ -246,11 +246,11 @@ fn grace_and_delivery_fit_into_the_time_limit() {
         working_time(&Config { grace, time_limit, ..Config::new(target.clone()) }).as_secs()
     };
     assert_eq!(time(3600, 10), 3585);
-    assert_eq!(time(20, 10), 10, "half of a short limit is for working");
+    assert_eq!(time(20, 10), 10, "half of a short limit is for running");
     assert_eq!(time(10, 60), 5);
 }
 
-/// How long it takes to end jobs that do not stop and a delivery that never succeeds.
+/// Jobs that do not stop and a delivery that never succeeds end within the documented limits.
 #[tokio::test(start_paused = true)]
 async fn what_does_not_end_is_given_up_in_time() {
     let coordinator = Coordinator::start();
@@ -281,8 +281,8 @@ async fn jobs_that_share_their_walks_take_one_slot() {
     assert_eq!(sets(set.to_vec()).iter().map(Vec::len).collect::<Vec<_>>(), [2, 1]);
     coordinator.offer(set.clone());
     let idle_exit = Some(Duration::from_millis(50));
-    let working = Working::start(&coordinator, |config| Config { idle_exit, ..config });
-    assert_eq!(working.ended().await.unwrap(), Ended::Idle);
+    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
+    assert_eq!(running.ended().await.unwrap(), Ended::Idle);
     let mut results = delivered(&coordinator);
     results.sort_unstable_by_key(|result| result.key.job);
     for (result, lease) in results.iter().zip(&set) {
@@ -291,7 +291,7 @@ async fn jobs_that_share_their_walks_take_one_slot() {
     assert_eq!(results.len(), 3);
 }
 
-/// The coordinator gives it out by itself, beside others that have come to nothing.
+/// The coordinator may lease several retried jobs together.
 #[test]
 fn what_came_to_nothing_before_is_traced_by_itself() {
     let again = |lease: Lease| Lease { key: LeaseKey { attempt: 2, ..lease.key }, ..lease };

@@ -1,4 +1,4 @@
-//! Results as messages: a header, then the bytes in pieces.
+//! Encodes results as messages: a header, then the bytes in pieces.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::pool::JobResult;
 const PIECE: usize = 1 << 20;
 
 /// The messages of a call that delivers results with a worker's token.
-pub(super) fn of_results(worker_token: &str, results: &[PendingResult]) -> Vec<CompleteRequest> {
+pub(super) fn result_messages(worker_token: &str, results: &[PendingResult]) -> Vec<CompleteRequest> {
     let mut messages = Vec::new();
     let mut push = |content| messages.push(CompleteRequest { content: Some(content) });
     for PendingResult { key, identity, result, .. } in results {
@@ -34,9 +34,9 @@ fn pieces(bytes: &Bytes) -> impl Iterator<Item = Bytes> {
     (0..bytes.len()).step_by(PIECE).map(|start| bytes.slice(start..bytes.len().min(start + PIECE)))
 }
 
-/// How long a call may take that delivers so many bytes.
+/// Time limit of a call that delivers this many bytes.
 pub(super) fn time_limit(bytes: usize) -> Duration {
-    /// Slowest link, in bytes a second, over which results are delivered before the call is given up and repeated.
+    /// Slowest link, in bytes a second, on which a delivery completes before it times out and is repeated.
     const SLOWEST: f64 = 50_000.0;
     Duration::from_mins(1) + Duration::from_secs_f64(bytes as f64 / SLOWEST)
 }

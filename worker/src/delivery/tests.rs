@@ -1,4 +1,4 @@
-//! Results through faults, until they are acknowledged. The clock is paused: time passes when all wait.
+//! Delivery of results under faults. The clock is paused: it advances when all tasks wait.
 
 use bytes::Bytes;
 use optics_model::PackedRecords;
@@ -10,7 +10,7 @@ use super::*;
 use crate::leases::SetSwitch;
 use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
 
-/// A worker that delivers what the test gives it.
+/// A worker that delivers the results that a test passes to it.
 struct Worker {
     coordinator: Coordinator,
     held: Arc<HeldLeases>,
@@ -27,14 +27,14 @@ impl Worker {
         Self { coordinator, held, finished, delivery }
     }
 
-    /// Traces jobs, without tracing them.
+    /// Reports jobs as traced, without tracing them.
     fn finish(&self, jobs: impl IntoIterator<Item = u32>) {
         for n in jobs {
             self.finish_large(n, result_bytes(&job(1)));
         }
     }
 
-    /// The same with a result that is said to have so many bytes.
+    /// The same for one job, with a result of this nominal size.
     fn finish_large(&self, n: u32, bytes: usize) {
         let result = pending(n, bytes);
         assert!(self.held.add(result.key, result.identity, SetSwitch::new(1)).start());
@@ -42,7 +42,7 @@ impl Worker {
         self.finished.send(result).unwrap();
     }
 
-    /// Ends when all is delivered: the jobs of each call.
+    /// Waits until everything is delivered; the jobs of each call.
     async fn delivered(self) -> Vec<Vec<u32>> {
         drop(self.finished);
         self.delivery.await.unwrap();
@@ -72,7 +72,7 @@ async fn a_result_is_delivered_until_it_is_acknowledged() {
     assert_eq!(worker.delivered().await, vec![vec![7]; 5]);
 }
 
-/// After the time that the slowest link needs. Then the result is sent again.
+/// After the time that the slowest allowed link needs. Then the result is sent again.
 #[tokio::test(start_paused = true)]
 async fn an_unanswered_delivery_times_out() {
     let worker = Worker::start().await;
@@ -98,7 +98,7 @@ async fn an_hour_without_the_coordinator_costs_no_result() {
     assert_eq!(jobs, [0, 1, 2, 3, 4, 5]);
 }
 
-/// A restarted coordinator does not have the worker: it registers again, keeps its lease, and delivers.
+/// A restarted coordinator does not recognise the worker, which registers again, keeps its lease, and delivers.
 #[tokio::test(start_paused = true)]
 async fn a_result_is_redelivered_after_registering_again() {
     let worker = Worker::start().await;
@@ -136,7 +136,7 @@ async fn a_result_that_could_not_be_stored_goes_behind_the_others() {
     assert_eq!(worker.delivered().await, [[0], [1], [2], [0]]);
 }
 
-/// A coordinator with a full disk is called with pauses, and gets all results when it has room.
+/// A coordinator with a full disk is called with pauses, and gets all results once it has space.
 #[tokio::test(start_paused = true)]
 async fn results_are_redelivered_with_pauses_when_not_stored() {
     let worker = Worker::start().await;

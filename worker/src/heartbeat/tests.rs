@@ -1,4 +1,4 @@
-//! Leases that are renewed, lost and handed over. The clock is paused: time passes when all wait.
+//! Leases that are renewed, lost and handed over. The clock is paused: it advances when all tasks wait.
 
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
@@ -46,9 +46,10 @@ async fn leases_are_renewed_four_times_while_they_hold() {
     assert!(beating.held.add(lease(1).key, identity, SetSwitch::new(1)).start());
     assert!((39..=41).contains(&beating.beats_within(10 * LEASE).await));
     let renewal = beating.coordinator.calls(Call::renew).pop().unwrap();
-    let mut told: Vec<_> = renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
-    told.sort_unstable();
-    assert_eq!(told, [(0, false), (1, true)]);
+    let mut renewed: Vec<_> =
+        renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
+    renewed.sort_unstable();
+    assert_eq!(renewed, [(0, false), (1, true)]);
 }
 
 #[tokio::test(start_paused = true)]
@@ -64,14 +65,14 @@ async fn a_lost_lease_stops_its_job_and_is_renewed_no_more() {
     assert_eq!(renewal.leases[0].key.clone().unwrap().job, 0);
 }
 
-/// The heartbeat passes the drain on, and running jobs keep their leases.
+/// The heartbeat reports the drain to the agent, and running jobs keep their leases.
 #[tokio::test(start_paused = true)]
 async fn leases_are_renewed_while_draining() {
     let beating = Beating::start().await;
     assert!(!beating.drain.is_cancelled());
     beating.coordinator.drain();
     timeout(LEASE, beating.drain.cancelled()).await.unwrap();
-    assert!(beating.beats_within(2 * LEASE).await >= 7, "what still runs keeps its lease");
+    assert!(beating.beats_within(2 * LEASE).await >= 7, "running jobs keep their leases");
 }
 
 #[tokio::test(start_paused = true)]

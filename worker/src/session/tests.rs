@@ -1,4 +1,4 @@
-//! Registration, and calls through faults. The clock is paused: time passes when all wait.
+//! Registration, and calls under faults. The clock is paused: it advances when all tasks wait.
 
 use farm_proto::wire::LeaseKey as WireKey;
 use tonic::Code;
@@ -13,7 +13,7 @@ async fn open(coordinator: &Coordinator, shutdown: &CancellationToken) -> Result
     Session::open(coordinator.link(), "http://test", introduction(), Arc::default(), shutdown).await
 }
 
-/// Holds so many leases.
+/// Holds `count` leases.
 fn hold(held: &HeldLeases, count: u32) -> Vec<LeaseKey> {
     let identity = job(1).identity();
     let key = lease(0).key;
@@ -60,7 +60,7 @@ async fn a_worker_that_is_refused_ends_with_the_reason() {
     assert_eq!(coordinator.calls(Call::register).len(), 1);
 }
 
-/// The renewal names the leases that it holds, and those that run.
+/// The renewal names the leases that it holds, and which of them run.
 #[tokio::test(start_paused = true)]
 async fn an_unknown_worker_registers_and_renews_before_acquiring() {
     let coordinator = Coordinator::start();
@@ -77,9 +77,10 @@ async fn an_unknown_worker_registers_and_renews_before_acquiring() {
     assert_eq!(registrations[0].instance, registrations[1].instance, "it is the same process");
     let [renewal] = &coordinator.calls(Call::renew)[..] else { panic!("one renewal was expected") };
     assert_eq!(renewal.worker_token, "worker-2");
-    let mut told: Vec<_> = renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
-    told.sort_unstable();
-    assert_eq!(told, [(0, false), (1, true)]);
+    let mut renewed: Vec<_> =
+        renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
+    renewed.sort_unstable();
+    assert_eq!(renewed, [(0, false), (1, true)]);
     assert!(renewal.leases.iter().all(|l| l.identity == identity.as_bytes()));
     session.acquire(1, Duration::ZERO).await.unwrap();
     assert_eq!(coordinator.calls(Call::acquire).last().unwrap().worker_token, "worker-2");
@@ -118,7 +119,7 @@ async fn waiting_calls_are_sent_when_the_coordinator_returns() {
         tokio::time::sleep(away).await;
         coordinator.restart(LEASE);
         coordinator.set_down(false);
-        // Another call finds it, and is told to register again.
+        // Another call finds it, and registers again.
         session.renew(held.all()).await.unwrap_err();
     };
     let delivered = async {
@@ -162,8 +163,8 @@ async fn renewals_are_split_at_the_request_limit() {
     for key in lost {
         coordinator.lose(key);
     }
-    let (told, drain) = session.renew(all).await.unwrap();
-    assert_eq!((told, drain), (lost.to_vec(), false));
+    let (reported, drain) = session.renew(all).await.unwrap();
+    assert_eq!((reported, drain), (lost.to_vec(), false));
     coordinator.restart(LEASE);
     session.acquire(1, Duration::ZERO).await.unwrap_err();
     let calls = coordinator.calls(Call::renew);

@@ -1,4 +1,4 @@
-//! A coordinator that keeps account of all calls and answers as it is told; by itself it takes everything.
+//! A coordinator that records all calls and gives scripted answers; without a script it accepts everything.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -24,7 +24,7 @@ use super::network::Network;
 /// How long a test waits for something to happen.
 const PATIENCE: Duration = Duration::from_mins(1);
 
-/// A result as it came in.
+/// A result as it was received.
 #[derive(Debug, Clone)]
 pub(crate) struct DeliveredResult {
     pub key: LeaseKey,
@@ -32,7 +32,7 @@ pub(crate) struct DeliveredResult {
     pub bytes: usize,
 }
 
-/// A call as it came in.
+/// A call as it was received.
 #[derive(Debug, Clone)]
 pub(crate) enum Call {
     Register(RegisterRequest),
@@ -81,15 +81,15 @@ pub(crate) enum Method {
     Fail,
 }
 
-/// What becomes of a call, instead of the ordinary.
+/// A scripted answer, instead of the normal one.
 #[derive(Debug, Clone)]
 pub(crate) enum Answer {
     Error(Status),
     /// The call is received, but its connection is cut before the answer.
     Lost,
-    /// For results, one by one.
+    /// Outcomes of the results, one by one.
     Outcomes(Vec<CompletionKind>),
-    /// Longer than anybody waits.
+    /// No answer at all.
     Never,
 }
 
@@ -113,8 +113,8 @@ struct State {
     drain: bool,
     lease: Duration,
     registrations: usize,
-    /// Id of the worker that is registered.
-    known: Option<String>,
+    /// Token of the registered worker.
+    registered: Option<String>,
 }
 
 impl Coordinator {
@@ -138,7 +138,7 @@ impl Coordinator {
         Endpoint::from_static("http://test").connect_with_connector_lazy(connector).into()
     }
 
-    /// The next call of a method is answered so; several in the order in which they are told.
+    /// Scripts the answer of the next call of a method; several answers are given in this order.
     pub(crate) fn answer(&self, method: Method, answer: Answer) {
         self.change(|state| state.answers.entry(method).or_default().push_back(answer));
     }
@@ -147,7 +147,7 @@ impl Coordinator {
         self.change(|state| state.offered.extend(leases));
     }
 
-    /// Tells the worker at the next renewal that a lease is lost.
+    /// Reports a lease as lost at the next renewal.
     pub(crate) fn lose(&self, key: LeaseKey) {
         self.change(|state| state.lost.push(key));
     }
@@ -156,13 +156,13 @@ impl Coordinator {
         self.change(|state| state.drain = true);
     }
 
-    /// As after a restart: the worker is not known, and leases hold so long.
+    /// As after a restart: the worker is unknown, and new leases have this length.
     pub(crate) fn restart(&self, lease: Duration) {
         self.set_lease(lease);
-        self.change(|state| state.known = None);
+        self.change(|state| state.registered = None);
     }
 
-    /// Leases hold so long for those that register from now on.
+    /// Sets the length of the leases of later registrations.
     pub(crate) fn set_lease(&self, lease: Duration) {
         self.change(|state| state.lease = lease);
     }
@@ -171,17 +171,17 @@ impl Coordinator {
         self.0.network.set_down(down);
     }
 
-    /// What `of` picks from all calls so far.
-    pub(crate) fn calls<T>(&self, of: impl FnMut(&Call) -> Option<T>) -> Vec<T> {
-        self.state().calls.iter().filter_map(of).collect()
+    /// The values that `pick` returns for all calls so far.
+    pub(crate) fn calls<T>(&self, pick: impl FnMut(&Call) -> Option<T>) -> Vec<T> {
+        self.state().calls.iter().filter_map(pick).collect()
     }
 
-    /// Waits until `of` picks so many calls, and returns them.
-    pub(crate) async fn wait_for<T>(&self, count: usize, mut of: impl FnMut(&Call) -> Option<T>) -> Vec<T> {
+    /// Waits until `pick` returns `count` values, and returns them.
+    pub(crate) async fn wait_for<T>(&self, count: usize, mut pick: impl FnMut(&Call) -> Option<T>) -> Vec<T> {
         let mut changes = self.0.changes.subscribe();
         let enough = async {
             loop {
-                let calls = self.calls(&mut of);
+                let calls = self.calls(&mut pick);
                 if calls.len() >= count {
                     return calls;
                 }
@@ -203,7 +203,7 @@ impl Coordinator {
         changed
     }
 
-    /// Notes a call, and gives it the answer that was told for it; None is the ordinary.
+    /// Records a call and returns its scripted answer; None is the normal one.
     async fn receive(&self, method: Method, call: Call) -> Result<Option<Vec<CompletionKind>>, Status> {
         let answer = self.change(|state| {
             state.calls.push(call);
@@ -222,13 +222,13 @@ impl Coordinator {
     }
 
     fn check(&self, worker_token: &str) -> Result<(), Status> {
-        if self.state().known.as_deref() == Some(worker_token) {
+        if self.state().registered.as_deref() == Some(worker_token) {
             return Ok(());
         }
-        Err(Status::aborted(format!("worker {worker_token} is not known: register")))
+        Err(Status::aborted(format!("worker {worker_token} is not registered: register")))
     }
 
-    /// Leases that are offered, or the wish that the worker leave.
+    /// Offered leases, or the request that the worker leave.
     fn grant(&self, most: u32) -> Option<AcquireResponse> {
         let mut state = self.state();
         let count = state.offered.len().min(most as usize);
@@ -247,7 +247,7 @@ impl Leases for Coordinator {
         Ok(Response::new(self.change(|state| {
             state.registrations += 1;
             let worker_token = format!("worker-{}", state.registrations);
-            state.known = Some(worker_token.clone());
+            state.registered = Some(worker_token.clone());
             RegisterResponse { worker_token, lease_ms: state.lease.as_millis() as u64 }
         })))
     }

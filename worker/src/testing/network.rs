@@ -1,4 +1,4 @@
-//! Connections within the process. Tests may pause the clock, since nothing waits for a socket.
+//! Connections within the process, without sockets, so that tests may pause the clock.
 
 use std::io;
 use std::sync::Mutex;
@@ -18,7 +18,7 @@ pub(super) struct Network {
 }
 
 impl Network {
-    /// A network, and what arrives at its only server.
+    /// A network, and the connections that arrive at its only server.
     pub(super) fn new() -> (Self, mpsc::UnboundedReceiver<io::Result<DuplexStream>>) {
         let (listener, incoming) = mpsc::unbounded_channel();
         (Self { listener, down: AtomicBool::new(false), connections: Mutex::default() }, incoming)
@@ -39,12 +39,12 @@ impl Network {
         Ok(client)
     }
 
-    /// Ends all connections, without a word to either side.
+    /// Cuts all connections without notice to either side.
     pub(super) fn cut(&self) {
         self.connections.lock().unwrap().drain(..).for_each(|wire| wire.abort());
     }
 
-    /// Cuts all connections and lets no other come about, or lets them again.
+    /// Cuts all connections and refuses new ones, or accepts them again.
     pub(super) fn set_down(&self, down: bool) {
         self.down.store(down, Ordering::SeqCst);
         if down {
