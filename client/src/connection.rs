@@ -99,7 +99,7 @@ pub(crate) fn is_broken(status: &tonic::Status) -> bool {
 #[derive(Debug)]
 struct Embedded {
     coordinator: JoinHandle<Result<(), Error>>,
-    worker: Option<JoinHandle<Result<farm_worker::Ended, farm_worker::Error>>>,
+    worker: Option<JoinHandle<Result<farm_worker::EndReason, farm_worker::Error>>>,
     stop_coordinator: CancellationToken,
     stop_worker: CancellationToken,
 }

@@ -23,7 +23,7 @@ use crate::leases::{HeldLeases, SetSwitch};
 use crate::machine;
 use crate::pool::Pool;
 use crate::retry::{Pauses, is_refusal, log_failure};
-use crate::session::{Error, Introduction, Session};
+use crate::session::{CoordinatorSession, Error, Introduction};
 
 /// Pause after a call that failed, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
@@ -40,7 +40,7 @@ const MOST_BYTES: usize = 64 << 20;
 
 /// Why a worker ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ended {
+pub enum EndReason {
     /// Its caller stopped it.
     Stopped,
     /// The coordinator asked it to leave.
@@ -49,7 +49,7 @@ pub enum Ended {
     Idle,
 }
 
-impl fmt::Display for Ended {
+impl fmt::Display for EndReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Stopped => "stopped",
@@ -62,12 +62,12 @@ impl fmt::Display for Ended {
 
 /// Works until `shutdown`, the time limit, or a drain request of the coordinator. Then running jobs get the grace
 /// period to end, finished results are delivered, and the other leases are handed back.
-pub async fn run(config: Config, shutdown: CancellationToken) -> Result<Ended, Error> {
+pub async fn run(config: Config, shutdown: CancellationToken) -> Result<EndReason, Error> {
     let link = config.coordinator.connect_lazy();
     work_over(link, config, shutdown).await
 }
 
-async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> Result<Ended, Error> {
+async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> Result<EndReason, Error> {
     let kernel = kernels::choose(config.kernel.as_deref())?;
     tracing::debug!(%kernel, threads = config.threads, "tracing");
     let limit = Instant::now() + working_time(&config);
@@ -80,9 +80,10 @@ async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> R
         threads: config.threads,
         facts: machine::facts(kernel, config.log.clone()),
     };
-    let Some(session) = Session::open(link, url, introduction, held.clone(), &shutdown).await? else {
+    let Some(session) = CoordinatorSession::open(link, url, introduction, held.clone(), &shutdown).await?
+    else {
         tracing::info!("stopped before the coordinator at {url} was reached");
-        return Ok(Ended::Stopped);
+        return Ok(EndReason::Stopped);
     };
     let session = Arc::new(session);
     let (finished, queue) = mpsc::unbounded_channel();
@@ -101,7 +102,7 @@ fn working_time(config: &Config) -> Duration {
 }
 
 struct Agent {
-    session: Arc<Session>,
+    session: Arc<CoordinatorSession>,
     held: Arc<HeldLeases>,
     /// One permit per job that this worker may hold without a result.
     slots: Arc<Semaphore>,
@@ -112,7 +113,7 @@ struct Agent {
 }
 
 impl Agent {
-    fn new(session: Arc<Session>, held: Arc<HeldLeases>, config: &Config) -> Self {
+    fn new(session: Arc<CoordinatorSession>, held: Arc<HeldLeases>, config: &Config) -> Self {
         Self {
             session,
             held,
@@ -130,15 +131,15 @@ impl Agent {
         shutdown: CancellationToken,
         runner: JobRunner,
         delivery: JoinHandle<()>,
-    ) -> Result<Ended, Error> {
+    ) -> Result<EndReason, Error> {
         let ending = CancellationToken::new();
         let heartbeat =
             tokio::spawn(beat(self.session.clone(), self.held.clone(), self.drain.clone(), ending.clone()));
         let mut jobs = JoinSet::new();
         let ended = tokio::select! {
-            () = shutdown.cancelled() => Ok(Ended::Stopped),
-            () = self.drain.cancelled() => Ok(Ended::Drained),
-            () = sleep_until(limit) => Ok(Ended::TimeLimit),
+            () = shutdown.cancelled() => Ok(EndReason::Stopped),
+            () = self.drain.cancelled() => Ok(EndReason::Drained),
+            () = sleep_until(limit) => Ok(EndReason::TimeLimit),
             ended = self.work(&mut jobs, runner) => ended,
         };
         self.wind_up(jobs, delivery, if ended.is_ok() { self.grace } else { Duration::ZERO }).await;
@@ -152,10 +153,10 @@ impl Agent {
     }
 
     /// Leases and traces until there is a reason to end.
-    async fn work(&self, jobs: &mut JoinSet<()>, runner: JobRunner) -> Result<Ended, Error> {
+    async fn work(&self, jobs: &mut JoinSet<()>, runner: JobRunner) -> Result<EndReason, Error> {
         loop {
             let Some((leases, slots)) = self.next_leases().await? else {
-                return Ok(if self.drain.is_cancelled() { Ended::Drained } else { Ended::Idle });
+                return Ok(if self.drain.is_cancelled() { EndReason::Drained } else { EndReason::Idle });
             };
             let mut slots = slots.into_iter();
             for leases in sets(leases) {
@@ -243,7 +244,7 @@ impl Agent {
     }
 
     /// Deregisters from the coordinator and hands back the remaining leases.
-    async fn leave(&self, reason: Ended) {
+    async fn leave(&self, reason: EndReason) {
         let url = self.session.url();
         match self.session.leave(self.held.untraced()).await {
             Ok(()) => tracing::info!("left the coordinator at {url}: {reason}"),

@@ -13,9 +13,9 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tonic::{Code, Status};
 
 use crate::leases::HeldLeases;
-use crate::pool::JobResult;
+use crate::pool::TraceResult;
 use crate::retry::Pauses;
-use crate::session::Session;
+use crate::session::CoordinatorSession;
 
 mod messages;
 
@@ -29,7 +29,7 @@ const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_
 pub(crate) struct PendingResult {
     pub key: LeaseKey,
     pub identity: Digest,
-    pub result: JobResult,
+    pub result: TraceResult,
     pub bytes: usize,
     pub _room: OwnedSemaphorePermit,
 }
@@ -64,7 +64,7 @@ impl ResultBuffer {
 
 /// Delivers until the queue is closed and empty.
 pub(crate) async fn deliver(
-    session: Arc<Session>,
+    session: Arc<CoordinatorSession>,
     held: Arc<HeldLeases>,
     mut queue: mpsc::UnboundedReceiver<PendingResult>,
 ) {
@@ -102,7 +102,11 @@ fn next_batch(waiting: &mut VecDeque<PendingResult>) -> Vec<PendingResult> {
 
 /// Sends results until they are acknowledged or refused for good; gives back those that the coordinator's store did
 /// not take.
-async fn send(session: &Session, held: &HeldLeases, batch: Vec<PendingResult>) -> Vec<PendingResult> {
+async fn send(
+    session: &CoordinatorSession,
+    held: &HeldLeases,
+    batch: Vec<PendingResult>,
+) -> Vec<PendingResult> {
     let limit = messages::time_limit(batch.iter().map(|result| result.bytes).sum());
     match session.complete(|worker_token| messages::result_messages(worker_token, &batch), limit).await {
         Ok(outcomes) => settle(held, batch, outcomes),
@@ -166,7 +170,7 @@ fn log_outcome(key: &LeaseKey, outcome: &CompletionOutcome) {
 }
 
 /// Gives up a result that would be refused again, and reports its job as failed.
-async fn give_up(session: &Session, key: &LeaseKey, status: &Status) {
+async fn give_up(session: &CoordinatorSession, key: &LeaseKey, status: &Status) {
     tracing::error!(job = key.job, attempt = key.attempt, message = status.message(), "result refused");
     // Without a report, the job would be leased again and again.
     if status.code() == Code::InvalidArgument

@@ -8,11 +8,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::leases::HeldLeases;
 use crate::retry::log_failure;
-use crate::session::Session;
+use crate::session::CoordinatorSession;
 
 /// Renews four times per lease until `end`; cancels `drain` when the coordinator asks the worker to leave.
 pub(crate) async fn beat(
-    session: Arc<Session>,
+    session: Arc<CoordinatorSession>,
     held: Arc<HeldLeases>,
     drain: CancellationToken,
     end: CancellationToken,
@@ -32,7 +32,7 @@ fn interval(lease: Duration) -> Duration {
     (lease / 4).max(Duration::from_millis(50))
 }
 
-async fn renew(session: &Session, held: &HeldLeases, drain: &CancellationToken) {
+async fn renew(session: &CoordinatorSession, held: &HeldLeases, drain: &CancellationToken) {
     match session.renew(held.all()).await {
         Ok((lost, leave)) => {
             for key in lost.into_iter().filter(|key| held.lose(key)) {

@@ -13,8 +13,8 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
 use crate::delivery::{PendingResult, ResultBuffer};
 use crate::leases::{HeldLeases, JobSwitches};
-use crate::pool::{JobResult, Pool, Start, TraceEnd};
-use crate::session::Session;
+use crate::pool::{Pool, StartSignal, TraceEnd, TraceResult};
+use crate::session::CoordinatorSession;
 
 /// After this time a message has left this machine, even if the answer takes longer.
 const ON_ITS_WAY: Duration = Duration::from_millis(50);
@@ -22,7 +22,7 @@ const ON_ITS_WAY: Duration = Duration::from_millis(50);
 /// State that all jobs of a worker share. The delivery ends when the last clone is dropped.
 #[derive(Debug, Clone)]
 pub(crate) struct JobRunner {
-    pub session: Arc<Session>,
+    pub session: Arc<CoordinatorSession>,
     pub held: Arc<HeldLeases>,
     pub pool: Pool,
     pub buffer: ResultBuffer,
@@ -94,7 +94,7 @@ impl JobRunner {
         &self,
         jobs: Vec<JobSpec>,
         switches: &[Arc<JobSwitches>],
-    ) -> Vec<Result<JobResult, String>> {
+    ) -> Vec<Result<TraceResult, String>> {
         let mut ends = Vec::with_capacity(jobs.len());
         for (job, switches) in jobs.into_iter().zip(switches) {
             let (unheard, _) = oneshot::channel();
@@ -109,7 +109,7 @@ impl JobRunner {
 
     /// Announces to the coordinator that a thread is about to begin. The thread waits until the message is sent, but
     /// not for the answer of a distant coordinator, which would slow small jobs.
-    async fn announce(&self, jobs: Vec<(LeaseKey, Digest)>, begins: oneshot::Receiver<Start>) {
+    async fn announce(&self, jobs: Vec<(LeaseKey, Digest)>, begins: oneshot::Receiver<StartSignal>) {
         // An error means that the jobs were stopped first.
         let Ok(start) = begins.await else { return };
         let keys: Vec<LeaseKey> = jobs.iter().map(|(key, _)| *key).collect();

@@ -72,7 +72,7 @@ impl JobSwitches {
 }
 
 #[derive(Debug)]
-struct Entry {
+struct LeaseEntry {
     switches: Arc<JobSwitches>,
     identity: Digest,
     /// The job has a result, which is delivered even if the lease is lost.
@@ -81,13 +81,13 @@ struct Entry {
 
 /// All leases from the moment they are granted until their results are acknowledged.
 #[derive(Debug, Default)]
-pub(crate) struct HeldLeases(Mutex<HashMap<LeaseKey, Entry>>);
+pub(crate) struct HeldLeases(Mutex<HashMap<LeaseKey, LeaseEntry>>);
 
 impl HeldLeases {
     /// Adds the lease of a job of a set.
     pub(crate) fn add(&self, key: LeaseKey, identity: Digest, set: Arc<SetSwitch>) -> Arc<JobSwitches> {
         let switches = Arc::new(JobSwitches::in_set(set));
-        self.map().insert(key, Entry { switches: switches.clone(), identity, traced: false });
+        self.map().insert(key, LeaseEntry { switches: switches.clone(), identity, traced: false });
         switches
     }
 
@@ -149,7 +149,7 @@ impl HeldLeases {
         self.map().iter().filter(|(_, e)| !e.traced).map(|(key, _)| *key).collect()
     }
 
-    fn map(&self) -> MutexGuard<'_, HashMap<LeaseKey, Entry>> {
+    fn map(&self) -> MutexGuard<'_, HashMap<LeaseKey, LeaseEntry>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

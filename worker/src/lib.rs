@@ -25,7 +25,7 @@ mod session;
 #[cfg(test)]
 mod testing;
 
-pub use agent::{Ended, run};
+pub use agent::{EndReason, run};
 pub use config::Config;
 pub use kernels::{Speed, UnknownKernel, choose as choose_kernel, measure};
 pub use log_place::log_place;

@@ -16,20 +16,20 @@ use crate::leases::JobSwitches;
 
 /// The result of tracing a job.
 #[derive(Debug, Clone)]
-pub(crate) enum JobResult {
+pub(crate) enum TraceResult {
     Records(PackedRecords),
     /// The sums of one block of a divided job.
     Sums(Sums),
 }
 
 /// Signal to a thread that has announced a job and waits to begin.
-pub(crate) type Start = oneshot::Sender<()>;
+pub(crate) type StartSignal = oneshot::Sender<()>;
 
 /// How the tracing of jobs that share their walks ended.
 #[derive(Debug)]
 pub(crate) enum TraceEnd {
     /// The results, one per job.
-    Finished(Vec<JobResult>),
+    Finished(Vec<TraceResult>),
     Stopped,
     /// The tracer panicked, which is a defect, or the jobs are too large. The text is reported to the coordinator.
     Failed(String),
@@ -50,7 +50,7 @@ impl Pool {
         &self,
         jobs: Vec<JobSpec>,
         switches: Vec<Arc<JobSwitches>>,
-        begun: oneshot::Sender<Start>,
+        begun: oneshot::Sender<StartSignal>,
     ) -> TraceEnd {
         let (sender, receiver) = oneshot::channel();
         self.0.spawn(move || {
@@ -61,7 +61,11 @@ impl Pool {
     }
 }
 
-fn trace_now(jobs: &[JobSpec], switches: &[Arc<JobSwitches>], begun: oneshot::Sender<Start>) -> TraceEnd {
+fn trace_now(
+    jobs: &[JobSpec],
+    switches: &[Arc<JobSwitches>],
+    begun: oneshot::Sender<StartSignal>,
+) -> TraceEnd {
     // `count` visits all switches, so that all jobs are marked as running.
     let started = switches.iter().filter(|switches| switches.start()).count();
     let Some(stop) = switches.first().filter(|_| started > 0).map(|switches| switches.all_stopped()) else {
@@ -78,11 +82,11 @@ fn trace_now(jobs: &[JobSpec], switches: &[Arc<JobSwitches>], begun: oneshot::Se
     guarded(|| {
         if let Some(block) = jobs[0].block() {
             let sums = trace_set_block(jobs, block, stop)?;
-            return Ok(sums.into_iter().map(JobResult::Sums).collect());
+            return Ok(sums.into_iter().map(TraceResult::Sums).collect());
         }
         let records = trace_set(jobs, stop)?;
         let packed = jobs.iter().zip(&records).map(|(job, records)| PackedRecords::pack(job, records));
-        Ok(packed.map(JobResult::Records).collect())
+        Ok(packed.map(TraceResult::Records).collect())
     })
 }
 
@@ -109,7 +113,7 @@ fn fits(jobs: &[JobSpec]) -> Result<(), String> {
 }
 
 /// A panic ends the job and not the thread.
-fn guarded(trace: impl FnOnce() -> Result<Vec<JobResult>, Stopped>) -> TraceEnd {
+fn guarded(trace: impl FnOnce() -> Result<Vec<TraceResult>, Stopped>) -> TraceEnd {
     match catch_unwind(AssertUnwindSafe(trace)) {
         Ok(Ok(result)) => TraceEnd::Finished(result),
         Ok(Err(Stopped)) => TraceEnd::Stopped,
@@ -135,7 +139,7 @@ mod tests {
     use crate::testing::{as_thick_as, endless_job, job};
 
     /// A channel for the announcement whose receiver is gone.
-    fn no_receiver() -> oneshot::Sender<Start> {
+    fn no_receiver() -> oneshot::Sender<StartSignal> {
         oneshot::channel().0
     }
 
@@ -173,7 +177,7 @@ mod tests {
         let TraceEnd::Finished(results) = end else { panic!("{end:?}") };
         assert_eq!(results.len(), 2);
         for (result, job) in results.iter().zip(&jobs) {
-            let JobResult::Records(records) = result else { panic!("{result:?}") };
+            let TraceResult::Records(records) = result else { panic!("{result:?}") };
             let expected = trace(job, &AtomicBool::new(false)).unwrap();
             assert_eq!(*records, PackedRecords::pack(job, &expected));
         }

@@ -10,13 +10,13 @@ use tonic::{Code, Status};
 #[derive(Debug)]
 pub(crate) struct Reachability {
     url: String,
-    state: Mutex<State>,
+    state: Mutex<CallState>,
     /// Changes when calls that failed may succeed.
     back: watch::Sender<()>,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct CallState {
     joined: bool,
     /// Start of the latest call that was answered.
     answered: Option<Instant>,
@@ -26,7 +26,7 @@ struct State {
 
 /// A change that is logged.
 #[derive(Debug, PartialEq)]
-enum Change {
+enum ReachabilityChange {
     NotReached,
     Lost,
     Found { lost: Instant },
@@ -70,13 +70,13 @@ impl Reachability {
         let (url, why) = (&self.url, unreachable.map_or("", Status::message));
         match change {
             None => {}
-            Some(Change::NotReached) => {
+            Some(ReachabilityChange::NotReached) => {
                 tracing::warn!("the coordinator at {url} cannot be reached yet ({why}): trying again");
             }
-            Some(Change::Lost) => {
+            Some(ReachabilityChange::Lost) => {
                 tracing::warn!("lost the coordinator at {url} ({why}): results are kept, trying again");
             }
-            Some(Change::Found { lost }) => {
+            Some(ReachabilityChange::Found { lost }) => {
                 let away_s = lost.elapsed().as_secs_f64();
                 tracing::info!("found the coordinator at {url} again, after {away_s:.1} s");
                 self.back.send_replace(());
@@ -85,21 +85,21 @@ impl Reachability {
     }
 }
 
-impl State {
+impl CallState {
     /// A call that began before the coordinator was lost is ignored: a stopping coordinator still answers it.
-    fn answered(&mut self, began: Instant) -> Option<Change> {
+    fn answered(&mut self, began: Instant) -> Option<ReachabilityChange> {
         self.answered = self.answered.max(Some(began));
         let lost = self.lost.take_if(|lost| began >= *lost)?;
-        self.joined.then_some(Change::Found { lost })
+        self.joined.then_some(ReachabilityChange::Found { lost })
     }
 
     /// A call that began before the latest answered one is ignored.
-    fn failed(&mut self, began: Instant, now: Instant) -> Option<Change> {
+    fn failed(&mut self, began: Instant, now: Instant) -> Option<ReachabilityChange> {
         if self.lost.is_some() || self.answered.is_some_and(|answered| began < answered) {
             return None;
         }
         self.lost = Some(now);
-        Some(if self.joined { Change::Lost } else { Change::NotReached })
+        Some(if self.joined { ReachabilityChange::Lost } else { ReachabilityChange::NotReached })
     }
 }
 
@@ -120,18 +120,18 @@ mod tests {
             let start = Instant::now();
             move |s| start + Duration::from_secs(s)
         };
-        let mut state = State::default();
-        assert_eq!(state.failed(at(0), at(1)), Some(Change::NotReached));
+        let mut state = CallState::default();
+        assert_eq!(state.failed(at(0), at(1)), Some(ReachabilityChange::NotReached));
         assert_eq!(state.failed(at(2), at(3)), None);
         assert_eq!(state.answered(at(4)), None, "registration has its own message");
         state.joined = true;
         assert_eq!(state.answered(at(5)), None);
-        assert_eq!(state.failed(at(6), at(7)), Some(Change::Lost));
+        assert_eq!(state.failed(at(6), at(7)), Some(ReachabilityChange::Lost));
         assert_eq!(state.failed(at(6), at(8)), None);
         assert_eq!(state.answered(at(6)), None, "it began before the coordinator was lost");
-        assert_eq!(state.answered(at(9)), Some(Change::Found { lost: at(7) }));
+        assert_eq!(state.answered(at(9)), Some(ReachabilityChange::Found { lost: at(7) }));
         assert_eq!(state.failed(at(8), at(20)), None, "it began before the coordinator was found again");
-        assert_eq!(state.failed(at(21), at(22)), Some(Change::Lost));
+        assert_eq!(state.failed(at(21), at(22)), Some(ReachabilityChange::Lost));
     }
 
     #[test]

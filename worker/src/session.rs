@@ -60,7 +60,7 @@ struct Registration {
 
 /// A registered connection. It registers again when the coordinator does not recognise the worker.
 #[derive(Debug)]
-pub(crate) struct Session {
+pub(crate) struct CoordinatorSession {
     client: LeasesClient<Link>,
     introduction: Introduction,
     /// Random id of this process, equal in all its registrations.
@@ -72,7 +72,7 @@ pub(crate) struct Session {
     reachability: Reachability,
 }
 
-impl Session {
+impl CoordinatorSession {
     /// Registers; waits for the coordinator at `url` without limit. None if `shutdown` comes first.
     pub(crate) async fn open(
         link: Link,

@@ -17,7 +17,7 @@ use tokio_util::sync::CancellationToken;
 pub(crate) use coordinator::{Answer, Call, Coordinator, DeliveredResult, Method};
 
 use crate::leases::HeldLeases;
-use crate::session::{Introduction, Session};
+use crate::session::{CoordinatorSession, Introduction};
 
 /// A job of a few milliseconds.
 pub(crate) fn job(seed: u64) -> JobSpec {
@@ -67,10 +67,11 @@ pub(crate) fn introduction() -> Introduction {
 }
 
 /// A session with a coordinator, and the leases that it announces.
-pub(crate) async fn session(coordinator: &Coordinator) -> (Arc<Session>, Arc<HeldLeases>) {
+pub(crate) async fn session(coordinator: &Coordinator) -> (Arc<CoordinatorSession>, Arc<HeldLeases>) {
     let held = Arc::<HeldLeases>::default();
     let shutdown = CancellationToken::new();
     let session =
-        Session::open(coordinator.link(), "http://test", introduction(), held.clone(), &shutdown).await;
+        CoordinatorSession::open(coordinator.link(), "http://test", introduction(), held.clone(), &shutdown)
+            .await;
     (Arc::new(session.unwrap().expect("it is not shut down")), held)
 }

@@ -1,21 +1,22 @@
-//! Whether shots of the same thing show the same: what mountings and lamps change has a bound.
+//! Checks that shots of one subject agree within what mountings and lamps change, and leaves out single shots that do
+//! not.
 
 use crate::board::Board;
 use crate::least_squares::median;
 use crate::refusal::{Refusal, TURNED, UNLIKE};
 use crate::report::ShotReport;
 
-/// Shots that have to be left where others are left out.
+/// Fewest shots that must remain when others are left out.
 pub(crate) const LEAST: usize = 2;
 
-/// Departure of a shot from the others, root of the mean square over the profile, that leaves it out, as a share of the
-/// bare board's contrast.
+/// Root mean square deviation from the other shots above which a shot is left out, as a share of the bare board's
+/// contrast.
 const APART: f64 = 0.05;
 
-/// Fall from the dark to the light side that is no noise, as a share of the bare board's contrast.
+/// Fall from the dark to the light side that exceeds noise, as a share of the bare board's contrast.
 const FALLS: f64 = 0.01;
 
-/// Share of a profile at each end that tells its sides.
+/// A profile divided by this is the part at each end that represents a side.
 const END: usize = 3;
 
 /// Refuses a shot whose light side is darker than its dark side in all channels.
@@ -24,8 +25,8 @@ pub(crate) fn check_sides(shot: &ShotReport, board: &Board) -> Result<(), Refusa
         let values = &shot.profiles[c].values;
         let n = values.len() / END;
         let mean = |part: &[f64]| {
-            let known: Vec<f64> = part.iter().copied().filter(|v| v.is_finite()).collect();
-            known.iter().sum::<f64>() / known.len().max(1) as f64
+            let finite: Vec<f64> = part.iter().copied().filter(|v| v.is_finite()).collect();
+            finite.iter().sum::<f64>() / finite.len().max(1) as f64
         };
         (mean(&values[values.len() - n..]) - mean(&values[..n])) / contrast(board, c)
     };
@@ -38,7 +39,7 @@ pub(crate) fn check_sides(shot: &ShotReport, board: &Board) -> Result<(), Refusa
     Err(Refusal::Unlike { label: shot.label.clone(), seen, cause: TURNED })
 }
 
-/// Takes out shots that are unlike the others; none may be left that are few and disagree.
+/// Leaves out shots that deviate from the others. Refuses them if too few shots would remain.
 pub(crate) fn leave_out(
     shots: &mut Vec<ShotReport>,
     board: &Board,
@@ -65,7 +66,7 @@ pub(crate) fn leave_out(
     Ok(left_out)
 }
 
-/// Of one shot from the middle of the others, in the channel where it is farthest.
+/// Deviation of shot `j` from the median of the others, in the channel where it is largest.
 fn apart(shots: &[ShotReport], j: usize, board: &Board) -> f64 {
     let of_channel = |c: usize| {
         let off = |k: usize| {

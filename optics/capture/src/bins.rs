@@ -1,11 +1,11 @@
 //! Binning along the edge (ISO 12233): each raw sample of one colour goes into the bin of its distance from the edge.
 //!
-//! In each bin a robust line is fitted to the samples; its value at the bin's middle is the profile's. With samples spread
-//! evenly that is the average over the bin, whatever the profile's slope.
+//! In each bin a robust line is fitted to the samples, and its value at the bin's middle is the profile's. With evenly
+//! spread samples that is the average over the bin, whatever the profile's slope.
 
 use rayon::prelude::*;
 
-use crate::blemishes::{Blemish, Mask, Residual};
+use crate::blemishes::{Blemish, BlemishMask, Residual};
 use crate::calibration::Radiance;
 use crate::frame::{Colour, Site};
 use crate::lattice::{EdgeFrame, HALF_CROP_MM};
@@ -22,18 +22,18 @@ pub struct EdgeProfile {
     pub x_mm: Vec<f64>,
     /// Averages over bins, as radiance factors.
     pub values: Vec<f64>,
-    /// Of noise, independent in each bin.
+    /// Standard errors due to noise, independent in each bin.
     pub std_errors: Vec<f64>,
     /// Samples in each bin.
     pub counts: Vec<u32>,
-    /// Share of them that were rejected.
+    /// Share of samples that were rejected.
     pub rejected: Vec<f64>,
 }
 
 /// One sample in a bin.
 #[derive(Debug, Clone, Copy)]
 struct Binned {
-    /// From the bin's middle, and along the edge, in mm.
+    /// Place from the bin's middle, and along the edge, in mm.
     offset: f32,
     along: f32,
     value: f32,
@@ -42,33 +42,33 @@ struct Binned {
     y: u32,
 }
 
-/// Bins of a profile: the usual ones, or finer ones for the blur, since pixels much wider than a bin tell its own place
-/// only where the edge crosses them at many phases.
+/// Bins of a profile: the usual ones, or finer ones for the blur, since pixels much wider than a bin resolve it only
+/// where the edge crosses them at many phases.
 #[derive(Debug, Clone, Copy)]
-struct Grid {
+struct BinGrid {
     bins: usize,
 }
 
-impl Grid {
+impl BinGrid {
     fn width_mm(self) -> f64 {
         2.0 * HALF_CROP_MM / self.bins as f64
     }
 }
 
-/// All about one channel of one shot.
+/// One channel of one shot in bins.
 #[derive(Debug, Clone)]
 pub(crate) struct Binning {
     pub profile: EdgeProfile,
     pub rejected_px: Vec<[u32; 2]>,
-    /// How many of them lie in blemishes.
+    /// Number of samples that lie in blemishes.
     pub masked: usize,
     pub thirds: Vec<Third>,
     pub clipped_share: f64,
-    /// Scatter in bins over the noise that the sensor explains.
+    /// Ratio of the scatter in bins to the sensor's noise.
     pub scatter: f64,
 }
 
-/// How a third of the crop departs from the whole, within some bins.
+/// Deviation of a third of the crop from the whole, within some bins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Third {
     pub x_mm: f64,
@@ -79,21 +79,21 @@ pub(crate) struct Third {
 /// Bins of a zone in which thirds are compared.
 const ZONE: usize = 20;
 
-/// The bare edge for its blur, in bins of a quarter of the usual width, or as fine as its samples fill.
+/// The bare edge for the blur fit, in bins of a quarter of the usual width, or as fine as the samples can fill.
 pub(crate) fn fine(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour) -> EdgeProfile {
     let of_colour = radiance.frame.sites().into_iter().filter(|s| s.colour == colour);
     let per_pixel: f64 = of_colour.map(|s| ((s.step * s.step) as f64).recip()).sum();
     let samples = per_pixel * (2.0 * HALF_CROP_MM / edge.mm_per_px()).powi(2);
     let parts = (samples / (BINS as f64 * FILLED)).clamp(1.0, 4.0) as usize;
-    bin_on(Grid { bins: parts * BINS }, radiance, edge, colour, 0.0).profile
+    bin_on(BinGrid { bins: parts * BINS }, radiance, edge, colour, 0.0).profile
 }
 
-/// Samples that a fine bin should hold on average: with fewer, many would lack the least number.
+/// Average number of samples that a fine bin should hold: with fewer, many bins would be below the minimum.
 const FILLED: f64 = 15.0;
 
-/// Bins one channel; `origin_mm` is where its edge lies in the frame's coordinates.
+/// Bins one channel; `origin_mm` is the place of its edge in the frame's coordinates.
 pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
-    bin_on(Grid { bins: BINS }, radiance, edge, colour, origin_mm)
+    bin_on(BinGrid { bins: BINS }, radiance, edge, colour, origin_mm)
 }
 
 /// Bins all channels of a shot without specks and scratches, which are returned.
@@ -102,13 +102,13 @@ pub(crate) fn bin_clean(
     edge: &EdgeFrame,
     origins_mm: [f64; 3],
 ) -> ([Binning; 3], Vec<Blemish>) {
-    let grid = Grid { bins: BINS };
-    let mut channels = Colour::ALL.map(|c| Channel::new(grid, radiance, edge, c, origins_mm[c.index()]));
+    let grid = BinGrid { bins: BINS };
+    let mut channels = Colour::ALL.map(|c| ChannelBins::new(grid, radiance, edge, c, origins_mm[c.index()]));
     let mut blemishes = Vec::new();
-    // A blemish that is gone may uncover the rim of another.
+    // Masking a blemish may reveal the rim of another.
     for _ in 0..3 {
-        let residuals = channels.each_ref().map(Channel::residuals);
-        let mask = Mask::find(&residuals, edge.mm_per_px());
+        let residuals = channels.each_ref().map(ChannelBins::residuals);
+        let mask = BlemishMask::find(&residuals, edge.mm_per_px());
         if mask.blemishes.is_empty() {
             break;
         }
@@ -117,25 +117,31 @@ pub(crate) fn bin_clean(
         }
         blemishes.extend(mask.blemishes);
     }
-    (channels.map(Channel::binning), blemishes)
+    (channels.map(ChannelBins::binning), blemishes)
 }
 
-fn bin_on(grid: Grid, radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Binning {
-    Channel::new(grid, radiance, edge, colour, origin_mm).binning()
+fn bin_on(
+    grid: BinGrid,
+    radiance: &Radiance<'_>,
+    edge: &EdgeFrame,
+    colour: Colour,
+    origin_mm: f64,
+) -> Binning {
+    ChannelBins::new(grid, radiance, edge, colour, origin_mm).binning()
 }
 
 /// Samples of one channel in their bins, with the lines through them.
-struct Channel {
-    grid: Grid,
+struct ChannelBins {
+    grid: BinGrid,
     colour: Colour,
     bins: Vec<Vec<Binned>>,
-    fits: Vec<Option<Fit>>,
+    fits: Vec<Option<BinFit>>,
     masked_px: Vec<[u32; 2]>,
     clipped: usize,
 }
 
-impl Channel {
-    fn new(grid: Grid, radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Self {
+impl ChannelBins {
+    fn new(grid: BinGrid, radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Self {
         let sites: Vec<Site> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
         let (bins, clipped) = collect(grid, radiance, edge, &sites, origin_mm);
         let fits = fits(&bins, grid);
@@ -143,7 +149,7 @@ impl Channel {
     }
 
     fn residuals(&self) -> Vec<Residual> {
-        let of = |(samples, fit): (&Vec<Binned>, &Option<Fit>)| {
+        let of = |(samples, fit): (&Vec<Binned>, &Option<BinFit>)| {
             let fit = fit.as_ref()?;
             let residual = |s: &Binned| {
                 let off = s.residual(fit.value, fit.slope);
@@ -154,7 +160,7 @@ impl Channel {
         self.bins.iter().zip(&self.fits).filter_map(of).flatten().collect()
     }
 
-    fn mask(&mut self, mask: &Mask) {
+    fn mask(&mut self, mask: &BlemishMask) {
         for samples in &mut self.bins {
             let masked = samples.extract_if(.., |s| mask.holds(s.x, s.y));
             self.masked_px.extend(masked.map(|s| [s.x, s.y]));
@@ -164,9 +170,9 @@ impl Channel {
 
     fn binning(self) -> Binning {
         let Self { grid, colour, bins, fits, masked_px, clipped } = self;
-        let ratios = |f: &Fit| f.scatter / f.sigma;
-        let mut known: Vec<f64> = fits.iter().flatten().map(ratios).collect();
-        let scatter = if known.is_empty() { 1.0 } else { median(&mut known) };
+        let ratios = |f: &BinFit| f.scatter / f.sigma;
+        let mut finite: Vec<f64> = fits.iter().flatten().map(ratios).collect();
+        let scatter = if finite.is_empty() { 1.0 } else { median(&mut finite) };
         let total = bins.iter().map(Vec::len).sum::<usize>() + masked_px.len();
         let masked = masked_px.len();
         let rejected = bins.iter().zip(&fits).flat_map(|(samples, fit)| rejected(samples, fit.as_ref()));
@@ -182,7 +188,7 @@ impl Channel {
 }
 
 fn collect(
-    grid: Grid,
+    grid: BinGrid,
     radiance: &Radiance<'_>,
     edge: &EdgeFrame,
     sites: &[Site],
@@ -220,7 +226,7 @@ fn collect(
         }
         (bins, clipped)
     };
-    // Chunks of rows of a fixed size, joined in their order: the same sums whatever the number of threads.
+    // Chunks of rows of a fixed size, joined in order, so that sums do not depend on the number of threads.
     let all: Vec<usize> = rows.collect();
     let parts: Vec<_> =
         all.par_chunks(64).map(|chunk| chunk.iter().fold(empty(), |sum, y| add_row(sum, *y))).collect();
@@ -236,21 +242,21 @@ fn collect(
 
 /// A robust line in a bin.
 #[derive(Debug, Clone, Copy)]
-struct Fit {
+struct BinFit {
     value: f64,
     slope: f64,
-    /// Of one sample: as the sensor explains it, and as found.
+    /// Variance of one sample: expected from the sensor, and observed.
     sigma: f64,
     scatter: f64,
-    /// Beyond this residual samples are rejected.
+    /// Residual above which samples are rejected.
     limit: f64,
-    /// Variance of the value over that of one sample.
+    /// Ratio of the variance of the value to that of one sample.
     leverage: f64,
     kept: usize,
 }
 
-/// Largest step from each bin's median to a neighbour's. Edges of printers and scans waver by part of a pixel, and
-/// samples that another bin would hold are no dust.
+/// Largest step from each bin's median to a neighbour's. Printed and scanned edges waver by a fraction of a pixel, and
+/// samples that would fit a neighbouring bin are not dust.
 fn steps(bins: &[Vec<Binned>]) -> Vec<f64> {
     let medians: Vec<f64> = bins
         .par_iter()
@@ -261,23 +267,23 @@ fn steps(bins: &[Vec<Binned>]) -> Vec<f64> {
     (0..bins.len()).map(|k| step(k, k.saturating_sub(1)).max(step(k, (k + 1).min(last)))).collect()
 }
 
-fn fits(bins: &[Vec<Binned>], grid: Grid) -> Vec<Option<Fit>> {
+fn fits(bins: &[Vec<Binned>], grid: BinGrid) -> Vec<Option<BinFit>> {
     let steps = steps(bins);
-    bins.par_iter().zip(&steps).map(|(samples, step)| Fit::of(samples, *step, grid)).collect()
+    bins.par_iter().zip(&steps).map(|(samples, step)| BinFit::of(samples, *step, grid)).collect()
 }
 
-/// Residuals from which on samples are rejected, in standard deviations: where Tukey's weights end.
+/// Residuals above which samples are rejected, in standard deviations: where Tukey's weights are 0.
 const REJECTED: f64 = 4.685;
 
 /// Fewest samples of a bin.
 const SAMPLES: usize = 8;
 
-impl Fit {
-    fn of(samples: &[Binned], step: f64, grid: Grid) -> Option<Self> {
+impl BinFit {
+    fn of(samples: &[Binned], step: f64, grid: BinGrid) -> Option<Self> {
         if samples.len() < SAMPLES {
             return None;
         }
-        // The mean of noisy variances is right, weights by single ones would favour dark samples.
+        // The mean of noisy variances is unbiased; weights by single variances would favour dark samples.
         let variance = median(&mut samples.iter().map(|s| f64::from(s.variance)).collect::<Vec<_>>());
         let sigma = variance.sqrt().max(1e-12);
         let mut value = median(&mut samples.iter().map(|s| f64::from(s.value)).collect::<Vec<_>>());
@@ -287,7 +293,7 @@ impl Fit {
         for round in 0..12 {
             residuals = samples.iter().map(|s| s.residual(value, slope)).collect::<Vec<_>>();
             scatter = spread(&residuals);
-            // The first round only looks for the level.
+            // The first iteration only finds the level.
             scale = sigma.hypot(step).max(if round == 0 { 3.0 * scatter } else { 0.0 });
             let [mut n, mut sx, mut sxx, mut sy, mut sxy] = [0.0; 5];
             for (s, r) in samples.iter().zip(&residuals) {
@@ -315,13 +321,13 @@ impl Fit {
             sxx += x * x;
         }
         let leverage = sxx / (n * sxx - sx * sx);
-        // Weights that reach farther than noise does lose less: the share lost falls with the fourth power of the reach.
+        // A weight function wider than the noise loses less efficiency, by the fourth power of the width.
         let lost = TUKEY_VARIANCE - 1.0;
         let leverage = leverage * (1.0 + lost * (sigma / scale).powi(4));
         Some(Self { value, slope, sigma, scatter, limit, leverage, kept: n as usize })
     }
 
-    /// Standard deviation of residuals: noise, and what an edge that wavers adds.
+    /// Standard deviation of residuals: noise, and the waver of the edge.
     fn scale(&self) -> f64 {
         self.limit / REJECTED
     }
@@ -333,7 +339,7 @@ impl Binned {
     }
 }
 
-fn rejected(samples: &[Binned], fit: Option<&Fit>) -> Vec<[u32; 2]> {
+fn rejected(samples: &[Binned], fit: Option<&BinFit>) -> Vec<[u32; 2]> {
     let Some(fit) = fit else { return Vec::new() };
     let far = |s: &&Binned| s.residual(fit.value, fit.slope).abs() >= fit.limit;
     samples.iter().filter(far).map(|s| [s.x, s.y]).collect()
@@ -341,16 +347,16 @@ fn rejected(samples: &[Binned], fit: Option<&Fit>) -> Vec<[u32; 2]> {
 
 /// Bins without enough samples get NaN.
 fn profile(
-    grid: Grid,
+    grid: BinGrid,
     colour: Colour,
     bins: &[Vec<Binned>],
-    fits: &[Option<Fit>],
+    fits: &[Option<BinFit>],
     scatter: f64,
 ) -> EdgeProfile {
     let centre = |k: usize| (k as f64 + 0.5) * grid.width_mm() - HALF_CROP_MM;
-    let error = |f: &Fit| f.sigma * scatter * f.leverage.sqrt();
-    let share = |samples: &Vec<Binned>, f: &Fit| 1.0 - f.kept as f64 / samples.len() as f64;
-    let of = |f: &dyn Fn(&Fit) -> f64| fits.iter().map(|fit| fit.as_ref().map_or(f64::NAN, f)).collect();
+    let error = |f: &BinFit| f.sigma * scatter * f.leverage.sqrt();
+    let share = |samples: &Vec<Binned>, f: &BinFit| 1.0 - f.kept as f64 / samples.len() as f64;
+    let of = |f: &dyn Fn(&BinFit) -> f64| fits.iter().map(|fit| fit.as_ref().map_or(f64::NAN, f)).collect();
     EdgeProfile {
         colour,
         x_mm: (0..grid.bins).map(centre).collect(),
@@ -361,9 +367,9 @@ fn profile(
     }
 }
 
-/// Departure of each third along the edge from the bins' lines, by zones: means without a twelfth at either end, so that
-/// specks of dust do not count, but a bubble does that single bins would reject.
-fn thirds(bins: &[Vec<Binned>], fits: &[Option<Fit>]) -> Vec<Third> {
+/// Deviation of each third along the edge from the bins' lines, by zones. The means are trimmed by a twelfth at either
+/// end, so that specks of dust do not count, but a bubble does that single bins would reject.
+fn thirds(bins: &[Vec<Binned>], fits: &[Option<BinFit>]) -> Vec<Third> {
     let mut found = Vec::new();
     for (zone, (bins, fits)) in bins.chunks(ZONE).zip(fits.chunks(ZONE)).enumerate() {
         let mut residuals = [const { Vec::new() }; 3];

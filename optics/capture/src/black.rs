@@ -1,17 +1,17 @@
-//! Level and fixed pattern of the sensor without light.
+//! Black level and fixed pattern of the sensor, from dark shots or from the levels that a file gives.
 
+use crate::camera_settings::CameraSettings;
 use crate::estimate::Estimate;
 use crate::frame::{Frame, Pattern, Photo, Site};
-use crate::kind::Kind;
 use crate::least_squares::robust_mean;
 use crate::noise::Pairs;
 use crate::refusal::{Refusal, Warning};
-use crate::saturation::Full;
+use crate::saturation::Saturation;
 
-/// Share of zeros in a dark shot that shows noise to be cut off, in percent.
+/// Share of zeros in a dark shot above which its noise counts as cut off, in percent.
 const ZEROS_PERCENT: f64 = 2.0;
 
-/// Dark shots, one after the other.
+/// Accumulates dark shots.
 #[derive(Debug, Default, Clone)]
 pub struct Darks {
     last: Option<Photo>,
@@ -21,12 +21,12 @@ pub struct Darks {
     pairs: Pairs,
 }
 
-/// What the sensor tells without light.
+/// The sensor's output without light.
 #[derive(Debug, Clone)]
 pub struct Black {
     levels: Vec<Estimate>,
     fixed_pattern: Vec<f64>,
-    /// Departure of each sample from its site's level.
+    /// Deviation of each sample from its site's level.
     map: Option<Vec<f32>>,
     pub(crate) pairs: Pairs,
     pub(crate) warnings: Vec<Warning>,
@@ -39,7 +39,7 @@ impl Darks {
 
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
         if let Some(last) = &self.last {
-            Kind::of(last).check(&photo)?;
+            CameraSettings::of(last).check(&photo)?;
         }
         let samples = photo.frame.samples();
         let share = 100.0 * samples.iter().filter(|s| **s == 0).count() as f64 / samples.len() as f64;
@@ -54,17 +54,17 @@ impl Darks {
         self.means.push(sites.iter().map(|s| site_mean(&photo.frame, *s)).collect());
         if let Some(last) = self.last.take() {
             let levels: Vec<_> = self.means[0].iter().map(|m| Estimate::new(*m, 0.0)).collect();
-            self.pairs.add(&last.frame, &photo.frame, &levels, Full::all(f64::INFINITY));
+            self.pairs.add(&last.frame, &photo.frame, &levels, Saturation::all(f64::INFINITY));
             self.covariances.push(sites.iter().map(|s| covariance(&last.frame, &photo.frame, *s)).collect());
         }
         self.last = Some(photo);
         Ok(())
     }
 
-    /// Without dark shots, `any` photograph of the session says what level its file tells.
+    /// Without dark shots, the level is taken from the file of `any` photograph of the session.
     pub fn finish(self, any: &Photo) -> Result<Black, Refusal> {
-        let Some(last) = &self.last else { return Black::told(any) };
-        Kind::of(last).check(any)?;
+        let Some(last) = &self.last else { return Black::from_file(any) };
+        CameraSettings::of(last).check(any)?;
         let sites = last.frame.sites();
         let of_site = |lists: &[Vec<f64>], s: usize| lists.iter().map(|l| l[s]).collect::<Vec<_>>();
         let mut levels = Vec::new();
@@ -84,8 +84,8 @@ impl Darks {
         sites.iter().map(|site| self.pairs.dark_variance(site.index)).collect()
     }
 
-    /// The mean of the dark shots, shrunk by how much of its scatter is a pattern: f²/(f² + σ²/n). A map of noise
-    /// alone would add the same noise to all photographs.
+    /// The mean of the dark shots, shrunk by the fixed pattern's share of its variance, f²/(f² + σ²/n). Otherwise the
+    /// noise of this map would be added to all photographs.
     fn map(&self, frame: &Frame, levels: &[Estimate], fixed: &[f64], noise: &[f64]) -> Option<Vec<f32>> {
         let shots = self.means.len() as f64;
         let share = |s: usize| fixed[s].powi(2) / (fixed[s].powi(2) + noise[s] / shots).max(1e-9);
@@ -105,18 +105,18 @@ impl Darks {
 }
 
 impl Black {
-    /// Number without light of each site.
+    /// Black level of each site.
     pub fn levels(&self) -> &[Estimate] {
         &self.levels
     }
 
-    /// Standard deviation of the fixed pattern of each site, in numbers; 0 where none was found.
+    /// Standard deviation of the fixed pattern of each site, in numbers; 0 if none was found.
     pub fn fixed_pattern(&self) -> &[f64] {
         &self.fixed_pattern
     }
 
-    /// What a photograph's own file tells.
-    pub(crate) fn told(photo: &Photo) -> Result<Self, Refusal> {
+    /// The black level that a photograph's file gives.
+    pub(crate) fn from_file(photo: &Photo) -> Result<Self, Refusal> {
         let Some(levels) = photo.levels.black else {
             return Err(Refusal::BlackUnknown { label: photo.label.clone() });
         };
@@ -153,7 +153,7 @@ fn index(frame: &Frame, site: Site, x: usize, y: usize) -> usize {
     }
 }
 
-/// Every sample of a site, or those of every so many rows.
+/// Visits the samples of a site, in every `skip`th row.
 fn for_each(frame: &Frame, site: Site, skip: usize, mut f: impl FnMut(usize)) {
     for y in (site.row..frame.height()).step_by(site.step * skip) {
         for x in (site.column..frame.width()).step_by(site.step) {
@@ -162,7 +162,7 @@ fn for_each(frame: &Frame, site: Site, skip: usize, mut f: impl FnMut(usize)) {
     }
 }
 
-/// Rows that are left out where a share of the samples tells enough: a level to 0.003 numbers.
+/// Step between rows where a share of the samples suffices, for a level to 0.003 numbers.
 fn skip(frame: &Frame) -> usize {
     (frame.samples().len() / 4_000_000).max(1)
 }
@@ -176,7 +176,7 @@ fn site_mean(frame: &Frame, site: Site) -> f64 {
     sum / count
 }
 
-/// Covariance of two dark shots over their samples: the variance of what is common to them, without hot pixels.
+/// Covariance of two dark shots over their samples: the variance of the pattern that they share, without hot pixels.
 fn covariance(a: &Frame, b: &Frame, site: Site) -> f64 {
     let (of_a, of_b) = (site_mean(a, site), site_mean(b, site));
     let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
@@ -194,14 +194,14 @@ fn covariance(a: &Frame, b: &Frame, site: Site) -> f64 {
         limit = 6.0 * (squares / f64::max(count, 1.0)).sqrt();
     }
     let (covariance, variance) = (sum / f64::max(count, 1.0), squares / f64::max(count, 1.0));
-    // Independent samples leave σ²/√n by chance.
+    // Independent samples have a covariance of about σ²/√n by chance.
     if covariance > 4.0 * variance / f64::max(count, 1.0).sqrt() { covariance } else { 0.0 }
 }
 
 fn mean_of(values: &[f64]) -> Estimate {
     match values {
         [] => Estimate::new(f64::NAN, f64::NAN),
-        // Readout differs by a fraction of a number from shot to shot.
+        // The readout offset differs by a fraction of a number from shot to shot.
         [one] => Estimate::new(*one, 0.5),
         several => {
             let (mean, _) = robust_mean(several);

@@ -1,11 +1,11 @@
-//! Specks and scratches in the residual picture of a crop: groups of neighbouring cells far beyond the noise.
+//! Finds specks and scratches in the residuals of a crop: groups of neighbouring cells far above the noise.
 //!
-//! Single samples are the robust fit's own affair; what is larger than a few of them leaves a rim there, or more than the
-//! thirds of the crop bear. What is broader than dust, such as a bubble or uneven light, is no blemish and stays.
+//! The robust fit rejects single samples, but larger specks leave a rim in it or make the thirds of the crop disagree.
+//! A feature broader than dust, such as a bubble or uneven light, is not masked.
 
 use crate::least_squares::spread;
 
-/// A sample's departure from the profile.
+/// A sample's deviation from the profile.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Residual {
     pub x: u32,
@@ -16,26 +16,26 @@ pub(crate) struct Residual {
     pub share: f64,
 }
 
-/// Pixels of a cell's side: each colour of a mosaic has four samples in it at least.
+/// Pixels of a cell's side: it holds at least four samples of each colour of a mosaic.
 const CELL: usize = 4;
 
-/// Residuals count up to this, so that one hot pixel is no blemish.
+/// Residuals are clipped at this, so that one hot pixel is no blemish.
 const CLIP: f64 = 5.0;
 
-/// Standard deviations of cells at which a blemish is found, and down to which it reaches.
+/// Standard deviations of a cell that begin a blemish, and down to which it extends.
 const FOUND: f64 = 6.0;
 const REACHES: f64 = 3.0;
 
-/// Share of the profile that counts as one standard deviation at least: uneven light and rough boards make such
-/// departures everywhere, which the thirds of the crop judge.
+/// Share of the profile that counts as at least one standard deviation: uneven light and rough boards cause such
+/// deviations everywhere, which the comparison of thirds judges.
 const UNEVEN: f64 = 0.001;
 
-/// Half the breadth from which on something is no blemish, in mm.
+/// Half the breadth above which a feature is not a blemish, in mm.
 const BROAD_MM: f64 = 0.8;
 
-/// What is masked.
+/// The masked cells, and the blemishes that they belong to.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Mask {
+pub(crate) struct BlemishMask {
     columns: usize,
     rows: usize,
     masked: Vec<bool>,
@@ -50,7 +50,7 @@ pub(crate) struct Blemish {
     pub area_mm2: f64,
 }
 
-impl Mask {
+impl BlemishMask {
     pub fn holds(&self, x: u32, y: u32) -> bool {
         let (column, row) = (x as usize / CELL, y as usize / CELL);
         column < self.columns && row < self.rows && self.masked[row * self.columns + column]
@@ -84,7 +84,7 @@ impl Mask {
         mask
     }
 
-    /// Largest departure of each cell among the colours, in standard deviations of all cells.
+    /// Largest deviation of each cell among the colours, in standard deviations of all cells.
     fn heights(&self, colours: &[Vec<Residual>; 3]) -> Vec<f64> {
         let mut height = vec![0.0_f64; self.columns * self.rows];
         for residuals in colours {
@@ -95,8 +95,8 @@ impl Mask {
             }
             let z = |[sum, count, _]: &[f64; 3]| if *count > 0.0 { sum / count.sqrt() } else { 0.0 };
             let uneven = |[_, count, share]: &[f64; 3]| (share / count.max(1.0) / UNEVEN).abs();
-            let known: Vec<f64> = sums.iter().filter(|s| s[1] > 0.0).map(z).collect();
-            let scale = if known.is_empty() { 1.0 } else { spread(&known).max(1.0) };
+            let filled: Vec<f64> = sums.iter().filter(|s| s[1] > 0.0).map(z).collect();
+            let scale = if filled.is_empty() { 1.0 } else { spread(&filled).max(1.0) };
             for (height, sum) in height.iter_mut().zip(&sums) {
                 *height = height.max((z(sum).abs() / scale).min(uneven(sum)));
             }
@@ -164,7 +164,7 @@ mod tests {
     const SIDE: u32 = 240;
     const MM_PER_PX: f64 = 0.03;
 
-    /// Alternating by one standard deviation, and what else there is.
+    /// Residuals that alternate by one standard deviation, plus `more`.
     fn residuals(more: impl Fn(f64, f64) -> f64) -> [Vec<Residual>; 3] {
         let pixel = |i: u32| {
             let (x, y) = (i % SIDE, i / SIDE);
@@ -176,7 +176,7 @@ mod tests {
         [all.clone(), all.clone(), all]
     }
 
-    fn share(mask: &Mask) -> f64 {
+    fn share(mask: &BlemishMask) -> f64 {
         let masked = (0..SIDE * SIDE).filter(|i| mask.holds(i % SIDE, i / SIDE)).count();
         masked as f64 / f64::from(SIDE * SIDE)
     }
@@ -185,29 +185,31 @@ mod tests {
     fn specks_and_scratches_are_masked_and_nothing_else() {
         let speck = |x: f64, y: f64| (x - 100.0).hypot(y - 60.0) < 8.0;
         let scratch = |x: f64, y: f64| (y - 0.5 * x - 50.0).abs() < 1.5;
-        let mask =
-            Mask::find(&residuals(|x, y| if speck(x, y) || scratch(x, y) { -20.0 } else { 0.0 }), MM_PER_PX);
+        let mask = BlemishMask::find(
+            &residuals(|x, y| if speck(x, y) || scratch(x, y) { -20.0 } else { 0.0 }),
+            MM_PER_PX,
+        );
         assert_eq!(mask.blemishes.len(), 2);
         assert!(mask.holds(100, 60) && mask.holds(100, 52) && mask.holds(200, 150) && !mask.holds(100, 180));
         assert!(share(&mask) < 0.1, "{}", share(&mask));
-        let clean = Mask::find(&residuals(|_, _| 0.0), MM_PER_PX);
+        let clean = BlemishMask::find(&residuals(|_, _| 0.0), MM_PER_PX);
         assert!(clean.blemishes.is_empty() && share(&clean) == 0.0);
     }
 
-    /// Departures of a quarter of a per cent, however small the noise.
+    /// Deviations of a quarter of a per cent, however small the noise.
     #[test]
     fn uneven_light_is_no_blemish() {
         let uneven = residuals(|x, _| if (100.0..110.0).contains(&x) { 20.0 } else { 0.0 });
         let faint =
             uneven.map(|all| all.into_iter().map(|r| Residual { share: 1.25e-4 * r.z, ..r }).collect());
-        assert!(Mask::find(&faint, MM_PER_PX).blemishes.is_empty());
+        assert!(BlemishMask::find(&faint, MM_PER_PX).blemishes.is_empty());
     }
 
     #[test]
     fn a_hot_pixel_and_a_bubble_are_no_blemishes() {
         let hot = |x: f64, y: f64| if (x, y) == (50.0, 50.0) { 300.0 } else { 0.0 };
         let bubble = |x: f64, y: f64| if (x - 120.0).hypot(y - 120.0) < 42.0 { -15.0 } else { 0.0 };
-        let mask = Mask::find(&residuals(|x, y| hot(x, y) + bubble(x, y)), MM_PER_PX);
+        let mask = BlemishMask::find(&residuals(|x, y| hot(x, y) + bubble(x, y)), MM_PER_PX);
         assert!(mask.blemishes.is_empty() && share(&mask) == 0.0, "{:?}", mask.blemishes);
     }
 }

@@ -1,14 +1,14 @@
-//! Blur and place of the bare edge.
+//! Fits blur and place of the bare edge.
 //!
 //! Convention of all profiles: a value is the average over its bin of the scene convolved with a Gaussian of standard
 //! deviation σ. That Gaussian holds the lens and the pixel's own aperture, whose variance is p²/12. On an edge
 //! F(x) = d + (l − d) [G(x + w/2) − G(x − w/2)]/w, G(z) = z Φ(z/σ) + σ φ(z/σ).
 
 use crate::estimate::Estimate;
-use crate::least_squares::Normal;
+use crate::least_squares::NormalEquations;
 
-/// An edge in bins: their width w, the distance within which it is fitted, and place, value, error of each. Any unit of
-/// length, told by the results.
+/// An edge in bins: their width w, the distance within which it is fitted, and place, value and error of each bin. The
+/// results are in the same unit of length.
 #[derive(Debug, Clone)]
 pub(crate) struct EdgeBins {
     pub width: f64,
@@ -16,7 +16,7 @@ pub(crate) struct EdgeBins {
     pub points: Vec<[f64; 3]>,
 }
 
-/// What an edge between two even sides looks like.
+/// The fitted edge between two even sides.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct EdgeFit {
     pub origin: Estimate,
@@ -25,7 +25,7 @@ pub(crate) struct EdgeFit {
     pub light: f64,
 }
 
-/// None if it is no edge.
+/// None if the data show no edge.
 pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
     let EdgeBins { width, reach, .. } = *edge;
     let inside = |p: &&[f64; 3]| p[0].abs() < reach && p[1].is_finite() && p[2] > 0.0;
@@ -47,9 +47,9 @@ pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
     let mut found = None;
     let mut misfit = 0.0;
     for _ in 0..25 {
-        // Dust was rejected in the bins; here all counts. What no such curve explains is taken to be alike in all bins,
-        // or else the quiet dark side would decide alone.
-        let mut normal = Normal::new(p.len());
+        // Dust was rejected in the bins, so all bins count here. Model error is assumed equal in all bins; otherwise
+        // the dark side, with its low noise, would dominate.
+        let mut normal = NormalEquations::new(p.len());
         let (mut found_squares, mut noise_squares) = (0.0, 0.0);
         for [x, v, e] in &points {
             let r = v - model(&p, *x, width);

@@ -1,4 +1,4 @@
-//! The bare board: where it lies, how the camera blurs it, how bright both sides are.
+//! The bare board: its place in the frame, the camera's blur of its edge, and the brightness of both sides.
 
 use optics_model::Invalid;
 
@@ -7,55 +7,58 @@ use crate::blur::{self, EdgeBins};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Photo};
-use crate::lattice::{Cells, EdgeLine, Found, FreeParts, HALF_CROP_MM, Reading, Target, find};
+use crate::lattice::{
+    CropCells, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, find,
+};
 use crate::lattice::{light, movement};
-use crate::least_squares::{Normal, Solution};
+use crate::least_squares::{NormalEquations, Solution};
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::report::ShotReport;
-use crate::saturation::Full;
+use crate::saturation::Saturation;
 
-/// Shots of the bare board, one after the other.
+/// Accumulates shots of the bare board.
 #[derive(Debug)]
 pub struct BareShots<'a> {
     calibration: &'a Calibration,
     target: Target,
-    found: Option<Found>,
-    cells: Vec<Cells>,
-    /// Light of each shot at the patches of the first.
-    readings: Vec<Vec<Reading>>,
+    found: Option<LocatedBoard>,
+    cells: Vec<CropCells>,
+    /// Brightness of each shot at the patches of the first.
+    readings: Vec<Vec<PatchRadiance>>,
     shots: Vec<ShotReport>,
-    /// In finer bins, per shot.
+    /// Profiles in finer bins, per shot.
     fine: Vec<[EdgeProfile; 3]>,
     warnings: Vec<Warning>,
 }
 
-/// Where the bare board lies and what it looks like.
+/// Place and appearance of the bare board.
 #[derive(Debug, Clone)]
 pub struct Board {
     pub edge: EdgeLine,
     pub mm_per_px: Estimate,
-    /// Corners of squares that lie in the frame.
+    /// Corners of squares within the frame.
     pub corners_px: Vec<[f64; 2]>,
-    /// The crop's corners, around it.
+    /// The crop's corners, in order around it.
     pub crop_px: [[f64; 2]; 4],
-    /// Of the bare edge; x is 0 where green has it.
+    /// Profiles of the bare edge; x is 0 at the edge of green.
     pub profiles: [EdgeProfile; 3],
-    /// Standard deviation of the Gaussian between the scene and the profiles, besides their bins: lens and pixel.
+    /// Standard deviation of the Gaussian of lens and pixel, without the width of the bins.
     pub blur_mm: [Estimate; 3],
-    /// Where each channel has the edge, in x of `profiles`. Profiles of samples have it taken off.
+    /// Place of the edge in each channel, in x of `profiles`. It is subtracted in profiles of samples.
     pub origin_mm: [Estimate; 3],
     /// Radiance factors of both sides, away from the edge.
     pub light: [Estimate; 3],
     pub dark: [Estimate; 3],
     pub shots: Vec<ShotReport>,
     pub warnings: Vec<Warning>,
-    /// Slope of its light side, relative per 10 mm: of the light that the flat leaves, and of the board itself.
+    /// Slope of the light side, relative per 10 mm: of the light that the flat does not correct, and of the board
+    /// itself.
     pub slope: [Estimate; 3],
-    pub(crate) found: Found,
-    pub(crate) cells: Cells,
-    /// Light at the patches of `found`.
-    pub(crate) readings: Vec<Reading>,
-    /// Relative error of the light that the bare shots have in common: their spread, and how uneven it is.
+    pub(crate) found: LocatedBoard,
+    pub(crate) cells: CropCells,
+    /// Brightness at the patches of `found`.
+    pub(crate) readings: Vec<PatchRadiance>,
+    /// Relative error of the mean light of the bare shots: their spread, and its unevenness.
     pub(crate) light_std_error: [f64; 3],
 }
 
@@ -68,13 +71,13 @@ impl<'a> BareShots<'a> {
 
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
-        self.calibration.kind.check(&photo)?;
+        self.calibration.settings.check(&photo)?;
         let found = find(self.calibration.view(&photo), self.target)?;
         let mut seen = FreeParts::default();
         if let Some(first) = &self.found {
             seen = first.seen.compare(&found.seen);
             if seen.moved_px == [None, None] {
-                let seen = format!("the board's edges are not where {} shows them", self.shots[0].label);
+                let seen = format!("the board's edges lie elsewhere than in {}", self.shots[0].label);
                 return Err(Refusal::Unlike { label: photo.label.clone(), seen, cause: ONE_TURNED });
             }
             movement::check(&photo.label, &seen.moved_px)?;
@@ -85,7 +88,7 @@ impl<'a> BareShots<'a> {
         let found = self.found.get_or_insert(found);
         let edge_frame = found.edge_frame;
         let radiance = Radiance::new(self.calibration, &photo);
-        let readings: Vec<Reading> = found.seen.patches().map(|p| p.read(&radiance)).collect();
+        let readings: Vec<PatchRadiance> = found.seen.patches().map(|p| p.read(&radiance)).collect();
         let light =
             self.readings.first().and_then(|bare| light::factor(bare, &readings, seen.free.as_deref()?));
         if let Some(light) = &light {
@@ -95,13 +98,14 @@ impl<'a> BareShots<'a> {
         check_clipped(&photo, &binnings, radiance.full)?;
         self.check_slanted(&photo, &binnings)?;
         self.fine.push(Colour::ALL.map(|c| fine(&radiance, &edge_frame, c)));
-        self.cells.push(Cells::of(&radiance, &edge_frame));
+        self.cells.push(CropCells::of(&radiance, &edge_frame));
         self.readings.push(readings);
         self.shots.push(ShotReport::new(&photo.label, seen.moved_px, light, blur_px, binnings));
         Ok(())
     }
 
-    /// Samples of a colour must meet all bins: the edge has to cross at least one of their steps within the crop.
+    /// Samples of a colour must fall into all bins, so the edge has to cross at least one of their steps within the
+    /// crop.
     fn check_slanted(&self, photo: &Photo, binnings: &[Binning; 3]) -> Result<(), Refusal> {
         let Some(found) = &self.found else { return Ok(()) };
         let fewest = binnings.iter().flat_map(|b| &b.profile.counts).min().copied().unwrap_or(0);
@@ -154,9 +158,9 @@ impl<'a> BareShots<'a> {
             dark: std::array::from_fn(|c| level(&profiles[c], -1.0)),
             slope: profiles.each_ref().map(slope),
             profiles,
-            cells: Cells::mean(&self.cells),
+            cells: CropCells::mean(&self.cells),
             light_std_error: light::spread_of(&self.readings),
-            readings: Reading::mean(&self.readings),
+            readings: PatchRadiance::mean(&self.readings),
             shots: self.shots,
             warnings: self.warnings,
             found,
@@ -176,10 +180,10 @@ impl Board {
     }
 }
 
-/// Share of clipped samples that refuses.
+/// Share of clipped samples above which a shot is refused.
 const CLIPPED: f64 = 1e-3;
 
-pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], full: Full) -> Result<(), Refusal> {
+pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], full: Saturation) -> Result<(), Refusal> {
     match binnings.iter().find(|b| b.clipped_share > CLIPPED) {
         None => Ok(()),
         Some(b) => Err(Refusal::Clipped {
@@ -201,7 +205,7 @@ fn fit_edge(profile: &EdgeProfile, label: &str) -> Result<blur::EdgeFit, Refusal
         .collect();
     let no_edge = || Refusal::NoBoard {
         label: label.to_owned(),
-        seen: format!("the {} edge is none between two even sides", profile.colour),
+        seen: format!("the {} profile is not that of an edge between two even sides", profile.colour),
     };
     let width = profile.x_mm[1] - profile.x_mm[0];
     blur::fit(&EdgeBins { width, reach: REACH_MM, points }).ok_or_else(no_edge)
@@ -216,7 +220,7 @@ fn spread_of_mean(values: &[f64]) -> f64 {
     (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt()
 }
 
-/// Brightness of one side, 1 mm from the edge and farther; unevenness counts as error.
+/// Brightness of one side, at least 1 mm from the edge; unevenness counts as error.
 fn level(profile: &EdgeProfile, sign: f64) -> Estimate {
     let far = |x: &f64| sign * x > 1.0;
     let values: Vec<f64> =
@@ -228,9 +232,9 @@ fn level(profile: &EdgeProfile, sign: f64) -> Estimate {
     Estimate::new(value, noise.hypot(0.25 * (near - far)))
 }
 
-/// Relative slope of the light side per 10 mm, 1 mm from the edge and farther.
+/// Relative slope of the light side per 10 mm, at least 1 mm from the edge.
 fn slope(profile: &EdgeProfile) -> Estimate {
-    let mut normal = Normal::new(2);
+    let mut normal = NormalEquations::new(2);
     for ((x, v), e) in profile.x_mm.iter().zip(&profile.values).zip(&profile.std_errors) {
         if *x > 1.0 && v.is_finite() {
             normal.add(&[1.0, x - 3.0], *v, 1.0 / (e * e));

@@ -1,16 +1,16 @@
-//! From numbers to radiance factors.
+//! Converts sample values to radiance factors, with their errors.
 
 use crate::black::Black;
+use crate::camera_settings::CameraSettings;
 use crate::estimate::Estimate;
 use crate::flat::Flat;
 use crate::frame::{Area, Colour, Frame, Photo, Site};
-use crate::kind::Kind;
 use crate::noise::SiteNoise;
 use crate::refusal::Warning;
-use crate::saturation::{Full, saturation};
-use crate::view::View;
+use crate::saturation::{Saturation, saturation};
+use crate::view::PhotoView;
 
-/// From numbers to radiance factors, with all errors: v = ((S − D) − γ M) / (f k), see [`crate::Patches`].
+/// Converts sample values to radiance factors, with all errors: v = ((S − D) − γ M) / (f k), see [`crate::Patches`].
 #[derive(Debug, Clone)]
 pub struct Calibration {
     pub noise: Vec<SiteNoise>,
@@ -19,35 +19,35 @@ pub struct Calibration {
     pub glare: [Estimate; 3],
     /// k: numbers per unit of radiance factor, its error without the certificate's.
     pub gain: [Estimate; 3],
-    /// Relative departure from a line at half the brightness of the white reference.
+    /// Relative deviation from a line at half the brightness of the white reference.
     pub linearity: [f64; 3],
-    /// Of the white reference's certificate, relative.
+    /// Relative standard error of the white reference's certificate.
     pub reference_std_error: f64,
     /// Largest relative change of the light between shots of the patches.
     pub drift: [f64; 3],
     pub warnings: Vec<Warning>,
-    pub(crate) light: Light,
+    pub(crate) light: LampDrift,
     pub(crate) black: Black,
     pub(crate) flat: Flat,
-    /// Brightness of each site against its channel.
+    /// Brightness of each site relative to its channel.
     pub(crate) site_gain: Vec<f64>,
-    pub(crate) kind: Kind,
+    pub(crate) settings: CameraSettings,
 }
 
-/// One grey patch, read through the calibration.
+/// One grey patch, measured with the calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PatchReading {
     pub rho: [f64; 3],
-    /// Where it was read in the first shot.
+    /// Its area in the first shot.
     pub area: Area,
     pub value: [Estimate; 3],
-    /// Relative, from the line through all.
+    /// Relative deviation from the line through all patches.
     pub deviation: [f64; 3],
 }
 
-/// Brightness of the lamps in time, relative to the mean of all shots of the patches.
+/// Brightness of the lamps over time, relative to the mean of all shots of the patches.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Light {
+pub(crate) struct LampDrift {
     /// Seconds and brightness per channel, rising in time; empty where times are unknown.
     pub at: Vec<(f64, [f64; 3])>,
     /// Relative standard error of a shot's brightness.
@@ -65,12 +65,12 @@ impl Calibration {
         &self.flat
     }
 
-    pub(crate) fn view<'a>(&'a self, photo: &'a Photo) -> View<'a> {
-        View { photo, black: &self.black, flat: &self.flat }
+    pub(crate) fn view<'a>(&'a self, photo: &'a Photo) -> PhotoView<'a> {
+        PhotoView { photo, black: &self.black, flat: &self.flat }
     }
 }
 
-impl Light {
+impl LampDrift {
     /// Linear between shots, constant before and after.
     fn relative(&self, seconds: Option<f64>) -> [f64; 3] {
         let (Some(t), Some(first), Some(last)) = (seconds, self.at.first(), self.at.last()) else {
@@ -91,7 +91,7 @@ impl Light {
 pub(crate) struct Radiance<'a> {
     pub frame: &'a Frame,
     calibration: &'a Calibration,
-    pub full: Full,
+    pub full: Saturation,
     /// M per channel.
     means: [f64; 3],
     /// γ M per channel.
@@ -101,7 +101,7 @@ pub(crate) struct Radiance<'a> {
 
 /// One sample as a radiance factor.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Sample {
+pub(crate) struct RadianceSample {
     pub value: f64,
     pub variance: f64,
     pub clipped: bool,
@@ -116,7 +116,7 @@ impl<'a> Radiance<'a> {
         Self { frame: &photo.frame, calibration, full: saturation(photo), means, veil, gain }
     }
 
-    /// The same under light that is brighter by a factor than its time says.
+    /// The same under light that is brighter by a factor than interpolated for its time.
     pub fn under(mut self, light: &[Estimate; 3]) -> Self {
         for (gain, light) in self.gain.iter_mut().zip(light) {
             *gain *= light.value;
@@ -124,17 +124,17 @@ impl<'a> Radiance<'a> {
         self
     }
 
-    /// Radiance factor of the frame's mean, by which an error of the glare is multiplied.
+    /// Radiance factor of the frame's mean, which scales the error of the glare.
     pub fn mean(&self, colour: Colour) -> f64 {
         self.means[colour.index()] / self.gain[colour.index()]
     }
 
-    pub fn sample(&self, site: Site, x: usize, y: usize) -> Sample {
+    pub fn sample(&self, site: Site, x: usize, y: usize) -> RadianceSample {
         let c = site.colour.index();
         let signal = self.calibration.black.signal(self.frame, site, x, y);
         let flat = self.calibration.flat.at(site.colour, x as f64 + 0.5, y as f64 + 0.5);
         let per_unit = flat * self.gain[c] * self.calibration.site_gain[site.index];
-        Sample {
+        RadianceSample {
             value: (signal - self.veil[c]) / per_unit,
             variance: self.calibration.noise[site.index].variance(signal) / (per_unit * per_unit),
             clipped: self.full.is_at(self.frame, site, x, y),
@@ -142,7 +142,7 @@ impl<'a> Radiance<'a> {
     }
 }
 
-/// Mean number above black of each channel over the frame, from a share of its samples.
+/// Mean value above black of each channel over the frame, from a share of its samples.
 pub(crate) fn frame_means(black: &Black, frame: &Frame) -> [f64; 3] {
     let mut sums = [(0.0, 0.0); 3];
     let skip = (frame.width() * frame.height() / 400_000).isqrt().max(1);
@@ -164,7 +164,8 @@ mod tests {
 
     #[test]
     fn light_is_interpolated_between_references_and_constant_beyond() {
-        let light = Light { at: vec![(10.0, [1.002; 3]), (20.0, [0.998; 3])], std_error: [0.0; 3], shots: 2 };
+        let light =
+            LampDrift { at: vec![(10.0, [1.002; 3]), (20.0, [0.998; 3])], std_error: [0.0; 3], shots: 2 };
         let at = |t: f64| light.relative(Some(t))[1];
         assert_eq!((at(0.0), at(30.0)), (1.002, 0.998));
         assert!((at(15.0) - 1.0).abs() < 1e-12 && (at(12.5) - 1.001).abs() < 1e-12);

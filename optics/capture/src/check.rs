@@ -1,4 +1,4 @@
-//! A single photograph, while the slab still lies there.
+//! Checks a single photograph, so that it can be repeated while the slab still lies on the board.
 
 use crate::black::{Black, Darks};
 use crate::flat::Flat;
@@ -6,30 +6,30 @@ use crate::frame::{Colour, Frame, Photo, Site};
 use crate::lattice::{FreeEdge, free_edges};
 use crate::one_colour;
 use crate::refusal::{Refusal, Warning};
-use crate::saturation::{Full, saturation};
-use crate::view::View;
+use crate::saturation::{Saturation, saturation};
+use crate::view::PhotoView;
 
-/// What one photograph shows without its session.
+/// The checks of one photograph without its session.
 #[derive(Debug, Clone)]
 pub struct ShotCheck {
     /// Share of clipped samples per channel within the middle half of the frame.
     pub clipped_share: [f64; 3],
-    /// Brightest hundredth per channel as a share of what the sensor holds: 0.5 to 0.9 is well exposed.
+    /// Brightest hundredth per channel as a share of the sensor's range: 0.5 to 0.9 is well exposed.
     pub brightness_share: [f64; 3],
     /// The longest free edges that run up and down, and across the frame.
     pub edges: [Option<FreeEdge>; 2],
     pub warnings: Vec<Warning>,
 }
 
-/// Share of clipped samples that refuses.
+/// Share of clipped samples above which a photograph is refused.
 const CLIPPED: f64 = 1e-3;
 
-/// Brightest hundredth below which noise is needlessly large.
+/// Brightest hundredth below which the noise is unnecessarily large.
 const DIM: f64 = 0.15;
 
-/// Checks what a photograph shows by itself: clipping, black level, exposure, and sharpness of free edges. Without dark
-/// shots, the black level is what its file tells.
-/// Against its session a shot is checked by [`crate::Mountings::add`].
+/// Checks a photograph by itself: clipping, black level, exposure, and sharpness of free edges. Without dark shots, the
+/// black level is that of its file. [`crate::Mountings::add`] checks a shot
+/// against its session.
 pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
     let full = saturation(photo);
     let mut check = ShotCheck {
@@ -38,7 +38,7 @@ pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
         edges: [None; 2],
         warnings: Vec::new(),
     };
-    // Whoever exposes anew needs to hear of nothing else.
+    // A clipped photograph has to be repeated, so no other warning matters.
     for colour in Colour::ALL {
         let clipped = clipped_share(photo, colour, full);
         check.clipped_share[colour.index()] = clipped;
@@ -60,21 +60,21 @@ pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
     if one_colour::are_one(&photo.frame, black.levels(), full) {
         check.warnings.push(Warning::OneColour { label: photo.label.clone() });
     }
-    check.edges = free_edges(View { photo, black: &black, flat: &Flat::even() })?;
+    check.edges = free_edges(PhotoView { photo, black: &black, flat: &Flat::even() })?;
     if check.edges.iter().flatten().all(|edge| edge.blur_px.is_none()) {
         check.warnings.push(Warning::NoFreeEdge { label: photo.label.clone() });
     }
     Ok(check)
 }
 
-/// The longest edges between black and white that run up and down, and across the frame. Samples that clip are not looked
-/// at as such: see [`check_shot`].
+/// The longest edges between black and white that run up and down, and across the frame. Clipped samples are not
+/// refused here: see [`check_shot`].
 pub fn find_edges(photo: &Photo) -> Result<[Option<FreeEdge>; 2], Refusal> {
-    free_edges(View { photo, black: &Black::told(photo)?, flat: &Flat::even() })
+    free_edges(PhotoView { photo, black: &Black::from_file(photo)?, flat: &Flat::even() })
 }
 
 /// Share of clipped samples in the middle half of the frame.
-fn clipped_share(photo: &Photo, colour: Colour, full: Full) -> f64 {
+fn clipped_share(photo: &Photo, colour: Colour, full: Saturation) -> f64 {
     let (mut clipped, mut total) = (0.0, 0.0);
     for_middle(&photo.frame, colour, |site, x, y| {
         clipped += f64::from(u8::from(full.is_at(&photo.frame, site, x, y)));
@@ -83,8 +83,8 @@ fn clipped_share(photo: &Photo, colour: Colour, full: Full) -> f64 {
     clipped / f64::max(total, 1.0)
 }
 
-/// The brightest hundredth over the full range, in the middle half of the frame.
-fn brightness_share(photo: &Photo, black: &Black, colour: Colour, full: Full) -> f64 {
+/// The brightest hundredth as a share of the full range, in the middle half of the frame.
+fn brightness_share(photo: &Photo, black: &Black, colour: Colour, full: Saturation) -> f64 {
     let (mut signals, mut range) = (Vec::new(), 1.0);
     for_middle(&photo.frame, colour, |site, x, y| {
         range = full.of(site) - black.levels()[site.index].value;

@@ -1,4 +1,4 @@
-//! Numbers with errors, and where errors come from.
+//! Numbers with standard errors, and the sources of correlated errors.
 
 /// A number with its standard error.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -13,28 +13,28 @@ impl Estimate {
     }
 }
 
-/// What a correlated error of profiles comes from.
+/// Source of a correlated error of profiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Source {
     /// Photons and electronics; independent in each bin.
     Noise,
-    /// The certificate of the white reference: relative, common to all profiles.
+    /// Certificate of the white reference: relative, common to all profiles.
     WhiteReference,
-    /// Light between the shots of the reference and of the sample: relative, common to a sample.
+    /// Drift of the light between the shots of the reference and of the sample: relative, common to a sample.
     Drift,
     /// Differences of brightness between mountings: relative, of one sample.
     Mounting,
-    /// What is left of a curve between numbers and light: relative.
+    /// Remaining nonlinearity between numbers and light: relative.
     Linearity,
     /// Black level: as a radiance factor.
     Black,
     /// Stray light: as a radiance factor.
     Glare,
-    /// Light across the crop: relative, per 10 mm.
+    /// Slope of the light across the crop: relative, per 10 mm.
     Slope,
     /// Place of the edge, in mm.
     Origin,
-    /// Millimetres a pixel: relative.
+    /// Millimetres per pixel: relative.
     Scale,
     /// Thickness of the slab, in mm.
     Thickness,
@@ -67,7 +67,7 @@ impl Source {
         }
     }
 
-    /// What its standard error is counted in.
+    /// Unit of its standard error.
     pub fn unit(self) -> &'static str {
         match self {
             Self::Noise | Self::Black | Self::Glare => "radiance factor",

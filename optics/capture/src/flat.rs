@@ -1,17 +1,18 @@
-//! Unevenness of light and lens, from an even sheet.
+//! Flat-field correction: unevenness of light and lens, from shots of an even sheet.
 //!
-//! ln L = c_j + P(x, y), P a polynomial of the fourth order without constant, common to all shots, c_j the brightness of
-//! shot j. Paper's own structure moves with the sheet, so what differs between shots tells how much of it is left.
+//! ln L = c_j + P(x, y), P a polynomial of the fourth order without constant, common to all shots, c_j the brightness
+//! of shot j. The paper's own structure moves with the sheet, so differences between shots estimate how much of it
+//! remains.
 
 use rayon::prelude::*;
 
 use crate::black::Black;
+use crate::camera_settings::CameraSettings;
 use crate::frame::{Colour, Frame, Photo};
-use crate::kind::Kind;
-use crate::least_squares::{Normal, median, robust_mean, spread, tukey};
+use crate::least_squares::{NormalEquations, median, robust_mean, spread, tukey};
 use crate::noise::Pairs;
 use crate::refusal::{Refusal, TURNED, UNLIKE, Warning};
-use crate::saturation::{Full, saturation};
+use crate::saturation::{Saturation, saturation};
 
 /// Cells of the grid on which a flat is fitted.
 const ACROSS: usize = 36;
@@ -19,10 +20,10 @@ const DOWN: usize = 24;
 
 const ORDER: usize = 4;
 
-/// Relative slope over the frame that is allowed for where no flat, or a single one, tells it.
+/// Standard error of the relative slope over the frame if there are fewer than two flat shots.
 const UNKNOWN_SLOPE: f64 = 0.01;
 
-/// Flat shots, one after the other.
+/// Accumulates flat shots.
 #[derive(Debug)]
 pub struct Flats {
     black: Black,
@@ -52,7 +53,7 @@ impl Flats {
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
         let full = saturation(&photo);
         if let Some(last) = &self.last {
-            Kind::of(last).check(&photo)?;
+            CameraSettings::of(last).check(&photo)?;
             self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
         }
         let mut cells = Vec::new();
@@ -87,7 +88,7 @@ impl Flats {
 }
 
 impl Flats {
-    /// Takes out shots that are unlike the others; none may be left that are few and disagree.
+    /// Leaves out shots that deviate from the others. Refuses them if too few shots would remain.
     fn leave_out(&mut self) -> Result<Vec<Warning>, Refusal> {
         let mut warnings = Vec::new();
         while self.cells.len() > 1 {
@@ -116,13 +117,13 @@ impl Flats {
     }
 }
 
-/// Departure of a flat shot from the others, root of the mean square, that leaves it out: paper is more even than that.
+/// Root mean square deviation from the other flat shots above which a shot is left out: paper is more even than that.
 const APART: f64 = 0.03;
 
-/// The same where the shot turned by 180° departs by less than half.
+/// The same where the shot turned by 180° deviates by less than half.
 const TURNED_APART: f64 = 0.008;
 
-/// Departure of a shot's green light from the middle of the others, as it is or turned by 180°.
+/// Deviation of a shot's green light from the median of the others, as it is or turned by 180°.
 fn apart(shots: &[[Vec<f64>; 3]], j: usize, turn: bool) -> f64 {
     let green = Colour::Green.index();
     let levelled = |cells: &[f64]| {
@@ -155,14 +156,14 @@ impl Flat {
         self.coefficients.iter().all(Vec::is_empty)
     }
 
-    /// Light at a place of the frame over its mean.
+    /// Light at a place of the frame, relative to its mean.
     pub fn at(&self, colour: Colour, x_px: f64, y_px: f64) -> f64 {
         let coefficients = &self.coefficients[colour.index()];
         let terms = terms(2.0 * x_px / self.size[0] - 1.0, 2.0 * y_px / self.size[1] - 1.0);
         libm::exp(coefficients.iter().zip(terms).map(|(c, t)| c * t).sum())
     }
 
-    /// Relative slope across the frame's whole width that shots of the flat leave uncertain.
+    /// Standard error of the relative slope across the frame's whole width.
     pub fn slope_std_error(&self) -> [f64; 3] {
         self.slope_std_error
     }
@@ -170,8 +171,8 @@ impl Flat {
 
 const TERMS: usize = (ORDER + 1) * (ORDER + 2) / 2;
 
-/// x^i y^j, i + j ≤ [`ORDER`], the constant first; less their means over the square, so that exp of the rest is 1 on
-/// average but for what is of second order.
+/// x^i y^j, i + j ≤ [`ORDER`], the constant first; minus their means over the square, so that exp of their sum is 1 on
+/// average to first order.
 fn terms(x: f64, y: f64) -> [f64; TERMS] {
     let mean = |n: usize| if n.is_multiple_of(2) { 1.0 / (n as f64 + 1.0) } else { 0.0 };
     let powers = |v: f64| [1.0, v, v * v, v * v * v, v * v * v * v];
@@ -194,7 +195,7 @@ fn places() -> impl Iterator<Item = (f64, f64)> {
 }
 
 /// ln of the mean light of each cell.
-fn grid(photo: &Photo, black: &Black, colour: Colour, full: Full) -> Result<Vec<f64>, Refusal> {
+fn grid(photo: &Photo, black: &Black, colour: Colour, full: Saturation) -> Result<Vec<f64>, Refusal> {
     let frame = &photo.frame;
     let cells: Vec<_> =
         (0..ACROSS * DOWN).into_par_iter().map(|k| cell(frame, black, colour, full, k)).collect();
@@ -208,10 +209,10 @@ fn grid(photo: &Photo, black: &Black, colour: Colour, full: Full) -> Result<Vec<
     Ok(cells.into_iter().flatten().collect())
 }
 
-fn cell(frame: &Frame, black: &Black, colour: Colour, full: Full, k: usize) -> Option<f64> {
+fn cell(frame: &Frame, black: &Black, colour: Colour, full: Saturation, k: usize) -> Option<f64> {
     let range = |i: usize, n: usize, side: usize| i * side / n..(i + 1) * side / n;
     let (columns, rows) = (range(k % ACROSS, ACROSS, frame.width()), range(k / ACROSS, DOWN, frame.height()));
-    // A few thousand samples tell a cell's mean to 0.01 %.
+    // A few thousand samples give a cell's mean to 0.01 %.
     let skip = (columns.len() * rows.len() / 16_000).isqrt().max(1);
     let (mut sum, mut count) = (0.0, 0.0);
     for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
@@ -237,7 +238,7 @@ fn fit(shots: &[&[f64]]) -> Option<Vec<f64>> {
     let mut weights = vec![1.0; cells.len()];
     let mut found = Vec::new();
     for _ in 0..6 {
-        let mut normal = Normal::new(TERMS);
+        let mut normal = NormalEquations::new(TERMS);
         for (((x, y), value), weight) in places().zip(&cells).zip(&weights) {
             normal.add(&terms(x, y), *value, *weight);
         }

@@ -1,4 +1,4 @@
-//! Photographs as numbers.
+//! Photographs as arrays of sample values.
 //!
 //! Places in a photograph are in pixels of the mosaic: x to the right, y down, the first pixel's centre at (0.5, 0.5).
 
@@ -6,10 +6,10 @@ use std::fmt;
 
 use optics_model::Invalid;
 
-/// Most samples of a frame: a hundred megapixels in three colours.
+/// Largest number of samples of a frame: a hundred megapixels in three colours.
 pub const MAX_SAMPLES: usize = 300_000_000;
 
-/// Shortest side of a frame, in pixels: less holds no board.
+/// Smallest side of a frame, in pixels: a smaller one cannot show a board.
 pub const MIN_SIDE: usize = 64;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -38,27 +38,27 @@ impl fmt::Display for Colour {
     }
 }
 
-/// How samples lie in a frame.
+/// Arrangement of samples in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pattern {
-    /// One sample a pixel, behind a mosaic of 2 × 2 pixels that is told row by row.
+    /// One sample per pixel, behind a mosaic of 2 × 2 pixels, given row by row.
     Bayer([Colour; 4]),
-    /// Three samples a pixel, interleaved red, green, blue.
+    /// Three samples per pixel, interleaved red, green, blue.
     Rgb,
 }
 
-/// Samples that share a filter and an amplifier: one of the four places of a mosaic, or one of three colours.
+/// Samples that share a filter and an amplifier: one of the four positions of a mosaic, or one of three colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Site {
     pub index: usize,
     pub colour: Colour,
-    /// First column and row with such a sample, and the step to the next one.
+    /// First column and row of these samples, and the step to the next one.
     pub column: usize,
     pub row: usize,
     pub step: usize,
 }
 
-/// One photograph as numbers: what a decoder gives.
+/// One photograph as numbers, as decoded.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Frame {
     width: usize,
@@ -76,16 +76,16 @@ pub struct Area {
     pub height: f64,
 }
 
-/// What a file says of its numbers, where it does.
+/// Black and white level of a file, where it gives them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Levels {
-    /// Number without light, for each place of the mosaic, row by row (R, G, B and nothing for [`Pattern::Rgb`]).
+    /// Black level of each position of the mosaic, row by row (R, G, B and nothing for [`Pattern::Rgb`]).
     pub black: Option<[f64; 4]>,
-    /// Number at which the sensor is full, likewise.
+    /// Number at which the sensor saturates, likewise.
     pub white: Option<[f64; 4]>,
 }
 
-/// How a shot was exposed; shots of a session must agree.
+/// Exposure of a shot; shots of a session must agree.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Exposure {
     pub time_s: f64,
@@ -103,14 +103,14 @@ impl fmt::Display for Exposure {
     }
 }
 
-/// A frame with what its file says about it.
+/// A frame with the metadata of its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Photo {
     /// Names the photograph in messages.
     pub label: String,
     pub frame: Frame,
     pub levels: Levels,
-    /// Time of the shot, from any common start: drift of the light is reckoned with it.
+    /// Time of the shot, from any common start; the drift of the light is interpolated over it.
     pub seconds: Option<f64>,
     pub exposure: Option<Exposure>,
 }

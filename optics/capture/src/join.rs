@@ -1,21 +1,21 @@
-//! Joins shots, and tells how much more they differ than noise explains.
+//! Averages shots, and estimates how much more they differ than by noise.
 //!
-//! What shot j shows beyond the mean F of all is taken as gⱼ F + zⱼ + sⱼ x F + oⱼ F′: gain, zero, slope and place of one
-//! mounting, each with a prior, so that profiles without contrast stay determined. Only what is left is noise. A profile
-//! without contrast cannot tell gain from zero: what F explains counts as gain, and of the others only what is at right
-//! angles to those before.
+//! The difference of shot j from the mean F of all is modelled as gⱼ F + zⱼ + sⱼ x F + oⱼ F′: gain, zero, slope and
+//! place of one mounting, each with a prior, so that profiles without contrast stay determined. The remainder is noise.
+//! In a profile without contrast, gain and zero are degenerate: the part along F counts as gain, and of each further
+//! term only the part that is orthogonal to those before it.
 
 use crate::bins::EdgeProfile;
 use crate::estimate::Estimate;
-use crate::least_squares::Normal;
+use crate::least_squares::NormalEquations;
 
-/// Standard deviations of gain, zero, slope per 10 mm and place in mm, of one mounting, before anything is seen.
+/// Standard deviations of gain, zero, slope per 10 mm and place in mm, of one mounting: the prior.
 const PRIOR: [f64; 4] = [0.01, 0.003, 0.01, 0.02];
 
-/// Bins around each one whose scatter between shots is averaged.
+/// Bins on each side over which the scatter between shots is averaged.
 const AROUND: usize = 20;
 
-/// Several shots of the same thing.
+/// The mean of several shots of one subject.
 #[derive(Debug, Clone)]
 pub(crate) struct Joined {
     pub profile: EdgeProfile,
@@ -23,22 +23,22 @@ pub(crate) struct Joined {
     pub between: [f64; 4],
 }
 
-/// Mean by bins, weighted by noise.
+/// Weighted mean of each bin.
 pub(crate) fn mean(profiles: &[&EdgeProfile]) -> EdgeProfile {
     let first = profiles[0];
     let bins = first.values.len();
     let mut joined = first.clone();
-    // One weight for a shot: those of single bins are noisy.
+    // One weight per shot: weights of single bins would be noisy.
     let weight = |p: &EdgeProfile| {
         let variances: Vec<f64> = p.std_errors.iter().filter(|e| e.is_finite()).map(|e| e * e).collect();
         variances.len() as f64 / variances.iter().sum::<f64>().max(1e-30)
     };
     let weights: Vec<f64> = profiles.iter().map(|p| weight(p)).collect();
     for k in 0..bins {
-        let known = || profiles.iter().zip(&weights).filter(|(p, _)| p.values[k].is_finite());
-        let total: f64 = known().map(|(_, w)| w).sum();
-        joined.values[k] = known().map(|(p, w)| w * p.values[k]).sum::<f64>() / total;
-        let variance = known().map(|(p, w)| (w * p.std_errors[k]).powi(2)).sum::<f64>();
+        let finite = || profiles.iter().zip(&weights).filter(|(p, _)| p.values[k].is_finite());
+        let total: f64 = finite().map(|(_, w)| w).sum();
+        joined.values[k] = finite().map(|(p, w)| w * p.values[k]).sum::<f64>() / total;
+        let variance = finite().map(|(p, w)| (w * p.std_errors[k]).powi(2)).sum::<f64>();
         joined.std_errors[k] = variance.sqrt() / total;
         joined.counts[k] = profiles.iter().map(|p| p.counts[k]).sum();
         let lost: f64 = profiles.iter().map(|p| p.rejected[k] * f64::from(p.counts[k])).sum();
@@ -60,13 +60,13 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
     for shot in profiles {
         let departure = Departure::of(shot, &profile, &basis);
         for (sum, c) in between.iter_mut().zip(departure.coefficients) {
-            // What noise alone does to a coefficient is no difference between shots.
+            // The part of a coefficient that noise explains is no difference between shots.
             *sum += c.value * c.value - c.std_error * c.std_error * freedom / shots as f64;
         }
         left.push(departure.left);
     }
     let mut between = between.map(|sum: f64| (sum / freedom).max(0.0).sqrt());
-    // Of the zero, what it does beside the gain.
+    // Of the zero, only the part that is orthogonal to the gain.
     let zero = basis.iter().map(|row| row[1] * row[1]).filter(|v| v.is_finite());
     between[1] *= (zero.sum::<f64>() / basis.len() as f64).sqrt();
     let scatter: Vec<f64> = (0..profile.values.len())
@@ -75,7 +75,7 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
     for (k, error) in profile.std_errors.iter_mut().enumerate() {
         let near = &scatter[k.saturating_sub(AROUND)..(k + AROUND + 1).min(scatter.len())];
         let mean = near.iter().sum::<f64>() / near.len() as f64;
-        // Scatter that chance explains is no reason: of χ² with so many degrees of freedom, three standard deviations.
+        // Scatter within three standard deviations of χ² with these degrees of freedom counts as chance.
         let chance = 1.0 + 3.0 * (2.0 / (near.len() as f64 * freedom)).sqrt();
         if mean > chance {
             *error *= mean.sqrt();
@@ -84,7 +84,7 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
     Joined { profile, between }
 }
 
-/// F, 1, x F per 10 mm, F′ per mm, each at right angles to those before it.
+/// F, 1, x F per 10 mm, F′ per mm, each orthogonal to those before it.
 fn basis(profile: &EdgeProfile) -> Vec<[f64; 4]> {
     const REACH: usize = 3;
     let n = profile.values.len();
@@ -99,9 +99,9 @@ fn basis(profile: &EdgeProfile) -> Vec<[f64; 4]> {
         .collect();
     for later in 1..4 {
         for earlier in 0..later {
-            let known = || rows.iter().filter(|row| row.iter().all(|v| v.is_finite()));
-            let product: f64 = known().map(|row| row[later] * row[earlier]).sum();
-            let square: f64 = known().map(|row| row[earlier] * row[earlier]).sum();
+            let finite = || rows.iter().filter(|row| row.iter().all(|v| v.is_finite()));
+            let product: f64 = finite().map(|row| row[later] * row[earlier]).sum();
+            let square: f64 = finite().map(|row| row[earlier] * row[earlier]).sum();
             let share = if square > 0.0 { product / square } else { 0.0 };
             for row in &mut rows {
                 row[later] -= share * row[earlier];
@@ -111,16 +111,16 @@ fn basis(profile: &EdgeProfile) -> Vec<[f64; 4]> {
     rows
 }
 
-/// How a shot departs from the mean.
+/// Deviation of a shot from the mean.
 struct Departure {
     coefficients: [Estimate; 4],
-    /// What they do not explain, in standard errors.
+    /// The residuals, in standard errors.
     left: Vec<f64>,
 }
 
 impl Departure {
     fn of(shot: &EdgeProfile, mean: &EdgeProfile, basis: &[[f64; 4]]) -> Self {
-        let mut normal = Normal::new(4);
+        let mut normal = NormalEquations::new(4);
         for (i, sigma) in PRIOR.iter().enumerate() {
             let mut row = [0.0; 4];
             row[i] = 1.0;
@@ -161,7 +161,7 @@ mod tests {
         }
     }
 
-    /// Alternating by one standard error: scatter, but not more than noise.
+    /// Alternating by one standard error: scatter that does not exceed the noise.
     fn alternating(sign: f64) -> impl Fn(usize) -> f64 {
         move |k| if k % 2 == 0 { sign * 1e-3 } else { -sign * 1e-3 }
     }

@@ -1,5 +1,5 @@
 //! The lattice of black and white squares in a photograph: its edges, its pose, the edge in use, and the light of the
-//! squares that a slab leaves free.
+//! squares that are not covered by the slab.
 
 use optics_model::Invalid;
 
@@ -15,20 +15,20 @@ pub(crate) mod movement;
 mod pose;
 mod scan;
 
-pub(crate) use cells::Cells;
+pub(crate) use cells::CropCells;
 pub use edge::EdgeLine;
 pub(crate) use edge::{EdgeFrame, HALF_CROP_MM};
 pub use find::FreeEdge;
-pub(crate) use find::{Found, find, free_edges};
-pub(crate) use light::Reading;
+pub(crate) use find::{LocatedBoard, find, free_edges};
+pub(crate) use light::PatchRadiance;
 pub(crate) use movement::FreeParts;
 
-/// The board as it was made.
+/// Properties of the printed board.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Target {
     pub square_mm: f64,
     pub square_std_error_mm: f64,
-    /// Dark side of the edge in use; without it the edge nearest to the frame's middle is taken.
+    /// Dark side of the edge in use; without it, the edge nearest to the frame's middle is used.
     pub dark_side: Option<Side>,
 }
 

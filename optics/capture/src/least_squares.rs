@@ -15,14 +15,14 @@ impl Solution {
     }
 }
 
-/// Sums of a least-squares problem, built row by row.
+/// Normal equations of a least-squares problem, built row by row.
 #[derive(Debug, Clone)]
-pub(crate) struct Normal {
+pub(crate) struct NormalEquations {
     matrix: DMatrix<f64>,
     vector: DVector<f64>,
 }
 
-impl Normal {
+impl NormalEquations {
     pub fn new(parameters: usize) -> Self {
         Self { matrix: DMatrix::zeros(parameters, parameters), vector: DVector::zeros(parameters) }
     }
@@ -38,7 +38,7 @@ impl Normal {
 
     /// None if the rows do not determine the parameters.
     pub fn solve(&self) -> Option<Solution> {
-        // Scaled to a unit diagonal, so that parameters of different units are told from undetermined ones.
+        // Scaled to a unit diagonal, so that undetermined parameters are recognised whatever their units.
         let n = self.vector.len();
         let scale = DVector::from_fn(n, |i, _| self.matrix[(i, i)].sqrt());
         if scale.iter().any(|s| !s.is_finite() || *s <= 0.0) {
@@ -67,7 +67,7 @@ const TUKEY: f64 = 4.685;
 /// Variance of a Tukey estimate over that of least squares, with normal errors.
 pub(crate) const TUKEY_VARIANCE: f64 = 1.0 / 0.95;
 
-/// The value in the middle of those given, which are reordered; NaN without any.
+/// The median of the values, which are reordered; NaN without any.
 pub(crate) fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
         return f64::NAN;
@@ -87,7 +87,7 @@ pub(crate) fn spread(values: &[f64]) -> f64 {
     1.4826 * median(&mut values.iter().map(|v| (v - centre).abs()).collect::<Vec<_>>())
 }
 
-/// Mean without what lies far off, and its standard error.
+/// Mean without outliers, and its standard error.
 pub(crate) fn robust_mean(values: &[f64]) -> (f64, f64) {
     let sigma = spread(values).max(f64::MIN_POSITIVE);
     let mut centre = median(&mut values.to_vec());
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn a_line_comes_back_with_its_covariance() {
-        let mut normal = Normal::new(2);
+        let mut normal = NormalEquations::new(2);
         for i in 0..11 {
             let t = f64::from(i) - 5.0;
             normal.add(&[1.0, t], 3.0 - 2e-3 * t, 4.0);
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn what_is_not_determined_has_no_solution() {
-        let mut normal = Normal::new(2);
+        let mut normal = NormalEquations::new(2);
         normal.add(&[1.0, 2.0], 1.0, 1.0);
         assert!(normal.solve().is_none());
     }

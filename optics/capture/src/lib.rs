@@ -1,8 +1,7 @@
-//! From photographs to profiles: numerics over plain arrays, without files, network or clock.
-//!
-//! A session runs through steps that take photographs one at a time, so that never more than two are in memory:
-//! [`Darks`] → [`Flats`] → [`Patches`] → [`BareShots`] → [`Mountings`], one of those for each sample. Each step has
-//! `add(photo)`, which checks and may refuse, and `finish()`, whose result the next one uses.
+//! From photographs to profiles: numerics over plain arrays, without files, network or clock. A session is processed in
+//! steps that take photographs one at a time, so that at most two are in memory: [`Darks`] → [`Flats`] → [`Patches`] →
+//! [`BareShots`] → [`Mountings`], one per sample. Each step has `add(photo)`, which checks and may
+//! refuse, and `finish()`, whose result the next one uses.
 
 mod agreement;
 mod bins;
@@ -11,12 +10,12 @@ mod blemishes;
 mod blur;
 mod board;
 mod calibration;
+mod camera_settings;
 mod check;
 mod estimate;
 mod flat;
 mod frame;
 mod join;
-mod kind;
 mod lattice;
 mod least_squares;
 mod mountings;
@@ -45,4 +44,4 @@ pub use noise::SiteNoise;
 pub use patches::{Neutral, Patches};
 pub use refusal::{Refusal, Side, Warning};
 pub use report::ShotReport;
-pub use rho::{BoardRho, Shown};
+pub use rho::{Appearance, BoardRho};

@@ -1,4 +1,4 @@
-//! Shots of a sample: checks, profiles, and the budget of their errors.
+//! Checks the shots of a sample, and computes its profiles with their error budget.
 
 use crate::agreement::{self, check_sides};
 use crate::bins::{Binning, EdgeProfile, bin_clean};
@@ -8,11 +8,11 @@ use crate::calibration::{Calibration, Radiance};
 use crate::estimate::{Contribution, Estimate, Source};
 use crate::frame::{Colour, Photo};
 use crate::join::{Joined, join};
-use crate::lattice::{Cells, FreeParts, Reading, light, movement};
+use crate::lattice::{CropCells, FreeParts, PatchRadiance, light, movement};
 use crate::refusal::{Refusal, Warning};
 use crate::report::ShotReport;
 
-/// Shots of one sample, each a mounting of its stack on the board.
+/// Accumulates the shots of one sample, each a mounting of its stack on the board.
 #[derive(Debug)]
 pub struct Mountings<'a> {
     calibration: &'a Calibration,
@@ -21,7 +21,7 @@ pub struct Mountings<'a> {
     shots: Vec<ShotReport>,
     /// Radiance factor of the frame's mean, per shot.
     means: Vec<[f64; 3]>,
-    /// Why other shots are left out.
+    /// Refusals of the shots that are left out.
     left_out: Vec<Refusal>,
     warnings: Vec<Warning>,
 }
@@ -29,7 +29,7 @@ pub struct Mountings<'a> {
 /// Profiles of a sample with their errors.
 #[derive(Debug, Clone)]
 pub struct SampleProfile {
-    /// x is 0 where the bare board has the channel's edge; `std_errors` are of noise alone.
+    /// x is 0 at the channel's edge on the bare board; `std_errors` are due to noise alone.
     pub profiles: [EdgeProfile; 3],
     pub shots: Vec<ShotReport>,
     /// Errors that are common to many bins, by source, and the mean of the noise.
@@ -47,17 +47,17 @@ impl<'a> Mountings<'a> {
 
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
-        self.calibration.kind.check(&photo)?;
+        self.calibration.settings.check(&photo)?;
         let label = &photo.label;
         let found = &self.board.found;
         let free = found.seen.free_parts(self.calibration.view(&photo));
         movement::check(label, &free.moved_px)?;
         movement::check_blur(label, &found.seen, &free.blur_px)?;
         let radiance = Radiance::new(self.calibration, &photo);
-        let cells = Cells::of(&radiance, &found.edge_frame);
+        let cells = CropCells::of(&radiance, &found.edge_frame);
         let light = self.light(&free, &radiance, &cells);
         self.warn(label, &free, light);
-        let known = light;
+        let light_factor = light;
         let light = light.unwrap_or([Estimate::new(1.0, 0.0); 3]);
         light::check(label, &light)?;
         let radiance = radiance.under(&light);
@@ -74,8 +74,8 @@ impl<'a> Mountings<'a> {
         let blur_px =
             free.blur_px.iter().flatten().copied().min_by(|a, b| a.std_error.total_cmp(&b.std_error));
         let masked: usize = binnings.iter().map(|b| b.masked).sum();
-        let shot = ShotReport::new(label, free.moved_px, known, blur_px, binnings);
-        // What is masked has a warning of its own.
+        let shot = ShotReport::new(label, free.moved_px, light_factor, blur_px, binnings);
+        // Masked samples have a warning of their own.
         let single = 1.0 - masked as f64 / shot.rejected_px.len().max(1) as f64;
         if single * shot.rejected_share() > MANY {
             let share = 100.0 * single * shot.rejected_share();
@@ -91,10 +91,10 @@ impl<'a> Mountings<'a> {
         Ok(())
     }
 
-    /// Brightness of the free board over that of the bare shots. A crop that looks like it was not covered, or is by a
-    /// slab that only dims, as its other parts may be: then nothing is free for certain.
-    fn light(&self, free: &FreeParts, radiance: &Radiance<'_>, cells: &Cells) -> Option<[Estimate; 3]> {
-        let patches: Vec<Reading> = self.board.found.seen.patches().map(|p| p.read(radiance)).collect();
+    /// Brightness of the free board relative to the bare shots. None if the crop looks uncovered: it may lie under a
+    /// slab that only dims, as may the other parts of the board, so nothing is certain to be free.
+    fn light(&self, free: &FreeParts, radiance: &Radiance<'_>, cells: &CropCells) -> Option<[Estimate; 3]> {
+        let patches: Vec<PatchRadiance> = self.board.found.seen.patches().map(|p| p.read(radiance)).collect();
         let light = light::factor(&self.board.readings, &patches, free.free.as_deref()?)?;
         let changed = light.iter().any(|l| (l.value - 1.0).abs() > NOTED);
         let same = changed && self.board.cells.is_bare(&cells.clone().under(&light));
@@ -153,7 +153,7 @@ impl<'a> Mountings<'a> {
                     deviation: t.departure,
                     z: (t.departure / t.std_error).abs(),
                     advice: if self.calibration.flat().is_missing() {
-                        "no flat shots were given: add them, since uneven light does this; or look"
+                        "uneven light is a likely cause, since there are no flat shots: add them; or look"
                     } else {
                         "look"
                     },
@@ -220,7 +220,8 @@ impl<'a> Mountings<'a> {
         .to_vec()
     }
 
-    /// Of the reference's shots, and of a single shot against them: several tell that by themselves.
+    /// Drift error of the reference's shots, and of a single shot against them; several shots show theirs in their
+    /// scatter.
     fn drift(&self, c: usize) -> f64 {
         let gain = self.calibration.gain[c];
         let one = self.calibration.light.std_error[c];
@@ -236,17 +237,17 @@ impl<'a> Mountings<'a> {
         of_reference.hypot(of_shots).hypot(of_bare).hypot(gain.std_error / gain.value)
     }
 
-    /// Of the light across the crop, per 10 mm: what shots of the flat leave open, and what the bare board tells that is
-    /// itself even to [`BOARD_SLOPE`].
+    /// Error of the slope of the light across the crop, per 10 mm: that of the flat, or of the bare board, whose own
+    /// reflectance is even to [`BOARD_SLOPE`].
     fn slope(&self, c: usize) -> f64 {
-        let width_mm = self.calibration.kind.width as f64 * self.board.mm_per_px.value;
+        let width_mm = self.calibration.settings.width as f64 * self.board.mm_per_px.value;
         let of_flat = self.calibration.flat().slope_std_error()[c] * 10.0 / width_mm;
         let seen = self.board.slope[c];
         let of_board = seen.value.hypot(seen.std_error).hypot(BOARD_SLOPE);
         1.0 / (1.0 / of_flat).hypot(1.0 / of_board)
     }
 
-    /// What may have moved across the edge without being noticed.
+    /// Movement across the edge that may have remained undetected.
     fn unseen_movement_mm(&self) -> f64 {
         let axis = self.board.found.across();
         let of = |s: &ShotReport| s.moved_px[axis].map_or(UNSEEN_PX, |m| m.value.hypot(m.std_error));
@@ -256,26 +257,26 @@ impl<'a> Mountings<'a> {
     }
 }
 
-/// Relative slope per 10 mm that a printed square may have itself.
+/// Relative slope per 10 mm of the reflectance of a printed square.
 const BOARD_SLOPE: f64 = 0.001;
 
-/// Where a movement across the edge cannot be seen, one of this many pixels is allowed for: half of what would refuse.
+/// Standard error of a movement across the edge that cannot be measured, in pixels: half the bound for refusal.
 const UNSEEN_PX: f64 = 0.05;
 
-/// Relative change of the light that is noted when it is divided out.
+/// Relative change of the light above which a warning reports that it is divided out.
 const NOTED: f64 = 0.005;
 
-/// Share of masked samples that is noted.
+/// Share of masked samples above which a warning is given.
 const MASKED: f64 = 1e-3;
 
-/// Share of rejected samples that is told.
+/// Share of rejected samples above which a warning is given.
 const MANY: f64 = 0.05;
 
-/// Departure of a third that refuses, as a share of the bare board's contrast; what borders of squares 5 mm away
-/// send through a slab stays below.
+/// Deviation of a third above which a shot is refused, as a share of the bare board's contrast. Light that borders of
+/// squares 5 mm away send through a slab stays below it.
 const THIRDS: f64 = 0.02;
 
 fn noise(profile: &EdgeProfile) -> f64 {
-    let known: Vec<f64> = profile.std_errors.iter().copied().filter(|e| e.is_finite()).collect();
-    known.iter().sum::<f64>() / known.len().max(1) as f64
+    let finite: Vec<f64> = profile.std_errors.iter().copied().filter(|e| e.is_finite()).collect();
+    finite.iter().sum::<f64>() / finite.len().max(1) as f64
 }

@@ -1,11 +1,11 @@
-//! Noise of the sensor from pairs of shots of the same thing (EMVA 1288).
+//! Estimates the sensor's noise from pairs of shots of one subject (EMVA 1288).
 //!
 //! ½ Var(S₁ − S₂) = σ_r² + K · (S − D): σ_r is the noise without light and K the numbers per electron.
 
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Frame, Site};
-use crate::least_squares::{Normal, median};
-use crate::saturation::Full;
+use crate::least_squares::{NormalEquations, median};
+use crate::saturation::Saturation;
 
 /// Noise of the samples of one site.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,31 +24,31 @@ impl SiteNoise {
     }
 }
 
-/// Side of the blocks whose differences are looked at, in samples of a site.
+/// Side of the blocks whose differences are evaluated, in samples of a site.
 pub(crate) const SIDE: usize = 16;
 
-/// Most blocks of a pair and site: enough for 1 % of K.
+/// Largest number of blocks of a pair and site: enough for 1 % of K.
 const BLOCKS: usize = 3000;
 
-/// Groups of blocks of like signal.
+/// Number of groups of blocks of similar signal.
 const GROUPS: usize = 24;
 
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Block {
+pub(crate) struct NoiseBlock {
     pub signal: f64,
     pub variance: f64,
 }
 
-/// Differences of pairs, and of neighbours in single shots in case there are none.
+/// Differences of pairs, and of neighbours in single shots in case there are no pairs.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Pairs {
-    blocks: Vec<Vec<Block>>,
-    singles: Vec<Vec<Block>>,
+    blocks: Vec<Vec<NoiseBlock>>,
+    singles: Vec<Vec<NoiseBlock>>,
 }
 
 impl Pairs {
-    /// Two shots of the same thing; `black` is the level of each site, and what reaches `saturation` is left out.
-    pub fn add(&mut self, a: &Frame, b: &Frame, black: &[Estimate], saturation: Full) {
+    /// Adds two shots of one subject; `black` is the level of each site, and samples at `saturation` are left out.
+    pub fn add(&mut self, a: &Frame, b: &Frame, black: &[Estimate], saturation: Saturation) {
         for site in a.sites() {
             let found = corners(a, site).filter_map(|(i, j)| {
                 let (first, second) = (block(a, site, i, j), block(b, site, i, j));
@@ -61,8 +61,8 @@ impl Pairs {
         }
     }
 
-    /// One shot: second differences along rows.
-    pub fn add_single(&mut self, a: &Frame, black: &[Estimate], saturation: Full) {
+    /// Adds one shot: second differences along rows.
+    pub fn add_single(&mut self, a: &Frame, black: &[Estimate], saturation: Saturation) {
         for site in a.sites() {
             let found = corners(a, site).filter_map(|(i, j)| {
                 let values = block(a, site, i, j);
@@ -83,7 +83,7 @@ impl Pairs {
         }
     }
 
-    /// Variance of a sample of pairs without light.
+    /// Variance of one sample, from pairs without light.
     pub fn dark_variance(&self, site: usize) -> f64 {
         let blocks = self.blocks.get(site).map_or(&[][..], Vec::as_slice);
         if blocks.is_empty() { 0.0 } else { group(blocks).0.variance }
@@ -93,7 +93,7 @@ impl Pairs {
         self.blocks.iter().any(|b| !b.is_empty())
     }
 
-    /// None if the shots tell no noise: none, or a single brightness.
+    /// None if the shots do not determine the noise: no shots, or a single brightness.
     pub fn fit(&self, sites: &[Site]) -> Option<Vec<SiteNoise>> {
         sites
             .iter()
@@ -125,21 +125,21 @@ pub(crate) fn block(frame: &Frame, site: Site, i: usize, j: usize) -> Vec<f64> {
     values
 }
 
-fn pair(a: &[f64], b: &[f64], black: f64) -> Option<Block> {
+fn pair(a: &[f64], b: &[f64], black: f64) -> Option<NoiseBlock> {
     let n = a.len() as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n - black;
     let (of_a, of_b) = (mean(a), mean(b));
-    // Light that flickers scales a block; only where there is light is that a matter.
+    // Flicker scales a block, which matters only where there is light.
     let ratio = if of_a > 50.0 && of_b > 50.0 { of_a / of_b } else { 1.0 };
     let difference = |(x, y): (&f64, &f64)| (x - black - of_a) - ratio * (y - black - of_b);
     let sum = a.iter().zip(b).map(|p| difference(p).powi(2)).sum::<f64>();
     let variance = sum / ((n - 1.0) * (1.0 + ratio * ratio));
     let structure = a.iter().map(|x| (x - black - of_a).powi(2)).sum::<f64>() / (n - 1.0);
-    // Edges and dust between shots that are not quite alike would count as noise.
-    (structure < 3.0 * variance + 1.0).then_some(Block { signal: f64::midpoint(of_a, of_b), variance })
+    // Edges and dust that differ between the shots would count as noise.
+    (structure < 3.0 * variance + 1.0).then_some(NoiseBlock { signal: f64::midpoint(of_a, of_b), variance })
 }
 
-pub(crate) fn single(values: &[f64], black: f64) -> Block {
+pub(crate) fn single(values: &[f64], black: f64) -> NoiseBlock {
     let mut sum = 0.0;
     let mut count = 0.0;
     for row in values.chunks_exact(SIDE) {
@@ -148,24 +148,25 @@ pub(crate) fn single(values: &[f64], black: f64) -> Block {
             count += 1.0;
         }
     }
-    Block { signal: values.iter().sum::<f64>() / values.len() as f64 - black, variance: sum / count }
+    NoiseBlock { signal: values.iter().sum::<f64>() / values.len() as f64 - black, variance: sum / count }
 }
 
-/// Weighted line through the medians of groups of like signal.
-fn line(blocks: &[Block], colour: Colour) -> Option<SiteNoise> {
+/// Weighted line through the medians of groups of similar signal.
+fn line(blocks: &[NoiseBlock], colour: Colour) -> Option<SiteNoise> {
     let mut sorted = blocks.to_vec();
     sorted.sort_by(|a, b| a.signal.total_cmp(&b.signal));
-    let groups: Vec<(Block, f64)> = sorted.chunks(sorted.len().div_ceil(GROUPS).max(1)).map(group).collect();
+    let groups: Vec<(NoiseBlock, f64)> =
+        sorted.chunks(sorted.len().div_ceil(GROUPS).max(1)).map(group).collect();
     let [mut read, mut gain] = [groups.first()?.0.variance.max(0.1), 0.0];
     let mut solution = None;
     for _ in 0..4 {
-        let mut normal = Normal::new(2);
+        let mut normal = NormalEquations::new(2);
         for (at, degrees) in &groups {
             let expected = (read + gain * at.signal).max(0.1);
             normal.add(&[1.0, at.signal], at.variance, degrees / (2.0 * expected * expected));
         }
         let fitted = normal.solve()?;
-        // Quantisation alone leaves a twelfth.
+        // Quantisation alone has a variance of 1/12.
         (read, gain) = (fitted.x[0].max(1.0 / 12.0), fitted.x[1].max(0.0));
         solution = Some(fitted);
     }
@@ -178,13 +179,13 @@ fn line(blocks: &[Block], colour: Colour) -> Option<SiteNoise> {
     })
 }
 
-/// Median of a group, and the degrees of freedom that it is worth.
-fn group(blocks: &[Block]) -> (Block, f64) {
+/// Median of a group, and its effective degrees of freedom.
+fn group(blocks: &[NoiseBlock]) -> (NoiseBlock, f64) {
     let freedom = (SIDE * SIDE - 1) as f64;
-    // Median over mean of χ² by Wilson and Hilferty; a median costs π/2 in variance.
+    // Ratio of median to mean of χ² by Wilson and Hilferty; a median has π/2 times the variance.
     let correction = (1.0 - 2.0 / (9.0 * freedom)).powi(3);
-    let of = |f: fn(&Block) -> f64| median(&mut blocks.iter().map(f).collect::<Vec<_>>());
-    let middle = Block { signal: of(|b| b.signal), variance: of(|b| b.variance) / correction };
+    let of = |f: fn(&NoiseBlock) -> f64| median(&mut blocks.iter().map(f).collect::<Vec<_>>());
+    let middle = NoiseBlock { signal: of(|b| b.signal), variance: of(|b| b.variance) / correction };
     (middle, freedom * blocks.len() as f64 * std::f64::consts::FRAC_2_PI)
 }
 
@@ -212,7 +213,7 @@ mod tests {
     fn pairs_tell_noise_without_light_and_numbers_per_electron() {
         let (a, b) = (frame(1), frame(2));
         let mut pairs = Pairs::default();
-        pairs.add(&a, &b, &[Estimate::new(100.0, 0.0); 4], Full::all(60_000.0));
+        pairs.add(&a, &b, &[Estimate::new(100.0, 0.0); 4], Saturation::all(60_000.0));
         for noise in pairs.fit(&a.sites()).unwrap() {
             // Rounding adds a twelfth to the variance.
             let read = (16.0_f64 + 1.0 / 12.0).sqrt();
@@ -226,7 +227,7 @@ mod tests {
     fn a_single_frame_serves_where_nothing_was_taken_twice() {
         let a = frame(3);
         let mut pairs = Pairs::default();
-        pairs.add_single(&a, &[Estimate::new(100.0, 0.0); 4], Full::all(60_000.0));
+        pairs.add_single(&a, &[Estimate::new(100.0, 0.0); 4], Saturation::all(60_000.0));
         assert!(!pairs.has_pairs());
         let found = pairs.fit(&a.sites()).unwrap();
         assert!(found.iter().all(|n| (n.gain.value / 0.7 - 1.0).abs() < 0.05), "{found:?}");

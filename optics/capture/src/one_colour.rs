@@ -1,31 +1,34 @@
-//! Whether red, green and blue are one: a monochrome camera, or grey that was stored as RGB.
+//! Detects photographs whose colours are one channel: from a monochrome camera, or grey stored as RGB.
 
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Frame, Site};
 use crate::least_squares::median;
-use crate::noise::{Block, block, corners, single};
-use crate::saturation::Full;
+use crate::noise::{NoiseBlock, block, corners, single};
+use crate::saturation::Saturation;
 
-/// Least error of a block's mean, as a share of it: pixels differ in how they respond.
+/// Smallest relative error of a block's mean: pixels differ in their response.
 const LEAST: f64 = 1e-3;
 
-/// Most that the median difference of blocks may be in standard errors; 0.67 is that of noise.
+/// Largest median difference of blocks, in standard errors; that of noise is 0.67.
 const AGREE: f64 = 1.5;
 
 /// Whether the colours agree within noise in the brighter half of a frame.
-pub(crate) fn are_one(frame: &Frame, black: &[Estimate], saturation: Full) -> bool {
+pub(crate) fn are_one(frame: &Frame, black: &[Estimate], saturation: Saturation) -> bool {
     let sites = frame.sites();
-    let of = |colour: Colour| sites.iter().find(|site| site.colour == colour).copied();
-    let (Some(red), Some(green), Some(blue)) = (of(Colour::Red), of(Colour::Green), of(Colour::Blue)) else {
+    let scale = |colour: Colour| sites.iter().find(|site| site.colour == colour).copied();
+    let (Some(red), Some(green), Some(blue)) =
+        (scale(Colour::Red), scale(Colour::Green), scale(Colour::Blue))
+    else {
         return false;
     };
     // The last place of a mosaic has the fewest rows and columns.
     let smallest = sites.last().copied().unwrap_or(blue);
-    let mut blocks: Vec<[Block; 3]> = corners(frame, smallest)
+    let mut blocks: Vec<[NoiseBlock; 3]> = corners(frame, smallest)
         .filter_map(|(i, j)| {
             let values = [red, green, blue].map(|site| (site, block(frame, site, i, j)));
-            let clipped = |(site, of): &(Site, Vec<f64>)| of.iter().any(|v| saturation.holds(*site, *v));
-            let blocks = values.each_ref().map(|(site, of)| single(of, black[site.index].value));
+            let clipped =
+                |(site, scale): &(Site, Vec<f64>)| scale.iter().any(|v| saturation.holds(*site, *v));
+            let blocks = values.each_ref().map(|(site, scale)| single(scale, black[site.index].value));
             (!values.iter().any(clipped)).then_some(blocks)
         })
         .collect();
@@ -38,8 +41,8 @@ pub(crate) fn are_one(frame: &Frame, black: &[Estimate], saturation: Full) -> bo
     !differs(0) && !differs(2)
 }
 
-/// Of two blocks, in standard errors.
-fn difference(a: Block, b: Block) -> f64 {
+/// Difference of two blocks, in standard errors.
+fn difference(a: NoiseBlock, b: NoiseBlock) -> f64 {
     let variance = (a.variance + b.variance) / BLOCK_SAMPLES;
     (a.signal - b.signal).abs() / variance.sqrt().max(LEAST * b.signal.abs()).max(1e-6)
 }
@@ -51,8 +54,8 @@ mod tests {
     use super::*;
     use crate::frame::Pattern;
 
-    /// Light that falls off to one side, with noise; `of` scales the colours.
-    fn frame(pattern: Pattern, of: [f64; 3], grey: bool) -> Frame {
+    /// Light that falls off to one side, with noise; `scale` multiplies the colours.
+    fn frame(pattern: Pattern, scale: [f64; 3], grey: bool) -> Frame {
         let mut state = 7_u64;
         let mut noise = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -71,7 +74,7 @@ mod tests {
             }
             // Half of it is a dark square.
             let light = if x < 190 { 5000.0 - 2.0 * x as f64 } else { 100.0 };
-            (64.0 + of[colour] * light + 200.0 * last).max(0.0) as u16
+            (64.0 + scale[colour] * light + 200.0 * last).max(0.0) as u16
         });
         Frame::new(400, 300, pattern, samples.collect()).unwrap()
     }
@@ -80,7 +83,8 @@ mod tests {
     fn three_colours_that_agree_within_noise_are_one() {
         let mosaic = Pattern::Bayer([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]);
         let black = [Estimate::new(64.0, 0.0); 4];
-        let one = |pattern, of, grey| are_one(&frame(pattern, of, grey), &black, Full::all(65_535.0));
+        let one =
+            |pattern, scale, grey| are_one(&frame(pattern, scale, grey), &black, Saturation::all(65_535.0));
         assert!(one(mosaic, [1.0; 3], false), "a monochrome camera");
         assert!(one(Pattern::Rgb, [1.0; 3], true), "grey as RGB");
         assert!(!one(mosaic, [0.6, 1.0, 0.7], false), "a camera");

@@ -1,85 +1,89 @@
-//! Grey patches: linearity, stray light and the white reference.
+//! Grey patches: fits linearity, stray light and the white reference to their shots.
 //!
-//! (S − D)/f = k ρ + γ M/f: f is the flat, k the numbers per unit of radiance factor, M the frame's mean of S − D, and γ
-//! the share of it that lens and camera scatter over the frame.
+//! (S − D)/f = k ρ + γ M/f: f is the flat, k the numbers per unit of radiance factor, M the frame's mean of S − D, and
+//! γ the share of it that lens and camera scatter over the frame.
 
 use optics_model::Invalid;
 
 use crate::black::Black;
 use crate::calibration::{Calibration, frame_means};
+use crate::camera_settings::CameraSettings;
 use crate::flat::Flat;
 use crate::frame::{Area, Colour, Photo};
-use crate::kind::Kind;
 use crate::least_squares::{median, robust_mean};
 use crate::noise::Pairs;
 use crate::one_colour;
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
-use crate::saturation::{Full, saturation};
-use crate::view::View;
+use crate::saturation::{Saturation, saturation};
+use crate::view::PhotoView;
 
 mod find;
 mod line;
 
-/// The grey patches and what is certified of them.
+/// The grey patches with their certified reflectances.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neutral {
     rho: Vec<[f64; 3]>,
     std_error: f64,
-    /// None if they are to be found.
+    /// None if they have to be found.
     areas: Option<Vec<Area>>,
 }
 
-/// Shots of the patches, one after the other.
+/// Accumulates shots of the patches.
 #[derive(Debug)]
 pub struct Patches {
     black: Black,
     flat: Flat,
     neutral: Neutral,
     last: Option<Photo>,
-    shots: Vec<Shot>,
+    shots: Vec<PatchShot>,
     pairs: Pairs,
     warnings: Vec<Warning>,
 }
 
-/// What one shot shows.
+/// The readings of one shot.
 #[derive(Debug, Clone)]
-struct Shot {
+struct PatchShot {
     label: String,
     seconds: Option<f64>,
     areas: Vec<Area>,
-    /// Per patch and channel: mean number above black, over the flat, with its standard error; M/f.
-    readings: Vec<[Reading; 3]>,
-    /// Brightness of each site against its channel.
+    /// Per patch and channel: mean number above black, divided by the flat, with its standard error; M/f.
+    readings: Vec<[RawReading; 3]>,
+    /// Brightness of each site relative to its channel.
     sites: Vec<f64>,
 }
 
-/// Light of each sample of an area over the flat, and the mean of each site.
-struct Samples {
+/// Each sample of an area divided by the flat, and the mean of each site.
+struct AreaSamples {
     light: Vec<f64>,
     per_site: Vec<(usize, f64)>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Reading {
+struct RawReading {
     light: f64,
     std_error: f64,
     veil: f64,
 }
 
-/// Ratio of one patch in two shots against the other patches' that is no noise: another patch lies there.
+/// Ratio of one patch between two shots, relative to the other patches, above which it must be another patch.
 const OTHER_PATCH: f64 = 1.5;
 
-/// Least side of an area, in pixels.
+/// Smallest side of an area, in pixels.
 const LEAST_PX: f64 = 8.0;
-/// Pixels of an area that are read: a white patch is then known to 0.005 %.
+/// Pixels of an area that are read: enough for a white patch to 0.005 %.
 const SAMPLES: f64 = 100_000.0;
 
 impl Neutral {
-    /// `rho` per patch and channel, `std_error` relative, `areas` in the same order. Without areas, a row of patches is
-    /// looked for in every shot.
+    /// `rho` per patch and channel, `std_error` relative, `areas` in the same order. Without areas, the row of patches
+    /// is searched for in every shot.
     pub fn new(rho: Vec<[f64; 3]>, std_error: f64, areas: Option<Vec<Area>>) -> Result<Self, Invalid> {
         if rho.len() < 3 {
-            return Err(Invalid::new("rho", format!("{} patches", rho.len()), "at least 3 tell a line"));
+            return Err(Invalid::new(
+                "rho",
+                format!("{} patches", rho.len()),
+                "at least 3 are needed for a line",
+            ));
         }
         if let Some((i, wrong)) =
             rho.iter().enumerate().find(|(_, r)| r.iter().any(|v| !(1e-4..=1.2).contains(v)))
@@ -131,7 +135,7 @@ impl Patches {
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
         let full = saturation(&photo);
         if let Some(last) = &self.last {
-            Kind::of(last).check(&photo)?;
+            CameraSettings::of(last).check(&photo)?;
             self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
         } else {
             self.pairs.add_single(&photo.frame, self.black.levels(), full);
@@ -145,24 +149,24 @@ impl Patches {
         Ok(())
     }
 
-    fn read(&self, photo: &Photo, full: Full) -> Result<Shot, Refusal> {
+    fn read(&self, photo: &Photo, full: Saturation) -> Result<PatchShot, Refusal> {
         let frame = &photo.frame;
         let sites = frame.sites();
         let means = frame_means(&self.black, frame);
         let areas = match &self.neutral.areas {
             Some(areas) => areas.clone(),
-            None => find::find(View { photo, black: &self.black, flat: &self.flat }, &self.neutral)?,
+            None => find::find(PhotoView { photo, black: &self.black, flat: &self.flat }, &self.neutral)?,
         };
         let mut readings = Vec::new();
         let mut of_sites = vec![1.0; sites.len()];
         for (i, area) in areas.iter().enumerate() {
-            let mut per_channel = [Reading { light: 0.0, std_error: 0.0, veil: 0.0 }; 3];
+            let mut per_channel = [RawReading { light: 0.0, std_error: 0.0, veil: 0.0 }; 3];
             for colour in Colour::ALL {
-                let Samples { light: samples, per_site } = self.samples(photo, *area, i, colour, full)?;
+                let AreaSamples { light: samples, per_site } = self.samples(photo, *area, i, colour, full)?;
                 let (light, std_error) = robust_mean(&samples);
                 let middle = [area.x + 0.5 * area.width, area.y + 0.5 * area.height];
                 let veil = means[colour.index()] / self.flat.at(colour, middle[0], middle[1]);
-                per_channel[colour.index()] = Reading { light, std_error, veil };
+                per_channel[colour.index()] = RawReading { light, std_error, veil };
                 if i == self.neutral.white() {
                     for (site, mean) in per_site {
                         of_sites[site] = mean / light;
@@ -171,7 +175,7 @@ impl Patches {
             }
             readings.push(per_channel);
         }
-        Ok(Shot { label: photo.label.clone(), seconds: photo.seconds, areas, readings, sites: of_sites })
+        Ok(PatchShot { label: photo.label.clone(), seconds: photo.seconds, areas, readings, sites: of_sites })
     }
 
     fn samples(
@@ -180,8 +184,8 @@ impl Patches {
         area: Area,
         index: usize,
         colour: Colour,
-        full: Full,
-    ) -> Result<Samples, Refusal> {
+        full: Saturation,
+    ) -> Result<AreaSamples, Refusal> {
         let frame = &photo.frame;
         let (right, bottom) = (area.x + area.width, area.y + area.height);
         if right > frame.width() as f64 || bottom > frame.height() as f64 {
@@ -211,15 +215,15 @@ impl Patches {
             let level = full.of_colour(frame, colour);
             return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level });
         }
-        Ok(Samples { light: samples, per_site })
+        Ok(AreaSamples { light: samples, per_site })
     }
 
-    /// Refuses shots that differ by more than one factor of the light for all patches.
+    /// Refuses shots that differ by more than a common factor of all patches.
     fn check_alike(&self) -> Result<(), Refusal> {
         let Some((first, others)) = self.shots.split_first() else { return Ok(()) };
         for shot in others {
             let ratio =
-                |(a, b): (&[Reading; 3], &[Reading; 3])| b[1].light / a[1].light.max(f64::MIN_POSITIVE);
+                |(a, b): (&[RawReading; 3], &[RawReading; 3])| b[1].light / a[1].light.max(f64::MIN_POSITIVE);
             let ratios: Vec<f64> = first.readings.iter().zip(&shot.readings).map(ratio).collect();
             let common = median(&mut ratios.clone());
             let is_other = |ratio: &f64| !(1.0 / OTHER_PATCH..=OTHER_PATCH).contains(&(ratio / common));
@@ -237,13 +241,15 @@ impl Patches {
         let sites = last.frame.sites();
         self.check_alike()?;
         let fitted = line::fit(&self.neutral, &self.shots)?;
-        // Shots of the patches are alike; flats show moved paper. Those serve where nothing better was taken twice.
+        // Pairs of patch shots show one subject, flats a moved sheet; these are used only if there are no better pairs.
         let mut pairs = self.black.pairs.clone();
         pairs.extend(&self.pairs);
         if self.shots.len() < 2 {
             pairs.extend(&self.flat.pairs);
         }
-        let noise = pairs.fit(&sites).ok_or(Refusal::Missing { what: "shots that tell the noise" })?;
+        let noise = pairs
+            .fit(&sites)
+            .ok_or(Refusal::Missing { what: "shots from which the noise can be estimated" })?;
         let mean =
             |s: usize| self.shots.iter().map(|shot| shot.sites[s]).sum::<f64>() / self.shots.len() as f64;
         let site_gain = (0..sites.len()).map(mean).collect();
@@ -255,7 +261,7 @@ impl Patches {
         if last.frame.pattern() == crate::Pattern::Rgb {
             warnings.push(Warning::Demosaiced);
         }
-        let kind = Kind::of(last);
+        let settings = CameraSettings::of(last);
         Ok(Calibration {
             noise,
             patches: fitted.patches,
@@ -269,7 +275,7 @@ impl Patches {
             black: self.black,
             flat: self.flat,
             site_gain,
-            kind,
+            settings,
         })
     }
 }

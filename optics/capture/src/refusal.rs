@@ -1,4 +1,4 @@
-//! Why photographs are refused, and what is doubtful about those that are not.
+//! The errors for which photographs are refused, and the warnings about accepted ones.
 
 use thiserror::Error;
 
@@ -14,7 +14,7 @@ pub(crate) const UNLIKE: &str =
 pub(crate) const ONE_TURNED: &str = "one of the two is turned (a viewer's automatic rotation), or something moved; give \
                                      the files as the camera wrote them, or shoot again";
 
-/// What makes a session worthless: what was seen, where, and what to do.
+/// Why a session cannot be evaluated: the finding, its place, and what to do.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Refusal {
     #[error(transparent)]
@@ -28,7 +28,7 @@ pub enum Refusal {
     NotLinear { colour: Colour, patch: usize, rho: f64, deviation: f64 },
     #[error(
         "{label}: the grey patches were not found: {seen}; they are looked for as a row of even rectangles at equal \
-         distances, in the order of rho; check that order, or say where they are with `areas_px`"
+         distances, in the order of rho; check that order, or give their places with `areas_px`"
     )]
     NoPatches { label: String, seen: String },
     #[error(
@@ -42,13 +42,13 @@ pub enum Refusal {
     )]
     BlackSubtracted { label: String, share: f64 },
     #[error(
-        "{label}: the black level is unknown: add dark shots (`dark` under [camera], `--darks` beside --check), or \
-         give files that tell it"
+        "{label}: the black level is unknown: add dark shots (`dark` under [camera], `--darks` with --check), or give \
+         files that contain it"
     )]
     BlackUnknown { label: String },
     #[error(
         "{label}: the edge is blurred by {blur_px:.2} px, {times:.2} times the session's {session_px:.2} px, 1.3 times \
-         are allowed; focus again, let nothing move"
+         are allowed; focus again, and avoid any movement"
     )]
     Defocused { label: String, blur_px: f64, session_px: f64, times: f64 },
     #[error(
@@ -57,9 +57,9 @@ pub enum Refusal {
     )]
     Shaken { label: String, across_px: f64, along_px: f64 },
     #[error(
-        "{label}: the board lies ({dx_px:+.2}, {dy_px:+.2}) px from where the bare shots show it, {allowed_px:.2} px \
-         are allowed; camera or board moved: shoot the bare board again; or a viewer turned one of the pictures: give \
-         the files as the camera wrote them"
+        "{label}: the board lies ({dx_px:+.2}, {dy_px:+.2}) px away from its place in the bare shots, {allowed_px:.2} \
+         px are allowed; if camera or board moved, shoot the bare board again; if a viewer turned one of the pictures, \
+         give the files as the camera wrote them"
     )]
     Moved { label: String, dx_px: f64, dy_px: f64, allowed_px: f64 },
     #[error(
@@ -84,7 +84,7 @@ pub enum Refusal {
     EdgeBent { label: String, bend_px: f64, allowed_px: f64 },
     #[error(
         "{label}: the edge is turned by {angle_deg:+.2}° against the pixels, at least {needed_deg:.2}° are needed to \
-         see it at all their phases; turn the board a little"
+         sample it at all their phases; turn the board a little"
     )]
     NotSlanted { label: String, angle_deg: f64, needed_deg: f64 },
     #[error(
@@ -93,15 +93,15 @@ pub enum Refusal {
     )]
     LightDrifted { colour: Colour, percent: f64, first: String, last: String },
     #[error(
-        "{label}: the free board's light differs by {percent:+.1} % in {colour} from the bare shots', up to {allowed} % are \
-         divided out: light or exposure changed; fix both, and shoot again what differs, this shot or the bare board"
+        "{label}: the free board's light differs by {percent:+.1} % in {colour} from the bare shots', up to {allowed} \
+         % are divided out: light or exposure changed; keep both constant, and repeat this shot or the bare board"
     )]
     LightChanged { label: String, colour: Colour, percent: f64, allowed: f64 },
     #[error(
-        "{label}: the dark side of the edge is {found}, not {told} as the session says; swap `dark_side`, or give the \
+        "{label}: the dark side of the edge is {found}, but {expected} in the session file; change `dark_side`, or give the \
          file as the camera wrote it, if a viewer turned it"
     )]
-    SidesSwapped { label: String, found: Side, told: Side },
+    SidesSwapped { label: String, found: Side, expected: Side },
     #[error(
         "{label}: no edge of a board was found: {seen}; light evenly, fill the frame's middle with the edge"
     )]
@@ -112,7 +112,7 @@ pub enum Refusal {
         "{label}: the crop leaves the frame at ({x_px:.0}, {y_px:.0}) px; move the edge to the frame's middle"
     )]
     OutsideFrame { label: String, x_px: f64, y_px: f64 },
-    #[error("{label}: nothing lies on the board within the crop; cover the edge with the slab")]
+    #[error("{label}: the crop looks like the bare board; cover the edge with the slab")]
     NoSlab { label: String },
     #[error(
         "{label}: {what} is {found}, but {expected} in the shots before; use one camera with fixed settings"
@@ -120,38 +120,40 @@ pub enum Refusal {
     Mixed { label: String, what: &'static str, found: String, expected: String },
     #[error("{label}: {seen}: {cause}")]
     Unlike { label: String, seen: String, cause: &'static str },
-    #[error("no {what} were given, and nothing can take their place")]
+    #[error("there are no {what}, and nothing can replace them")]
     Missing { what: &'static str },
 }
 
-/// What is doubtful, and told beside the answer.
+/// A doubt that is reported with the answer.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Warning {
     #[error(
-        "{what}: {count} shots cannot tell an error between them; mount the slab again at least three times"
+        "{what}: {count} shots are too few to estimate the error between mountings; mount the slab at least three times"
     )]
     FewShots { what: String, count: usize },
-    #[error("no dark shots: the black level is the files' own, without an error")]
+    #[error("no dark shots: the black level is taken from the files, without an error")]
     NoDark,
     #[error(
-        "the black level is already subtracted; where the board is as dark as the noise its light is overrated"
+        "the black level is already subtracted; where the board is as dark as the noise, its light is overestimated"
     )]
     BlackSubtracted,
     #[error(
-        "no flat shots: uneven light is not divided out; a slope of {slope_percent} % per 10 mm is allowed for"
+        "no flat shots: uneven light is not corrected; a slope of {slope_percent} % per 10 mm is allowed for"
     )]
     NoFlat { slope_percent: f64 },
     #[error(
-        "{label}: the slab leaves nothing of the board free, so it was not checked that nothing moved and that the \
-         light was the bare shots'"
+        "{label}: no part of the board is free of the slab, so movement and a change of the light since the bare shots \
+         could not be checked"
     )]
     Unchecked { label: String },
-    #[error("{label}: the free parts of the board do not tell whether it moved {direction}")]
+    #[error("{label}: the free parts of the board do not show whether it moved {direction}")]
     HalfChecked { label: String, direction: &'static str },
-    #[error("{label}: the free parts of the board do not show whether its light was the bare shots'")]
+    #[error(
+        "{label}: the free parts of the board do not show whether the light has changed since the bare shots"
+    )]
     LightUnchecked { label: String },
     #[error(
-        "{label}: the free board's light differs by {percent:+.1} % in {colour} from the bare shots'; that is divided out"
+        "{label}: the free board's light differs by {percent:+.1} % in {colour} from the bare shots'; this is divided out"
     )]
     LightDividedOut { label: String, colour: Colour, percent: f64 },
     #[error(
@@ -167,16 +169,16 @@ pub enum Warning {
         "{label}: the brightest {colour} samples reach {percent:.0} % of the sensor's range; expose longer"
     )]
     Dim { label: String, colour: Colour, percent: f64 },
-    #[error("{label}: no free edge of the board tells how sharp it is")]
+    #[error("{label}: no free edge of the board, so its sharpness was not checked")]
     NoFreeEdge { label: String },
     #[error("the photographs are demosaiced: their neighbours are correlated and their errors too small")]
     Demosaiced,
     #[error(
-        "{label}: red, green and blue agree within noise: they are one channel under three names, as of a monochrome \
-         camera or of grey stored as RGB; use one of the three results"
+        "{label}: red, green and blue agree within noise: they are one channel, as from a monochrome camera or from \
+         grey stored as RGB; use one of the three results"
     )]
     OneColour { label: String },
-    #[error("noise was told from single photographs, since none was taken twice")]
+    #[error("noise was estimated from single photographs, since no shot was repeated")]
     NoPairs,
     #[error("times of the shots are unknown: the white reference is the mean of its shots")]
     NoTimes,

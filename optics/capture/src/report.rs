@@ -1,4 +1,4 @@
-//! What is told of each shot.
+//! The report of each shot.
 
 use crate::bins::{Binning, EdgeProfile};
 use crate::estimate::Estimate;
@@ -9,15 +9,15 @@ pub struct ShotReport {
     pub label: String,
     /// Pixels of samples in the crop that were rejected as dust or scratches.
     pub rejected_px: Vec<[u32; 2]>,
-    /// Movement against the first bare shot sideways and up and down, where it could be told.
+    /// Movement since the first bare shot, sideways and up and down, where it could be measured.
     pub moved_px: [Option<Estimate>; 2],
-    /// Brightness of the free board over that in the bare shots, per channel, where it is known.
+    /// Brightness of the free board relative to the bare shots, per channel, where it could be measured.
     pub light: Option<[Estimate; 3]>,
-    /// σ of lens and pixel, where a bare edge tells it.
+    /// σ of lens and pixel, where a bare edge shows it.
     pub blur_px: Option<Estimate>,
-    /// Scatter of samples within bins over what the sensor's noise explains, per channel.
+    /// Ratio of the scatter of samples within bins to the sensor's noise, per channel.
     pub scatter: [f64; 3],
-    /// Of this shot alone.
+    /// Profiles of this shot alone.
     pub profiles: [EdgeProfile; 3],
 }
 

@@ -1,7 +1,7 @@
-//! Reflectance of the board from how it looks in the scene.
+//! Computes the board's reflectance from its appearance in the scene.
 //!
-//! A base of reflectance ρ under layers looks like s + a ρ/(1 − b ρ): s is what the layers reflect themselves, a what goes
-//! in and out, b what they throw back onto the base.
+//! A base of reflectance ρ under layers appears as s + a ρ/(1 − b ρ): s is the reflection of the layers themselves, a
+//! the transmission in and out, b the reflection back onto the base.
 
 use optics_model::Invalid;
 use optics_model::scene::DARKER_WHITE;
@@ -9,9 +9,9 @@ use optics_model::scene::DARKER_WHITE;
 use crate::board::Board;
 use crate::estimate::Estimate;
 
-/// How the scene shows an even base of any reflectance ρ: as s + a ρ/(1 − b ρ).
+/// Appearance of an even base of any reflectance ρ in the scene: s + a ρ/(1 − b ρ).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Shown {
+pub struct Appearance {
     pub s: f64,
     pub a: f64,
     pub b: f64,
@@ -22,11 +22,11 @@ pub struct Shown {
 pub struct BoardRho {
     pub light: Estimate,
     pub dark: Estimate,
-    /// Light and dark, had the white reference [`DARKER_WHITE`] of its reflectance.
+    /// Light and dark, if the white reference had [`DARKER_WHITE`] of its reflectance.
     pub under_darker_white: [f64; 2],
 }
 
-impl Shown {
+impl Appearance {
     /// ρ = y/(a + b y), y = v − s.
     pub fn rho(&self, apparent: Estimate) -> Estimate {
         let y = apparent.value - self.s;
@@ -36,8 +36,8 @@ impl Shown {
 }
 
 impl Board {
-    /// ρ of both sides. `gain_std_error` is the relative error of the white reference, which both share.
-    pub fn rho(&self, shown: &[Shown; 3], gain_std_error: f64) -> Result<[BoardRho; 3], Invalid> {
+    /// ρ of both sides. `gain_std_error` is the relative error of the white reference, common to both.
+    pub fn rho(&self, shown: &[Appearance; 3], gain_std_error: f64) -> Result<[BoardRho; 3], Invalid> {
         let of = |c: usize| {
             let sides = [self.light[c], self.dark[c]];
             let with = |e: Estimate| Estimate::new(e.value, e.std_error.hypot(gain_std_error * e.value));
@@ -66,13 +66,13 @@ mod tests {
 
     #[test]
     fn rho_comes_back_from_how_it_looks_with_its_error() {
-        let shown = Shown { s: 0.004, a: 0.55, b: 0.45 };
+        let shown = Appearance { s: 0.004, a: 0.55, b: 0.45 };
         let apparent = |rho: f64| shown.s + shown.a * rho / (1.0 - shown.b * rho);
         let found = shown.rho(Estimate::new(apparent(0.985), 1e-3));
         assert!((found.value - 0.985).abs() < 1e-12);
         let slope = (apparent(0.986) - apparent(0.984)) / 0.002;
         assert!((found.std_error * slope / 1e-3 - 1.0).abs() < 1e-4, "{found:?}");
-        // A reference of 1 % less makes the board look 1 % darker than it was taken for.
+        // With a reference that reflects 1 % less, the board is 1 % darker than assumed.
         let darker = shown.rho(Estimate::new(DARKER_WHITE * apparent(0.985), 1e-3)).value;
         assert!((apparent(darker) / apparent(0.985) - DARKER_WHITE).abs() < 1e-12, "{darker}");
     }

@@ -1,14 +1,14 @@
-//! Where a sensor is full.
+//! Finds the numbers at which a sensor saturates.
 
 use rayon::prelude::*;
 
 use crate::frame::{Colour, Frame, Photo, Site};
 
-/// Numbers from which on the samples of each site are clipped.
+/// Numbers at and above which samples of each site are clipped.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Full([f64; 4]);
+pub(crate) struct Saturation([f64; 4]);
 
-impl Full {
+impl Saturation {
     pub fn all(level: f64) -> Self {
         Self([level; 4])
     }
@@ -32,16 +32,15 @@ impl Full {
     }
 }
 
-/// Clipped are samples from the lower one of what the file tells and what the picture shows. A full sensor piles
-/// samples up at the highest numbers that occur; raw converters may have scaled the colours, so that each is full at
-/// another.
-pub(crate) fn saturation(photo: &Photo) -> Full {
-    let told = photo.levels.white.unwrap_or([f64::from(u16::MAX); 4]);
-    let mut full = Full(told);
+/// The lower one of the file's white level and the level at which samples pile up. A saturated sensor piles samples up
+/// at the highest numbers that occur; raw converters may scale the colours, so that each has its own level.
+pub(crate) fn saturation(photo: &Photo) -> Saturation {
+    let white = photo.levels.white.unwrap_or([f64::from(u16::MAX); 4]);
+    let mut full = Saturation(white);
     let sites = photo.frame.sites();
     let found: Vec<f64> = sites.par_iter().map(|site| shown(&counts(&photo.frame, *site))).collect();
     for (site, shown) in sites.iter().zip(found) {
-        full.0[site.index] = told[site.index].min(shown);
+        full.0[site.index] = white[site.index].min(shown);
     }
     full
 }
@@ -56,15 +55,15 @@ fn counts(frame: &Frame, site: Site) -> Vec<u32> {
     counts
 }
 
-/// Widths of a pile: that of a number, with the rounding of a scale, and that of full pixels that differ a little.
+/// Widths of a pile: of a single number with the rounding of a scale, and of saturated pixels that differ a little.
 const WIDTHS: [f64; 2] = [0.002, 0.005];
 
-/// Where samples pile up; infinite if they do not.
+/// Number at which samples pile up; infinite if they do not.
 fn shown(counts: &[u32]) -> f64 {
     let total: u32 = counts.iter().sum();
     let few = 20.max(total / 20_000);
     let highest = counts.iter().rposition(|n| *n > 0).unwrap_or(0);
-    // A few pixels that are odd may lie above.
+    // A few defective pixels may lie above.
     let mut above = 0;
     let most = counts.iter().rposition(|n| {
         above += n;
@@ -75,7 +74,7 @@ fn shown(counts: &[u32]) -> f64 {
         let near = (1.0 - width) * top as f64;
         let (piled, below) =
             (between(near, counts.len() as f64), between((1.0 - 7.5 * width) * top as f64, near));
-        // Above any brightness there are fewer samples than below, but where they pile up.
+        // There are fewer samples above any brightness than below, except where they pile up.
         (piled > few && piled > 2 * below).then_some(near)
     };
     let tops = [Some(highest), most].into_iter().flatten();
@@ -89,7 +88,7 @@ mod tests {
     use crate::frame::{Levels, Pattern};
     use crate::testing::normal;
 
-    /// Light that rises to the right; red is full at `red`, with a relative scatter.
+    /// Light that rises to the right; red saturates at `red`, with a relative scatter.
     fn photo(white: Option<[f64; 4]>, red: f64, scatter: f64) -> Photo {
         let mut state = 3;
         let samples = (0..200 * 150 * 3).map(|i| {
@@ -107,14 +106,14 @@ mod tests {
     fn each_colour_is_full_where_its_samples_pile_up() {
         let full = |photo: &Photo| saturation(photo).0;
         assert_eq!(full(&photo(None, f64::INFINITY, 0.0)), [65_535.0; 4]);
-        // A plateau of one number, and those of a scatter, the widest of which its file does not tell.
+        // A plateau of one number, and plateaus with scatter, the widest of which lie below the file's level.
         for scatter in [0.0, 2e-4, 6e-4] {
             let [red, green, blue, _] = full(&photo(None, 30_000.0, scatter));
             let lowest = 30_000.0 * (1.0 - 3.0 * scatter);
             assert!(red > 29_700.0 && red <= lowest, "{scatter}: {red}");
             assert_eq!([green, blue], [65_535.0; 2], "{scatter}");
         }
-        // Odd pixels above the plateau.
+        // Defective pixels above the plateau.
         let mut odd = photo(None, 30_000.0, 6e-4);
         let mut samples = odd.frame.samples().to_vec();
         samples[3 * 777] = 65_000;
@@ -124,7 +123,7 @@ mod tests {
 
     #[test]
     fn each_colour_is_full_where_its_file_tells() {
-        let told = [50_000.0, 40_000.0, 20_000.0, 40_000.0];
-        assert_eq!(saturation(&photo(Some(told), f64::INFINITY, 0.0)).0, told);
+        let white = [50_000.0, 40_000.0, 20_000.0, 40_000.0];
+        assert_eq!(saturation(&photo(Some(white), f64::INFINITY, 0.0)).0, white);
     }
 }

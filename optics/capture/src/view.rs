@@ -1,18 +1,18 @@
-//! A photograph before it is calibrated.
+//! A photograph before its calibration, with black level and flat.
 
 use crate::black::Black;
 use crate::flat::Flat;
 use crate::frame::{Colour, Frame, Photo, Site};
 
-/// A photograph with what its samples are read by.
+/// A photograph with the black level and the flat for reading its samples.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct View<'a> {
+pub(crate) struct PhotoView<'a> {
     pub photo: &'a Photo,
     pub black: &'a Black,
     pub flat: &'a Flat,
 }
 
-impl View<'_> {
+impl PhotoView<'_> {
     pub fn frame(&self) -> &Frame {
         &self.photo.frame
     }

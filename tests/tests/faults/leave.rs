@@ -139,7 +139,7 @@ fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
     farm.ask(&["workers", "drain", "old"]);
     let second = farm.worker("young", &[]);
     assert_eq!(worker.exit_within(SOON * 2), 0);
-    assert!(worker.log().contains("it asked for that"), "{}", worker.log());
+    assert!(worker.log().contains("the coordinator requested it"), "{}", worker.log());
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
     nobody_is_blamed(&farm);
     assert_eq!(farm.farmctl(&["workers", "drain", "old"]).code, 1, "it is known no more");
@@ -153,6 +153,6 @@ fn a_worker_for_which_there_is_no_work_ends_if_it_may() {
     let mut worker = farm.worker("worker", &["--idle-exit", "1s"]);
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     assert_eq!(worker.exit_within(SOON), 0);
-    assert!(worker.log().contains("there was no work for long enough"), "{}", worker.log());
+    assert!(worker.log().contains("there was no work"), "{}", worker.log());
     nobody_is_blamed(&farm);
 }

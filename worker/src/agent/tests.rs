@@ -21,7 +21,7 @@ const FOREVER: Duration = Duration::from_hours(1);
 struct RunningWorker {
     coordinator: Coordinator,
     shutdown: CancellationToken,
-    worker: JoinHandle<Result<Ended, Error>>,
+    worker: JoinHandle<Result<EndReason, Error>>,
 }
 
 impl RunningWorker {
@@ -33,7 +33,7 @@ impl RunningWorker {
         Self { coordinator: coordinator.clone(), shutdown, worker }
     }
 
-    async fn ended(self) -> Result<Ended, Error> {
+    async fn ended(self) -> Result<EndReason, Error> {
         timeout(Duration::from_mins(1), self.worker).await.expect("the worker ends").unwrap()
     }
 
@@ -95,7 +95,7 @@ async fn an_idle_worker_delivers_all_results_before_it_exits() {
     coordinator.offer(jobs.clone().map(lease).chain([lease_of(5, block.clone())]));
     let idle_exit = Some(Duration::from_millis(50));
     let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
-    assert_eq!(running.ended().await.unwrap(), Ended::Idle);
+    assert_eq!(running.ended().await.unwrap(), EndReason::Idle);
     let mut results = delivered(&coordinator);
     results.sort_unstable_by_key(|result| result.key.job);
     let expected = jobs.map(|n| job(n.into())).chain([block]);
@@ -117,7 +117,7 @@ async fn a_worker_holds_one_job_more_than_it_has_threads() {
     let max_leases: Vec<_> = coordinator.calls(Call::acquire).iter().map(|call| call.max_leases).collect();
     assert_eq!(max_leases, [3]);
     running.shutdown.cancel();
-    assert_eq!(running.ended().await.unwrap(), Ended::Stopped);
+    assert_eq!(running.ended().await.unwrap(), EndReason::Stopped);
 }
 
 /// Jobs that have not begun are handed back.
@@ -128,7 +128,7 @@ async fn a_drained_worker_finishes_its_running_jobs() {
     let running = RunningWorker::start(&coordinator, |config| config);
     running.runs(&[0]).await;
     coordinator.drain();
-    assert_eq!(running.ended().await.unwrap(), Ended::Drained);
+    assert_eq!(running.ended().await.unwrap(), EndReason::Drained);
     assert_eq!(delivered(&coordinator).iter().map(|result| result.key.job).collect::<Vec<_>>(), [0]);
     assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![], true)]);
     assert_left_for_good(&coordinator);
@@ -143,7 +143,7 @@ async fn a_stopped_worker_hands_back_unfinished_jobs() {
     let running = RunningWorker::start(&coordinator, |config| Config { grace, ..config });
     running.runs(&[0]).await;
     running.shutdown.cancel();
-    assert_eq!(running.ended().await.unwrap(), Ended::Stopped);
+    assert_eq!(running.ended().await.unwrap(), EndReason::Stopped);
     assert!(delivered(&coordinator).is_empty());
     assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![0], true)]);
     assert_left_for_good(&coordinator);
@@ -159,7 +159,7 @@ async fn a_lost_lease_makes_room_for_the_next_job() {
     coordinator.lose(lost.key);
     running.runs_only(1).await;
     running.shutdown.cancel();
-    assert_eq!(running.ended().await.unwrap(), Ended::Stopped);
+    assert_eq!(running.ended().await.unwrap(), EndReason::Stopped);
     assert_eq!(handed_back(&coordinator), [(vec![1], true)]);
 }
 
@@ -172,7 +172,7 @@ async fn a_worker_announces_that_it_stops_before_its_grace() {
     let running = RunningWorker::start(&coordinator, |config| Config { grace, ..config });
     running.runs(&[0]).await;
     running.shutdown.cancel();
-    assert_eq!(running.ended().await.unwrap(), Ended::Stopped);
+    assert_eq!(running.ended().await.unwrap(), EndReason::Stopped);
     let calls = coordinator.calls(Call::hand_back);
     let announced: Vec<_> =
         calls.iter().map(|call| (call.stopping, call.leaving, call.leases.len())).collect();
@@ -188,7 +188,7 @@ async fn a_restarted_coordinator_does_not_interrupt_jobs() {
     let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
     running.runs(&[0]).await;
     coordinator.restart(SHORT_LEASE);
-    assert_eq!(running.ended().await.unwrap(), Ended::Idle);
+    assert_eq!(running.ended().await.unwrap(), EndReason::Idle);
     assert_eq!(coordinator.calls(Call::register).len(), 2);
     assert_eq!(delivered(&coordinator).len(), 1);
 }
@@ -221,7 +221,7 @@ async fn faults_are_outlasted_until_the_time_limit() {
     let (time_limit, grace) = (Some(Duration::from_mins(10)), Duration::from_mins(1));
     let start = Instant::now();
     let worker = RunningWorker::start(&coordinator, |config| Config { grace, time_limit, ..config }).worker;
-    assert_eq!(worker.await.unwrap().unwrap(), Ended::TimeLimit);
+    assert_eq!(worker.await.unwrap().unwrap(), EndReason::TimeLimit);
     let worked = Duration::from_secs(600 - 60 - 5);
     assert!((worked..worked + Duration::from_secs(1)).contains(&start.elapsed()), "{:?}", start.elapsed());
     assert!(coordinator.calls(Call::acquire).len() > 20, "it requests work until then");
@@ -233,7 +233,7 @@ async fn a_worker_is_idle_only_after_its_time_without_work() {
     let start = Instant::now();
     let idle_exit = Some(Duration::from_secs(50));
     let worker = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config }).worker;
-    assert_eq!(worker.await.unwrap().unwrap(), Ended::Idle);
+    assert_eq!(worker.await.unwrap().unwrap(), EndReason::Idle);
     assert!((50..52).contains(&start.elapsed().as_secs()), "{:?}", start.elapsed());
 }
 
@@ -282,7 +282,7 @@ async fn jobs_that_share_their_walks_take_one_slot() {
     coordinator.offer(set.clone());
     let idle_exit = Some(Duration::from_millis(50));
     let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
-    assert_eq!(running.ended().await.unwrap(), Ended::Idle);
+    assert_eq!(running.ended().await.unwrap(), EndReason::Idle);
     let mut results = delivered(&coordinator);
     results.sort_unstable_by_key(|result| result.key.job);
     for (result, lease) in results.iter().zip(&set) {

@@ -7,7 +7,7 @@ use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::{CompleteRequest, ResultHeader};
 
 use super::PendingResult;
-use crate::pool::JobResult;
+use crate::pool::TraceResult;
 
 /// Bytes of one piece of a result.
 const PIECE: usize = 1 << 20;
@@ -23,8 +23,10 @@ pub(super) fn result_messages(worker_token: &str, results: &[PendingResult]) -> 
             identity: identity.as_bytes().to_vec(),
         }));
         match result {
-            JobResult::Records(records) => pieces(records.bytes()).for_each(|p| push(Content::Records(p))),
-            JobResult::Sums(sums) => pieces(&sums.to_le_bytes().into()).for_each(|p| push(Content::Sums(p))),
+            TraceResult::Records(records) => pieces(records.bytes()).for_each(|p| push(Content::Records(p))),
+            TraceResult::Sums(sums) => {
+                pieces(&sums.to_le_bytes().into()).for_each(|p| push(Content::Sums(p)))
+            }
         }
     }
     messages

@@ -54,7 +54,7 @@ impl Worker {
 fn pending(n: u32, bytes: usize) -> PendingResult {
     let job = job(1);
     let zeros = Bytes::from(vec![0; result_bytes(&job)]);
-    let result = JobResult::Records(PackedRecords::new(&job, zeros).unwrap());
+    let result = TraceResult::Records(PackedRecords::new(&job, zeros).unwrap());
     let room = Arc::new(Semaphore::new(1)).try_acquire_owned().unwrap();
     PendingResult { key: lease(n).key, identity: job.identity(), result, bytes, _room: room }
 }
@@ -190,7 +190,7 @@ async fn records_and_sums_arrive_whole_with_what_they_depend_on() {
     let worker = Worker::start().await;
     let block = job(2).with_block(0).unwrap();
     let mut sums = pending(1, result_bytes(&block));
-    (sums.result, sums.identity) = (JobResult::Sums(Sums::new(&block)), block.identity());
+    (sums.result, sums.identity) = (TraceResult::Sums(Sums::new(&block)), block.identity());
     worker.finish([0]);
     worker.finished.send(sums).unwrap();
     let (coordinator, _) = (worker.coordinator.clone(), worker.delivered().await);

@@ -9,8 +9,12 @@ use crate::testing::{Answer, Call, Coordinator, Method, introduction, job, lease
 
 const LEASE: Duration = Duration::from_secs(30);
 
-async fn open(coordinator: &Coordinator, shutdown: &CancellationToken) -> Result<Option<Session>, Error> {
-    Session::open(coordinator.link(), "http://test", introduction(), Arc::default(), shutdown).await
+async fn open(
+    coordinator: &Coordinator,
+    shutdown: &CancellationToken,
+) -> Result<Option<CoordinatorSession>, Error> {
+    CoordinatorSession::open(coordinator.link(), "http://test", introduction(), Arc::default(), shutdown)
+        .await
 }
 
 /// Holds `count` leases.

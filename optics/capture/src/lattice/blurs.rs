@@ -1,22 +1,22 @@
-//! Blur of an edge across its own points, in pixels.
+//! Estimates the blur of an edge from the pixels around its points, in pixels.
 
-use super::scan::{Point, Run};
+use super::scan::{EdgePoint, Run};
 use crate::blur::{self, EdgeBins};
 use crate::estimate::Estimate;
 use crate::frame::Colour;
-use crate::view::View;
+use crate::view::PhotoView;
 
 /// Width of the bins, in pixels.
 const WIDTH: f64 = 0.25;
 
-/// Fewest points that tell a blur.
+/// Fewest points that determine a blur.
 const POINTS: usize = 10;
 
 /// σ of the Gaussian across points on a line at = offset + slope · on, lens and pixel together.
 pub(super) fn blur_px(
-    view: View<'_>,
+    view: PhotoView<'_>,
     run: Run,
-    points: &[Point],
+    points: &[EdgePoint],
     slope: f64,
     reach: f64,
 ) -> Option<Estimate> {
@@ -62,8 +62,8 @@ pub(super) fn blur_px(
     Some(fitted.blur)
 }
 
-/// Each point's place from a line through its neighbours: its own noise would count as blur.
-fn smooth(points: &[Point]) -> Vec<Point> {
+/// Each point's place on a line through its neighbours, since the noise of single points would count as blur.
+fn smooth(points: &[EdgePoint]) -> Vec<EdgePoint> {
     const AROUND: usize = 40;
     let n = points.len();
     (0..n)
@@ -75,7 +75,7 @@ fn smooth(points: &[Point]) -> Vec<Point> {
             let sxx: f64 = near.iter().map(|p| (p.on - on).powi(2)).sum();
             let sxy: f64 = near.iter().map(|p| (p.on - on) * (p.at - at)).sum();
             let slope = if sxx > 0.0 { sxy / sxx } else { 0.0 };
-            Point { at: at + slope * (points[i].on - on), ..points[i] }
+            EdgePoint { at: at + slope * (points[i].on - on), ..points[i] }
         })
         .collect()
 }

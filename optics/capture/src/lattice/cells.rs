@@ -1,4 +1,4 @@
-//! Brightness of the crop in coarse cells: where a slab covers it.
+//! Brightness of the crop in coarse cells, which shows where a slab covers it.
 
 use super::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
@@ -7,23 +7,23 @@ use crate::frame::Colour;
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
 
-/// Cells along each side of the crop: half a millimetre.
+/// Cells along each side of the crop, each half a millimetre wide.
 const CELLS: usize = 20;
 
-/// Relative departure within which a cell looks as without a slab.
+/// Relative deviation from the bare board within which a cell counts as not covered.
 const FREE: f64 = 0.015;
 
 /// Mean radiance factor of each cell and channel, by distance from the edge within each row.
 #[derive(Debug, Clone)]
-pub(crate) struct Cells([Vec<Cell>; 3]);
+pub(crate) struct CropCells([Vec<CellMean>; 3]);
 
 #[derive(Debug, Clone, Copy)]
-struct Cell {
+struct CellMean {
     value: f64,
     std_error: f64,
 }
 
-impl Cells {
+impl CropCells {
     pub fn of(radiance: &Radiance<'_>, edge: &EdgeFrame) -> Self {
         Self(Colour::ALL.map(|colour| (0..CELLS * CELLS).map(|k| cell(radiance, edge, colour, k)).collect()))
     }
@@ -31,8 +31,8 @@ impl Cells {
     pub fn mean(shots: &[Self]) -> Self {
         let n = shots.len() as f64;
         let of = |c: usize, k: usize| {
-            let sum = |f: fn(&Cell) -> f64| shots.iter().map(|s| f(&s.0[c][k])).sum::<f64>();
-            Cell { value: sum(|c| c.value) / n, std_error: sum(|c| c.std_error) / n / n.sqrt() }
+            let sum = |f: fn(&CellMean) -> f64| shots.iter().map(|s| f(&s.0[c][k])).sum::<f64>();
+            CellMean { value: sum(|c| c.value) / n, std_error: sum(|c| c.std_error) / n / n.sqrt() }
         };
         Self([0, 1, 2].map(|c| (0..CELLS * CELLS).map(|k| of(c, k)).collect()))
     }
@@ -41,13 +41,13 @@ impl Cells {
     pub fn under(mut self, light: &[Estimate; 3]) -> Self {
         for (cells, light) in self.0.iter_mut().zip(light) {
             for cell in cells {
-                *cell = Cell { value: cell.value / light.value, std_error: cell.std_error / light.value };
+                *cell = CellMean { value: cell.value / light.value, std_error: cell.std_error / light.value };
             }
         }
         self
     }
 
-    /// Shares of the dark and the light side of the crop that look as without a slab, `self` being the bare board.
+    /// Shares of the dark and the light side of the crop that look uncovered, `self` being the bare board.
     fn free_shares(&self, sample: &Self) -> [f64; 2] {
         let share = |side: bool| {
             let free = (0..CELLS * CELLS).filter(|k| is_light(*k) == side && self.is_free(sample, *k));
@@ -56,7 +56,7 @@ impl Cells {
         [share(false), share(true)]
     }
 
-    /// Whether the whole crop looks as without a slab.
+    /// Whether the whole crop looks uncovered.
     pub fn is_bare(&self, sample: &Self) -> bool {
         self.free_shares(sample).iter().all(|share| *share > 0.9)
     }
@@ -66,13 +66,13 @@ impl Cells {
         if self.is_bare(sample) {
             return Err(Refusal::NoSlab { label: label.to_owned() });
         }
-        // A slab that lets no light through looks like the bare dark side.
+        // An opaque slab looks like the bare dark side.
         let dark_tells = self.free_shares(sample)[0] < 0.6;
         let counts = |k: &usize| self.is_free(sample, *k) && (is_light(*k) || dark_tells);
         let corner = |k: usize| [(k % CELLS) as f64, (k / CELLS) as f64];
         let border = |k: &usize| [k % CELLS, k / CELLS].iter().any(|i| *i == 0 || *i == CELLS - 1);
         let open: Vec<usize> = (0..CELLS * CELLS).filter(border).filter(counts).collect();
-        // One cell may be a chance.
+        // A single cell may be due to chance.
         if open.len() < 3 {
             return Ok(());
         }
@@ -100,7 +100,7 @@ fn is_light(k: usize) -> bool {
     k % CELLS >= CELLS / 2
 }
 
-fn cell(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, k: usize) -> Cell {
+fn cell(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, k: usize) -> CellMean {
     const STEPS: usize = 8;
     let side = 2.0 * HALF_CROP_MM / CELLS as f64;
     let at = |i: usize, part: usize| (i as f64 + (part as f64 + 0.5) / STEPS as f64) * side - HALF_CROP_MM;
@@ -119,5 +119,5 @@ fn cell(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, k: usize) -> 
         }
     }
     let (value, std_error) = robust_mean(&values);
-    Cell { value, std_error }
+    CellMean { value, std_error }
 }

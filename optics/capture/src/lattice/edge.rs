@@ -1,16 +1,16 @@
-//! The edge in use, and distances from it in the board's plane.
+//! Chooses the edge to measure at, and converts pixels to distances from it in the board's plane.
 
-use super::lines::{BoardLine, Stretch};
+use super::lines::{BoardLine, EdgeStretch};
 use super::pose::Pose;
 use super::scan::Run;
 use crate::estimate::Estimate;
-use crate::least_squares::{Normal, spread, tukey};
+use crate::least_squares::{NormalEquations, spread, tukey};
 use crate::refusal::{Refusal, Side};
 
 /// Half of the crop's sides, in mm: the paper's 1 × 1 cm.
 pub const HALF_CROP_MM: f64 = 5.0;
 
-/// Least distance between the crop and a square's border along the edge, in mm.
+/// Smallest distance between the crop and a square's border along the edge, in mm.
 const ROOM_MM: f64 = 1.0;
 
 /// Largest bend within the crop. A parabola of this height widens the blur by 0.002 px², and its ends lie a tenth of a
@@ -22,7 +22,7 @@ const BEND_PX: f64 = 0.15;
 pub struct EdgeLine {
     pub from_px: [f64; 2],
     pub to_px: [f64; 2],
-    /// Against the frame's columns, or its rows if those are nearer; positive clockwise.
+    /// Angle to the frame's columns, or to its rows if those are nearer; positive clockwise.
     pub angle_deg: Estimate,
     pub dark_side: Side,
     /// Height of the edge's bow within the crop.
@@ -35,12 +35,12 @@ pub(crate) struct EdgeFrame {
     pub pose: Pose,
     pub square_mm: f64,
     pub run: Run,
-    /// Number of the line, and the crop's middle along it, in squares.
+    /// Index of the line, and the crop's middle along it, in squares.
     index: f64,
     middle: f64,
     /// 1 if the light side has the larger coordinate, else −1.
     sign: f64,
-    /// Place of the edge against its line of the lattice: offset + slope · along, in mm.
+    /// Place of the edge relative to its line of the lattice: offset + slope · along, in mm.
     offset_mm: f64,
     slope: f64,
 }
@@ -71,22 +71,22 @@ impl EdgeFrame {
         self.square_mm * self.pose.pitch(self.px([0.0, 0.0]))
     }
 
-    /// Corners of the crop, around it.
+    /// Corners of the crop, in order around it.
     pub fn crop_px(&self) -> [[f64; 2]; 4] {
         let h = HALF_CROP_MM;
         [[-h, -h], [h, -h], [h, h], [-h, h]].map(|mm| self.px(mm))
     }
 }
 
-/// Picks the stretch: on the side told, nearest to the frame's middle.
+/// Chooses the stretch nearest to the frame's middle, among those with the given dark side.
 pub(super) fn choose<'a>(
     down: &'a [BoardLine],
     across: &'a [BoardLine],
-    told: Option<Side>,
+    required: Option<Side>,
     middle: [f64; 2],
     min_px: f64,
-) -> Option<(&'a BoardLine, &'a Stretch)> {
-    let runs = match told {
+) -> Option<(&'a BoardLine, &'a EdgeStretch)> {
+    let runs = match required {
         Some(Side::Left | Side::Right) => [down, &[]],
         Some(Side::Top | Side::Bottom) => [&[], across],
         None => [down, across],
@@ -96,7 +96,7 @@ pub(super) fn choose<'a>(
         .min_by(|a, b| distance(a.1, middle).total_cmp(&distance(b.1, middle)))
 }
 
-fn distance(stretch: &Stretch, middle: [f64; 2]) -> f64 {
+fn distance(stretch: &EdgeStretch, middle: [f64; 2]) -> f64 {
     let (at, on) = match stretch.run {
         Run::Down => (middle[0], middle[1]),
         Run::Across => (middle[1], middle[0]),
@@ -105,7 +105,7 @@ fn distance(stretch: &Stretch, middle: [f64; 2]) -> f64 {
     (stretch.at(nearest) - at).hypot(nearest - on)
 }
 
-pub(super) fn dark_side(stretch: &Stretch) -> Side {
+pub(super) fn dark_side(stretch: &EdgeStretch) -> Side {
     match (stretch.run, stretch.rises) {
         (Run::Down, true) => Side::Left,
         (Run::Down, false) => Side::Right,
@@ -118,7 +118,7 @@ pub(super) fn dark_side(stretch: &Stretch) -> Side {
 pub(super) fn place(
     label: &str,
     line: &BoardLine,
-    stretch: &Stretch,
+    stretch: &EdgeStretch,
     pose: Pose,
     square_mm: f64,
     size: [f64; 2],
@@ -131,7 +131,7 @@ pub(super) fn place(
     if room_mm < needed_mm {
         return Err(Refusal::BorderInCrop { label: label.to_owned(), room_mm, needed_mm });
     }
-    // As far from corners as the stretch allows, and then as near to the frame's middle.
+    // As far from corners as the stretch allows, then as near as possible to the frame's middle.
     let free = (0.5 * room_mm).min(2.0 * HALF_CROP_MM) / square_mm;
     let at_middle = along([0.5 * size[0], 0.5 * size[1]]);
     let middle = at_middle.clamp(ends[0] + free, (ends[1] - free).max(ends[0] + free));
@@ -140,7 +140,7 @@ pub(super) fn place(
     let mut frame = EdgeFrame { pose, square_mm, run, index, middle, sign, offset_mm: 0.0, slope: 0.0 };
     let straight = straighten(&mut frame, stretch).ok_or_else(|| Refusal::NoBoard {
         label: label.to_owned(),
-        seen: "the edge is seen in parts only".to_owned(),
+        seen: "only parts of the edge are visible".to_owned(),
     })?;
     check_inside(label, &frame, size)?;
     let mm_per_px = frame.mm_per_px();
@@ -161,8 +161,8 @@ struct Straight {
     bend_mm: Estimate,
 }
 
-/// Fits offset and slope within the crop, and the bow that is left: b (along² − h²/3), height 3/2 · … of it.
-fn straighten(frame: &mut EdgeFrame, stretch: &Stretch) -> Option<Straight> {
+/// Fits offset and slope within the crop, and the remaining bow b (along² − h²/3), whose height is 3/2 · … of it.
+fn straighten(frame: &mut EdgeFrame, stretch: &EdgeStretch) -> Option<Straight> {
     let places: Vec<[f64; 2]> = stretch
         .points
         .iter()
@@ -175,7 +175,7 @@ fn straighten(frame: &mut EdgeFrame, stretch: &Stretch) -> Option<Straight> {
     let mut found = None;
     let mut sigma = 0.0;
     for _ in 0..10 {
-        let mut normal = Normal::new(3);
+        let mut normal = NormalEquations::new(3);
         for ([d, t], w) in places.iter().zip(&weights) {
             normal.add(&rows(*t), *d, *w);
         }

@@ -1,28 +1,28 @@
-//! Finds the board in a photograph.
+//! Finds the board in a photograph, and the free edges that show how sharp it is.
 
 use super::Target;
 use super::edge::{EdgeFrame, EdgeLine, choose, dark_side, place};
-use super::lines::{BoardLine, Stretch, number, stretches};
-use super::movement::{Seen, check_shake};
+use super::lines::{BoardLine, EdgeStretch, number, stretches};
+use super::movement::{BoardEdges, check_shake};
 use super::pose;
 use super::scan::{Contrast, Run, Scan};
 use crate::estimate::Estimate;
 use crate::refusal::Refusal;
-use crate::view::View;
+use crate::view::PhotoView;
 
 /// A board in a photograph.
 #[derive(Debug, Clone)]
-pub(crate) struct Found {
+pub(crate) struct LocatedBoard {
     pub edge_frame: EdgeFrame,
     pub edge: EdgeLine,
-    /// Of lengths in the frame's middle, relative.
+    /// Relative standard error of lengths in the frame's middle.
     pub scale_std_error: f64,
     pub corners_px: Vec<[f64; 2]>,
-    pub seen: Seen,
+    pub seen: BoardEdges,
 }
 
-impl Found {
-    /// Which of a photograph's axes the edge is crossed along: 0 sideways, 1 up and down.
+impl LocatedBoard {
+    /// The axis of the photograph that crosses the edge: 0 sideways, 1 up and down.
     pub fn across(&self) -> usize {
         usize::from(self.edge_frame.run == Run::Across)
     }
@@ -31,21 +31,21 @@ impl Found {
 /// Shortest stretch of edge that counts, as a share of the frame's shorter side.
 const SHORTEST: f64 = 0.03;
 
-/// Plateaus begin here until the blur is known, in pixels.
+/// Initial distance from an edge to its plateaus, in pixels.
 pub(super) const REACH_PX: f64 = 5.0;
 
-/// Departure of a bare board's levels from its common black and white: light that is uneven by so much.
+/// Largest deviation of a bare board's levels from its black and white, due to uneven light.
 const SHARE: f64 = 0.2;
 
-pub(crate) fn find(view: View<'_>, target: Target) -> Result<Found, Refusal> {
+pub(crate) fn find(view: PhotoView<'_>, target: Target) -> Result<LocatedBoard, Refusal> {
     let photo = view.photo;
     let frame = &photo.frame;
     let size = [frame.width() as f64, frame.height() as f64];
     let none = |seen: String| Refusal::NoBoard { label: photo.label.clone(), seen };
-    let contrast = Contrast::of(view).ok_or_else(|| none("black and white are not told apart".into()))?;
+    let contrast = Contrast::of(view).ok_or_else(|| none("black and white do not differ enough".into()))?;
     let ([down, across], seen) = look(view, contrast);
     let middle = [0.5 * size[0], 0.5 * size[1]];
-    let number = |found: Vec<Stretch>, on: f64| number(found, on).map_err(&none);
+    let number = |found: Vec<EdgeStretch>, on: f64| number(found, on).map_err(&none);
     let (down, across) = (number(down, middle[1])?, number(across, middle[0])?);
     if down.is_empty() && across.is_empty() {
         return Err(none("no straight edge".into()));
@@ -53,16 +53,16 @@ pub(crate) fn find(view: View<'_>, target: Target) -> Result<Found, Refusal> {
     let unscaled = |seen: String| Refusal::NoScale { label: photo.label.clone(), seen };
     let fitted = pose::fit(&down, &across, size).map_err(unscaled)?;
     let per_mm = 1.0 / (target.square_mm * fitted.pose.pitch(middle));
-    let told = target.dark_side;
-    let (line, stretch) = choose(&down, &across, told, middle, 2.0 * per_mm)
-        .ok_or_else(|| none("no edge runs as `dark_side` says".into()))?;
+    let expected = target.dark_side;
+    let (line, stretch) = choose(&down, &across, expected, middle, 2.0 * per_mm)
+        .ok_or_else(|| none("no edge has its dark side where `dark_side` gives it".into()))?;
     let found = dark_side(stretch);
-    if let Some(told) = told.filter(|told| *told != found) {
-        return Err(Refusal::SidesSwapped { label: photo.label.clone(), found, told });
+    if let Some(expected) = expected.filter(|expected| *expected != found) {
+        return Err(Refusal::SidesSwapped { label: photo.label.clone(), found, expected });
     }
     let (edge_frame, edge) = place(&photo.label, line, stretch, fitted.pose, target.square_mm, size)?;
     let corners_px = corners(&down, &across, &fitted.pose, size);
-    Ok(Found { edge_frame, edge, scale_std_error: fitted.scale_std_error, corners_px, seen })
+    Ok(LocatedBoard { edge_frame, edge, scale_std_error: fitted.scale_std_error, corners_px, seen })
 }
 
 /// A straight edge between black and white.
@@ -70,12 +70,12 @@ pub(crate) fn find(view: View<'_>, target: Target) -> Result<Found, Refusal> {
 pub struct FreeEdge {
     /// Against the frame's columns, or its rows if those are nearer; positive clockwise.
     pub angle_deg: Estimate,
-    /// σ of lens and pixel across it; none if it is too short.
+    /// σ of lens and pixel across it; None if it is too short.
     pub blur_px: Option<Estimate>,
 }
 
-/// The longest edges of a photograph that run up and down, and across the frame; refuses one that was shaken.
-pub(crate) fn free_edges(view: View<'_>) -> Result<[Option<FreeEdge>; 2], Refusal> {
+/// The longest edges of a photograph that run up and down, and across the frame; refuses a photograph with motion blur.
+pub(crate) fn free_edges(view: PhotoView<'_>) -> Result<[Option<FreeEdge>; 2], Refusal> {
     let Some(contrast) = Contrast::of(view) else { return Ok([None; 2]) };
     let (_, seen) = look(view, contrast);
     check_shake(&view.photo.label, &seen)?;
@@ -85,13 +85,13 @@ pub(crate) fn free_edges(view: View<'_>) -> Result<[Option<FreeEdge>; 2], Refusa
     }))
 }
 
-/// Scans, and again where the edge is so blurred that its plateaus begin farther off.
-fn look(view: View<'_>, contrast: Contrast) -> ([Vec<Stretch>; 2], Seen) {
+/// Scans, and repeats with plateaus farther from the edge if it is strongly blurred.
+fn look(view: PhotoView<'_>, contrast: Contrast) -> ([Vec<EdgeStretch>; 2], BoardEdges) {
     let shortest = SHORTEST * view.frame().width().min(view.frame().height()) as f64;
     let mut scan = Scan { contrast, reach_px: REACH_PX, share: SHARE };
     loop {
         let found = [Run::Down, Run::Across].map(|run| stretches(&scan.run(view, run), run, shortest));
-        let seen = Seen::new(view, scan, [&found[0], &found[1]]);
+        let seen = BoardEdges::new(view, scan, [&found[0], &found[1]]);
         let needed = seen.widest().map_or(2.5 * scan.reach_px, |b| (4.5 * b).min(WIDEST_PX));
         if needed <= scan.reach_px * 1.05 || scan.reach_px >= WIDEST_PX {
             return (found, seen);
@@ -100,7 +100,7 @@ fn look(view: View<'_>, contrast: Contrast) -> ([Vec<Stretch>; 2], Seen) {
     }
 }
 
-/// Farthest that plateaus may begin, in pixels: an edge more blurred than that is none.
+/// Largest distance from an edge to its plateaus, in pixels: a more blurred edge is not used.
 const WIDEST_PX: f64 = 40.0;
 
 fn corners(down: &[BoardLine], across: &[BoardLine], pose: &pose::Pose, size: [f64; 2]) -> Vec<[f64; 2]> {

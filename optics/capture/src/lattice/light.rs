@@ -1,30 +1,30 @@
-//! Light of a shot against that of the bare shots, by the parts of the board that a slab leaves free.
+//! Light of a shot relative to that of the bare shots, from the parts of the board that are not covered by the slab.
 //!
-//! There both sides of an edge are brighter by one factor. Under a slab the dark side is too bright for it, by what the
-//! slab scatters; and a slab that does not scatter dims the light side. So of the edges whose dark side is as dark as the
-//! bare one, those with the brightest light side that is common are free.
+//! At a free edge, both sides are brighter by the same factor. A slab that scatters makes the dark side too bright for
+//! it, and one that does not scatter dims the light side. So among the edges whose dark side is as dark as the bare
+//! one, those with the brightest common light side are free.
 
-use super::lines::Stretch;
-use super::scan::{Point, Run};
+use super::lines::EdgeStretch;
+use super::scan::{EdgePoint, Run};
 use crate::calibration::Radiance;
 use crate::estimate::Estimate;
 use crate::frame::Colour;
 use crate::least_squares::{median, robust_mean, spread};
 use crate::refusal::Refusal;
 
-/// Departure of ratios from the commonest within which they are alike: noise of one row or column.
+/// Deviation from the most frequent ratio within which ratios count as equal: noise of one row or column.
 const ALIKE: f64 = 0.012;
 
-/// Departure of a free edge's light side from the commonest ratio: noise, and bands of lamps that flicker.
+/// Deviation of a free edge's light side from the most frequent ratio: noise, and bands of flickering lamps.
 pub(super) const FLICKER: f64 = 0.025;
 
 /// Fewest edge points that determine a ratio.
 const POINTS: usize = 12;
 
-/// Share of the commonest ratio's points that a brighter one needs.
+/// A brighter ratio needs the most frequent one's number of points divided by this.
 const LEAST_SHARE: usize = 20;
 
-/// The brightest ratio that is common among those given.
+/// The brightest ratio that is frequent enough.
 pub(super) fn brightest(mut ratios: Vec<f64>) -> Option<f64> {
     ratios.sort_by(f64::total_cmp);
     let around = |centre: f64, within: f64| {
@@ -34,7 +34,7 @@ pub(super) fn brightest(mut ratios: Vec<f64>) -> Option<f64> {
     let most = ratios.iter().map(|r| around(*r, ALIKE).len()).max()?;
     let least = POINTS.max(most / LEAST_SHARE);
     let mut centre = *ratios.iter().rev().find(|r| around(**r, ALIKE).len() >= least)?;
-    // Uphill to where ratios are densest.
+    // Mean shift to where ratios are densest.
     for _ in 0..30 {
         let near = around(centre, FLICKER);
         centre = near.iter().sum::<f64>() / near.len().max(1) as f64;
@@ -45,17 +45,17 @@ pub(super) fn brightest(mut ratios: Vec<f64>) -> Option<f64> {
 /// Pixels on the light side of an edge, next to some of its points.
 #[derive(Debug)]
 pub(crate) struct Patch<'a> {
-    stretch: &'a Stretch,
-    /// Rows or columns, and how many of them have a point.
+    stretch: &'a EdgeStretch,
+    /// Rows or columns, and the number of them that have a point.
     on: [f64; 2],
     points: usize,
-    /// Distance from the edge at which the pixels begin.
+    /// Distance from the edge to the first pixels.
     reach_px: f64,
 }
 
 /// Mean radiance factor of a patch in each colour.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Reading {
+pub(crate) struct PatchRadiance {
     value: [f64; 3],
     variance: [f64; 3],
 }
@@ -70,7 +70,7 @@ const WIDTH_PX: f64 = 10.0;
 const PATCHES: usize = 3;
 
 impl<'a> Patch<'a> {
-    pub(super) fn of(stretch: &'a Stretch, reach_px: f64) -> impl Iterator<Item = Self> {
+    pub(super) fn of(stretch: &'a EdgeStretch, reach_px: f64) -> impl Iterator<Item = Self> {
         let groups = stretch.points.chunks(GROUP).filter(|group| 2 * group.len() > GROUP);
         groups.map(move |group| Self {
             stretch,
@@ -80,9 +80,9 @@ impl<'a> Patch<'a> {
         })
     }
 
-    /// Whether all its points are among those of a shot.
-    pub(super) fn is_among(&self, free: &[Point], within_px: f64) -> bool {
-        let own = |p: &&Point| {
+    /// Whether all its points are free points of a shot.
+    pub(super) fn is_among(&self, free: &[EdgePoint], within_px: f64) -> bool {
+        let own = |p: &&EdgePoint| {
             p.rises == self.stretch.rises
                 && (self.on[0]..=self.on[1]).contains(&p.on)
                 && (self.stretch.at(p.on) - p.at).abs() < within_px
@@ -90,7 +90,7 @@ impl<'a> Patch<'a> {
         free.iter().filter(own).count() >= self.points
     }
 
-    pub fn read(&self, radiance: &Radiance<'_>) -> Reading {
+    pub fn read(&self, radiance: &Radiance<'_>) -> PatchRadiance {
         let down = self.stretch.run == Run::Down;
         let frame = radiance.frame;
         let end = if down { frame.width() } else { frame.height() } as f64;
@@ -110,11 +110,11 @@ impl<'a> Patch<'a> {
         }
         let over =
             |of: [f64; 3], power: i32| std::array::from_fn(|c| of[c] / f64::max(counts[c], 1.0).powi(power));
-        Reading { value: over(sums, 1), variance: over(variances, 2) }
+        PatchRadiance { value: over(sums, 1), variance: over(variances, 2) }
     }
 }
 
-impl Reading {
+impl PatchRadiance {
     /// The mean of each patch over several shots.
     pub fn mean(shots: &[Vec<Self>]) -> Vec<Self> {
         let n = shots.len() as f64;
@@ -129,14 +129,13 @@ impl Reading {
     }
 }
 
-/// Brightness of a shot over that of the bare shots at the patches that are free. Where patches differ by more than
-/// noise, the light is uneven, as by bands of flicker: that is an error of the factor which does not fall with their
-/// number.
-pub(crate) fn factor(bare: &[Reading], shot: &[Reading], free: &[bool]) -> Option<[Estimate; 3]> {
+/// Brightness of a shot relative to the bare shots at the free patches. Where patches differ by more than noise, the
+/// light is uneven, for example by bands of flicker; this error of the factor does not decrease with their number.
+pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[bool]) -> Option<[Estimate; 3]> {
     let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
     let mut found = [Estimate::default(); 3];
     for (c, found) in found.iter_mut().enumerate() {
-        let relative = |r: &Reading| r.variance[c].sqrt() / r.value[c];
+        let relative = |r: &PatchRadiance| r.variance[c].sqrt() / r.value[c];
         let sound = pairs.clone().filter(|(bare, shot)| bare.value[c] > 0.0 && shot.value[c] > 0.0);
         let (ratios, mut noise): (Vec<f64>, Vec<f64>) =
             sound.map(|(b, s)| (s.value[c] / b.value[c], relative(b).hypot(relative(s)))).unzip();
@@ -146,7 +145,7 @@ pub(crate) fn factor(bare: &[Reading], shot: &[Reading], free: &[bool]) -> Optio
         let n = ratios.len() as f64;
         let (value, _) = robust_mean(&ratios);
         let noise = median(&mut noise);
-        // Three standard deviations of what chance makes of a spread.
+        // Three standard deviations of a spread due to chance.
         let chance = noise * noise * (1.0 + 3.0 * (2.7 / n).sqrt());
         let uneven = ((spread(&ratios) / value).powi(2) - chance).max(0.0).sqrt();
         let steady = less_chance(Estimate::new(value, value * noise / n.sqrt()));
@@ -155,18 +154,18 @@ pub(crate) fn factor(bare: &[Reading], shot: &[Reading], free: &[bool]) -> Optio
     Some(found)
 }
 
-/// A change without what chance explains within three standard errors, so that steady light stays as it is. What it loses
-/// by that goes into its error.
+/// Shrinks a change by up to three standard errors, so that steady light is left unchanged. The shrinkage is added to
+/// its error.
 fn less_chance(factor: Estimate) -> Estimate {
     let change = factor.value - 1.0;
     let lost = change.abs().min(9.0 * factor.std_error.powi(2) / change.abs().max(f64::MIN_POSITIVE));
     Estimate::new(factor.value - lost.copysign(change), factor.std_error.hypot(lost))
 }
 
-/// Largest relative change of the light that is divided out: 5 %, and what lamps flicker by.
+/// Largest relative change of the light that is divided out: 5 %, plus the flicker of lamps.
 const DIVIDED_OUT: f64 = 0.055;
 
-/// Refuses a shot whose light is too far from that of the bare shots.
+/// Refuses a shot whose light differs too much from that of the bare shots.
 pub(crate) fn check(label: &str, light: &[Estimate; 3]) -> Result<(), Refusal> {
     let beyond = |l: &Estimate| (l.value - 1.0).abs() - 3.0 * l.std_error > DIVIDED_OUT;
     let changes = Colour::ALL.into_iter().zip(light).filter(|(_, l)| beyond(l));
@@ -184,18 +183,18 @@ pub(crate) fn check(label: &str, light: &[Estimate; 3]) -> Result<(), Refusal> {
     }
 }
 
-/// Relative error of the mean light of several shots: what they differ by, and how uneven that is.
-pub(crate) fn spread_of(shots: &[Vec<Reading>]) -> [f64; 3] {
+/// Relative error of the mean light of several shots: their differences, and the unevenness of these.
+pub(crate) fn spread_of(shots: &[Vec<PatchRadiance>]) -> [f64; 3] {
     let n = shots.len() as f64;
     let against_others = (0..shots.len()).filter_map(|j| {
         let others: Vec<_> =
             shots.iter().enumerate().filter(|(k, _)| *k != j).map(|(_, s)| s.clone()).collect();
-        factor(&Reading::mean(&others), &shots[j], &vec![true; shots[j].len()])
+        factor(&PatchRadiance::mean(&others), &shots[j], &vec![true; shots[j].len()])
     });
     let mut squares = [0.0; 3];
     for factor in against_others {
         for (sum, f) in squares.iter_mut().zip(factor) {
-            // A shot differs from the mean of the others by n/(n − 1) times what it does from the mean of all.
+            // A shot's difference from the mean of the others is n/(n − 1) times that from the mean of all.
             *sum += ((f.value - 1.0).powi(2) + f.std_error.powi(2)) * (n - 1.0) / n.powi(3);
         }
     }
@@ -221,8 +220,8 @@ mod tests {
         assert_eq!(brightest(scattered(1.0, POINTS - 1)), None);
     }
 
-    fn readings(value: impl Fn(usize) -> f64) -> Vec<Reading> {
-        (0..200).map(|k| Reading { value: [value(k); 3], variance: [1e-6; 3] }).collect()
+    fn readings(value: impl Fn(usize) -> f64) -> Vec<PatchRadiance> {
+        (0..200).map(|k| PatchRadiance { value: [value(k); 3], variance: [1e-6; 3] }).collect()
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! From pixels to the board's plane.
+//! Fits the map from pixels to the board's plane.
 //!
 //! With u the pixel from the frame's middle in half diagonals, r = |u| and u′ = u (1 + k₁ r²),
 //! X = (p₀ + p₁ u′ₓ + p₂ u′ᵧ)/(1 + p₆ u′ₓ + p₇ u′ᵧ), Y likewise with p₃, p₄, p₅: a homography behind one radial term
@@ -6,7 +6,7 @@
 
 use super::lines::BoardLine;
 use super::scan::Run;
-use crate::least_squares::{Normal, Solution, spread, tukey};
+use crate::least_squares::{NormalEquations, Solution, spread, tukey};
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Pose {
@@ -17,10 +17,10 @@ pub(crate) struct Pose {
 
 const PARAMETERS: usize = 9;
 
-/// Fall of χ² for which a pose may be freer.
+/// Decrease of χ² that justifies a pose with more parameters.
 const PAYS: f64 = 9.0;
 
-/// Most points that are fitted.
+/// Largest number of points that are fitted.
 const TIES: usize = 4000;
 
 /// A point on a numbered line.
@@ -31,7 +31,7 @@ struct Tie {
     index: f64,
 }
 
-/// What a pose may do.
+/// The family of a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Freedom {
     Similar,
@@ -41,7 +41,7 @@ enum Freedom {
 
 /// A fitted pose.
 #[derive(Debug, Clone)]
-pub(crate) struct Fitted {
+pub(crate) struct FittedPose {
     pub pose: Pose,
     /// Relative standard error of lengths in the frame's middle.
     pub scale_std_error: f64,
@@ -99,8 +99,8 @@ impl Pose {
     }
 }
 
-/// Fits lines that run down and across. An error says why they tell no scale.
-pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> Result<Fitted, String> {
+/// Fits lines that run down and across. An error explains why they determine no scale.
+pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> Result<FittedPose, String> {
     let mut ties = Vec::new();
     for (lines, run) in [(down, Run::Down), (across, Run::Across)] {
         for line in lines {
@@ -109,22 +109,22 @@ pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> R
             }
         }
     }
-    // More than this tells no more: lines are long, and their points nearly alike.
+    // More points add little information: neighbouring points of a line are nearly equal.
     let skip = ties.len().div_ceil(TIES).max(1);
     let ties: Vec<Tie> = ties.into_iter().step_by(skip).collect();
     let (d, a) = (down.len(), across.len());
     if d.max(a) < 2 {
-        return Err(format!("{d} lines run up and down and {a} across"));
+        return Err(format!("{d} lines run up and down, {a} across"));
     }
     let start = similar_start(down, across, size);
     let unable = || "the board's lines contradict each other".to_owned();
     let mut best = solve(start, &ties, Freedom::Similar).ok_or_else(unable)?;
     let both = d >= 2 && a >= 2;
-    // What a rejected pose would have changed may still be so.
+    // The change that a rejected pose would make remains as an uncertainty.
     let mut open = 0.0_f64;
     for freedom in [Freedom::Projective, Freedom::Radial] {
         let Some(freer) = both.then(|| solve(best.pose, &ties, freedom)).flatten() else { continue };
-        // Each more free pose must pay: by χ² of its residuals, with three standard deviations of one parameter.
+        // Each pose with more parameters must lower χ² by three standard deviations of one parameter.
         if freer.chi_squared(&ties, freer.sigma) + PAYS < best.chi_squared(&ties, freer.sigma) {
             best = freer;
             open = 0.0;
@@ -134,10 +134,10 @@ pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> R
         }
     }
     let scale_std_error = best.scale_error().hypot(open);
-    Ok(Fitted { pose: best.pose, scale_std_error })
+    Ok(FittedPose { pose: best.pose, scale_std_error })
 }
 
-/// From the first two lines of a run that has two.
+/// Start of the fit, from the first two lines of a direction that has two.
 fn similar_start(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> Pose {
     let centre = [0.5 * size[0], 0.5 * size[1]];
     let half_diagonal = 0.5 * size[0].hypot(size[1]);
@@ -162,7 +162,7 @@ fn similar_start(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> Po
     pose
 }
 
-struct State {
+struct PoseFit {
     pose: Pose,
     freedom: Freedom,
     solution: Solution,
@@ -170,16 +170,16 @@ struct State {
 }
 
 /// Gauss–Newton with Tukey's weights.
-fn solve(start: Pose, ties: &[Tie], freedom: Freedom) -> Option<State> {
+fn solve(start: Pose, ties: &[Tie], freedom: Freedom) -> Option<PoseFit> {
     let mut pose = start;
     let mut sigma = f64::INFINITY;
     let mut solution = None;
     for round in 0..14 {
         let residuals: Vec<f64> = ties.iter().map(|t| residual(&pose, t)).collect();
         sigma = spread(&residuals).max(1e-5);
-        let mut normal = Normal::new(freedom.count());
+        let mut normal = NormalEquations::new(freedom.count());
         for (tie, r) in ties.iter().zip(&residuals) {
-            // The first rounds still look for the place: everything counts.
+            // The first iterations still find the place, so all points count.
             let weight = if round < 4 { 1.0 } else { tukey(r / sigma) };
             normal.add(&gradient(&pose, tie, freedom), -r, weight / (sigma * sigma));
         }
@@ -191,7 +191,7 @@ fn solve(start: Pose, ties: &[Tie], freedom: Freedom) -> Option<State> {
             break;
         }
     }
-    Some(State { pose, freedom, solution: solution?, sigma })
+    Some(PoseFit { pose, freedom, solution: solution?, sigma })
 }
 
 /// Pixels between a point and its line.
@@ -245,13 +245,14 @@ impl Freedom {
     }
 }
 
-impl State {
+impl PoseFit {
     fn chi_squared(&self, ties: &[Tie], sigma: f64) -> f64 {
-        // Outliers count alike in all poses.
+        // Outliers count equally in all poses.
         ties.iter().map(|t| (residual(&self.pose, t) / sigma).powi(2).min(25.0)).sum()
     }
 
-    /// Of the root of the area in the frame's middle: there ln pitch = ½ ln(p₁p₅ − p₂p₄) + … , differentiated by steps.
+    /// Error of the square root of the area in the frame's middle: there ln pitch = ½ ln(p₁p₅ − p₂p₄) + … ,
+    /// differentiated by steps.
     fn scale_error(&self) -> f64 {
         let count = self.freedom.count();
         let mut gradient = vec![0.0; count];
@@ -279,8 +280,8 @@ impl State {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lattice::lines::Stretch;
-    use crate::lattice::scan::Point;
+    use crate::lattice::lines::EdgeStretch;
+    use crate::lattice::scan::EdgePoint;
 
     fn pose(k1: f64) -> Pose {
         let p = [0.3, 1.2, 0.03, -0.1, -0.03, 1.2, 0.01, -0.02, k1];
@@ -305,12 +306,12 @@ mod tests {
             };
             let point = |px: [f64; 2]| {
                 let [at, on] = if run == Run::Down { px } else { [px[1], px[0]] };
-                Point { at, on, rises: true, low: 0.0, high: 1.0 }
+                EdgePoint { at, on, rises: true, low: 0.0, high: 1.0 }
             };
-            let points: Vec<Point> = (0..25).map(|k| point(place(k))).collect();
+            let points: Vec<EdgePoint> = (0..25).map(|k| point(place(k))).collect();
             let slope = (points[24].at - points[0].at) / (points[24].on - points[0].on);
             let offset = points[0].at - slope * points[0].on;
-            BoardLine { stretches: vec![Stretch { run, rises: true, points, offset, slope }], index }
+            BoardLine { stretches: vec![EdgeStretch { run, rises: true, points, offset, slope }], index }
         };
         vec![line(0), line(1)]
     }

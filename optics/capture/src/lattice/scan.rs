@@ -1,17 +1,17 @@
-//! Places of edges along rows and columns, to a fraction of a pixel.
+//! Finds places of edges along rows and columns, to a fraction of a pixel.
 //!
-//! Between a plateau L on one side and R on the other, an edge that is blurred alike on both sides lies at
-//! a + h Σ (R − v_i)/(R − L), the sum running over samples at pitch h from a on. That is linear in the samples, so noise
-//! does not bias it, and no shape of the blur is assumed.
+//! Between a plateau L on one side and R on the other, a symmetrically blurred edge lies at a + h Σ (R − v_i)/(R − L),
+//! where the sum runs over samples at pitch h from a on. That is linear in the samples, so noise does not bias it, and
+//! no shape of the blur is assumed.
 
 use std::ops::Range;
 
 use rayon::prelude::*;
 
 use crate::frame::Colour;
-use crate::view::View;
+use crate::view::PhotoView;
 
-/// Which way a line of the board runs.
+/// Direction in which a line of the board runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Run {
     /// Up and down: found along rows.
@@ -22,10 +22,10 @@ pub(crate) enum Run {
 
 /// An edge between black and white, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Point {
+pub(crate) struct EdgePoint {
     /// Place along the scanned row or column.
     pub at: f64,
-    /// The row or column's own place.
+    /// Place of the row or column.
     pub on: f64,
     /// Brighter after the edge than before it.
     pub rises: bool,
@@ -34,7 +34,7 @@ pub(crate) struct Point {
     pub high: f64,
 }
 
-impl Point {
+impl EdgePoint {
     pub fn px(&self, run: Run) -> [f64; 2] {
         match run {
             Run::Down => [self.at, self.on],
@@ -43,7 +43,7 @@ impl Point {
     }
 }
 
-/// What is black and what is white, in numbers above black level.
+/// The levels of black and white, in numbers above black level.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Contrast {
     pub black: f64,
@@ -51,8 +51,8 @@ pub(crate) struct Contrast {
 }
 
 impl Contrast {
-    /// From the 4th and 96th of a hundred samples; none if these are no two levels.
-    pub fn of(view: View<'_>) -> Option<Self> {
+    /// The 4th and 96th percentiles; None if they do not differ enough.
+    pub fn of(view: PhotoView<'_>) -> Option<Self> {
         let frame = view.frame();
         let mut values = Vec::new();
         let skip = (frame.width() * frame.height() / 200_000).isqrt().max(1);
@@ -73,7 +73,7 @@ impl Contrast {
         self.white - self.black
     }
 
-    /// Of the same board under other light.
+    /// The contrast of the same board under other light.
     pub fn under(self, brightness: f64) -> Self {
         Self { black: self.black * brightness, white: self.white * brightness }
     }
@@ -82,38 +82,38 @@ impl Contrast {
         f64::midpoint(self.black, self.white)
     }
 
-    /// Whether levels on both sides of an edge are the board's, within a share of the contrast.
+    /// Whether levels on both sides of an edge are black and white, within a share of the contrast.
     fn fits(&self, low: f64, high: f64, share: f64) -> bool {
         let range = self.range();
         (low - self.black).abs() < share * range && (high - self.white).abs() < share * range
     }
 }
 
-/// How edges are looked for.
+/// Settings of the search for edges.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scan {
     pub contrast: Contrast,
     /// Distance from the edge at which its plateaus begin, in pixels.
     pub reach_px: f64,
-    /// Departure of plateaus from the board's levels that is let pass, as a share of the contrast.
+    /// Accepted deviation of plateaus from the board's levels, as a share of the contrast.
     pub share: f64,
 }
 
-/// Plateaus are this long where the frame allows, in pixels.
+/// Length of plateaus, where the frame allows, in pixels.
 const PLATEAU_PX: f64 = 8.0;
 
-/// Rows and columns that are scanned: enough for a line to 0.001 px.
+/// Number of rows and columns that are scanned: enough for a line to 0.001 px.
 const LINES: usize = 1200;
 
 impl Scan {
     /// All edges of a photograph.
-    pub fn run(&self, view: View<'_>, run: Run) -> Vec<Point> {
+    pub fn run(&self, view: PhotoView<'_>, run: Run) -> Vec<EdgePoint> {
         let whole = 0..if run == Run::Down { view.frame().width() } else { view.frame().height() };
         self.within(view, run, |_| vec![whole.clone()])
     }
 
     /// Edges within some ranges of each row or column.
-    pub fn within<F>(&self, view: View<'_>, run: Run, ranges: F) -> Vec<Point>
+    pub fn within<F>(&self, view: PhotoView<'_>, run: Run, ranges: F) -> Vec<EdgePoint>
     where
         F: Fn(f64) -> Vec<Range<usize>> + Sync,
     {
@@ -127,7 +127,7 @@ impl Scan {
         lines.par_iter().flat_map_iter(line).collect()
     }
 
-    fn line(&self, view: View<'_>, run: Run, on: usize, range: Range<usize>) -> Vec<Point> {
+    fn line(&self, view: PhotoView<'_>, run: Run, on: usize, range: Range<usize>) -> Vec<EdgePoint> {
         let greens = view.frame().sites().into_iter().filter(|s| s.colour == Colour::Green);
         let mut found = Vec::new();
         for site in greens {
@@ -143,7 +143,7 @@ impl Scan {
                 Run::Across => view.signal(site, on, i),
             };
             let values: Vec<f64> = (first..range.end).step_by(site.step).map(value).collect();
-            let line = Samples { values: &values, first: first as f64 + 0.5, pitch: site.step as f64 };
+            let line = ScanLine { values: &values, first: first as f64 + 0.5, pitch: site.step as f64 };
             let middle = on as f64 + 0.5;
             let light = |at| view.light(if run == Run::Down { [at, middle] } else { [middle, at] });
             found.extend(self.crossings(&line, on as f64 + 0.5, light));
@@ -151,7 +151,7 @@ impl Scan {
         found
     }
 
-    fn crossings(&self, line: &Samples<'_>, on: f64, light: impl Fn(f64) -> f64) -> Vec<Point> {
+    fn crossings(&self, line: &ScanLine<'_>, on: f64, light: impl Fn(f64) -> f64) -> Vec<EdgePoint> {
         let middle = self.contrast.middle();
         (1..line.values.len())
             .filter(|i| (line.values[i - 1] < middle) != (line.values[*i] < middle))
@@ -160,7 +160,13 @@ impl Scan {
     }
 
     /// Place of the edge between samples i − 1 and i.
-    fn place(&self, line: &Samples<'_>, i: usize, on: f64, light: &impl Fn(f64) -> f64) -> Option<Point> {
+    fn place(
+        &self,
+        line: &ScanLine<'_>,
+        i: usize,
+        on: f64,
+        light: &impl Fn(f64) -> f64,
+    ) -> Option<EdgePoint> {
         let core = (self.reach_px / line.pitch).ceil() as usize;
         let long = (PLATEAU_PX / line.pitch).ceil() as usize;
         let (from, to) = (i.checked_sub(core)?, i + core);
@@ -179,22 +185,23 @@ impl Scan {
         }
         let sum: f64 = core.iter().map(|v| (right - v) / (right - left)).sum();
         let at = line.first + line.pitch * (from as f64 - 0.5 + sum);
-        Some(Point { at, on, rises: right > left, low, high })
+        Some(EdgePoint { at, on, rises: right > left, low, high })
     }
 }
 
-struct Samples<'a> {
+struct ScanLine<'a> {
     values: &'a [f64],
     first: f64,
     pitch: f64,
 }
 
-impl Samples<'_> {
+impl ScanLine<'_> {
     fn at(&self, i: usize) -> f64 {
         self.first + self.pitch * i as f64
     }
 
-    /// Samples as under the light at sample `middle`: light that rises across plateaus would shift edges.
+    /// Samples corrected to the light at sample `middle`, since a gradient of the light across plateaus would shift
+    /// edges.
     fn even(&self, range: Range<usize>, middle: usize, light: impl Fn(f64) -> f64) -> Vec<f64> {
         let (first, last) = (light(self.at(range.start)), light(self.at(range.end)));
         let rise = 2.0 * (last - first) / ((last + first) * (range.end - range.start) as f64);

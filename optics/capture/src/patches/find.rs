@@ -1,31 +1,31 @@
-//! Finds a row of grey patches in a photograph: even rectangles of one size, at equal distances, as bright to each other
-//! as their ρ. Patches that do not stand out from what surrounds them are where the others say.
+//! Finds a row of grey patches in a photograph: even rectangles of one size, at equal distances, with brightnesses in
+//! proportion to their ρ. Patches without contrast to their surroundings are placed by the others.
 
 use super::{LEAST_PX, Neutral};
 use crate::frame::{Area, Colour};
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
-use crate::view::View;
+use crate::view::PhotoView;
 
 /// Tiles along the shorter side of a frame.
 const TILES: usize = 160;
-/// Samples of a site that a tile's mean is taken of, along each side.
+/// Samples of a site along each side of a tile, for its mean.
 const SAMPLES: usize = 4;
-/// Tiles that differ by less belong together: relative, and as a share of the frame's brightest.
+/// Tiles that differ by less are connected: relative, and as a share of the frame's brightest.
 const EVEN: (f64, f64) = (0.04, 0.003);
-/// Shortest side of a patch in tiles, and how much of its rectangle a region must fill.
+/// Shortest side of a patch in tiles, and the share of its rectangle that a region must fill.
 const SHORTEST: usize = 4;
 const FILLED: f64 = 0.8;
 /// Largest ratio of sides among the patches of a row.
 const ALIKE: f64 = 1.3;
-/// How far a patch's brightness may be from its ρ: relative, and as a share of a white one, for stray light.
+/// Tolerance of a patch's brightness: relative to its ρ, and as a share of a white one, for stray light.
 const LEVEL: (f64, f64) = (0.12, 0.012);
 /// Part of a patch's sides that is read.
 const INNER: f64 = 0.6;
-/// Most regions that are looked at, the largest first.
+/// Largest number of regions that are examined, the largest first.
 const MOST: usize = 150;
 
-/// A frame in small squares: light over the flat, by colour.
+/// A frame in small squares: light divided by the flat, by colour.
 struct Tiles {
     side_px: usize,
     columns: usize,
@@ -36,7 +36,7 @@ struct Tiles {
 
 /// An even rectangle. Lengths in tiles.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Region {
+struct EvenRegion {
     middle: [f64; 2],
     size: [f64; 2],
     light: [f64; 3],
@@ -45,61 +45,58 @@ struct Region {
 
 /// Patches in a row.
 #[derive(Debug, Clone, Copy)]
-struct Row {
+struct PatchRow {
     first: [f64; 2],
     step: [f64; 2],
     size: [f64; 2],
-    /// Regions that are patches of it.
+    /// Regions that are its patches.
     seen: usize,
     /// Sum of squared deviations from ρ.
     off: f64,
 }
 
 /// The patches' areas, in the order of ρ.
-pub(super) fn find(view: View<'_>, neutral: &Neutral) -> Result<Vec<Area>, Refusal> {
+pub(super) fn find(view: PhotoView<'_>, neutral: &Neutral) -> Result<Vec<Area>, Refusal> {
     let tiles = Tiles::of(view);
     let regions = tiles.regions();
     let none = |seen: String| Refusal::NoPatches { label: view.photo.label.clone(), seen };
     let rho = &neutral.rho;
-    let mut rows: Vec<Row> = Vec::new();
+    let mut rows: Vec<PatchRow> = Vec::new();
     for a in &regions {
         for b in regions.iter().filter(|b| a.middle != b.middle && alike(a.size, b.size)) {
             let places = (0..rho.len()).flat_map(|i| (i + 1..rho.len()).map(move |j| (i, j)));
             rows.extend(places.filter_map(|(i, j)| tiles.row(&regions, rho, (a, i), (b, j))));
         }
     }
-    let better = |a: &&Row, b: &&Row| a.seen.cmp(&b.seen).then(b.off.total_cmp(&a.off));
+    let better = |a: &&PatchRow, b: &&PatchRow| a.seen.cmp(&b.seen).then(b.off.total_cmp(&a.off));
     let Some(best) = rows.iter().max_by(better) else {
         let count = regions.len();
-        let seen = format!(
-            "{count} even rectangles were seen, and no row of {} is as bright as rho says",
-            rho.len()
-        );
+        let seen = format!("of {count} even rectangles, no row of {} has the brightnesses of rho", rho.len());
         return Err(none(seen));
     };
-    let far = |row: &&Row| {
+    let far = |row: &&PatchRow| {
         let apart = [0, 1].map(|k| (row.first[k] - best.first[k]).abs() / best.size[k]);
         row.seen == best.seen && apart.iter().any(|d| *d > 0.5)
     };
     if let Some(other) = rows.iter().find(far) {
         let [at, also] = [best, other].map(|row| row.first.map(|v| (v * tiles.side_px as f64).round()));
-        return Err(none(format!("two rows could be them, beginning at {at:?} and {also:?} px")));
+        return Err(none(format!("two rows fit, beginning at {at:?} and {also:?} px")));
     }
     let row = best.through(&regions, rho.len());
     let areas: Vec<Area> = (0..rho.len()).map(|i| row.area(i, tiles.side_px)).collect();
     if areas.iter().any(|area| area.width.min(area.height) < LEAST_PX) {
-        return Err(none(format!("those found leave less than {LEAST_PX} × {LEAST_PX} pixels to read")));
+        return Err(none(format!("those found are smaller than {LEAST_PX} × {LEAST_PX} pixels")));
     }
     Ok(areas)
 }
 
-/// Whether sides are alike, within the ratio that patches of a row may have.
+/// Whether sides are equal within the ratio that is allowed in a row.
 fn alike(a: [f64; 2], b: [f64; 2]) -> bool {
     (0..2).all(|k| a[k].max(b[k]) <= ALIKE * a[k].min(b[k]))
 }
 
 impl Tiles {
-    fn of(view: View<'_>) -> Self {
+    fn of(view: PhotoView<'_>) -> Self {
         let frame = view.frame();
         let (width, height) = (frame.width(), frame.height());
         let side_px = (width.min(height) / TILES).max(2).next_multiple_of(2);
@@ -134,12 +131,12 @@ impl Tiles {
     }
 
     /// Even rectangles, the largest first.
-    fn regions(&self) -> Vec<Region> {
-        let mut known = vec![false; self.columns * self.rows];
+    fn regions(&self) -> Vec<EvenRegion> {
+        let mut visited = vec![false; self.columns * self.rows];
         let mut regions = Vec::new();
-        for start in 0..known.len() {
-            if !known[start] {
-                regions.extend(self.region(&self.flood(start, &mut known)));
+        for start in 0..visited.len() {
+            if !visited[start] {
+                regions.extend(self.region(&self.flood(start, &mut visited)));
             }
         }
         regions.sort_by_key(|r| std::cmp::Reverse(r.tiles));
@@ -147,10 +144,10 @@ impl Tiles {
         regions
     }
 
-    /// All tiles that hang together with this one.
-    fn flood(&self, start: usize, known: &mut [bool]) -> Vec<usize> {
+    /// All tiles that are connected to this one.
+    fn flood(&self, start: usize, visited: &mut [bool]) -> Vec<usize> {
         let mut found = vec![start];
-        known[start] = true;
+        visited[start] = true;
         let mut next = 0;
         while let Some(tile) = found.get(next).copied() {
             next += 1;
@@ -162,8 +159,8 @@ impl Tiles {
                 (y + 1 < self.rows).then(|| tile + self.columns),
             ];
             for other in beside.into_iter().flatten() {
-                if !known[other] && self.alike(tile, other) {
-                    known[other] = true;
+                if !visited[other] && self.alike(tile, other) {
+                    visited[other] = true;
                     found.push(other);
                 }
             }
@@ -171,7 +168,7 @@ impl Tiles {
         found
     }
 
-    fn region(&self, tiles: &[usize]) -> Option<Region> {
+    fn region(&self, tiles: &[usize]) -> Option<EvenRegion> {
         if tiles.len() < SHORTEST * SHORTEST {
             return None;
         }
@@ -192,18 +189,18 @@ impl Tiles {
             robust_mean(&values).0
         });
         let middle = [0.5 * (left + right + 1) as f64, 0.5 * (top + bottom + 1) as f64];
-        Some(Region { middle, size: [width as f64, height as f64], light, tiles: tiles.len() })
+        Some(EvenRegion { middle, size: [width as f64, height as f64], light, tiles: tiles.len() })
     }
 
-    /// The row in which these regions are patches i and j, if everything agrees with it.
+    /// The row in which these regions are patches i and j, if all patches agree with it.
     fn row(
         &self,
-        regions: &[Region],
+        regions: &[EvenRegion],
         rho: &[[f64; 3]],
-        (a, i): (&Region, usize),
-        (b, j): (&Region, usize),
-    ) -> Option<Row> {
-        // Numbers per ρ, from the brighter one: stray light counts less there.
+        (a, i): (&EvenRegion, usize),
+        (b, j): (&EvenRegion, usize),
+    ) -> Option<PatchRow> {
+        // Numbers per ρ, from the brighter one, where stray light matters less.
         let (bright, of) = if rho[i][1] > rho[j][1] { (a, i) } else { (b, j) };
         if bright.light.iter().any(|light| *light <= self.floor) {
             return None;
@@ -229,17 +226,17 @@ impl Tiles {
             return None;
         }
         let first = [0, 1].map(|k| a.middle[k] - i as f64 * step[k]);
-        let mut row = Row { first, step, size, seen: 0, off: 0.0 };
+        let mut row = PatchRow { first, step, size, seen: 0, off: 0.0 };
         for patch in 0..rho.len() {
             row.off += deviation(&self.even(&row, patch)?, patch)?;
             row.seen += usize::from(row.region(regions, patch).is_some());
         }
-        // One patch may be as bright as what surrounds it.
+        // One patch may be as bright as its surroundings.
         (row.seen + 1 >= rho.len()).then_some(row)
     }
 
-    /// Brightness of what is read of a patch; none if it is not even, or not in the frame.
-    fn even(&self, row: &Row, patch: usize) -> Option<[f64; 3]> {
+    /// Brightness of the inner part of a patch; None if it is uneven or outside the frame.
+    fn even(&self, row: &PatchRow, patch: usize) -> Option<[f64; 3]> {
         let area = row.area(patch, 1);
         let inside = area.x >= 0.0 && area.y >= 0.0;
         if !inside || area.x + area.width > self.columns as f64 || area.y + area.height > self.rows as f64 {
@@ -255,19 +252,19 @@ impl Tiles {
             .collect();
         let light =
             [0, 1, 2].map(|c| robust_mean(&tiles.iter().map(|t| self.light[c][*t]).collect::<Vec<_>>()).0);
-        // Dust may lie on some.
+        // Dust may lie on some tiles.
         let odd = |t: &&usize| (self.light[1][**t] - light[1]).abs() > 2.0 * EVEN.0 * light[1] + self.floor;
         (tiles.iter().filter(odd).count() * 10 <= tiles.len()).then_some(light)
     }
 }
 
-impl Row {
+impl PatchRow {
     fn middle(&self, patch: usize) -> [f64; 2] {
         [0, 1].map(|k| self.first[k] + patch as f64 * self.step[k])
     }
 
     /// The region that is this patch.
-    fn region<'a>(&self, regions: &'a [Region], patch: usize) -> Option<&'a Region> {
+    fn region<'a>(&self, regions: &'a [EvenRegion], patch: usize) -> Option<&'a EvenRegion> {
         let middle = self.middle(patch);
         regions.iter().find(|r| {
             let near = |k: usize| (r.middle[k] - middle[k]).abs() < 0.25 * self.size[k];
@@ -275,8 +272,8 @@ impl Row {
         })
     }
 
-    /// The same through the middles of all its regions, by least squares.
-    fn through(&self, regions: &[Region], patches: usize) -> Self {
+    /// The row fitted to the middles of all its regions, by least squares.
+    fn through(&self, regions: &[EvenRegion], patches: usize) -> Self {
         let seen: Vec<(f64, [f64; 2])> = (0..patches)
             .filter_map(|i| self.region(regions, i).map(|region| (i as f64, region.middle)))
             .collect();
@@ -292,7 +289,7 @@ impl Row {
         row
     }
 
-    /// What is read of a patch.
+    /// The area of a patch that is read.
     fn area(&self, patch: usize, side_px: usize) -> Area {
         let (middle, px) = (self.middle(patch), side_px as f64);
         let [width, height] = self.size.map(|v| INNER * v);

@@ -1,35 +1,35 @@
-//! The line through the patches.
+//! Fits the line through the patches, and checks linearity, drift and gamma.
 
-use super::{Neutral, Reading, Shot};
-use crate::calibration::{Light, PatchReading};
+use super::{Neutral, PatchShot, RawReading};
+use crate::calibration::{LampDrift, PatchReading};
 use crate::estimate::Estimate;
 use crate::frame::{Area, Colour};
-use crate::least_squares::{Normal, Solution};
+use crate::least_squares::{NormalEquations, Solution};
 use crate::refusal::{Refusal, Warning};
 
-/// Relative departure from the line that refuses.
+/// Relative deviation from the line above which a session is refused.
 const NOT_LINEAR: f64 = 0.01;
 
-/// Relative change of the light between shots that refuses.
+/// Relative change of the light between shots above which a session is refused.
 const DRIFT: f64 = 0.005;
 
 /// Powers of ρ beyond which a picture counts as gamma-coded.
 const LINEAR_POWERS: std::ops::Range<f64> = 0.85..1.15;
 
 #[derive(Debug, Default)]
-pub(super) struct Fitted {
+pub(super) struct FittedLine {
     pub patches: Vec<PatchReading>,
     pub gain: [Estimate; 3],
     pub glare: [Estimate; 3],
     pub linearity: [f64; 3],
     pub drift: [f64; 3],
-    pub light: Light,
+    pub light: LampDrift,
     pub warnings: Vec<Warning>,
 }
 
-pub(super) fn fit(neutral: &Neutral, shots: &[Shot]) -> Result<Fitted, Refusal> {
+pub(super) fn fit(neutral: &Neutral, shots: &[PatchShot]) -> Result<FittedLine, Refusal> {
     check_gamma(neutral, &shots[0])?;
-    let mut fitted = Fitted::default();
+    let mut fitted = FittedLine::default();
     let brightness: Vec<[f64; 3]> = relative(shots);
     check_drift(shots, &brightness, &mut fitted)?;
     fitted.light = light(shots, &brightness, &mut fitted.warnings);
@@ -46,15 +46,15 @@ pub(super) fn fit(neutral: &Neutral, shots: &[Shot]) -> Result<Fitted, Refusal> 
     Ok(fitted)
 }
 
-/// Mean of all shots, each brought to the mean brightness.
-fn mean_readings(shots: &[Shot], brightness: &[[f64; 3]], c: usize) -> Vec<Reading> {
+/// Mean of all shots, each scaled to the mean brightness.
+fn mean_readings(shots: &[PatchShot], brightness: &[[f64; 3]], c: usize) -> Vec<RawReading> {
     let n = shots.len() as f64;
     (0..shots[0].readings.len())
         .map(|i| {
-            let sum = |f: fn(&Reading) -> f64| -> f64 {
+            let sum = |f: fn(&RawReading) -> f64| -> f64 {
                 shots.iter().zip(brightness).map(|(s, b)| f(&s.readings[i][c]) / b[c]).sum()
             };
-            Reading {
+            RawReading {
                 light: sum(|r| r.light) / n,
                 std_error: sum(|r| r.std_error) / n / n.sqrt(),
                 veil: sum(|r| r.veil) / n,
@@ -65,9 +65,9 @@ fn mean_readings(shots: &[Shot], brightness: &[[f64; 3]], c: usize) -> Vec<Readi
 
 fn channel(
     neutral: &Neutral,
-    readings: &[Reading],
+    readings: &[RawReading],
     colour: Colour,
-    fitted: &mut Fitted,
+    fitted: &mut FittedLine,
     patches: &mut [PatchReading],
 ) -> Result<(), Refusal> {
     let c = colour.index();
@@ -94,16 +94,16 @@ fn channel(
         let value = (reading.light - glare * reading.veil) / gain;
         patch.value[c] = Estimate::new(value, reading.std_error / gain);
     }
-    // L = kρ + γM + qρ²: against the line through black and white, half-way it departs by qρ/2.
+    // L = kρ + γM + qρ²: half-way, it deviates from the line through black and white by qρ/2.
     fitted.linearity[c] = regress(neutral, readings, c, true)
         .map_or(0.0, |curve| (0.5 * rho * curve.x[2] / curve.x[0]).abs().min(NOT_LINEAR));
     Ok(())
 }
 
 /// Weighted by the certificate and the noise.
-fn regress(neutral: &Neutral, readings: &[Reading], c: usize, curved: bool) -> Option<Solution> {
+fn regress(neutral: &Neutral, readings: &[RawReading], c: usize, curved: bool) -> Option<Solution> {
     let scale = readings[neutral.white()].light / neutral.rho[neutral.white()][c];
-    let mut normal = Normal::new(if curved { 3 } else { 2 });
+    let mut normal = NormalEquations::new(if curved { 3 } else { 2 });
     for (rho, reading) in neutral.rho.iter().map(|r| r[c]).zip(readings) {
         let sigma = (neutral.std_error.max(1e-4) * rho * scale).hypot(reading.std_error).max(1e-6 * scale);
         let row = [rho, reading.veil, rho * rho];
@@ -112,9 +112,9 @@ fn regress(neutral: &Neutral, readings: &[Reading], c: usize, curved: bool) -> O
     normal.solve()
 }
 
-/// Brightness of each shot over the mean of all, weighted by light.
-fn relative(shots: &[Shot]) -> Vec<[f64; 3]> {
-    let light = |shot: &Shot| -> [f64; 3] {
+/// Brightness of each shot relative to the mean of all, weighted by light.
+fn relative(shots: &[PatchShot]) -> Vec<[f64; 3]> {
+    let light = |shot: &PatchShot| -> [f64; 3] {
         std::array::from_fn(|c| shot.readings.iter().map(|r| r[c].light).sum::<f64>())
     };
     let all: Vec<[f64; 3]> = shots.iter().map(light).collect();
@@ -122,7 +122,7 @@ fn relative(shots: &[Shot]) -> Vec<[f64; 3]> {
     all.into_iter().map(|l| std::array::from_fn(|c| l[c] / mean[c])).collect()
 }
 
-fn check_drift(shots: &[Shot], brightness: &[[f64; 3]], fitted: &mut Fitted) -> Result<(), Refusal> {
+fn check_drift(shots: &[PatchShot], brightness: &[[f64; 3]], fitted: &mut FittedLine) -> Result<(), Refusal> {
     for colour in Colour::ALL {
         let c = colour.index();
         let order = |a: &usize, b: &usize| brightness[*a][c].total_cmp(&brightness[*b][c]);
@@ -139,11 +139,11 @@ fn check_drift(shots: &[Shot], brightness: &[[f64; 3]], fitted: &mut Fitted) -> 
     Ok(())
 }
 
-fn light(shots: &[Shot], brightness: &[[f64; 3]], warnings: &mut Vec<Warning>) -> Light {
+fn light(shots: &[PatchShot], brightness: &[[f64; 3]], warnings: &mut Vec<Warning>) -> LampDrift {
     let n = shots.len() as f64;
     if shots.len() < 2 {
         warnings.push(Warning::NoDrift);
-        return Light { at: Vec::new(), std_error: [0.5 * DRIFT; 3], shots: 1 };
+        return LampDrift { at: Vec::new(), std_error: [0.5 * DRIFT; 3], shots: 1 };
     }
     let std_error = std::array::from_fn(|c| {
         (brightness.iter().map(|b| (b[c] - 1.0).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
@@ -151,20 +151,20 @@ fn light(shots: &[Shot], brightness: &[[f64; 3]], warnings: &mut Vec<Warning>) -
     let times: Option<Vec<f64>> = shots.iter().map(|s| s.seconds).collect();
     let Some(times) = times else {
         warnings.push(Warning::NoTimes);
-        return Light { at: Vec::new(), std_error, shots: shots.len() };
+        return LampDrift { at: Vec::new(), std_error, shots: shots.len() };
     };
     let mut at: Vec<_> = times.into_iter().zip(brightness.iter().copied()).collect();
     at.sort_by(|a, b| a.0.total_cmp(&b.0));
     at.dedup_by(|later, earlier| later.0 <= earlier.0);
-    Light { at, std_error, shots: shots.len() }
+    LampDrift { at, std_error, shots: shots.len() }
 }
 
-/// Refuses brightness that rises as another power of ρ than the first. Patches in the wrong order follow no power.
-fn check_gamma(neutral: &Neutral, shot: &Shot) -> Result<(), Refusal> {
+/// Refuses brightness that follows a power of ρ other than the first. Patches in the wrong order follow no power.
+fn check_gamma(neutral: &Neutral, shot: &PatchShot) -> Result<(), Refusal> {
     let points: Vec<[f64; 2]> = (neutral.rho.iter().zip(&shot.readings))
         .map(|(rho, reading)| [libm::log(rho[1]), libm::log(reading[1].light.max(1e-3))])
         .collect();
-    let mut normal = Normal::new(2);
+    let mut normal = NormalEquations::new(2);
     for [rho, light] in &points {
         normal.add(&[1.0, *rho], *light, 1.0);
     }

@@ -1,18 +1,18 @@
-//! What all photographs of a session have in common.
+//! Size, mosaic and exposure, which must be equal in all photographs of a session.
 
 use crate::frame::{Exposure, Pattern, Photo};
 use crate::refusal::Refusal;
 
 /// Size, mosaic and exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Kind {
+pub(crate) struct CameraSettings {
     pub width: usize,
     pub height: usize,
     pub pattern: Pattern,
     pub exposure: Option<Exposure>,
 }
 
-impl Kind {
+impl CameraSettings {
     pub fn of(photo: &Photo) -> Self {
         let frame = &photo.frame;
         Self {
@@ -23,7 +23,7 @@ impl Kind {
         }
     }
 
-    /// Refuses a photograph of another kind. An exposure that one of them does not tell is not compared.
+    /// Refuses a photograph with other settings. Exposures are compared only if both files give them.
     pub fn check(&self, photo: &Photo) -> Result<(), Refusal> {
         let other = Self::of(photo);
         let mixed = |what, found: String, expected: String| {
