@@ -1,10 +1,10 @@
-//! Makes a session of twenty photographs of 18 megapixels, to see what time and memory `farmctl capture` takes:
+//! Makes a session of twenty photographs of 18 megapixels, to measure time and memory of `farmctl capture`:
 //! `cargo run --release -p farm-tests --example large_session -- FOLDER`.
 
 use std::path::PathBuf;
 
 use farm_tests::dng::dng;
-use farm_tests::photograph::{Board, Camera, Edge, Look, Session, Slab, Told, What, session_file};
+use farm_tests::photograph::{Board, Camera, Edge, Look, Session, SessionValues, Slab, What, session_file};
 
 const SQUARE_MM: f64 = 20.0;
 const THICKNESS_MM: [f64; 2] = [0.512, 1.006];
@@ -51,18 +51,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             std::fs::write(folder.join(format!("slab{n}_{}.dng", i + 1)), dng(&photo))?;
         }
     }
-    let told = Told {
+    let values = SessionValues {
         square_mm: SQUARE_MM,
         square_std_error_mm: 0.01,
         white_std_error: 0.005,
         thickness_mm: &THICKNESS_MM,
         thickness_std_error_mm: 0.005,
     };
-    std::fs::write(folder.join("session.toml"), session_file(&session, &told))?;
+    std::fs::write(folder.join("session.toml"), session_file(&session, &values))?;
     Ok(())
 }
 
-/// A white resin's edge, about: its light leaks from side to side.
+/// An approximate edge profile of a white resin.
 fn white(x_mm: f64, reach_mm: f64) -> f64 {
     let leak = 0.12 * (-x_mm.abs() / reach_mm).exp();
     if x_mm < 0.0 { 0.38 + leak } else { 0.75 - leak }

@@ -1,5 +1,6 @@
 //! Makes examples/session: `cargo run -p farm-tests --example session -- examples/session`. The white of the paper's
-//! Table 1 at g = 0.4, traced in the scene `paper` and photographed by the maker of the tests. Prints the truth.
+//! Table 1 at g = 0.4, traced in the scene `paper` and photographed by the tests' simulated camera. Prints the true
+//! values.
 
 use std::path::PathBuf;
 
@@ -13,7 +14,7 @@ const MEDIA: [(f64, f64); 3] = [(6.0, 0.9991), (9.0, 0.9997), (24.0, 0.999)];
 const G: f64 = 0.4;
 const WALKS: u64 = 4_000_000;
 
-/// Measured thicknesses, which are not the nominal ones.
+/// Measured thicknesses, which differ from the nominal ones.
 const THIN_MM: f64 = 0.512;
 const THICK_MM: f64 = 1.006;
 
@@ -68,7 +69,7 @@ fn white() -> Result<[Medium; 3], Invalid> {
     Ok([red?, green?, blue?])
 }
 
-/// A small camera: 28 × 22 mm at 26 pixels a millimetre, 10 bits.
+/// A small camera: 28 × 22 mm at 26 pixels per millimetre, 10 bits.
 fn camera() -> Camera {
     Camera {
         width: 720,

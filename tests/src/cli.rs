@@ -1,4 +1,4 @@
-//! `farmctl` at work in folders of its own, for the tests of the command line.
+//! Runs `farmctl` in temporary folders, for the tests of the command line.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::process::{Ran, run};
 /// A grid of 8 records that takes a fraction of a second.
 pub const GRID: &str = "sigma_t_per_mm = [4, 6]\nalbedo = [0.9, 0.999]\ng = [0.4]\nwalks = 5000\n";
 
-/// An empty folder for a farm of its own.
+/// An empty folder for a farm.
 pub fn folder() -> tempfile::TempDir {
     tempfile::tempdir().unwrap()
 }
@@ -29,7 +29,7 @@ pub fn farm() -> tempfile::TempDir {
     folder
 }
 
-/// The data of the one JSON object that a command printed.
+/// The data of the JSON object that a command printed.
 pub fn json(ran: &Ran, kind: &str) -> Value {
     let value: Value = serde_json::from_str(&ran.stdout).unwrap_or_else(|e| panic!("{e}: {}", ran.stdout));
     assert_eq!(value["api"], "farmctl/1");
@@ -44,13 +44,14 @@ pub fn keys(value: &Value) -> Vec<&str> {
     keys
 }
 
-/// A command that must fail with exit code 1, a message on standard error that holds `parts`, and no output.
+/// Checks that a command fails with exit code 1, with a message on standard error that contains `parts`, and without
+/// output.
 pub fn fails(folder: &Path, args: &[&str], parts: &[&str]) {
     let ran = run(folder, args);
     assert_eq!((ran.code, ran.stdout.as_str()), (1, ""), "{args:?}: {}", ran.stderr);
     assert!(ran.stderr.starts_with("farmctl: "), "{args:?}: {}", ran.stderr);
     for part in parts {
-        assert!(ran.stderr.contains(part), "{args:?} should tell {part:?}: {}", ran.stderr);
+        assert!(ran.stderr.contains(part), "{args:?}: {part:?} is missing from the message: {}", ran.stderr);
     }
 }
 

@@ -1,5 +1,5 @@
-//! A stand-in for Slurm: `sbatch`, `squeue` and `scancel` by bash, which run tasks on this machine.
-//! `deploy/slurm/check` tries a real one.
+//! A simulated Slurm: `sbatch`, `squeue` and `scancel` in bash, which run tasks on this machine. `deploy/slurm/check`
+//! tests with a real one.
 
 use std::ffi::OsString;
 use std::os::unix::fs::PermissionsExt;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Queues a task for each of an array's, in files of their own.
+/// Queues the tasks of an array, one file each.
 const SBATCH: &str = r#"
 [[ ! -e refuses ]] || { echo "sbatch: error: QOSMaxSubmitJobPerUserLimit" >&2; exit 1; }
 job=$(($(ls jobs | wc -l) + 1))
@@ -21,7 +21,7 @@ done
 echo "$job"
 "#;
 
-/// Waits for a node, and runs the script there if it was not cancelled meanwhile.
+/// Waits for a node, and runs the script there unless it was cancelled meanwhile.
 const TASK: &str = r#"
 node=
 while [[ -e "queue/$1 $2" && -z $node ]]; do
@@ -60,14 +60,14 @@ for task in "${@:2}"; do
 done
 "#;
 
-/// A cluster in a folder. What runs on it is killed when it is dropped.
+/// A cluster in a folder. Its tasks are killed when it is dropped.
 #[derive(Debug)]
 pub struct Cluster {
     folder: PathBuf,
 }
 
 impl Cluster {
-    /// A cluster of so many nodes with one core each.
+    /// A cluster of this many nodes with one core each.
     ///
     /// # Panics
     /// If the folder cannot be written to.
@@ -87,14 +87,14 @@ impl Cluster {
         Self { folder }
     }
 
-    /// The search path that has its commands first.
+    /// The search path with its commands first.
     pub fn path(&self) -> OsString {
         let rest = std::env::var_os("PATH").unwrap_or_default();
         let parts = std::iter::once(self.folder.join("bin")).chain(std::env::split_paths(&rest));
         std::env::join_paths(parts).unwrap()
     }
 
-    /// Lets commands fail, or no longer: `away`, that squeue gets no answer; `refuses`, that sbatch takes nothing.
+    /// Sets or removes a fault: with `away`, squeue gets no answer; with `refuses`, sbatch accepts nothing.
     ///
     /// # Panics
     /// If the folder cannot be written to.
@@ -103,18 +103,18 @@ impl Cluster {
         if on { std::fs::write(file, "").unwrap() } else { std::fs::remove_file(file).unwrap() }
     }
 
-    /// How many tasks are in a state: PENDING, RUNNING.
+    /// Number of tasks in a state: PENDING, RUNNING.
     pub fn tasks(&self, state: &str) -> usize {
         let text = |file: &Path| std::fs::read_to_string(file).unwrap_or_default();
         entries(&self.folder.join("queue")).iter().filter(|file| text(file).starts_with(state)).count()
     }
 
-    /// Whether squeue was asked.
+    /// Whether squeue was called.
     pub fn was_asked(&self) -> bool {
         self.folder.join("asked").exists()
     }
 
-    /// How many arrays were submitted.
+    /// Number of arrays that were submitted.
     pub fn arrays(&self) -> usize {
         entries(&self.folder.join("jobs")).len()
     }

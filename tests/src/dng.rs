@@ -1,4 +1,4 @@
-//! Writes photographs as DNG: deflate, differences of neighbours, what `farmctl capture` reads from EXIF.
+//! Writes photographs as DNG, with deflate, horizontal differencing, and the EXIF tags that `farmctl capture` reads.
 
 use std::io::Write as _;
 
@@ -10,7 +10,7 @@ const SHORT: u16 = 3;
 const LONG: u16 = 4;
 const RATIONAL: u16 = 5;
 
-/// The bytes of a file.
+/// The bytes of the file.
 ///
 /// # Panics
 /// If the photograph has no mosaic.

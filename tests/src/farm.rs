@@ -1,4 +1,4 @@
-//! A farm of real processes: a coordinator that keeps its port over restarts, workers, and all who talk to them.
+//! A farm of real processes: a coordinator that keeps its port over restarts, workers, and clients.
 
 mod ending;
 mod figures;
@@ -19,11 +19,11 @@ use farm_proto::wire::{SubmitRequest, WatchRequest};
 use optics_model::Grid;
 use serde_json::Value;
 
-use crate::hand::HandWorker;
 use crate::process::{LONG, Process, Ran, SOON, Surroundings, farmctl, free_port, run, wait_for};
+use crate::test_worker::TestWorker;
 use crate::wall_clock::WallClock;
 
-/// A coordinator with a folder of its own, for its data, its access files and the logs of all.
+/// A coordinator with a folder for its data, its access files and all logs.
 #[derive(Debug)]
 pub struct Farm {
     coordinator: Option<Process>,
@@ -31,28 +31,28 @@ pub struct Farm {
     data: PathBuf,
     port: u16,
     metrics: u16,
-    /// Whether it lets only those in who have a file of `keys`.
+    /// Whether calls need an access file of `keys`.
     closed: bool,
     options: Vec<String>,
-    /// Of the coordinator and the workers.
+    /// Environment of the coordinator and the workers.
     surroundings: Surroundings,
-    /// Whether the reader of the coordinator's log is gone.
+    /// Whether the reader of the coordinator's log has closed its pipe.
     log_abandoned: bool,
     logs: AtomicU32,
 }
 
 impl Farm {
-    /// Starts a coordinator that is open to this machine, and waits until it answers.
+    /// Starts a coordinator without access files, and waits until it answers.
     ///
     /// # Panics
-    /// If it does not.
+    /// If it does not answer.
     pub fn start(options: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a folder can be made");
         let data = folder.path().join("data");
         Self::with_data(folder, data, options)
     }
 
-    /// The same by a wall clock of its own, which the workers have too.
+    /// The same with a simulated wall clock, also for the workers.
     ///
     /// # Panics
     /// If it does not answer.
@@ -64,16 +64,16 @@ impl Farm {
         farm.started()
     }
 
-    /// How far off the wall clock is from now on.
+    /// Sets the error of the simulated wall clock.
     ///
     /// # Panics
-    /// If the farm has none of its own.
+    /// If the farm has no simulated clock.
     pub fn set_clock_off_by_days(&self, days: i32) {
         let clock = self.surroundings.wall_clock.as_ref();
-        clock.expect("the farm has a wall clock of its own").set_off_by_days(days);
+        clock.expect("the farm has a simulated wall clock").set_off_by_days(days);
     }
 
-    /// Starts a coordinator that is open to this machine with its data in a folder that is there.
+    /// Starts a coordinator without access files on the data of an existing folder.
     ///
     /// # Panics
     /// If it does not answer.
@@ -81,8 +81,8 @@ impl Farm {
         Self::new(folder, data, options).started()
     }
 
-    /// Makes access files in `keys`, as the options of `farmctl access create` say, and starts a coordinator that lets
-    /// nobody else in.
+    /// Makes access files in `keys` with these options of `farmctl access create`, and starts a coordinator that
+    /// requires them.
     ///
     /// # Panics
     /// If it does not answer.
@@ -126,10 +126,10 @@ impl Farm {
         assert_eq!(created.code, 0, "{}", created.stderr);
     }
 
-    /// Starts the coordinator on the port and the data that it had, and waits until it answers.
+    /// Starts the coordinator again with the same port and data, and waits until it answers.
     ///
     /// # Panics
-    /// If it does not.
+    /// If it does not answer.
     pub fn start_coordinator(&mut self) {
         let (listen, metrics) = (format!("127.0.0.1:{}", self.port), format!("127.0.0.1:{}", self.metrics));
         let (data, access) = (text(&self.data), self.path("keys/coordinator.toml"));
@@ -158,7 +158,7 @@ impl Farm {
         self.coordinator.as_ref().expect("the coordinator runs")
     }
 
-    /// Whether it has not ended by itself.
+    /// Whether the coordinator's process is still running.
     pub fn coordinator_runs(&mut self) -> bool {
         self.coordinator.as_mut().is_some_and(Process::is_running)
     }
@@ -166,14 +166,14 @@ impl Farm {
     /// Stops the coordinator and starts it on other data.
     ///
     /// # Panics
-    /// If it does not end well, or not answer.
+    /// If it ends with an error or does not answer.
     pub fn move_to(&mut self, data: &str) {
         assert_eq!(self.stop_coordinator(), 0);
         self.data = self.path(data);
         self.start_coordinator();
     }
 
-    /// Another machine takes over, with other data and the address of this one, which is gone.
+    /// Starts a replacement on another machine's data with the same address, after the loss of this one.
     ///
     /// # Panics
     /// If it does not answer.
@@ -240,7 +240,7 @@ impl Farm {
         texts.iter().flat_map(|t| t.lines()).filter_map(|line| serde_json::from_str(line).ok()).collect()
     }
 
-    /// `farmctl` with this farm, as anybody, or as an admin.
+    /// `farmctl` with this farm; as admin if it has access files.
     pub fn farmctl(&self, args: &[&str]) -> Ran {
         if self.closed {
             self.farmctl_with("keys/admin.toml", args)
@@ -254,14 +254,14 @@ impl Farm {
         run(self.folder(), &[args, &["--access", access]].concat())
     }
 
-    /// `farmctl` with this farm, which is open; not yet started.
+    /// A `farmctl` command for this open farm, not yet started.
     pub fn command(&self, args: &[&str]) -> Command {
         let mut command = farmctl(self.folder());
         command.args(args).args(["--server", &self.url()]);
         command
     }
 
-    /// `farmctl --json`, which must succeed: the data of its answer.
+    /// The data that `farmctl --json` prints; the command must succeed.
     ///
     /// # Panics
     /// If it fails.
@@ -279,22 +279,22 @@ impl Farm {
         self.ask(&["submit", file.to_str().unwrap()]);
     }
 
-    /// What `farmctl show` tells of a dictionary.
+    /// The output of `farmctl show` for a dictionary.
     pub fn show(&self, name: &str) -> Value {
         self.ask(&["show", name])
     }
 
-    /// What `farmctl list` tells; None if the coordinator does not answer.
+    /// The dictionary's entry of `farmctl list`; None if the coordinator does not answer.
     pub fn listed(&self, name: &str) -> Option<Value> {
         let ran = self.farmctl(&["list", "--json"]);
         let answer: Value = serde_json::from_str(&ran.stdout).ok()?;
         answer["data"]["dictionaries"].as_array()?.iter().find(|d| d["name"] == name).cloned()
     }
 
-    /// Waits until the dictionary is done: its records' digest.
+    /// Waits until the dictionary is done, and returns the digest of its records.
     ///
     /// # Panics
-    /// If it is not in time.
+    /// If it is not done in time.
     pub fn done(&self, name: &str) -> String {
         wait_for(&format!("{name} is done"), LONG, || {
             let listed = self.listed(name)?;
@@ -303,7 +303,7 @@ impl Farm {
         })
     }
 
-    /// Waits until workers hold at least so many leases of the dictionary.
+    /// Waits until workers hold at least `least` leases of the dictionary.
     ///
     /// # Panics
     /// If they do not in time.
@@ -313,13 +313,13 @@ impl Farm {
         });
     }
 
-    /// Events of a kind that have happened.
+    /// Past events of a kind.
     pub fn events(&self, kind: &str) -> Vec<Value> {
         let events = self.ask(&["events", "-n", "1000"])["events"].take();
         events.as_array().unwrap().iter().filter(|e| e["kind"] == kind).cloned().collect()
     }
 
-    /// A connection to the farm as anybody, or as an admin: made when it is used.
+    /// A lazy connection to the farm; as admin if it has access files.
     ///
     /// # Panics
     /// If the access file cannot be read.
@@ -347,12 +347,12 @@ impl Farm {
         FitsClient::new(self.link())
     }
 
-    /// A worker by hand.
-    pub async fn hand(&self, label: &str) -> Result<HandWorker, tonic::Status> {
-        HandWorker::register(self.link(), label).await
+    /// A worker that a test controls.
+    pub async fn test_worker(&self, label: &str) -> Result<TestWorker, tonic::Status> {
+        TestWorker::register(self.link(), label).await
     }
 
-    /// Submits a grid under a name, by hand.
+    /// Submits a grid under a name, by a direct call.
     pub async fn submit_grid(&self, name: &str, grid: &Grid) -> Result<DictionaryStatus> {
         let request = SubmitRequest { name: name.to_owned(), grid: Some(grid.into()), priority: 0 };
         Ok(self.dictionaries().submit(request).await?.into_inner().try_into()?)
@@ -366,12 +366,12 @@ impl Farm {
         while let Some(update) = updates.message().await? {
             last = Some(DictionaryStatus::try_from(update)?);
         }
-        let status = last.context("the watch told nothing")?;
+        let status = last.context("the watch returned no status")?;
         ensure!(status.state() == DictionaryState::Done, "{:?}", status.failed);
         Ok(status)
     }
 
-    /// Rows of records in the database, and how many of them are not the only one of their point and albedo.
+    /// Number of rows of records in the database, and of those that duplicate another's point and albedo.
     ///
     /// # Panics
     /// If it cannot be read.

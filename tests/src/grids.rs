@@ -1,4 +1,4 @@
-//! Grids, and their records when nothing disturbs.
+//! Grids, and their records as computed without a farm.
 
 use std::sync::atomic::AtomicBool;
 
@@ -27,7 +27,7 @@ pub fn small_grid() -> Grid {
 /// The grid of a file's text.
 ///
 /// # Panics
-/// If it is none.
+/// If it is not a grid.
 pub fn grid_of(text: &str) -> Grid {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("grid.toml");
@@ -35,12 +35,12 @@ pub fn grid_of(text: &str) -> Grid {
     farm_lab::grid_file::read_grid(&file).unwrap()
 }
 
-/// The records of a job of a grid, as the tracer makes them.
+/// The records of a job of a grid, directly from the tracer.
 pub fn traced(grid: &Grid, job: usize) -> Vec<Record> {
     trace(&JobSpec::of(grid, job), &AtomicBool::new(false)).unwrap()
 }
 
-/// The digest of a grid's records when nothing disturbs.
+/// The digest of a grid's records without any faults.
 pub fn undisturbed(text: &str) -> String {
     let grid = grid_of(text);
     let jobs: Vec<Digest> =

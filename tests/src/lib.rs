@@ -1,5 +1,5 @@
-//! What the tests of the whole system share: a real farm, the built programs, reference data with their origin, and
-//! statistics.
+//! Shared by the tests of the whole system: a farm of real processes, the built programs, reference data with their
+//! origin, and statistics.
 
 #![expect(clippy::missing_errors_doc, clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -8,7 +8,6 @@ pub mod cluster;
 pub mod dng;
 pub mod farm;
 pub mod grids;
-pub mod hand;
 pub mod memory_group;
 pub mod modules;
 pub mod page;
@@ -17,5 +16,6 @@ pub mod process;
 pub mod proxy;
 pub mod reference;
 pub mod statistics;
+pub mod test_worker;
 pub mod usage;
 pub mod wall_clock;

@@ -1,23 +1,23 @@
-//! A control group with a limit of memory, as containers and batch systems have them, for processes of the tests.
+//! A control group with a memory limit for processes of the tests, as containers and batch systems use.
 //!
-//! Linux with version 1 of the memory controller mounted, and the right to make groups (root); elsewhere there is none.
+//! It needs Linux with version 1 of the memory controller, and root; elsewhere there is no group.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-/// Where Linux mounts the controller of memory.
+/// Mount point of the memory controller.
 const MOUNT: &str = "/sys/fs/cgroup/memory";
 
-/// Removed when dropped, by when its processes must have ended.
+/// Removed when dropped; its processes must have ended by then.
 #[derive(Debug)]
 pub struct MemoryGroup {
     folder: PathBuf,
 }
 
 impl MemoryGroup {
-    /// A group whose processes have `limit_bytes` together; None where groups cannot be made.
+    /// A group whose processes share `limit_bytes`; None where groups cannot be created.
     pub fn with_limit(limit_bytes: u64) -> Option<Self> {
         let groups = std::fs::read_to_string("/proc/self/cgroup").ok()?;
         let own = groups.lines().find_map(|line| line.split_once(":memory:").map(|(_, path)| path))?;
@@ -29,7 +29,7 @@ impl MemoryGroup {
         Some(group)
     }
 
-    /// Starts the program within the group: it joins before it becomes the program.
+    /// A command that joins the group and then executes the program.
     pub fn command(&self, program: &OsStr) -> Command {
         let mut command = Command::new("sh");
         command.args(["-c", r#"echo $$ >"$0" && exec "$@""#]);
@@ -37,10 +37,10 @@ impl MemoryGroup {
         command
     }
 
-    /// The most that its processes had at a time, in bytes.
+    /// Peak memory of its processes, in bytes.
     ///
     /// # Panics
-    /// If the system does not name it.
+    /// If the system does not report it.
     pub fn peak_bytes(&self) -> u64 {
         let peak = std::fs::read_to_string(self.folder.join("memory.max_usage_in_bytes"));
         peak.ok().and_then(|bytes| bytes.trim().parse().ok()).expect("a number of bytes")
@@ -49,7 +49,7 @@ impl MemoryGroup {
 
 impl Drop for MemoryGroup {
     fn drop(&mut self) {
-        // The system counts a process that was killed for a moment longer.
+        // A killed process is counted for a moment longer.
         for _ in 0..50 {
             if std::fs::remove_dir(&self.folder).is_ok() {
                 return;

@@ -1,4 +1,4 @@
-//! Which modules of a crate name which, by the tokens of its sources, without those of tests.
+//! Finds circular dependencies between the modules of a crate, from the tokens of its sources without tests.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::iter::Peekable;
@@ -16,7 +16,7 @@ pub struct Modules {
     pub sources: BTreeMap<Module, String>,
 }
 
-/// The names of one module's source.
+/// The paths in one module's source.
 #[derive(Debug, Default)]
 struct Names {
     /// Paths from `crate` or `super`.
@@ -26,15 +26,15 @@ struct Names {
 }
 
 impl Modules {
-    /// Of a folder with sources.
+    /// The modules of a folder with sources.
     ///
     /// # Panics
-    /// If it cannot be read.
+    /// If the folder cannot be read.
     pub fn of(source: &Path) -> Self {
         Self::from_sources(source, crate::reference::files_below(source, "rs"))
     }
 
-    /// Of files below `source` with their texts; those of tests are left out.
+    /// The modules of files below `source`; those of tests are left out.
     ///
     /// # Panics
     /// If a file lies elsewhere.
@@ -48,7 +48,7 @@ impl Modules {
         Self { sources: files.map(|(path, text)| (module_of(&path), text)).collect() }
     }
 
-    /// Circles among the modules that lie in one folder, each taken with all that lies below it.
+    /// Circles among the modules of one folder, each including its submodules.
     pub fn circles(&self) -> Vec<String> {
         let names: BTreeMap<&Module, Names> =
             self.sources.iter().map(|(module, text)| (module, Names::of(text))).collect();
@@ -64,8 +64,7 @@ impl Modules {
     }
 }
 
-/// The deepest module on the way of a path, which is seen from a module. Names that a module on the way brings in with
-/// `use` are followed.
+/// The deepest module that a path in the module `from` leads to. Imports of the modules on the path are followed.
 fn resolved(names: &BTreeMap<&Module, Names>, from: &Module, path: &[String]) -> Module {
     let mut base = from.clone();
     let mut parts = path.iter().peekable();
@@ -80,7 +79,7 @@ fn resolved(names: &BTreeMap<&Module, Names>, from: &Module, path: &[String]) ->
         let used = names.get(&base).and_then(|own| own.uses.get(part));
         base = match used {
             _ if names.contains_key(&next) => next,
-            // A name that stands for itself is another crate's.
+            // A name that resolves to itself belongs to another crate.
             Some(used) if used[0] != *part || used.len() > 1 => resolved(names, &base, used),
             _ => break,
         };
@@ -98,7 +97,7 @@ fn module_of(path: &Path) -> Module {
     parts
 }
 
-/// The modules of a folder that can be reached from themselves.
+/// The modules of a folder that depend on themselves.
 fn circle_in(folder: &[String], named: &[(Module, Module)]) -> Option<String> {
     let child = |module: &'_ Module| module.strip_prefix(folder)?.first().cloned();
     let mut arrows: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
@@ -124,14 +123,14 @@ fn circle_in(folder: &[String], named: &[(Module, Module)]) -> Option<String> {
 
 impl Names {
     /// # Panics
-    /// If the text is no Rust.
+    /// If the text is not Rust.
     fn of(text: &str) -> Self {
         let mut names = Self::default();
         names.find(text.parse().expect("the sources are Rust"));
         names
     }
 
-    /// Takes up all names, but not those of items for tests alone.
+    /// Collects all paths except those of test items.
     fn find(&mut self, tokens: TokenStream) {
         let mut tokens = tokens.into_iter().peekable();
         let mut colons = 0;
@@ -159,7 +158,7 @@ impl Names {
         }
     }
 
-    /// Goes on with a path; of a list in braces, with each of its paths.
+    /// Parses the rest of a path; for a list in braces, each of its paths.
     fn follow(&mut self, mut path: Module, is_use: bool, tokens: &mut Peekable<IntoIter>) {
         while passes_colons(tokens) {
             match tokens.next() {
@@ -194,7 +193,7 @@ impl Names {
     }
 }
 
-/// Passes two colons, if they come next.
+/// Skips two colons, if they come next.
 fn passes_colons(tokens: &mut Peekable<IntoIter>) -> bool {
     let is_colon = |token: &TokenTree| matches!(token, TokenTree::Punct(punct) if punct.as_char() == ':');
     tokens.next_if(is_colon).is_some() && tokens.next_if(is_colon).is_some()
@@ -205,7 +204,7 @@ fn is_for_tests(group: &Group) -> bool {
     group.delimiter() == Delimiter::Bracket && group.stream().to_string().replace(' ', "") == "cfg(test)"
 }
 
-/// Passes an item: up to its semicolon or its braces.
+/// Skips an item up to its semicolon or its braces.
 fn skip_item(tokens: &mut Peekable<IntoIter>) {
     for token in tokens {
         match token {

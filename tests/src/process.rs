@@ -1,4 +1,4 @@
-//! The built programs, run as users run them, and what befalls processes.
+//! Runs the built programs as users run them, with signals and logs.
 
 use std::fs::File;
 use std::net::TcpListener;
@@ -15,33 +15,32 @@ use crate::memory_group::MemoryGroup;
 use crate::usage::Usage;
 use crate::wall_clock::WallClock;
 
-/// How long anything may take that needs no tracing.
+/// Time limit of anything that needs no tracing.
 pub const SOON: Duration = Duration::from_secs(30);
-/// How long a dictionary may take.
+/// Time limit of a dictionary.
 pub const LONG: Duration = Duration::from_mins(3);
-/// Pause before another look.
+/// Pause between two checks.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// Looks until there is something to see, and fails after `limit`.
+/// Calls `look` until it returns something, and fails after `limit`.
 ///
 /// # Panics
-/// If there is nothing in time.
+/// If it returns nothing in time.
 pub fn wait_for<T>(what: &str, limit: Duration, mut look: impl FnMut() -> Option<T>) -> T {
     let deadline = Instant::now() + limit;
     loop {
         if let Some(found) = look() {
             return found;
         }
-        assert!(Instant::now() < deadline, "waited {limit:?} in vain: {what}");
+        assert!(Instant::now() < deadline, "timeout of {limit:?}: {what}");
         std::thread::sleep(LOOK);
     }
 }
 
-/// A port that nobody listens on, below those that the system gives to outgoing connections: one of these could take it
-/// while its owner restarts.
+/// A free port below the range of outgoing connections, one of which could otherwise take it while its owner restarts.
 ///
 /// # Panics
-/// If there is none.
+/// If there is no free port.
 pub fn free_port() -> u16 {
     static NEXT: AtomicU16 = AtomicU16::new(0);
     for _ in 0..1000 {
@@ -72,19 +71,19 @@ pub fn coordinator() -> PathBuf {
     BUILT.get_or_init(|| build(&["--package", "farm-coordinator"])).join("farm-coordinator")
 }
 
-/// Builds and tells the folder with the programs, or the one that `FARM_TEST_PROGRAMS` names: long forms then go on while
-/// sources change.
+/// Builds the programs and returns their folder, or the one that `FARM_TEST_PROGRAMS` names, so that long tests can
+/// continue while sources change.
 fn build(what: &[&str]) -> PathBuf {
     if let Some(folder) = std::env::var_os("FARM_TEST_PROGRAMS") {
         return folder.into();
     }
     let mut build = Command::new(env!("CARGO"));
     build.current_dir(crate::reference::root()).args(["build", "--quiet"]).args(what);
-    // What `cargo test` tells of this package must not reach those that are built: for some it would count as a change,
-    // and they and all that needs them would be built anew each time.
+    // Variables that `cargo test` sets for this package would count as a change for some crates, which would then be
+    // rebuilt each time with all their dependents.
     for (name, _) in std::env::vars_os() {
-        let told = name.to_string_lossy();
-        if told.starts_with("CARGO_MANIFEST_") || told.starts_with("CARGO_PKG_") {
+        let text = name.to_string_lossy();
+        if text.starts_with("CARGO_MANIFEST_") || text.starts_with("CARGO_PKG_") {
             build.env_remove(name);
         }
     }
@@ -93,12 +92,12 @@ fn build(what: &[&str]) -> PathBuf {
     }
     let built = build.output().expect("cargo runs");
     assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
-    // This test is …/target/<profile>/deps/<name>.
+    // The test's path is …/target/<profile>/deps/<name>.
     let test = std::env::current_exe().expect("the test knows its path");
     test.ancestors().nth(2).expect("tests lie two folders deep").to_owned()
 }
 
-/// `farmctl` in a folder, without settings from the surroundings.
+/// `farmctl` in a folder, without settings from the environment.
 pub fn farmctl(folder: &Path) -> Command {
     let mut command = Command::new(program("farmctl"));
     command.current_dir(folder).env_remove("FARM_SERVER").env_remove("FARM_DATA").env_remove("FARM_LOG");
@@ -132,7 +131,7 @@ pub fn run(folder: &Path, args: &[&str]) -> Ran {
     farmctl(folder).args(args).output().expect("farmctl starts").into()
 }
 
-/// Where programs run, if not as the tests do.
+/// Environment of programs, if it differs from that of the tests.
 #[derive(Debug, Default)]
 pub(crate) struct Surroundings {
     pub wall_clock: Option<WallClock>,
@@ -140,7 +139,7 @@ pub(crate) struct Surroundings {
 }
 
 impl Surroundings {
-    /// A program with these arguments, not yet started.
+    /// A command with these arguments, not yet started.
     pub fn command(&self, name: &str, args: &[&str]) -> Command {
         let program = program(name);
         let mut command = match &self.memory {
@@ -154,7 +153,7 @@ impl Surroundings {
     }
 }
 
-/// A program that runs. Killed when dropped; if the test has failed, what it logged is shown.
+/// A running program. It is killed when dropped; if the test has failed, its log is shown.
 #[derive(Debug)]
 pub struct Process {
     name: String,
@@ -171,7 +170,7 @@ impl Process {
         Self::spawn(name, &mut Surroundings::default().command(name, args), log)
     }
 
-    /// The same of a command with arguments, without settings from the surroundings.
+    /// The same for a command with arguments, without settings from the environment.
     ///
     /// # Panics
     /// If it does not start.
@@ -190,7 +189,7 @@ impl Process {
         process
     }
 
-    /// The same with a place for standard error that may take nothing.
+    /// The same with standard error to `log`, which may be a pipe without a reader.
     ///
     /// # Panics
     /// If it does not start.
@@ -234,7 +233,7 @@ impl Process {
         let _ = self.child.wait();
     }
 
-    /// Waits for the end and tells the exit code; -1 after a signal.
+    /// Waits for the end and returns the exit code; -1 after a signal.
     ///
     /// # Panics
     /// If it does not end in time.
@@ -245,7 +244,7 @@ impl Process {
         status.code().unwrap_or(-1)
     }
 
-    /// SIGTERM; the exit code.
+    /// Sends SIGTERM and returns the exit code.
     ///
     /// # Panics
     /// If it does not end in time.
@@ -263,15 +262,15 @@ impl Process {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
-    /// Waits until its standard error says this.
+    /// Waits until its standard error contains this text.
     ///
     /// # Panics
-    /// If it does not soon.
-    pub fn tells(&self, what: &str) {
+    /// If it does not appear soon.
+    pub fn wait_for_log(&self, what: &str) {
         wait_for(what, SOON, || self.log().contains(what).then_some(()));
     }
 
-    /// What it takes of the machine; None if it has ended.
+    /// Its use of processor, memory and files; None if it has ended.
     pub fn usage(&self) -> Option<Usage> {
         Usage::of(self.id())
     }

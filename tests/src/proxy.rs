@@ -1,4 +1,4 @@
-//! A link that misbehaves as it is told: bytes pass, are held back without a word, or the connection is cut.
+//! A proxy that injects network faults: bytes pass, are silently held back, or the connection is cut.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -9,20 +9,20 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
-/// From the client to the server, or back.
+/// The direction of bytes: to the server, or back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     Requests,
     Answers,
 }
 
-/// What becomes of the bytes of one direction. What is held back goes on, in order, when the direction passes again: so
-/// do packets that are lost and sent again.
+/// Treatment of the bytes of one direction. Held bytes are delivered in order when the direction passes again, as lost
+/// packets are by retransmission.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Rule {
     Pass,
     Hold,
-    /// So many bytes more of each connection pass, then all are held.
+    /// This many further bytes of each connection pass, then all are held.
     PassThenHold(u64),
 }
 
@@ -30,13 +30,13 @@ enum Rule {
 struct Rules {
     requests: Rule,
     answers: Rule,
-    /// Connections of earlier numbers are cut.
+    /// Connections with lower numbers are cut.
     cut_before: u64,
-    /// Connections of earlier numbers are held for ever, as by a router that has forgotten them.
+    /// Connections with lower numbers are held for ever, as by a router that has lost their state.
     frozen_before: u64,
 }
 
-/// A port on loopback that leads to another one.
+/// A loopback port that forwards to another one.
 #[derive(Debug)]
 pub struct Proxy {
     address: SocketAddr,
@@ -54,7 +54,7 @@ impl Drop for Proxy {
 }
 
 impl Proxy {
-    /// Opens a port that leads to `target`, which need not listen yet.
+    /// Opens a port that forwards to `target`, which need not listen yet.
     ///
     /// # Panics
     /// If no port can be opened.
@@ -73,39 +73,39 @@ impl Proxy {
         format!("http://{}", self.address)
     }
 
-    /// Connections so far.
+    /// Number of connections so far.
     pub fn accepted(&self) -> u64 {
         self.accepted.load(Ordering::SeqCst)
     }
 
-    /// Bytes that are held back at this moment.
+    /// Bytes that are currently held back.
     pub fn held_bytes(&self) -> u64 {
         self.held_bytes.load(Ordering::SeqCst)
     }
 
-    /// Holds a direction back, silently: no end learns of it.
+    /// Holds a direction back without any error at either end.
     pub fn hold(&self, direction: Direction) {
         self.set(direction, Rule::Hold);
     }
 
-    /// Holds a direction back after so many bytes more of each connection.
+    /// Holds a direction back after this many further bytes of each connection.
     pub fn hold_after(&self, direction: Direction, bytes: u64) {
         self.set(direction, Rule::PassThenHold(bytes));
     }
 
-    /// Both directions pass again, with what was held back.
+    /// Lets both directions pass again, beginning with the held bytes.
     pub fn heal(&self) {
         self.set(Direction::Requests, Rule::Pass);
         self.set(Direction::Answers, Rule::Pass);
     }
 
-    /// Holds the connections that there are for ever; later ones pass.
+    /// Holds the existing connections for ever; later ones pass.
     pub fn freeze(&self) {
         let accepted = self.accepted();
         self.rules.send_modify(|rules| rules.frozen_before = accepted);
     }
 
-    /// Ends the connections that there are, with what they hold; later ones pass as the rules say.
+    /// Cuts the existing connections and drops their held bytes; later ones follow the rules.
     pub fn cut(&self) {
         let accepted = self.accepted();
         self.rules.send_modify(|rules| rules.cut_before = accepted);
@@ -130,14 +130,14 @@ async fn accept(
         let number = accepted.fetch_add(1, Ordering::SeqCst);
         let (rules, held_bytes) = (rules.subscribe(), held_bytes.clone());
         tokio::spawn(async move {
-            // Who cannot be led on is sent away.
+            // Without a target, the connection is closed.
             let Ok(server) = TcpStream::connect(target).await else { return };
             let _ = (client.set_nodelay(true), server.set_nodelay(true));
             let ((from_client, to_client), (from_server, to_server)) =
                 (client.into_split(), server.into_split());
             let pump =
                 |direction| Pump { number, direction, rules: rules.clone(), held_bytes: held_bytes.clone() };
-            // When one direction ends, so does the other: both halves are dropped.
+            // When one direction ends, both halves are dropped, which ends the other.
             tokio::select! {
                 () = pump(Direction::Requests).run(from_client, to_server) => {}
                 () = pump(Direction::Answers).run(from_server, to_client) => {}
@@ -157,8 +157,8 @@ struct Pump {
 impl Pump {
     async fn run(mut self, mut from: impl AsyncRead + Unpin, mut to: impl AsyncWrite + Unpin) {
         let mut buffer = vec![0; 64 << 10];
-        // Bytes that are held, how many of them are told, and how many passed since the rule was set.
-        let (mut held, mut told, mut passed, mut last) = (Vec::<u8>::new(), 0, 0_u64, Rule::Pass);
+        // Held bytes, how many of them are counted in `held_bytes`, and how many passed since the rule was set.
+        let (mut held, mut counted, mut passed, mut last) = (Vec::<u8>::new(), 0, 0_u64, Rule::Pass);
         loop {
             let rules = *self.rules.borrow_and_update();
             if self.number < rules.cut_before {
@@ -181,15 +181,15 @@ impl Pump {
                 held.drain(..now);
                 passed += now as u64;
             }
-            // Only what stays here: bytes on their way through are not held.
-            self.held_bytes.fetch_sub(told, Ordering::SeqCst);
-            told = held.len() as u64;
-            self.held_bytes.fetch_add(told, Ordering::SeqCst);
+            // Only bytes that stay here count, not those that pass through.
+            self.held_bytes.fetch_sub(counted, Ordering::SeqCst);
+            counted = held.len() as u64;
+            self.held_bytes.fetch_add(counted, Ordering::SeqCst);
             tokio::select! {
                 changed = self.rules.changed() => if changed.is_err() { break },
                 read = from.read(&mut buffer) => match read {
                     Ok(bytes) if bytes > 0 => held.extend_from_slice(&buffer[..bytes]),
-                    // An end that is held back is not told on either.
+                    // The end of a connection is held back as well.
                     _ if self.holds() => while self.holds() {
                         if self.rules.changed().await.is_err() { break }
                     },
@@ -197,7 +197,7 @@ impl Pump {
                 },
             }
         }
-        self.held_bytes.fetch_sub(told, Ordering::SeqCst);
+        self.held_bytes.fetch_sub(counted, Ordering::SeqCst);
     }
 
     fn rule(&self, rules: Rules) -> Rule {

@@ -1,4 +1,4 @@
-//! Reference values in `tests/data`; `tests/data/README.md` tells where they come from.
+//! Reads the reference values in `tests/data`, whose sources `tests/data/README.md` gives, and the project's own files.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,8 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate lies in the workspace").to_owned()
 }
 
-/// All files below a folder with this extension, in order, with their texts; not of what is built or installed there.
+/// All files below a folder with this extension, in order, with their texts; without build output and installed
+/// packages.
 ///
 /// # Panics
 /// If there are none, or one cannot be read.
@@ -38,7 +39,7 @@ pub fn files_below(folder: &Path, extension: &str) -> Vec<(PathBuf, String)> {
     found
 }
 
-/// The same of the whole project, by their paths from its root.
+/// The same for the whole project, with paths from its root.
 ///
 /// # Panics
 /// If there are none, or one cannot be read.
@@ -86,7 +87,7 @@ pub struct MitsubaProfile {
     pub rho_light: f64,
     pub rho_dark: f64,
     pub width_mm: f64,
-    /// Samples a pixel.
+    /// Samples per pixel.
     pub samples: f64,
     pub values: Vec<f64>,
     pub std_errors: Vec<f64>,

@@ -1,4 +1,4 @@
-//! Means and shares with standard errors.
+//! Means and shares with standard errors, and random numbers for noise.
 
 use std::fmt;
 
@@ -20,7 +20,7 @@ impl Mean {
         Self { mean, std_error: (variance / n).sqrt() }
     }
 
-    /// Difference to another mean in standard errors, both counted.
+    /// Difference to another mean, in standard errors of the difference.
     pub fn z(self, other: Self) -> f64 {
         (self.mean - other.mean) / self.std_error.hypot(other.std_error)
     }
@@ -49,16 +49,16 @@ pub fn chi2_per_pixel(a: &[Mean], b: &[Mean]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.z(*b).powi(2)).sum::<f64>() / a.len() as f64
 }
 
-/// The middle value.
+/// The median.
 ///
 /// # Panics
-/// Of nothing.
+/// Without values.
 pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }
 
-/// The value that a share of the others, from 0 to 1, lies below.
+/// The quantile of a share from 0 to 1.
 ///
 /// # Panics
 /// Without values.
@@ -68,7 +68,7 @@ pub fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values[place.min(values.len() - 1)]
 }
 
-/// How often something held, with the binomial standard error.
+/// The share of trials in which a condition held, with the binomial standard error.
 #[derive(Debug, Clone, Copy)]
 pub struct Share {
     pub share: f64,
@@ -76,7 +76,7 @@ pub struct Share {
 }
 
 impl Share {
-    /// None of nothing.
+    /// None without trials.
     pub fn of(held: impl IntoIterator<Item = bool>) -> Option<Self> {
         let held: Vec<bool> = held.into_iter().collect();
         let n = held.len() as f64;
@@ -92,7 +92,7 @@ impl fmt::Display for Share {
     }
 }
 
-/// Factor on the length of tests that say more when they are longer: `FARM_TEST_EFFORT=16 cargo test …`.
+/// Factor on the length of statistical tests: `FARM_TEST_EFFORT=16 cargo test …`.
 ///
 /// # Panics
 /// If the variable is not a whole number.
@@ -100,7 +100,7 @@ pub fn effort() -> u64 {
     std::env::var("FARM_TEST_EFFORT").map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
 }
 
-/// Random numbers of a seed, for noise on top of traced profiles: a stream of SplitMix64.
+/// Random numbers for noise on traced profiles: a SplitMix64 stream.
 #[derive(Debug, Clone)]
 pub struct Normal(u64);
 

@@ -1,25 +1,25 @@
-//! What another process takes of the machine, as Linux tells it in /proc.
+//! Use of processor, memory and files by another process, from Linux's /proc.
 
 use std::fs::read_to_string;
 
-/// Clock ticks a second: a constant of Linux's interface, whatever the kernel's own.
+/// Clock ticks per second: a constant of Linux's interface.
 const TICKS: f64 = 100.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Usage {
-    /// Processor time so far, of all threads, in and outside the kernel.
+    /// Processor time so far of all threads, in user and kernel mode.
     pub cpu_s: f64,
     pub resident_kib: u64,
-    /// The most so far.
+    /// Peak so far.
     pub peak_kib: u64,
     pub files: usize,
 }
 
 impl Usage {
-    /// None if there is no such process any more, or it is a zombie.
+    /// None if the process has ended or is a zombie.
     pub fn of(pid: u32) -> Option<Self> {
         let stat = read_to_string(format!("/proc/{pid}/stat")).ok()?;
-        // The name, in parentheses, may hold spaces.
+        // The name, in parentheses, may contain spaces.
         let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
         let ticks = |field: usize| fields.get(field)?.parse::<f64>().ok();
         let status = read_to_string(format!("/proc/{pid}/status")).ok()?;
@@ -36,7 +36,7 @@ impl Usage {
     }
 }
 
-/// Children of a process that have ended and were not waited for.
+/// Zombie children of a process.
 pub fn zombies_of(parent: u32) -> Vec<u32> {
     let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
     let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());

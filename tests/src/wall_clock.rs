@@ -1,14 +1,14 @@
-//! A wall clock that jumps, for processes that are started with it: libfaketime, which Debian has as `libfaketime`.
+//! A wall clock that jumps, for processes that are started with it, by Debian's `libfaketime`.
 //!
-//! The clock that measures times, which never jumps, stays as it is: so it is when somebody sets a machine's clock.
+//! The monotonic clock is unchanged, as when the clock of a machine is set.
 
 use std::path::PathBuf;
 
-/// Debian has the library for programs with threads here, in the folder of the machine's kind.
-const KINDS: &str = "/usr/lib";
+/// Debian installs the library for threaded programs below this folder, in that of the architecture.
+const ARCHITECTURES: &str = "/usr/lib";
 const LIBRARY: &str = "faketime/libfaketimeMT.so.1";
 
-/// How far off the wall clock is stands in a file, which every look at the clock reads.
+/// The offset of the wall clock is in a file, which is read at each use of the clock.
 #[derive(Debug)]
 pub struct WallClock {
     library: PathBuf,
@@ -16,19 +16,19 @@ pub struct WallClock {
 }
 
 impl WallClock {
-    /// A clock that is right; None if the library is not installed.
+    /// A clock without offset; None if the library is not installed.
     ///
     /// # Panics
     /// If its file cannot be written.
     pub fn find() -> Option<Self> {
-        let kinds = std::fs::read_dir(KINDS).ok()?.filter_map(Result::ok);
-        let library = kinds.map(|kind| kind.path().join(LIBRARY)).find(|place| place.exists())?;
+        let architectures = std::fs::read_dir(ARCHITECTURES).ok()?.filter_map(Result::ok);
+        let library = architectures.map(|folder| folder.path().join(LIBRARY)).find(|place| place.exists())?;
         let clock = Self { library, folder: tempfile::tempdir().expect("a folder can be made") };
         clock.set_off_by_days(0);
         Some(clock)
     }
 
-    /// From now on the clock is this many days ahead, or behind.
+    /// Sets the offset: days ahead, or behind if negative.
     ///
     /// # Panics
     /// If its file cannot be written.
@@ -42,7 +42,7 @@ impl WallClock {
         self.folder.path().join("off")
     }
 
-    /// What a process that shall have this clock finds in its environment.
+    /// Environment variables for a process with this clock.
     pub(crate) fn environment(&self) -> Vec<(&'static str, PathBuf)> {
         vec![
             ("LD_PRELOAD", self.library.clone()),

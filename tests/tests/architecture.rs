@@ -1,4 +1,4 @@
-//! The boundaries that ARCHITECTURE.md draws, checked in the sources.
+//! Checks the boundaries of ARCHITECTURE.md in the sources.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -21,7 +21,7 @@ fn dependencies(krate: &str) -> Vec<String> {
     manifest["dependencies"].as_table().unwrap().keys().cloned().collect()
 }
 
-/// What every crate may use of the project.
+/// The crates of the project that each crate may use.
 const ARROWS: [(&str, &[&str]); 13] = [
     ("optics/model", &[]),
     ("optics/tracer", &["optics-model"]),
@@ -48,7 +48,7 @@ const ARROWS: [(&str, &[&str]); 13] = [
             "farm-worker",
         ],
     ),
-    // Sees all.
+    // May use everything.
     (
         "tests",
         &[
@@ -119,7 +119,7 @@ fn the_tracers_bits_are_the_same_on_every_machine() {
     assert_absent("optics/tracer/src", &["mul_add"]);
 }
 
-/// Grids are stored as their messages, so one module of the store knows those too.
+/// Grids are stored as their messages, so one module of the store uses these too.
 #[test]
 fn wire_types_stay_at_the_edges_of_the_coordinator() {
     for (path, text) in files_below(&root().join("coordinator/src"), "rs") {
@@ -170,7 +170,7 @@ fn only_the_scheduler_holds_the_dispatcher() {
     }
 }
 
-/// Streams to clients are handed on in one place; everything else is one call.
+/// Streams to clients are forwarded in one place; everything else is one call.
 #[test]
 fn services_do_not_loop() {
     for (path, text) in files_below(&root().join("coordinator/src/rpc"), "rs") {
@@ -181,7 +181,7 @@ fn services_do_not_loop() {
     }
 }
 
-/// Files that need each other cannot be understood one after the other.
+/// Files that depend on each other cannot be understood one after the other.
 #[test]
 fn no_modules_of_a_folder_name_each_other_in_a_circle() {
     let mut circles = Vec::new();
@@ -191,10 +191,10 @@ fn no_modules_of_a_folder_name_each_other_in_a_circle() {
             circles.push(format!("{krate}: {circle}"));
         }
     }
-    assert!(circles.is_empty(), "modules that name each other in a circle: {circles:#?}");
+    assert!(circles.is_empty(), "circular dependencies between modules: {circles:#?}");
 }
 
-/// The search finds what it is for.
+/// The search finds circles through submodules.
 #[test]
 fn a_circle_through_files_below_two_modules_is_found() {
     let file = |name: &str, text: &str| (PathBuf::from(name), text.to_owned());
@@ -212,7 +212,7 @@ fn a_circle_through_files_below_two_modules_is_found() {
         )
     };
     assert_eq!(files("").circles(), ["config, farm"]);
-    // In a macro, a string, a comment and a test.
+    // Names in strings, comments and tests do not count, those in macros do.
     let mut without = files("");
     without
         .sources
@@ -224,7 +224,7 @@ fn a_circle_through_files_below_two_modules_is_found() {
         .sources
         .insert(vec!["config".to_owned()], "fn f() { println!(\"{}\", crate::farm::deep::g()) }".to_owned());
     assert_eq!(without.circles(), ["config, farm"]);
-    // By a name that the module around both brings in.
+    // Through a name that the parent module imports.
     without.sources.insert(vec![], "mod farm; mod config; pub use farm::{deep::G as H, Farm};".to_owned());
     without.sources.insert(vec!["config".to_owned()], "use super::H;".to_owned());
     assert_eq!(without.circles(), ["config, farm"]);

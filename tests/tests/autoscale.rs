@@ -1,4 +1,4 @@
-//! `farmctl slurm autoscale` with real workers, on a stand-in for Slurm.
+//! `farmctl slurm autoscale` with real workers, on a simulated Slurm.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -19,7 +19,7 @@ g = [0.0, 0.2, 0.4]
 walks = 300000
 ";
 
-/// `farmctl slurm autoscale` that looks each second.
+/// `farmctl slurm autoscale` with a check every second.
 fn autoscale(farm: &Farm, cluster: &Cluster, worker: &str, options: &[&str]) -> Command {
     let mut command = farm.command(&["slurm", "autoscale", "--json", "--time", "0:10:00", "--every", "1s"]);
     command.args(["--worth", "0s", "--worker", worker]).args(options).env("PATH", cluster.path());
@@ -30,7 +30,7 @@ fn worker() -> String {
     program("farm-worker").to_str().unwrap().to_owned()
 }
 
-/// Lines so far: what was done, and the message.
+/// Lines so far: step and message.
 fn steps(farm: &Farm) -> Vec<(String, String)> {
     let text = std::fs::read_to_string(farm.path("autoscale.out")).unwrap_or_default();
     let step = |line: &str| {
@@ -39,14 +39,14 @@ fn steps(farm: &Farm) -> Vec<(String, String)> {
             (line["api"].as_str(), line["kind"].as_str()),
             (Some("farmctl/1"), Some("slurm-autoscale"))
         );
-        let told = |name: &str| line["data"][name].as_str().unwrap().to_owned();
-        (told("step"), told("message"))
+        let field = |name: &str| line["data"][name].as_str().unwrap().to_owned();
+        (field("step"), field("message"))
     };
     text.lines().map(step).collect()
 }
 
 fn count(farm: &Farm, step: &str) -> usize {
-    steps(farm).iter().filter(|(told, _)| told == step).count()
+    steps(farm).iter().filter(|(own, _)| own == step).count()
 }
 
 fn start(farm: &Farm, command: &mut Command) -> Process {
@@ -67,14 +67,14 @@ fn workers_come_with_the_work_and_go_without() {
     assert_eq!(steps[0], ("submitted".to_owned(), "submitted 1 worker as job 1".to_owned()));
     assert!(steps.iter().all(|(step, _)| step != "failed" && step != "unknown"), "{steps:?}");
     assert!(steps.last().unwrap().1.starts_with("the farm has no work left"), "{steps:?}");
-    // One, one more, two more: the other nodes are taken, so these wait in vain.
+    // One, one more, two more: the last two wait, since all nodes are in use.
     assert!(cluster.arrays() <= 3, "{steps:?}");
     wait_for("all have gone", LONG, || (cluster.tasks("") == 0).then_some(()));
     let labels: Vec<Value> = farm.events("WORKER_JOINED").iter().map(|e| e["worker"].clone()).collect();
     assert!(labels.contains(&Value::from("slurm:1.1@node1")), "{labels:?}");
 }
 
-/// At the start that is an error, and later one event, until Slurm answers again.
+/// At the start, missing answers are an error; later there is one event until Slurm answers again.
 #[test]
 fn nothing_is_submitted_while_slurm_does_not_answer() {
     let farm = Farm::start(&[]);
@@ -90,10 +90,10 @@ fn nothing_is_submitted_while_slurm_does_not_answer() {
 
     cluster.set("away", false);
     let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, &worker(), &["--max-workers", "2"]));
-    wait_for("it has looked", SOON, || cluster.was_asked().then_some(()));
+    wait_for("the first check", SOON, || cluster.was_asked().then_some(()));
     cluster.set("away", true);
-    // Whichever look had an answer is over then.
-    wait_for("it is told", SOON, || (count(&farm, "unknown") == 1).then_some(()));
+    // Checks that still had an answer are over then.
+    wait_for("the event", SOON, || (count(&farm, "unknown") == 1).then_some(()));
     farm.submit("grid", GRID);
     std::thread::sleep(Duration::from_secs(3));
     assert_eq!((count(&farm, "unknown"), cluster.arrays()), (1, 0));
@@ -112,7 +112,7 @@ fn missing_workers_are_reported_and_not_resubmitted_at_once() {
     farm.submit("grid", GRID);
     let options = ["--max-workers", "8"];
     let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, "/bin/false", &options));
-    wait_for("it is told", SOON, || (count(&farm, "failed") > 0).then_some(()));
+    wait_for("the event", SOON, || (count(&farm, "failed") > 0).then_some(()));
     let failed = steps(&farm).into_iter().find(|(step, _)| step == "failed").unwrap().1;
     assert!(failed.contains("worker 1_1 ended") && failed.contains("(farm-worker-1_1.log)"), "{failed}");
     let submitted = cluster.arrays();
@@ -137,7 +137,7 @@ fn sbatch_refusals_end_the_command_only_at_the_start() {
     let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, &worker(), &["--max-workers", "8"]));
     wait_for("one is submitted", SOON, || (cluster.arrays() == 1).then_some(()));
     cluster.set("refuses", true);
-    wait_for("it is told", SOON, || (count(&farm, "refused") == 1).then_some(()));
+    wait_for("the event", SOON, || (count(&farm, "refused") == 1).then_some(()));
     farm.done("grid");
     assert!(autoscaler.is_running());
     assert_eq!((cluster.arrays(), count(&farm, "refused")), (1, 1), "{:?}", steps(&farm));

@@ -1,4 +1,4 @@
-//! What `farmctl` says to bad input and bad surroundings, and what it leaves on the disk.
+//! Messages of `farmctl` for bad input and a bad environment, and the files that it leaves behind.
 
 use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt;
@@ -231,27 +231,27 @@ fn values_of_files_are_refused_with_their_line_and_their_key() {
     write(dir.path(), "axis.toml", "albedo = [\n  0.5,\n  1.5,\n]\n");
     write(dir.path(), "walks.toml", "g = [0]\nwalks = 1e6\nthickness_mm = [0]\n");
     write(dir.path(), "few.toml", "# few\nwalks = 1234\n");
-    for (file, told) in [
+    for (file, message) in [
         ("named.toml", "scene.toml, line 2: light.ring_deg = [50, 40] is not valid: two angles"),
         ("axis.toml", "grid file axis.toml, line 3: albedo[1] = 1.5 is not valid"),
         ("walks.toml", "grid file walks.toml, line 3: thickness_mm[0] = 0 is not valid"),
         ("few.toml", "grid file few.toml, line 2: walks = 1234 is not valid"),
         ("few.toml", "; the nearest is 1000"),
     ] {
-        fails(dir.path(), &["submit", file], &[told]);
+        fails(dir.path(), &["submit", file], &[message]);
     }
     assert!(!dir.path().join("farm-data").exists());
 }
 
-/// A folder without a coordinator needs no farm-worker.
+/// The advice for a folder without a coordinator does not mention farm-worker.
 #[test]
 fn explain_suggests_submit_in_an_idle_local_folder() {
     let farm = unfinished();
     let explained = run(farm.path(), &["explain", "long"]);
     assert_eq!(explained.code, 0, "{}", explained.stderr);
-    let told =
+    let expected =
         "nothing computes in this folder at the moment: `farmctl submit` with the same grid file and name";
-    assert!(explained.stdout.contains(told), "{}", explained.stdout);
+    assert!(explained.stdout.contains(expected), "{}", explained.stdout);
     assert!(!explained.stdout.contains("farm-worker"), "{}", explained.stdout);
 }
 
@@ -264,12 +264,12 @@ fn unfinished() -> tempfile::TempDir {
         .stderr(Stdio::piped())
         .spawn()
         .expect("farmctl starts");
-    // The first line of progress comes when the dictionary is there.
+    // The first line of progress appears when the dictionary exists.
     let mut line = String::new();
     let stderr = submit.stderr.take().expect("it is piped");
-    BufReader::new(stderr).read_line(&mut line).expect("it tells progress");
+    BufReader::new(stderr).read_line(&mut line).expect("it prints progress");
     assert!(line.starts_with("long: 0.0 % of the work, 0 of 8 records"), "{line}");
-    submit.kill().expect("it is still at work");
+    submit.kill().expect("it still runs");
     submit.wait().expect("it ends");
     dir
 }
@@ -285,9 +285,9 @@ fn all_programs_refuse_a_log_filter_that_is_none() {
         for filter in ["farm=loud", "verbose"] {
             let mut program = Command::new(program(name));
             let ran = program.current_dir(dir.path()).args(args).env("FARM_LOG", filter).output().unwrap();
-            let told = String::from_utf8_lossy(&ran.stderr).into_owned();
-            assert_eq!(ran.status.code(), Some(1), "{name}: {told}");
-            assert!(told.starts_with(&format!("{name}: FARM_LOG=`{filter}`: ")), "{told}");
+            let message = String::from_utf8_lossy(&ran.stderr).into_owned();
+            assert_eq!(ran.status.code(), Some(1), "{name}: {message}");
+            assert!(message.starts_with(&format!("{name}: FARM_LOG=`{filter}`: ")), "{message}");
         }
     }
     assert!(!dir.path().join("data").exists());
@@ -305,7 +305,7 @@ fn a_name_belongs_to_one_grid() {
     assert_eq!(run(farm.path(), &["submit", "grid.toml", "--name", "other", "-q"]).code, 0);
 }
 
-/// Runs as nobody if the tests run as root, whom no permission stops.
+/// If the tests run as root, which ignores permissions, it runs as user `nobody`.
 #[test]
 fn a_data_directory_that_cannot_be_written_is_refused() {
     let dir = folder();
@@ -313,7 +313,7 @@ fn a_data_directory_that_cannot_be_written_is_refused() {
     std::fs::create_dir(&data).unwrap();
     std::fs::set_permissions(dir.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
     std::fs::set_permissions(&data, std::fs::Permissions::from_mode(0o555)).unwrap();
-    // The build folder may be closed to others: nobody gets a copy.
+    // The build folder may be closed to others, so user `nobody` gets a copy.
     let copy = dir.path().join("farmctl");
     std::fs::copy(program("farmctl"), &copy).unwrap();
     let mut command = Command::new(copy);
@@ -364,7 +364,7 @@ fn the_other_programs_tell_their_errors_in_one_line() {
     assert!(url.contains("\"not a url\" must begin with https:// or http://"), "{url}");
 }
 
-/// A row whose place is 100 mm further to the right.
+/// A row with x increased by 100 mm.
 fn far(row: &str) -> String {
     let parts: Vec<&str> = row.split(',').collect();
     let x: f64 = parts[3].parse().expect("x is a number");

@@ -1,4 +1,4 @@
-//! The documents: links and paths lead somewhere, the book has every page, and the map of the code stays a map.
+//! Checks the documents: links and paths are valid, the book has every page, and ARCHITECTURE.md stays short.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -26,7 +26,7 @@ fn prose(text: &str) -> impl Iterator<Item = (usize, &str)> {
     })
 }
 
-/// The ids that GitHub and mdBook give headings.
+/// The ids of headings, as GitHub and mdBook form them.
 fn anchors(text: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     let is_heading = |line: &&str| line.trim_start_matches('#').starts_with(' ') && line.starts_with('#');
@@ -51,7 +51,7 @@ fn links(text: &str) -> Vec<(usize, &str)> {
     prose(text).flat_map(of_line).filter(|(_, target)| !target.contains("://")).collect()
 }
 
-/// The path from the root that a link in `document` means.
+/// The path from the root that a link in `document` refers to.
 fn resolved(document: &Path, target: &str) -> PathBuf {
     if target.is_empty() {
         return document.to_owned();
@@ -142,7 +142,7 @@ fn the_architecture_is_a_map_of_at_most_150_lines() {
     assert!((50..=150).contains(&lines), "ARCHITECTURE.md has {lines} lines");
 }
 
-/// What follows each `mark` in a file, up to a blank or the end of the line.
+/// The words that follow each `mark` in a file.
 fn after<'a>(text: &'a str, mark: &str) -> Vec<&'a str> {
     text.split(mark).skip(1).filter_map(|rest| rest.split([' ', '\n', '}', '`']).next()).collect()
 }
@@ -160,7 +160,7 @@ fn all_files_are_of_the_same_version() {
     for (file, mark) in marks {
         let text = std::fs::read_to_string(root().join(file)).unwrap();
         let found = after(&text, mark);
-        assert!(!found.is_empty() && found.iter().all(|told| *told == version), "{file}: {mark}{found:?}");
+        assert!(!found.is_empty() && found.iter().all(|named| *named == version), "{file}: {mark}{found:?}");
     }
     let changelog = std::fs::read_to_string(root().join("CHANGELOG.md")).unwrap();
     let mut released = changelog.lines().filter_map(|line| line.strip_prefix("## "));

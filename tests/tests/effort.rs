@@ -1,4 +1,4 @@
-//! How much is traced: divided jobs, target errors, and records that are there already.
+//! The work of a dictionary: divided jobs, target errors, and reused records.
 
 use anyhow::Result;
 use farm_tests::farm::Farm;
@@ -10,7 +10,7 @@ use optics_model::{Digest, Grid, Quality, Record, Walks};
 use optics_tracer::{trace, trace_block};
 use std::sync::atomic::AtomicBool;
 
-/// One transport point, few pixels, so that many walks are cheap.
+/// One transport point with few pixels, so that many walks are cheap.
 fn one_point(walks: u64) -> Result<Grid> {
     let axes = Axes {
         sigma_t_per_mm: vec![1.0],
@@ -31,8 +31,8 @@ fn blocks_traced_apart_make_the_records_of_the_whole() -> Result<()> {
     let whole = trace(&job, &stop)?;
     let mut total = optics_model::sums::Sums::new(&job);
     let blocks: Vec<_> = [2, 0, 1].map(|block| (block, trace_block(&job, block, &stop))).into();
-    for wanted in 0..3 {
-        let sums = blocks.iter().find(|(block, _)| *block == wanted).map(|(_, sums)| sums.clone());
+    for next in 0..3 {
+        let sums = blocks.iter().find(|(block, _)| *block == next).map(|(_, sums)| sums.clone());
         total.merge(&sums.expect("all three were traced")?);
     }
     assert_eq!(total.into_records(&job), whole);
@@ -71,12 +71,12 @@ async fn points_are_traced_until_the_target_error() -> Result<()> {
     farm.submit_grid("quality", &grid).await?;
     let status = farm.watched("quality").await?;
     let (fewest, most) = status.walks;
-    assert_eq!(fewest, plain.walks_of(0).get(), "some points are quiet enough at once");
-    assert!(most > 2 * plain.walks_of(0).get(), "the noisiest need (1/0.6)² times as many: {most}");
+    assert_eq!(fewest, plain.walks_of(0).get(), "some points reach the target at once");
+    assert!(most > 2 * plain.walks_of(0).get(), "the noisiest need more than (1/0.6)² times as many: {most}");
 
     let mut digests = Vec::new();
     for (job, first) in first.iter().enumerate() {
-        // What a plain grid with as many walks as the rule asks for would have.
+        // The records of a plain grid with the final number of walks.
         let mut spec = JobSpec::of(&plain, job);
         let mut records = traced(&plain, job);
         while let Some(more) =
@@ -94,7 +94,7 @@ async fn points_are_traced_until_the_target_error() -> Result<()> {
     Ok(())
 }
 
-/// Its bytes are those of a grid computed afresh.
+/// Its bytes equal those of a grid that is computed completely.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_finer_grid_computes_only_missing_points() -> Result<()> {
     let mut farm = Farm::start(&[]);
@@ -112,7 +112,7 @@ async fn a_finer_grid_computes_only_missing_points() -> Result<()> {
         };
         Grid::new(coarse.scene().clone(), axes, coarse.effort(), coarse.seed(), false)
     };
-    // One extinction is new, and one albedo is left out, which changes nothing for the others.
+    // One extinction is new, and one albedo is left out, which does not change the others.
     let fine = finer(vec![1.0, 4.0, 6.0, 8.0], vec![0.5, 0.99])?;
     let submitted = farm.submit_grid("fine", &fine).await?;
     assert_eq!((submitted.jobs_done, submitted.jobs_total()), (12, 16));
@@ -120,7 +120,7 @@ async fn a_finer_grid_computes_only_missing_points() -> Result<()> {
     let status = farm.watched("fine").await?;
     let digests = (0..fine.job_count()).map(|job| Digest::of_records(&traced(&fine, job)));
     assert_eq!(status.records_digest, Some(Digest::of_jobs(digests)));
-    // The same grid under another name needs nothing at all.
+    // The same grid under another name needs no computation.
     assert_eq!(farm.submit_grid("again", &coarse).await?.jobs_done, 12);
     assert_eq!(worker.terminate(SOON), 0);
     assert_eq!(farm.stop_coordinator(), 0);

@@ -1,12 +1,12 @@
-//! The measurement that is shipped as an example, from grid to fit, as the README tells it.
+//! The example measurement from grid to fit, as in the README.
 
 use farm_tests::process::{LONG, Process, run, wait_for};
 use farm_tests::reference::root;
 use optics_model::{Grid, SceneFile};
 use serde_json::Value;
 
-/// All extinctions and albedos of the paper at g = 0.4, with 100,000 walks a point instead of 250,000: each channel of
-/// the white material, rendered by Mitsuba, must come out within one grid step of the parameters it was rendered
+/// All extinctions and albedos of the paper at g = 0.4, with 100,000 walks per point instead of 250,000: each channel
+/// of the white material, rendered by Mitsuba, must come out within one grid step of the parameters it was rendered
 /// with. The steps are 8 to 9 % in σ_t, and 0.0001 to 0.001 in α.
 #[test]
 fn the_white_example_is_recovered_within_one_grid_step() {
@@ -37,8 +37,8 @@ fn the_white_example_is_recovered_within_one_grid_step() {
     }
 }
 
-/// The README's first command computes the paper's dictionary, goes on with it where it was killed, and its intervals hold
-/// the truth.
+/// The README's first command computes the paper's dictionary, resumes after a kill, and its intervals contain the
+/// truth.
 #[test]
 fn one_command_measures_in_an_empty_folder() {
     let folder = tempfile::tempdir().unwrap();
@@ -46,7 +46,7 @@ fn one_command_measures_in_an_empty_folder() {
     let data = folder.path().join("farm-data");
     let args = ["measure", file.to_str().unwrap(), "--data", data.to_str().unwrap()];
     let mut killed = Process::start("farmctl", &args, &folder.path().join("killed.log"));
-    killed.tells("dictionary paper is not complete");
+    killed.wait_for_log("dictionary paper is not complete");
     let first = data.join("farm.db-wal");
     wait_for("records are stored", LONG, || std::fs::metadata(&first).ok().filter(|log| log.len() > 1 << 20));
     killed.kill();
@@ -54,7 +54,7 @@ fn one_command_measures_in_an_empty_folder() {
     let measured = run(folder.path(), &[&args[..], &["--json"]].concat());
     assert_eq!(measured.code, 0, "{}", measured.stderr);
     assert!(measured.stderr.contains(" of its 34,276 records are computed first"), "{}", measured.stderr);
-    assert!(!measured.stderr.contains("34,276 of its"), "what is stored is kept: {}", measured.stderr);
+    assert!(!measured.stderr.contains("34,276 of its"), "stored records are kept: {}", measured.stderr);
     let measured: Value = serde_json::from_str(&measured.stdout).expect("measure --json prints JSON");
     let channels = measured["data"]["materials"][0]["channels"].as_array().unwrap();
     for (fit, (sigma_t, albedo)) in channels.iter().zip([(6.0, 0.9991), (9.0, 0.9997), (24.0, 0.999)]) {
@@ -74,6 +74,6 @@ fn the_example_grid_and_scene_are_valid() {
     let scene =
         farm_lab::grid_file::read_scene(root().join("examples/scene.toml").to_str().unwrap()).unwrap();
     assert_eq!(scene, *grid.scene());
-    // The scene file spells the paper's scene out.
+    // The scene file contains the paper's scene explicitly.
     assert_eq!(SceneFile::from(&scene).layers, SceneFile::from(Grid::paper().scene()).layers);
 }

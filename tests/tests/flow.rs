@@ -1,4 +1,4 @@
-//! Work flowing through a real farm, and the ways in which it must not.
+//! The flow of work through a real farm, and invalid requests.
 
 use std::time::Duration;
 
@@ -12,8 +12,8 @@ use farm_proto::wire::{
 use farm_proto::{PROTOCOL_VERSION, wire};
 use farm_tests::farm::Farm;
 use farm_tests::grids::{small_grid, traced};
-use farm_tests::hand::{falsified, on_wire, with_number};
 use farm_tests::process::SOON;
+use farm_tests::test_worker::{falsified, on_wire, with_number};
 use optics_model::fit::ChannelFit;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Record, Walks};
@@ -94,7 +94,7 @@ async fn leased(farm: &Farm, name: &str) -> Result<u64> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
-    // With leases of an hour only a hand-back lets the second worker go on.
+    // With leases of an hour, the second worker can continue only after a hand-back.
     let (mut farm, grid) = (Farm::start(&["--lease", "3600"]), small_grid());
     farm.submit_grid("small", &grid).await?;
     let mut first = farm.worker("worker", &[]);
@@ -117,7 +117,7 @@ async fn a_silent_workers_job_is_reassigned() -> Result<()> {
     let mut farm = Farm::with_tokens(&["silent", "healthy"], &["--lease", "1"]);
     let grid = small_grid();
     farm.submit_grid("small", &grid).await?;
-    let mut silent = farm.hand_of("silent", "silent").await?;
+    let mut silent = farm.test_worker_with("silent", "silent").await?;
     let lease = silent.acquire(1).await?.remove(0);
     let records = traced(&grid, lease.key.job as usize);
     let mut worker = farm.worker_of("healthy");
@@ -130,12 +130,12 @@ async fn a_silent_workers_job_is_reassigned() -> Result<()> {
     Ok(())
 }
 
-/// Nothing of them is stored, and the error names the field.
+/// Nothing is stored, and the error names the field.
 #[tokio::test(flavor = "multi_thread")]
 async fn records_that_do_not_fit_the_job_are_refused() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), small_grid());
     farm.submit_grid("small", &grid).await?;
-    let mut worker = farm.hand("by hand").await?;
+    let mut worker = farm.test_worker("test").await?;
     let lease = worker.acquire(1).await?.remove(0);
     let good = on_wire(&traced(&grid, lease.key.job as usize));
 
@@ -165,7 +165,7 @@ async fn records_that_do_not_fit_the_job_are_refused() -> Result<()> {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_of_another_version_is_refused() -> Result<()> {
     let mut farm = Farm::start(&[]);
-    // Those that know no version of the protocol send none.
+    // Programs from before protocol versions send none.
     for (physics_version, protocol_version, what) in
         [(PHYSICS_VERSION + 1, PROTOCOL_VERSION, "physics"), (PHYSICS_VERSION, 0, "protocol")]
     {
@@ -218,7 +218,7 @@ async fn a_dictionary_that_is_not_complete_is_not_fitted_with() -> Result<()> {
     Ok(())
 }
 
-/// Refused by the number of pixels, and not by that of a message's bytes.
+/// The number of pixels is limited, not that of bytes.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_question_with_too_many_pixels_is_refused() -> Result<()> {
     let mut farm = Farm::start(&[]);
@@ -230,8 +230,8 @@ async fn a_question_with_too_many_pixels_is_refused() -> Result<()> {
     let request = FitRequest { dictionary: "small".to_owned(), measurement, options: None };
     let refused = farm.fits().fit(request).await.unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument);
-    let wanted = "measurement = 1100000 pixels is not valid: a coordinator takes at most 1048576";
-    assert!(refused.message().starts_with(wanted), "{}", refused.message());
+    let expected = "measurement = 1100000 pixels is not valid: a coordinator takes at most 1048576";
+    assert!(refused.message().starts_with(expected), "{}", refused.message());
     assert_eq!(farm.stop_coordinator(), 0);
     Ok(())
 }
@@ -253,7 +253,7 @@ async fn workers_outlive_a_coordinator_that_is_away_for_a_while() -> Result<()> 
     Ok(())
 }
 
-/// A client that asks for everything and reads nothing must not keep the coordinator from stopping.
+/// A client that requests all records and reads none does not keep the coordinator from stopping.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_does_not_read_does_not_hold_up_a_stop() -> Result<()> {
     let mut farm = Farm::start(&[]);

@@ -1,5 +1,4 @@
-//! The checks of measurements against traced media: they are silent on whatever a medium can show, and find each
-//! mistake where it can be seen.
+//! The checks of measurements on traced media: they accept every medium, and detect each mistake where it is visible.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -20,7 +19,7 @@ const THICKNESS_MM: [f64; 2] = [0.5, 1.0];
 /// Width in mm and pixels: the paper's, a narrow one, coarse pixels.
 const SENSORS: [(f64, u32); 3] = [(10.0, 360), (4.0, 144), (10.0, 40)];
 
-/// A profile as it was traced.
+/// A traced profile.
 #[derive(Clone)]
 struct Traced {
     channel: String,
@@ -31,11 +30,11 @@ struct Traced {
 }
 
 impl Traced {
-    /// With relative noise on every pixel, told or not.
-    fn photograph(&self, noise: f64, told: bool, random: &mut Normal) -> MeasuredProfile {
+    /// The profile with relative noise on every pixel, with or without standard errors.
+    fn photograph(&self, noise: f64, has_errors: bool, random: &mut Normal) -> MeasuredProfile {
         let values = self.values.iter().map(|v| v * (1.0 + noise * random.normal())).collect();
         let errors = self.std_errors.iter().zip(&self.values).map(|(e, v)| e.hypot(noise * v)).collect();
-        self.with(values, told.then_some(errors))
+        self.with(values, has_errors.then_some(errors))
     }
 
     fn with(&self, values: Vec<f64>, errors: Option<Vec<f64>>) -> MeasuredProfile {
@@ -59,7 +58,7 @@ impl Traced {
         Self { channel: channel.to_owned(), ..self.clone() }
     }
 
-    fn told(&self) -> MeasuredProfile {
+    fn measured(&self) -> MeasuredProfile {
         self.with(self.values.clone(), Some(self.std_errors.clone()))
     }
 }
@@ -135,16 +134,20 @@ fn no_medium_is_refused_or_warned_of() {
     let mut checked = 0;
     for sample in samples() {
         for noise in [0.0, 0.004, 0.013, 0.03].repeat(effort() as usize) {
-            for told in [true, false] {
-                let photograph = |p: &Traced| p.photograph(noise, told, &mut random);
-                // What does not scatter light back at all is the same everywhere, and refused as such elsewhere.
+            for has_errors in [true, false] {
+                let photograph = |p: &Traced| p.photograph(noise, has_errors, &mut random);
+                // Media that scatter no light back have constant profiles, whose refusal is tested elsewhere.
                 let seen = |p: &&Traced| p.values.iter().any(|v| *v != p.values[0]);
                 let profiles: Vec<_> = sample.profiles.iter().filter(seen).map(photograph).collect();
                 if profiles.is_empty() {
                     continue;
                 }
                 let findings = measured(profiles);
-                assert!(findings.is_empty(), "{}, noise {noise}, told {told}: {findings:#?}", sample.name);
+                assert!(
+                    findings.is_empty(),
+                    "{}, noise {noise}, errors {has_errors}: {findings:#?}",
+                    sample.name
+                );
                 checked += 1;
             }
         }
@@ -152,7 +155,7 @@ fn no_medium_is_refused_or_warned_of() {
     assert!(checked >= 2000, "{checked}");
 }
 
-/// White, black-ish and clear media, whose edges are well to be seen, through the paper's sensor.
+/// White, dark and clear media with well visible edges, on the paper's sensor.
 fn plain() -> impl Iterator<Item = &'static Sample> {
     let seen = |s: &&Sample| {
         let profile = s.find("R", 1.0);
@@ -171,17 +174,17 @@ fn share(hits: impl Iterator<Item = bool>) -> f64 {
     hits.iter().filter(|h| **h).count() as f64 / hits.len() as f64
 }
 
-/// A mistake that must be found in every medium whose edge is to be seen.
+/// Checks that a mistake is detected in every medium with a visible edge.
 fn always_refused(kind: Kind, mistake: impl Fn(&Traced) -> Traced) {
     for sample in plain() {
-        let profile = mistake(sample.find("R", 0.5)).told();
+        let profile = mistake(sample.find("R", 0.5)).measured();
         let findings = measured(vec![profile]);
         let found = findings.iter().any(|f| f.certain && f.kind == kind);
         assert!(found, "{kind:?} in {}: {findings:#?}", sample.name);
     }
 }
 
-/// In every medium that shows its edge: units, pixel numbers, encoded values, falling profiles, and an edge elsewhere.
+/// For every medium with a visible edge: units, pixel numbers, encoded values, falling profiles, and a misplaced edge.
 #[test]
 fn wrong_units_and_sides_are_detected_in_all_media() {
     always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 255.0 * v + 2.0));
@@ -196,33 +199,38 @@ fn wrong_units_and_sides_are_detected_in_all_media() {
         values: p.values.iter().rev().copied().collect(),
         ..p.clone()
     });
-    // From 0 to 10 mm, and two thirds of a millimetre beside an edge that is seen over less.
+    // From 0 to 10 mm, and two thirds of a millimetre off an edge that is narrower than this.
     always_refused(Kind::EdgeElsewhere, |p| p.at(|x| x + 5.0));
     always_refused(Kind::EdgeElsewhere, |p| p.at(|x| x - 2.5));
 }
 
 #[test]
 fn x_in_cm_is_warned_of() {
-    let profile = samples()[3].find("R", 0.5).at(|x| 0.1 * x).told();
+    let profile = samples()[3].find("R", 0.5).at(|x| 0.1 * x).measured();
     let findings = measured(vec![profile]);
     assert!(findings.iter().any(|f| f.kind == Kind::UnitOfX && !f.certain), "{findings:#?}");
 }
 
 #[test]
 fn swapped_thicknesses_are_found_where_they_matter() {
-    let swapped = |s: &Sample| vec![s.find("R", 0.5).slab(1.0).told(), s.find("R", 1.0).slab(0.5).told()];
+    let swapped =
+        |s: &Sample| vec![s.find("R", 0.5).slab(1.0).measured(), s.find("R", 1.0).slab(0.5).measured()];
     let refused = share(plain().map(|s| refused(swapped(s), Kind::ThicknessOrder)));
-    let told = share(plain().map(|s| measured(swapped(s)).iter().any(|f| f.kind == Kind::ThicknessOrder)));
-    println!("swapped thicknesses: refused {refused:.2}, told {told:.2}");
-    assert!(refused > 0.6 && told > 0.8, "refused {refused:.2}, told {told:.2}");
+    let warned = share(plain().map(|s| measured(swapped(s)).iter().any(|f| f.kind == Kind::ThicknessOrder)));
+    println!("swapped thicknesses: refused {refused:.2}, warned {warned:.2}");
+    assert!(refused > 0.6 && warned > 0.8, "refused {refused:.2}, warned {warned:.2}");
 }
 
 #[test]
 fn one_channels_data_under_two_names_are_refused() {
     for sample in plain().step_by(8) {
         let red = sample.find("R", 0.5);
-        assert!(refused(vec![red.told(), red.named("G").told()], Kind::SameValues), "{}", sample.name);
-        assert!(refused(vec![red.told(), red.slab(1.0).told()], Kind::SameValues), "{}", sample.name);
+        assert!(
+            refused(vec![red.measured(), red.named("G").measured()], Kind::SameValues),
+            "{}",
+            sample.name
+        );
+        assert!(refused(vec![red.measured(), red.slab(1.0).measured()], Kind::SameValues), "{}", sample.name);
     }
 }
 
@@ -237,20 +245,20 @@ fn eight_bit_values_are_told_and_refused_only_where_gamma_shows() {
     let found = |findings: &[Finding], certain: bool| {
         findings.iter().any(|f| f.kind == Kind::EightBit && (f.certain || !certain))
     };
-    let mut told = 0;
+    let mut warned_count = 0;
     for sample in samples().iter().filter(|s| s.sensor != 2) {
         let linear = sample.find("R", 0.5).map(in_steps);
         let varies = linear.values.iter().any(|v| *v != linear.values[0]);
         if varies {
             let findings = eight_bit(&linear);
             assert!(!findings.iter().any(|f| f.certain), "{}: {findings:#?}", sample.name);
-            told += usize::from(found(&findings, false));
+            warned_count += usize::from(found(&findings, false));
         }
     }
-    assert!(told > 50, "{told}");
+    assert!(warned_count > 50, "{warned_count}");
     let encoded = |s: &Sample| eight_bit(&s.find("R", 0.5).map(|v| in_steps(srgb(v))));
     let (warned, refused) =
         (share(plain().map(|s| found(&encoded(s), false))), share(plain().map(|s| found(&encoded(s), true))));
-    println!("sRGB of 8 bits: told {warned:.2}, refused {refused:.2}");
-    assert!(warned > 0.95 && refused > 0.02, "told {warned:.2}, refused {refused:.2}");
+    println!("sRGB of 8 bits: warned {warned:.2}, refused {refused:.2}");
+    assert!(warned > 0.95 && refused > 0.02, "warned {warned:.2}, refused {refused:.2}");
 }

@@ -1,4 +1,4 @@
-//! Measurements as files: what `simulate` and `export` write, and what the verbs say of files that people write.
+//! Measurement files: those that `simulate` and `export` write, and the messages about those of users.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -6,8 +6,8 @@ use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, rows, write};
 use farm_tests::process::{Ran, run};
 use serde_json::Value;
 
-/// Words of a command line.
-fn say(dir: &std::path::Path, line: &str) -> Ran {
+/// Runs `farmctl` with the words of a line.
+fn run_line(dir: &std::path::Path, line: &str) -> Ran {
     run(dir, &line.split_whitespace().collect::<Vec<_>>())
 }
 
@@ -20,15 +20,15 @@ fn what_simulate_and_export_write_is_measured_without_a_note() {
     let farm = farm();
     let dir = farm.path();
     let medium = "--sigma-t 6 --albedo 0.999 --g 0.4";
-    let ran = say(
+    let ran = run_line(
         dir,
         &format!("simulate {medium} --thickness 0.5,1 --walks 5000 --noise 0 --measurement white -o s.csv"),
     );
     assert_eq!((ran.code, ran.stdout.as_str(), ran.stderr.as_str()), (0, "", ""));
     assert!(!dir.join("s.csv.partial").exists());
-    let ran = say(dir, "export grid --sigma-t 6 --albedo 0.999 --measurement white -o e.csv");
+    let ran = run_line(dir, "export grid --sigma-t 6 --albedo 0.999 --measurement white -o e.csv");
     assert_eq!((ran.code, ran.stderr.as_str()), (0, ""));
-    // The dictionary's walks are those of the simulation: the same bytes, but for the order of records.
+    // The dictionary's walks are those of the simulation: the same bytes, except for the order of records.
     let lines = |name: &str| {
         let mut lines: Vec<String> = read(dir, name).lines().map(ToOwned::to_owned).collect();
         lines.sort();
@@ -37,7 +37,7 @@ fn what_simulate_and_export_write_is_measured_without_a_note() {
     assert_eq!(lines("s.csv"), lines("e.csv"));
     assert_eq!(lines("s.csv").len(), 1 + 2 * 3 * 360);
     for file in ["s.csv", "e.csv"] {
-        let ran = say(dir, &format!("measure {file} --dictionary grid --mu 1 --json"));
+        let ran = run_line(dir, &format!("measure {file} --dictionary grid --mu 1 --json"));
         assert_eq!(ran.stderr, "");
         let measured = json(&ran, "measure");
         assert_eq!(measured["notes"], Value::Array(vec![]));
@@ -64,7 +64,7 @@ fn simulate_takes_lists_and_names_each_medium() {
     let dir = folder();
     let dir = dir.path();
     let rest = "--walks 5000 --pixels 12";
-    let ran = say(
+    let ran = run_line(
         dir,
         &format!("simulate --sigma-t 4,6 --albedo 0.9,0.99 --g 0,0.4 --thickness 0.5,1 {rest} -o all.csv"),
     );
@@ -74,10 +74,12 @@ fn simulate_takes_lists_and_names_each_medium() {
         all.starts_with("sigma_t_per_mm,albedo,g,thickness_mm,channel,x_mm,value,std_error\n4,0.9,0,0.5,R,")
     );
     assert_eq!(all.lines().count(), 1 + 16 * 3 * 12);
-    let one = say(dir, &format!("simulate --sigma-t 6 --albedo 0.99 --g 0.4 --thickness 1 {rest}")).stdout;
+    let one =
+        run_line(dir, &format!("simulate --sigma-t 6 --albedo 0.99 --g 0.4 --thickness 1 {rest}")).stdout;
     let of_one: Vec<&str> = all.lines().filter_map(|l| l.strip_prefix("6,0.99,0.4,1,")).collect();
     assert_eq!(of_one, one.lines().skip(1).collect::<Vec<_>>());
-    let ran = say(dir, &format!("simulate --sigma-t 4,6 --albedo 0.9 --g 0 --thickness 0.5 {rest} --json"));
+    let ran =
+        run_line(dir, &format!("simulate --sigma-t 4,6 --albedo 0.9 --g 0 --thickness 0.5 {rest} --json"));
     let objects: Vec<Value> = ran.stdout.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
     assert_eq!(objects.len(), 2);
     assert_eq!(
@@ -104,7 +106,7 @@ fn simulate_takes_lists_and_names_each_medium() {
     fails(dir, &lost.split_whitespace().collect::<Vec<_>>(), &["output none/m.csv", "No such file"]);
 }
 
-/// A spreadsheet's way of writing a measurement.
+/// A measurement as a spreadsheet writes it.
 fn spreadsheet(channel: &str) -> String {
     let text = HEAD.to_owned() + &rows(channel, 0.5) + &rows(channel, 1.0);
     let text = text.replace(',', ";").replace('.', ",").replace("thickness_mm", "Thickness (mm)");
@@ -118,13 +120,13 @@ fn notes_are_told_once_of_a_kind_on_standard_error_or_in_json() {
     write(dir, "m.csv", &spreadsheet("red"));
     write(dir, "strict.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
     for verb in ["fit", "scale", "measure", "map"] {
-        let ran = say(dir, &format!("{verb} m.csv --dictionary grid"));
+        let ran = run_line(dir, &format!("{verb} m.csv --dictionary grid"));
         assert_eq!(ran.code, 0, "{}", ran.stderr);
-        let told: Vec<&str> = ran.stderr.lines().collect();
-        assert_eq!(told.len(), 6, "{verb}: {}", ran.stderr);
-        assert!(told.iter().all(|l| l.starts_with("farmctl: note: m.csv: ")), "{verb}: {}", ran.stderr);
-        assert_eq!(ran.stdout, say(dir, &format!("{verb} strict.csv --dictionary grid")).stdout);
-        let ran = say(dir, &format!("{verb} m.csv --dictionary grid --json"));
+        let notes: Vec<&str> = ran.stderr.lines().collect();
+        assert_eq!(notes.len(), 6, "{verb}: {}", ran.stderr);
+        assert!(notes.iter().all(|l| l.starts_with("farmctl: note: m.csv: ")), "{verb}: {}", ran.stderr);
+        assert_eq!(ran.stdout, run_line(dir, &format!("{verb} strict.csv --dictionary grid")).stdout);
+        let ran = run_line(dir, &format!("{verb} m.csv --dictionary grid --json"));
         assert_eq!(ran.stderr, "");
         let data = json(&ran, verb);
         let codes: Vec<_> = data["notes"].as_array().unwrap().iter().map(|n| n["code"].clone()).collect();
@@ -153,10 +155,10 @@ fn a_dictionary_may_spell_its_colours_in_another_way() {
                  [[layer]]\nname = 'resin'\nsample = true\n";
     write(dir.path(), "scene.toml", scene);
     write(dir.path(), "grid.toml", &format!("scene = 'scene.toml'\n{GRID}"));
-    assert_eq!(say(dir.path(), "submit grid.toml -q").code, 0);
+    assert_eq!(run_line(dir.path(), "submit grid.toml -q").code, 0);
     for channel in ["red", "Red", "R"] {
         write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows(channel, 0.5)));
-        let ran = say(dir.path(), "fit m.csv --dictionary grid --json");
+        let ran = run_line(dir.path(), "fit m.csv --dictionary grid --json");
         assert_eq!(ran.code, 0, "{channel}: {}", ran.stdout);
         assert_eq!(json(&ran, "fit")["materials"][0]["channels"][0]["channel"], "R");
     }
@@ -172,24 +174,24 @@ fn a_dictionary_may_spell_its_colours_in_another_way() {
 fn a_file_is_checked_without_a_farm() {
     let dir = folder();
     write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));
-    let ran = say(dir.path(), "check m.csv");
+    let ran = run_line(dir.path(), "check m.csv");
     assert_eq!((ran.code, ran.stderr.as_str()), (0, ""), "{}", ran.stdout);
     assert!(ran.stdout.contains("nothing is wrong with it that can be seen"), "{}", ran.stdout);
-    let told = json(&say(dir.path(), "check m.csv --json"), "check");
-    let profile = &told["materials"][0]["profiles"][0];
+    let checked = json(&run_line(dir.path(), "check m.csv --json"), "check");
+    let profile = &checked["materials"][0]["profiles"][0];
     assert_eq!((&profile["channel"], &profile["thickness_mm"]), (&"R".into(), &0.5.into()));
     assert_eq!(profile["x_mm"].as_array().unwrap().len(), profile["values"].as_array().unwrap().len());
     assert!(profile["std_errors"].is_null() && profile["origin_mm"].is_null(), "{profile}");
-    assert_eq!(told["notes"].as_array().unwrap().len(), 0);
+    assert_eq!(checked["notes"].as_array().unwrap().len(), 0);
     // Noted: a channel in small letters. Refused: no file.
     write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("r", 0.5)));
-    let noted = say(dir.path(), "check m.csv");
+    let noted = run_line(dir.path(), "check m.csv");
     assert!(noted.stderr.starts_with("farmctl: note: m.csv: "), "{}", noted.stderr);
     assert!(noted.stdout.contains("1 note, above"), "{}", noted.stdout);
     fails(dir.path(), &["check", "none.csv"], &["measurement none.csv: No such file"]);
 }
 
-/// The shape that an npy file tells, and its numbers.
+/// Shape and data of an npy file.
 fn array(archive: &mut zip::ZipArchive<std::fs::File>, name: &str) -> (Vec<usize>, Vec<u8>) {
     let mut bytes = Vec::new();
     std::io::Read::read_to_end(&mut archive.by_name(name).unwrap(), &mut bytes).unwrap();
@@ -205,17 +207,17 @@ fn array(archive: &mut zip::ZipArchive<std::fs::File>, name: &str) -> (Vec<usize
 fn arrays_for_numpy_hold_what_the_rows_hold() {
     let farm = farm();
     let dir = farm.path();
-    let ran = say(dir, "export grid --npz a.npz --albedo 0.999");
+    let ran = run_line(dir, "export grid --npz a.npz --albedo 0.999");
     assert_eq!((ran.code, ran.stdout.as_str(), ran.stderr.as_str()), (0, "", ""));
     let mut archive = zip::ZipArchive::new(std::fs::File::open(dir.join("a.npz")).unwrap()).unwrap();
     let f32s = |bytes: Vec<u8>| -> Vec<f32> {
         bytes.chunks(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
     };
     let (shape, values) = array(&mut archive, "value.npy");
-    // Index, σ_t, g, thickness, albedo, channel, pixel: the rows come in this order.
+    // The rows are ordered by σ_t, g, thickness, albedo, channel, pixel.
     assert_eq!(shape, [1, 2, 1, 2, 1, 3, 360]);
     let (_, errors) = array(&mut archive, "std_error.npy");
-    let rows = say(dir, "export grid --albedo 0.999").stdout;
+    let rows = run_line(dir, "export grid --albedo 0.999").stdout;
     let of_rows: Vec<[f32; 2]> = rows
         .lines()
         .skip(1)

@@ -1,4 +1,4 @@
-//! Levels of noise: what the paper's is, and that records keep to it.
+//! The noise of records, compared with that of the paper's dictionary.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -11,11 +11,12 @@ use optics_model::scene::Channel;
 use optics_model::{Grid, Scene, TransportPoint, Walks};
 use optics_tracer::trace;
 
-/// Samples a pixel of the paper's dictionary.
+/// Samples per pixel of the paper's dictionary.
 const SAMPLES: f64 = 250_000.0;
 
-/// Per pixel, for every albedo: the profile's variance with so many walks, and that of one sample of a path tracer, which
-/// scores the weight α^n ρ^m over the ring's measure Δ where a path comes into the ring, or nothing: F(α², ρ²)/Δ − F(α, ρ)².
+/// Per pixel, for every albedo: the profile's variance with this number of walks, and that of one sample of a path
+/// tracer, which scores the weight α^n ρ^m over the ring's measure Δ where a path comes into the ring, or nothing:
+/// F(α², ρ²)/Δ − F(α, ρ)².
 fn variances(
     point: TransportPoint,
     rho: (f64, f64),
@@ -47,7 +48,7 @@ fn variances(
     albedos.iter().map(of_albedo).collect()
 }
 
-/// Of 40 pixels a side, Mitsuba's standard errors are good to a few per cent.
+/// With 40 pixels per side, Mitsuba's standard errors are accurate to a few per cent.
 #[test]
 fn a_path_tracers_noise_is_known_exactly() {
     let mut ratios = Vec::new();
@@ -61,7 +62,7 @@ fn a_path_tracers_noise_is_known_exactly() {
         let (mut found, mut expected) = (0.0, 0.0);
         for (pixel, error) in theirs.std_errors.iter().enumerate() {
             let x = (pixel as f64 + 0.5) * pitch - 0.5 * theirs.width_mm;
-            // Near the edge a pixel of ours is not one of theirs.
+            // Near the edge, pixels of the two profiles differ.
             if x.abs() > 0.5 {
                 found += error * error * theirs.samples;
                 expected += ours[((x + 5.0) * 36.0) as usize][1];
@@ -75,7 +76,7 @@ fn a_path_tracers_noise_is_known_exactly() {
     assert!(ratios.iter().all(|ratio| (ratio - 1.0).abs() < 0.15), "{ratios:?}");
 }
 
-/// The brightest albedo needs the most. Eight seeds of some hundred batches tell a variance to 4 %.
+/// The brightest albedo needs the most walks. Eight seeds of some hundred batches determine a variance to 4 %.
 #[test]
 fn records_are_at_most_as_noisy_as_the_papers() {
     let grid = Grid::paper();
@@ -84,7 +85,7 @@ fn records_are_at_most_as_noisy_as_the_papers() {
     for (sigma_t, g, thickness) in [(1.0, 0.0, 0.5), (2.5, 0.4, 1.0), (10.0, 0.8, 0.5), (20.0, 0.2, 1.0)] {
         let point = TransportPoint::new(sigma_t, g, thickness, 1.53).unwrap();
         let walks = NoiseLevel::Paper.walks(&point);
-        // Per albedo and side.
+        // Ratios per albedo and side.
         let mut sums = vec![[[0.0; 2]; 2]; albedos.len()];
         for seed in 1..=8 {
             for (sums, pixels) in sums.iter_mut().zip(variances(point, (0.985, 0.024), &albedos, walks, seed))

@@ -1,6 +1,6 @@
-//! The tracer against exact values, an independent renderer, symmetries and conservation laws.
+//! Checks the tracer with exact values, an independent renderer, symmetries and conservation laws.
 //!
-//! Seeds are fixed. Each test says how many walks it uses and how wrong a result it would let pass.
+//! Seeds are fixed. Each test states its number of walks and the largest error that it would not detect.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -66,7 +66,7 @@ fn at(profile: &Profile, pixel: usize) -> Mean {
     }
 }
 
-/// 2 million walks a row: standard errors below 0.15 % of white.
+/// 2 million walks per row: standard errors below 0.15 % of white.
 #[test]
 fn uniform_bases_agree_with_adding_doubling() {
     let rows = reference::uniform().unwrap();
@@ -81,7 +81,7 @@ fn uniform_bases_agree_with_adding_doubling() {
             let found = at(profile, 0);
             let difference = found.mean - row.radiance_factor;
             println!("{row:?}: {:.5} ± {:.5}", found.mean, found.std_error);
-            assert!(found.std_error < 1.5e-3, "{found:?} is too uncertain to tell anything");
+            assert!(found.std_error < 1.5e-3, "{found:?} is too uncertain for this test");
             assert!(difference.abs() < 3.0 * found.std_error + 1e-4, "{row:?}: {found:?}");
             zs.push(difference / found.std_error);
         }
@@ -91,7 +91,7 @@ fn uniform_bases_agree_with_adding_doubling() {
     assert!(mean_z.abs() < 1.0, "mean z {mean_z}");
 }
 
-/// 16 × 500,000 walks against 16,384 samples a pixel, so that nearly all noise is the reference's, whose pixels are
+/// 16 × 500,000 walks and 16,384 samples per pixel, so that nearly all noise is the reference's, whose pixels are
 /// independent: χ²/n is 1 ± 0.14. Pixels of our profile share their walks, so the error of a side's mean comes from
 /// the spread between the 16 seeds.
 #[test]
@@ -163,7 +163,7 @@ fn without_absorption_all_light_returns() {
 }
 
 /// Light at 45°, sensor at 0° against light at 0°, sensor at 45°. The light from the zenith must have some extent;
-/// at 5° it changes the value by less than 0.2 %. Standard errors near 0.5 %: a missing η² or cosine is seen.
+/// at 5° it changes the value by less than 0.2 %. Standard errors near 0.5 % reveal a missing η² or cosine.
 #[test]
 fn swapping_light_and_sensor_changes_nothing() {
     let base = || channels(pixels(Scene::smooth(), 10.0, 1), &[(0.9, 0.9)]);
@@ -259,8 +259,8 @@ fn sigma_t_derivative_agrees_with_difference_quotients() {
     }
 }
 
-/// Any number of threads and any instructions give the same bits, and they are these bits on every machine. If a change
-/// of the tracer changes them on purpose, raise `PHYSICS_VERSION` with the new digests.
+/// Any number of threads and any instructions give the same bits, the same on every machine. If the tracer changes them
+/// on purpose, raise `PHYSICS_VERSION` with the new digests.
 #[test]
 fn results_are_bitwise_reproducible() {
     let cases = [

@@ -1,8 +1,8 @@
 //! `kill -9` of a farm inside `farmctl` at random moments: nothing is lost, and the final records are the same bytes.
-//! What separate processes survive is in `faults`.
+//! Faults of separate processes are in `faults`.
 //!
-//! SIGKILL proves that what a process had not yet written is not missed; it does not prove that data survive a power
-//! cut. Rounds: 6 by default, more with `FARM_TEST_EFFORT=20`, which multiplies them.
+//! SIGKILL tests that unwritten data of a process are not needed; it does not test that data survive a power cut.
+//! Rounds: 6 by default, more with `FARM_TEST_EFFORT=20`, which multiplies them.
 
 #![expect(
     clippy::unwrap_used,
@@ -38,7 +38,7 @@ fn folder_with_grid() -> tempfile::TempDir {
     folder
 }
 
-/// The digest that `show` tells and the bytes that `export` writes.
+/// The digest from `show` and the bytes that `export` writes.
 fn result(folder: &Path) -> (String, String) {
     let shown = run(folder, &["show", "grid", "--json"]);
     let shown: serde_json::Value = serde_json::from_str(&shown.stdout).expect("show --json prints JSON");
@@ -71,13 +71,13 @@ fn a_repeatedly_killed_local_farm_has_the_same_bytes() {
         in_the_middle += u32::from(now > 0 && now < 72);
         stored = now;
     }
-    assert!(interrupted > 1 && in_the_middle > 0, "kills must come in the middle to prove anything");
+    assert!(interrupted > 1 && in_the_middle > 0, "kills must hit running work");
     let last = run(killed.path(), &["submit", "grid.toml", "-q"]);
     assert_eq!(last.code, 0, "{}", last.stderr);
     assert!(result(killed.path()) == expected, "the bytes differ from the undisturbed run's");
 }
 
-/// Records that a farm has; None if there is none.
+/// Number of records of a farm; None without a farm.
 fn records_done(folder: &Path) -> Option<u64> {
     let list = run(folder, &["list", "--json"]);
     let list: serde_json::Value = serde_json::from_str(&list.stdout).ok()?;

@@ -1,4 +1,4 @@
-//! `farmctl serve`: a farm that others on the machine use as long as it runs.
+//! `farmctl serve`: a farm for other programs of the machine.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -9,15 +9,15 @@ use std::process::{Child, Stdio};
 use farm_tests::cli::{GRID, fails, folder, json, write};
 use farm_tests::process::{Ran, SOON, farmctl, run, wait_for};
 
-/// A farm that serves a folder until its input ends, and the address that it told.
+/// A farm that serves a folder until its input ends, and its address.
 fn serve(folder: &Path) -> (Child, String) {
     let mut command = farmctl(folder);
     command.args(["--json", "serve", "--until-input-ends"]).stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut child = command.spawn().unwrap();
     let mut line = String::new();
     BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-    let told = json(&Ran { code: 0, stdout: line, stderr: String::new() }, "serve");
-    (child, told["address"].as_str().unwrap().to_owned())
+    let served = json(&Ran { code: 0, stdout: line, stderr: String::new() }, "serve");
+    (child, served["address"].as_str().unwrap().to_owned())
 }
 
 fn address(folder: &Path) -> Option<String> {

@@ -1,11 +1,12 @@
-//! A farm that is used and maltreated for as long as one likes: all records stay right, and nothing grows.
+//! Soak test: a farm under load and random faults. All records stay correct, and memory, files and database do not
+//! grow.
 //!
 //! 20 seconds by default; `FARM_SOAK_MINUTES=60 cargo test -p farm-tests --test soak -- --nocapture` takes an hour and
 //! prints a curve. `FARM_SOAK_SEED` chooses other faults.
 //!
-//! In the first quarter the coordinator is killed again and again. Then it lives to the end, so that what it gathers can
-//! be seen: between the first and the last third of that life the median of its memory and of its open files must not
-//! grow beyond what a warm allocator and the connections of the moment explain.
+//! In the first quarter the coordinator is killed repeatedly. Then it runs to the end, so that leaks become visible:
+//! between the first and the last third of that time, the medians of its memory and open files must not grow by more
+//! than a warm allocator and open connections explain.
 
 #![expect(
     clippy::unwrap_used,
@@ -26,7 +27,7 @@ use farm_tests::statistics::Normal;
 use farm_tests::usage::{Usage, zombies_of};
 
 use client::{Client, RECORD_BYTES, RECORDS, Tally};
-use maltreated::{Fault, Maltreated};
+use maltreated::{Fault, FaultyFarm};
 
 const LEASE_S: u64 = 2;
 const WORKERS: usize = 3;
@@ -34,7 +35,7 @@ const CLIENTS: u64 = 3;
 /// Memory may grow by a tenth and this much: caches of SQLite's five connections, 2 MB each, and freed memory that the
 /// allocator keeps in its arenas. A byte and a half lost per byte stored would exceed it within a minute.
 const SLACK_KIB: u64 = 16 << 10;
-/// Files may grow by this much: silent connections that are not yet sent away.
+/// Files may grow by this much: silent connections that are not yet closed.
 const SLACK_FILES: usize = 8;
 
 struct Sample {
@@ -57,11 +58,11 @@ fn seed() -> u64 {
 #[test]
 fn a_maltreated_farm_keeps_its_records_and_does_not_grow() {
     let whole = seconds();
-    let mut farm = Maltreated::start(WORKERS, LEASE_S);
+    let mut farm = FaultyFarm::start(WORKERS, LEASE_S);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-    // Links are made within it.
+    // Connections are made within the runtime.
     let _within = runtime.enter();
-    runtime.block_on(farm.join_from_afar());
+    runtime.block_on(farm.add_remote_worker());
     let (start, tally) = (Instant::now(), Arc::new(Tally::default()));
     let clients: Vec<_> = (0..CLIENTS)
         .map(|number| {
@@ -75,7 +76,7 @@ fn a_maltreated_farm_keeps_its_records_and_does_not_grow() {
     let check = Client::new(farm.link(), CLIENTS, seed(), tally.clone());
     let (agreed, disputed) = runtime.block_on(check.checks());
     assert!(agreed > 0 && disputed == 0, "{agreed} checks agreed since the last start, {disputed} did not");
-    // What was told to be done is on the disk.
+    // Dictionaries that were reported as done are on the disk.
     farm.inflict(Fault::KillCoordinator, &mut Normal::new(0));
     runtime.block_on(check.assert_exactly(&live));
     let events = runtime.block_on(check.last_event());
@@ -86,20 +87,20 @@ fn a_maltreated_farm_keeps_its_records_and_does_not_grow() {
     if let Some(peak) = farm.peak_bytes() {
         println!("coordinator and workers had {} MiB at most", peak >> 20);
     }
-    tell(&samples);
+    print_samples(&samples);
     assert_flat(&samples);
     assert_explained(&farm.database(), live.len(), events, tally.done());
 }
 
 fn maltreat(
-    farm: &mut Maltreated,
+    farm: &mut FaultyFarm,
     start: Instant,
     whole: Duration,
     tally: &Tally,
     samples: &mut Vec<Sample>,
 ) {
     let mut chance = Normal::new(seed());
-    // Short runs hurry.
+    // Short runs have shorter pauses.
     let pause = (whole / 40).min(Duration::from_secs(3));
     let (quarter, mut lives) = (whole / 4, false);
     while start.elapsed() < whole {
@@ -114,7 +115,7 @@ fn maltreat(
         farm.inflict(if dies { Fault::KillCoordinator } else { fault }, &mut chance);
         let size =
             |name: &str| std::fs::metadata(farm.database().with_file_name(name)).map_or(0, |m| m.len());
-        // A coordinator that has just been started is not warm yet.
+        // A freshly started coordinator has cold caches.
         if lives
             && !dies
             && let Some(usage) = farm.usage()
@@ -125,7 +126,7 @@ fn maltreat(
     }
 }
 
-fn tell(samples: &[Sample]) {
+fn print_samples(samples: &[Sample]) {
     println!("  time s    memory KiB    files    database KiB    log KiB    dictionaries");
     for sample in samples.iter().step_by(samples.len().div_ceil(25)) {
         let Sample { at, usage, database, log, dictionaries } = sample;
@@ -159,14 +160,14 @@ fn assert_flat(samples: &[Sample]) {
     assert!(after <= before + SLACK_FILES as u64, "open files grew from {before} to {after}");
 }
 
-/// The pages of deleted dictionaries were used again: the file is as large as the dictionaries that there were at a time,
-/// with as much again for pages that are not full, the events, and a few pages for each table and index.
+/// Checks that pages of deleted dictionaries are reused: the file is at most as large as the dictionaries that existed
+/// at a time, with the same again for partly filled pages, plus the events and a few pages per table and index.
 fn assert_explained(database: &Path, live: usize, events: u64, done: u64) {
     let header = std::fs::read(database).unwrap();
     let number = |at: usize| u64::from(u32::from_be_bytes(header[at..at + 4].try_into().unwrap()));
     let (pages, free, page_bytes) = (number(28), number(36), header.len() as u64 / number(28));
     let dictionary = RECORDS * RECORD_BYTES;
-    // Besides those that are left each client has one in the making.
+    // In addition to the remaining ones, each client has one in progress.
     let explained = 2 * (live as u64 + CLIENTS) * dictionary + 300 * events + 64 * page_bytes;
     println!(
         "database: {} KiB, of which {} KiB are free; {} KiB of records were stored in all; {} KiB are explained",

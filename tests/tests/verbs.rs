@@ -1,11 +1,11 @@
-//! A farm steered from end to end by the real programs, over TLS with access files: verbs, exit codes, backup, restore.
+//! All verbs of the real programs, over TLS with access files: exit codes, backup, restore.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
-use farm_tests::hand::HandWorker;
 use farm_tests::process::{LONG, Ran, SOON, run, wait_for};
+use farm_tests::test_worker::TestWorker;
 use serde_json::Value;
 
 const GRID: &str = "sigma_t_per_mm = [4, 8]\nalbedo = [0.9, 0.999]\ng = [0.0, 0.4]\nwalks = 50000\n";
@@ -29,7 +29,7 @@ impl Site {
         self.farm.farmctl_with(&format!("keys/{role}.toml"), args)
     }
 
-    /// The same, which must end with this exit code; as JSON.
+    /// The same with `--json`; checks the exit code.
     fn ends(&self, code: i32, role: &str, args: &[&str]) -> Value {
         let ran = self.run(role, &[args, &["--json"]].concat());
         assert_eq!(ran.code, code, "{args:?}: {} {}", ran.stdout, ran.stderr);
@@ -44,10 +44,10 @@ impl Site {
         self.client(&["show", name])["records_digest"].as_str().unwrap().to_owned()
     }
 
-    /// A worker that reports of `most` jobs that it cannot compute them.
+    /// Registers a worker that reports `most` jobs as failed.
     async fn give_up(&self, most: u32) {
         let link = self.farm.link_with("keys/worker.toml");
-        let mut weak = HandWorker::register(link, "weak").await.unwrap();
+        let mut weak = TestWorker::register(link, "weak").await.unwrap();
         for lease in weak.acquire(most).await.unwrap() {
             weak.fail(&lease, "out of memory").await.unwrap();
         }
@@ -64,7 +64,7 @@ fn explains(site: &Site, name: &str, code: &str) {
 #[tokio::test(flavor = "multi_thread")]
 async fn all_verbs_work_over_tls_with_their_exit_codes() {
     let mut site = Site::start();
-    // Nobody is there to compute.
+    // There are no workers.
     site.client(&["submit", "grid.toml"]);
     explains(&site, "grid", "NO_WORKERS");
     site.ends(6, "client", &["wait", "grid", "--timeout", "1"]);
@@ -78,7 +78,7 @@ async fn all_verbs_work_over_tls_with_their_exit_codes() {
     site.client(&["submit", "other.toml", "--priority", "-5"]);
     assert_eq!(site.client(&["priority", "other", "7"])["priority"], 7);
     site.ends(0, "client", &["wait", "other", "--timeout", "120"]);
-    assert_eq!(site.client(&["show", "grid"])["jobs_done"], 0, "what is paused is not computed");
+    assert_eq!(site.client(&["show", "grid"])["jobs_done"], 0, "a paused dictionary is not computed");
     assert_eq!(site.client(&["cancel", "grid", "--reason", "not now"])["state"], "cancelled");
     site.ends(5, "client", &["wait", "grid"]);
     explains(&site, "grid", "CANCELLED");
@@ -97,12 +97,12 @@ async fn all_verbs_work_over_tls_with_their_exit_codes() {
     // Backup and restore.
     let backup = site.ends(0, "admin", &["backup", "copy.db"])["data"].take();
     assert_eq!(backup["records"], 32);
-    assert_eq!(site.run("client", &["backup", "mine.db"]).code, 1, "clients may not");
+    assert_eq!(site.run("client", &["backup", "mine.db"]).code, 1, "clients may not make backups");
     let kinds: Vec<_> = site.client(&["events"])["events"].as_array().unwrap().clone();
     for kind in
         ["SUBMITTED", "PAUSED", "PRIORITY_CHANGED", "CANCELLED", "RESUMED", "JOB_FAILED", "RETRIED", "DONE"]
     {
-        assert!(kinds.iter().any(|e| e["kind"] == kind), "{kind} is told");
+        assert!(kinds.iter().any(|e| e["kind"] == kind), "event {kind}");
     }
     let restored = run(site.farm.folder(), &["restore", "copy.db", "--data", "restored"]);
     assert_eq!(restored.code, 0, "{}", restored.stderr);

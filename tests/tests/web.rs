@@ -1,4 +1,4 @@
-//! The server of `farmctl web`: who is let in, and what reaches the farm through it.
+//! The server of `farmctl web`: access control, and the calls that it passes to the farm.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -57,7 +57,7 @@ impl Desk {
     ) -> Answer {
         let mut stream = TcpStream::connect(&self.page.host).unwrap();
         stream.set_read_timeout(Some(SOON)).unwrap();
-        // The older version of HTTP: the answer is not cut into pieces, and ends with the connection.
+        // HTTP/1.0: the answer is not chunked, and ends with the connection.
         let mut request = format!("{method} {path} HTTP/1.0\r\nhost: {host}\r\n");
         for (name, value) in headers {
             request += &format!("{name}: {value}\r\n");
@@ -85,7 +85,7 @@ impl Desk {
         self.send(&self.page.host, "GET", path, &[("cookie", &self.cookie())], b"")
     }
 
-    /// A call as the page makes it: the answer's messages, or the status and what it says.
+    /// A call as the page makes it: the answer's messages, or status code and message.
     fn call<A: Message + Default>(
         &self,
         method: &str,
@@ -163,7 +163,7 @@ fn the_page_lets_in_who_has_its_address_and_nobody_else() {
     assert_eq!(post(own, &[kind, ("origin", &origin)]), 401, "no cookie");
     assert_eq!(post(own, &[("cookie", "farm=1"), kind, ("origin", &origin)]), 401, "another cookie");
     assert_eq!(post(own, &[cookie, kind, ("origin", "http://evil.example")]), 403, "another site");
-    assert_eq!(post(own, &[cookie, kind]), 403, "no browser leaves out where a call comes from");
+    assert_eq!(post(own, &[cookie, kind]), 403, "browsers always send the origin");
     assert_eq!(
         post("evil.example", &[cookie, kind, ("origin", &origin)]),
         421,
@@ -171,12 +171,12 @@ fn the_page_lets_in_who_has_its_address_and_nobody_else() {
     );
     assert_eq!(post(own, &[cookie, ("content-type", "application/json"), ("origin", &origin)]), 400);
     assert_eq!(desk.send(own, "GET", "?token=wrong", &[], b"").status, 401);
-    // What is not below the page's folder is nobody's.
+    // Paths outside of the page's prefix are refused.
     let cookies = [cookie];
     for path in ["/", "/page.js", "/folder/", &format!("/{STATUS}"), desk.page.folder.trim_end_matches('/')] {
         assert_eq!(desk.send_outside(own, "GET", path, &cookies, b"").status, 401, "{path}");
     }
-    // What only machines that listen elsewhere may do.
+    // Other addresses than loopback need a proxy.
     let refused = run(desk.folder.path(), &["web", "--no-browser", "--listen", "0.0.0.0:0"]);
     assert_eq!(refused.code, 1);
     assert!(refused.stderr.contains("--behind"), "{}", refused.stderr);
@@ -210,16 +210,16 @@ fn from_an_empty_folder_to_a_dictionary_whose_jobs_are_watched() {
     assert_eq!(done.records_done, 16);
     let pace: wire::PaceResponse = desk.ask("farm.v1.Farm/Pace", &wire::PaceRequest {});
     assert_eq!(pace.periods.iter().map(|p| p.jobs).sum::<u32>(), 8);
-    // A farmctl beside it asks the same farm.
+    // Another farmctl uses the same farm.
     let listed = run(desk.folder.path(), &["list", "--json"]);
     assert!(listed.stdout.contains(&done.records_digest), "{}", listed.stdout);
-    // Errors come with the coordinator's words.
+    // Errors have the coordinator's message.
     let missing = wire::GetRequest { name: "nothing".to_owned() };
     let (code, message) = desk.call::<wire::Dictionary>("farm.v1.Dictionaries/Get", &missing).unwrap_err();
     assert_eq!(code, tonic::Code::NotFound as u32);
     assert!(message.contains("nothing"), "{message}");
     assert_eq!(desk.page.process.terminate(SOON), 0);
-    // Everything is on the disk.
+    // After a restart, everything is read from the disk.
     desk.page = Page::start(desk.folder.path(), &[]);
     let again: wire::Dictionary = desk.ask("farm.v1.Dictionaries/Get", &wire::GetRequest { name });
     assert_eq!(again.records_digest, done.records_digest);

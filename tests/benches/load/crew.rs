@@ -1,4 +1,4 @@
-//! Many workers by hand in one thread.
+//! Many simulated workers in one thread, which deliver prepared results.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,7 +15,7 @@ use optics_model::job::JobSpec;
 use optics_model::{Estimate, Grid, PHYSICS_VERSION, PackedRecords, Profile, Record};
 use tonic::transport::Channel;
 
-/// Longest wait for work: at the end of the load all wait in vain once.
+/// Longest wait for work: at the end of the load each worker waits once without result.
 const WAIT: Duration = Duration::from_millis(500);
 
 /// Times of calls.
@@ -25,14 +25,14 @@ pub struct Latencies {
     pub complete: Vec<Duration>,
 }
 
-/// What all workers share.
+/// State that all workers share.
 #[derive(Debug)]
 pub struct Crew {
     jobs: usize,
     stored: AtomicUsize,
     at_once: u32,
     job: Duration,
-    /// Of one job, made up once.
+    /// Records of one job, prepared once.
     records: Bytes,
 }
 
@@ -68,7 +68,7 @@ impl Crew {
         self.stored.load(Ordering::Relaxed) >= self.jobs
     }
 
-    /// All at the same time, spread over the connections.
+    /// Registers all workers at the same time, spread over the connections.
     pub async fn register(&self, links: &[Channel], count: usize) -> Vec<Worker> {
         let register = |number: usize| {
             let mut client =
@@ -80,7 +80,7 @@ impl Crew {
                     physics_version: PHYSICS_VERSION,
                     protocol_version: PROTOCOL_VERSION,
                     instance: format!("load-{number}"),
-                    version: "by hand".to_owned(),
+                    version: "simulated".to_owned(),
                     host: String::new(),
                     facts: None,
                 };
@@ -96,7 +96,7 @@ impl Crew {
         workers
     }
 
-    /// Lets all work until everything is stored.
+    /// Runs all workers until everything is stored.
     pub async fn work(self: &Arc<Self>, workers: Vec<Worker>) -> Latencies {
         let tasks: Vec<_> = workers
             .into_iter()
@@ -125,9 +125,9 @@ impl Crew {
             }
             for some in leases.chunks(if self.job.is_zero() { leases.len().max(1) } else { 1 }) {
                 tokio::time::sleep(self.job).await;
-                let parts = some.iter().flat_map(|lease| self.parts(&worker, lease)).collect();
+                let messages = some.iter().flat_map(|lease| self.messages(&worker, lease)).collect();
                 let start = Instant::now();
-                let stored = worker.complete(parts).await;
+                let stored = worker.complete(messages).await;
                 latencies.complete.push(start.elapsed());
                 self.stored.fetch_add(stored, Ordering::Relaxed);
             }
@@ -136,7 +136,7 @@ impl Crew {
     }
 
     /// The messages that deliver the result of a lease.
-    fn parts(&self, worker: &Worker, lease: &Lease) -> Vec<CompleteRequest> {
+    fn messages(&self, worker: &Worker, lease: &Lease) -> Vec<CompleteRequest> {
         let job = lease.job.as_ref().unwrap();
         let header = ResultHeader {
             worker_token: worker.token.clone(),
@@ -159,12 +159,12 @@ impl Worker {
         self.client.acquire(request).await.unwrap().into_inner().leases
     }
 
-    /// How many results were new.
-    async fn complete(&mut self, parts: Vec<CompleteRequest>) -> usize {
-        let answer = self.client.complete(tokio_stream::iter(parts)).await.unwrap().into_inner();
+    /// Number of results that were new.
+    async fn complete(&mut self, messages: Vec<CompleteRequest>) -> usize {
+        let answer = self.client.complete(tokio_stream::iter(messages)).await.unwrap().into_inner();
         let kinds = answer.outcomes.iter().map(farm_proto::wire::CompletionOutcome::kind);
-        let wanted = |kind| matches!(kind, CompletionKind::Stored | CompletionKind::Duplicate);
-        assert!(kinds.clone().all(wanted), "{:?}", answer.outcomes);
+        let is_accepted = |kind| matches!(kind, CompletionKind::Stored | CompletionKind::Duplicate);
+        assert!(kinds.clone().all(is_accepted), "{:?}", answer.outcomes);
         kinds.filter(|kind| *kind == CompletionKind::Stored).count()
     }
 }

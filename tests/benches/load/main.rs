@@ -1,13 +1,13 @@
-//! Load on a coordinator that runs as a process of its own, from workers by hand who trace nothing.
+//! Load on a coordinator in a process of its own, from simulated workers that trace nothing.
 //!
 //! `cargo bench -p farm-tests --bench load` lets 1,000 workers on 32 connections do 100,000 jobs of one small record
-//! each as fast as they can. `… --bench load -- paper` lets 64 workers, each on a connection of its own, send the
-//! results of the paper's grid, a job in 130 ms, as 64 cores would; `… -- two-cores` is the same with two. Settings:
-//! `FARM_LOAD_WORKERS`, `FARM_LOAD_JOBS`, and `FARM_LOAD_FOLDER`, the folder on whose disk the database lies (by
-//! default that of the build).
+//! each as fast as possible. `… --bench load -- paper` lets 64 workers, each on a connection of its own, send the
+//! results of the paper's grid, one job per 130 ms, as 64 cores would; `… -- two-cores` does the same with two.
+//! Settings: `FARM_LOAD_WORKERS`, `FARM_LOAD_JOBS`, and `FARM_LOAD_FOLDER`, the folder on whose disk the database lies
+//! (by default that of the build).
 //!
-//! The program tells processor time, memory and files of the coordinator, times of calls as the workers see them, and
-//! how many jobs were committed together. Client and coordinator share the machine: jobs a second are a lower bound.
+//! The program prints processor time, memory and open files of the coordinator, the latencies of calls, and how many
+//! jobs were committed together. Client and coordinator share the machine, so the rate of jobs is a lower bound.
 
 #![expect(
     clippy::unwrap_used,
@@ -35,14 +35,14 @@ use tonic::transport::{Channel as Link, Endpoint};
 
 use crew::{Crew, Latencies};
 
-/// What is put on the coordinator.
+/// The load on the coordinator.
 struct Load {
     workers: usize,
     connections: usize,
     grids: Vec<Grid>,
-    /// Leases of one Acquire.
+    /// Leases per Acquire.
     at_once: u32,
-    /// Time that a job takes; results of one Acquire go out together if it takes none.
+    /// Time per job; if it is 0, the results of one Acquire are delivered together.
     job: Duration,
 }
 
@@ -96,7 +96,7 @@ async fn main() {
         "" | "small" => small(),
         "paper" => paper(64, 6688),
         "two-cores" => paper(2, 300),
-        other => panic!("load {other:?} is unknown: small, paper and two-cores are known"),
+        other => panic!("unknown load {other:?}: use small, paper or two-cores"),
     };
     run(load).await;
 }
@@ -117,21 +117,21 @@ async fn run(load: Load) {
     let start = Instant::now();
     submit(&links[0], &load.grids).await;
     println!("submitted in {:.2?}", start.elapsed());
-    tell_usage("with the grid", pid);
+    print_usage("with the grid", pid);
     let jobs: usize = load.grids.iter().map(Grid::job_count).sum();
     let crew = Arc::new(Crew::new(jobs, load.at_once, load.job, &load.grids[0]));
     let start = Instant::now();
     let workers = crew.register(&links, load.workers).await;
     println!("{} workers registered in {:.2?}", load.workers, start.elapsed());
-    let (before, own) = (tell_usage("with the workers", pid), own_usage());
+    let (before, own) = (print_usage("with the workers", pid), own_usage());
     let start = Instant::now();
-    let marks = tokio::spawn(tell_marks(crew.clone(), pid));
+    let marks = tokio::spawn(print_marks(crew.clone(), pid));
     let latencies = crew.work(workers).await;
     let wall = start.elapsed();
     marks.await.unwrap();
-    tell(jobs, wall, before, Usage::of(pid).unwrap(), own_usage().cpu_s - own.cpu_s);
-    tell_latencies(latencies);
-    tell_commits(metrics);
+    print_rate(jobs, wall, before, Usage::of(pid).unwrap(), own_usage().cpu_s - own.cpu_s);
+    print_latencies(latencies);
+    print_commits(metrics);
     let bytes = |name: &str| std::fs::metadata(data.path().join(name)).map_or(0, |m| m.len()) >> 20;
     println!("database {} MiB, log {} MiB", bytes("farm.db"), bytes("farm.db-wal"));
 }
@@ -172,26 +172,26 @@ fn own_usage() -> Usage {
     Usage::of(std::process::id()).unwrap()
 }
 
-fn tell_usage(when: &str, pid: u32) -> Usage {
+fn print_usage(when: &str, pid: u32) -> Usage {
     let usage = Usage::of(pid).unwrap();
     println!("{when}: {} MiB resident, {} files", usage.resident_kib >> 10, usage.files);
     usage
 }
 
-async fn tell_marks(crew: Arc<Crew>, pid: u32) {
+async fn print_marks(crew: Arc<Crew>, pid: u32) {
     for percent in [10, 50, 100] {
         while crew.stored_percent() < percent {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
-        tell_usage(&format!("at {percent} %"), pid);
+        print_usage(&format!("at {percent} %"), pid);
     }
 }
 
-fn tell(jobs: usize, wall: Duration, before: Usage, after: Usage, own_cpu_s: f64) {
+fn print_rate(jobs: usize, wall: Duration, before: Usage, after: Usage, own_cpu_s: f64) {
     let (cpu_s, wall_s) = (after.cpu_s - before.cpu_s, wall.as_secs_f64());
-    println!("{jobs} jobs in {wall_s:.2} s: {:.0} jobs a second", jobs as f64 / wall_s);
+    println!("{jobs} jobs in {wall_s:.2} s: {:.0} jobs per second", jobs as f64 / wall_s);
     println!(
-        "coordinator: {cpu_s:.2} s of processor time, {:.3} ms a job, {:.1} % of a core",
+        "coordinator: {cpu_s:.2} s of processor time, {:.3} ms per job, {:.1} % of a core",
         1e3 * cpu_s / jobs as f64,
         100.0 * cpu_s / wall_s
     );
@@ -201,7 +201,7 @@ fn tell(jobs: usize, wall: Duration, before: Usage, after: Usage, own_cpu_s: f64
     );
 }
 
-fn tell_latencies(latencies: Latencies) {
+fn print_latencies(latencies: Latencies) {
     let Latencies { acquire, complete } = latencies;
     for (call, mut times) in [("Acquire", acquire), ("Complete", complete)] {
         times.sort_unstable();
@@ -210,7 +210,7 @@ fn tell_latencies(latencies: Latencies) {
     }
 }
 
-fn tell_commits(metrics: SocketAddr) {
+fn print_commits(metrics: SocketAddr) {
     let mut stream = TcpStream::connect(metrics).unwrap();
     write!(stream, "GET /metrics HTTP/1.1\r\nhost: farm\r\nconnection: close\r\n\r\n").unwrap();
     let mut text = String::new();

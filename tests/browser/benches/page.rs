@@ -1,9 +1,9 @@
-//! How quick the page is, and what it costs: the paper's dictionary in a browser without a window.
+//! Speed and cost of the page: the paper's dictionary in a headless browser.
 //!
 //! `cargo bench -p farm-browser-tests --bench page` computes the dictionary first, or takes the one in the folder that
-//! `FARM_BENCH_FOLDER` names; with `-- tabs` only the cost of tabs is measured. Times of frames are those between two
-//! of the browser's own frames while a slider or the crosshair moves once a frame; a frame that shows an answer of the
-//! server is one in which the picture has changed.
+//! `FARM_BENCH_FOLDER` names; with `-- tabs` only the cost of tabs is measured. Frame times are measured between
+//! consecutive frames of the browser while a slider or the crosshair moves once per frame. A frame shows an answer of
+//! the server if its picture has changed.
 
 #![expect(
     clippy::unwrap_used,
@@ -23,9 +23,9 @@ use thirtyfour::By;
 
 /// Moves of a slider that are timed.
 const MOVES: u32 = 240;
-/// Tabs that look at a farm.
+/// Number of tabs that show a farm.
 const TABS: usize = 20;
-/// How long what they cost is watched.
+/// Duration over which their cost is measured.
 const WATCHED: Duration = Duration::from_secs(20);
 
 #[tokio::main]
@@ -71,9 +71,9 @@ async fn first_paint(browser: &Browser, page: &Page) {
         browser.open(&page.home).await;
         browser.shows("Measurement (CSV)").await;
         let paint = "return performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? null";
-        let told =
+        let measured =
             browser.wait("a first paint", LONG, async |b| b.script(paint, vec![]).await.as_f64()).await;
-        times.push(told);
+        times.push(measured);
     }
     println!("first paint, nothing cached: {}", Spread::of(times));
     let bytes = "return performance.getEntriesByType('resource').reduce((sum, e) => sum + e.transferSize, 0)";
@@ -86,8 +86,8 @@ async fn dictionary(browser: &Browser, page: &Page) {
     browser.shows("± ").await;
     for (slider, name) in [("σ_t [1/mm]", "σ_t"), ("α", "α"), ("g", "g"), ("thickness [mm]", "thickness")]
     {
-        let told = drag(browser, slider, "section[aria-label=Profile] canvas").await;
-        println!("dictionary, {name} dragged: {told}");
+        let measured = drag(browser, slider, "section[aria-label=Profile] canvas").await;
+        println!("dictionary, {name} dragged: {measured}");
     }
 }
 
@@ -111,24 +111,24 @@ async fn measure(browser: &Browser, page: &Page) {
         ("weight of gradients", "λ", "canvas.cells"),
         ("scale factor", "μ", "canvas.cells"),
     ] {
-        let told = drag(browser, slider, &format!("section[aria-label=Explore] {shown}")).await;
-        println!("measure, {name} dragged: {told}");
+        let measured = drag(browser, slider, &format!("section[aria-label=Explore] {shown}")).await;
+        println!("measure, {name} dragged: {measured}");
     }
 }
 
 /// Moves a slider back and forth, once a frame.
 async fn drag(browser: &Browser, slider: &str, canvas: &str) -> String {
     let arguments = vec![json!(slider), json!(canvas), json!(MOVES)];
-    let told = browser.driver.execute_async(DRAG, arguments).await.unwrap();
+    let measured = browser.driver.execute_async(DRAG, arguments).await.unwrap();
     let times = |what: &str| {
-        let times = told.json()[what].as_array().unwrap();
+        let times = measured.json()[what].as_array().unwrap();
         Spread::of(times.iter().filter_map(Value::as_f64).collect())
     };
     format!("frames {}; pictures {}; answers {}", times("frames"), times("pictures"), times("answers"))
 }
 
-/// Frames: times between two. Pictures: times between two frames in which the canvas has another picture. Answers: times
-/// from a move after a pause until the picture has changed.
+/// Frames: times between frames. Pictures: times between frames with a changed canvas. Answers: times from a move after
+/// a pause until the picture has changed.
 const DRAG: &str = r"
 const [label, selector, moves, done] = arguments;
 const input = [...document.querySelectorAll('label')].find((l) => l.innerText.trim().startsWith(label))
@@ -174,7 +174,7 @@ const next = () => new Promise((resolve) => requestAnimationFrame(resolve));
 })();
 ";
 
-/// What a coordinator costs with tabs that watch it, at rest and at work.
+/// Cost of a coordinator with tabs that watch it, idle and at work.
 async fn tabs() {
     let farm = Farm::start(&[]);
     let _worker = farm.worker("one", &[]);
@@ -220,7 +220,7 @@ async fn tabs() {
     browsers.end().await;
 }
 
-/// A browser with windows on the farm, each in front: those behind another ask for nothing.
+/// A browser with windows that show the farm, each in front, since hidden ones make no requests.
 async fn watching(page: &Page) -> Browser {
     let browser = Browser::start().await;
     browser.open(&page.url()).await;
@@ -235,7 +235,7 @@ async fn watching(page: &Page) -> Browser {
     browser
 }
 
-/// Milliseconds: median, 95 %, the longest, and how many.
+/// Times in milliseconds; shown as median, 95 % quantile, maximum and count.
 struct Spread(Vec<f64>);
 
 impl Spread {

@@ -1,4 +1,4 @@
-//! A browser without a window, driven as a user would: Chromium by its driver.
+//! A headless Chromium that is controlled through its driver, with the actions of a user.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,12 +11,12 @@ use tokio::time::{Instant, sleep};
 
 use farm_tests::process::{Process, SOON, free_port};
 
-/// Pause before another look at the page.
+/// Pause between two checks of the page.
 const LOOK: Duration = Duration::from_millis(30);
-/// A host that leads to this machine, as names do that a hostile site has pointed at it.
+/// A host name that resolves to this machine, as after DNS rebinding by a hostile site.
 pub const OTHER_NAME: &str = "other.example";
 
-/// A browser with a profile of its own.
+/// A browser with its own profile.
 #[derive(Debug)]
 pub struct Browser {
     pub driver: WebDriver,
@@ -24,7 +24,7 @@ pub struct Browser {
     _process: Process,
 }
 
-/// Whether there is a browser to try pages in.
+/// Whether the browser and its driver are installed.
 pub fn is_there() -> bool {
     let there = ["chromium", "chromedriver"]
         .iter()
@@ -36,10 +36,10 @@ pub fn is_there() -> bool {
 }
 
 impl Browser {
-    /// Starts one.
+    /// Starts a browser.
     ///
     /// # Panics
-    /// If it does not.
+    /// If it does not start.
     pub async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("downloads")).unwrap();
@@ -49,7 +49,7 @@ impl Browser {
         let process = Process::spawn("chromedriver", &mut command, &folder.path().join("chromedriver.log"));
         let deadline = Instant::now() + SOON;
         let driver = loop {
-            match WebDriver::new(format!("http://127.0.0.1:{port}"), wishes(folder.path())).await {
+            match WebDriver::new(format!("http://127.0.0.1:{port}"), capabilities(folder.path())).await {
                 Ok(driver) => break driver,
                 Err(error) if Instant::now() > deadline => panic!("no browser: {error}"),
                 Err(_) => sleep(LOOK).await,
@@ -60,31 +60,31 @@ impl Browser {
         browser
     }
 
-    /// Ends it in good order; otherwise it is ended when dropped.
+    /// Shuts the browser down; otherwise it is killed when dropped.
     pub async fn end(self) {
         self.driver.clone().quit().await.unwrap();
     }
 
-    /// Goes to an address.
+    /// Opens an address.
     pub async fn open(&self, url: &str) {
         self.driver.goto(url).await.unwrap();
     }
 
-    /// What a script returns: its body, with `arguments`.
+    /// The value that a script returns; it is a function's body, with `arguments`.
     pub async fn script(&self, script: &str, arguments: Vec<Value>) -> Value {
         let returned = self.driver.execute(script, arguments).await;
         returned.unwrap_or_else(|e| panic!("{script}: {e}")).json().clone()
     }
 
-    /// A command to the browser itself.
+    /// Sends a command of the DevTools protocol.
     pub async fn order(&self, method: &str, parameters: Value) -> Value {
         self.driver.cdp().send_raw(method, parameters).await.unwrap()
     }
 
-    /// Waits until a look at the page finds something.
+    /// Waits until `look` finds something on the page.
     ///
     /// # Panics
-    /// If it does not in time; the page is shown then.
+    /// If it finds nothing in time; the message contains the page.
     pub async fn wait<T>(
         &self,
         what: &str,
@@ -98,13 +98,13 @@ impl Browser {
             }
             if Instant::now() > deadline {
                 let shown = self.shown().await;
-                panic!("waited {limit:?} in vain: {what}\n--- the page shows:\n{shown}");
+                panic!("timeout of {limit:?}: {what}\n--- the page shows:\n{shown}");
             }
             sleep(LOOK).await;
         }
     }
 
-    /// The text that can be seen.
+    /// The visible text.
     pub async fn shown(&self) -> String {
         self.script("return document.body?.innerText ?? ''", vec![])
             .await
@@ -122,7 +122,7 @@ impl Browser {
         self.wait(text, limit, async |page| page.shown().await.contains(text).then_some(())).await;
     }
 
-    /// Waits for an element that can be seen.
+    /// Waits for a visible element.
     pub async fn element(&self, by: By) -> WebElement {
         self.wait(&format!("{by:?}"), SOON, async |page| {
             let found = page.driver.find(by.clone()).await.ok()?;
@@ -135,7 +135,7 @@ impl Browser {
         self.element(By::Css(selector)).await
     }
 
-    /// Presses a button, once it can be.
+    /// Presses a button once it is enabled.
     pub async fn press(&self, name: &str) {
         let by = By::XPath(format!("//button[normalize-space()=\"{name}\"]"));
         self.wait(&format!("a button {name:?}"), SOON, async |page| {
@@ -148,12 +148,12 @@ impl Browser {
         .await;
     }
 
-    /// Chooses a file in the n-th field for files that can be seen.
+    /// Chooses a file in the visible file field that the selector finds.
     pub async fn choose_file(&self, selector: &str, file: &Path) {
         self.css(selector).await.send_keys(file.to_str().unwrap()).await.unwrap();
     }
 
-    /// Takes an option of the first choice that the selector finds.
+    /// Selects an option of the first choice that the selector finds.
     pub async fn pick(&self, selector: &str, value: &str) {
         self.css(selector).await;
         let script = "const [selector, value] = arguments; const choice = document.querySelector(selector); \
@@ -163,20 +163,20 @@ impl Browser {
         assert_eq!(picked, value, "{selector}");
     }
 
-    /// The visible part of the page, in its pixels.
+    /// Sets the size of the visible part of the page, in its pixels.
     pub async fn size(&self, width: u32, height: u32) {
         let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600 });
         self.order("Emulation.setDeviceMetricsOverride", size).await;
     }
 
-    /// Whether the user wants the page dark.
+    /// Sets whether the user prefers dark pages.
     pub async fn dark(&self, dark: bool) {
         let value = if dark { "dark" } else { "light" };
-        let wish = json!({ "features": [{ "name": "prefers-color-scheme", "value": value }] });
-        self.order("Emulation.setEmulatedMedia", wish).await;
+        let preference = json!({ "features": [{ "name": "prefers-color-scheme", "value": value }] });
+        self.order("Emulation.setEmulatedMedia", preference).await;
     }
 
-    /// Errors that the page has left on the browser's console since the last look.
+    /// Errors on the browser's console since the last call.
     pub async fn complaints(&self) -> Vec<String> {
         let log = self.driver.browser_log().await.unwrap();
         let severe =
@@ -184,7 +184,7 @@ impl Browser {
         severe.map(|entry| entry.message).collect()
     }
 
-    /// Waits for a file that the page lets the user save.
+    /// Waits for a file that the page saves.
     pub async fn saved(&self, name: &str) -> PathBuf {
         let file = self.folder.path().join("downloads").join(name);
         self.wait(&format!("{name} is saved"), SOON, async |_| file.exists().then_some(())).await;
@@ -192,20 +192,20 @@ impl Browser {
     }
 }
 
-fn wishes(folder: &Path) -> ChromeCapabilities {
-    let mut wishes = DesiredCapabilities::chrome();
+fn capabilities(folder: &Path) -> ChromeCapabilities {
+    let mut capabilities = DesiredCapabilities::chrome();
     let profile = format!("--user-data-dir={}", folder.join("profile").display());
     let names = format!("--host-resolver-rules=MAP {OTHER_NAME} 127.0.0.1");
-    // Users of containers are root, whom the sandbox of the browser does not take.
+    // In containers the user is root, for which the browser's sandbox does not start.
     for option in
         ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", &profile, &names]
     {
-        wishes.add_arg(option).unwrap();
+        capabilities.add_arg(option).unwrap();
     }
     let downloads = folder.join("downloads").display().to_string();
     let preferences =
         json!({ "download.default_directory": downloads, "download.prompt_for_download": false });
-    wishes.add_experimental_option("prefs", preferences).unwrap();
-    wishes.set("goog:loggingPrefs", json!({ "browser": "ALL" })).unwrap();
-    wishes
+    capabilities.add_experimental_option("prefs", preferences).unwrap();
+    capabilities.set("goog:loggingPrefs", json!({ "browser": "ALL" })).unwrap();
+    capabilities
 }

@@ -1,6 +1,6 @@
-//! What the tests of the page share: a browser, and a proxy as laboratories have them.
+//! Shared by the tests of the page: a browser, and a reverse proxy.
 //!
-//! They are a package of their own, since the browser's driver brings much to build.
+//! They are a separate package, since the browser's driver has many dependencies to build.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests")]
 

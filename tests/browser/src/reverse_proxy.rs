@@ -1,4 +1,4 @@
-//! A proxy of HTTP/1.1 that shows a server below a prefix, as those of laboratories do.
+//! An HTTP/1.1 reverse proxy that serves a server below a path prefix.
 
 use std::net::SocketAddr;
 
@@ -13,7 +13,7 @@ use hyper_util::rt::TokioExecutor;
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 
-/// Takes requests below `/PREFIX/` and hands them on without it, with the headers that it was given.
+/// Forwards requests below `/PREFIX/` without the prefix, with their original headers.
 #[derive(Debug)]
 pub struct ReverseProxy {
     pub address: SocketAddr,
@@ -21,7 +21,7 @@ pub struct ReverseProxy {
 }
 
 #[derive(Debug, Clone)]
-struct Onward {
+struct Upstream {
     client: Client<HttpConnector, Body>,
     target: String,
     prefix: String,
@@ -34,8 +34,8 @@ impl ReverseProxy {
     /// If no port can be opened.
     pub async fn start(target: &str, prefix: &str) -> Self {
         let client = Client::builder(TokioExecutor::new()).build_http();
-        let onward = Onward { client, target: target.to_owned(), prefix: format!("/{prefix}/") };
-        let routes = Router::new().fallback(hand_on).with_state(onward);
+        let upstream = Upstream { client, target: target.to_owned(), prefix: format!("/{prefix}/") };
+        let routes = Router::new().fallback(forward).with_state(upstream);
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port on loopback");
         let address = listener.local_addr().expect("it has an address");
         let task = tokio::spawn(async move {
@@ -51,16 +51,16 @@ impl Drop for ReverseProxy {
     }
 }
 
-async fn hand_on(State(onward): State<Onward>, mut request: Request) -> Response {
+async fn forward(State(upstream): State<Upstream>, mut request: Request) -> Response {
     let asked = request.uri().path_and_query().map_or("", |asked| asked.as_str());
-    let Some(below) = asked.strip_prefix(&onward.prefix) else {
+    let Some(below) = asked.strip_prefix(&upstream.prefix) else {
         return StatusCode::NOT_FOUND.into_response();
     };
-    let Ok(uri) = format!("http://{}/{below}", onward.target).parse::<Uri>() else {
+    let Ok(uri) = format!("http://{}/{below}", upstream.target).parse::<Uri>() else {
         return StatusCode::BAD_REQUEST.into_response();
     };
     *request.uri_mut() = uri;
-    match onward.client.request(request).await {
+    match upstream.client.request(request).await {
         Ok(answer) => answer.map(Body::new),
         Err(_) => StatusCode::BAD_GATEWAY.into_response(),
     }

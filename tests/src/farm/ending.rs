@@ -1,4 +1,4 @@
-//! How coordinators end.
+//! Kills and stops coordinators, and waits for their end.
 
 use std::time::Duration;
 
@@ -19,10 +19,10 @@ impl Farm {
         self.coordinator.take().expect("the coordinator runs").terminate(Duration::from_secs(10))
     }
 
-    /// Waits until it ends by itself; its exit code and log.
+    /// Waits until it ends by itself; returns its exit code and log.
     ///
     /// # Panics
-    /// If it does not in time.
+    /// If it does not end in time.
     pub fn coordinator_ends(&mut self) -> (i32, String) {
         let mut coordinator = self.coordinator.take().expect("the coordinator runs");
         (coordinator.exit_within(SOON), coordinator.log())

@@ -1,4 +1,4 @@
-//! The coordinator's port for figures.
+//! Reads the coordinator's metrics.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -7,7 +7,7 @@ use super::Farm;
 use crate::process::SOON;
 
 impl Farm {
-    /// A page of the port for figures: status code and text. None if nobody answers.
+    /// A page of the metrics port: status code and text. None without an answer.
     pub fn page(&self, path: &str) -> Option<(u16, String)> {
         let mut stream = TcpStream::connect(("127.0.0.1", self.metrics)).ok()?;
         stream.set_read_timeout(Some(SOON)).ok()?;
@@ -18,12 +18,12 @@ impl Farm {
         Some((code, text.split_once("\r\n\r\n")?.1.to_owned()))
     }
 
-    /// A figure since the coordinator's start, as in `farm_jobs_completed_total{outcome="stored"}`.
+    /// A metric since the coordinator's start, such as `farm_jobs_completed_total{outcome="stored"}`.
     ///
     /// # Panics
-    /// If the coordinator does not tell it.
+    /// If the coordinator does not report it.
     pub fn figure(&self, name: &str) -> u64 {
-        let (_, text) = self.page("/metrics").expect("the coordinator tells figures");
+        let (_, text) = self.page("/metrics").expect("the coordinator serves metrics");
         let line = text.lines().find_map(|l| l.strip_prefix(name)?.strip_prefix(' '));
         line.map_or(0.0, |value| value.parse::<f64>().expect("a number")) as u64
     }

@@ -1,4 +1,4 @@
-//! Surroundings that make life hard for a farm: a log without a reader, little memory.
+//! Environments with faults: a log without a reader, little memory.
 
 use super::Farm;
 use crate::memory_group::MemoryGroup;
@@ -9,12 +9,12 @@ impl Farm {
         self.log_abandoned = true;
     }
 
-    /// Programs of this farm that are started from now on share a group's memory.
+    /// Runs programs of this farm that start from now on in a control group.
     pub fn limit_memory(&mut self, group: MemoryGroup) {
         self.surroundings.memory = Some(group);
     }
 
-    /// The group of this farm's programs, if there is one.
+    /// The control group of this farm's programs, if there is one.
     pub fn memory(&self) -> Option<&MemoryGroup> {
         self.surroundings.memory.as_ref()
     }

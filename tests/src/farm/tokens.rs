@@ -1,14 +1,14 @@
-//! Farms whose workers have tokens of their own, so that each has a vote about results.
+//! Farms whose workers have separate tokens, so that each has its own vote on results.
 
 use super::Farm;
-use crate::hand::HandWorker;
 use crate::process::{Process, run};
+use crate::test_worker::TestWorker;
 
 impl Farm {
-    /// Starts a coordinator with a token of its own for each of these workers, in `keys/NAME.toml`.
+    /// Starts a coordinator with a separate token for each of these workers, in `keys/NAME.toml`.
     ///
     /// # Panics
-    /// If it does not answer, or a name is that of a file which is there for all.
+    /// If it does not answer, or a name is that of another access file.
     pub fn with_tokens(workers: &[&str], options: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a folder can be made");
         let data = folder.path().join("data");
@@ -21,21 +21,21 @@ impl Farm {
         farm.started()
     }
 
-    /// Lets in one more, with an access file `keys/NAME.toml`.
+    /// Adds an access file `keys/NAME.toml`.
     ///
     /// # Panics
-    /// If there is one of that name.
+    /// If that file exists.
     pub fn let_in(&self, role: &str, name: &str) {
         let ran = run(self.folder(), &["access", "add", role, name, "--folder", "keys"]);
         assert_eq!(ran.code, 0, "{}", ran.stderr);
     }
 
-    /// A worker by hand, with the token of this name.
-    pub async fn hand_of(&self, token: &str, label: &str) -> Result<HandWorker, tonic::Status> {
-        HandWorker::register(self.link_with(&format!("keys/{token}.toml")), label).await
+    /// A worker that a test controls, with the token of this name.
+    pub async fn test_worker_with(&self, token: &str, label: &str) -> Result<TestWorker, tonic::Status> {
+        TestWorker::register(self.link_with(&format!("keys/{token}.toml")), label).await
     }
 
-    /// A worker with one thread and the token of this name, which is what it is called, too.
+    /// A worker with one thread and the token of this name, which is also its label.
     pub fn worker_of(&self, token: &str) -> Process {
         self.worker_with(&format!("keys/{token}.toml"), token, &[])
     }

@@ -1,4 +1,4 @@
-//! A camera over a table.
+//! A simulated camera: geometry, blur, noise and faults from the scene to sample values.
 
 use optics_capture::{Colour, Exposure, Frame, Levels, Pattern, Photo};
 use rayon::prelude::*;
@@ -6,13 +6,13 @@ use rayon::prelude::*;
 use super::noise::Random;
 use super::subject::{Image, Subject};
 
-/// All that stands between a scene and its numbers.
+/// Properties of the camera and the lighting.
 #[derive(Debug, Clone)]
 pub struct Camera {
     pub width: usize,
     pub height: usize,
     pub px_per_mm: f64,
-    /// Clockwise.
+    /// Rotation, clockwise.
     pub turn_deg: f64,
     /// Relative change of scale across the frame's width and height.
     pub keystone: [f64; 2],
@@ -22,14 +22,14 @@ pub struct Camera {
     pub origin_px: [f64; 2],
     /// σ of the lens per channel.
     pub lens_mm: [f64; 3],
-    /// Factor on it up and down: a hand that shook.
+    /// Factor on the blur up and down, due to shake.
     pub shaken: f64,
     /// Loss of light at the corners.
     pub vignetting: f64,
     /// Relative change of the light across the frame.
     pub slope: [f64; 2],
     pub glare: f64,
-    /// Numbers of a radiance factor of 1, per channel.
+    /// Sample value of a radiance factor of 1, per channel.
     pub full: [f64; 3],
     pub numbers_per_electron: f64,
     pub read: f64,
@@ -38,10 +38,10 @@ pub struct Camera {
     pub clip: f64,
     /// L becomes L (1 + curve (L/full − ½)).
     pub curve: f64,
-    /// A power by which numbers are bent, 1 in a raw file.
+    /// Gamma of the sample values; 1 in a raw file.
     pub gamma: f64,
-    pub tells_black: bool,
-    /// Three samples a pixel instead of a mosaic.
+    pub has_black_level: bool,
+    /// Three samples per pixel instead of a mosaic.
     pub rgb: bool,
 }
 
@@ -68,7 +68,7 @@ impl Default for Camera {
             clip: 16383.0,
             curve: 0.0,
             gamma: 1.0,
-            tells_black: true,
+            has_black_level: true,
             rgb: false,
         }
     }
@@ -79,10 +79,10 @@ impl Default for Camera {
 pub struct Shot {
     pub label: String,
     pub seed: u64,
-    /// Of the lamps.
+    /// Brightness of the lamps.
     pub brightness: f64,
     pub seconds: Option<f64>,
-    /// Neither noise nor rounding beyond a 65,000th.
+    /// Without noise, and with rounding below 1/65,000.
     pub exact: bool,
     pub dust: Option<Dust>,
 }
@@ -140,7 +140,7 @@ impl Camera {
     }
 }
 
-/// Light on each pixel of the mosaic, in numbers without noise above black, for lamps of brightness 1.
+/// Light on each pixel of the mosaic, in noise-free numbers above black, for lamps of brightness 1.
 #[must_use]
 pub fn expose(camera: &Camera, subject: &Subject) -> Vec<f64> {
     let image = Image::new(subject, camera.lens_mm, camera.shaken);
@@ -158,7 +158,7 @@ pub fn expose(camera: &Camera, subject: &Subject) -> Vec<f64> {
     light
 }
 
-/// The integral over one pixel by Gauss's rule of three points each way, exact to the fifth order.
+/// The integral over one pixel by Gauss quadrature with three points each way, exact to the fifth order.
 fn pixel(camera: &Camera, image: &Image, c: usize, corner: [f64; 2]) -> f64 {
     const NODES: [(f64, f64); 3] =
         [(0.112_701_665_379_258_3, 5.0 / 18.0), (0.5, 8.0 / 18.0), (0.887_298_334_620_741_7, 5.0 / 18.0)];
@@ -179,7 +179,7 @@ fn pixel(camera: &Camera, image: &Image, c: usize, corner: [f64; 2]) -> f64 {
     sum * camera.full[c]
 }
 
-/// Scatters a share of each channel's mean over the frame.
+/// Adds veiling glare: a share of each channel's mean.
 fn veil(camera: &Camera, light: &mut [f64]) {
     let channel = |i: usize| camera.place(i).2;
     let mut sums = [[0.0; 2]; 3];
@@ -202,7 +202,7 @@ pub fn develop(camera: &Camera, light: &[f64], shot: &Shot) -> Photo {
         sprinkle(camera, &mut light, dust, &mut random);
     }
     let fixed = camera.fixed();
-    // An exact shot has the finest steps that sixteen bits allow.
+    // An exact shot uses the full range of sixteen bits.
     let fine = if shot.exact { 65_000.0 / camera.clip } else { 1.0 };
     let samples = light
         .iter()
@@ -226,7 +226,7 @@ pub fn develop(camera: &Camera, light: &[f64], shot: &Shot) -> Photo {
     let pattern = if camera.rgb { Pattern::Rgb } else { Pattern::Bayer(MOSAIC) };
     let frame = Frame::new(camera.width, camera.height, pattern, samples);
     let levels = Levels {
-        black: camera.tells_black.then_some([camera.black * fine; 4]),
+        black: camera.has_black_level.then_some([camera.black * fine; 4]),
         white: Some([camera.clip * fine; 4]),
     };
     let exposure = Some(Exposure { time_s: 0.05, f_number: Some(11.0), iso: Some(100.0) });

@@ -1,6 +1,6 @@
-//! A maker of photographs: from exact edges to numbers of a mosaic, with all that is wrong with a real set-up.
+//! Simulates photographs: from exact edges to the sample values of a mosaic, with the faults of a real set-up.
 //!
-//! Each pixel is the integral over its area, by Gauss's rule, of the scene behind the lens. Blur is a Gaussian in the
+//! Each pixel is the integral of the blurred scene over its area, by Gauss quadrature. Blur is a Gaussian in the
 //! board's plane, and is convolved analytically or in a table fine enough for 10⁻⁵.
 
 mod camera;
@@ -13,6 +13,6 @@ mod traced;
 pub use camera::{Camera, Dust, Shot, develop, expose};
 pub use noise::Random;
 pub use session::{Look, Session, What, patches};
-pub use session_file::{Told, session_file};
+pub use session_file::{SessionValues, session_file};
 pub use subject::{Board, Edge, Slab, Subject};
 pub use traced::traced;

@@ -1,4 +1,4 @@
-//! Random numbers of photographs.
+//! Random numbers for simulated photographs.
 
 /// SplitMix64 (Steele, Lea and Flood 2014): small, and good enough for noise.
 #[derive(Debug, Clone)]
@@ -22,12 +22,12 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Evenly between 0 and 1.
+    /// Uniform between 0 and 1.
     pub fn even(&mut self) -> f64 {
         (self.word() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Evenly between two ends.
+    /// Uniform between two limits.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.even()
     }

@@ -1,4 +1,4 @@
-//! Whole sessions: what a laboratory photographs, in its order.
+//! Simulates whole sessions: the photographs that a laboratory takes, in order.
 
 use optics_capture::{Area, Neutral, Photo, Side, Target};
 
@@ -6,19 +6,19 @@ use super::camera::{Camera, Dust, Shot, develop, expose};
 use super::noise::Random;
 use super::subject::{Board, Slab, Subject};
 
-/// A set-up with its subjects exposed once, to be shot as often as wished.
+/// A set-up whose subjects are exposed once; any number of shots can be developed from them.
 #[derive(Debug, Clone)]
 pub struct Session {
     pub camera: Camera,
     pub board: Board,
-    /// Of the grey patches, as their certificate says.
+    /// Certified reflectances of the grey patches.
     pub rho: Vec<f64>,
     dark: Vec<f64>,
     sheet: Vec<f64>,
     chart: Vec<f64>,
     bare: Vec<f64>,
     slab: Vec<f64>,
-    /// Of the lamps in one shot.
+    /// Brightness of the lamps in one shot.
     pub brightness: Vec<(What, u64, f64)>,
 }
 
@@ -38,7 +38,7 @@ impl Session {
         Self::with_certificate(camera, slab, 0.0)
     }
 
-    /// Grey patches that are brighter than their certificate says, by a relative error.
+    /// A session whose grey patches are brighter than certified, by a relative error.
     #[must_use]
     pub fn with_certificate(camera: Camera, slab: Slab, error: f64) -> Self {
         let rho = GREYS.to_vec();
@@ -58,12 +58,12 @@ impl Session {
         }
     }
 
-    /// Shows another slab, or the same one to another camera, to the shots of samples.
+    /// Sets slab and camera of later shots of samples.
     pub fn lay(&mut self, camera: &Camera, slab: &Slab) {
         self.slab = expose(camera, &Subject::Slab(slab.clone()));
     }
 
-    /// Shows the bare board to another camera.
+    /// Sets board and camera of later shots of the bare board.
     pub fn show_bare(&mut self, camera: &Camera, board: &Board) {
         self.bare = expose(camera, &Subject::Board(board.clone()));
     }
@@ -120,7 +120,7 @@ impl Session {
     }
 }
 
-/// What is on the table.
+/// The subject of a shot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum What {
     Dark,
@@ -130,7 +130,7 @@ pub enum What {
     Slab,
 }
 
-/// How a session is shot.
+/// Conditions of a shot.
 #[derive(Debug, Clone, Copy)]
 pub struct Look {
     pub seed: u64,

@@ -1,15 +1,15 @@
-//! Session files of photographs that were made.
+//! Writes session files for simulated photographs.
 
 use std::fmt::Write as _;
 
 use super::session::Session;
 
-/// What a session file tells of board, patches and slabs.
+/// Values of board, patches and slabs in a session file.
 #[derive(Debug, Clone, Copy)]
-pub struct Told<'a> {
+pub struct SessionValues<'a> {
     pub square_mm: f64,
     pub square_std_error_mm: f64,
-    /// Of the patches, relative.
+    /// Relative error of the patches.
     pub white_std_error: f64,
     pub thickness_mm: &'a [f64],
     pub thickness_std_error_mm: f64,
@@ -20,23 +20,23 @@ pub struct Told<'a> {
 /// # Panics
 /// Never.
 #[must_use]
-pub fn session_file(session: &Session, told: &Told<'_>) -> String {
+pub fn session_file(session: &Session, values: &SessionValues<'_>) -> String {
     let mut text = format!(
         "[camera]\ndark = [\"dark_*\"]\nflat = [\"flat_*\"]\n\n\
          [neutral]\nshots = [\"chart_*\"]\nrho = {:?}\nstd_error = {}\nareas_px = {:?}\n\n\
          [target]\nbare = [\"board_*\"]\nsquare_mm = {}\nsquare_std_error_mm = {}\ndark_side = \"left\"\n",
         session.rho,
-        told.white_std_error,
+        values.white_std_error,
         session.areas_px(),
-        told.square_mm,
-        told.square_std_error_mm,
+        values.square_mm,
+        values.square_std_error_mm,
     );
-    for (i, thickness_mm) in told.thickness_mm.iter().enumerate() {
+    for (i, thickness_mm) in values.thickness_mm.iter().enumerate() {
         write!(
             text,
             "\n[[sample]]\nmaterial = \"resin\"\nthickness_mm = {thickness_mm}\n\
              thickness_std_error_mm = {}\nshots = [\"slab{i}_*\"]\n",
-            told.thickness_std_error_mm
+            values.thickness_std_error_mm
         )
         .expect("memory takes it");
     }

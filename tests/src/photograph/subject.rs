@@ -1,4 +1,4 @@
-//! What is photographed, blurred by the lens.
+//! Subjects of simulated photographs, blurred by the lens.
 
 use std::fmt;
 use std::sync::Arc;
@@ -27,12 +27,12 @@ impl fmt::Debug for Edge {
     }
 }
 
-/// What lies before the camera. Lengths are in mm of the board's plane, its edge in use at x = 0, the frame's middle near
-/// y = 0.
+/// The subject in front of the camera. Lengths are in mm in the board's plane, with the edge in use at x = 0 and the
+/// frame's middle near y = 0.
 #[derive(Debug, Clone)]
 pub enum Subject {
     Nothing,
-    /// An even sheet, with its own slope per 100 mm.
+    /// An even sheet with a slope per 100 mm.
     Sheet {
         slope: [f64; 2],
     },
@@ -49,7 +49,7 @@ pub enum Subject {
 #[derive(Debug, Clone)]
 pub struct Board {
     pub square_mm: f64,
-    /// Radiance factors as seen, per channel.
+    /// Apparent radiance factors, per channel.
     pub light: [f64; 3],
     pub dark: [f64; 3],
     /// −1 with the dark side to the right.
@@ -69,11 +69,11 @@ pub struct Slab {
     pub bubble: Option<([f64; 2], f64, f64)>,
 }
 
-/// A subject as the lens shows it.
+/// A subject blurred by the lens.
 pub(super) struct Image {
     subject: Subject,
     sigma_mm: [f64; 3],
-    /// Factor on the blur up and down: a hand that shook.
+    /// Factor on the blur up and down, due to shake.
     shaken: f64,
     /// Blurred edges on a fine grid.
     tables: Vec<Vec<f64>>,
@@ -110,7 +110,7 @@ impl Image {
         }
     }
 
-    /// Without edges but those of patches, so that the middle of a pixel tells all of it.
+    /// Whether the only edges are those of patches, so that the middle of a pixel represents it.
     pub fn is_even(&self) -> bool {
         matches!(self.subject, Subject::Sheet { .. } | Subject::Patches { .. })
     }
@@ -163,7 +163,7 @@ fn wave(x: f64, sigma: f64) -> f64 {
     rises * (1.0 - erfc((x - nearest) / (sigma * std::f64::consts::SQRT_2)))
 }
 
-/// The edge convolved with a Gaussian, its jump at 0 apart so that nothing is sampled across it.
+/// The edge convolved with a Gaussian; its jump at 0 is treated separately, so that it is not sampled.
 fn blurred(edge: &Edge, c: usize, sigma: f64) -> Vec<f64> {
     let count = (2.0 * TABLE_REACH_MM / TABLE_STEP_MM) as usize + 1;
     let jump = 0.5 * (edge.at(c, 1e-9) - edge.at(c, -1e-9));

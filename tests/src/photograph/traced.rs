@@ -1,4 +1,4 @@
-//! Edges under slabs of media, traced.
+//! Traces edges under slabs of media.
 
 use std::sync::atomic::AtomicBool;
 
@@ -9,13 +9,13 @@ use rayon::prelude::*;
 
 use super::subject::Edge;
 
-/// Pixels of the traced profiles: a quarter of the paper's, so that lens and bins do not see them.
+/// Pixels of the traced profiles: a quarter of the paper's, which lens and bins do not resolve.
 const WIDTH_MM: f64 = 12.0;
 const PIXELS: u32 = 1728;
 
 const SAMPLE_IOR: f64 = 1.53;
 
-/// The edge of a scene's board under a slab whose channels each have a medium of their own.
+/// The edge of a scene's board under a slab with one medium per channel.
 ///
 /// # Panics
 /// If the scene has other than three channels, or there is no such slab.
@@ -30,7 +30,7 @@ pub fn traced(scene: &Scene, media: [Medium; 3], thickness_mm: f64, walks: u64, 
             JobSpec::new(scene, point, vec![medium.albedo()], Walks::new(walks)?, seed, false)
         };
         let job = build().expect("the slab is valid");
-        let records = optics_tracer::trace(&job, &AtomicBool::new(false)).expect("nobody stops it");
+        let records = optics_tracer::trace(&job, &AtomicBool::new(false)).expect("it is not stopped");
         let values = records[0].profiles[0].radiance_factor.values();
         values.iter().map(|v| f64::from(*v)).collect::<Vec<f64>>()
     };

@@ -1,4 +1,5 @@
-//! A server with the farm's gate and connections, real access files, and services that only say who called them.
+//! A server with the farm's authorisation and connection limits, real access files, and services that return their
+//! caller.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
@@ -24,13 +25,13 @@ use tonic::{Code, Request, Response, Status};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
-/// What the calls of one token may hold.
+/// Memory that the calls of one token may hold.
 pub const HELD: usize = 4 << 20;
 
-/// How often the server pings.
+/// Interval of the server's pings.
 pub const PING: Duration = Duration::from_millis(300);
 
-/// How a farm lets people in.
+/// Access control of a farm.
 #[derive(Debug, Clone, Copy)]
 pub enum Access {
     Open,
@@ -93,7 +94,7 @@ impl GuardedServer {
         Target::new(Some(&ClientAccess::read(&self.file(role)).unwrap()), None).unwrap()
     }
 
-    /// As with an access file of another content.
+    /// The target of an access file with other content.
     pub fn target_of_text(&self, text: &str) -> Target {
         let file = tempfile::NamedTempFile::new_in(self.dir.path()).unwrap();
         std::fs::write(file.path(), text).unwrap();
@@ -120,7 +121,7 @@ impl GuardedServer {
         wait(|| self.connections.open() == connections).await;
     }
 
-    /// What the observer has been told, once it is of so many calls.
+    /// The calls that were observed, once there are at least `calls`.
     pub async fn observed(&self, calls: usize) -> Vec<(String, i32)> {
         wait(|| self.observed.lock().unwrap().len() >= calls).await;
         self.observed.lock().unwrap().clone()
@@ -175,7 +176,7 @@ where
     client.unary(request, http::uri::PathAndQuery::from_static(path), codec).await
 }
 
-/// Connects and calls; where it fails, with all that is known of it, since peers are refused at either.
+/// Connects and calls; returns the error of either, since peers may be refused at both.
 pub async fn try_call(target: &Target, path: &'static str) -> Result<(), String> {
     let link = target.connect().await.map_err(|error| format!("{error:?}"))?;
     call(&link, path).await.map(drop).map_err(|status| format!("{status:?}"))
@@ -190,7 +191,7 @@ where
     HealthClient::new(service).check(HealthCheckRequest::default()).await.map(drop)
 }
 
-/// What is logged in this thread.
+/// The log of this thread.
 #[derive(Debug, Clone, Default)]
 pub struct Log {
     bytes: Arc<Mutex<Vec<u8>>>,
@@ -223,7 +224,7 @@ impl std::io::Write for Log {
 
 const SERVICES: [&str; 3] = ["farm.v1.Leases", "farm.v1.Fits", "farm.v1.Admin"];
 
-/// Answers every method with who called it. `Slow` takes for ever.
+/// Answers every method with the name of its caller. `Slow` never answers.
 #[derive(Debug, Clone)]
 struct WhoCalled<const SERVICE: usize>;
 
@@ -248,7 +249,7 @@ impl<const SERVICE: usize> tower::Service<http::Request<Body>> for WhoCalled<SER
             tracing::info!("handling");
             assert!(request.extensions().get::<RequestId>().is_some());
             let caller = request.extensions().get::<Caller>();
-            let name = caller.map_or("nobody".to_owned(), |c| format!("{} {}", c.name(), c.role()));
+            let name = caller.map_or("anonymous".to_owned(), |c| format!("{} {}", c.name(), c.role()));
             let trailers = http::HeaderMap::from_iter([(Status::GRPC_STATUS, (Code::Ok as i32).into())]);
             let message = Full::new(Bytes::from_static(&[0; 5]));
             let body = message.with_trailers(std::future::ready(Some(Ok(trailers))));

@@ -1,4 +1,4 @@
-//! Who gets in: encryption, tokens and roles, certificates, and the number of connections; over real sockets.
+//! Access control over real sockets: encryption, tokens and roles, certificates, and the number of connections.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -18,7 +18,7 @@ use tonic::{Code, Request};
 
 use guarded::{Access, GuardedServer, call, health, try_call};
 
-/// Longest time for what should not take long.
+/// Time limit of actions that should be quick.
 const SOON: Duration = Duration::from_secs(8);
 
 const LEASES: &str = "/farm.v1.Leases/Acquire";
@@ -39,7 +39,7 @@ async fn each_role_may_do_what_is_its_own_and_is_told_what_it_lacks() {
             match (call(&link, path).await, allowed[role_index]) {
                 (Ok(answer), Ok(())) => {
                     let seen = answer.metadata().get("x-caller").unwrap().to_str().unwrap();
-                    assert_eq!(seen, format!("{role} {role}"), "the handler sees who calls");
+                    assert_eq!(seen, format!("{role} {role}"), "the handler receives the caller");
                 }
                 (Err(status), Err(needed)) => {
                     assert_eq!(status.code(), Code::PermissionDenied, "{status}");
@@ -73,7 +73,7 @@ async fn without_a_token_or_with_a_wrong_one_only_health_is_told() {
     assert_eq!(status.code(), Code::Unauthenticated);
     assert!(status.message().contains("does not know the one given"), "{status}");
     let status = call(&link, "/farm.v1.Nothing/Here").await.unwrap_err();
-    assert_eq!(status.code(), Code::Unauthenticated, "unauthenticated callers do not learn what there is");
+    assert_eq!(status.code(), Code::Unauthenticated, "unauthenticated callers cannot probe for methods");
     health(link).await.unwrap();
 }
 
@@ -94,19 +94,19 @@ async fn with_mutual_tls_a_certificate_is_needed_besides_the_token() {
 
     let text = std::fs::read_to_string(farm.file(Role::Worker)).unwrap();
     let without = &text[..=text.find("\ncertificate = ").unwrap()];
-    told(&farm.target_of_text(without), "the access file has none").await;
+    fails_with(&farm.target_of_text(without), "the access file has none").await;
 
-    // A certificate of another farm's authority is none, though the token is right.
+    // A certificate of another farm's authority is refused, even with a valid token.
     let other = GuardedServer::start(Access::Mutual).await;
     let theirs = std::fs::read_to_string(other.file(Role::Worker)).unwrap();
     let mixed = format!("{without}{}", &theirs[theirs.find("\ncertificate = ").unwrap() + 1..]);
-    told(&farm.target_of_text(&mixed), "does not accept the access file's certificate").await;
+    fails_with(&farm.target_of_text(&mixed), "does not accept the access file's certificate").await;
 }
 
-/// Calls fail until one tells why: the coordinator's reason may be lost with the connection.
-async fn told(target: &Target, why: &str) {
+/// Repeats calls until one fails with the reason, which may be lost with the connection.
+async fn fails_with(target: &Target, why: &str) {
     let trying = async { while !try_call(target, LEASES).await.unwrap_err().contains(why) {} };
-    timeout(SOON, trying).await.expect("one call tells why");
+    timeout(SOON, trying).await.expect("a call fails with the reason");
 }
 
 #[tokio::test]
@@ -122,22 +122,22 @@ async fn a_certificate_holds_for_the_hosts_that_were_named() {
         |name: &str| farm.target_of_text(&text.replacen("role", &format!("server_name = {name:?}\nrole"), 1));
     call(&under("farm.example.org").connect().await.unwrap(), FITS).await.unwrap();
     let error = under("other.example.org").connect().await.unwrap_err();
-    let told = failure(&error, "https://localhost").unwrap();
-    assert!(told.contains("its certificate is for another host"), "{told}");
+    let message = failure(&error, "https://localhost").unwrap();
+    assert!(message.contains("its certificate is for another host"), "{message}");
     let other = GuardedServer::start(Access::Tokens).await;
     let url = format!("https://localhost:{}", other.address.port());
     let error = Target::new(Some(&access), Some(&url)).unwrap().connect().await.unwrap_err();
-    let told = failure(&error, &url).unwrap();
-    assert!(told.contains("not of the authority that this access file knows"), "{told}");
+    let message = failure(&error, &url).unwrap();
+    assert!(message.contains("not of the authority that this access file knows"), "{message}");
 }
 
-/// What a user is told of a coordinator that cannot be called.
+/// The message for a coordinator that cannot be called.
 async fn why_unreachable(target: &Target) -> String {
-    let told = match target.connect().await {
+    let message = match target.connect().await {
         Ok(link) => failure(&call(&link, FITS).await.unwrap_err(), target.url()),
         Err(error) => failure(&error, target.url()),
     };
-    told.expect("it has a reason in plain words")
+    message.expect("the error has a message for users")
 }
 
 #[tokio::test]
@@ -146,15 +146,15 @@ async fn who_mistakes_encryption_learns_it_quickly() {
     let encrypted = GuardedServer::start(Access::Tokens).await;
     let plain_url = format!("http://{}", encrypted.address);
     let target = Target::new(None, Some(&plain_url)).unwrap();
-    let told = timeout(SOON, why_unreachable(&target)).await.unwrap();
-    assert!(told.contains("--access FILE") || told.contains("https://"), "{told}");
+    let message = timeout(SOON, why_unreachable(&target)).await.unwrap();
+    assert!(message.contains("--access FILE") || message.contains("https://"), "{message}");
 
     let plain = GuardedServer::start(Access::Open).await;
     let access = ClientAccess::read(&encrypted.file(Role::Client)).unwrap();
     let wrong =
         Target::new(Some(&access), Some(&format!("https://localhost:{}", plain.address.port()))).unwrap();
-    let told = timeout(SOON, why_unreachable(&wrong)).await.unwrap();
-    assert!(told.contains("what answers there is not encrypted"), "{told}");
+    let message = timeout(SOON, why_unreachable(&wrong)).await.unwrap();
+    assert!(message.contains("what answers there is not encrypted"), "{message}");
     assert!(start.elapsed() < SOON);
 }
 
@@ -164,7 +164,7 @@ async fn an_open_farm_takes_bare_urls() {
     let target = Target::new(None, Some(&format!("http://{}", farm.address))).unwrap();
     for path in [LEASES, FITS, ADMIN] {
         let answer = call(&target.connect_lazy(), path).await.unwrap();
-        assert_eq!(answer.metadata().get("x-caller").unwrap(), "nobody");
+        assert_eq!(answer.metadata().get("x-caller").unwrap(), "anonymous");
     }
 }
 
@@ -226,7 +226,7 @@ async fn who_says_nothing_is_sent_away_and_his_place_is_free_again() {
             TcpStream::connect(farm.address).await.unwrap(),
             TcpStream::connect(farm.address).await.unwrap(),
         ];
-        // A few bytes that could begin something do not help.
+        // A few bytes of a possible greeting do not help.
         silent[1].write_all(&[0x16, 3, 1]).await.unwrap();
         for stream in &mut silent {
             let mut left = Vec::new();
@@ -246,7 +246,7 @@ async fn one_connection_too_many_is_refused_while_the_others_go_on() {
     call(&first, FITS).await.unwrap();
     call(&second, LEASES).await.unwrap();
 
-    let third = timeout(SOON, farm.target(Role::Admin).connect()).await.expect("it is told at once");
+    let third = timeout(SOON, farm.target(Role::Admin).connect()).await.expect("it is refused at once");
     third.unwrap_err();
     assert_eq!((farm.connections.open(), farm.connections.refused()), (2, 1));
     call(&first, FITS).await.unwrap();
@@ -261,20 +261,20 @@ async fn one_connection_too_many_is_refused_while_the_others_go_on() {
 
 #[tokio::test]
 async fn idle_but_live_connections_are_kept_and_dead_ones_are_not() {
-    // The greeting of HTTP/2 with empty settings, and then no answer to pings.
+    // The HTTP/2 preface with empty settings, then no answer to pings.
     keeps_the_live_and_ends_the_dead(Access::Open, b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0")
         .await;
 }
 
 #[tokio::test]
 async fn under_encryption_it_is_the_same() {
-    // The beginning of a handshake whose rest never comes.
+    // The first bytes of a handshake that is never completed.
     let hello = [&[0x16, 3, 1, 2, 0, 1, 0, 1, 0xfc, 3, 3][..], &[7; 20]].concat();
     keeps_the_live_and_ends_the_dead(Access::Tokens, &hello).await;
 }
 
 async fn keeps_the_live_and_ends_the_dead(access: Access, greeting: &[u8]) {
-    // The server of these tests pings five times in that span.
+    // The server of these tests pings five times in this time.
     let limits = Limits { silence: guarded::PING * 5, ..Limits::new(8, None) };
     let farm = GuardedServer::start_with(access, limits).await;
     let link = farm.any_link().await;

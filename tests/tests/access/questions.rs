@@ -1,4 +1,4 @@
-//! Requests that would harm a real coordinator by what is in them.
+//! Requests whose content would harm a coordinator: decompression bombs and invalid names.
 
 use farm_proto::wire::{FitRequest, Layer, ListRequest, MeasuredProfile, Measurement, SubmitRequest};
 use farm_tests::farm::Farm;
@@ -7,7 +7,7 @@ use optics_model::Grid;
 use tonic::Code;
 use tonic_types::StatusExt as _;
 
-/// Two bytes that become two hundred are refused as bytes.
+/// Messages that would grow a hundredfold are refused before they are decoded.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_grows_a_hundredfold_is_not_decoded() {
     let farm = Farm::start(&[]);
@@ -22,7 +22,7 @@ async fn what_grows_a_hundredfold_is_not_decoded() {
     assert!(grown_mib < 100, "{grown_mib} MiB");
 }
 
-/// A name that leases could not carry is refused with its place, and lists go on.
+/// A name that is too long or not printable is refused with its field, and lists still work.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn names_have_a_length_and_are_printable() {
     let farm = Farm::start(&[]);

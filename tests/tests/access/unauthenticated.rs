@@ -37,7 +37,7 @@ async fn unauthenticated_requests_are_small() {
     health(channel).await.unwrap();
 }
 
-/// A request that is begun and never ended is cancelled: it holds memory for a peer without a token.
+/// An incomplete request is cancelled, since it holds memory for a peer without a token.
 #[tokio::test]
 async fn unauthenticated_requests_that_never_end_are_cancelled() {
     let farm = GuardedServer::start_with(Access::Tokens, limits(Duration::from_mins(1))).await;
@@ -50,7 +50,7 @@ async fn unauthenticated_requests_that_never_end_are_cancelled() {
         tonic_prost::ProstCodec::<HealthCheckRequest, tonic_health::pb::HealthCheckResponse>::default();
     let never = tonic::Request::new(tokio_stream::pending());
     let ended = timeout(Duration::from_secs(20), grpc.streaming(never, path, codec)).await;
-    let status = match ended.expect("it is broken off") {
+    let status = match ended.expect("it is cancelled") {
         Err(status) => status,
         Ok(answer) => answer.into_inner().message().await.unwrap_err(),
     };
@@ -96,14 +96,14 @@ async fn unauthenticated_connections_end_and_lock_nobody_out() {
     for channel in &unauthenticated {
         health(channel.clone()).await.unwrap();
     }
-    // Their places at this address are taken: the oldest of them is evicted, authenticated ones stay.
+    // All connections of this address are in use: the oldest unauthenticated one is evicted, authenticated ones stay.
     assert_eq!(farm.connections.open(), 4);
     let worker = farm.target(Role::Worker).connect().await.unwrap();
     call(&worker, LEASES).await.unwrap();
     drop(worker);
     assert_eq!(farm.connections.refused(), 0);
     call(&authenticated, FITS).await.unwrap();
-    // However often they ask, they go.
+    // Repeated calls do not keep them open.
     let begun = Instant::now();
     while farm.connections.open() > 1 {
         assert!(begun.elapsed() < SOON);

@@ -1,4 +1,4 @@
-//! Requests that never end, at a real coordinator.
+//! Incomplete requests to a real coordinator.
 
 use bytes::Bytes;
 use farm_link::Link;
@@ -16,12 +16,12 @@ use tonic::{Code, Status};
 
 use crate::SOON;
 
-/// What each request brings of a message of twice as much.
+/// Bytes that each request sends of a message of twice this size.
 const BYTES: usize = 8 << 20;
-/// How many of them one token may have on their way: 128 MiB.
+/// Number of such requests that one token may have open: 128 MiB.
 const HELD: usize = 16;
 
-/// A request that brings half of what it announces, and then nothing; how it ends.
+/// Sends half of the announced bytes, then nothing; returns the status of the call.
 async fn unfinished(mut link: Link) -> Option<Code> {
     let prefix = [&[0][..], &(2 * BYTES as u32).to_be_bytes()].concat();
     let pieces = std::iter::once(Bytes::from(prefix)).chain((0..8).map(|_| Bytes::from(vec![0; BYTES / 8])));
@@ -37,7 +37,7 @@ async fn unfinished(mut link: Link) -> Option<Code> {
     Status::from_header_map(response.headers()).map(|status| status.code())
 }
 
-/// What one token leaves unfinished is bounded over all its calls, and ends when the token is revoked.
+/// The incomplete requests of one token are bounded over all its calls, and end when the token is revoked.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn unfinished_requests_have_a_bound_and_end_when_revoked() {
     let farm = Farm::closed(&[], &[]);
@@ -58,7 +58,7 @@ async fn unfinished_requests_have_a_bound_and_end_when_revoked() {
     assert!(held_mib < 400, "{held_mib} MiB are held");
     let revoked = run(farm.folder(), &["access", "revoke", "mallory", "--folder", "keys"]);
     assert_eq!(revoked.code, 0, "{}", revoked.stderr);
-    // More may have been refused before those that were had given back what they held.
+    // Further ones may have been refused before the refused ones had released their memory.
     for _ in 0..HELD {
         let ended = timeout(SOON, calls.join_next()).await.expect("it is ended").unwrap().unwrap();
         let ends = [None, Some(Code::Unauthenticated), Some(Code::ResourceExhausted)];

@@ -1,4 +1,4 @@
-//! One shot of three is unlike the others: what that does to the profile and to its stated errors.
+//! One of three shots deviates from the others: the effect on the profile and on its stated errors.
 
 use farm_tests::photograph::{Camera, Edge, Look, Session, Slab, What};
 use optics_capture::{
@@ -16,13 +16,13 @@ struct SetUp {
 fn set_up() -> &'static SetUp {
     static PLAIN_SET_UP: std::sync::OnceLock<SetUp> = std::sync::OnceLock::new();
     PLAIN_SET_UP.get_or_init(|| {
-        let calibration = calibrate(session(), &PLAIN).expect("the plain session is sound");
+        let calibration = calibrate(session(), &PLAIN).expect("the plain session is valid");
         let board = find(session(), &calibration, &PLAIN).expect("its board is found");
         SetUp { calibration, board }
     })
 }
 
-/// Three shots of the slab, after something was done to one of them.
+/// Three shots of the slab, one of which is modified.
 fn slabs(spoil: impl Fn(Photo) -> Photo) -> Result<SampleProfile, Refusal> {
     let shots = (0..3).map(|i| session().shoot(What::Slab, i, &PLAIN));
     measured(shots.enumerate().map(|(i, photo)| if i == 1 { spoil(photo) } else { photo }))
@@ -36,7 +36,7 @@ fn measured(shots: impl Iterator<Item = Photo>) -> Result<SampleProfile, Refusal
     sample.finish()
 }
 
-/// Every sample's light times a factor of its column and row.
+/// The photograph with each sample's light scaled by a factor of its column and row.
 fn dimmed(photo: Photo, factor: impl Fn(usize, usize) -> f64) -> Photo {
     let (width, black) = (photo.frame.width(), session().camera.black);
     let dim = |(i, s): (usize, &u16)| {
@@ -52,7 +52,8 @@ fn with_samples(photo: Photo, samples: Vec<u16>) -> Photo {
     Photo { frame: frame.expect("the size stays"), ..photo }
 }
 
-/// Mean and largest departure of green from the clean session, relative; the gain's stated error, and the pixels' mean.
+/// Relative mean and largest deviation of green from the clean session, the stated error of the gain, and the mean one
+/// of pixels.
 struct Off {
     mean: f64,
     worst: f64,
@@ -90,7 +91,7 @@ impl Off {
     }
 }
 
-/// Of green, as session files state it.
+/// Standard error of green's gain, as in session files.
 fn gain(budget: &[Contribution]) -> f64 {
     let sources = [Source::Drift, Source::Mounting, Source::Linearity];
     budget
@@ -131,7 +132,7 @@ fn light_that_is_too_far_off_is_refused() {
     }
 }
 
-/// Lamps that flicker while rows are read one after the other: which part of a band the crop gets is chance.
+/// Lamps that flicker during a rolling shutter: the part of a band in the crop is random.
 #[test]
 fn bands_of_flicker_are_part_of_the_gain() {
     let clean = slabs(|photo| photo).unwrap();
@@ -145,7 +146,7 @@ fn bands_of_flicker_are_part_of_the_gain() {
     assert!(off.mean.abs() < 2.0 * off.gain, "{off}");
 }
 
-/// A grain on the slab, sharp but for the lens.
+/// A grain on the slab, blurred by the lens only.
 fn with_speck(photo: Photo, at_mm: [f64; 2], diameter_mm: f64) -> Photo {
     let board = &set_up().board;
     dimmed(photo, |x, y| {
@@ -198,15 +199,18 @@ fn a_scratch_across_the_edge_is_masked() {
     assert!(off.mean.abs() < 2e-4 && off.worst.abs() < 3e-3, "{off}");
 }
 
-/// What is too broad for dust leaves out its shot, and refuses where too few are left.
+/// A shot with a feature too broad for dust is left out; with too few shots left, the sample is refused.
 #[test]
 fn a_shot_with_a_bubble_is_left_out() {
     let clean = slabs(|photo| photo).unwrap();
     let bubble = |photo| with_speck(photo, [2.5, 3.0], 3.0);
     let found = slabs(bubble).unwrap();
     assert_eq!(found.shots.iter().map(|s| s.label.as_str()).collect::<Vec<_>>(), ["slab_1", "slab_3"]);
-    let told: Vec<String> = found.warnings.iter().map(ToString::to_string).collect();
-    assert!(told.iter().any(|t| t.starts_with("left out: slab_2: thirds of the crop disagree")), "{told:?}");
+    let messages: Vec<String> = found.warnings.iter().map(ToString::to_string).collect();
+    assert!(
+        messages.iter().any(|t| t.starts_with("left out: slab_2: thirds of the crop disagree")),
+        "{messages:?}"
+    );
     assert!(Off::of(&found, &clean).mean.abs() < 5e-4);
     let two = (0..2).map(|i| bubble(session().shoot(What::Slab, i, &PLAIN)));
     let good = std::iter::once(session().shoot(What::Slab, 2, &PLAIN));
@@ -234,12 +238,12 @@ fn a_session_without_flats_is_told_of_them() {
     let refusal = thirds(&Session::new(camera, slab())).unwrap_err();
     let text = refusal.to_string();
     assert!(
-        matches!(refusal, Refusal::ThirdsDisagree { .. }) && text.contains("no flat shots were given"),
+        matches!(refusal, Refusal::ThirdsDisagree { .. }) && text.contains("there are no flat shots"),
         "{text}"
     );
 }
 
-/// As a viewer turns a photograph by 180°, which leaves the file's mosaic as it was called.
+/// The photograph turned by 180° by a viewer, which does not change the mosaic's name in the file.
 fn turned(photo: Photo) -> Photo {
     let samples = photo.frame.samples().iter().rev().copied().collect();
     with_samples(photo, samples)
@@ -264,7 +268,7 @@ fn a_slab_that_is_turned_is_left_out_or_refused() {
     assert!(is_turned(&refusal, "slab_2"), "{refusal}");
 }
 
-/// Another slab lay there: of three shots it is the odd one, of two none is.
+/// Another slab was photographed: of three shots it is left out, with two shots the sample is refused.
 #[test]
 fn a_shot_of_another_slab_is_left_out_or_refused() {
     let mut others = session().clone();
@@ -321,7 +325,7 @@ fn bare_shots_under_other_light_are_refused() {
     };
     let refusal = spoilt(0.9).unwrap_err();
     assert!(matches!(&refusal, Refusal::LightChanged { label, .. } if label == "board_2"), "{refusal}");
-    // By 2 % each is 1 % off their mean, which is that uncertain.
+    // With a difference of 2 %, each is 1 % off the mean, whose standard error is 1 %.
     let board = spoilt(0.98).unwrap();
     let look = Look { seed: 9, ..PLAIN };
     let mut sample = Mountings::new(&set_up().calibration, &board, "white");

@@ -1,11 +1,11 @@
-//! Bias, errors and geometry against exact truth.
+//! Bias, errors and geometry, compared with the exact truth.
 
 use farm_tests::photograph::{Camera, Session};
 
-use crate::stage::{Measured, PLAIN, measure, session, slab, told_blur_mm, truth, white};
+use crate::stage::{Measured, PLAIN, measure, session, slab, true_blur_mm, truth, white};
 use farm_tests::photograph::Look;
 
-/// Sessions of the long form: `FARM_TEST_EFFORT=10` shoots 200.
+/// Number of sessions; with `FARM_TEST_EFFORT=10` there are 200.
 fn seeds(quick: u64) -> u64 {
     let effort = std::env::var("FARM_TEST_EFFORT").ok().and_then(|e| e.parse::<u64>().ok());
     effort.map_or(quick, |e| 20 * e)
@@ -16,7 +16,7 @@ fn a_session_without_noise_gives_the_exact_profile() {
     let session = session();
     let found = measure(session, &Look { exact: true, ..PLAIN }, 2).unwrap();
     for (c, profile) in found.sample.profiles.iter().enumerate() {
-        let sigma = told_blur_mm(session, c);
+        let sigma = true_blur_mm(session, c);
         let contrast = white(c, 5.0) - white(c, -5.0);
         let (mut edge, mut tails) = (0.0_f64, 0.0_f64);
         for (x, value) in profile.x_mm.iter().zip(&profile.values) {
@@ -49,7 +49,7 @@ fn geometry_and_constants_of_a_session_come_out() {
     }
 }
 
-/// Angle, origin, scale and blur against the camera's own.
+/// Compares angle, origin, scale and blur with the camera's.
 fn check_geometry(session: &Session, board: &optics_capture::Board) {
     let camera = &session.camera;
     let (from, to) = (camera.mm(board.edge.from_px), camera.mm(board.edge.to_px));
@@ -61,7 +61,7 @@ fn check_geometry(session: &Session, board: &optics_capture::Board) {
     println!("angle off by {angle_deg:+.5}°, origin {origin_px:+.4} px, scale {scale:+.1e} ± {stated:.1e}");
     assert!(angle_deg.abs() < 0.02 && origin_px.abs() < 0.1 && scale.abs() < 1e-4);
     for c in 0..3 {
-        let blur = board.blur_mm[c].value / told_blur_mm(session, c) - 1.0;
+        let blur = board.blur_mm[c].value / true_blur_mm(session, c) - 1.0;
         assert!(blur.abs() < 0.03, "blur {c}: {blur:+.4}");
         assert!((board.origin_mm[c].value * camera.px_per_mm).abs() < 0.1, "origin {c}");
         let (light, dark) = (board.light[c].value / session.board.light[c], board.dark[c].value);
@@ -70,7 +70,7 @@ fn check_geometry(session: &Session, board: &optics_capture::Board) {
     }
 }
 
-/// Turned, from aside, with lenses that bend lines, dark side left or right, mosaic or three samples a pixel.
+/// Turned, from aside, with distortion, dark side left or right, mosaic or three samples per pixel.
 #[test]
 fn geometry_comes_out_under_cameras_of_all_sorts() {
     for seed in 0..seeds(40) / 10 {
@@ -105,7 +105,7 @@ fn report(session: &Session, found: &Measured) {
              glare {:.5} ± {:.5}",
             blur.value,
             blur.std_error,
-            told_blur_mm(session, c),
+            true_blur_mm(session, c),
             origin.value,
             origin.std_error,
             found.board.light[c].value,
@@ -125,7 +125,7 @@ fn report(session: &Session, found: &Measured) {
     println!("{:?} {:?} {:?}", found.calibration.warnings, found.board.warnings, found.sample.warnings);
 }
 
-/// Over independent sessions, the scatter of each bin is what its error states, and neighbours do not move together.
+/// Over independent sessions, the scatter of each bin equals its stated error, and neighbours are uncorrelated.
 #[test]
 fn stated_errors_are_those_found() {
     let session = session();

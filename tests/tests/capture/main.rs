@@ -1,4 +1,4 @@
-//! From photographs to profiles: figures of the stage, with photographs whose truth is known.
+//! Accuracy and refusals of the evaluation of photographs, with simulated photographs whose true profile is known.
 
 mod faults;
 mod figures;

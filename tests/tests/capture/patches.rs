@@ -1,28 +1,28 @@
-//! Grey patches that the session file does not say the place of.
+//! Grey patches whose places are not in the session file.
 
 use farm_tests::photograph::{Camera, Look, Session, What};
 use optics_capture::{Area, Calibration, Frame, Neutral, Pattern, Photo, Refusal};
 
 use crate::stage::{PLAIN, calibrate, calibrate_after, calibrate_by, session, slab};
 
-/// Greys whose places are looked for.
+/// Greys whose places have to be found.
 fn greys(rho: &[f64]) -> Neutral {
     Neutral::new(rho.iter().map(|r| [*r; 3]).collect(), 0.005, None).expect("greys of a chart are valid")
 }
 
-/// The calibration by shots of this subject for the patches.
+/// The calibration with shots of this subject as patches.
 fn found(session: &Session, rho: &[f64], subject: What, look: &Look) -> Result<Calibration, Refusal> {
     calibrate_by(session, greys(rho), subject, look)
 }
 
-/// The same by photographs that something was done to.
+/// The areas that are found in modified photographs.
 fn found_after(retouch: fn(Photo) -> Photo) -> Result<Vec<Area>, Refusal> {
     let session = session();
     let calibration = calibrate_after(retouch, session, greys(&session.rho), What::Chart, &PLAIN)?;
     Ok(areas(&calibration))
 }
 
-/// A frame of other samples, of which `sample` tells that of a column and a row.
+/// A frame with other samples, which `sample` returns for a column and a row.
 fn redrawn(photo: Photo, size: [usize; 2], pattern: Pattern, sample: impl Fn(&Frame, usize) -> u16) -> Photo {
     let planes = if pattern == Pattern::Rgb { 3 } else { 1 };
     let samples = (0..size[0] * size[1] * planes).map(|i| sample(&photo.frame, i)).collect();
@@ -30,14 +30,14 @@ fn redrawn(photo: Photo, size: [usize; 2], pattern: Pattern, sample: impl Fn(&Fr
     Photo { frame, ..photo }
 }
 
-/// The camera on its side. The mosaic has its greens on the diagonal that stays.
+/// The photograph of a camera on its side; the mosaic's greens are on the diagonal that stays.
 fn on_its_side(photo: Photo) -> Photo {
     let (w, h, pattern) = (photo.frame.width(), photo.frame.height(), photo.frame.pattern());
     assert!(matches!(pattern, Pattern::Bayer([_, a, b, _]) if a == b), "{pattern:?}");
     redrawn(photo, [h, w], pattern, |frame, i| frame.samples()[(i % h) * w + i / h])
 }
 
-/// One pixel of three colours for each cell of the mosaic.
+/// One RGB pixel for each cell of the mosaic.
 fn in_colours(photo: Photo) -> Photo {
     let (w, h) = (photo.frame.width(), photo.frame.height());
     redrawn(photo, [w / 2, h / 2], Pattern::Rgb, |frame, i| {
@@ -47,7 +47,7 @@ fn in_colours(photo: Photo) -> Photo {
     })
 }
 
-/// What is in the middle stands above it once more.
+/// The photograph with its middle copied above it.
 fn twice(photo: Photo) -> Photo {
     let (w, h, pattern) = (photo.frame.width(), photo.frame.height(), photo.frame.pattern());
     let up = h / 6 * 2;
@@ -57,7 +57,7 @@ fn twice(photo: Photo) -> Photo {
     })
 }
 
-/// Whether areas are where others are, within so many pixels on every side.
+/// Whether areas are equal, within a number of pixels on every side.
 fn same(areas: &[Area], others: &[Area], within_px: f64) -> bool {
     let off = |a: &Area, b: &Area| {
         let sides = [a.x - b.x, a.y - b.y, a.width - b.width, a.height - b.height];
@@ -86,8 +86,8 @@ fn upright_and_coloured_rows_of_patches_are_found() {
 fn of_two_rows_that_could_be_the_patches_neither_is_taken() {
     let refused = found_after(twice).unwrap_err();
     assert!(matches!(refused, Refusal::NoPatches { .. }), "{refused}");
-    let told = refused.to_string();
-    assert!(told.contains("two rows could be them") && told.contains("`areas_px`"), "{told}");
+    let message = refused.to_string();
+    assert!(message.contains("two rows fit") && message.contains("`areas_px`"), "{message}");
 }
 
 fn areas(calibration: &Calibration) -> Vec<Area> {
@@ -98,16 +98,16 @@ fn areas(calibration: &Calibration) -> Vec<Area> {
 #[test]
 fn found_patches_calibrate_like_given_areas() {
     let session = session();
-    let told = calibrate(session, &PLAIN).unwrap();
+    let given = calibrate(session, &PLAIN).unwrap();
     let found = found(session, &session.rho, What::Chart, &PLAIN).unwrap();
     for (area, [x, y, width, height]) in areas(&found).iter().zip(session.areas_px()) {
-        // A fifth of the patch is kept clear of on every side.
+        // A margin of a fifth of the patch is left on every side.
         assert!(area.x > x && area.x + area.width < x + width, "{area:?} {x} {width}");
         assert!(area.y > y && area.y + area.height < y + height, "{area:?} {y} {height}");
         assert!(area.width > 0.5 * width && area.height > 0.5 * height, "{area:?}");
     }
     for c in 0..3 {
-        let (a, b) = (told.gain[c], found.gain[c]);
+        let (a, b) = (given.gain[c], found.gain[c]);
         assert!((a.value - b.value).abs() < 4.0 * a.std_error.hypot(b.std_error), "{a:?} {b:?}");
         assert!(b.std_error < 3e-4 * b.value, "{b:?}");
     }
@@ -128,7 +128,7 @@ fn patches_are_found_in_uneven_light_and_either_order() {
     assert!(forwards.iter().zip(&backwards).all(|pair| off(pair) < 1e-6), "{forwards:?} {backwards:?}");
 }
 
-/// The refusal names `areas_px` as the way out.
+/// The refusal suggests `areas_px`.
 #[test]
 fn missing_or_misordered_patches_are_refused() {
     let session = session();

@@ -1,5 +1,6 @@
-//! A real sensor's photograph: openISP's test picture (github.com/cruxopen/openISP, `raw/test.RAW`), 1920 × 1080 pixels of
-//! a chart with slanted squares, ten bits RGGB in steps of four. It is not copied here: `FARM_TEST_OPENISP` names it.
+//! A real sensor's photograph: openISP's test picture (github.com/cruxopen/openISP, `raw/test.RAW`), 1920 × 1080 pixels
+//! of a chart with slanted squares, ten bits RGGB in steps of four. It is not part of the repository:
+//! `FARM_TEST_OPENISP` names the file.
 
 use std::path::Path;
 
@@ -8,10 +9,10 @@ use optics_capture::{Colour, Darks, Frame, Levels, Pattern, Photo, Refusal, chec
 const WIDTH: usize = 1920;
 const HEIGHT: usize = 1080;
 const FULL: f64 = 1020.0;
-/// The file tells no black level, and no edge depends on it: one step, since none would be taken for subtracted.
+/// The file has no black level, and no edge depends on it. One step, since 0 would count as already subtracted.
 const BLACK: f64 = 4.0;
 
-/// 10 to 90 % of a step behind a Gaussian, in σ.
+/// Rise from 10 to 90 % of a step convolved with a Gaussian, in σ.
 const RISE: f64 = 2.563_1;
 
 /// Columns and rows.
@@ -24,8 +25,8 @@ struct Edge {
     area: Area,
     /// 0 runs up and down, 1 across.
     run: usize,
-    /// By another program (ISO 12233 by hand: half-way crossings of each row, a straight line through them, its samples'
-    /// medians in bins of a quarter of a pixel): good to 0.02° and 0.1 px.
+    /// From an independent implementation of ISO 12233 (half-way crossings of each row, a straight line through them,
+    /// medians in bins of a quarter of a pixel), accurate to 0.02° and 0.1 px.
     angle_deg: f64,
     rise_px: f64,
 }
@@ -43,7 +44,7 @@ fn part(file: &Path, [columns, rows]: Area) -> Photo {
     let samples: Vec<u16> = bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
     let row = |y: usize| samples[y * WIDTH..][columns[0]..columns[1]].to_vec();
     let samples = (rows[0]..rows[1]).flat_map(row).collect();
-    // Rows and columns begin at even numbers, so that the mosaic stays what it is.
+    // Rows and columns begin at even numbers, so that the mosaic does not change.
     let pattern = Pattern::Bayer([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]);
     Photo {
         label: "openisp".to_owned(),
@@ -63,11 +64,15 @@ fn a_real_sensors_clipping_and_edges_are_detected() {
     let refusal = check_shot(&part(file.as_ref(), WHOLE), Darks::new()).unwrap_err();
     println!("{refusal}");
     assert!(matches!(refusal, Refusal::Clipped { .. }), "{refusal}");
-    for told in &SQUARE {
-        let found = find_edges(&part(file.as_ref(), told.area)).unwrap()[told.run].unwrap();
+    for expected in &SQUARE {
+        let found = find_edges(&part(file.as_ref(), expected.area)).unwrap()[expected.run].unwrap();
         let (angle_deg, rise_px) = (found.angle_deg, RISE * found.blur_px.unwrap().value);
         println!("{:.3}° ± {:.3}°, rise {rise_px:.2} px", angle_deg.value, angle_deg.std_error);
-        assert!((angle_deg.value - told.angle_deg).abs() < 0.03, "{angle_deg:?} for {}°", told.angle_deg);
-        assert!((rise_px - told.rise_px).abs() < 0.25, "{rise_px} for {} px", told.rise_px);
+        assert!(
+            (angle_deg.value - expected.angle_deg).abs() < 0.03,
+            "{angle_deg:?} for {}°",
+            expected.angle_deg
+        );
+        assert!((rise_px - expected.rise_px).abs() < 0.25, "{rise_px} for {} px", expected.rise_px);
     }
 }

@@ -1,11 +1,11 @@
-//! What is refused, and that what is good is not.
+//! Faulty sessions are refused for the right reason, and good ones are not.
 
 use farm_tests::photograph::{Board, Camera, Dust, Look, Random, Session, Slab, What};
 use optics_capture::{Frame, Refusal, Side, Warning};
 
 use crate::stage::{PLAIN, board, calibrate, find, measure, slab};
 
-/// What may be wrong with a session, each by a varying amount.
+/// Faults of a session, each of a varying size.
 const KINDS: [&str; 12] = [
     "clipped",
     "not linear",
@@ -21,13 +21,13 @@ const KINDS: [&str; 12] = [
     "light drifted",
 ];
 
-/// Fewer pixels than the camera of the figures: checks do not need them.
+/// A camera with fewer pixels, which suffice for checks.
 fn small() -> Camera {
     let plain = Camera::default();
     Camera { width: 740, height: 420, px_per_mm: 24.0, origin_px: [6.3, -4.2], ..plain }
 }
 
-/// Spoils a good session, and shoots it.
+/// Evaluates a good session after adding a fault.
 fn spoiled(kind: &str, good: &Session, seed: u64) -> Result<(), Refusal> {
     let mut random = Random::new(seed);
     let look = Look { seed, flicker: 0.001, exact: false, dust: None };
@@ -114,7 +114,7 @@ fn is_right(kind: &str, refusal: &Refusal) -> bool {
     }
 }
 
-/// A straight board cannot be binned: its edge meets the pixels at few phases only.
+/// A straight board cannot be binned: its edge crosses pixels at few phases only.
 #[test]
 fn an_edge_along_the_columns_is_refused() {
     let session = Session::new(Camera { turn_deg: 0.0, keystone: [0.0; 2], ..small() }, slab());
@@ -148,7 +148,7 @@ fn bad_sessions_are_refused_for_the_right_reason() {
     assert!(f64::from(right) >= 0.98 * f64::from(total), "{right} of {total}");
 }
 
-/// Good sessions under cameras of all sorts, with dust and lamps that flicker by 0.1 %.
+/// Good sessions with many kinds of cameras, with dust and lamps that flicker by 0.1 %.
 #[test]
 fn good_sessions_are_not_refused() {
     let count = 3 * rounds();
@@ -187,14 +187,14 @@ fn a_dark_side_that_is_told_wrong_is_noticed() {
     let mut bare = optics_capture::BareShots::new(&calibration, target).unwrap();
     let refusal = bare.add(session.shoot(What::Bare, 0, &PLAIN)).unwrap_err();
     assert!(
-        matches!(refusal, Refusal::SidesSwapped { found: Side::Left, told: Side::Right, .. }),
+        matches!(refusal, Refusal::SidesSwapped { found: Side::Left, expected: Side::Right, .. }),
         "{refusal}"
     );
 }
 
 #[test]
 fn an_unknown_black_level_is_refused() {
-    let session = Session::new(Camera { tells_black: false, ..small() }, slab());
+    let session = Session::new(Camera { has_black_level: false, ..small() }, slab());
     let any = session.shoot(What::Bare, 0, &PLAIN);
     let refusal = optics_capture::Darks::new().finish(&any).unwrap_err();
     assert!(matches!(refusal, Refusal::BlackUnknown { .. }), "{refusal}");
@@ -206,7 +206,7 @@ fn too_few_shots_are_told() {
     assert!(found.sample.warnings.iter().any(|w| matches!(w, Warning::FewShots { count: 1, .. })));
 }
 
-/// Whatever stands in the files, there is an answer.
+/// Any file content is answered without a panic.
 #[test]
 fn nonsense_is_refused_without_a_panic() {
     let session = Session::new(small(), slab());

@@ -1,11 +1,11 @@
-//! The stage as a whole, and set-ups for it.
+//! Runs whole sessions, and provides set-ups for them.
 
 use farm_tests::photograph::{Board, Camera, Edge, Look, Session, Slab, What};
 use optics_capture::{
     BareShots, Calibration, Darks, Flats, Mountings, Neutral, Patches, Photo, Refusal, SampleProfile,
 };
 
-/// What a session gives.
+/// The results of a session.
 pub struct Measured {
     pub calibration: Calibration,
     pub board: optics_capture::Board,
@@ -14,7 +14,7 @@ pub struct Measured {
 
 pub const PLAIN: Look = Look { seed: 1, flicker: 0.0, exact: false, dust: None };
 
-/// A white resin's edge: light that leaks from side to side over 1 mm, with a step where the board itself shows.
+/// A white resin's edge: light that leaks from side to side over 1 mm, with a step where the board is visible.
 pub fn white(channel: usize, x_mm: f64) -> f64 {
     let (step, reach) = ([0.30, 0.26, 0.20][channel], [0.9, 0.7, 0.5][channel]);
     let (low, high) = ([0.34, 0.38, 0.44][channel], [0.76, 0.75, 0.74][channel]);
@@ -46,17 +46,17 @@ pub fn session() -> &'static Session {
     PLAIN.get_or_init(|| Session::new(Camera::default(), slab()))
 }
 
-/// All shots of one kind.
+/// All shots of one subject.
 pub fn shots(session: &Session, what: What, count: u64, look: &Look) -> Vec<Photo> {
     (0..count).map(|i| session.shoot(what, i, look)).collect()
 }
 
-/// Dark, flat, patches.
+/// Calibration from dark shots, flats and patches.
 pub fn calibrate(session: &Session, look: &Look) -> Result<Calibration, Refusal> {
     calibrate_by(session, session.neutral(), What::Chart, look)
 }
 
-/// The same by shots of any subject for the patches.
+/// The same with shots of any subject as patches.
 pub fn calibrate_by(
     session: &Session,
     neutral: Neutral,
@@ -66,7 +66,7 @@ pub fn calibrate_by(
     calibrate_after(|photo| photo, session, neutral, subject, look)
 }
 
-/// The same after something was done to every photograph.
+/// The same with every photograph modified.
 pub fn calibrate_after(
     retouch: impl Fn(Photo) -> Photo,
     session: &Session,
@@ -114,7 +114,7 @@ pub fn measure(session: &Session, look: &Look, mountings: u64) -> Result<Measure
     Ok(Measured { calibration, board, sample })
 }
 
-/// The exact edge behind a Gaussian of `sigma_mm`, averaged over a bin around `x_mm`.
+/// The exact edge convolved with a Gaussian of `sigma_mm`, averaged over a bin around `x_mm`.
 pub fn truth(edge: fn(usize, f64) -> f64, channel: usize, x_mm: f64, sigma_mm: f64) -> f64 {
     const NODES: i32 = 400;
     const PARTS: i32 = 16;
@@ -131,8 +131,8 @@ pub fn truth(edge: fn(usize, f64) -> f64, channel: usize, x_mm: f64, sigma_mm: f
     sum / total
 }
 
-/// σ of the convention: the lens, and the pixel's own aperture.
-pub fn told_blur_mm(session: &Session, channel: usize) -> f64 {
+/// σ as defined for profiles: the lens, and the pixel's aperture.
+pub fn true_blur_mm(session: &Session, channel: usize) -> f64 {
     let pixel_mm = 1.0 / session.camera.px_per_mm;
     session.camera.lens_mm[channel].hypot(pixel_mm / 12.0_f64.sqrt())
 }

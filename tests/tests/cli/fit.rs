@@ -1,4 +1,4 @@
-//! The questions that a fit answers: set-up, JSON shapes, mixtures, designs.
+//! The commands that fit: set-up, JSON shapes, mixtures, designs.
 
 use std::path::Path;
 
@@ -20,8 +20,8 @@ fn all_fits_take_the_set_up_from_session_and_options() {
             "blur_mm": {"R": 0.025, "G": 0.024}, "blur_std_error_mm": 0.001}"#,
     );
     for verb in ["fit", "scale", "measure", "map"] {
-        let told = ["--session", "session.json", "--slope-std-error", "0", "--objective", "paper"];
-        let ran = run(dir, &[&[verb, "m.csv", "--dictionary", "grid", "--json"][..], &told].concat());
+        let options = ["--session", "session.json", "--slope-std-error", "0", "--objective", "paper"];
+        let ran = run(dir, &[&[verb, "m.csv", "--dictionary", "grid", "--json"][..], &options].concat());
         let data = json(&ran, verb);
         let numbers = ["gain_std_error", "slope_std_error", "blur_std_error_mm", "origin_std_error_mm"];
         assert_eq!(numbers.map(|n| data[n].as_f64().unwrap()), [0.01, 0.0, 0.001, 0.05], "{verb}");
@@ -103,7 +103,7 @@ fn every_answer_of_the_fit_has_its_json_shape() {
     assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 301);
     let measure = json(&ask(&["measure"]), "measure");
     assert_eq!(keys(&measure), with(&["common", "common_g", "materials", "notes", "scale"]));
-    // The dictionary has one anisotropy: there was nothing to choose.
+    // The dictionary has a single anisotropy, so none was chosen.
     assert_eq!((&measure["common_g"], &measure["common"]["g_interval"]), (&value!(0.4), &Value::Null));
     let map = json(&ask(&["map"]), "map");
     assert_eq!(keys(&map), with(&["maps", "notes"]));
@@ -136,24 +136,24 @@ fn mixtures_tell_of_their_inks() {
     let dir = farm.path();
     write(dir, "chart.csv", &chart(dir));
     write(dir, "mix.toml", "[[mixture]]\nmaterial = \"both\"\nparts = { pale = 0.5, dark = 0.5 }\n");
-    let asked = ["measure", "chart.csv", "--dictionary", "grid", "--mixtures", "mix.toml", "--mu", "1"];
-    let text = run(dir, &asked);
+    let command = ["measure", "chart.csv", "--dictionary", "grid", "--mixtures", "mix.toml", "--mu", "1"];
+    let text = run(dir, &command);
     assert!(
         text.stdout.contains("inks, from all their mixtures together"),
         "{} {}",
         text.stdout,
         text.stderr
     );
-    let data = json(&run(dir, &[&asked[..], &["--json"]].concat()), "measure");
+    let data = json(&run(dir, &[&command[..], &["--json"]].concat()), "measure");
     let inks = &data["unmixed"]["inks"];
     assert_eq!(keys(&data["unmixed"]), ["common", "inks", "mixtures"]);
     let dark = inks.as_array().unwrap().iter().find(|i| i["material"] == "dark").unwrap();
     let interval = &dark["channels"][0]["absorption_interval"];
     let (low, high) = (interval["low"].as_f64().unwrap(), interval["high"].as_f64().unwrap());
-    // 0.416 / mm; between the dictionary's two albedos it is known to a factor of 2.
+    // 0.416 / mm; with the dictionary's two albedos it is determined to a factor of 2.
     assert!(low < high && low > 0.2 && high < 1.0, "{interval}");
     write(dir, "mix.toml", "[[mixture]]\nmaterial = \"grey\"\nparts = { pale = 0.5, dark = 0.5 }\n");
-    fails(dir, &asked, &["mixture.material", "grey", "both"]);
+    fails(dir, &command, &["mixture.material", "grey", "both"]);
 }
 
 #[test]
@@ -161,16 +161,16 @@ fn a_design_tells_what_slabs_would_give() {
     let farm = farm();
     let dir = farm.path();
     let medium = ["--sigma-t", "5", "--albedo", "0.99", "--g", "0.4"];
-    let asked = [&["design", "--dictionary", "grid"][..], &medium].concat();
-    let text = run(dir, &asked);
+    let command = [&["design", "--dictionary", "grid"][..], &medium].concat();
+    let text = run(dir, &command);
     assert_eq!(text.code, 0, "{}", text.stderr);
-    let data = json(&run(dir, &[&asked[..], &["--json"]].concat()), "design");
+    let data = json(&run(dir, &[&command[..], &["--json"]].concat()), "design");
     let sets = data["sets"].as_array().unwrap();
     let width = |set: &Value| set["g_held"]["sigma_t_per_mm"].as_f64();
     let one = sets.iter().find(|s| s["slabs_mm"] == value!([0.5]) && s["shots"] == 1).unwrap();
     let both = sets.iter().find(|s| s["slabs_mm"] == value!([0.5, 1.0])).unwrap();
     assert!(width(both).unwrap() < width(one).unwrap(), "{one} {both}");
-    assert_eq!(run(dir, &[&asked[..], &["--plot", "design.svg"]].concat()).code, 0);
+    assert_eq!(run(dir, &[&command[..], &["--plot", "design.svg"]].concat()).code, 0);
     assert!(std::fs::read(dir.join("design.svg")).unwrap().starts_with(b"<svg"));
     let dark = [&["design", "--dictionary", "grid"][..], &["--sigma-t", "5", "--albedo", "2", "--g", "0.4"]]
         .concat();

@@ -1,4 +1,4 @@
-//! `farmctl` as a user meets it: output, JSON shapes, exit codes, and how commands get along.
+//! `farmctl` from the user's side: output, JSON shapes, exit codes, and concurrent commands.
 
 mod fit;
 mod surroundings;
@@ -144,7 +144,7 @@ fn commands_that_only_ask_leave_no_events() {
 #[test]
 fn a_second_command_joins_the_farm_that_is_running() {
     let dir = folder();
-    // Some seconds of work, so that the farm is there to be joined.
+    // Some seconds of work, so that the farm still runs.
     write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 2500000"));
     let mut submit = farmctl(dir.path());
     submit.args(["submit", "long.toml", "-q"]);
@@ -171,7 +171,7 @@ fn commands_in_one_folder_do_not_get_in_each_others_way() {
     };
     let fit = ["fit", "m.csv", "--dictionary", "grid", "--json"];
     let mut running: Vec<_> = (0..6).map(|_| spawn(&fit)).collect();
-    // Two grids at a time, each with its own process, among commands that only ask.
+    // Two grids at a time, each with its own process, among read-only commands.
     for name in ["a", "b"] {
         running.push(spawn(&["submit", "grid.toml", "--name", name, "--json"]));
     }
@@ -196,7 +196,7 @@ fn an_interrupted_submission_says_so_and_goes_on_later() {
         .spawn()
         .unwrap();
     let pid = submit.id().to_string();
-    // Its first progress: from then on there is something to interrupt. The rest of the pipe holds until it ends.
+    // After the first line of progress it can be interrupted. The pipe's buffer holds the rest.
     let mut progress = BufReader::new(submit.stderr.take().unwrap());
     let mut line = String::new();
     progress.read_line(&mut line).unwrap();
@@ -208,7 +208,7 @@ fn an_interrupted_submission_says_so_and_goes_on_later() {
     assert_eq!(run(dir.path(), &["submit", "long.toml", "-q"]).code, 0);
 }
 
-/// It writes no message when the reader of the pipe ends.
+/// A reader that closes the pipe causes no error message.
 #[test]
 fn export_writes_whole_files_and_survives_a_closed_pipe() {
     let farm = farm();
@@ -231,15 +231,15 @@ fn pictures_and_media_are_written() {
     let farm = farm();
     let dir = farm.path();
     write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
-    let asked = ["m.csv", "--dictionary", "grid"];
+    let command = ["m.csv", "--dictionary", "grid"];
     let medium = ["--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--thickness", "0.5", "--walks", "5000"];
     let within = [&medium[..8], &["--dictionary", "grid", "--channel", "R,G"]].concat();
     for (verb, arguments, file) in [
-        ("fit", &asked[..], "fit.svg"),
-        ("fit", &asked[..], "fit.png"),
-        ("scale", &asked[..], "scale.svg"),
-        ("map", &asked[..], "map.png"),
-        ("measure", &asked[..], "measure.svg"),
+        ("fit", &command[..], "fit.svg"),
+        ("fit", &command[..], "fit.png"),
+        ("scale", &command[..], "scale.svg"),
+        ("map", &command[..], "map.png"),
+        ("measure", &command[..], "measure.svg"),
         ("show", &["grid"][..], "show.svg"),
         ("simulate", &medium[..], "changes.svg"),
         ("profile", &within[..], "profile.svg"),
@@ -250,7 +250,7 @@ fn pictures_and_media_are_written() {
         let head: &[u8] = if file.ends_with("svg") { b"<svg" } else { b"\x89PNG" };
         assert!(bytes.starts_with(head) && bytes.len() > 5_000, "{file}: {} bytes", bytes.len());
     }
-    assert_eq!(run(dir, &[&["measure"][..], &asked, &["-o", "out"]].concat()).code, 0);
+    assert_eq!(run(dir, &[&["measure"][..], &command, &["-o", "out"]].concat()).code, 0);
     for (file, text) in [
         ("table.csv", "material,channel,sigma_t_per_mm,"),
         ("media.py", "\"type\": \"homogeneous\""),
@@ -259,7 +259,7 @@ fn pictures_and_media_are_written() {
     ] {
         assert!(std::fs::read_to_string(dir.join("out").join(file)).unwrap().contains(text), "{file}");
     }
-    fails(dir, &[&["fit"][..], &asked, &["--plot", "fit.pdf"]].concat(), &["fit.pdf", ".svg or .png"]);
+    fails(dir, &[&["fit"][..], &command, &["--plot", "fit.pdf"]].concat(), &["fit.pdf", ".svg or .png"]);
     assert!(!dir.join("fit.pdf").exists());
 }
 

@@ -1,4 +1,4 @@
-//! Outputs that take nothing, and names that are no text.
+//! Outputs that cannot be written to, and file names that are not UTF-8.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -30,7 +30,7 @@ fn an_error_that_cannot_be_printed_ends_without_a_panic() {
         command.current_dir(dir.path()).arg(argument).env("FARM_LOG", "none such").stderr(full());
         command.output().unwrap().status.code()
     });
-    // `check` without a file is refused by the command line.
+    // The command line refuses `check` without a file.
     assert_eq!(codes, [Some(2), Some(1), Some(1)]);
     let ran: Ran = farmctl(dir.path()).args(["check", "none.csv"]).stderr(full()).output().unwrap().into();
     assert_eq!(ran.code, 1);

@@ -1,4 +1,4 @@
-//! A coordinator that is away for a while.
+//! A temporary absence of the coordinator.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use farm_tests::process::{Process, SOON, Signal, wait_for};
 
 use super::short_or_long;
 
-/// 24 jobs of some tenths of a second: more than one worker does in the time in which the other comes back.
+/// 24 jobs of some tenths of a second: more than one worker can do until the other comes back.
 const GRID: &str = "\
 sigma_t_per_mm = [6, 7, 8, 9]
 albedo = [0.5, 0.99]
@@ -17,7 +17,7 @@ walks = 300000
 ";
 const JOBS: u64 = 24;
 
-/// Jobs that they hold are not computed twice.
+/// Their leased jobs are not computed twice.
 #[test]
 fn workers_survive_an_absence_of_the_coordinator() {
     let mut farm = Farm::start(&["--verify-share", "0", "--lease", "8"]);
@@ -29,41 +29,42 @@ fn workers_survive_an_absence_of_the_coordinator() {
     assert!(workers.iter_mut().all(Process::is_running));
     farm.start_coordinator();
     assert_eq!(farm.done("grid"), undisturbed(GRID));
-    // Workers write down what became of each result: traced twice would be a duplicate, or a lease that was lost.
-    let told = |text: &str| farm.worker_logs().iter().filter(|l| l.to_string().contains(text)).count() as u64;
-    let (stored, twice, lost) = (told("job done"), told("were stored before"), told("lease lost"));
+    // Workers log the outcome of each result: a job that was traced twice is a duplicate or a lost lease.
+    let count =
+        |text: &str| farm.worker_logs().iter().filter(|l| l.to_string().contains(text)).count() as u64;
+    let (stored, twice, lost) = (count("job done"), count("were stored before"), count("lease lost"));
     assert_eq!((stored, twice, lost), (JOBS, 0, 0), "stored, computed twice, dropped");
 }
 
-/// Lines that a worker logs without being asked for more, about one who is there or not.
+/// Lines above debug level in a worker's log that contain `what`.
 fn lines(worker: &Process, what: &str) -> Vec<String> {
     let lines = worker.log();
     let line = |line: &&str| !line.contains(r#""level":"DEBUG""#) && line.contains(what);
     lines.lines().filter(line).map(ToOwned::to_owned).collect()
 }
 
-/// It joins, loses, finds and leaves the coordinator.
+/// The changes are joining, losing, finding and leaving the coordinator.
 #[test]
 fn a_worker_logs_each_connection_change_once() {
     let mut farm = Farm::start(&["--lease", "2"]);
     let mut worker = farm.worker("worker", &[]);
     let url = farm.url();
-    let tells = |worker: &Process, what: &str| {
+    let wait_for_line = |worker: &Process, what: &str| {
         let line = format!("{what} the coordinator at {url}");
         wait_for(&line, SOON, || (!lines(worker, &line).is_empty()).then_some(()));
     };
-    tells(&worker, "joined");
+    wait_for_line(&worker, "joined");
     assert_eq!(farm.stop_coordinator(), 0);
-    tells(&worker, "lost");
+    wait_for_line(&worker, "lost");
     // Several calls fail meanwhile.
     std::thread::sleep(Duration::from_secs(2));
     farm.start_coordinator();
-    tells(&worker, "found");
+    wait_for_line(&worker, "found");
     worker.signal(Signal::TERM);
     assert_eq!(worker.exit_within(SOON), 0);
     for what in ["joined", "lost", "found", "left"] {
-        let told = lines(&worker, &format!("{what} the coordinator at {url}"));
-        assert_eq!(told.len(), 1, "{}", worker.log());
+        let logged = lines(&worker, &format!("{what} the coordinator at {url}"));
+        assert_eq!(logged.len(), 1, "{}", worker.log());
     }
     assert!(lines(&worker, "heartbeat").is_empty(), "{}", worker.log());
 }

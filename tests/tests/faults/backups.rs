@@ -1,4 +1,4 @@
-//! Backups that the coordinator makes by itself, and the drill: its machine is lost, another takes over.
+//! Scheduled backups of the coordinator, and recovery from the loss of its machine.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use farm_tests::process::{LONG, SOON, run, wait_for};
 
 use super::GRID;
 
-/// As `GRID`, with jobs of a second or two.
+/// Like `GRID`, with jobs of one or two seconds.
 const LONGER: &str = "\
 sigma_t_per_mm = [2, 8]
 albedo = [0.5, 0.9, 0.99]
@@ -33,12 +33,12 @@ fn a_farm_goes_on_from_its_last_backup_when_its_disk_is_lost() {
     let digest = farm.done("grid");
     let first = wait_for("a backup of all of it", LONG, || backups(&farm, "data/backups").pop());
     wait_for("the oldest goes", LONG, || (!first.exists()).then_some(()));
-    assert!(backups(&farm, "data/backups").len() <= 3, "two, and one that is just made");
+    assert!(backups(&farm, "data/backups").len() <= 3, "two, and one in progress");
     assert!(farm.figure("farm_backup_age_seconds") < 30);
     let made = farm.events("BACKUP_MADE");
     assert!(made.iter().any(|e| e["message"].as_str().unwrap().contains("36 records")), "{made:?}");
 
-    // Killed at any moment, even within a backup; the disk is gone but for the backups.
+    // Killed at an arbitrary moment, even during a backup; only the backups on the disk survive.
     farm.kill_coordinator();
     std::fs::rename(farm.path("data/backups"), farm.path("kept")).unwrap();
     std::fs::remove_dir_all(farm.path("data")).unwrap();
@@ -68,7 +68,7 @@ fn a_standby_takes_over_from_the_last_backup() {
         let now = done(&farm);
         (now > kept).then_some(now)
     });
-    assert_eq!(farm.show("grid")["state"], "running", "in the midst of it");
+    assert_eq!(farm.show("grid")["state"], "running", "it is incomplete");
     farm.kill_coordinator();
     std::fs::remove_dir_all(farm.path("data")).unwrap();
 
@@ -86,11 +86,11 @@ fn a_standby_takes_over_from_the_last_backup() {
 #[test]
 fn a_backup_that_fails_is_told_and_keeps_nobody_from_work() {
     let place = tempfile::tempdir().unwrap();
-    // Nobody can make a folder there, not even root.
+    // Not even root can create a folder there.
     let nowhere = place.path().join("file");
     std::fs::write(&nowhere, "").unwrap();
     let farm = Farm::start(&["--backup-every", "1s", "--backups", nowhere.join("in").to_str().unwrap()]);
-    wait_for("the failure is told", SOON, || {
+    wait_for("the failure's event", SOON, || {
         let failed = farm.events("BACKUP_FAILED");
         failed.first()?["message"].as_str()?.contains("cannot be used for backups").then_some(())
     });

@@ -1,4 +1,4 @@
-//! Somebody sets the machines' clocks, or they were wrong and are put right.
+//! Jumps of the machines' clocks, as when they are corrected.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use farm_tests::wall_clock::WallClock;
 
 use super::backups::backups;
 
-/// Work for far longer than the clock jumps.
+/// Work that lasts much longer than the jumps.
 const SLOW: &str = "\
 sigma_t_per_mm = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20]
 albedo = [0.5, 0.9]
@@ -18,12 +18,12 @@ thickness_mm = [0.5]
 walks = 300000
 ";
 
-/// Wherever the clock goes, no lease ends early or late, nobody is called lost, nothing is computed twice, and backups are
+/// After any jump, no lease ends early or late, no worker counts as lost, nothing is computed twice, and backups are
 /// made and kept.
 #[test]
 fn a_clock_that_jumps_changes_nothing_but_what_time_it_is() {
     let Some(clock) = WallClock::find() else {
-        eprintln!("not tried: libfaketime is not installed");
+        eprintln!("SKIPPED: libfaketime is not installed");
         return;
     };
     let farm = Farm::by_wall_clock(clock, &["--backup-every", "1s", "--keep", "2"]);
@@ -33,7 +33,7 @@ fn a_clock_that_jumps_changes_nothing_but_what_time_it_is() {
     for days in [400, -400, 0, -400] {
         farm.leased("slow", 1);
         farm.set_clock_off_by_days(days);
-        // Longer than between two looks at leases, heartbeats and backups.
+        // Longer than the intervals of lease checks, heartbeats and backups.
         std::thread::sleep(Duration::from_secs(2));
     }
     wait_for("the coordinator's clock has jumped", SOON, || {
@@ -46,13 +46,13 @@ fn a_clock_that_jumps_changes_nothing_but_what_time_it_is() {
     assert_eq!(farm.figure("farm_leases_expired_total"), 0);
     assert_eq!(farm.events("WORKER_LOST"), Vec::<serde_json::Value>::new());
 
-    // What is made now is the newest, whatever the clock said when the others were made.
+    // The next backup is the newest, even if its time is earlier.
     let made_since = || {
         let made = farm.events("BACKUP_MADE").into_iter();
         made.filter(|event| event["unix_ms"].as_i64().unwrap() < now_ms - 300 * DAY_MS).collect::<Vec<_>>()
     };
     wait_for("only backups made since are kept", LONG, || {
-        // A file is there a moment before its event.
+        // A file appears shortly before its event.
         let (kept, since) = (backups(&farm, "data/backups"), made_since());
         let is_of_them = |file: &PathBuf| {
             let file = file.to_str().unwrap();
@@ -62,7 +62,7 @@ fn a_clock_that_jumps_changes_nothing_but_what_time_it_is() {
     });
     assert!(farm.figure("farm_backup_age_seconds") < 30);
 
-    // What is submitted in the past has its own place, and events stay in the order in which they happened.
+    // Events stay in the order in which they happened, even if their times do not.
     farm.submit("later", &format!("{SLOW}seed = 2\n").replace("300000", "1000"));
     farm.done("later");
     let submitted = farm.events("SUBMITTED");
@@ -73,7 +73,7 @@ fn a_clock_that_jumps_changes_nothing_but_what_time_it_is() {
 
 const DAY_MS: i64 = 24 * 3600 * 1000;
 
-/// When the last event was, by the coordinator's clock. Backups make one a second.
+/// Time of the last event by the coordinator's clock. Backups cause one per second.
 fn last_event_ms(farm: &Farm) -> i64 {
     farm.ask(&["events", "-n", "1"])["events"][0]["unix_ms"].as_i64().unwrap()
 }

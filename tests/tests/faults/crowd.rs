@@ -29,7 +29,7 @@ impl<'f> Crowd<'f> {
         crowd
     }
 
-    /// Lets new workers join until there are so many.
+    /// Starts workers until there are `size`.
     fn fill(&mut self, size: usize) {
         while self.workers.len() < size {
             let label = format!("crowd-{}", self.joined);
@@ -38,7 +38,7 @@ impl<'f> Crowd<'f> {
         }
     }
 
-    /// Eight are killed, and eight asked to leave; who was asked leaves well.
+    /// Kills eight workers and terminates eight others, which exit with code 0.
     fn thin(&mut self) {
         for mut killed in self.workers.drain(..8) {
             killed.kill();
@@ -61,12 +61,12 @@ async fn a_changing_crowd_of_workers_stores_each_record_once() {
     let mut farm = Farm::start(&["--lease", "3"]);
     let start = Instant::now();
     let mut crowd = Crowd::of(&farm, WORKERS);
-    // Who was killed is listed as silent for a while.
-    let told = || {
+    // Killed workers are listed as silent for a while.
+    let connected = || {
         let workers = farm.ask(&["workers"])["workers"].take();
         workers.as_array().unwrap().iter().filter(|worker| worker["state"] != "silent").count()
     };
-    wait_for("all are in", LONG, || (told() >= WORKERS).then_some(()));
+    wait_for("all are in", LONG, || (connected() >= WORKERS).then_some(()));
     println!("{WORKERS} processes registered after {:.1?}", start.elapsed());
 
     let rounds = 2 * effort();
@@ -83,8 +83,8 @@ async fn a_changing_crowd_of_workers_stores_each_record_once() {
     }
     let (rows, repeated) = farm.record_rows().await;
     assert_eq!((rows, repeated), (rounds * 17 * 8 * 3 * 2, 0));
-    assert!(farm.events("JOB_FAILED").is_empty(), "what died is not the jobs' fault");
+    assert!(farm.events("JOB_FAILED").is_empty(), "jobs are not blamed for killed workers");
     crowd.end();
-    wait_for("all have left", SOON, || (told() == 0).then_some(()));
+    wait_for("all have left", SOON, || (connected() == 0).then_some(()));
     assert_eq!(farm.stop_coordinator(), 0);
 }

@@ -1,4 +1,4 @@
-//! A bit that flips on the disk, and a disk that cannot be read.
+//! A flipped bit on the disk, and a disk that cannot be read.
 
 use std::os::unix::fs::FileExt;
 
@@ -14,18 +14,18 @@ const DAMAGED: u32 = 5;
 fn flip(farm: &Farm) {
     let records = traced(&grid_of(GRID), DAMAGED as usize);
     let estimate = &records[0].profiles[0].radiance_factor;
-    // The rest may be on another page of the file.
-    let known: Vec<u8> = estimate.values()[..50].iter().flat_map(|v| v.to_le_bytes()).collect();
+    // Later bytes may be on another page of the file.
+    let bytes: Vec<u8> = estimate.values()[..50].iter().flat_map(|v| v.to_le_bytes()).collect();
     let mut file = std::fs::read(farm.database()).unwrap();
-    let found: Vec<_> = file.windows(known.len()).enumerate().filter(|(_, w)| *w == known).collect();
+    let found: Vec<_> = file.windows(bytes.len()).enumerate().filter(|(_, w)| *w == bytes).collect();
     assert_eq!(found.len(), 1, "the record is in the file once");
     let place = found[0].0 + 4 * 25;
-    // The lowest bit of a number: it stays a number, and in range.
+    // The lowest bit of a number, which stays finite and in range.
     file[place] ^= 1;
     std::fs::write(farm.database(), file).unwrap();
 }
 
-/// A farm with a dictionary that is done, stopped, damaged, and started again.
+/// A farm with a finished dictionary, stopped, damaged, and started again.
 fn damaged() -> Farm {
     let mut farm = Farm::start(&["--verify-share", "0"]);
     farm.submit("grid", GRID);
@@ -48,7 +48,7 @@ fn mended(farm: &Farm) {
     drop(worker);
 }
 
-/// They are never exported.
+/// Damaged records are never exported.
 #[test]
 fn damaged_records_are_reported_and_recomputed() {
     let farm = damaged();
@@ -92,7 +92,7 @@ async fn a_fit_with_damaged_records_is_refused_as_data_loss() {
 fn the_doctor_finds_a_flipped_bit_and_mends_it_if_told_to() {
     let farm = damaged();
     for _ in 0..2 {
-        // Looking alone changes nothing.
+        // A check without repair changes nothing.
         let doctor = farm.farmctl(&["doctor"]);
         assert_eq!(doctor.code, 3, "{}", doctor.stdout);
         assert!(doctor.stdout.contains(&format!("job {DAMAGED} of grid")), "{}", doctor.stdout);
@@ -101,7 +101,7 @@ fn the_doctor_finds_a_flipped_bit_and_mends_it_if_told_to() {
     mended(&farm);
 }
 
-/// The records lie in the database's log, which is cut off and later there again.
+/// The records are in the database's log, which is truncated and later restored.
 #[test]
 fn what_cannot_be_read_is_told_and_kept() {
     let farm = Farm::start(&["--verify-share", "0"]);
@@ -116,10 +116,10 @@ fn what_cannot_be_read_is_told_and_kept() {
     farm.coordinator().signal(Signal::CONT);
     let doctor = farm.farmctl(&["doctor", "--repair"]);
     assert_eq!(doctor.code, 3, "{} {}", doctor.stdout, doctor.stderr);
-    let told = format!("{} jobs of grid could not be read", super::JOBS);
-    assert!(doctor.stdout.contains(&told), "{}", doctor.stdout);
+    let expected = format!("{} jobs of grid could not be read", super::JOBS);
+    assert!(doctor.stdout.contains(&expected), "{}", doctor.stdout);
     assert!(doctor.stdout.contains("nothing was deleted"), "{}", doctor.stdout);
-    // What the coordinator has written meanwhile comes after these.
+    // The coordinator's later writes follow these.
     file.write_all_at(&bytes, 0).unwrap();
     let doctor = farm.farmctl(&["doctor", "--repair"]);
     assert_eq!(doctor.code, 0, "{}", doctor.stdout);

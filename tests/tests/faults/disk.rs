@@ -1,4 +1,4 @@
-//! A disk that fills up.
+//! A full disk.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -23,7 +23,7 @@ const RECORDS: u64 = 240;
 struct Small(PathBuf);
 
 impl Small {
-    /// None if this process may not mount.
+    /// None without the right to mount.
     fn mount(folder: PathBuf, size: &str) -> Option<Self> {
         std::fs::create_dir(&folder).unwrap();
         let path = folder.to_str().unwrap();
@@ -56,7 +56,7 @@ fn done(farm: &Farm) -> u64 {
     farm.show("grid")["jobs_done"].as_u64().unwrap()
 }
 
-/// Readiness, status and explain name the reason meanwhile.
+/// Readiness, status and explain report the reason.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_acknowledges_nothing_until_there_is_room() {
     let folder = tempfile::tempdir().unwrap();
@@ -85,9 +85,9 @@ async fn a_full_disk_acknowledges_nothing_until_there_is_room() {
     let digest = farm.done("grid");
     assert_eq!(digest, undisturbed(GRID));
     wait_for("it is ready again", SOON, || farm.page("/readyz").filter(|(code, _)| *code == 200));
-    assert_eq!(acknowledged(&farm), JOBS, "the worker kept what was not stored");
+    assert_eq!(acknowledged(&farm), JOBS, "the worker kept results that were not stored");
     assert!(farm.events("ATTEMPT_FAILED").is_empty());
-    // What is done is on the disk, not only in memory.
+    // Finished records are on the disk, not only in memory.
     farm.kill_coordinator();
     farm.start_coordinator();
     assert_eq!(farm.done("grid"), digest);

@@ -1,4 +1,4 @@
-//! Exports whose stream is cut: everything comes in the end, or the command fails and says how much did.
+//! Exports whose stream is cut: they resume, or the command fails and reports how many records arrived.
 
 use std::process::{Child, Stdio};
 use std::time::Duration;
@@ -9,10 +9,10 @@ use farm_tests::proxy::{Direction, Proxy};
 
 use super::{GRID, RECORDS};
 
-/// What passes of the answers before the link is cut: some of the records, of 9 kB each, and not all.
+/// Bytes of the answer that pass before the link is cut: some of the records, of 9 kB each.
 const PASSES: u64 = 100_000;
 
-/// A farm whose dictionary is done, and a link to it that holds the rest of an export back.
+/// A farm whose dictionary is done, a proxy that holds back the rest of an export, and the export.
 async fn cut_in_the_middle() -> (Farm, Proxy, Child) {
     let farm = Farm::start(&["--insecure"]);
     farm.submit("grid", GRID);
@@ -33,7 +33,7 @@ async fn cut_in_the_middle() -> (Farm, Proxy, Child) {
         }
     })
     .await
-    .expect("more is sent than passes");
+    .expect("the export exceeds the limit");
     (farm, proxy, export)
 }
 
@@ -50,7 +50,7 @@ fn files(farm: &Farm) -> Vec<String> {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_export_over_a_link_that_breaks_goes_on_where_it_was() {
     let (farm, proxy, export) = cut_in_the_middle().await;
-    // In this order: what is held goes with its connection, only later ones pass.
+    // In this order: held bytes are lost with their connection, and later connections pass.
     proxy.cut();
     proxy.heal();
     let ran = ended(export);
@@ -68,10 +68,13 @@ async fn an_export_fails_when_its_coordinator_is_gone() {
     proxy.cut();
     let ran = ended(export);
     assert_eq!(ran.code, 1, "{}", ran.stderr);
-    let told = ran.stderr.strip_prefix("farmctl: only ").unwrap_or_else(|| panic!("{}", ran.stderr));
-    let (came, rest) = told.split_once(' ').unwrap();
-    assert!((1..RECORDS).contains(&came.parse().unwrap()), "{told}");
-    assert!(rest.starts_with(&format!("of {RECORDS} records came, run the same command again: ")), "{told}");
+    let message = ran.stderr.strip_prefix("farmctl: only ").unwrap_or_else(|| panic!("{}", ran.stderr));
+    let (came, rest) = message.split_once(' ').unwrap();
+    assert!((1..RECORDS).contains(&came.parse().unwrap()), "{message}");
+    assert!(
+        rest.starts_with(&format!("of {RECORDS} records came, run the same command again: ")),
+        "{message}"
+    );
     assert_eq!(files(&farm), Vec::<String>::new(), "neither a draft nor a part of a file is left");
 }
 

@@ -1,4 +1,4 @@
-//! Ctrl-C at a terminal that only looks on: the command ends, the farm does not.
+//! Ctrl-C in a command that only watches: the command ends, the farm continues.
 
 use std::process::Stdio;
 
@@ -8,7 +8,7 @@ use rustix::process::{Pid, kill_process};
 
 use super::LONG_JOBS;
 
-/// Starts a command, interrupts it as soon as it has taken charge of Ctrl-C, and waits for its end.
+/// Starts a command, interrupts it as soon as it handles Ctrl-C, and waits for its end.
 fn interrupted(farm: &Farm, args: &[&str]) -> Ran {
     let command = farm.command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     wait_for("the command handles Ctrl-C", SOON, || handles_interrupt(command.id()).then_some(()));

@@ -1,7 +1,6 @@
-//! `kill -9` at moments and of victims that a seed tells.
+//! `kill -9` of random processes at random moments, from a seed.
 //!
-//! SIGKILL proves that what a process had not yet written is not missed; it does not prove that data survive a power
-//! cut.
+//! SIGKILL tests that unwritten data of a process are not needed; it does not test that data survive a power cut.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -22,7 +21,7 @@ fn rounds() -> u64 {
     (12 * effort()).min(200)
 }
 
-/// The grid of a dictionary: each has other records than those before.
+/// The grid of a dictionary, with records that no other has.
 fn grid(number: u64) -> String {
     format!("{}seed = {number}\n", super::GRID)
 }
@@ -36,14 +35,13 @@ fn records_done(farm: &Farm, number: u64) -> u64 {
     listed["records_done"].as_u64().unwrap()
 }
 
-/// Results that workers saw acknowledged as stored, by dictionary and job. A worker writes this down when it has the
-/// answer in hand.
+/// Results that were acknowledged as stored, by dictionary and job. Workers log this when they receive the answer.
 fn acknowledged(farm: &Farm) -> BTreeMap<(u64, u64), u64> {
     let mut counts = BTreeMap::new();
     for line in farm.worker_logs() {
         let text = line.to_string();
         if text.contains("job done") {
-            let field = |name: &str| find_number(&line, name).expect("the line tells it");
+            let field = |name: &str| find_number(&line, name).expect("the line has this field");
             *counts.entry((field("dictionary"), field("job"))).or_default() += 1;
         }
     }
@@ -58,7 +56,7 @@ fn find_number(line: &serde_json::Value, name: &str) -> Option<u64> {
 /// Each of them exists exactly once.
 #[test]
 fn acknowledged_records_survive_random_kills() {
-    // Workers that are killed are silent ones: no job is to be given up for it here.
+    // Killed workers count as silent: no job should be given up because of that.
     let mut farm = Farm::start(&["--lease", "1", "--max-attempts", "1000", "--verify-share", "0"]);
     let mut random = Normal::new(SEED);
     let mut started = 0;
@@ -86,7 +84,7 @@ fn acknowledged_records_survive_random_kills() {
         let now = records_done(&farm, number);
         assert!(now >= stored, "{stored} records were stored, {now} are left after a kill");
         stored = now;
-        // Kills must come in the middle to prove anything.
+        // Kills must hit running work to be meaningful.
         if now == RECORDS {
             (number, stored) = (number + 1, 0);
             farm.submit(&name(number), &grid(number));
@@ -99,7 +97,7 @@ fn acknowledged_records_survive_random_kills() {
     let acknowledged = acknowledged(&farm);
     let lost: Vec<_> = acknowledged.iter().filter(|(_, times)| **times > 1).collect();
     assert!(lost.is_empty(), "stored, acknowledged, lost and stored again: {lost:?}");
-    assert!(acknowledged.len() as u64 >= JOBS / 2, "workers tell what was acknowledged");
+    assert!(acknowledged.len() as u64 >= JOBS / 2, "workers log acknowledged results");
     for (n, digest) in (1..).zip(digests) {
         assert_eq!(digest, undisturbed(&grid(n)), "the bytes differ from the undisturbed run's");
     }

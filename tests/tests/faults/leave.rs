@@ -1,4 +1,4 @@
-//! Workers that leave as they are asked to.
+//! Workers that leave on request.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use tokio::time::Instant;
 
 use super::{GRID, LONG_JOBS};
 
-/// Leases that are not handed back are lost for longer than any of these tests.
+/// Leases that are not handed back stay blocked for longer than these tests.
 const LEASE: [&str; 2] = ["--lease", "3600"];
 
 fn leases(farm: &Farm) -> u64 {
@@ -20,7 +20,7 @@ fn jobs_done(farm: &Farm) -> u64 {
     farm.show("grid")["jobs_done"].as_u64().unwrap()
 }
 
-fn nobody_is_blamed(farm: &Farm) {
+fn assert_nobody_blamed(farm: &Farm) {
     assert_eq!(leases(farm), 0, "all leases are handed back");
     for kind in ["ATTEMPT_FAILED", "JOB_FAILED", "JOB_QUARANTINED"] {
         assert!(farm.events(kind).is_empty(), "{kind}");
@@ -28,38 +28,36 @@ fn nobody_is_blamed(farm: &Farm) {
     assert_eq!(farm.figure("farm_leases_expired_total"), 0);
 }
 
-/// It hands the others back at once.
+/// It hands back the others at once.
 #[test]
 fn a_stopping_worker_finishes_its_running_jobs() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "60s"]);
-    // One is traced, the next waits: both are leased before the worker hears of it.
+    // One is traced and the next waits: both are leased before the worker is stopped.
     farm.leased("grid", 2);
-    worker.tells("job begins");
+    worker.wait_for_log("job begins");
     worker.signal(Signal::TERM);
-    wait_for("the one that waits is handed back", Duration::from_secs(2), || {
-        (leases(&farm) == 1).then_some(())
-    });
+    wait_for("the waiting one is handed back", Duration::from_secs(2), || (leases(&farm) == 1).then_some(()));
     assert_eq!(jobs_done(&farm), 0, "the other is still being traced");
     assert_eq!(worker.exit_within(Duration::from_mins(1)), 0);
-    assert_eq!(jobs_done(&farm), 1, "what was being traced is stored");
-    nobody_is_blamed(&farm);
+    assert_eq!(jobs_done(&farm), 1, "the traced result is stored");
+    assert_nobody_blamed(&farm);
     let second = farm.worker("second", &[]);
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
     drop(second);
 }
 
-/// As when its terminal is closed, or a connection to it is lost.
+/// Such as when its terminal is closed, or its connection is lost.
 #[test]
 fn a_worker_that_is_hung_up_on_hands_back_and_ends() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "0s"]);
-    worker.tells("job begins");
+    worker.wait_for_log("job begins");
     worker.hang_up();
     assert_eq!(worker.exit_within(SOON), 0);
-    nobody_is_blamed(&farm);
+    assert_nobody_blamed(&farm);
 }
 
 #[test]
@@ -70,7 +68,7 @@ fn a_coordinator_that_is_hung_up_on_ends_well() {
     assert!(farm.coordinator().log().contains("stopping"), "{}", farm.coordinator().log());
 }
 
-/// `nohup` is for programs that go on when the terminal is closed.
+/// `nohup` starts programs that continue when the terminal is closed.
 #[test]
 fn a_worker_that_is_to_ignore_hang_ups_does() {
     let farm = Farm::start(&LEASE);
@@ -81,21 +79,21 @@ fn a_worker_that_is_to_ignore_hang_ups_does() {
         .arg(program("farm-worker"))
         .arg(farm.url());
     let worker = Process::spawn("worker", &mut shell, &farm.folder().join("worker.log"));
-    worker.tells("joined");
+    worker.wait_for_log("joined");
     worker.signal(Signal::HUP);
     assert_eq!(farm.done("grid"), undisturbed(GRID));
 }
 
-/// A host that is preempted asks its worker to stop, and kills it before the grace is over.
+/// A preempted host stops its worker, and kills it before the grace is over.
 #[test]
 fn a_worker_that_is_killed_while_it_stops_is_not_blamed() {
     let farm = Farm::start(&["--lease", "2", "--max-attempts", "1"]);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "60s"]);
     farm.leased("grid", 2);
-    worker.tells("job begins");
+    worker.wait_for_log("job begins");
     worker.signal(Signal::TERM);
-    wait_for("the one that waits is handed back", SOON, || (leases(&farm) < 2).then_some(()));
+    wait_for("the waiting one is handed back", SOON, || (leases(&farm) < 2).then_some(()));
     worker.kill();
     wait_for("the other lease expires", SOON, || (leases(&farm) == 0).then_some(()));
     for kind in ["ATTEMPT_FAILED", "JOB_FAILED", "JOB_QUARANTINED"] {
@@ -109,17 +107,17 @@ fn a_worker_without_grace_stops_at_once() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "0s"]);
-    worker.tells("job begins");
+    worker.wait_for_log("job begins");
     worker.signal(Signal::TERM);
     assert_eq!(worker.exit_within(Duration::from_secs(5)), 0);
     assert_eq!(jobs_done(&farm), 0);
-    nobody_is_blamed(&farm);
+    assert_nobody_blamed(&farm);
 }
 
 #[test]
 fn a_worker_ends_before_its_time_limit_and_nobody_is_blamed() {
     let farm = Farm::start(&LEASE);
-    // More than can be done in the time.
+    // More work than fits into the time.
     farm.submit("grid", &format!("{LONG_JOBS}sample_ior = [1.3, 1.4, 1.5, 1.6]\n"));
     let start = Instant::now();
     let mut worker = farm.worker("worker", &["--time-limit", "8s", "--grace", "1s"]);
@@ -127,7 +125,7 @@ fn a_worker_ends_before_its_time_limit_and_nobody_is_blamed() {
     let worked = start.elapsed();
     assert!(worked > Duration::from_secs(2), "it worked for {worked:?} only");
     assert!(worker.log().contains("the time limit is near"), "{}", worker.log());
-    nobody_is_blamed(&farm);
+    assert_nobody_blamed(&farm);
 }
 
 #[test]
@@ -135,14 +133,14 @@ fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
     let farm = Farm::start(&["--lease", "4"]);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("old", &["--grace", "60s"]);
-    worker.tells("job begins");
+    worker.wait_for_log("job begins");
     farm.ask(&["workers", "drain", "old"]);
     let second = farm.worker("young", &[]);
     assert_eq!(worker.exit_within(SOON * 2), 0);
     assert!(worker.log().contains("the coordinator requested it"), "{}", worker.log());
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
-    nobody_is_blamed(&farm);
-    assert_eq!(farm.farmctl(&["workers", "drain", "old"]).code, 1, "it is known no more");
+    assert_nobody_blamed(&farm);
+    assert_eq!(farm.farmctl(&["workers", "drain", "old"]).code, 1, "it is no longer registered");
     drop(second);
 }
 
@@ -154,5 +152,5 @@ fn a_worker_for_which_there_is_no_work_ends_if_it_may() {
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     assert_eq!(worker.exit_within(SOON), 0);
     assert!(worker.log().contains("there was no work"), "{}", worker.log());
-    nobody_is_blamed(&farm);
+    assert_nobody_blamed(&farm);
 }

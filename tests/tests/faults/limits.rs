@@ -1,4 +1,4 @@
-//! Messages that are too large, connections that are too many.
+//! Limits: messages that are too large, and too many connections.
 
 use std::convert::Infallible;
 use std::time::Duration;
@@ -19,7 +19,7 @@ use tonic::{Code, Status};
 use super::{GRID, JOBS};
 
 const MIB: u64 = 1024;
-/// Connections that the coordinator takes at a time.
+/// Connections that the coordinator accepts at a time.
 const PLACES: usize = 256;
 const REFUSED: &str = "farm_connections_refused_total";
 
@@ -27,7 +27,7 @@ async fn link(farm: &Farm) -> Channel {
     Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap()
 }
 
-/// Sends one message of 1 GiB as a call of `path`, piece by piece, for as long as the other end takes it.
+/// Sends one message of 1 GiB as a call of `path`, piece by piece, while the other end accepts it.
 async fn send_huge(mut link: Channel, path: &str) -> Status {
     use http_body_util::BodyExt;
     use tower::{Service, ServiceExt};
@@ -66,19 +66,20 @@ async fn a_message_of_1_gb_is_refused_without_taking_its_memory() {
     drop(worker);
 }
 
-/// Lets this process open more files, if the system does; how many connections there may be.
+/// Raises this process's limit of open files if permitted; returns the possible number of connections.
 fn files_allowed() -> usize {
     let limit = getrlimit(Resource::Nofile);
-    let wanted = Rlimit { current: limit.maximum, maximum: limit.maximum };
-    // If it may not, the limit stays as it was.
-    let _ = setrlimit(Resource::Nofile, wanted);
+    let raised = Rlimit { current: limit.maximum, maximum: limit.maximum };
+    // Without permission the limit stays as it was.
+    let _ = setrlimit(Resource::Nofile, raised);
     getrlimit(Resource::Nofile).current.map_or(usize::MAX, |n| n as usize)
 }
 
-/// Opens connections, and lets those that find no place be closed before it goes on. Faster than they are taken, they would
-/// overflow the system's queue, which answers with cookies: a connection then is there for one end only, until it speaks.
+/// Opens connections in groups, and waits until refused ones are closed. If they were opened faster than accepted, they
+/// would overflow the system's queue, which answers with SYN cookies: a connection then exists at one end only, until
+/// it sends.
 async fn connect(port: u16, count: usize) -> Vec<TcpStream> {
-    // Well below the listener's queue of 1,024, with those that have a place.
+    // Well below the listener's queue of 1,024, including those that are accepted.
     const AT_ONCE: usize = 2 * PLACES;
     let mut opened = Vec::with_capacity(count);
     while opened.len() < count {
@@ -103,7 +104,7 @@ async fn gets_in(farm: &Farm) -> bool {
     tokio::time::timeout(Duration::from_secs(2), served).await.unwrap_or(false)
 }
 
-/// How many connections the other end has closed.
+/// Number of connections that the other end has closed.
 fn closed(streams: &[TcpStream]) -> usize {
     let is_closed = |stream: &&TcpStream| match stream.try_read(&mut [0; 64]) {
         Ok(bytes) => bytes == 0,
@@ -112,7 +113,7 @@ fn closed(streams: &[TcpStream]) -> usize {
     streams.iter().filter(is_closed).count()
 }
 
-/// 10,000 of them take little memory, and lose their places to other clients after 10 s.
+/// 10,000 of them take little memory, and are closed after 10 s in favour of other clients.
 #[tokio::test(flavor = "multi_thread")]
 async fn idle_connections_do_not_hinder_existing_ones() {
     let count = 10_000.min(files_allowed().saturating_sub(1000));
@@ -129,22 +130,22 @@ async fn idle_connections_do_not_hinder_existing_ones() {
     let before = farm.coordinator().usage().unwrap().resident_kib;
     let start = Instant::now();
     let idle = connect(farm.port(), count).await;
-    // Those that say nothing lose their place after 10 s to others.
+    // Silent connections are closed after 10 s in favour of others.
     let rounds = 2 + start.elapsed().as_secs() as usize / 10;
     let least = (count - rounds * PLACES) as u64;
-    wait_for("the rest is sent away", SOON, || (farm.figure(REFUSED) >= least).then_some(()));
+    wait_for("the others are refused", SOON, || (farm.figure(REFUSED) >= least).then_some(()));
     wait_for("they are closed", SOON, || (closed(&idle) as u64 >= least).then_some(()));
-    // Who was there before goes on: a client and a worker.
+    // An earlier client and worker continue.
     get().await.unwrap();
     let stored = r#"farm_jobs_completed_total{outcome="stored"}"#;
     wait_for("the worker's results come in", SOON * 2, || (farm.figure(stored) == JOBS).then_some(()));
     let grown = farm.coordinator().usage().unwrap().peak_kib.saturating_sub(before);
     println!("{count} connections: the coordinator grew by {} MiB at most", grown / MIB);
     assert!(grown < 64 * MIB, "it grew by {grown} KiB");
-    // Idle ones without a greeting must go by themselves; when they have, others get in.
+    // Idle connections without a greeting are closed; then others are accepted.
     let deadline = Instant::now() + SOON;
     while !gets_in(&farm).await {
-        assert!(Instant::now() < deadline, "no new client gets in");
+        assert!(Instant::now() < deadline, "no new client is served");
     }
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     drop((idle, worker));
@@ -154,10 +155,10 @@ async fn idle_connections_do_not_hinder_existing_ones() {
 async fn jobs_that_were_given_up_come_in_pages() {
     let farm = Farm::start(&["--max-attempts", "1"]);
     farm.submit("grid", GRID);
-    let mut hand = farm.hand("hand").await.unwrap();
-    let leases = hand.acquire(2).await.unwrap();
+    let mut worker = farm.test_worker("test").await.unwrap();
+    let leases = worker.acquire(2).await.unwrap();
     for lease in &leases {
-        hand.fail(lease, "no space left").await.unwrap();
+        worker.fail(lease, "no space left").await.unwrap();
     }
     let (mut failed, mut page_token) = (Vec::new(), String::new());
     for _ in 0..leases.len() {
@@ -167,7 +168,7 @@ async fn jobs_that_were_given_up_come_in_pages() {
         failed.extend(page.failed.into_iter().map(|failed| failed.job));
         page_token = page.next_page_token;
     }
-    assert_eq!(page_token, "", "the last page says that it is");
+    assert_eq!(page_token, "", "the last page has no token");
     let mut expected: Vec<u32> = leases.iter().map(|lease| lease.key.job).collect();
     expected.sort_unstable();
     assert_eq!(failed, expected);

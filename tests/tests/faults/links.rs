@@ -1,4 +1,4 @@
-//! Links that fail without a word.
+//! Network links that fail silently.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ async fn proxy(farm: &Farm) -> Proxy {
     Proxy::start(([127, 0, 0, 1], farm.port()).into()).await
 }
 
-/// Waits until the worker has told that it traces.
+/// Waits until the worker has renewed its leases.
 fn renewed(farm: &Farm) {
     let before = farm.figure(RENEWED);
     wait_for("leases are renewed", SOON, || (farm.figure(RENEWED) > before + 2).then_some(()));
@@ -37,7 +37,7 @@ async fn a_worker_paused_past_its_lease_delivers_duplicates() {
     stopped.signal(Signal::STOP);
     let other = farm.worker("other", &[]);
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
-    // It goes on where it was; its result is let through when it is there, so that it is late for sure.
+    // It continues where it stopped; its result is held until it is certainly late.
     let before = link.held_bytes();
     stopped.signal(Signal::CONT);
     wait_for("the late result", LONG, || (link.held_bytes() > before + 20_000).then_some(()));
@@ -49,7 +49,7 @@ async fn a_worker_paused_past_its_lease_delivers_duplicates() {
     let all = blamed.len();
     assert!(
         (1..=2).contains(&all),
-        "silence while it computed is told of once a job: {:?}",
+        "silence during computation is reported once per job: {:?}",
         farm.ask(&["events", "-n", "50"])
     );
     blamed.dedup();
@@ -69,7 +69,7 @@ async fn a_result_is_resent_when_its_acknowledgment_is_lost() {
     farm.leased("grid", 1);
     link.hold(Direction::Answers);
     wait_for("a commit whose acknowledgment is held", SOON, || {
-        // In this order: an acknowledgment that passed before the hold has been logged by now.
+        // In this order: an acknowledgment that passed before the hold is already logged.
         let stored = farm.show("grid")["records_done"].as_u64()?;
         let acknowledged = worker.log().matches("job done").count() as u64 * (RECORDS / JOBS);
         (stored > acknowledged).then_some(())
@@ -100,7 +100,7 @@ async fn work_goes_on_after_a_link_swallowed_packets() {
     drop(worker);
 }
 
-/// Such as when a router forgets a connection: it never heals, nobody is told, new ones pass.
+/// Such as when a router loses the state of a connection: it never heals, without an error, and new ones pass.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_leaves_a_connection_that_is_dead_without_a_word() {
     if effort() == 1 {

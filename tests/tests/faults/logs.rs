@@ -1,4 +1,4 @@
-//! Logs that nobody reads, and that cannot be written: they decide about no program's life.
+//! Logs that are not read or cannot be written: programs continue without them.
 
 use std::fs::File;
 use std::io::{PipeReader, PipeWriter, Write as _, pipe};
@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use farm_tests::cli::GRID;
 use farm_tests::process::{LONG, Process, SOON, farmctl, free_port, program, wait_for};
 
-/// A pipe with a reader that reads nothing, full.
+/// A full pipe whose reader does not read.
 fn unread() -> (PipeReader, PipeWriter) {
     let (reader, mut writer) = pipe().unwrap();
     rustix::io::ioctl_fionbio(&writer, true).unwrap();
@@ -16,7 +16,7 @@ fn unread() -> (PipeReader, PipeWriter) {
     (reader, writer)
 }
 
-/// A farm whose programs log there computes a dictionary, for a command that logs there, too; and all end well when asked.
+/// Computes a dictionary with programs that all use this log, and checks that they exit with code 0.
 fn works_and_ends(log: impl Fn() -> Stdio) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("grid.toml"), GRID).unwrap();

@@ -1,4 +1,4 @@
-//! On a machine that many share, a coordinator on loopback serves its own user alone.
+//! On a shared machine, a coordinator on loopback serves only its own user.
 
 use std::net::TcpStream;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
@@ -15,13 +15,13 @@ use tonic::transport::Endpoint;
 
 use super::GRID;
 
-/// Asks for the list of dictionaries, as a program does that comes to the port.
+/// Requests the list of dictionaries through the TCP port.
 async fn ask_at_the_port(farm: &Farm) -> Result<(), tonic::Status> {
     let channel = Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap();
     DictionariesClient::new(channel).list(ListRequest::default()).await.map(drop)
 }
 
-/// They can neither read nor change anything through the port: programs of the farm's user go through a private socket.
+/// They can neither read nor change anything through the port: programs of the farm's user use a private socket.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_loopback_farm_is_closed_to_other_users() {
     let mut farm = Farm::start(&[]);
@@ -29,7 +29,7 @@ async fn a_loopback_farm_is_closed_to_other_users() {
     let status = ask_at_the_port(&farm).await.unwrap_err();
     assert_eq!(status.code(), Code::Unauthenticated);
     assert!(status.message().contains("serves its own user's programs"), "{status}");
-    // Its socket follows the coordinator over restarts, however it ends, and a worker follows, too.
+    // The socket is recreated at restarts, however the coordinator ends, and a worker reconnects.
     let worker = farm.worker("worker", &[]);
     let digest = farm.done("grid");
     farm.kill_coordinator();
@@ -45,10 +45,10 @@ async fn a_loopback_farm_is_closed_to_other_users() {
     let socket = socket_of(&farm);
     assert_eq!(std::fs::metadata(socket.parent().unwrap()).unwrap().mode() & 0o777, 0o700);
     assert_eq!(farm.stop_coordinator(), 0);
-    assert!(!socket.exists(), "the socket goes with its coordinator");
+    assert!(!socket.exists(), "the socket is removed with its coordinator");
 }
 
-/// Where the farm's own user finds it.
+/// Path of the user's socket.
 fn socket_of(farm: &Farm) -> PathBuf {
     let user = rustix::process::getuid().as_raw();
     let folders = [format!("/run/user/{user}/resin-farm"), format!("/tmp/resin-farm-{user}")];
@@ -56,7 +56,7 @@ fn socket_of(farm: &Farm) -> PathBuf {
     found.into_iter().find(|path| path.exists()).expect("the socket is there")
 }
 
-/// As those do who tidy up `/tmp`.
+/// Such as by a cleanup of `/tmp`.
 #[test]
 fn a_socket_that_was_removed_is_there_again() {
     let farm = Farm::start(&[]);
@@ -67,7 +67,7 @@ fn a_socket_that_was_removed_is_there_again() {
     assert_eq!(own.code, 0, "{}", own.stderr);
 }
 
-/// Neighbours that listen on the other addresses of the port, or hold idle connections, change nothing for its user.
+/// Other users that listen on other addresses of the port, or hold idle connections, have no effect on its user.
 #[tokio::test(flavor = "multi_thread")]
 async fn neighbours_neither_hear_nor_shut_out_the_own_user() {
     let farm = Farm::start(&[]);
@@ -80,11 +80,11 @@ async fn neighbours_neither_hear_nor_shut_out_the_own_user() {
         let ran: Ran = farmctl(farm.folder()).args(["list", "--server", &url]).output().unwrap().into();
         assert_eq!(ran.code, 0, "{url}: {}", ran.stderr);
     }
-    assert!(ear.accept().is_err(), "none of them has come here");
+    assert!(ear.accept().is_err(), "no call arrives here");
     drop(crowd);
 }
 
-/// Only root can try it as somebody else: a port that another user has taken is not believed, whatever it says.
+/// Clients do not trust a port that another user has taken. The test needs root to run as another user.
 #[test]
 fn a_port_that_another_user_has_taken_is_not_believed() {
     if !rustix::process::getuid().is_root() {
@@ -121,16 +121,16 @@ fn a_port_that_another_user_has_taken_is_not_believed() {
     );
 }
 
-/// What `list` says as another user of a data folder.
+/// The output of `list` as another user of a data folder.
 fn list_in(data: &Path, user: u32) -> Ran {
-    // The folder is closed to others: as where its owner has opened it.
+    // Opens the folder, as its owner might.
     std::fs::set_permissions(data, std::fs::Permissions::from_mode(0o777)).unwrap();
     let program = data.parent().unwrap().join("farmctl");
     let mut list = std::process::Command::new(program);
     list.arg("list").arg("--data").arg(data).current_dir("/").env_clear().uid(user).output().unwrap().into()
 }
 
-/// Only root can try it as somebody else.
+/// The test needs root to run as another user.
 #[test]
 fn another_user_is_told_why_and_what_would_help() {
     if !rustix::process::getuid().is_root() {
@@ -139,7 +139,7 @@ fn another_user_is_told_why_and_what_would_help() {
     let farm = Farm::start(&[]);
     let elsewhere = tempfile::tempdir().unwrap();
     std::fs::set_permissions(elsewhere.path(), std::fs::Permissions::from_mode(0o777)).unwrap();
-    // Where nobody may be allowed to go, the program is copied out of.
+    // The build folder may be closed to user `nobody`, so the program is copied.
     let program = elsewhere.path().join("farmctl");
     std::fs::copy(farm_tests::process::program("farmctl"), &program).unwrap();
     let ran: Ran = std::process::Command::new(&program)

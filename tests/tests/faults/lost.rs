@@ -1,4 +1,4 @@
-//! The database's file loses its name while a farm uses it.
+//! A database file that is moved or deleted while a farm uses it.
 
 use std::fs::rename;
 
@@ -13,7 +13,7 @@ fn a_folder_that_is_moved_away_stops_the_coordinator() {
     let mut farm = Farm::start(&[]);
     farm.submit("grid", GRID);
     let mut worker = farm.worker("worker", &[]);
-    worker.tells("job begins");
+    worker.wait_for_log("job begins");
     let [data, away] = ["data", "away"].map(|name| farm.folder().join(name));
     rename(&data, &away).unwrap();
     let (code, log) = farm.coordinator_ends();

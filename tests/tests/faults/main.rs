@@ -1,7 +1,7 @@
-//! A farm of real processes, and what befalls farms: each test is named after the promise that it proves.
+//! Faults of a farm of real processes: each test is named after the guarantee that it checks.
 //!
-//! Short by default; `FARM_TEST_EFFORT=20` makes rounds more and pauses longer, up to what real links and real
-//! keepalives take.
+//! Short by default; `FARM_TEST_EFFORT=20` runs more rounds with longer pauses, up to those of real links and
+//! keepalives.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 

@@ -1,4 +1,4 @@
-//! People change what is theirs, and it is on record who did what.
+//! Ownership: users change only their own dictionaries, and events record the actor.
 
 use std::time::Duration;
 
@@ -7,8 +7,8 @@ use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_tests::farm::Farm;
 use farm_tests::grids::{grid_of, traced};
-use farm_tests::hand::on_wire;
 use farm_tests::process::{SOON, wait_for};
+use farm_tests::test_worker::on_wire;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Code;
 
@@ -23,7 +23,7 @@ fn only_owner_and_admins_change_a_dictionary() {
     }
     let by = |name: &str, args: &[&str]| farm.farmctl_with(&format!("keys/{name}.toml"), args);
     std::fs::write(farm.path("grid.toml"), GRID).unwrap();
-    // The coordinator looks once a second.
+    // The coordinator reads its access files once per second.
     wait_for("alice is let in", SOON, || (by("alice", &["submit", "grid.toml"]).code == 0).then_some(()));
     assert_eq!(farm.show("grid")["owner"], "alice");
     for args in [
@@ -35,15 +35,15 @@ fn only_owner_and_admins_change_a_dictionary() {
     ] {
         let ran = by("bob", args);
         assert_eq!(ran.code, 1, "{args:?}: {}", ran.stdout);
-        let told = "dictionary grid belongs to alice: only its owner and admins may change it";
-        assert!(ran.stderr.contains(told), "{}", ran.stderr);
+        let expected = "dictionary grid belongs to alice: only its owner and admins may change it";
+        assert!(ran.stderr.contains(expected), "{}", ran.stderr);
     }
     assert_eq!(by("bob", &["show", "grid"]).code, 0, "all may read");
-    assert_eq!(by("bob", &["submit", "grid.toml"]).code, 0, "it is the same: nothing is changed");
+    assert_eq!(by("bob", &["submit", "grid.toml"]).code, 0, "the same grid changes nothing");
     assert_eq!(by("alice", &["pause", "grid"]).code, 0);
     assert_eq!(by("admin", &["cancel", "grid", "--reason", "no time\n2026 DONE"]).code, 0);
 
-    // Events are written a little later than what they tell of.
+    // Events are written shortly after the change.
     let actor =
         |kind: &str| wait_for(kind, SOON, || farm.events(kind).first()?["actor"].as_str().map(str::to_owned));
     let [submitted, paused, cancelled] = ["SUBMITTED", "PAUSED", "CANCELLED"].map(actor);
@@ -56,7 +56,7 @@ fn only_owner_and_admins_change_a_dictionary() {
     let let_in: serde_json::Value = serde_json::from_str(&let_in).unwrap();
     assert_eq!(let_in["data"]["members"][3], serde_json::json!({"role": "client", "name": "alice"}));
 
-    // And out again, without a restart.
+    // Revoked again, without a restart.
     let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "alice", "--folder", "keys"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
     wait_for("alice is shut out", SOON, || (by("alice", &["list"]).code == 1).then_some(()));
@@ -78,7 +78,7 @@ async fn revoking_a_token_ends_its_idle_streams() {
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     };
-    assert!(updates.message().await.unwrap().is_some(), "the present state");
+    assert!(updates.message().await.unwrap().is_some(), "the current state");
     let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "alice", "--folder", "keys"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
     let ended = tokio::time::timeout(SOON, updates.message()).await.unwrap().unwrap_err();
@@ -90,14 +90,14 @@ async fn revoking_a_token_ends_its_idle_streams() {
 async fn what_is_delivered_after_its_token_was_revoked_is_not_stored() {
     let farm = Farm::with_tokens(&["anna"], &[]);
     farm.submit("grid", GRID);
-    let mut anna = farm.hand_of("anna", "anna").await.unwrap();
+    let mut anna = farm.test_worker_with("anna", "anna").await.unwrap();
     let lease = anna.acquire(1).await.unwrap().remove(0);
     let records = on_wire(&traced(&grid_of(GRID), lease.key.job as usize));
     let (pieces, stream) = tokio::sync::mpsc::channel(4);
     let mut client = LeasesClient::new(farm.link_with("keys/anna.toml"));
     let delivery = tokio::spawn(async move { client.complete(ReceiverStream::new(stream)).await });
-    let mut parts = anna.parts(&lease, records).into_iter();
-    pieces.send(parts.next().unwrap()).await.unwrap();
+    let mut messages = anna.messages(&lease, records).into_iter();
+    pieces.send(messages.next().unwrap()).await.unwrap();
     let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "anna", "--folder", "keys"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
     let shut_out = async {
@@ -106,7 +106,7 @@ async fn what_is_delivered_after_its_token_was_revoked_is_not_stored() {
         }
     };
     tokio::time::timeout(SOON, shut_out).await.unwrap();
-    for part in parts {
+    for part in messages {
         // The stream may have ended already.
         let _ = pieces.send(part).await;
     }

@@ -1,4 +1,4 @@
-//! A job that makes its worker die.
+//! A job that kills its worker.
 
 use std::time::Duration;
 
@@ -8,18 +8,18 @@ use farm_tests::process::{SOON, wait_for};
 
 use super::{GRID, JOBS, LONG_JOBS};
 
-/// The reasons are listed, and the other jobs are done.
+/// The reasons are listed, and the other jobs are completed.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_whose_workers_die_is_quarantined() {
     let farm = Farm::start(&["--lease", "1", "--max-attempts", "3"]);
     farm.submit("grid", GRID);
     let mut poison = None;
     for death in 1..=3_usize {
-        let mut victim = farm.hand(&format!("victim-{death}")).await.unwrap();
+        let mut victim = farm.test_worker(&format!("victim-{death}")).await.unwrap();
         let lease = victim.acquire(1).await.unwrap().remove(0);
-        assert_eq!(*poison.get_or_insert(lease.key.job), lease.key.job, "what failed goes first again");
+        assert_eq!(*poison.get_or_insert(lease.key.job), lease.key.job, "a failed job is leased first");
         assert!(victim.renew(&lease, true).await.unwrap());
-        // It says no more from here on.
+        // From here on it is silent.
         wait_for("its death is noticed", SOON, || {
             (farm.events("ATTEMPT_FAILED").len() == death).then_some(())
         });
@@ -31,9 +31,12 @@ async fn a_job_whose_workers_die_is_quarantined() {
     assert_eq!(waited.code, 4, "{} {}", waited.stdout, waited.stderr);
     let show = farm.show("grid");
     assert_eq!((show["state"].as_str(), show["jobs_done"].as_u64()), (Some("failed"), Some(JOBS - 1)));
-    let told = show.to_string();
+    let message = show.to_string();
     for death in 1..=3 {
-        assert!(told.contains(&format!("victim-{death} fell silent while it computed this job")), "{told}");
+        assert!(
+            message.contains(&format!("victim-{death} fell silent while it computed this job")),
+            "{message}"
+        );
     }
     let explained = farm.farmctl(&["explain", "grid"]).stdout;
     assert!(explained.contains("1 jobs were given up") && explained.contains("farmctl retry"), "{explained}");
@@ -48,7 +51,7 @@ async fn a_job_whose_workers_die_is_quarantined() {
 async fn jobs_not_begun_are_not_blamed_for_a_dead_worker() {
     let farm = Farm::start(&["--lease", "1", "--max-attempts", "1"]);
     farm.submit("grid", GRID);
-    let mut victim = farm.hand("victim").await.unwrap();
+    let mut victim = farm.test_worker("victim").await.unwrap();
     let leases = victim.acquire(3).await.unwrap();
     assert!(victim.renew(&leases[0], false).await.unwrap());
     wait_for("its leases expire", Duration::from_secs(10), || {
@@ -60,20 +63,20 @@ async fn jobs_not_begun_are_not_blamed_for_a_dead_worker() {
     drop(worker);
 }
 
-/// Even before the first heartbeat. The worker's log can be found from the explanation.
+/// Even before the first heartbeat. The explanation names the worker's log.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_that_kills_its_worker_at_once_is_blamed() {
     // Heartbeats come every five seconds.
     let farm = Farm::start(&["--lease", "20", "--max-attempts", "1"]);
     farm.submit("long", LONG_JOBS);
     let mut victim = farm.worker("victim", &[]);
-    victim.tells("job begins");
+    victim.wait_for_log("job begins");
     victim.kill();
     let quarantined =
         wait_for("its death is noticed", Duration::from_mins(1), || farm.events("JOB_QUARANTINED").pop());
     assert!(quarantined["message"].as_str().unwrap().contains("victim fell silent"), "{quarantined}");
-    assert_eq!(farm.events("ATTEMPT_FAILED").len(), 1, "the one that waited for a thread is not to blame");
-    // What it had to say stands in its log, and who asks is told where that is.
+    assert_eq!(farm.events("ATTEMPT_FAILED").len(), 1, "the job that waited for a thread is not blamed");
+    // The explanation names the log with the worker's messages.
     let explained = farm.farmctl(&["explain", "long"]).stdout;
     let (_, place) = explained.split_once(" (log: ").expect(&explained);
     let (_, file) = place.split_once(')').unwrap().0.split_once(':').unwrap();

@@ -1,4 +1,4 @@
-//! Those that the coordinator does not let in, as the real programs see it.
+//! Refusals of the coordinator, from the side of the real programs.
 
 use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
@@ -56,14 +56,14 @@ async fn a_worker_of_another_physics_version_is_refused() {
     server.abort();
 }
 
-/// A farm with access files, and another set of files, `strange`, that it does not know.
+/// A farm with access files, and another set of files, `strange`, that it does not accept.
 fn closed(access: &[&str]) -> Farm {
     let farm = Farm::closed(access, &[]);
     farm.create_access("strange", access);
     farm
 }
 
-/// The farm's own file with something of it changed, as `name`.
+/// Writes a modified copy of one of the farm's files as `name`.
 fn forge(farm: &Farm, original: &str, name: &str, change: impl Fn(&str) -> String) {
     let text = change(&std::fs::read_to_string(farm.path(original)).unwrap());
     std::fs::write(farm.path(name), text).unwrap();
@@ -78,7 +78,7 @@ fn token_of(farm: &Farm, file: &str) -> String {
 fn fails(ran: &Ran, parts: &[&str]) {
     assert_eq!(ran.code, 1, "{} {}", ran.stdout, ran.stderr);
     for part in parts {
-        assert!(ran.stderr.contains(part), "it should tell {part:?}: {}", ran.stderr);
+        assert!(ran.stderr.contains(part), "{part:?} is missing: {}", ran.stderr);
     }
 }
 
@@ -102,7 +102,7 @@ fn wrong_tokens_and_roles_are_refused_without_retries() {
     assert_eq!(farm.farmctl_with("keys/client.toml", &["list"]).code, 0);
 }
 
-/// Nor does the coordinator answer without TLS.
+/// The coordinator does not answer without TLS either.
 #[test]
 fn clients_refuse_an_unknown_certificate() {
     let farm = closed(&[]);
@@ -128,7 +128,7 @@ fn without_a_certificate_nobody_gets_in_where_all_must_show_one() {
     assert_eq!(bare.exit_within(SOON), 4, "{}", bare.log());
     assert!(bare.log().contains("--mutual"), "{}", bare.log());
     let mut proper = farm.worker_with("keys/worker.toml", "worker", &[]);
-    wait_for("the proper worker is in", SOON, || {
+    wait_for("the valid worker is registered", SOON, || {
         let listed = farm.farmctl_with("keys/admin.toml", &["workers", "--json"]).stdout;
         let listed: serde_json::Value = serde_json::from_str(&listed).ok()?;
         (listed["data"]["workers"].as_array()?.len() == 1).then_some(())
@@ -136,7 +136,7 @@ fn without_a_certificate_nobody_gets_in_where_all_must_show_one() {
     assert_eq!(proper.terminate(Duration::from_secs(20)), 0);
 }
 
-/// Where both sides must show one.
+/// With mutual TLS.
 #[test]
 fn client_certificates_of_other_authorities_are_refused() {
     let farm = closed(&["--mutual"]);
@@ -166,8 +166,8 @@ fn a_coordinator_with_a_taken_port_logs_no_start() {
     let args = ["--listen", &address, "--data", data.to_str().unwrap()];
     let mut coordinator = Process::start("farm-coordinator", &args, &log);
     assert_eq!(coordinator.exit_within(SOON), 1);
-    let said = coordinator.log();
-    assert!(said.contains(&format!("listening on {address}")), "{said}");
-    assert!(!said.contains("COORDINATOR_STARTED"), "{said}");
+    let log_text = coordinator.log();
+    assert!(log_text.contains(&format!("listening on {address}")), "{log_text}");
+    assert!(!log_text.contains("COORDINATOR_STARTED"), "{log_text}");
     drop(taken);
 }

@@ -1,4 +1,4 @@
-//! Clients that take their time.
+//! Clients that send or read slowly.
 
 use std::convert::Infallible;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use farm_proto::wire::ExportRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_tests::farm::Farm;
 use farm_tests::grids::{traced, undisturbed};
-use farm_tests::hand::on_wire;
+use farm_tests::test_worker::on_wire;
 use http_body_util::StreamBody;
 use prost::Message;
 use tokio_stream::StreamExt;
@@ -17,7 +17,7 @@ use tower::{Service, ServiceExt};
 
 use super::GRID;
 
-/// 96 records of some 0.4 MB: far more than what links hold on their way.
+/// 96 records of some 0.4 MB: far more than the buffers of a link.
 const LARGE: &str = "\
 sigma_t_per_mm = [1, 2, 4, 8]
 albedo = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
@@ -31,14 +31,14 @@ async fn link(farm: &Farm) -> Channel {
     Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap()
 }
 
-/// A call that delivers a good result byte by byte, and would take hours.
+/// A call that delivers a valid result byte by byte, and would take hours.
 async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
     let grid = farm_tests::grids::grid_of(GRID);
-    let mut worker = farm.hand("slow").await.unwrap();
+    let mut worker = farm.test_worker("slow").await.unwrap();
     let lease = worker.acquire(1).await.unwrap().remove(0);
-    let parts = worker.parts(&lease, on_wire(&traced(&grid, lease.key.job as usize)));
+    let messages = worker.messages(&lease, on_wire(&traced(&grid, lease.key.job as usize)));
     let mut bytes = Vec::new();
-    for part in parts {
+    for part in messages {
         let message = part.encode_to_vec();
         bytes.push(0);
         bytes.extend((message.len() as u32).to_be_bytes());
@@ -53,12 +53,12 @@ async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
         .header("te", "trailers");
     let (mut link, request) = (link(farm).await, request.body(body).unwrap());
     tokio::spawn(async move {
-        // It ends with the coordinator.
+        // The call ends with the coordinator.
         let _ = link.ready().await.unwrap().call(request).await;
     })
 }
 
-/// They take little memory, and do not delay a stop.
+/// Slow clients take little memory, and do not delay a stop.
 #[tokio::test(flavor = "multi_thread")]
 async fn slow_clients_do_not_hinder_others() {
     let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
@@ -72,7 +72,7 @@ async fn slow_clients_do_not_hinder_others() {
     for _ in 0..4 {
         slow.push(trickle(&farm).await);
     }
-    // Clients that ask for everything and read one record.
+    // Clients that request all records and read one.
     let mut unread = Vec::new();
     for _ in 0..32 {
         let request = ExportRequest { name: "large".to_owned(), ..Default::default() };

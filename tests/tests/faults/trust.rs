@@ -2,18 +2,18 @@
 
 use farm_tests::farm::Farm;
 use farm_tests::grids::{grid_of, traced, undisturbed};
-use farm_tests::hand::{HandWorker, falsified};
 use farm_tests::process::{LONG, SOON, wait_for};
+use farm_tests::test_worker::{TestWorker, falsified};
 use tonic::Code;
 
 use super::{GRID, JOBS};
 
-async fn refused(farm: &Farm, liar: &mut HandWorker) {
+async fn refused(farm: &Farm, liar: &mut TestWorker) {
     let acquired = liar.acquire(1).await.unwrap_err();
     assert!(matches!(acquired.code(), Code::PermissionDenied | Code::Aborted), "{acquired}");
-    // Nor does another process of it get in.
+    // Another process with the same token is refused too.
     for name in ["liar", "another"] {
-        let registered = farm.hand_of("liar", name).await.map(drop).unwrap_err();
+        let registered = farm.test_worker_with("liar", name).await.map(drop).unwrap_err();
         assert_eq!(registered.code(), Code::PermissionDenied, "{registered}");
         assert!(registered.message().contains("others agree against it"), "{registered}");
     }
@@ -25,7 +25,7 @@ async fn a_worker_with_wrong_records_is_fenced() {
     let mut farm = Farm::with_tokens(&["liar", "a", "b"], &["--lease", "2", "--verify-share", "1"]);
     farm.submit("grid", GRID);
     let grid = grid_of(GRID);
-    let mut liar = farm.hand_of("liar", "liar").await.unwrap();
+    let mut liar = farm.test_worker_with("liar", "liar").await.unwrap();
     for lease in liar.acquire(3).await.unwrap() {
         let records = falsified(&traced(&grid, lease.key.job as usize));
         liar.complete(&lease, records).await.unwrap();
@@ -35,14 +35,14 @@ async fn a_worker_with_wrong_records_is_fenced() {
     assert_eq!(fenced["worker"], "liar");
     assert_eq!(liar.acquire(1).await.unwrap_err().code(), Code::PermissionDenied);
     refused(&farm, &mut liar).await;
-    // Every result is compared, those that were computed again too.
+    // Every result is compared, including those that were computed again.
     wait_for("all is compared", LONG, || {
         let status = farm.ask(&["status"]);
         let agreed = status["checks_agreed"].as_u64()? >= JOBS;
         (agreed && status["dictionaries"][0]["state"] == "done").then_some(())
     });
     assert_eq!(farm.done("grid"), undisturbed(GRID));
-    assert_eq!(farm.events("WORKER_FENCED").len(), 1, "the honest ones are not fenced off");
+    assert_eq!(farm.events("WORKER_FENCED").len(), 1, "the honest workers are not fenced off");
     assert_eq!(farm.stop_coordinator(), 0);
     farm.start_coordinator();
     wait_for("the honest ones are back", SOON, || {
@@ -54,7 +54,7 @@ async fn a_worker_with_wrong_records_is_fenced() {
     assert_eq!(unknown.code, 1, "{}", unknown.stdout);
     assert!(unknown.stderr.contains("liar@127.0.0.1 (liar)"), "{}", unknown.stderr);
     farm.ask(&["workers", "readmit", "liar@127.0.0.1"]);
-    farm.hand_of("liar", "liar").await.unwrap();
-    assert_eq!(farm.done("grid"), undisturbed(GRID), "what was computed again stays");
+    farm.test_worker_with("liar", "liar").await.unwrap();
+    assert_eq!(farm.done("grid"), undisturbed(GRID), "recomputed records are kept");
     drop(honest);
 }

@@ -1,27 +1,27 @@
-//! Somebody with a worker's token who wants to harm.
+//! A malicious owner of a worker token.
 
 use farm_proto::ids::Token;
 use farm_proto::lease::{Lease, LeaseKey};
 use farm_proto::wire::CompletionKind;
 use farm_tests::farm::Farm;
 use farm_tests::grids::{grid_of, traced, undisturbed};
-use farm_tests::hand::{HandWorker, falsified, on_wire, with_number};
 use farm_tests::process::{LONG, SOON, wait_for};
+use farm_tests::test_worker::{TestWorker, falsified, on_wire, with_number};
 use tonic::Code;
 
 use super::{GRID, JOBS, RECORDS};
 
-/// Takes all checks that are to be had, and tells something else than was computed.
-async fn contradict(liar: &mut HandWorker) -> usize {
+/// Takes all available checks and delivers wrong records.
+async fn contradict(liar: &mut TestWorker) -> usize {
     let grid = grid_of(GRID);
-    let mut told = 0;
+    let mut delivered = 0;
     for lease in liar.acquire(JOBS as u32).await.unwrap() {
         let records = falsified(&traced(&grid, lease.key.job as usize));
         let outcome = liar.complete(&lease, records).await.unwrap();
         assert_eq!(outcome, CompletionKind::Conflict);
-        told += 1;
+        delivered += 1;
     }
-    told
+    delivered
 }
 
 fn state(farm: &Farm) -> (Option<i64>, i32, String) {
@@ -37,11 +37,11 @@ async fn one_token_has_one_vote() {
     farm.submit("grid", GRID);
     let honest = farm.worker_of("honest");
     assert_eq!(farm.done("grid"), undisturbed(GRID));
-    let mut first = farm.hand_of("liar", "first").await.unwrap();
+    let mut first = farm.test_worker_with("liar", "first").await.unwrap();
     assert_eq!(contradict(&mut first).await, JOBS as usize);
     for name in ["second", "other", "more"] {
-        let mut again = farm.hand_of("liar", name).await.unwrap();
-        assert_eq!(contradict(&mut again).await, 0, "{name} is heard, too");
+        let mut again = farm.test_worker_with("liar", name).await.unwrap();
+        assert_eq!(contradict(&mut again).await, 0, "{name} has a vote, too");
     }
     for restarted in [false, true] {
         if restarted {
@@ -55,7 +55,7 @@ async fn one_token_has_one_vote() {
     }
     assert!(farm.events("WORKER_FENCED").is_empty(), "one against one");
     let third = farm.worker_of("third");
-    let fenced = wait_for("it is found out", LONG, || farm.events("WORKER_FENCED").pop());
+    let fenced = wait_for("the liar is fenced", LONG, || farm.events("WORKER_FENCED").pop());
     assert!(["first", "second", "other", "more"].contains(&fenced["worker"].as_str().unwrap()), "{fenced}");
     wait_for("no dispute is left", LONG, || (farm.listed("grid")?["jobs_disputed"] == 0).then_some(()));
     let (_, code, explained) = state(&farm);
@@ -68,7 +68,7 @@ async fn one_token_has_one_vote() {
 async fn results_without_a_lease_that_was_given_are_not_taken() {
     let farm = Farm::with_tokens(&["liar", "honest"], &["--lease", "2"]);
     farm.submit("grid", GRID);
-    let mut liar = farm.hand_of("liar", "liar").await.unwrap();
+    let mut liar = farm.test_worker_with("liar", "liar").await.unwrap();
     let lease = liar.acquire(1).await.unwrap().remove(0);
     let grid = grid_of(GRID);
     let records = on_wire(&traced(&grid, lease.key.job as usize));
@@ -78,21 +78,21 @@ async fn results_without_a_lease_that_was_given_are_not_taken() {
     ] {
         let forged = Lease { key, ..lease.clone() };
         assert_eq!(liar.complete(&forged, records.clone()).await.unwrap(), CompletionKind::Refused);
-        assert!(!liar.renew(&forged, true).await.unwrap(), "nor is it taken up");
+        assert!(!liar.renew(&forged, true).await.unwrap(), "it is not renewed either");
     }
-    // Somebody else's is not his, either.
-    let mut other = farm.hand_of("honest", "honest").await.unwrap();
+    // The lease of another worker is not accepted either.
+    let mut other = farm.test_worker_with("honest", "honest").await.unwrap();
     assert_eq!(other.complete(&lease, records.clone()).await.unwrap(), CompletionKind::Refused);
     assert_eq!(liar.complete(&lease, records).await.unwrap(), CompletionKind::Stored);
 }
 
-/// Whether it fails at once or delivers NaN, it is suspended.
+/// A machine that fails at once or delivers NaN is suspended.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_failing_machine_costs_no_job_beside_a_healthy_one() {
     let farm = Farm::with_tokens(&["hole", "healthy"], &["--lease", "20", "--verify-share", "0"]);
     farm.submit("grid", GRID);
-    let mut hole = farm.hand_of("hole", "hole").await.unwrap();
-    let healthy = farm.hand_of("healthy", "healthy").await.unwrap();
+    let mut hole = farm.test_worker_with("hole", "hole").await.unwrap();
+    let healthy = farm.test_worker_with("healthy", "healthy").await.unwrap();
     let grid = grid_of(GRID);
     let mut failed = 0;
     for lease in hole.acquire(1).await.unwrap() {
@@ -104,12 +104,12 @@ async fn a_failing_machine_costs_no_job_beside_a_healthy_one() {
         hole.fail(&lease, "no such file or directory").await.unwrap();
         failed += 1;
     }
-    assert_eq!(failed, 3, "it is not fed the whole dictionary");
+    assert_eq!(failed, 3, "it does not get the whole dictionary");
     let workers = farm.ask(&["workers"])["workers"].take();
-    let of_it = workers.as_array().unwrap().iter().find(|w| w["label"] == "hole").unwrap();
-    assert_eq!(of_it["state"], "suspended", "{of_it}");
+    let listed = workers.as_array().unwrap().iter().find(|w| w["label"] == "hole").unwrap();
+    assert_eq!(listed["state"], "suspended", "{listed}");
     assert!(farm.farmctl(&["workers"]).stdout.contains("suspended for "));
-    let suspended = wait_for("that is told", SOON, || farm.events("WORKER_SUSPENDED").pop());
+    let suspended = wait_for("the event", SOON, || farm.events("WORKER_SUSPENDED").pop());
     assert!(suspended["message"].as_str().unwrap().contains("no such file"), "{suspended}");
     healthy.leave().await.unwrap();
     let worker = farm.worker_of("healthy");
@@ -118,15 +118,15 @@ async fn a_failing_machine_costs_no_job_beside_a_healthy_one() {
     drop(worker);
 }
 
-/// Everybody may read ids in the list of workers.
+/// The list of workers shows ids to all users.
 #[tokio::test(flavor = "multi_thread")]
 async fn nobody_acts_as_a_worker_whose_id_he_has_read() {
     let farm = Farm::with_tokens(&["honest", "liar"], &[]);
     farm.submit("grid", GRID);
-    let mut honest = farm.hand_of("honest", "honest").await.unwrap();
+    let mut honest = farm.test_worker_with("honest", "honest").await.unwrap();
     let lease = honest.acquire(1).await.unwrap().remove(0);
     let read = farm.ask(&["workers"])["workers"][0]["worker_id"].as_str().unwrap().to_owned();
-    let mut liar = farm.hand_of("liar", "liar").await.unwrap();
+    let mut liar = farm.test_worker_with("liar", "liar").await.unwrap();
     let own_mac = liar.token.rsplit_once('.').unwrap().1.to_owned();
     for token in [read.clone(), format!("{read}.{own_mac}")] {
         liar.token = token;
@@ -140,6 +140,6 @@ async fn nobody_acts_as_a_worker_whose_id_he_has_read() {
         ];
         assert_eq!(codes, [Code::Aborted; 5], "{}", liar.token);
     }
-    assert!(honest.renew(&lease, true).await.unwrap(), "it still has its lease");
+    assert!(honest.renew(&lease, true).await.unwrap(), "its lease is still valid");
     assert!(farm.events("WORKER_LEFT").is_empty() && farm.events("ATTEMPT_FAILED").is_empty());
 }

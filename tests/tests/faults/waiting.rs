@@ -1,4 +1,4 @@
-//! Commands that wait for a dictionary while the coordinator or the way to it comes and goes.
+//! Commands that wait for a dictionary during outages of the coordinator or the network.
 
 use std::time::Duration;
 
@@ -21,8 +21,8 @@ fn waiting(farm: &Farm, url: &str) -> Vec<Process> {
     commands.iter().map(start).collect()
 }
 
-/// Waits until all have told this so many times.
-fn told(waiting: &[Process], what: &str, times: usize) {
+/// Waits until each has logged `what` this many times.
+fn wait_until_logged(waiting: &[Process], what: &str, times: usize) {
     for process in waiting {
         wait_for(what, Duration::from_mins(2), || {
             (process.log().matches(what).count() >= times).then_some(())
@@ -36,28 +36,28 @@ async fn waiting_outlives_cuts_kills_and_restarts() {
     let link = Proxy::start(([127, 0, 0, 1], farm.port()).into()).await;
     farm.submit("grid", GRID);
     let mut waiting = waiting(&farm, &link.url());
-    told(&waiting, "following", 1);
+    wait_until_logged(&waiting, "following", 1);
     link.cut();
-    told(&waiting, "answers again", 1);
+    wait_until_logged(&waiting, "answers again", 1);
     farm.kill_coordinator();
-    told(&waiting, "does not answer and is waited for", 2);
+    wait_until_logged(&waiting, "does not answer and is waited for", 2);
     farm.start_coordinator();
-    told(&waiting, "answers again", 2);
+    wait_until_logged(&waiting, "answers again", 2);
     assert_eq!(farm.stop_coordinator(), 0);
-    told(&waiting, "does not answer and is waited for", 3);
+    wait_until_logged(&waiting, "does not answer and is waited for", 3);
     farm.start_coordinator();
-    told(&waiting, "answers again", 3);
+    wait_until_logged(&waiting, "answers again", 3);
     if effort() > 1 {
         farm.coordinator().signal(Signal::STOP);
         std::thread::sleep(Duration::from_mins(2));
         farm.coordinator().signal(Signal::CONT);
-        told(&waiting, "answers again", 4);
-        // Such as when a router forgets a connection.
+        wait_until_logged(&waiting, "answers again", 4);
+        // Such as when a router loses the state of a connection.
         link.freeze();
-        told(&waiting, "answers again", 5);
+        wait_until_logged(&waiting, "answers again", 5);
     }
-    // `wait` is for scripts and reports outages alone.
-    told(&waiting[1..], "no worker is connected", 1);
+    // `wait` is for scripts and reports only outages.
+    wait_until_logged(&waiting[1..], "no worker is connected", 1);
     let worker = farm.worker("worker", &[]);
     for process in &mut waiting {
         assert_eq!(process.exit_within(LONG), 0, "{}", process.log());
@@ -71,8 +71,8 @@ async fn another_grid_of_the_same_name_is_not_waited_for() {
     let link = Proxy::start(([127, 0, 0, 1], farm.port()).into()).await;
     farm.submit("grid", GRID);
     let mut waiting = waiting(&farm, &link.url());
-    told(&waiting, "following", 1);
-    // They learn nothing of what happens meanwhile.
+    wait_until_logged(&waiting, "following", 1);
+    // They cannot observe the changes meanwhile.
     link.hold(Direction::Answers);
     farm.ask(&["cancel", "grid"]);
     farm.ask(&["delete", "grid", "--yes"]);

@@ -1,7 +1,7 @@
-//! From media that were traced afresh back to their parameters, with the dictionary in between.
+//! Recovery of the parameters of independently traced media with a dictionary.
 //!
 //! In the normal run the dictionary has the paper's grid at three anisotropies; with `FARM_TEST_EFFORT=8` it is the
-//! paper's whole dictionary, and many more media go round.
+//! paper's whole dictionary, with many more media.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -50,8 +50,8 @@ pub(crate) fn dictionary() -> &'static FitDictionary {
 /// Noise of most photographs, as a share of the value.
 pub(crate) const NOISE: f64 = 0.01;
 
-/// A medium's profile in one channel with noise that is a share of the value, told in its standard errors, and how well
-/// its level is known from the walks, as a share.
+/// A medium's profile in one channel with relative noise and its standard errors, and the relative error of its level
+/// due to the number of walks.
 pub(crate) fn photograph(
     medium: &Medium,
     channel: usize,

@@ -1,4 +1,4 @@
-//! What is wrong with photographs is told by the misfit, with its likeliest reason.
+//! Faulty photographs cause a misfit, which is reported with its most likely cause.
 
 use std::sync::OnceLock;
 
@@ -8,10 +8,10 @@ use optics_model::{MeasuredProfile, Measurement, Medium};
 
 use crate::{dictionary, photograph};
 
-/// x in mm and value, of a profile of a thickness, to the value that is photographed.
+/// Maps x in mm, value, thickness and the profile itself to the value that is photographed.
 type Spoil = fn(f64, f64, f64, &dyn Fn(f64) -> f64) -> f64;
 
-/// The photographs before anything went wrong, traced once.
+/// The photographs without faults, traced once.
 fn clean(thickness_mm: f64) -> &'static MeasuredProfile {
     static CLEAN: OnceLock<[MeasuredProfile; 2]> = OnceLock::new();
     let clean = CLEAN.get_or_init(|| {
@@ -33,8 +33,8 @@ fn found(spoil: Spoil, swap: bool, objective: Objective) -> Refined {
         };
         let spoilt = x.iter().zip(values).map(|(x, v)| spoil(*x, *v, thickness_mm, &at)).collect();
         let errors = clean.std_errors().unwrap().to_vec();
-        let told = if swap { 1.5 - thickness_mm } else { thickness_mm };
-        MeasuredProfile::new("G", told, x.clone(), spoilt, Some(errors)).unwrap()
+        let stated_mm = if swap { 1.5 - thickness_mm } else { thickness_mm };
+        MeasuredProfile::new("G", stated_mm, x.clone(), spoilt, Some(errors)).unwrap()
     };
     let measurement = Measurement::new("m", vec![profile(0.5), profile(1.0)]).unwrap();
     let settings = FitSettings {
@@ -82,7 +82,8 @@ fn estimate(r: &Refined, nuisance: Nuisance, profile_mm: f64) -> (f64, f64) {
     (found.value, found.std_error)
 }
 
-/// The paper's distance can only hint at such flaws. The likelihood estimates them, and its intervals hold the medium.
+/// The paper's distance can only hint at such flaws. The likelihood estimates them, and its intervals contain the
+/// medium.
 #[test]
 fn the_likelihood_corrects_shifts_and_dust() {
     let clean = found(|_, v, _, _| v, false, Objective::Likelihood);
@@ -102,11 +103,11 @@ fn the_likelihood_corrects_shifts_and_dust() {
     }
     assert!(clean.likelihood.unwrap().outliers.is_empty());
     let left_out = dusty.likelihood.unwrap().outliers.len();
-    // Of 32 specks the rims go with them where their noise looks like more of it.
+    // For some of the 32 specks, neighbouring pixels are left out too.
     assert!((30..=80).contains(&left_out), "{left_out} pixels for 32 specks of dust");
 }
 
-/// What no nuisance explains is told, with the paper's distance's suspicion, and widens the intervals.
+/// A misfit that no nuisance explains is reported with the suspicion of the paper's distance, and widens the intervals.
 #[test]
 fn the_likelihood_says_that_it_does_not_explain_a_measurement() {
     let coded = found(|_, v, _, _| 1.055 * v.powf(1.0 / 2.4) - 0.055, false, Objective::Likelihood);

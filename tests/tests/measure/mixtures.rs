@@ -1,8 +1,8 @@
-//! Strong absorbers by dilution: the inks of the paper's Table 1 from slabs of their mixtures.
+//! Measurement of strong absorbers by dilution: the inks of the paper's Table 1 from slabs of their mixtures.
 //!
 //! In the normal run two inks are measured in one channel. With `FARM_TEST_EFFORT=8` it is the chart of all 31 equal
-//! mixtures of the five inks, in three channels, against the paper's whole dictionary; `FARM_TEST_TRUTHS=DIR` keeps what
-//! was traced. Exposure is off by a factor that nobody tells.
+//! mixtures of the five inks, in three channels, with the paper's whole dictionary; `FARM_TEST_TRUTHS=DIR` keeps the
+//! traced profiles. The exposure is off by an unknown factor.
 
 use farm_tests::statistics::{Normal, effort};
 use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure, unmix};
@@ -19,7 +19,7 @@ use crate::table_1::TABLE_1;
 const G: f64 = 0.4;
 const SLABS_MM: [f64; 2] = [0.5, 1.0];
 
-/// Which of Table 1's inks are mixed in equal parts.
+/// Indices of Table 1's inks that are mixed in equal parts.
 type Subset = Vec<usize>;
 
 fn name(subset: &[usize]) -> String {
@@ -39,7 +39,7 @@ fn equal(subset: &[usize]) -> Vec<(usize, f64)> {
     subset.iter().map(|i| (*i, 1.0 / subset.len() as f64)).collect()
 }
 
-/// A slab of a medium, as traced, darker by a factor and with noise.
+/// A traced slab of a medium, darker by a factor and with noise.
 fn slab(
     medium: &Medium,
     channel: usize,
@@ -62,7 +62,7 @@ fn slab(
     MeasuredProfile::new(channel, thickness_mm, x, values, Some(std_errors)).unwrap()
 }
 
-/// Slabs of these mixtures, of which every one may have been mixed in other parts than it is named for.
+/// Slabs of these mixtures, whose true parts may differ from the nominal ones.
 fn photographed(
     subsets: &[Subset],
     channels: std::ops::Range<usize>,
@@ -117,10 +117,10 @@ fn unmixed(dictionary: &FitDictionary, subsets: &[Subset], slabs: &[Measurement]
     found
 }
 
-/// What is compared: name, truth, found, interval.
+/// A comparison: name, truth, found, interval.
 type Line = (&'static str, f64, f64, Interval);
 
-/// Prints a table and returns which intervals hold.
+/// Prints a table and returns its lines.
 fn compared(found: &Unmixed) -> Vec<(String, Line)> {
     println!("{:<18} {:<6} {:>9} {:>9} {:>21}", "ink", "", "truth", "found", "interval");
     let mut all = Vec::new();
@@ -201,7 +201,7 @@ fn an_absorber_that_slabs_do_not_resolve_is_measured_in_white() {
     report_mixtures(&found);
     let lines = compared(&found);
     for (title, (what, truth, value, interval)) in &lines {
-        // Eight intervals of 95 %, which belong together by twos: none may miss by more than half its width.
+        // Eight intervals of 95 % in correlated pairs: none may miss by more than half its width.
         let slack = 0.5 * (interval.high - interval.low);
         let near = interval.low - slack <= *truth && *truth <= interval.high + slack;
         assert!(near, "{title}: {what} = {value} {interval:?}, not {truth}");
@@ -213,7 +213,7 @@ fn an_absorber_that_slabs_do_not_resolve_is_measured_in_white() {
     assert!(found.mixtures.iter().all(|m| m.agreement.unwrap().pull < 3.0), "{:?}", found.mixtures);
 }
 
-/// A slab so wide that it has no edge near, on the light side of the base.
+/// A slab without an edge nearby, on the light side of the base.
 fn patch(subset: &[usize], seed: u64, mu: f64) -> Measurement {
     let medium = mixed(&equal(subset), 0);
     let paper = Grid::paper().scene().clone();
@@ -249,7 +249,7 @@ fn an_absorber_is_measured_by_patches_of_a_chart() {
     assert!(absorption.high / absorption.low < 1.4, "{absorption:?}");
 }
 
-/// The long form: Table 1 whole.
+/// The long form, with the whole Table 1.
 #[test]
 fn all_of_table_1_comes_out_of_the_chart_of_equal_mixtures() {
     if effort() < 8 {
@@ -265,14 +265,14 @@ fn all_of_table_1_comes_out_of_the_chart_of_equal_mixtures() {
     let holds = |(_, (_, truth, _, interval)): &(String, Line)| interval.contains(*truth);
     let held = lines.iter().filter(|line| holds(line)).count();
     println!("{held} of {} intervals hold", lines.len());
-    // Sixty intervals of 95 %, which hold or miss by fours, and all with one g: fifty-one at the least.
+    // Sixty intervals of 95 % in correlated groups of four, all with one g: at least fifty-one.
     assert!(lines.len() == 60 && held >= 51, "{held} of {}", lines.len());
-    // Noise that is a share of the value leaves magenta's green legible by itself, as dark as it is.
+    // With relative noise, magenta's green can be measured by itself, although it is dark.
     for absorber in ["cyan R*", "magenta G", "yellow B*"] {
         let of_ink: Vec<_> = lines.iter().filter(|(title, _)| title.starts_with(absorber)).collect();
         assert_eq!(of_ink.len(), 4, "{absorber} is not from mixtures");
         assert!(of_ink.iter().all(|line| holds(line)), "{of_ink:?}");
     }
     let furthest = found.mixtures.iter().filter_map(|m| m.agreement).map(|a| a.pull).fold(0.0, f64::max);
-    assert!(furthest < 4.0, "a mixture lies {furthest} of its errors off its inks");
+    assert!(furthest < 4.0, "a mixture deviates from its inks by {furthest} standard errors");
 }

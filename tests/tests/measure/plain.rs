@@ -1,8 +1,8 @@
-//! The plain `farmctl measure`: nothing is told but the photographs.
+//! The plain `farmctl measure`, with photographs as the only input.
 //!
-//! Sets of three materials with three channels each, all off the grid. Neither μ nor g is told: both are chosen for the
-//! set, and their uncertainty is in every interval. With `FARM_TEST_EFFORT=8`, 25 sets: g = 0, 0.2, 0.4, 0.7, 0.8, five of
-//! each, against the paper's whole dictionary.
+//! Sets of three materials with three channels each, all off the grid. Neither μ nor g is given: both are estimated for
+//! the set, and their uncertainty is in every interval. With `FARM_TEST_EFFORT=8`, 25 sets: g = 0, 0.2, 0.4, 0.7, 0.8,
+//! five of each, with the paper's whole dictionary.
 
 use farm_tests::statistics::{Normal, effort, median};
 use optics_fit::{MeasurePlan, Measured, measure};
@@ -11,7 +11,7 @@ use optics_model::{Measurement, Medium};
 
 use crate::{NOISE, dictionary, photograph};
 
-/// Nine media: σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, both evenly in the logarithm.
+/// Nine media: σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, both log-uniform.
 fn media(seed: u64, g: f64) -> Vec<Medium> {
     let mut random = Normal::new(31_000 + seed);
     let mut medium = || {
@@ -36,7 +36,7 @@ fn photographed(media: &[Medium], seed: u64, walks: u64) -> Vec<Measurement> {
     media.chunks(3).enumerate().map(material).collect()
 }
 
-/// A quantity as it was found, with its interval and the truth.
+/// An estimated quantity, with its interval and the truth.
 #[derive(Clone, Copy)]
 struct Found {
     value: f64,
@@ -104,8 +104,8 @@ fn common_parameters_are_near_the_truth_with_valid_errors() {
         }
     }
     let error = |k: usize| median(all.iter().map(|f| f[k].error()).collect());
-    // Half of the media are bright, with errors of σ_a many times those of the others. Where a median falls between the
-    // two is chance, so the geometric mean is bounded.
+    // Half of the media are bright, with errors of σ_a many times those of the others. The place of a median between
+    // the two is random, so the geometric mean is bounded.
     let geometric =
         |k: usize| (all.iter().map(|f| f[k].error().max(1e-6).ln()).sum::<f64>() / all.len() as f64).exp();
     let held = |k: usize| all.iter().filter(|f| f[k].holds()).count() as f64 / all.len() as f64;
@@ -119,14 +119,14 @@ fn common_parameters_are_near_the_truth_with_valid_errors() {
         );
     }
     assert!(geometric(0) < 0.02 && geometric(1) < 0.04 && geometric(2) < 0.02 && geometric(3) < 0.05);
-    // Of 18 intervals of 95 % that all miss by chance alone, fewer than 13 hold once in 10,000 times; but those of a set
-    // share what was chosen, so that a set may miss as a whole.
+    // Of 18 independent intervals of 95 %, fewer than 13 hold once in 10,000 times; but those of a set share the
+    // estimated μ and g, so that a set may miss as a whole.
     let least = if long { 0.9 } else { 0.72 };
     (0..4).for_each(|k| assert!(held(k) >= least, "quantity {k}: {}", held(k)));
     assert!(g_held + 1 >= count * 9 / 10 && mu_held + 1 >= count * 9 / 10);
 }
 
-/// One channel alone hardly tells μ: that is said, and the intervals are wide, not wrong.
+/// A single channel hardly determines μ: this is reported, and the intervals are wide, not wrong.
 #[test]
 fn one_channel_that_does_not_determine_the_scale_factor_says_so() {
     let truth = Medium::new(6.3, 0.9985, 0.4).unwrap();

@@ -1,4 +1,5 @@
-//! Errors of the levels that media absorb, so that χ² does not show them: a camera's curve, a factor that was given.
+//! Errors of the levels that the media's parameters absorb, so that χ² does not show them: a camera's curve, a wrong
+//! factor.
 
 use std::sync::OnceLock;
 
@@ -32,7 +33,7 @@ fn clean() -> &'static [Measurement] {
     })
 }
 
-/// The cause that every channel of changed values is suspected of; none if no channel is.
+/// The suspected cause of every channel with changed values; None if no channel has one.
 fn suspected(change: fn(f64) -> f64, mu: Option<f64>) -> Option<(Cause, f64)> {
     let profile = |p: &MeasuredProfile| {
         let values = p.values().iter().map(|v| change(*v)).collect();
@@ -61,11 +62,11 @@ fn is(found: Option<(Cause, f64)>, cause: Cause, amount: f64, within: f64) -> bo
     found.is_some_and(|f| f.0 == cause && (f.1 - amount).abs() <= within)
 }
 
-/// 0.9 is a mild curve of a camera; sRGB is close to the power 0.45 where the values are.
+/// 0.9 is a mild camera curve; sRGB is close to the power 0.45 in the range of the values.
 #[test]
 fn a_camera_curve_is_named_with_its_exponent() {
     assert_eq!(suspected(|v| v, None), None);
-    assert_eq!(suspected(|v| 0.95 * v, None), None, "a factor is what is searched");
+    assert_eq!(suspected(|v| 0.95 * v, None), None, "a factor is estimated");
     let curved = suspected(|v| v.powf(0.9), None);
     assert!(is(curved, Cause::Exponent, 0.9, 0.02), "{curved:?}");
     let steep = suspected(|v| v.powf(1.1), None);
@@ -75,7 +76,7 @@ fn a_camera_curve_is_named_with_its_exponent() {
     assert!(is(srgb, Cause::Exponent, 0.47, 0.06), "{srgb:?}");
 }
 
-/// A factor that was given and is wrong by as much as a wrong white reference makes it.
+/// A given factor that is wrong by a typical error of the white reference.
 #[test]
 fn a_given_factor_that_the_data_contradict_is_named() {
     assert_eq!(suspected(|v| v, Some(1.0)), None);

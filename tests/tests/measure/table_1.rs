@@ -1,4 +1,4 @@
-//! The paper's five materials, photographed with an exposure that is off.
+//! The paper's five materials, photographed with a wrong exposure.
 
 use optics_fit::{MeasurePlan, measure, scale};
 use optics_model::fit::{FitOptions, MuRange};
@@ -47,8 +47,8 @@ fn table_1_is_measured_with_a_hidden_factor() {
             "hidden {hidden}: μ = {:.4} ± {:.4}, g = {:?} {:?}",
             common.mu, common.mu_std_error, common.g, common.g_interval
         );
-        // The truth lies on the grid here, where the best records have no error but their noise; refined errors do not
-        // know that, and are told to be as sure as they are.
+        // The truth lies on the grid here, where the best records have no error except noise. Refined errors do not
+        // assume that, so they are checked against their own standard error.
         let off = (common.mu - hidden).abs();
         assert!(off <= 3.0 * common.mu_std_error && off <= 0.015, "{common:?}");
         let by_records = scale(dictionary, &materials, &options, &range).unwrap().best.mu;
@@ -60,7 +60,7 @@ fn table_1_is_measured_with_a_hidden_factor() {
                 let best = &channel.candidates[0].medium;
                 let r = channel.refined.as_ref().unwrap();
                 let unresolved = matches!((*name, i), ("cyan", 0) | ("yellow", 2));
-                // Noise that is a share of the value leaves magenta's green legible, as dark as it is.
+                // With relative noise, magenta's green can be measured, although it is dark.
                 let either = (*name, i) == ("magenta", 1);
                 println!(
                     "{name} {i}: {sigma_t} {albedo}: grid {} {}, refined {:.3} {:.5}, σ_t {:?}, α {:?} {}",
@@ -83,8 +83,8 @@ fn table_1_is_measured_with_a_hidden_factor() {
             }
         }
     }
-    // Some 90 intervals of 95 %, those of a factor with what was chosen in common; where a medium is left open they are
-    // to hold as often as elsewhere.
+    // Some 90 intervals of 95 %, those of one factor with the same μ and g; unresolved media must have the same
+    // coverage.
     println!("{held} of {count} intervals hold");
     assert!(held * 10 >= count * 9, "{held} of {count}");
 }

@@ -1,4 +1,4 @@
-//! One channel at a time: 25 media go round, 200 with `FARM_TEST_EFFORT=8`.
+//! Recovery of media, one channel at a time: 25 media, 200 with `FARM_TEST_EFFORT=8`.
 
 use farm_tests::statistics::{Normal, effort, median};
 use optics_fit::fit;
@@ -7,14 +7,13 @@ use optics_model::{Measurement, Medium};
 
 use crate::{NOISE, dictionary, photograph};
 
-/// One medium's way there and back.
+/// A medium and its fit.
 struct Trip {
     truth: Medium,
     found: ChannelFit,
 }
 
-/// The region: σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, both evenly in the logarithm; g among the
-/// dictionary's.
+/// Media with σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, both log-uniform; g is one of the dictionary's.
 fn trips(count: u64, walks: u64, hold_g: bool) -> Vec<Trip> {
     let dictionary = dictionary();
     let anisotropies = dictionary.grid().g();
@@ -30,7 +29,7 @@ fn trips(count: u64, walks: u64, hold_g: bool) -> Vec<Trip> {
         let settings = FitSettings {
             g: if hold_g { Bounds::fixed(g) } else { Bounds::FREE },
             gain_std_error: 0.5 * (thin_level + thick_level),
-            // Traced, not photographed: there is no stray light.
+            // Traced profiles have no stray light.
             offset_std_error: 0.0,
             refine: true,
             ..FitSettings::default()
@@ -69,12 +68,12 @@ fn media_traced_afresh_come_back() {
     );
     assert!(sigma_t < 0.02 && co_albedo < 0.03);
     assert!(3.0 * sigma_t < grid_sigma_t && 3.0 * co_albedo < grid_co_albedo);
-    // Of 25 intervals of 95 % fewer than 20 hold the truth once in 800 times.
+    // Of 25 intervals of 95 %, fewer than 20 contain the truth once in 800 times.
     let (least, most) = if count >= 200 { (0.90, 0.99) } else { (0.80, 1.0) };
     assert!((least..=most).contains(&sigma_t_held) && (least..=most).contains(&albedo_held));
 }
 
-/// With g free what is found lies in the valley of similar media, and is said to.
+/// With g free, the estimate lies in the valley of similar media, and this is reported.
 #[test]
 fn a_free_anisotropy_is_told_to_trade_off() {
     let count = 10 * effort();
@@ -91,7 +90,7 @@ fn a_free_anisotropy_is_told_to_trade_off() {
     });
     let off = median(off.collect());
     println!(
-        "{count} media: valley told {valley:.2}; intervals hold σ_t {sigma_t:.2}, g {g:.2}; σ_s' off {off:.4}"
+        "{count} media: valley reported {valley:.2}; intervals hold σ_t {sigma_t:.2}, g {g:.2}; σ_s' off {off:.4}"
     );
     assert!(valley >= 0.8 && sigma_t >= 0.7 && g >= 0.7 && off < 0.03);
 }

@@ -1,4 +1,4 @@
-//! From photographs to media: `farmctl capture` and `farmctl measure` with the session that is shipped as an example.
+//! From photographs to media: `farmctl capture` and `farmctl measure` with the example session.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -20,7 +20,7 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("paths of tests are text")
 }
 
-/// A copy of the example that can be spoilt.
+/// A copy of the example that can be modified.
 fn copy() -> tempfile::TempDir {
     let folder = folder();
     for entry in std::fs::read_dir(session().parent().unwrap()).unwrap() {
@@ -37,8 +37,8 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The truth is that of tests/examples/session.rs: ρ of the scene `paper`, 26 pixels a millimetre, lenses that blur by
-/// 36, 32 and 35 µm behind pixels of 1/26 mm. A second run writes the same bytes.
+/// The truth is that of tests/examples/session.rs: ρ of the scene `paper`, 26 pixels per millimetre, lenses that blur
+/// by 36, 32 and 35 µm behind pixels of 1/26 mm. A second run writes the same bytes.
 #[test]
 fn the_example_session_gives_true_profiles_and_set_up() {
     let folder = folder();
@@ -54,21 +54,21 @@ fn the_example_session_gives_true_profiles_and_set_up() {
     let scene = std::fs::read_to_string(white.join("scene.toml")).unwrap();
     let (_, under_darker_white) = scene.split_once("name = \"R (white -1 %)\"\nrho_light = ").unwrap();
     let rho: f64 = under_darker_white.lines().next().unwrap().parse().unwrap();
-    // A light side of 0.985 that looks 1 % darker is one of 0.980, under the paper's coat.
+    // Under the paper's coat, a light side of 0.985 that appears 1 % darker has ρ = 0.980.
     assert!((0.978..0.982).contains(&rho), "{rho}");
     let session_json: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(white.join("session.json")).unwrap()).unwrap();
-    let told = |path: &str| session_json.pointer(path).and_then(serde_json::Value::as_f64).unwrap();
-    assert!((1.0 / told("/board/mm_per_px/value") - 26.0).abs() < 0.02);
+    let field = |path: &str| session_json.pointer(path).and_then(serde_json::Value::as_f64).unwrap();
+    assert!((1.0 / field("/board/mm_per_px/value") - 26.0).abs() < 0.02);
     for (channel, lens_mm, light, dark) in
         [("R", 0.036, 0.985, 0.024), ("G", 0.032, 0.972, 0.023), ("B", 0.035, 0.971, 0.026)]
     {
         let blur_mm = f64::hypot(lens_mm, 1.0 / 26.0 / 12_f64.sqrt());
-        let found = told(&format!("/blur_mm/{channel}"));
+        let found = field(&format!("/blur_mm/{channel}"));
         assert!((found / blur_mm - 1.0).abs() < 0.03, "{channel}: {found} {blur_mm}");
         let rho = [
-            told(&format!("/board/rho_light/{channel}/value")),
-            told(&format!("/board/rho_dark/{channel}/value")),
+            field(&format!("/board/rho_light/{channel}/value")),
+            field(&format!("/board/rho_dark/{channel}/value")),
         ];
         assert!((rho[0] - light).abs() < 0.005 && (rho[1] - dark).abs() < 0.0005, "{channel}: {rho:?}");
     }
@@ -87,7 +87,8 @@ fn the_example_session_gives_true_profiles_and_set_up() {
     }
 }
 
-/// σ_t within 5 % and inside its interval, with a part of the paper's grid and 100,000 walks: the loss of the whole path.
+/// σ_t within 5 % and inside its interval, with a part of the paper's grid and 100,000 walks: the error of the whole
+/// chain.
 #[test]
 fn a_captured_folder_is_measured_and_reported() {
     let folder = folder();
@@ -108,7 +109,7 @@ fn a_captured_folder_is_measured_and_reported() {
     assert!(report.contains("photograph above, simulation below") && report.contains("σ_t"));
     assert!(!report.contains("Nothing is fitted yet"));
     assert!(!report.contains("<script") && !report.contains("http://") || report.contains("www.w3.org"));
-    // The dictionary is there: measured again, nothing is computed.
+    // A second measurement uses the existing dictionary.
     let again = run(folder.path(), &["measure", "white", "--json"]);
     assert_eq!(json(&again, "measure")["materials"], data["materials"]);
 }
@@ -116,11 +117,11 @@ fn a_captured_folder_is_measured_and_reported() {
 /// Nothing is written.
 #[test]
 fn invalid_sessions_are_refused_with_file_and_field() {
-    let spoilt = |change: &dyn Fn(&Path), told: &[&str]| {
+    let spoilt = |change: &dyn Fn(&Path), message: &[&str]| {
         let folder = copy();
         change(folder.path());
-        fails(folder.path(), &["capture", "session.toml", "-o", "out"], told);
-        assert!(!folder.path().join("out").exists(), "{told:?}: half a result");
+        fails(folder.path(), &["capture", "session.toml", "-o", "out"], message);
+        assert!(!folder.path().join("out").exists(), "{message:?}: partial result");
     };
     let edited = |from: &str, to: &str| {
         let (from, to) = (from.to_owned(), to.to_owned());
@@ -144,7 +145,7 @@ fn invalid_sessions_are_refused_with_file_and_field() {
     spoilt(&edited("thickness_mm = 0.512", "#"), &["missing field `thickness_mm`"]);
     spoilt(
         &edited("dark_side = \"left\"", "dark_side = \"right\""),
-        &["dark side of the edge is left, not right"],
+        &["dark side of the edge is left, but right"],
     );
     spoilt(&edited("[0.956, 0.594,", "[0.594, 0.956,"), &["not linear", "order of the patches"]);
     spoilt(
@@ -175,16 +176,16 @@ fn invalid_sessions_are_refused_with_file_and_field() {
     spoilt(&edited("white_05_*", "board_1"), &["each may be used once"]);
 }
 
-/// The thicker slab blurs the edge more: what `measure` would refuse to read is not written.
+/// The thicker slab blurs the edge more; profiles that `measure` would refuse are not written.
 #[test]
 fn profiles_are_checked_as_measure_checks_them() {
     let folder = copy();
     let session = std::fs::read_to_string(folder.path().join("session.toml")).unwrap();
     let swapped = session.replace("= 0.512", "= x").replace("= 1.006", "= 0.512").replace("= x", "= 1.006");
     write(folder.path(), "session.toml", &swapped);
-    let told = ["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"];
-    fails(folder.path(), &["capture", "session.toml", "-o", "out"], &told);
-    assert!(!folder.path().join("out").exists(), "half a result");
+    let message = ["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"];
+    fails(folder.path(), &["capture", "session.toml", "-o", "out"], &message);
+    assert!(!folder.path().join("out").exists(), "partial result");
 }
 
 #[test]
@@ -198,7 +199,7 @@ fn single_photographs_are_checked_and_a_board_can_be_printed() {
     let data = json(&bad, "check");
     assert_eq!((data["usable"].as_bool(), data["shots"][0]["usable"].as_bool()), (Some(false), Some(true)));
     assert!(data["shots"][1]["reason"].as_str().unwrap().starts_with("the file is no DNG"), "{data}");
-    // Files that do not tell the black level: BlackLevel (50714) becomes DefaultScale (50718).
+    // Files without a black level: BlackLevel (50714) becomes DefaultScale (50718).
     for name in ["board_1.dng", "dark_1.dng", "dark_2.dng"] {
         let path = folder.path().join(name);
         let mut bytes = std::fs::read(&path).unwrap();
@@ -208,12 +209,12 @@ fn single_photographs_are_checked_and_a_board_can_be_printed() {
         std::fs::write(path, bytes).unwrap();
     }
     let unknown = run(folder.path(), &["capture", "--check", "board_1.dng"]);
-    assert!(unknown.stdout.contains("`--darks` beside --check"), "{}", unknown.stdout);
+    assert!(unknown.stdout.contains("`--darks` with --check"), "{}", unknown.stdout);
     let args = ["capture", "--check", "board_1.dng", "--darks", "dark_1.dng", "dark_2.dng"];
-    let told = run(folder.path(), &args);
-    assert_eq!(told.code, 0, "{}", told.stdout);
+    let checked = run(folder.path(), &args);
+    assert_eq!(checked.code, 0, "{}", checked.stdout);
     let brightest = |out: &str| out.split(" % of full").next().map(str::to_owned);
-    assert_eq!(brightest(&told.stdout), brightest(&good.stdout));
+    assert_eq!(brightest(&checked.stdout), brightest(&good.stdout));
     for name in ["board.svg", "board.pdf"] {
         assert_eq!(run(folder.path(), &["capture", "--board", name]).code, 0);
         assert!(folder.path().join(name).metadata().unwrap().len() > 1000);

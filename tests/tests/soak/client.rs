@@ -1,4 +1,4 @@
-//! Somebody who works with the farm: submits, watches, fits, cancels, resumes and deletes, and checks every answer.
+//! A client that submits, watches, fits, cancels, resumes and deletes dictionaries, and checks every answer.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -21,18 +21,18 @@ use optics_model::scene::Scene;
 use optics_model::{Digest, Grid, MeasuredProfile, Measurement, Walks};
 use tonic::{Code, Request, Status};
 
-/// Of one dictionary.
+/// Records of one dictionary.
 pub const RECORDS: u64 = 12;
 /// 3 channels of 360 pixels with errors.
 pub const RECORD_BYTES: u64 = 3 * 360 * 2 * 4;
 /// Dictionaries that a client keeps.
 const KEPT: usize = 4;
-/// A call that takes longer is made again.
+/// Time limit of a call, after which it is repeated.
 const CALL: Duration = Duration::from_secs(10);
-/// A dictionary that is not done by then never will be.
+/// Time limit of a dictionary.
 const PATIENCE: Duration = Duration::from_mins(2);
 
-/// What was done.
+/// Counts of completed actions.
 #[derive(Debug, Default)]
 pub struct Tally {
     done: AtomicU64,
@@ -95,13 +95,13 @@ impl Client {
         }
     }
 
-    /// Works until `end`; the dictionaries that are left.
+    /// Works until `end`; returns the remaining dictionaries.
     pub async fn run(mut self, end: Instant) -> Vec<Live> {
         for round in 0.. {
             if Instant::now() > end {
                 break;
             }
-            // Some grids come again under another name: their records are there already.
+            // Some grids are repeated under another name, so that their records are reused.
             let repeated = self.live.front().filter(|_| round % 4 == 3).map(|live| live.seed);
             let seed = repeated.unwrap_or(1_000_000 * (self.number + 1) + round);
             self.round(format!("client-{}.{round}", self.number), seed).await;
@@ -128,7 +128,7 @@ impl Client {
         let found = found.unwrap_or_else(|_| panic!("{name} is not done after {PATIENCE:?}"));
         let records: Vec<_> = (0..grid.job_count()).map(|job| traced(&grid, job)).collect();
         let digest = Digest::of_jobs(records.iter().map(|records| Digest::of_records(records)));
-        assert_eq!(found, digest, "{name} holds other records than the tracer makes");
+        assert_eq!(found, digest, "{name} has other records than the tracer computes");
         count(&self.tally.done);
         self.fit(&name, &grid, &records.concat()).await;
         self.live.push_back(Live { name, seed, digest });
@@ -152,7 +152,7 @@ impl Client {
         match self.answered(|| async { self.dictionaries.clone().cancel(timed(request.clone())).await }).await
         {
             Ok(_) => count(&self.tally.cancelled),
-            // It was done sooner.
+            // It was already done.
             Err(status) => assert_eq!(status.code(), Code::FailedPrecondition, "{status}"),
         }
     }
@@ -171,12 +171,12 @@ impl Client {
         match self.answered(|| async { self.dictionaries.clone().delete(timed(request.clone())).await }).await
         {
             Ok(_) => count(&self.tally.deleted),
-            // The answer to the first try was lost.
+            // The answer to the first attempt was lost.
             Err(status) => assert_eq!(status.code(), Code::NotFound, "{status}"),
         }
     }
 
-    /// Watches until it is done; the digest of its records.
+    /// Watches until the dictionary is done; returns the digest of its records.
     async fn done(&self, name: &str) -> Digest {
         loop {
             let request = WatchRequest { name: name.to_owned() };
@@ -186,22 +186,22 @@ impl Client {
                 .unwrap();
             let mut updates = watched.into_inner();
             let mut last = None;
-            // A stream that breaks, or is silent because the coordinator stands still, is begun again.
+            // A stream that breaks, or is silent because the coordinator is stopped, is opened again.
             while let Ok(Ok(Some(update))) = tokio::time::timeout(CALL, updates.message()).await {
                 last = Some(update);
             }
             if let Some(last) = last.filter(|d| d.state() == DictionaryState::Done) {
-                return Digest::from_hex(&last.records_digest).expect("what is done has a digest");
+                return Digest::from_hex(&last.records_digest).expect("a finished dictionary has a digest");
             }
         }
     }
 
-    /// A record of the dictionary, measured: the best fit is its own medium.
+    /// Fits a record of the dictionary; the best fit must be its own medium.
     async fn fit(&self, name: &str, grid: &Grid, records: &[optics_model::Record]) {
-        let (sensor, wanted) = (grid.scene().sensor(), grid.record_at(0, 1, 1, 0, 2));
+        let (sensor, index) = (grid.scene().sensor(), grid.record_at(0, 1, 1, 0, 2));
         let x = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
         let channel = grid.scene().channels()[0].name();
-        let profile = &records[wanted].profiles[0].radiance_factor;
+        let profile = &records[index].profiles[0].radiance_factor;
         let values = profile.values().iter().map(|v| f64::from(*v)).collect();
         let profile = MeasuredProfile::new(channel, 0.5, x, values, None).unwrap();
         let measurement = Measurement::new("m", vec![profile]).unwrap();
@@ -226,7 +226,7 @@ impl Client {
         answer.into_inner().events.last().map_or(0, |event| event.id)
     }
 
-    /// Results that a second machine has found alike since the coordinator's start, and that it has not.
+    /// Numbers of verified results since the coordinator's start: confirmed and disputed.
     pub async fn checks(&self) -> (u64, u64) {
         let answer = self
             .answered(|| async { self.farm.clone().status(timed(StatusRequest {})).await })
@@ -236,7 +236,7 @@ impl Client {
         (answer.checks_agreed, answer.checks_disputed)
     }
 
-    /// These dictionaries are there, complete, and no others.
+    /// Checks that exactly these dictionaries exist, all complete.
     pub async fn assert_exactly(&self, live: &[Live]) {
         let request = ListRequest::default();
         let answer = self
@@ -246,13 +246,13 @@ impl Client {
         let key = |name: &str, digest: String| (name.to_owned(), digest);
         let mut found: Vec<_> =
             answer.into_inner().dictionaries.iter().map(|d| key(&d.name, d.records_digest.clone())).collect();
-        let mut wanted: Vec<_> = live.iter().map(|l| key(&l.name, l.digest.to_string())).collect();
+        let mut expected: Vec<_> = live.iter().map(|l| key(&l.name, l.digest.to_string())).collect();
         found.sort();
-        wanted.sort();
-        assert_eq!(found, wanted);
+        expected.sort();
+        assert_eq!(found, expected);
     }
 
-    /// Makes a call until it is answered by the coordinator itself.
+    /// Repeats a call until the coordinator answers it.
     async fn answered<T, F: Future<Output = Result<T, Status>>>(
         &self,
         call: impl Fn() -> F,

@@ -1,4 +1,4 @@
-//! A farm whose processes are killed, stopped, continued and started again.
+//! Injects faults into a farm: its processes are killed, stopped, continued and restarted.
 
 use std::io::{Write, pipe};
 use std::net::TcpStream;
@@ -14,38 +14,38 @@ use farm_tests::proxy::Proxy;
 use farm_tests::statistics::Normal;
 use farm_tests::usage::Usage;
 
-/// How long a worker may take to end when it is asked to.
+/// Time limit for a worker to end after SIGTERM.
 const END: Duration = Duration::from_secs(20);
-/// Connections that stay open and say nothing, at most; the oldest are closed.
+/// Largest number of silent open connections; the oldest are closed.
 const SILENT: usize = 8;
-/// What coordinator and workers share once they were killed. They take about half of it; caches fill the rest.
+/// Memory limit of coordinator and workers after their first kill. They need about half of it; caches fill the rest.
 const MEMORY_BYTES: u64 = 64 << 20;
 
-/// What is done to the farm.
+/// A fault that is injected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Fault {
-    /// SIGKILL, and a new one whose log has no reader, in a control group with little memory.
+    /// SIGKILL and a restart with a log without a reader, in a control group with little memory.
     KillCoordinator,
     KillWorker,
-    /// SIGSTOP, and SIGCONT after longer than a lease holds.
+    /// SIGSTOP, and SIGCONT after the lease has expired.
     StopWorker,
     StopCoordinator,
-    /// SIGTERM, and a new worker in its place.
+    /// SIGTERM, and a new worker as replacement.
     TerminateWorker,
-    /// SIGHUP, as when a terminal is closed, and a new worker in its place.
+    /// SIGHUP, as when a terminal is closed, and a new worker as replacement.
     HangUpWorker,
-    /// A new worker in the place of one that was asked to end, with a log that has no reader any more.
+    /// SIGTERM, and a new worker as replacement whose log has no reader.
     AbandonLog,
-    /// The link of the worker afar is half open: no end learns that nothing arrives any more.
+    /// The remote worker's connection is frozen: neither end notices that nothing arrives.
     FreezeLink,
-    /// A connection that never says a word, or stops in the middle of its greeting.
+    /// A connection that is silent, or stops in the middle of its greeting.
     HalfOpen,
     /// Random bytes to the port.
     Garbage,
 }
 
 impl Fault {
-    /// Those of a running farm; the coordinator is killed by whoever knows when that is due.
+    /// Faults of a running farm; kills of the coordinator are scheduled by the test.
     pub const LIST: [Self; 9] = [
         Self::KillWorker,
         Self::StopWorker,
@@ -61,7 +61,7 @@ impl Fault {
 
 /// A coordinator and workers.
 #[derive(Debug)]
-pub struct Maltreated {
+pub struct FaultyFarm {
     workers: Vec<Process>,
     afar: Option<(Proxy, Process)>,
     farm: Farm,
@@ -69,32 +69,32 @@ pub struct Maltreated {
     silent: Vec<TcpStream>,
 }
 
-impl Maltreated {
+impl FaultyFarm {
     pub fn start(workers: usize, lease_s: u64) -> Self {
-        // Kills are many here, and jobs few: none is to be given up.
+        // There are many kills and few jobs, none of which should be given up.
         let options = ["--lease", &lease_s.to_string(), "--verify-share", "0.1", "--max-attempts", "100"];
-        // A token for each, so that they check each other's results.
+        // Separate tokens, so that workers verify each other's results.
         let names: Vec<String> = (0..=workers).map(|n| format!("machine-{n}")).collect();
         let tokens: Vec<&str> = names.iter().map(String::as_str).collect();
         let mut farm = Farm::with_tokens(&tokens, &options);
         farm.abandon_log();
         match MemoryGroup::with_limit(MEMORY_BYTES) {
             Some(group) => farm.limit_memory(group),
-            None => eprintln!("not tried: a control group with little memory cannot be made here"),
+            None => eprintln!("SKIPPED: a control group with little memory cannot be created here"),
         }
         let workers = (0..workers).map(|n| worker(&farm, n)).collect();
         Self { farm, lease_s, workers, silent: Vec::new(), afar: None }
     }
 
-    /// Lets one more worker in, by a link of its own.
-    pub async fn join_from_afar(&mut self) {
+    /// Adds a worker behind a proxy.
+    pub async fn add_remote_worker(&mut self) {
         let proxy = Proxy::start(([127, 0, 0, 1], self.farm.port()).into()).await;
         let name = format!("machine-{}", self.workers.len());
         let (keys, log) = (self.farm.path(&format!("keys/{name}.toml")), self.farm.path("afar.log"));
         let (keys, url) = (keys.to_str().expect("a path of text"), proxy.url().replace("http:", "https:"));
         let args = ["--access", keys, "--server", &url, "--label", &name, "--threads", "1"];
         let worker = Process::start("farm-worker", &args, &log);
-        worker.tells("joined the coordinator");
+        worker.wait_for_log("joined the coordinator");
         self.afar = Some((proxy, worker));
     }
 
@@ -102,12 +102,12 @@ impl Maltreated {
         self.farm.link()
     }
 
-    /// Of the coordinator.
+    /// Usage of the coordinator.
     pub fn usage(&self) -> Option<Usage> {
         self.farm.coordinator().usage()
     }
 
-    /// The most that coordinator and workers had together, where they have a group of their own.
+    /// Peak memory of coordinator and workers together, if they have a control group.
     pub fn peak_bytes(&self) -> Option<u64> {
         self.farm.memory().map(MemoryGroup::peak_bytes)
     }
@@ -117,7 +117,7 @@ impl Maltreated {
     }
 
     /// # Panics
-    /// If a process has ended that nobody ended.
+    /// If a process has ended by itself.
     pub fn assert_all_run(&mut self) {
         assert!(self.farm.coordinator_runs(), "the coordinator ended by itself");
         let afar = self.afar.iter_mut().map(|(_, worker)| worker);
@@ -125,7 +125,7 @@ impl Maltreated {
     }
 
     /// # Panics
-    /// If a process does not bear it as it should.
+    /// If a process does not handle it as expected.
     pub fn inflict(&mut self, fault: Fault, chance: &mut Normal) {
         let victim = (chance.uniform() * self.workers.len() as f64) as usize;
         match fault {
@@ -145,25 +145,25 @@ impl Maltreated {
                 pause_for(self.farm.coordinator(), Duration::from_secs(2).mul_f64(chance.uniform()));
             }
             Fault::TerminateWorker => {
-                assert_eq!(self.workers[victim].terminate(END), 0, "a worker that was asked to leave");
+                assert_eq!(self.workers[victim].terminate(END), 0, "SIGTERM to a worker");
                 self.workers[victim] = worker(&self.farm, victim);
             }
             Fault::HangUpWorker => {
                 self.workers[victim].hang_up();
-                assert_eq!(self.workers[victim].exit_within(END), 0, "a worker that was hung up on");
+                assert_eq!(self.workers[victim].exit_within(END), 0, "SIGHUP to a worker");
                 self.workers[victim] = worker(&self.farm, victim);
             }
             Fault::AbandonLog => {
-                assert_eq!(self.workers[victim].terminate(END), 0, "a worker that was asked to leave");
+                assert_eq!(self.workers[victim].terminate(END), 0, "SIGTERM to a worker");
                 self.workers[victim] = worker_without_log(&self.farm, victim);
             }
             Fault::FreezeLink => self.afar.iter().for_each(|(proxy, _)| proxy.freeze()),
-            Fault::HalfOpen => self.say_half_a_word(chance),
+            Fault::HalfOpen => self.send_partial_greeting(chance),
             Fault::Garbage => self.send_garbage(chance),
         }
     }
 
-    fn say_half_a_word(&mut self, chance: &mut Normal) {
+    fn send_partial_greeting(&mut self, chance: &mut Normal) {
         if let Ok(mut stream) = TcpStream::connect(("127.0.0.1", self.farm.port())) {
             let greeting = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
             let _ = stream.write_all(&greeting[..(chance.uniform() * greeting.len() as f64) as usize]);
@@ -181,19 +181,19 @@ impl Maltreated {
         }
     }
 
-    /// Asks all to end.
+    /// Stops all processes.
     ///
     /// # Panics
-    /// If one of them does not, or with an error.
+    /// If one of them does not end, or ends with an error.
     pub fn stop(&mut self) {
-        // It may be waiting for a link that is dead.
+        // It may be waiting for a dead connection.
         if let Some((_, mut worker)) = self.afar.take() {
             worker.kill();
         }
         for mut worker in self.workers.drain(..) {
-            assert_eq!(worker.terminate(END), 0, "a worker that was asked to end");
+            assert_eq!(worker.terminate(END), 0, "SIGTERM to a worker");
         }
-        assert_eq!(self.farm.stop_coordinator(), 0, "a coordinator that was asked to end");
+        assert_eq!(self.farm.stop_coordinator(), 0, "SIGTERM to the coordinator");
     }
 }
 
@@ -202,7 +202,7 @@ fn worker(farm: &Farm, number: usize) -> Process {
     farm.worker_with(&format!("keys/{name}.toml"), &name, &["--grace", "2s"])
 }
 
-/// The same with a log whose reader has ended.
+/// The same with a log without a reader.
 fn worker_without_log(farm: &Farm, number: usize) -> Process {
     let name = format!("machine-{number}");
     let mut command = Command::new(program("farm-worker"));

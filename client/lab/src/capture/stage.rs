@@ -4,7 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use optics_capture::{
-    BareShots, Board, BoardRho, Calibration, Darks, Flats, Mountings, Patches, Photo, SampleProfile, Shown,
+    Appearance, BareShots, Board, BoardRho, Calibration, Darks, Flats, Mountings, Patches, Photo,
+    SampleProfile,
 };
 use optics_tracer::BareBoard;
 
@@ -74,7 +75,7 @@ impl Run<'_> {
         let board = self.board(session, &calibration)?;
         // The same light and the same coat for all channels.
         let seen = BareBoard::of(&session.scene).context("the session's scene")?;
-        let shown = Shown { s: seen.specular, a: seen.gain, b: seen.returned };
+        let shown = Appearance { s: seen.specular, a: seen.gain, b: seen.returned };
         let rho = board.rho(&[shown; 3], calibration.reference_std_error)?;
         let slabs = std::mem::take(&mut session.samples);
         let samples =

@@ -1,4 +1,4 @@
-//! The page for people who use the keyboard alone, or a screen reader.
+//! Accessibility: the page with the keyboard alone, and for screen readers.
 
 use farm_browser_tests::browser::{self, Browser};
 use farm_tests::page::Page;
@@ -9,7 +9,7 @@ use thirtyfour::prelude::*;
 
 use super::{folder_with_dictionary, go_to, let_in, measure_the_example};
 
-/// Presses of the tab key after which everything on a place was reached.
+/// Number of presses of the tab key that reach every element.
 const MOST_TABS: usize = 120;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -41,14 +41,14 @@ async fn axe_finds_nothing_in_any_place_light_or_dark() {
     browser.end().await;
 }
 
-/// What axe has against the page as it is: rule, and the elements.
+/// Violations that axe finds: rule and elements.
 async fn violations(browser: &Browser, axe: &str) -> String {
     let script = format!(
         "{axe}; const done = arguments[0]; axe.run(document, {{ iframes: false }}).then((found) => \
          done(found.violations.map((v) => `${{v.impact}} ${{v.id}}: ${{v.nodes.map((n) => n.target).join(' ')}}`).join('\\n')))"
     );
     let found = browser.driver.execute_async(&script, vec![]).await.unwrap();
-    found.json().as_str().unwrap_or("axe said nothing").to_owned()
+    found.json().as_str().unwrap_or("axe returned nothing").to_owned()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -87,17 +87,17 @@ async fn the_keyboard_alone_gets_through_measure() {
     browser.end().await;
 }
 
-/// Presses the tab key until what has the focus is called so, and checks that the focus can be seen.
+/// Presses the tab key until the element of this name has the focus, and checks that the focus is visible.
 async fn tab_to(browser: &Browser, name: &str) {
     let mut passed = Vec::new();
     for _ in 0..MOST_TABS {
         press(browser, Key::Tab).await;
-        let told = browser.script(FOCUSED, vec![]).await;
-        if told["name"].as_str().unwrap().starts_with(name) {
-            assert_eq!(told["seen"], Value::Bool(true), "{name}: the focus cannot be seen");
+        let focused = browser.script(FOCUSED, vec![]).await;
+        if focused["name"].as_str().unwrap().starts_with(name) {
+            assert_eq!(focused["seen"], Value::Bool(true), "{name}: the focus is not visible");
             return;
         }
-        passed.push(told["name"].as_str().unwrap().lines().next().unwrap_or_default().to_owned());
+        passed.push(focused["name"].as_str().unwrap().lines().next().unwrap_or_default().to_owned());
     }
     panic!("the tab key does not lead to {name:?}, but to {passed:?}");
 }

@@ -1,4 +1,4 @@
-//! Files that people drop by mistake: each is told what is wrong with it, and the page goes on.
+//! Invalid files: the page shows an error for each and continues to work.
 
 use farm_browser_tests::browser;
 use farm_tests::cli::{HEAD, rows};
@@ -36,7 +36,7 @@ async fn every_kind_of_bad_measurement_is_told_with_what_is_wrong() {
     ];
     let page = Page::start(folder.path(), &[]);
     let browser = let_in(&page).await;
-    for (name, content, told) in files {
+    for (name, content, message) in files {
         let file = folder.path().join(name);
         std::fs::write(&file, content).unwrap();
         browser.open("about:blank").await;
@@ -44,10 +44,10 @@ async fn every_kind_of_bad_measurement_is_told_with_what_is_wrong() {
         browser.choose_file("section[aria-label=Measurement] input[type=file]", &file).await;
         let alert = browser.css("[role=alert]").await.text().await.unwrap();
         println!("{name}: {alert}");
-        assert!(alert.contains(told) && alert.len() < 400, "{name}: {alert}");
+        assert!(alert.contains(message) && alert.len() < 400, "{name}: {alert}");
         assert!(!browser.shown().await.contains("Best by"), "{name}: it can be measured");
     }
-    // After all that, a good one.
+    // Afterwards a valid file is accepted.
     let file = folder.path().join("good.csv");
     std::fs::write(&file, good).unwrap();
     browser.choose_file("section[aria-label=Measurement] input[type=file]", &file).await;
@@ -62,7 +62,7 @@ async fn every_kind_of_bad_measurement_is_told_with_what_is_wrong() {
         .click()
         .await
         .unwrap();
-    for (name, content, told) in [
+    for (name, content, message) in [
         ("unknown.toml", "colour = 3\n", "colour"),
         ("albedo.toml", "albedo = [0.5, 1.5]\n", "1.5"),
         ("text.toml", "not a grid", "text.toml"),
@@ -72,7 +72,7 @@ async fn every_kind_of_bad_measurement_is_told_with_what_is_wrong() {
         browser.choose_file("form input[type=file]", &file).await;
         let alert = browser.wait("the file is refused", SOON, async |browser| {
             let alert = browser.driver.find(By::Css("form [role=alert]")).await.ok()?.text().await.ok()?;
-            alert.contains(told).then_some(alert)
+            alert.contains(message).then_some(alert)
         });
         println!("{name}: {}", alert.await);
         let compute = browser.driver.find(By::Css("form button.main")).await.unwrap();

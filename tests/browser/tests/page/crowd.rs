@@ -1,10 +1,10 @@
-//! A farm larger than any page can show at once.
+//! A farm with more workers and jobs than a page can show at once.
 
 use farm_browser_tests::browser;
 use farm_tests::farm::Farm;
-use farm_tests::hand::HandWorker;
 use farm_tests::page::Page;
 use farm_tests::process::SOON;
+use farm_tests::test_worker::TestWorker;
 use optics_model::grid::Axes;
 use optics_model::scene::{Channel, Scene, Sensor};
 use optics_model::{Grid, Walks};
@@ -40,11 +40,11 @@ async fn large_farms_are_shown_page_by_page() {
     let link = farm.link();
     let mut crew = Vec::new();
     for i in 0..WORKERS {
-        crew.push(HandWorker::register(link.clone(), &format!("hand-{i:04}")).await.unwrap());
+        crew.push(TestWorker::register(link.clone(), &format!("test-{i:04}")).await.unwrap());
     }
-    // Some of the jobs are at work.
-    for hand in &mut crew[..50] {
-        assert!(!hand.acquire(4).await.unwrap().is_empty());
+    // Some of the jobs are running.
+    for worker in &mut crew[..50] {
+        assert!(!worker.acquire(4).await.unwrap().is_empty());
     }
     let mut page = Page::start(farm.folder(), &["--server", &farm.url()]);
     let browser = let_in(&page).await;
@@ -80,7 +80,7 @@ async fn large_farms_are_shown_page_by_page() {
         .await;
     assert!(second.iter().all(|name| !first.contains(name)), "{first:?} {second:?}");
     assert_eq!(browser.complaints().await, Vec::<String>::new());
-    // Streams that go on for ever do not keep the server from ending.
+    // Open streams do not keep the server from ending.
     assert_eq!(page.process.terminate(SOON), 0);
     browser.end().await;
 }

@@ -1,4 +1,4 @@
-//! Who gets in and how: links, proxies, and those who have no business here.
+//! Access to the page: deep links, proxies, and requests without a token or from other sites.
 
 use std::sync::{Arc, Mutex};
 
@@ -30,7 +30,7 @@ async fn a_deep_link_opened_cold_shows_what_it_was_taken_from() {
         "{}#/dictionary?name=coarse&sigma_t=8.5&albedo=0.9993&g=0.45&thickness=1&channel=B",
         page.home
     );
-    // From elsewhere, into a page that has nothing in memory.
+    // From another address, so that the page has no state.
     browser.open("about:blank").await;
     browser.open(&link).await;
     browser.shows("between records").await;
@@ -39,7 +39,7 @@ async fn a_deep_link_opened_cold_shows_what_it_was_taken_from() {
         line,
         "farmctl profile --sigma-t 8.5 --albedo 0.9993 --g 0.45 --thickness 1 --channel B --plot profile.svg"
     );
-    // What nonsense in a link asks for is brought into bounds.
+    // Invalid values in a link are clamped.
     browser.open("about:blank").await;
     browser
         .open(&format!("{}#/dictionary?sigma_t=1e9&albedo=x&g=-7&thickness=&channel=%3Cb%3E", page.home))
@@ -96,22 +96,25 @@ async fn without_the_token_or_from_other_sites_nobody_gets_in() {
     browser.shows("Measurement (CSV)").await;
 
     // Another user's server on this machine, which the same browser visits.
-    let heard: Arc<Mutex<Vec<String>>> = Arc::default();
-    let other = listen_elsewhere(Arc::clone(&heard)).await;
+    let cookies_received: Arc<Mutex<Vec<String>>> = Arc::default();
+    let other = listen_elsewhere(Arc::clone(&cookies_received)).await;
     browser.open(&format!("http://127.0.0.1:{other}/")).await;
     browser.element(By::Id("other")).await;
-    let heard = heard.lock().unwrap().clone();
-    assert!(!heard.is_empty() && heard.iter().all(|cookie| !cookie.contains(&page.token)), "{heard:?}");
+    let cookies_received = cookies_received.lock().unwrap().clone();
+    assert!(
+        !cookies_received.is_empty() && cookies_received.iter().all(|cookie| !cookie.contains(&page.token)),
+        "{cookies_received:?}"
+    );
     for (how, credentials) in [("cors", "include"), ("no-cors", "include"), ("cors", "omit")] {
-        let told = submitted_from_here(&browser, &page, how, credentials).await;
-        assert!(told == "refused" || told == "opaque 0", "{how}, {credentials}: {told}");
+        let response = submitted_from_here(&browser, &page, how, credentials).await;
+        assert!(response == "refused" || response == "opaque 0", "{how}, {credentials}: {response}");
     }
-    // Nothing was submitted; from the page itself the same call is obeyed.
+    // Nothing was submitted; from the page itself the same call succeeds.
     browser.open(&format!("{}#/farm", page.home)).await;
     browser.shows("There is none yet").await;
     assert_eq!(submitted_from_here(&browser, &page, "same-origin", "include").await, "basic 200");
     browser.shows("unwanted").await;
-    // Nor can another site show it in a frame.
+    // Another site cannot show the page in a frame.
     browser.open(&format!("http://127.0.0.1:{other}/")).await;
     let framed = format!(
         "const [done] = arguments; const frame = document.createElement('iframe'); frame.src = {}; \
@@ -121,25 +124,25 @@ async fn without_the_token_or_from_other_sites_nobody_gets_in() {
     browser.driver.execute_async(&framed, vec![]).await.unwrap();
     browser.driver.enter_frame(0).await.unwrap();
     let within = browser.shown().await;
-    // The links to its places are there from the first drawing on.
+    // The navigation is part of the first rendering.
     assert!(!within.contains("Measure"), "{within}");
     browser.end().await;
 }
 
-/// A site on another port of this machine, which notes the cookies that it is sent.
-async fn listen_elsewhere(heard: Arc<Mutex<Vec<String>>>) -> u16 {
+/// A site on another port of this machine, which records the cookies that it receives.
+async fn listen_elsewhere(cookies_received: Arc<Mutex<Vec<String>>>) -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let port = listener.local_addr().unwrap().port();
     let routes = Router::new().fallback(move |request: Request| {
         let cookies = request.headers().get("cookie").map(|value| value.to_str().unwrap().to_owned());
-        heard.lock().unwrap().push(cookies.unwrap_or_default());
+        cookies_received.lock().unwrap().push(cookies.unwrap_or_default());
         async { Html("<!doctype html><title>other</title><p id=other>another site</p>") }
     });
     tokio::spawn(async move { axum::serve(listener, routes).await });
     port
 }
 
-/// What a script hears that submits a dictionary.
+/// The response to a script that submits a dictionary.
 async fn submitted_from_here(browser: &Browser, page: &Page, mode: &str, credentials: &str) -> Value {
     let script = "const [url, bytes, mode, credentials, done] = arguments; \
                   fetch(url, { method: 'POST', mode, credentials, body: new Uint8Array(bytes), \

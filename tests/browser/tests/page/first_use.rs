@@ -1,4 +1,4 @@
-//! From an empty folder to media, in the page alone.
+//! The whole workflow from an empty folder to media, on the page alone.
 
 use farm_browser_tests::browser::{self, Browser};
 use farm_tests::page::Page;
@@ -32,7 +32,7 @@ async fn a_grid_is_computed_the_example_measured_and_media_saved() {
     let line = browser.css("section[aria-label=Measurement] code").await.text().await.unwrap();
     assert_eq!(line, "farmctl measure white.csv --output media");
     browser.press("Save media and table").await;
-    // Names of files stand in an archive as they are.
+    // An archive contains the names of its files uncompressed.
     let media = std::fs::read(browser.saved("media.zip").await).unwrap();
     for name in ["table.csv", "media.py", "media.xml", "media.pbrt"] {
         assert!(
@@ -58,20 +58,20 @@ async fn a_grid_is_computed_the_example_measured_and_media_saved() {
     browser.end().await;
 }
 
-/// The cells of the jobs are told, and more and more are done.
+/// The label of the cells counts the jobs that are done, and the number rises.
 async fn fills(browser: &Browser) {
     let done = browser
         .wait("cells", SOON, async |browser| {
             let cells = browser.driver.find(By::Css("[aria-label^='States of']")).await.ok()?;
-            let told = cells.attr("aria-label").await.ok()??;
-            let (_, done) = told.strip_prefix("States of 36 jobs: ")?.split_once("computing; ")?;
+            let label = cells.attr("aria-label").await.ok()??;
+            let (_, done) = label.strip_prefix("States of 36 jobs: ")?.split_once("computing; ")?;
             done.split(' ').next()?.parse::<u32>().ok().filter(|done| *done > 0)
         })
         .await;
     assert!(done <= 36);
 }
 
-/// A press on the map moves the crosshair there, and the address holds it.
+/// A press on the map moves the crosshair there, and the address contains the position.
 async fn follows_the_crosshair(browser: &Browser) {
     let map = browser.css("section[aria-label=Explore] .holder").await;
     map.scroll_into_view().await.unwrap();
@@ -84,7 +84,7 @@ async fn follows_the_crosshair(browser: &Browser) {
     );
 }
 
-/// What the page's table tells is what `farmctl measure` prints of the same file.
+/// The page's table contains the numbers that `farmctl measure` prints for the same file.
 async fn same_numbers_as_the_command(browser: &Browser, folder: &std::path::Path) {
     let white = farm_tests::reference::root().join("examples/white.csv");
     let ran = run(folder, &["measure", white.to_str().unwrap(), "--json"]);
@@ -92,11 +92,11 @@ async fn same_numbers_as_the_command(browser: &Browser, folder: &std::path::Path
     same_numbers(browser, &serde_json::from_str(&ran.stdout).unwrap()).await;
 }
 
-async fn same_numbers(browser: &Browser, told: &Value) {
+async fn same_numbers(browser: &Browser, answer: &Value) {
     let shown = browser.css("section[aria-label=Media] table").await.text().await.unwrap();
     let separates = |c: char| c.is_whitespace() || "()".contains(c);
     let numbers: Vec<f64> = shown.split(separates).filter_map(|number| number.parse().ok()).collect();
-    let channels = told["data"]["materials"][0]["channels"].as_array().unwrap();
+    let channels = answer["data"]["materials"][0]["channels"].as_array().unwrap();
     assert_eq!(channels.len(), 3);
     for channel in channels {
         let sigma_t = channel["refined"]["sigma_t_per_mm"].as_f64().unwrap();
@@ -115,7 +115,7 @@ async fn a_capture_is_measured_with_a_dictionary_of_its_own() {
     let session = farm_tests::reference::root().join("examples/session/session.toml");
     let captured = run(folder.path(), &["capture", session.to_str().unwrap(), "-o", "session"]);
     assert_eq!(captured.code, 0, "{}", captured.stderr);
-    // The axes of the session's grid are the paper's; a test has less time.
+    // The axes of the session's grid are the paper's; the test uses coarser ones to save time.
     let grid = folder.path().join("session/grid.toml");
     let axes = "sigma_t_per_mm = [5, 6, 8, 10, 14, 20, 26]\nalbedo = [0.998, 0.999, 0.9995, 0.9999]\n\
                 g = [0.2, 0.4, 0.6]\nwalks = 20000\n";
@@ -140,10 +140,10 @@ async fn a_capture_is_measured_with_a_dictionary_of_its_own() {
     browser.shows("Intervals of 95 %").await;
     let line = browser.css("section[aria-label=Measurement] code").await.text().await.unwrap();
     assert_eq!(line, "farmctl measure session --output media");
-    let told = run(folder.path(), &["measure", "session", "--json"]);
-    assert_eq!(told.code, 0, "{}", told.stderr);
-    same_numbers(&browser, &serde_json::from_str(&told.stdout).unwrap()).await;
-    // A link leads back to what one looks at, after a reload too and from another place.
+    let measured = run(folder.path(), &["measure", "session", "--json"]);
+    assert_eq!(measured.code, 0, "{}", measured.stderr);
+    same_numbers(&browser, &serde_json::from_str(&measured.stdout).unwrap()).await;
+    // A link restores the view, also after a reload and from another tab.
     browser.css("section[aria-label=Explore] select").await;
     browser.pick("section[aria-label=Explore] select", "white B").await;
     follows_the_crosshair(&browser).await;

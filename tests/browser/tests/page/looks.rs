@@ -1,4 +1,4 @@
-//! Each place in the sizes and colours that people have, whole and with nothing cut off.
+//! Layout: each tab at desktop and phone width, in light and dark, with nothing cut off.
 
 use std::path::PathBuf;
 
@@ -54,7 +54,7 @@ async fn nothing_is_cut_off_on_a_desk_or_a_phone_by_day_or_by_night() {
     browser.end().await;
 }
 
-/// Lets the farm compute a dictionary until a good part is done.
+/// Has the farm compute a dictionary until a good part is done.
 async fn half_a_dictionary(browser: &Browser, name: &str) {
     let open = "const new_one = [...document.querySelectorAll('details')].find((d) => d.innerText.includes('Compute a new one')); \
                 new_one.open = true";
@@ -76,12 +76,12 @@ async fn half_a_dictionary(browser: &Browser, name: &str) {
         .await;
 }
 
-/// The folder for pictures, if they are wanted.
+/// The folder for screenshots, if one is set.
 fn pictures() -> Option<PathBuf> {
     std::env::var_os("FARM_TEST_PICTURES").map(Into::into)
 }
 
-/// Checks that nothing is wider than the page and that it has the colours that are wanted; takes its picture.
+/// Checks that nothing is wider than the page and that its background is light or dark as set; takes a screenshot.
 async fn look(browser: &Browser, place: &str, dark: bool, width: u32) {
     let measured = browser.script(MEASURE, vec![]).await;
     assert_eq!(measured["beyond"], json!([]), "{place} at {width} pixels");
@@ -103,7 +103,7 @@ async fn look(browser: &Browser, place: &str, dark: bool, width: u32) {
     browser.size(width, 900).await;
 }
 
-/// Elements that stand beyond the page's right side without being within something that can be scrolled.
+/// Elements beyond the page's right side that are not within a scrollable one.
 const MEASURE: &str = "const within = (e) => { for (let p = e; p; p = p.parentElement) { \
        if (['auto', 'scroll', 'hidden'].includes(getComputedStyle(p).overflowX)) return true; } return false; }; \
      const beyond = [...document.querySelectorAll('main *, header *')].filter((e) => \

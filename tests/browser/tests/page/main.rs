@@ -1,6 +1,6 @@
-//! The page of `farmctl web` in a real browser: what people do with it, and what befalls it meanwhile.
+//! The page of `farmctl web` in a real browser: the workflows of users, and faults during them.
 //!
-//! Pictures of its places go to the folder that `FARM_TEST_PICTURES` names; those in `docs/page` were made so.
+//! Screenshots go to the folder that `FARM_TEST_PICTURES` names; those in `docs/page` were made so.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -20,7 +20,7 @@ use farm_tests::process::{LONG, SOON, run};
 use tempfile::TempDir;
 use thirtyfour::By;
 
-/// What the white example lies within, coarsely: 180 records in 36 jobs.
+/// A coarse grid around the white example: 180 records in 36 jobs.
 const GRID: &str = "sigma_t_per_mm = [5, 7, 10, 14, 20, 28]\nalbedo = [0.995, 0.998, 0.999, 0.9995, 0.9999]\n\
                     g = [0.2, 0.4, 0.6]\nwalks = 20000\n";
 
@@ -37,7 +37,7 @@ fn write_grid(folder: &Path) {
     std::fs::write(folder.join("coarse.toml"), GRID).unwrap();
 }
 
-/// A browser that the page has let in.
+/// A browser that has opened the page with its token.
 async fn let_in(page: &Page) -> Browser {
     let browser = Browser::start().await;
     browser.open(&page.url()).await;
@@ -50,13 +50,13 @@ async fn let_in(page: &Page) -> Browser {
     browser
 }
 
-/// Goes to a place of the page by its link.
+/// Opens a tab of the page by its link.
 async fn go_to(browser: &Browser, place: &str) {
     browser.element(By::LinkText(place)).await.click().await.unwrap();
     browser.element(By::XPath(format!("//nav/a[@aria-current=\"page\" and text()=\"{place}\"]"))).await;
 }
 
-/// Measures the example that the page has.
+/// Measures the page's example.
 async fn measure_the_example(browser: &Browser) {
     go_to(browser, "Measure").await;
     browser.press("Try the example").await;

@@ -1,4 +1,4 @@
-//! Workers and coordinators come and go while pages watch.
+//! Open pages while workers and coordinators fail and return.
 
 use farm_browser_tests::browser::{self, Browser};
 use farm_tests::farm::Farm;
@@ -8,11 +8,11 @@ use thirtyfour::By;
 
 use super::{go_to, let_in};
 
-/// Jobs enough to watch them: some 20 s of a core.
+/// Enough jobs to watch: some 20 s of one core.
 const LONG_GRID: &str = "sigma_t_per_mm = [2, 3, 4, 6, 8, 12, 16, 24]\nalbedo = [0.9, 0.99, 0.999]\n\
                          g = [0.0, 0.2, 0.4, 0.6]\nwalks = 200000\n";
 
-/// A killed worker and a restarted coordinator are shown, and the page goes on without being loaded again.
+/// A killed worker and a restarted coordinator are shown, and the page continues without a reload.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_survives_worker_and_coordinator_failures() {
     if !browser::is_there() {
@@ -24,14 +24,14 @@ async fn the_page_survives_worker_and_coordinator_failures() {
     let browser = let_in(&page).await;
     go_to(&browser, "Farm").await;
     browser.shows("grid: running").await;
-    // More windows than a browser has connections for; all of them can be seen.
+    // More windows than the browser's limit of connections, all of them visible.
     for _ in 0..7 {
         let window = browser.driver.new_window().await.unwrap();
         browser.driver.switch_to_window(window).await.unwrap();
         browser.open(&format!("{}#/farm?name=grid", page.home)).await;
         browser.shows("grid: running").await;
     }
-    // A last one, which is watched, on the same dictionary.
+    // A last window, which is watched, on the same dictionary.
     let first = browser.driver.window().await.unwrap();
     let second = browser.driver.new_tab().await.unwrap();
     browser.driver.switch_to_window(second.clone()).await.unwrap();
@@ -68,18 +68,18 @@ async fn the_page_survives_worker_and_coordinator_failures() {
     browser.end().await;
 }
 
-/// What a reload would lose.
+/// Sets a variable that a reload would lose.
 async fn mark(browser: &Browser) {
     browser.script("window.marked = true", vec![]).await;
 }
 
-/// Jobs that the cells show as done; waits until there are so many.
+/// Jobs that the cells show as done; waits until there are at least `least`.
 async fn wait_for_jobs(browser: &Browser, least: u64) -> u64 {
     browser
         .wait(&format!("{least} jobs are done"), LONG, async |browser| {
             let cells = browser.driver.find(By::Css("[aria-label^='States of']")).await.ok()?;
-            let told = cells.attr("aria-label").await.ok()??;
-            let numbers = told.split([':', ';']).skip(1).filter_map(|part| part.trim().split_once(' '));
+            let label = cells.attr("aria-label").await.ok()??;
+            let numbers = label.split([':', ';']).skip(1).filter_map(|part| part.trim().split_once(' '));
             let done: u64 = numbers
                 .filter(|(_, what)| ["done", "checked by another machine"].contains(what))
                 .filter_map(|(number, _)| number.parse::<u64>().ok())

@@ -1,4 +1,4 @@
-//! What is wrong with a measurement, and what comes of it.
+//! Imperfections of a measurement, and the profiles that they produce.
 
 use farm_tests::statistics::Normal;
 use optics_model::MeasuredProfile;
@@ -7,11 +7,11 @@ use super::media::SLABS_MM;
 use super::rows::{Kind, Row};
 use super::truths::{FINE, MARGIN, Truth, scene};
 
-/// Noise of a pixel: a share of its value, and what is left in the dark.
+/// Noise of a pixel: a share of its value, and a floor.
 const NOISE_SHARE: f64 = 0.004;
 const NOISE_FLOOR: f64 = 0.0002;
 
-/// Typical sizes: standard deviations, but for the blur and the number of specks of dust in a profile.
+/// Typical sizes: standard deviations, except for the blur and the number of specks in a profile.
 const ORIGIN_MM: f64 = 0.05;
 const BLUR_MM: f64 = 0.025;
 const GAIN: f64 = 0.003;
@@ -28,7 +28,7 @@ struct Speck {
     share: f64,
 }
 
-/// What is wrong with one profile.
+/// The imperfections of one profile.
 #[derive(Debug, Clone)]
 struct Flaws {
     origin_mm: f64,
@@ -41,14 +41,14 @@ struct Flaws {
 }
 
 impl Flaws {
-    /// What a row of the trial asks for. The same deviates belong to a subject at every size.
+    /// Draws the imperfections of a row. A subject has the same deviates at every size.
     fn draw(row: &Row, subject: u64, slab: usize) -> Self {
         let pixels = scene().sensor().pixels() as f64;
         let own = |kind: Kind| Normal::new(430_000 + (subject * 2 + slab as u64) * 16 + kind as u64);
         let deviate = |kind: Kind, unit: f64| row.size(kind) * unit * own(kind).normal();
         let mut dust = own(Kind::Dust);
         let count = (row.size(Kind::Dust) * SPECKS) as usize;
-        // An exposure is common to the slabs.
+        // The exposure is common to the slabs.
         let scale = Normal::new(440_000 + subject).normal();
         Self {
             origin_mm: deviate(Kind::Origin, ORIGIN_MM),
@@ -69,7 +69,8 @@ impl Flaws {
 }
 
 impl Speck {
-    /// Anywhere, one to three pixels wide at half its depth, as often dark (5 to 40 %) as bright (5 to 20 %).
+    /// Draws a speck: anywhere, one to three pixels wide at half its depth, equally often dark (5 to 40 %) and bright
+    /// (5 to 20 %).
     fn draw(random: &mut Normal, pixels: f64) -> Self {
         let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
         let pixel = between(0.0, pixels);
@@ -83,7 +84,7 @@ impl Speck {
     }
 }
 
-/// The profile of a slab as a laboratory gets it, told at its nominal thickness.
+/// The profile of a slab as measured in a laboratory, with its nominal thickness.
 pub(super) fn photographed(truth: &Truth, row: &Row, subject: u64, slab: usize) -> MeasuredProfile {
     let flaws = Flaws::draw(row, subject, slab);
     let sensor = scene().sensor();
@@ -96,7 +97,7 @@ pub(super) fn photographed(truth: &Truth, row: &Row, subject: u64, slab: usize) 
     MeasuredProfile::new("R", SLABS_MM[slab], x, values, Some(std_errors)).unwrap()
 }
 
-/// Averages over the dictionary's pixels of a truth that a camera has blurred, the edge lying at `origin_mm`.
+/// The blurred truth averaged over the dictionary's pixels, with the edge at `origin_mm`.
 fn seen(truth: &Truth, origin_mm: f64, blur_mm: f64) -> Vec<f64> {
     let fine = blurred(&truth.values, blur_mm / truth.pitch_mm);
     let mut sums = vec![0.0];
@@ -113,7 +114,7 @@ fn seen(truth: &Truth, origin_mm: f64, blur_mm: f64) -> Vec<f64> {
     (0..pixels).map(|i| (sum_to(edge(i + 1)) - sum_to(edge(i))) / FINE as f64).collect()
 }
 
-/// A convolution with a Gaussian; what lies beyond the ends is as bright as they are.
+/// Convolution with a Gaussian; values beyond the ends equal the end values.
 fn blurred(values: &[f64], sigma: f64) -> Vec<f64> {
     if sigma == 0.0 {
         return values.to_vec();
@@ -147,7 +148,7 @@ mod tests {
         let seen = seen(&parabola(), origin * pitch, sigma * pitch);
         for i in [60, 180, 300] {
             let x = i as f64 + 0.5 - 180.0 - origin;
-            // Gaussian and pixel add their variances, the fine pixels being points here: (1 − 1/16)/12 is theirs.
+            // The variances of Gaussian and pixel add up; with fine pixels as points the latter is (1 − 1/16)/12.
             let expected = 1.0 + 1e-4 * (x * x + sigma * sigma + (1.0 - 1.0 / 16.0) / 12.0);
             assert!((seen[i] - expected).abs() < 1e-4 * 0.05, "{i}: {} {expected}", seen[i]);
         }
@@ -162,7 +163,7 @@ mod tests {
         for (part, expected) in [0.15, 0.009, 0.003, 0.006].into_iter().enumerate() {
             let squares = drawn.iter().map(|f| parts(f)[part].powi(2));
             let sigma = (squares.sum::<f64>() / drawn.len() as f64).sqrt();
-            // Of 2000 deviates it is known to 1.6 %.
+            // From 2000 deviates it is determined to 1.6 %.
             assert!((sigma / expected - 1.0).abs() < 0.06, "{sigma} {expected}");
         }
         assert!(drawn.iter().all(|f| f.specks.len() == 45 && f.blur_mm == 3.0 * BLUR_MM && f.mu == 1.0));

@@ -1,16 +1,16 @@
-//! How well media are measured if the measurement is imperfect, as all are.
+//! Accuracy of fits to imperfect measurements.
 //!
-//! Media between the grid points are traced afresh, spoilt in the ways that laboratories know, each alone and all
-//! together, and fitted. With `FARM_TEST_EFFORT=8` 200 media with 4 million walks meet the paper's whole dictionary; what
-//! they come to is printed as tables. Then these may be set:
+//! Media between the grid points are traced, modified by typical imperfections of laboratories, each alone and all
+//! together, and fitted. With `FARM_TEST_EFFORT=8`, 200 media with 4 million walks are fitted with the paper's whole
+//! dictionary, and the results are printed as tables. Then these may be set:
 //!
 //! | variable | meaning |
 //! |---|---|
-//! | `FARM_TEST_TRUTHS=DIR` | keeps what was traced, so that another fit is tried in minutes, a row of it in seconds |
-//! | `FARM_TEST_ROWS=none,all x3` | these imperfections alone |
-//! | `FARM_TEST_MEDIA=50` | so many media |
-//! | `FARM_TEST_WALKS=16000000` | so many walks |
-//! | `FARM_TEST_OBJECTIVES=likelihood` | this objective alone |
+//! | `FARM_TEST_TRUTHS=DIR` | keeps the traced profiles, so that another fit takes minutes, and a row of it seconds |
+//! | `FARM_TEST_ROWS=none,all x3` | only these imperfections |
+//! | `FARM_TEST_MEDIA=50` | number of media |
+//! | `FARM_TEST_WALKS=16000000` | number of walks |
+//! | `FARM_TEST_OBJECTIVES=likelihood` | only this objective |
 //! | `FARM_TEST_CSV=FILE` | a line for each medium, row and fit |
 
 mod flaws;
@@ -36,15 +36,15 @@ use truths::Truth;
 
 /// Largest median errors of σ_t and of 1 − α that the likelihood may have, g held, by row.
 const MEDIAN_ERRORS: [(&str, [f64; 2]); 2] = [("none", [0.012, 0.03]), ("all", [0.015, 0.04])];
-/// Shares of intervals of 95 % that may hold, but for two standard errors of as many intervals.
+/// Accepted coverage of 95 % intervals, within two standard errors for their number.
 const HELD: (f64, f64) = (0.93, 0.97);
 
-/// What is tried.
+/// Media, rows and fits of the test.
 struct Trial {
     media: u64,
     rows: Vec<Row>,
     ways: Vec<Way>,
-    /// Walks of the slabs whose thickness is right, and of the others.
+    /// Walks of the slabs with nominal thickness, and of the others.
     walks: (u64, u64),
 }
 
@@ -59,7 +59,7 @@ impl Trial {
         let list = |name: &str| std::env::var(name).ok().map(|v| v.split(',').map(str::to_owned).collect());
         let names: Option<Vec<String>> = list("FARM_TEST_ROWS");
         let objectives: Option<Vec<String>> = list("FARM_TEST_OBJECTIVES");
-        let wanted = |way: &Way| match &objectives {
+        let is_selected = |way: &Way| match &objectives {
             Some(names) => names.iter().any(|name| name == way.objective_name()),
             None => true,
         };
@@ -68,7 +68,7 @@ impl Trial {
         Self {
             media: number("FARM_TEST_MEDIA", 200),
             rows: names.map_or_else(Row::all, |names| names.iter().map(|name| Row::named(name)).collect()),
-            ways: Way::ALL.into_iter().filter(wanted).collect(),
+            ways: Way::ALL.into_iter().filter(is_selected).collect(),
             walks: (walks, walks),
         }
     }
@@ -114,7 +114,7 @@ fn whole_dictionary() -> &'static FitDictionary {
     })
 }
 
-/// Those of the likelihood that a row asks it to get right.
+/// Outcomes of the likelihood for a row.
 fn of_row(outcomes: &[Outcome], row: usize, g_held: bool) -> Vec<&Outcome> {
     let way = Way { objective: Objective::Likelihood, g_held };
     outcomes.iter().filter(|o| o.row == row && o.way == way).collect()
@@ -124,7 +124,7 @@ fn check_errors(rows: &[Row], outcomes: &[Outcome]) {
     for (name, most) in MEDIAN_ERRORS {
         let Some(row) = rows.iter().position(|row| row.name == name) else { continue };
         let these = of_row(outcomes, row, true);
-        assert!(these.iter().all(|o| o.bound.is_some()), "{name}: the likelihood answers");
+        assert!(these.iter().all(|o| o.bound.is_some()), "{name}: the likelihood has a bound");
         for (which, most) in most.into_iter().enumerate().filter(|_| !these.is_empty()) {
             let median = quantile(these.iter().map(|o| o.errors()[which].abs()).collect(), 0.5);
             assert!(median < most, "{name}: the median error of {} is {median}", ["σ_t", "1 − α"][which]);
@@ -132,9 +132,9 @@ fn check_errors(rows: &[Row], outcomes: &[Outcome]) {
     }
 }
 
-/// Where the fit reckons with as much as is wrong, its intervals hold as often as they say.
+/// Where the priors match the imperfections, intervals have their stated coverage.
 fn check_intervals(rows: &[Row], outcomes: &[Outcome]) {
-    for (number, row) in rows.iter().enumerate().filter(|(_, row)| row.is_told()) {
+    for (number, row) in rows.iter().enumerate().filter(|(_, row)| row.has_matching_prior()) {
         for g_held in [true, false] {
             let these = of_row(outcomes, number, g_held);
             let slack = 2.0 * (0.95 * 0.05 / these.len() as f64).sqrt();
@@ -147,7 +147,7 @@ fn check_intervals(rows: &[Row], outcomes: &[Outcome]) {
     }
 }
 
-/// All intervals of a measurement hold or miss together, so it is measurements that make up a standard error.
+/// The intervals of a measurement are correlated, so the standard error is that of the number of measurements.
 fn check_few_intervals(outcomes: &[Outcome], measurements: f64) {
     let least = 0.95 - 2.0 * (0.95 * 0.05 / measurements).sqrt();
     let held = Share::of(outcomes.iter().flat_map(|o| COVERED.map(|q| o.holds(q)))).unwrap();

@@ -1,4 +1,4 @@
-//! What a fit finds of a medium, beside the truth.
+//! The result of a fit, compared with the true medium.
 
 use optics_fit::{FitDictionary, fit};
 use optics_model::fit::{Bound, Ends, FitOptions, Interval, MISFIT, Objective, Refined};
@@ -7,19 +7,19 @@ use optics_model::{Measurement, Medium};
 use super::media::Subject;
 use super::rows::Row;
 
-/// What is asked for, in the order of all arrays below.
+/// Names of the quantities, in the order of all arrays below.
 pub(super) const QUANTITIES: [&str; 5] = ["σ_t", "α", "g", "σ_s(1−g)", "σ_a"];
 const SIGMA_T: usize = 0;
 const ALBEDO: usize = 1;
 
-/// Those whose intervals are counted in both ways to fit: g is held in one of them.
+/// Quantities whose coverage is counted with g held and with g free.
 pub(super) const COVERED: [usize; 4] = [SIGMA_T, ALBEDO, 3, 4];
 
-/// How a measurement is fitted.
+/// A way to fit a measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Way {
     pub objective: Objective,
-    /// g is held at the truth.
+    /// Whether g is held at the truth.
     pub g_held: bool,
 }
 
@@ -52,11 +52,11 @@ pub(super) struct Outcome {
     pub truth: [f64; 5],
     pub found: [f64; 5],
     pub intervals: [Interval; 5],
-    /// The Cramér–Rao bound; none if the likelihood did not answer.
+    /// The Cramér–Rao bound; None if the likelihood gave none.
     pub bound: Option<[Ends; 5]>,
     pub resolved: bool,
     pub misfit: f64,
-    /// That noise alone makes χ² as large.
+    /// Probability that noise alone makes χ² as large.
     pub probability: Option<f64>,
     pub outliers: usize,
 }
@@ -104,7 +104,7 @@ impl Outcome {
         self.misfit > MISFIT
     }
 
-    /// Width of an interval over that of a bound; none if one of them is open.
+    /// Ratio of the width of an interval to that of a bound; None if one of them is open.
     pub(super) fn over_bound(&self, quantity: usize, bound: &[Ends; 5]) -> Option<f64> {
         let (found, least) = (&self.intervals[quantity], &bound[quantity]);
         let ratio = (found.high - found.low) / (least.high - least.low);

@@ -1,10 +1,10 @@
-//! The rows of the trial: what is wrong, how much, and whether the fit is told.
+//! The rows of the test: which imperfections a measurement has, of which size, and whether the priors match them.
 
 use optics_model::fit::{Bounds, FitSettings, Objective};
 
 use super::flaws::SCALE;
 
-/// Something that is wrong with a measurement.
+/// An imperfection of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Thickness,
@@ -18,7 +18,7 @@ pub(super) enum Kind {
     Scale,
 }
 
-/// What is wrong with every measurement, each of another size, and a name to find it by.
+/// The imperfections that are tested alone, by name.
 const ALONE: [(&str, Kind); 7] = [
     ("thickness", Kind::Thickness),
     ("origin", Kind::Origin),
@@ -31,34 +31,34 @@ const ALONE: [(&str, Kind); 7] = [
 
 #[derive(Debug, Clone)]
 pub(super) struct Row {
-    /// As in `dust`, `blur x3`, `all x3 told`.
+    /// Such as `dust`, `blur x3`, `all x3 prior`.
     pub name: String,
     kinds: Vec<Kind>,
-    /// In typical sizes.
+    /// Size of the imperfections, in typical sizes.
     size: f64,
-    /// The size that the fit reckons with.
-    told: f64,
+    /// Size that the fit's priors assume.
+    prior: f64,
 }
 
 impl Row {
-    fn new(name: &str, kinds: Vec<Kind>, size: f64, told: f64) -> Self {
-        let size_of = if size == 1.0 { String::new() } else { format!(" x{size}") };
-        let told_of = if told == 1.0 { "" } else { " told" };
-        Self { name: format!("{name}{size_of}{told_of}"), kinds, size, told }
+    fn new(name: &str, kinds: Vec<Kind>, size: f64, prior: f64) -> Self {
+        let size_suffix = if size == 1.0 { String::new() } else { format!(" x{size}") };
+        let prior_suffix = if prior == 1.0 { "" } else { " prior" };
+        Self { name: format!("{name}{size_suffix}{prior_suffix}"), kinds, size, prior }
     }
 
-    /// Everything that the trial tries: at typical size, at three times that, and at three times and told so.
+    /// All rows: at typical size, at three times that size, and at three times with matching priors.
     pub(super) fn all() -> Vec<Self> {
         let all: Vec<Kind> = ALONE.iter().map(|(_, kind)| *kind).collect();
         let mut what: Vec<(&str, Vec<Kind>)> =
             ALONE.iter().map(|(name, kind)| (*name, vec![*kind])).collect();
         what.push(("all", all));
         let mut rows = vec![Self::new("none", vec![], 1.0, 1.0)];
-        for (size, told) in [(1.0, 1.0), (3.0, 1.0), (3.0, 3.0)] {
-            // There is nothing to tell of dust.
-            let tellable = |kinds: &[Kind]| told == 1.0 || kinds != [Kind::Dust];
-            let these = what.iter().filter(|(_, kinds)| tellable(kinds));
-            rows.extend(these.map(|(name, kinds)| Self::new(name, kinds.clone(), size, told)));
+        for (size, prior) in [(1.0, 1.0), (3.0, 1.0), (3.0, 3.0)] {
+            // Dust has no prior.
+            let has_prior = |kinds: &[Kind]| prior == 1.0 || kinds != [Kind::Dust];
+            let these = what.iter().filter(|(_, kinds)| has_prior(kinds));
+            rows.extend(these.map(|(name, kinds)| Self::new(name, kinds.clone(), size, prior)));
         }
         rows.push(Self::new("scale", vec![Kind::Scale], 1.0, 1.0));
         rows
@@ -71,35 +71,35 @@ impl Row {
         let names: Vec<&str> = all.iter().map(|row| row.name.as_str()).collect();
         all.iter()
             .find(|row| row.name == name)
-            .unwrap_or_else(|| panic!("{name} is none of {names:?}"))
+            .unwrap_or_else(|| panic!("{name} is not one of {names:?}"))
             .clone()
     }
 
-    /// Whether the fit reckons with as much as is wrong.
-    pub(super) fn is_told(&self) -> bool {
-        self.size == self.told
+    /// Whether the priors match the imperfections.
+    pub(super) fn has_matching_prior(&self) -> bool {
+        self.size == self.prior
     }
 
-    /// How much of something is wrong, in its typical size.
+    /// Size of an imperfection, in its typical size.
     pub(super) fn size(&self, kind: Kind) -> f64 {
         if self.kinds.contains(&kind) { self.size } else { 0.0 }
     }
 
-    /// What the fit is told: the defaults, or three times those of what is wrong.
+    /// Settings of the fit: the default priors, scaled for the row's imperfections.
     pub(super) fn settings(&self, objective: Objective, g: Option<f64>) -> FitSettings {
         let d = FitSettings::default();
-        let told =
-            |kind: Kind, usual: f64| if self.kinds.contains(&kind) { self.told * usual } else { usual };
+        let prior =
+            |kind: Kind, usual: f64| if self.kinds.contains(&kind) { self.prior * usual } else { usual };
         FitSettings {
             objective: Some(objective),
             g: g.map_or(Bounds::FREE, Bounds::fixed),
             refine: true,
-            thickness_std_error_mm: told(Kind::Thickness, d.thickness_std_error_mm),
-            origin_std_error_mm: told(Kind::Origin, d.origin_std_error_mm),
-            blur_std_error_mm: told(Kind::Blur, d.blur_std_error_mm),
-            gain_std_error: told(Kind::Gain, d.gain_std_error),
-            offset_std_error: told(Kind::Zero, d.offset_std_error),
-            slope_std_error: told(Kind::Slope, d.slope_std_error),
+            thickness_std_error_mm: prior(Kind::Thickness, d.thickness_std_error_mm),
+            origin_std_error_mm: prior(Kind::Origin, d.origin_std_error_mm),
+            blur_std_error_mm: prior(Kind::Blur, d.blur_std_error_mm),
+            gain_std_error: prior(Kind::Gain, d.gain_std_error),
+            offset_std_error: prior(Kind::Zero, d.offset_std_error),
+            slope_std_error: prior(Kind::Slope, d.slope_std_error),
             mu_std_error: if self.kinds.contains(&Kind::Scale) { SCALE } else { 0.0 },
             ..d
         }

@@ -1,4 +1,4 @@
-//! The answers as tables for people (Markdown), and one line each for spreadsheets (CSV).
+//! Formats the outcomes as Markdown tables, and as one CSV line each.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use optics_model::fit::Objective;
 use super::outcome::{COVERED, Outcome, QUANTITIES, Way};
 use super::rows::Row;
 
-/// Errors and coverage of every row, fitted in one way.
+/// Errors and coverage of every row for one way to fit.
 pub(super) fn imperfections(rows: &[Row], outcomes: &[Outcome], way: Way) -> String {
     let mut text = format!("\n{}, g {}\n\n", way.objective_name(), way.g_name());
     text += "| imperfection | media | σ_t %, median / 90 % | 1 − α %, median / 90 % ";
@@ -24,8 +24,8 @@ pub(super) fn imperfections(rows: &[Row], outcomes: &[Outcome], way: Way) -> Str
         text += &COVERED.map(|q| format!("| {} ", share(&|o| o.holds(q)))).concat();
         let (unresolved, misfit) = (share(&|o| !o.resolved), share(&Outcome::is_misfit));
         text += &format!("| {:.1} | {:.1} ", 100.0 * unresolved.share, 100.0 * misfit.share);
-        let told: Vec<f64> = these.iter().filter_map(|o| o.probability).collect();
-        let improbable = Share::of(told.iter().map(|p| *p < 0.01));
+        let probabilities: Vec<f64> = these.iter().filter_map(|o| o.probability).collect();
+        let improbable = Share::of(probabilities.iter().map(|p| *p < 0.01));
         text += &improbable.map_or("| – |\n".to_owned(), |s| format!("| {:.1} |\n", 100.0 * s.share));
     }
     text
@@ -37,7 +37,8 @@ fn spread(outcomes: &[&Outcome], which: usize) -> String {
     format!("{:.2} / {:.2}", quantile(sizes.clone(), 0.5), quantile(sizes, 0.9))
 }
 
-/// Widths of the intervals over the Cramér–Rao bound where nothing is wrong; none if the likelihood did not answer.
+/// Ratio of the widths of intervals to the Cramér–Rao bound without imperfections; None if the likelihood gave no
+/// bound.
 pub(super) fn efficiency(rows: &[Row], outcomes: &[Outcome]) -> Option<String> {
     let row = rows.iter().position(|row| row.name == "none")?;
     outcomes.iter().find(|o| o.row == row && o.bound.is_some())?;
@@ -61,17 +62,17 @@ pub(super) fn efficiency(rows: &[Row], outcomes: &[Outcome]) -> Option<String> {
     Some(text)
 }
 
-/// Each over the bound that the likelihood tells for the same data.
+/// Ratios to the bound of the likelihood for the same data.
 fn widths(these: &[&Outcome], all: &[Outcome], quantity: usize) -> Vec<f64> {
     let ratio = |o: &&Outcome| {
         let way = Way { objective: Objective::Likelihood, ..o.way };
-        let told = all.iter().find(|l| l.row == o.row && l.subject == o.subject && l.way == way)?;
-        o.over_bound(quantity, told.bound.as_ref()?)
+        let other = all.iter().find(|l| l.row == o.row && l.subject == o.subject && l.way == way)?;
+        o.over_bound(quantity, other.bound.as_ref()?)
     };
     these.iter().filter_map(ratio).collect()
 }
 
-/// One line for each medium, row and way.
+/// Writes one line per medium, row and way.
 pub(super) fn write_csv(file: &Path, rows: &[Row], outcomes: &[Outcome]) {
     let mut writer = csv::Writer::from_path(file).unwrap();
     let mut heads = ["row", "objective", "g_mode", "medium", "resolved", "misfit", "probability", "outliers"]

@@ -1,6 +1,6 @@
 //! Traced profiles, kept in a folder if one is given: `FARM_TEST_TRUTHS=DIR`.
 //!
-//! A file has the name of all that its records depend on, so it never has to be brought up to date.
+//! A file is named after the identity of its job, so it never becomes outdated.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -12,12 +12,12 @@ use optics_tracer::trace;
 
 use super::media::Subject;
 
-/// Fine pixels of a truth to one of the dictionary: shifts and blurs do not see them.
+/// Fine pixels per pixel of the dictionary: enough for shifts and blurs.
 pub(super) const FINE: usize = 4;
-/// Pixels that a truth has beyond the dictionary's at either end, so that it may be shifted and blurred.
+/// Additional pixels at either end, so that the truth can be shifted and blurred.
 pub(super) const MARGIN: usize = 20;
 
-/// The paper's scene with its first channel alone.
+/// The paper's scene with only its first channel.
 pub(super) fn scene() -> Scene {
     let paper = Grid::paper().scene().clone();
     let first = paper.channels()[..1].to_vec();
@@ -51,7 +51,7 @@ impl Truth {
     }
 }
 
-/// The records of a job, from the folder if they are there.
+/// The records of a job, from the folder if it has them.
 pub(crate) fn records(job: &JobSpec) -> PackedRecords {
     records_within(folder().as_deref(), job)
 }
@@ -74,7 +74,7 @@ fn folder() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Whoever is stopped meanwhile leaves no part of the file under its name.
+/// Writes a file under another name and renames it, so that an interrupted test leaves no partial file.
 fn write_whole(file: &Path, bytes: &[u8]) {
     let part = file.with_extension(format!("part-{}", std::process::id()));
     std::fs::write(&part, bytes).unwrap();
@@ -108,7 +108,7 @@ mod tests {
         let names = std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().path());
         let files: Vec<PathBuf> = names.collect();
         assert!(files.len() == 2 && files.iter().all(|f| f.extension().unwrap() == "records"), "{files:?}");
-        // A file is read, not traced again: another's bytes show.
+        // A file is read instead of traced again, as the bytes of another job show.
         std::fs::copy(&files[0], &files[1]).unwrap();
         assert_eq!(
             records_within(Some(folder.path()), &job(1)),

@@ -1,10 +1,10 @@
-//! What `farmctl measure` finds of a medium, beside the truth.
+//! The answer of `farmctl measure` for a medium, compared with the truth.
 
 use optics_model::Medium;
 use optics_model::fit::Interval;
 use serde_json::Value;
 
-/// What is asked for, in the order of all arrays below.
+/// Names of the quantities, in the order of all arrays below.
 pub(super) const QUANTITIES: [&str; 4] = ["σ_t", "1 − α", "σ_s(1−g)", "σ_a"];
 
 /// A channel's medium.
@@ -15,23 +15,23 @@ pub(super) struct Answer {
     found: [f64; 4],
     intervals: [Interval; 4],
     resolved: bool,
-    /// That noise alone makes χ² as large.
+    /// Probability that noise alone makes χ² as large.
     probability: f64,
 }
 
 impl Answer {
-    /// From the JSON of a channel.
+    /// Reads the JSON of a channel.
     pub(super) fn new(name: String, medium: &Medium, channel: &Value) -> Self {
         let refined = &channel["refined"];
         let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{name}: {channel}"));
         let end = |value: &Value, otherwise| value.as_f64().unwrap_or(otherwise);
         let interval = |field: &str| {
-            let told = &refined[field];
+            let ends = &refined[field];
             Interval {
-                low: end(&told["low"], f64::NEG_INFINITY),
-                high: end(&told["high"], f64::INFINITY),
-                open_low: told["open_low"].as_bool().unwrap(),
-                open_high: told["open_high"].as_bool().unwrap(),
+                low: end(&ends["low"], f64::NEG_INFINITY),
+                high: end(&ends["high"], f64::INFINITY),
+                open_low: ends["open_low"].as_bool().unwrap(),
+                open_high: ends["open_high"].as_bool().unwrap(),
             }
         };
         let [sigma_t, albedo, g] = ["sigma_t_per_mm", "albedo", "g"].map(|field| number(&refined[field]));
@@ -56,7 +56,7 @@ impl Answer {
         }
     }
 
-    /// Relative, with its sign.
+    /// Relative error, with its sign.
     pub(super) fn error(&self, quantity: usize) -> f64 {
         self.found[quantity] / self.truth[quantity] - 1.0
     }
@@ -76,7 +76,7 @@ fn quantities(m: &Medium) -> [f64; 4] {
     [m.sigma_t_per_mm(), 1.0 - m.albedo(), m.reduced_scattering_per_mm(), m.absorption_per_mm()]
 }
 
-/// One row for each medium (Markdown).
+/// Formats one row per medium (Markdown).
 pub(super) fn table(answers: &[Answer]) -> String {
     let mut text =
         "| medium | σ_t truth | found | 95 % | holds | off | 1 − α truth | found | 95 % | holds | off \

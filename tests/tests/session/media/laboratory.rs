@@ -1,28 +1,28 @@
-//! A laboratory: the media of its slabs, all that is wrong with its set-up, and its photographs as files.
+//! A simulated laboratory: the media of its slabs, the defects of its set-up, and its photographs as files.
 
 use std::path::Path;
 
 use farm_tests::dng::dng;
 use farm_tests::photograph::{
-    Board, Camera, Dust, Look, Random, Session, Slab, Told, What, session_file, traced,
+    Board, Camera, Dust, Look, Random, Session, SessionValues, Slab, What, session_file, traced,
 };
 use optics_model::scene::Channel;
 use optics_model::{Medium, Scene};
 use optics_tracer::BareBoard;
 
-/// Thicknesses as the session file tells them.
-pub(super) const TOLD_MM: [f64; 2] = [0.512, 1.006];
-/// Standard errors as the session file tells them: of a slab's thickness, of a square, of the white reference.
+/// Thicknesses in the session file.
+pub(super) const STATED_MM: [f64; 2] = [0.512, 1.006];
+/// Standard errors in the session file: of a slab's thickness, of a square, of the white reference.
 const THICKNESS_MM: f64 = 0.005;
 const SQUARE_MM: f64 = 0.01;
 const WHITE: f64 = 0.005;
 
-const TOLD_SQUARE_MM: f64 = 20.0;
-/// Of the lamps, between exposures.
+const STATED_SQUARE_MM: f64 = 20.0;
+/// Standard deviation of the lamps between exposures.
 const FLICKER: f64 = 0.001;
 const MOUNTINGS: u64 = 3;
 
-/// What may be left out, to see what it does.
+/// Defects that can be left out, to see their effect.
 pub(super) const DEFECTS: [&str; 9] =
     ["white", "thickness", "square", "noise", "flicker", "drift", "light", "glare", "dust"];
 
@@ -45,16 +45,17 @@ pub(super) struct Laboratory {
 }
 
 impl Laboratory {
-    /// Media as in the tests of imperfect measurements: σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, evenly in the
-    /// logarithm; an anisotropy for all, between two. What is wrong has the size that the session file tells.
+    /// Media as in the tests of imperfect measurements: σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7,
+    /// log-uniform; one anisotropy for all, between two of the dictionary's. Defects have the size that the session
+    /// file states.
     pub(super) fn draw(number: u64, (g_min, g_max): (f64, f64), without: &[String]) -> Self {
         let mut random = Random::new(810_000 + number);
         let has = |defect: &str| if without.iter().any(|w| w == defect) { 0.0 } else { 1.0 };
         let g = random.between(g_min, g_max);
         let mut log = |low: f64, high: f64| low * (high / low).powf(random.even());
         let media = [0; 3].map(|_| Medium::new(log(1.1, 28.0), 1.0 - log(1e-3, 0.7), g).unwrap());
-        let thickness_mm = TOLD_MM.map(|t| t + has("thickness") * THICKNESS_MM * random.normal());
-        let square_mm = TOLD_SQUARE_MM + has("square") * SQUARE_MM * random.normal();
+        let thickness_mm = STATED_MM.map(|t| t + has("thickness") * THICKNESS_MM * random.normal());
+        let square_mm = STATED_SQUARE_MM + has("square") * SQUARE_MM * random.normal();
         let white = has("white") * WHITE * random.normal();
         let scene = scene(&mut random);
         Self {
@@ -106,21 +107,21 @@ impl Laboratory {
             let file = format!("slab{i}");
             shoot(&mut session, What::Slab, (&file, self.seed + i as u64), &after(from, MOUNTINGS));
         }
-        let told = Told {
-            square_mm: TOLD_SQUARE_MM,
+        let values = SessionValues {
+            square_mm: STATED_SQUARE_MM,
             square_std_error_mm: SQUARE_MM,
             white_std_error: WHITE,
-            thickness_mm: &TOLD_MM,
+            thickness_mm: &STATED_MM,
             thickness_std_error_mm: THICKNESS_MM,
         };
-        std::fs::write(folder.join("session.toml"), session_file(&session, &told)).unwrap();
+        std::fs::write(folder.join("session.toml"), session_file(&session, &values)).unwrap();
     }
 }
 
-/// When the last photograph is taken.
+/// Time of the last photograph.
 const LAST_S: f64 = 2400.0;
 
-/// The paper's scene with a print of its own.
+/// The paper's scene with the reflectances of another print.
 fn scene(random: &mut Random) -> Scene {
     let channel = |name| Channel::new(name, random.between(0.93, 0.985), random.between(0.02, 0.03)).unwrap();
     Scene::paper().with_channels(["R", "G", "B"].map(channel).to_vec()).unwrap()

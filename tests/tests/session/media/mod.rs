@@ -1,16 +1,16 @@
-//! Sessions of photographs to media, by the two commands that a laboratory types.
+//! From sessions of photographs to media, by the two commands of a laboratory.
 //!
-//! Media between the grid points are traced afresh with the board's true ρ and the slabs' true thicknesses, and
-//! photographed by the maker, whose lamps flicker and drift, whose lens blurs, darkens corners and glares, on whose slabs
-//! lies dust, and whose white reference, squares and thicknesses are off by their told errors. With
-//! `FARM_TEST_EFFORT=10` there are seven sessions of three media with the paper's whole grid. Then these may be set:
+//! Media between the grid points are traced with the board's true ρ and the slabs' true thicknesses. The simulated
+//! photographs have flicker, drift, blur, vignetting, glare and dust, and the white reference, squares and thicknesses
+//! are off by their stated errors. With `FARM_TEST_EFFORT=10` there are seven sessions of three media with the paper's
+//! whole grid. Then these may be set:
 //!
 //! | variable | meaning |
 //! |---|---|
 //! | `FARM_TEST_SESSIONS=0..20` | these sessions |
 //! | `FARM_TEST_KEEP=DIR` | keeps their folders |
-//! | `FARM_TEST_WITHOUT=white,dust` | without these defects, named in `laboratory.rs`, to see what they do |
-//! | `FARM_TEST_AXES='g = [0.3, 0.4, 0.5]'` | axes of the dictionary; g then comes from between these |
+//! | `FARM_TEST_WITHOUT=white,dust` | without these defects, named in `laboratory.rs`, to see their effect |
+//! | `FARM_TEST_AXES='g = [0.3, 0.4, 0.5]'` | axes of the dictionary; g is then drawn between these |
 
 mod answer;
 mod laboratory;
@@ -27,20 +27,20 @@ use laboratory::{DEFECTS, Laboratory};
 
 /// Largest median error of σ_t.
 const MEDIAN_ERROR: f64 = 0.01;
-/// Least share of intervals that hold the truth. Of the six of one session, one misses by chance in one run of four, and
-/// misses of a session go together; that more than two miss by chance alone happens once in 450 runs.
+/// Smallest share of intervals that contain the truth. Of the six of one session, one misses by chance in one run of
+/// four, and misses of a session are correlated; more than two independent misses happen once in 450 runs.
 const HELD: f64 = 0.9;
 const HELD_OF_SIX: f64 = 0.6;
 
-/// Walks of a truth. What they leave of noise is common to all pixels, like an error of the profile's gain, of which the
-/// session knows 0.04 to 0.12 %. A million leave about 0.11 % of it, these 0.03 %.
+/// Walks of a truth. Their noise is common to all pixels, like an error of the profile's gain, which the session states
+/// as 0.04 to 0.12 %. A million walks leave about 0.11 %, these 0.03 %.
 const TRUTH_WALKS: u64 = 16_000_000;
 
-/// How much is done.
+/// The size of the test.
 struct Trial {
     sessions: Range<u64>,
     without: Vec<String>,
-    /// Lines that the dictionary's grid gets.
+    /// Lines that are added to the dictionary's grid.
     axes: String,
     g: (f64, f64),
     /// Walks of the truth.
@@ -58,7 +58,7 @@ impl Trial {
         let without: Vec<String> =
             given("FARM_TEST_WITHOUT").map_or(Vec::new(), |v| v.split(',').map(str::to_owned).collect());
         for name in &without {
-            assert!(DEFECTS.contains(&name.as_str()), "{name} is none of {DEFECTS:?}");
+            assert!(DEFECTS.contains(&name.as_str()), "{name} is not one of {DEFECTS:?}");
         }
         let axes = given("FARM_TEST_AXES").map_or(String::new(), |axes| axes + "\n");
         let g = if axes.is_empty() { (0.0, 0.8) } else { (0.3, 0.5) };
@@ -73,7 +73,7 @@ impl Trial {
         self.sessions.clone().flat_map(|number| self.session(number)).collect()
     }
 
-    /// From photographs to the media of one session.
+    /// Runs one session from photographs to media.
     fn session(&self, number: u64) -> Vec<Answer> {
         let laboratory = Laboratory::draw(number, self.g, &self.without);
         let folder = folder();

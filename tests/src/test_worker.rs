@@ -1,4 +1,4 @@
-//! A worker by hand, which does what a test wants.
+//! A worker that a test controls call by call.
 
 use anyhow::Result;
 use bytes::Bytes;
@@ -14,7 +14,7 @@ use farm_proto::wire::{
 use optics_model::{PHYSICS_VERSION, Record};
 use tonic::Status;
 
-/// The records as they are delivered.
+/// The encoded records, as delivered.
 pub fn on_wire(records: &[Record]) -> Bytes {
     let mut bytes = Vec::new();
     for record in records {
@@ -23,27 +23,27 @@ pub fn on_wire(records: &[Record]) -> Bytes {
     bytes.into()
 }
 
-/// The same but for one number, which begins at a byte.
+/// Encoded records with one number replaced, at a byte offset.
 pub fn with_number(records: &Bytes, at: usize, number: f32) -> Bytes {
     let mut records = records.to_vec();
     records[at..][..4].copy_from_slice(&number.to_le_bytes());
     records.into()
 }
 
-/// The same but for the first radiance factor.
+/// Encoded records with a wrong first radiance factor.
 pub fn falsified(records: &[Record]) -> Bytes {
     let first = records[0].profiles[0].radiance_factor.values()[0];
     with_number(&on_wire(records), 0, first + 1.0)
 }
 
 #[derive(Debug, Clone)]
-pub struct HandWorker {
+pub struct TestWorker {
     client: LeasesClient<Link>,
     pub token: String,
 }
 
-impl HandWorker {
-    /// Registers; the label is also the instance.
+impl TestWorker {
+    /// Registers a worker; the label is also the instance.
     pub async fn register(link: Link, label: &str) -> Result<Self, Status> {
         let mut client = LeasesClient::new(link).max_decoding_message_size(16 << 20);
         let request = RegisterRequest {
@@ -52,7 +52,7 @@ impl HandWorker {
             physics_version: PHYSICS_VERSION,
             protocol_version: PROTOCOL_VERSION,
             instance: label.to_owned(),
-            version: "by hand".to_owned(),
+            version: "test".to_owned(),
             host: String::new(),
             facts: None,
         };
@@ -71,7 +71,7 @@ impl HandWorker {
             .map_err(|e| farm_proto::to_status(&e))
     }
 
-    /// Whether the lease is still held.
+    /// Renews a lease; whether it is still valid.
     pub async fn renew(&mut self, lease: &Lease, running: bool) -> Result<bool, Status> {
         let identity = lease.job.identity().as_bytes().to_vec();
         let held = HeldLease { key: Some(lease.key.into()), running, identity };
@@ -80,7 +80,7 @@ impl HandWorker {
     }
 
     /// The messages that deliver a result.
-    pub fn parts(&self, lease: &Lease, records: Bytes) -> Vec<CompleteRequest> {
+    pub fn messages(&self, lease: &Lease, records: Bytes) -> Vec<CompleteRequest> {
         let header = ResultHeader {
             worker_token: self.token.clone(),
             key: Some(lease.key.into()),
@@ -91,21 +91,24 @@ impl HandWorker {
     }
 
     pub async fn complete(&mut self, lease: &Lease, records: Bytes) -> Result<CompletionKind, Status> {
-        let outcomes = self.deliver(self.parts(lease, records)).await?;
+        let outcomes = self.deliver(self.messages(lease, records)).await?;
         Ok(outcomes[0].kind())
     }
 
-    pub async fn deliver(&mut self, parts: Vec<CompleteRequest>) -> Result<Vec<CompletionOutcome>, Status> {
-        Ok(self.client.complete(tokio_stream::iter(parts)).await?.into_inner().outcomes)
+    pub async fn deliver(
+        &mut self,
+        messages: Vec<CompleteRequest>,
+    ) -> Result<Vec<CompletionOutcome>, Status> {
+        Ok(self.client.complete(tokio_stream::iter(messages)).await?.into_inner().outcomes)
     }
 
-    /// Reports that it could not compute the job.
+    /// Reports that the job could not be computed.
     pub async fn fail(&mut self, lease: &Lease, reason: &str) -> Result<(), Status> {
         let (worker_token, reason) = (self.token.clone(), reason.to_owned());
         self.client.fail(FailRequest { worker_token, lease: Some(lease.key.into()), reason }).await.map(drop)
     }
 
-    /// Leaves the farm.
+    /// Deregisters the worker.
     pub async fn leave(mut self) -> Result<(), Status> {
         let request =
             HandBackRequest { worker_token: self.token, leases: vec![], leaving: true, stopping: true };
