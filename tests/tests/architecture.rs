@@ -106,7 +106,10 @@ fn lab_and_figures_know_no_runtime_network_or_database() {
     let farm = ["tokio", "tonic", "prost", "hyper", "axum", "sqlx", "clap"];
     for krate in ["client/lab", "client/figures"] {
         for dependency in dependencies(krate) {
-            assert!(!farm.iter().any(|name| dependency.starts_with(name)), "{krate} must not depend on {dependency}");
+            assert!(
+                !farm.iter().any(|name| dependency.starts_with(name)),
+                "{krate} must not depend on {dependency}"
+            );
         }
         let ambient = ["std::time", "std::net", "std::env", "async fn"];
         assert_absent(&format!("{krate}/src"), &ambient);
