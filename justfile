@@ -8,7 +8,7 @@ ci:
 test crate:
     cargo test -p {{crate}}
 
-# The physics with 50 times the walks: 100 million a row of the exact values.
+# The physics with 50 times the walks: 100 million per row of the exact values.
 physics-long effort="50":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test physics uniform -- --nocapture
 
@@ -16,7 +16,7 @@ physics-long effort="50":
 recovery-long effort="10":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test recovery -- --nocapture
 
-# Everything that can happen to a farm of real processes, at length: 200 rounds of kill -9, an absence of a minute, real keepalives.
+# Faults of a farm of real processes, in the long form: 200 rounds of kill -9, an absence of a minute, real keepalives.
 faults-long effort="20":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test faults -- --nocapture
 
@@ -24,11 +24,11 @@ faults-long effort="20":
 model-long cases="20000":
     PROPTEST_CASES={{cases}} cargo test -p farm-coordinator --lib model_tests
 
-# A farm in use, maltreated for an hour: records stay right; memory, files and database do not grow.
+# A farm under load with random faults for an hour: records stay correct; memory, files and database do not grow.
 soak minutes="60" seed="1":
     FARM_SOAK_MINUTES={{minutes}} FARM_SOAK_SEED={{seed}} cargo test -p farm-tests --test soak -- --nocapture
 
-# The paper's dictionary, timed, in a folder of its own.
+# The paper's dictionary, timed, in a separate folder.
 dictionary folder="/tmp/farm-dictionary":
     cargo build --release -p farmctl
     mkdir -p {{folder}}
@@ -51,7 +51,7 @@ bench-load load="small":
 bench-fit folder="/tmp/farm-dictionary" filter="":
     FARM_BENCH_DATA={{folder}} cargo bench -p farm-coordinator -- "{{filter}}"
 
-# 200 media traced afresh and fitted with the paper's whole dictionary: errors and coverage; some twelve minutes.
+# 200 independently traced media, fitted with the paper's whole dictionary: errors and coverage; some twelve minutes.
 round-trip-long effort="8":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test measure -- --nocapture --test-threads 1
 

@@ -20,7 +20,7 @@ import grpc
 try:
     from farm.v1 import fits_pb2, fits_pb2_grpc, model_pb2
 except ModuleNotFoundError as error:
-    sys.exit(f"{error}: make the modules first, beside this file, as its head says")
+    sys.exit(f"{error}: make the modules first, next to this file, as described at its head")
 
 
 def connect(farm):

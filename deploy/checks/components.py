@@ -19,8 +19,8 @@ def metadata():
 
 
 def host():
-    said = subprocess.run(["rustc", "--version", "--verbose"], check=True, capture_output=True, text=True).stdout
-    return next(line.removeprefix("host: ") for line in said.splitlines() if line.startswith("host: "))
+    output = subprocess.run(["rustc", "--version", "--verbose"], check=True, capture_output=True, text=True).stdout
+    return next(line.removeprefix("host: ") for line in output.splitlines() if line.startswith("host: "))
 
 
 def compiled_in(found):

@@ -34,7 +34,7 @@ def port_problems(name, service):
     for port in service.get("ports", []):
         address = port.rpartition(":")[0].rpartition(":")[0]
         if not address.endswith(("127.0.0.1", "127.0.0.1}")):
-            yield f"{name}: port {port} must be published on 127.0.0.1 unless somebody asks for more"
+            yield f"{name}: port {port} must be published on 127.0.0.1 by default"
         inner = port.rpartition(":")[2]
         if not any(word.endswith(f":{inner}") for word in service["command"]):
             yield f"{name}: nothing listens on the published port {inner}"

@@ -3,7 +3,7 @@
 import re
 
 UNITS = {"": 1, "s": 1, "m": 60, "min": 60, "h": 3600}
-# The worker's --grace if nothing is told, then 10 s for delivery and 5 s to take leave.
+# The worker's default --grace, then 10 s for delivery and 5 s for deregistration.
 GRACE_S = 10
 AFTER_GRACE_S = 15
 COORDINATOR_S = 10

@@ -45,7 +45,7 @@ def queries(folder, scaled_object):
 
 
 def known_metrics(metrics):
-    """Names that the farm tells of, without what is added for buckets and sums of histograms."""
+    """Names of the farm's metrics, without the suffixes for buckets and sums of histograms."""
     names = set(re.findall(r"^# TYPE (\S+) ", fetch(f"http://{metrics}/metrics"), flags=re.MULTILINE))
     # Before the first backup there is no age of it.
     return {re.sub("_total$", "", name) for name in names} | {"farm_backup_age_seconds"}

@@ -90,7 +90,7 @@ stop() {
   say "$1 ended $((SECONDS - began)) s after SIGTERM with exit code 0"
 }
 
-# healthy SERVICE: what the image's HEALTHCHECK says in that container.
+# healthy SERVICE: the result of the image's HEALTHCHECK in that container.
 healthy() {
   local words
   service "$1"

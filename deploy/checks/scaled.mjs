@@ -9,8 +9,7 @@ const require = createRequire(`${process.argv[2]}/`);
 // By its path: the package's own classes look at copies.
 const { validate } = require('./node_modules/@kubernetes-models/keda/_schemas/KedaShV1alpha1ScaledObject.js');
 
-// The schema lets unknown fields pass, as a cluster drops them without a word. A validator looks at all that it knows: what
-// it does not look at is unknown.
+// The schema lets unknown fields pass, and a cluster silently drops them. A validator reads all fields of its schema, so fields that it does not read are unknown.
 function watched(value, path, unseen) {
   if (value === null || typeof value !== 'object') return value;
   const keys = Array.isArray(value) ? [] : Object.keys(value);

@@ -18,18 +18,18 @@ def of_pbs(path, text):
 
 
 def of_htcondor(path, text):
-    told = {}
+    settings = {}
     for line in text.splitlines():
         if line.startswith(("#", "queue")) or not line.strip():
             continue
         name, equals, value = line.partition("=")
         if not equals or not re.fullmatch(r"\w+", name.strip()):
             raise SystemExit(f"{path}: {line!r} is no setting")
-        told[name.strip()] = value.strip()
-    missing = {"executable", "arguments", "request_cpus", "request_memory", "kill_sig"} - set(told)
+        settings[name.strip()] = value.strip()
+    missing = {"executable", "arguments", "request_cpus", "request_memory", "kill_sig"} - set(settings)
     if missing or not re.search(r"^queue\b", text, re.MULTILINE):
         raise SystemExit(f"{path}: {', '.join(sorted(missing)) or 'queue'} is missing")
-    yield [told["executable"], *shlex.split(told["arguments"])]
+    yield [settings["executable"], *shlex.split(settings["arguments"])]
 
 
 def of_nomad(path, text):

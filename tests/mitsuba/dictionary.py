@@ -3,7 +3,7 @@
 
 Renders a random sample of the records, one channel each, and prints for every one the time that Mitsuba needs for the
 record's error, and how well the two agree; then the time for all records and channels, with its standard error from the
-sample, and how many times that is the time told with --seconds.
+sample, and how many times that is the time given with --seconds.
 
     python3 -m venv venv && venv/bin/pip install mitsuba numpy
     cargo build --release && time target/release/farmctl submit
@@ -82,8 +82,8 @@ def main():
             zs.append((values[side].mean() - ours[side].mean()) / mean_error)
         needed.append(seconds * sum(ratios) / len(ratios))
         deviations += zs
-        told = ", ".join(f"{name} {value}" for name, value in medium.items())
-        print(f"{told}, {channel}: {needed[-1]:,.0f} s for the same error; z {zs[0]:.2f} dark, {zs[1]:.2f} light", flush=True)
+        label = ", ".join(f"{name} {value}" for name, value in medium.items())
+        print(f"{label}, {channel}: {needed[-1]:,.0f} s for the same error; z {zs[0]:.2f} dark, {zs[1]:.2f} light", flush=True)
     total = shown["records_total"] * len(channels)
     mean, spread = np.mean(needed), np.std(needed, ddof=1) / math.sqrt(len(needed))
     print(f"Mitsuba {mi.__version__} {variant}, {args.records} records: {mean:.1f} ± {spread:.1f} s each; "

@@ -262,7 +262,7 @@ def main():
         check_mitsuba(check, "XML", args.xml, materials)
         check.equal("kinds", kinds(args.xml), kinds(source))
     if args.pbrt:
-        # pbrt's text does not tell a scalar from a spectrum, the dictionary does.
+        # pbrt's text does not distinguish scalars from spectra, the dictionary does.
         check_pbrt(check, read_pbrt(args.pbrt), kinds(source), materials)
     for failure in check.failures:
         print(failure)

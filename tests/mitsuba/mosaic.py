@@ -14,7 +14,7 @@ WHITE = math.sin(math.radians(RING_DEG[1])) ** 2 - math.sin(math.radians(RING_DE
 
 # As wide as the bins of `capture` and, but for what it finds of the edge, in the same places: neighbours share little.
 STRIP_MM = 10 / 360
-# Beyond this the sides, which nobody measures, tell by wide strips.
+# Beyond this, wide strips suffice for the sides, which are not measured.
 STRIPS_TO_MM = 5.45
 WIDE_MM = 0.5
 SHADOW_MM = 0.25
@@ -142,7 +142,7 @@ class Parts:
         return np.floor((x + round(STRIPS_TO_MM / STRIP_MM) * STRIP_MM) / STRIP_MM).astype(int)
 
     def shadow(self, thickness):
-        """How much darker the bare squares are beside the slab: a function of the distance from its long sides."""
+        """Darkening of the bare squares next to the slab, as a function of the distance from its long sides."""
         reach = np.abs(self.y) - stack.SLAB_MM[1]
         factors = np.ones(self.cover.shape)
         bare = self.bare("G")

@@ -14,7 +14,7 @@ and a mosaic: see mosaic.py.
 Slabs are path-traced within 5 mm of the edge, on either side and along it. One path in six finds the ring, so
 single pixels stay noisy: `shoot` takes the mean along the edge, in strips as wide as the bins of `capture`. What
 noise remains differs from shot to shot, since every shot has paths of its own, so `capture` sees it and counts it.
-Parts without a slab are even, but for the shadow beside the slab: they are painted with the mean of what was
+Parts without a slab are even, except for the shadow next to the slab: they are painted with the mean of what was
 rendered, each pixel by how much of it they cover.
 
 Mitsuba's LLVM variants need LLVM's library (DRJIT_LIBLLVM_PATH names it): Debian's libllvm19 does with AVX-512,
@@ -91,7 +91,7 @@ class Renderer:
         self.scenes = {}
 
     def passes(self, name, build, spp, wanted, seed):
-        """Renders up to so many passes of a picture, each with another place of the lens."""
+        """Renders up to this many passes of a picture, each with another place of the lens."""
         picture = Picture(self.folder / f"{name}.npz")
         while picture.passes < wanted:
             if name not in self.scenes:

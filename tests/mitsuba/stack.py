@@ -30,7 +30,7 @@ class Camera:
     height: int = 580
     px_per_mm: float = 20.0
     distance_mm: float = 1000.0
-    # Where it stands beside the edge: a tilt of 0.3° across it and 0.2° along it.
+    # Its place next to the edge: a tilt of 0.3° across it and 0.2° along it.
     aside_mm: tuple = (5.2, -3.5)
     turn_deg: float = 1.4
 
