@@ -193,8 +193,6 @@ Examples:
   farmctl export paper -o paper.csv
   farmctl export paper --sigma-t 6,9 --g 0.4 > part.csv
   farmctl export paper --npz paper.npz            arrays for NumPy
-  farmctl export paper --zarr paper.zarr          the same for xarray, as a folder
-  farmctl export paper --parquet paper.parquet    rows for pandas, Polars, DuckDB
   farmctl export paper --json > paper.jsonl       one record per line";
 
 pub(super) const COMPLETIONS: &str = "\

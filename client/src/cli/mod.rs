@@ -321,16 +321,10 @@ pub struct ExportArgs {
     /// File to write [default: standard output]. It appears under this name once it is complete.
     #[arg(long, short, value_name = "FILE")]
     pub output: Option<PathBuf>,
-    /// Write arrays for NumPy instead of rows: values and standard errors over all axes, the axes, and about.json with what
-    /// `show --json` tells.
+    /// Write arrays for NumPy instead of rows: values and standard errors over all axes, the axes, and about.json with
+    /// the answer of `show --json`.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "measurement", "json"])]
     pub npz: Option<PathBuf>,
-    /// Write a Zarr store, which xarray opens: the same arrays in a folder.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["output", "measurement", "json", "npz"])]
-    pub zarr: Option<PathBuf>,
-    /// Write a Parquet file: a row for each record and channel, with the pixels as lists.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "measurement", "json", "npz", "zarr"])]
-    pub parquet: Option<PathBuf>,
     /// Write the profiles of one medium as a measurement of the material NAME, which `farmctl measure` reads.
     #[arg(long, value_name = "NAME")]
     pub measurement: Option<String>,

@@ -1,7 +1,5 @@
 mod arrays;
 mod npz;
-mod parquet;
-mod zarr;
 
 use std::io::Write;
 use std::path::Path;
@@ -25,8 +23,8 @@ use crate::records::Records;
 pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name.as_str())?;
     let connection = Connection::open(global, Purpose::Ask).await?;
-    let exported = if let Some(arrays) = ArrayFile::of(&args) {
-        to_arrays(&connection, &name, &args, arrays).await
+    let exported = if let Some(file) = &args.npz {
+        to_arrays(&connection, &name, &args, file).await
     } else if let Some(file) = &args.output {
         to_file(&connection, &name, &args, output.is_json(), file).await
     } else {
@@ -58,49 +56,20 @@ async fn to_file(
     draft.finish().with_context(place)
 }
 
-/// A file, or folder, of arrays.
-#[derive(Debug, Clone, Copy)]
-enum ArrayFile<'a> {
-    Npz(&'a Path),
-    Zarr(&'a Path),
-    Parquet(&'a Path),
-}
-
-impl<'a> ArrayFile<'a> {
-    fn of(args: &'a ExportArgs) -> Option<Self> {
-        let npz = args.npz.as_deref().map(Self::Npz);
-        let zarr = args.zarr.as_deref().map(Self::Zarr);
-        npz.or(zarr).or(args.parquet.as_deref().map(Self::Parquet))
-    }
-
-    fn path(self) -> &'a Path {
-        match self {
-            Self::Npz(path) | Self::Zarr(path) | Self::Parquet(path) => path,
-        }
-    }
-}
-
-/// Writes what is whole or not there.
+/// Writes a file of arrays that is whole or not there.
 async fn to_arrays(
     connection: &Connection,
     name: &DictionaryName,
     args: &ExportArgs,
-    file: ArrayFile<'_>,
+    file: &Path,
 ) -> Result<()> {
-    let place = || format!("output {}", file.path().display());
+    let place = || format!("output {}", file.display());
     let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
     let status = DictionaryStatus::try_from(status)?;
     let chosen = Chosen::new(&status.grid, args)?;
     let write = async {
-        if let ArrayFile::Zarr(folder) = file {
-            return zarr::write(connection, &status, &chosen, folder).await.with_context(place);
-        }
-        let mut draft = Draft::create(file.path()).with_context(place)?;
-        if let ArrayFile::Npz(_) = file {
-            npz::write(connection, &status, &chosen, &mut draft).await?;
-        } else {
-            parquet::write(connection, &status, &chosen, &mut draft).await?;
-        }
+        let mut draft = Draft::create(file).with_context(place)?;
+        npz::write(connection, &status, &chosen, &mut draft).await?;
         draft.finish().with_context(place)
     };
     tokio::select! {

@@ -1,4 +1,4 @@
-//! What the arrays of a dictionary are, whatever file they are written to.
+//! The arrays of a dictionary: their names, units and axes, and the records that fill them.
 
 use std::collections::BTreeMap;
 
