@@ -120,6 +120,7 @@ fn lab_and_figures_know_no_runtime_network_or_database() {
 #[test]
 fn the_tracers_bits_are_the_same_on_every_machine() {
     assert_absent("optics/tracer/src", &["mul_add"]);
+    assert_absent("optics/model/src", &["mul_add"]);
 }
 
 /// Grids are stored as their messages, so one module of the store uses these too.

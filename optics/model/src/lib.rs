@@ -15,6 +15,7 @@ pub mod limits;
 pub mod measurement;
 pub mod medium;
 pub mod packed;
+pub mod phase;
 pub mod profile;
 mod records_digest;
 pub mod scene;

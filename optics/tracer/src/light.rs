@@ -15,14 +15,12 @@
 //! corrects for it.
 
 mod arrivals;
-mod phase;
 
 use std::f64::consts::{LN_2, PI};
 
 use super::math::{exp_f64, power_of_two};
 use super::stack::Stack;
 use arrivals::{Arrivals, Beam};
-use phase::mean_phase;
 
 /// Cells of [`Light::about`] over the cosine.
 pub const CELLS: usize = 16;
@@ -81,7 +79,8 @@ impl Light {
         let measure = outer - inner;
         let (n, n_c) = (stack.iors[stack.sample], stack.iors[stack.iors.len() - 1]);
         let thickness = f64::from(stack.thickness[stack.sample]);
-        let g = f64::from(stack.phase.g);
+        let scattering = stack.phase.function();
+        let g = scattering.anisotropy();
         let scale = PI * measure / (n * n);
         let reach = thickness.min(DARK);
         let steps = ((32.0 / (1.0 - g.abs())) as usize).clamp(COSINES.0, COSINES.1);
@@ -94,7 +93,7 @@ impl Light {
             // For light that goes up the same, with the cosines' signs changed.
             let mirrored = |k: usize, steps: usize| if beam.down { k } else { steps - k };
             let phase: Vec<f64> = (0..=steps)
-                .map(|k| mean_phase(g, number_at(mirrored(k, steps), steps), beam.cosine))
+                .map(|k| scattering.azimuthal_mean(number_at(mirrored(k, steps), steps), beam.cosine))
                 .collect();
             for (i, row) in table.chunks_exact_mut(steps + 1).enumerate() {
                 let depth = 0.5 * reach * (1.0 + number_at(i, DEPTHS));
@@ -111,7 +110,7 @@ impl Light {
             let each = steps.div_ceil(CELLS).max(4);
             for k in 0..each * CELLS {
                 let u = (2 * k + 1) as f64 / (each * CELLS) as f64 - 1.0;
-                let phase = mean_phase(g, if beam.down { u } else { -u }, beam.cosine);
+                let phase = scattering.azimuthal_mean(if beam.down { u } else { -u }, beam.cosine);
                 about[usize::from(!beam.down)][k / each] += flux * phase / each as f64;
             }
             if beam.down {

@@ -1,53 +1,18 @@
-//! The Henyey–Greenstein phase function.
+//! Directions of walks after a scattering.
 
 use glam::Vec3;
+use optics_model::phase::PhaseSampler;
 
 use super::math::unit_vector;
 use super::rng::symmetric;
 
-/// Henyey–Greenstein phase function with anisotropy g:
-/// p(cos θ) = (1 − g²) / (4π (1 + g² − 2 g cos θ)^{3/2}), in 1/sr.
-#[derive(Debug, Clone, Copy)]
-pub struct HenyeyGreenstein {
-    pub g: f32,
-    /// g (1 + g²)/2, 1 + g², g (3 − g²)/2: the numerator's coefficients, highest power first.
-    pub numerator: [f32; 3],
-}
-
-impl HenyeyGreenstein {
-    pub fn new(g: f64) -> Self {
-        let numerator = [g * (1.0 + g * g) / 2.0, 1.0 + g * g, g * (3.0 - g * g) / 2.0];
-        Self { g: g as f32, numerator: numerator.map(|v| v as f32) }
-    }
-
-    /// Cosine of the scattering angle from a number uniform in (−1, 1).
-    ///
-    /// The inverse of the distribution function, written without a division by g:
-    /// cos θ = [gξ²(1+g²)/2 + ξ(1+g²) + g(3−g²)/2] / (1+gξ)², good for every g including 0. Rounding may
-    /// carry it past ±1 by an ulp or two.
-    pub fn sample_cosine(&self, xi: f32) -> f32 {
-        let [c2, c1, c0] = self.numerator;
-        let root = 1.0 + self.g * xi;
-        ((c2 * xi + c1) * xi + c0) / (root * root)
-    }
-
-    /// Direction after scattering of the unit vector `direction`; 16 bits of `bits` make the polar angle, 16 the
-    /// azimuth.
-    #[inline]
-    pub fn scatter(&self, direction: Vec3, bits: u32) -> Vec3 {
-        let cos = self.sample_cosine(symmetric(bits));
-        let sin = (1.0 - cos * cos).max(0.0).sqrt();
-        let (x, y) = unit_vector(bits);
-        rotate(direction, sin * x, sin * y, cos)
-    }
-
-    /// Density per steradian: what the samples are tested against.
-    #[cfg(test)]
-    pub fn pdf(&self, cos: f64) -> f64 {
-        let g = f64::from(self.g);
-        let d = 1.0 + g * g - 2.0 * g * cos;
-        (1.0 - g * g) / (4.0 * std::f64::consts::PI * d * d.sqrt())
-    }
+/// Direction after scattering of the unit vector `direction`; 16 bits of `bits` make the polar angle, 16 the azimuth.
+#[inline]
+pub fn scatter(phase: &PhaseSampler, direction: Vec3, bits: u32) -> Vec3 {
+    let cos = phase.cosine(symmetric(bits));
+    let sin = (1.0 - cos * cos).max(0.0).sqrt();
+    let (x, y) = unit_vector(bits);
+    rotate(direction, sin * x, sin * y, cos)
 }
 
 /// The vector with coordinates (x, y, z) in a frame whose third axis is the unit vector `n`.
@@ -68,51 +33,41 @@ fn flip(value: f32, by: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use optics_model::phase::PhaseFunction;
+
     use super::*;
     use crate::rng::Stream;
     use crate::testing::chi_square;
 
     const GS: [f64; 7] = [-0.9, -0.3, 0.0, 1e-4, 0.4, 0.8, 0.97];
 
-    #[test]
-    fn pdf_integrates_to_one_over_the_sphere() {
-        for g in GS {
-            let phase = HenyeyGreenstein::new(g);
-            let n = 2_000_000;
-            let sum: f64 = (0..n).map(|i| phase.pdf(-1.0 + (f64::from(i) + 0.5) * 2.0 / f64::from(n))).sum();
-            let integral = sum * 2.0 / f64::from(n) * std::f64::consts::TAU;
-            assert!((integral - 1.0).abs() < 1e-6, "g {g}: {integral}");
-        }
-    }
-
     /// The mean over the cells' midpoints is an integral, not an estimate: it needs no tolerance for noise.
     #[test]
     fn mean_cosine_is_g() {
         for g in GS {
-            let phase = HenyeyGreenstein::new(g);
+            let phase = PhaseFunction::new(g).sampler();
             let cells = 1 << 16;
-            let mean: f64 =
-                (0..cells).map(|i| f64::from(phase.sample_cosine(symmetric(i << 16)))).sum::<f64>()
-                    / f64::from(cells);
+            let mean: f64 = (0..cells).map(|i| f64::from(phase.cosine(symmetric(i << 16)))).sum::<f64>()
+                / f64::from(cells);
             assert!((mean - g).abs() < 2e-6, "g {g}: {mean}");
         }
     }
 
     /// χ² over 50 cells with 400,000 samples at the 1e-4 level; a shift of g by 0.01 fails it.
     #[test]
-    fn sampled_cosines_follow_the_pdf() {
+    fn sampled_cosines_follow_the_density() {
         let chi = |sampled: f64, expected: f64| {
-            let phase = HenyeyGreenstein::new(sampled);
-            let truth = HenyeyGreenstein::new(expected);
+            let phase = PhaseFunction::new(sampled).sampler();
+            let truth = PhaseFunction::new(expected);
             let mut counts = [0_u64; 50];
             for walk in 0..400_000 {
                 let bits = Stream::new([7, 11], 0, walk).words()[0];
-                let cell = (f64::from(phase.sample_cosine(symmetric(bits))) + 1.0) * 25.0;
+                let cell = (f64::from(phase.cosine(symmetric(bits))) + 1.0) * 25.0;
                 counts[(cell as usize).min(49)] += 1;
             }
             let expected = |i: usize| {
                 let sub = |k: usize| -1.0 + (i as f64 + (k as f64 + 0.5) / 200.0) / 25.0;
-                (0..200).map(|k| truth.pdf(sub(k))).sum::<f64>() / 5000.0 * std::f64::consts::TAU
+                (0..200).map(|k| truth.density(sub(k))).sum::<f64>() / 5000.0 * std::f64::consts::TAU
             };
             chi_square(&counts, &(0..50).map(expected).collect::<Vec<_>>())
         };
@@ -126,15 +81,15 @@ mod tests {
     #[test]
     fn directions_stay_unit_vectors_at_the_sampled_angle() {
         for g in [-0.6, 0.0, 0.6, 0.95, 0.999] {
-            let phase = HenyeyGreenstein::new(g);
+            let phase = PhaseFunction::new(g).sampler();
             let mut direction = Vec3::new(0.0, 0.0, -1.0);
             let mut stream = Stream::new([3, 5], 1, 0);
             for _ in 0..100_000 {
                 let bits = stream.words()[0];
-                let scattered = phase.scatter(direction, bits);
+                let scattered = scatter(&phase, direction, bits);
                 let length = scattered.length();
                 assert!((length - 1.0).abs() < 2e-5, "g {g}: length {length}");
-                let cos = phase.sample_cosine(symmetric(bits));
+                let cos = phase.cosine(symmetric(bits));
                 assert!((scattered.dot(direction) - cos).abs() < 5e-5, "g {g}");
                 direction = scattered;
             }
@@ -145,12 +100,12 @@ mod tests {
     /// it is 0. 40,000 samples, so that an error of 0.02 fails.
     #[test]
     fn scattering_is_even_about_the_old_direction() {
-        let phase = HenyeyGreenstein::new(0.3);
+        let phase = PhaseFunction::new(0.3).sampler();
         for n in [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::new(0.6, -0.48, -0.64), Vec3::new(-0.48, 0.64, 0.6)] {
             let axis = n.any_orthonormal_vector();
             let (mut sum, mut squares) = (Vec3::ZERO, 0.0);
             for walk in 0..40_000 {
-                let v = phase.scatter(n, Stream::new([1, 9], 2, walk).words()[0]);
+                let v = scatter(&phase, n, Stream::new([1, 9], 2, walk).words()[0]);
                 let across = v - n * v.dot(n);
                 sum += across;
                 // Along one axis of the plane across n lies half of the square.

@@ -2,11 +2,11 @@
 //! precision.
 
 use glam::Vec3;
+use optics_model::phase::{PhaseFunction, PhaseSampler};
 use optics_model::scene::{LayerMedium, sin2};
 use optics_model::{Scene, TransportPoint};
 
 use super::fresnel::RelativeIndex;
-use super::phase::HenyeyGreenstein;
 
 /// A plane interface, seen from both sides.
 #[derive(Debug, Clone, Copy)]
@@ -30,7 +30,7 @@ pub struct Stack {
     pub interfaces: Vec<Interface>,
     /// The slab that scatters.
     pub sample: usize,
-    pub phase: HenyeyGreenstein,
+    pub phase: PhaseSampler,
     /// Direction in which walks leave the sensor, in air.
     pub sensor_direction: Vec3,
     /// Bounds of sin² of the polar angle in air between which the light is seen.
@@ -69,7 +69,7 @@ impl Stack {
             thickness,
             iors,
             sample,
-            phase: HenyeyGreenstein::new(point.g()),
+            phase: PhaseFunction::new(point.g()).sampler(),
             sensor_direction: Vec3::new(0.0, sin_polar as f32, -cos_polar as f32),
             ring_sin2: [inner, outer],
             multiple_scattering: scene.multiple_scattering(),

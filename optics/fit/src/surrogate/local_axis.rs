@@ -2,6 +2,8 @@
 //!
 //! A model is a sum of powers of the coordinate, and of such shapes as profiles are known to have along the axis.
 
+use optics_model::phase::PhaseFunction;
+
 /// Weights of the nodes from `first` on, and their derivatives by the coordinate.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Weights {
@@ -44,13 +46,11 @@ type Shape = fn(f64) -> f64;
 
 /// How light that is scattered once, backwards, depends on ln(1 − g): straight back, and at the cosine −0.6. Powers of
 /// the coordinate miss it by up to 5 %, which is what a dark medium's profile is then off by.
-pub(crate) const BACKSCATTERED: [Shape; 2] = [|y| henyey_greenstein(y, -1.0), |y| henyey_greenstein(y, -0.6)];
+pub(crate) const BACKSCATTERED: [Shape; 2] = [|y| scattered(y, -1.0), |y| scattered(y, -0.6)];
 
-/// 4π p(cos θ) of Henyey and Greenstein, with y = ln(1 − g).
-fn henyey_greenstein(y: f64, cosine: f64) -> f64 {
-    let g = 1.0 - y.exp();
-    let square = 1.0 + g * g - 2.0 * g * cosine;
-    (1.0 - g * g) / (square * square.sqrt())
+/// 4π p(cos θ) of the phase function, with y = ln(1 − g).
+fn scattered(y: f64, cosine: f64) -> f64 {
+    PhaseFunction::new(1.0 - y.exp()).over_isotropic(cosine)
 }
 
 /// Local models over the nodes of one axis.
@@ -225,6 +225,17 @@ fn orthonormal(terms: Vec<Vec<f64>>, window: &[f64]) -> Vec<Vec<f64>> {
 mod tests {
     use super::*;
 
+    /// The tracer samples the same function, and scores with its azimuthal mean.
+    #[test]
+    fn shapes_are_densities_of_the_phase_function() {
+        for (shape, cosine) in BACKSCATTERED.iter().zip([-1.0, -0.6]) {
+            for g in [0.0_f64, 0.3, 0.6, 0.9] {
+                let density = 4.0 * std::f64::consts::PI * PhaseFunction::new(g).density(cosine);
+                assert!((shape((1.0 - g).ln()) / density - 1.0).abs() < 1e-12, "g {g}, cosine {cosine}");
+            }
+        }
+    }
+
     fn nodes(n: usize) -> Vec<f64> {
         (0..n).map(|i| (1.0 + i as f64 + 0.3 * (i % 3) as f64).ln()).collect()
     }
@@ -285,7 +296,7 @@ mod tests {
                 (sum / f(y) - 1.0).abs()
             };
             for cosine in [-1.0, -0.85, -0.7, -0.6] {
-                assert!(off(&|y| henyey_greenstein(y, cosine)) < 2e-3, "g {g}, cosine {cosine}");
+                assert!(off(&|y| scattered(y, cosine)) < 2e-3, "g {g}, cosine {cosine}");
             }
             for depth in [0.5, 2.0, 8.0, 30.0] {
                 assert!(off(&|y| diffuse(y, depth)) < 2e-3, "g {g}, depth {depth}");

@@ -2,7 +2,6 @@
 
 use optics_model::{Scene, TransportPoint};
 
-use super::phase::mean_phase;
 use super::*;
 
 fn stack(scene: &Scene, [sigma_t, g, thickness, ior]: [f64; 4]) -> Stack {
@@ -11,11 +10,11 @@ fn stack(scene: &Scene, [sigma_t, g, thickness, ior]: [f64; 4]) -> Stack {
 
 /// C by its definition.
 fn exact(stack: &Stack, arrivals: &Arrivals, z: f64, u: f64) -> f64 {
-    let (thickness, g) = (f64::from(stack.thickness[stack.sample]), f64::from(stack.phase.g));
+    let (thickness, phase) = (f64::from(stack.thickness[stack.sample]), stack.phase.function());
     let term = |beam: &Beam| {
         let (d, u) = if beam.down { (thickness - z, u) } else { (z, -u) };
         let length = d / beam.cosine + thickness * beam.passed;
-        beam.flux / beam.cosine * mean_phase(g, u, beam.cosine) * (-length).exp()
+        beam.flux / beam.cosine * phase.azimuthal_mean(u, beam.cosine) * (-length).exp()
     };
     let n2 = stack.iors[stack.sample].powi(2);
     let [inner, outer] = stack.ring_sin2.map(f64::from);

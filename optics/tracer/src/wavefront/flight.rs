@@ -1,6 +1,7 @@
 //! Flights in the sample: two a block of random numbers, each to a scattering or to a face.
 
 use fearless_simd::{Bytes, Simd, SimdBase, SimdMask, i32x16};
+use optics_model::phase::PhaseSampler;
 
 use super::hits::Hits;
 use super::keep::Keep;
@@ -8,18 +9,17 @@ use super::lanes::{Floats, Mask, Walks, Words};
 use super::numbers::{Philox, choose, constant, flip, ln, root, symmetric, uniform, unit_vector};
 use crate::stack::Stack;
 
-/// What a flight needs to know of the sample.
+/// What flights depend on of the sample.
 #[derive(Debug, Clone, Copy)]
 pub struct Sample {
     /// In mean free paths.
     thickness: f32,
-    g: f32,
-    numerator: [f32; 3],
+    phase: PhaseSampler,
 }
 
 impl Sample {
     pub fn new(stack: &Stack) -> Self {
-        Self { thickness: stack.thickness[stack.sample], g: stack.phase.g, numerator: stack.phase.numerator }
+        Self { thickness: stack.thickness[stack.sample], phase: stack.phase }
     }
 
     /// Two flights of the chosen lanes. A walk that would pass a face stays where the flight began; returned are the
@@ -72,14 +72,11 @@ impl Sample {
         scatters
     }
 
-    /// Henyey–Greenstein, see [`crate::phase`].
+    /// [`crate::phase::scatter`], lane by lane.
     #[inline(always)]
     fn scatter<S: Simd>(&self, [nx, ny, nz]: [Floats<S>; 3], bits: Words<S>) -> [Floats<S>; 3] {
-        let xi = symmetric(bits);
-        let [c2, c1, c0] = self.numerator;
-        let denominator = xi * self.g + 1.0;
-        let cos = ((xi * c2 + c1) * xi + c0) / (denominator * denominator);
-        let sin = root(constant(xi, 1.0) - cos * cos);
+        let cos = self.phase.cosine(symmetric(bits));
+        let sin = root(constant(cos, 1.0) - cos * cos);
         let (x, y) = unit_vector(bits);
         let (x, y) = (sin * x, sin * y);
         let q = (nx * x + ny * y) / (nz.abs() + 1.0);
