@@ -20,7 +20,7 @@ use tonic_prost::{ProstCodec, ProstDecoder, ProstEncoder};
 use crate::convert::{check_text, to_status};
 use crate::wire;
 
-/// What a message in a message, or a text, takes in memory at most beside its content.
+/// Most memory that a nested message or a text takes in addition to its content.
 const PART_BYTES: usize = 256;
 /// What the parts of any request may take.
 const FREE_BYTES: usize = 1 << 20;
@@ -219,7 +219,7 @@ fn field(field: &FieldDescriptorProto) -> Option<(u32, Field)> {
 mod tests {
     use super::*;
 
-    /// A question of so many profiles without content: two bytes each.
+    /// A question with this many empty profiles: two bytes each.
     fn empty_profiles(profiles: usize) -> wire::FitRequest {
         let profiles = vec![wire::MeasuredProfile::default(); profiles];
         let measurement = wire::Measurement { material: String::new(), profiles };

@@ -57,7 +57,7 @@ impl JobState {
     pub const ALL: [Self; 5] = [Self::Waiting, Self::Computing, Self::Done, Self::Checked, Self::Failed];
 }
 
-/// Most jobs given up that a status tells; lists of all come in pages.
+/// Most failed jobs in a status; lists of all come in pages.
 pub const FAILED_JOBS: usize = 1000;
 
 /// A job given up after too many failed attempts.
@@ -92,7 +92,7 @@ pub struct DictionaryStatus {
     pub priority: i32,
     /// Why it was cancelled; empty if it was not.
     pub reason: String,
-    /// Name of the token of the one who submitted it; empty where nobody showed one.
+    /// Name of the token with which it was submitted; empty without a token.
     pub owner: String,
     /// Time that the rest takes at the present pace.
     pub eta_s: Option<f64>,
@@ -154,7 +154,7 @@ impl fmt::Display for WorkerState {
     }
 }
 
-/// What a machine has, as its worker tells; zeros and nothing where it does not.
+/// Hardware of a machine, as reported by its worker; zeros and empty where it is not.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MachineFacts {
     /// That the worker may use.
@@ -162,7 +162,7 @@ pub struct MachineFacts {
     pub memory_bytes: u64,
     /// The kernel that it traces with.
     pub kernel: String,
-    /// Where its log is to be read, as in `HOST:/var/log/slurm-17.out`; empty if it does not know.
+    /// Where its log is to be read, as in `HOST:/var/log/slurm-17.out`; empty if unknown.
     pub log: String,
 }
 
@@ -179,6 +179,6 @@ pub struct WorkerStatus {
     pub suspended_ms: u64,
     pub version: String,
     pub facts: MachineFacts,
-    /// What the coordinator knows the machine by: `TOKEN@ADDRESS`.
+    /// Identity of the machine for the coordinator: `TOKEN@ADDRESS`.
     pub machine: String,
 }

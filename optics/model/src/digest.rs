@@ -1,4 +1,4 @@
-//! Digests. What makes two grids, points or results the same is told where they are digested.
+//! Digests. The functions that compute them define when two grids, points or results are the same.
 
 use std::fmt;
 

@@ -6,7 +6,7 @@ use crate::grid::{Axes, Effort, Grid, NoiseLevel, Quality, Walks};
 use crate::invalid::{Invalid, Result};
 use crate::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
 
-/// Most walks of a transport point under a quality target, unless the file says otherwise.
+/// Most walks of a transport point under a quality target, unless the file has another number.
 const MAX_WALKS: u64 = 25_000_000;
 
 /// Content of a grid file. Lists that are left out are the paper's.
@@ -69,7 +69,7 @@ impl<'de> Deserialize<'de> for SceneRef {
     }
 }
 
-/// What a file tells by a name or by a table. By hand, since serde's untagged enums do not tell which key of a table is
+/// A value given by a name or by a table. By hand, since serde's untagged enums do not tell which key of a table is
 /// wrong.
 fn name_or_table<'de, D: serde::Deserializer<'de>, Table: Deserialize<'de>, Told>(
     deserializer: D,

@@ -33,7 +33,7 @@ impl Invalid {
         &self.allowed
     }
 
-    /// The same complaint about a field of another name.
+    /// The same error with another field.
     #[must_use]
     pub fn renamed(self, field: impl Into<String>) -> Self {
         Self { field: field.into(), ..self }
@@ -61,7 +61,7 @@ fn cut(mut given: String) -> String {
     given
 }
 
-/// A range check of a finite number; the bounds are told in `allowed`.
+/// A range check of a finite number; `allowed` describes the bounds.
 pub(crate) fn check(field: &str, value: f64, ok: impl Fn(f64) -> bool, allowed: &str) -> Result<f64> {
     if value.is_finite() && ok(value) { Ok(value) } else { Err(Invalid::new(field, value, allowed)) }
 }

@@ -1,7 +1,7 @@
-//! What the science of the farm is about: media, scenes, grids, profiles, measurements, and the answers of fits.
+//! The domain of the science: media, scenes, grids, profiles, measurements, and the answers of fits.
 //!
-//! A type with a rule to keep has private fields and one validating constructor: whoever holds a [`Grid`] or a
-//! [`Scene`] holds a correct one. Nothing here knows a runtime, a network, a clock, a database or a file.
+//! A type with a rule has private fields and one validating constructor, so a [`Grid`] or a [`Scene`] is always
+//! correct. Nothing here uses a runtime, a network, a clock, a database or a file.
 
 mod canonical;
 pub mod digest;

@@ -10,7 +10,7 @@ use crate::invalid::{Invalid, Result};
 use crate::limits::FitLimits;
 use crate::medium::check_thickness;
 
-/// Fewest pixels of a measured profile: less does not tell an edge from a slope.
+/// Fewest pixels of a measured profile: fewer do not distinguish an edge from a slope.
 pub const MIN_PIXELS: usize = 8;
 
 /// A profile that begins so far from the edge, on either side, lies beside it.

@@ -125,8 +125,8 @@ impl TransportPoint {
         self.sigma_t_per_mm * self.thickness_mm
     }
 
-    /// The optical thickness as walks know it. Points that have it, g and the index in common share their walks: only
-    /// lengths in mm differ.
+    /// The optical thickness in the precision of walks. Points that have it, g and the index in common share their
+    /// walks: only lengths in mm differ.
     pub fn walked_thickness(&self) -> f32 {
         self.optical_thickness() as f32
     }

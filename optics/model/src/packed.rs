@@ -2,7 +2,8 @@
 //!
 //! In a record, for each channel: radiance factor, then ∂/∂α and ∂/∂σ_t if the job asks for derivatives; of each of these
 //! the values of all pixels as 32-bit floats, little endian, then their standard errors (`std_errors`) in two bytes and one
-//! for each pixel. Up to physics version 5 these were floats, too. Such records are read; [`Layout`] tells them apart.
+//! for each pixel. Up to physics version 5 these were floats, too. Such records are read; [`Layout`] distinguishes
+//! them.
 
 pub(crate) mod std_errors;
 
@@ -33,7 +34,7 @@ impl Layout {
         shape.channels * shape.estimates() * self.estimate_bytes(shape.pixels)
     }
 
-    /// The layout in which a record takes so many bytes, if it does so in one.
+    /// The layout in which a record takes this many bytes, if there is one.
     pub fn of_record(bytes: usize, shape: RecordShape) -> Option<Self> {
         [Self::Bytes, Self::Floats].into_iter().find(|layout| layout.record_bytes(shape) == bytes)
     }
@@ -185,7 +186,7 @@ impl PackedRecords {
 }
 
 impl Record {
-    /// Appends all numbers, in the order that this module tells.
+    /// Appends all numbers, in the order of this module's header.
     pub fn extend_le_bytes(&self, bytes: &mut Vec<u8>) {
         for estimate in self.profiles.iter().flat_map(Profile::estimates) {
             let start = bytes.len();

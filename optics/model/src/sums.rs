@@ -79,7 +79,7 @@ impl Sums {
         }
         let number = |b: &[u8]| f64::from_le_bytes(b.try_into().expect("8 bytes"));
         let mut sums: Vec<f64> = bytes.chunks_exact(8).map(number).collect();
-        // What walks sum up to is smaller by far; larger numbers could not be told as 32-bit floats.
+        // What walks sum up to is smaller by far; larger numbers do not fit 32-bit floats.
         if let Some(i) = sums.iter().position(|v| v.is_nan() || v.abs() > Self::LARGEST) {
             let allowed = format!("at most {:e} is allowed", Self::LARGEST);
             return Err(Invalid::new(format!("sums[{i}]"), sums[i], allowed));

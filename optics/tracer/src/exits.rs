@@ -49,7 +49,7 @@ pub struct Exits {
 }
 
 impl Exits {
-    /// Begins anew, for so many walks.
+    /// Starts over, for this many walks.
     pub fn reset(&mut self, walks: u32) {
         self.picks.clear();
         self.hits.clear();

@@ -31,7 +31,7 @@ impl Kernel {
     /// One walk after the other: slow, and plain enough to be checked by eye.
     pub const SCALAR: Self = Self(Way::Scalar);
 
-    /// What this process runs walks with: what it was told ([`Self::choose`]), or what is fastest by the rule.
+    /// The kernel of this process: the one set with [`Self::choose`], or the fastest by the rule.
     pub fn chosen() -> Self {
         CHOSEN.get().copied().unwrap_or_else(Self::fastest)
     }

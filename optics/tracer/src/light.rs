@@ -2,8 +2,8 @@
 //!
 //! Between the ring and the first diffuse vertex – a scattering, or a hit on the base – light meets interfaces only.
 //! Followed from the ring ([`Arrivals`]), it crosses the sample in beams: a polar cosine μ, a face at which the beam
-//! begins, and a flux w, the share of the ring's light. Nothing tells azimuths apart, so a scattering at the optical depth d
-//! of a walk that flies with the cosine u receives the radiance factor
+//! begins, and a flux w, the share of the ring's light. All is symmetric about the normal, so a scattering at the
+//! optical depth d of a walk that flies with the cosine u receives the radiance factor
 //!
 //! C(d, u) = π/n² Σ w/μ · p̄(u, μ) · e^(−d/μ),
 //!

@@ -7,7 +7,7 @@
 //! 1944). That is without bias for any h: each vertex is cut c_i h(n_i)/Δ times in the mean. Walks that are worth more
 //! are scored more often, along their whole way.
 //!
-//! h makes early vertices more frequent: most albedos know no others.
+//! h makes early vertices more frequent: with most albedos only those count.
 
 /// Words of this block are for the place of the first cut.
 pub const PICK_BLOCK: u32 = 1 << 31;

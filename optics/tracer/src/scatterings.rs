@@ -1,4 +1,4 @@
-//! The number of scatterings, told by a few nodes.
+//! Powers of the albedo by the number of scatterings, interpolated between a few nodes.
 //!
 //! A walk of n scatterings counts α^n for the albedo α. Rather than adding that for every albedo, the tally adds to nodes
 //! of n, and turns them into albedos at the end of a batch. Up to 32 each number is a node; above there are 8 nodes an
@@ -16,7 +16,7 @@ const OCTAVE_BITS: u32 = 3;
 
 /// Powers below this are taken as 0.
 const SMALLEST: f64 = 1e-100;
-/// Powers up to this count for nothing beside those of fewer scatterings.
+/// Powers up to this are negligible compared with those of fewer scatterings.
 const NOTHING: f64 = 1e-15;
 
 /// The node at or below n.

@@ -17,7 +17,7 @@ pub struct Interface {
     pub alpha: f32,
 }
 
-/// What the walk needs to know of a scene at one transport point. Lengths in the sample are in mean free paths: points that
+/// A scene at one transport point, prepared for walks. Lengths in the sample are in mean free paths: points that
 /// are optically as thick have one stack.
 #[derive(Debug, Clone)]
 pub struct Stack {

@@ -4,8 +4,8 @@
 //! entry position X, a staircase with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so
 //! that the average over each pixel is exact, and integrates at the end.
 //!
-//! Nothing but the base tells left from right, so the mirror image of a walk is as likely as the walk: both are scored.
-//! That makes profiles less noisy near the edge, and their gradients more so.
+//! Only the base breaks the symmetry of left and right, so the mirror image of a walk is as likely as the walk: both
+//! are scored. That makes profiles less noisy near the edge, and their gradients more so.
 //!
 //! Steps are held by number of scatterings ([`crate::scatterings`]), not by albedo: what a vertex costs does not depend on
 //! how many albedos there are.

@@ -22,7 +22,7 @@ fn set(walks: u64, derivatives: bool) -> Vec<JobSpec> {
     [[3.0, 1.0], [6.0, 0.5], [12.0, 0.25]].map(job).to_vec()
 }
 
-/// Nothing of a record tells who else has used its walks.
+/// A record does not depend on the other jobs that share its walks.
 #[test]
 fn jobs_of_a_set_have_the_records_that_each_has_alone() {
     for derivatives in [false, true] {

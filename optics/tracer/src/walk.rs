@@ -62,7 +62,7 @@ pub struct Walk<'a> {
 
 impl<'a> Walk<'a> {
     /// Enters the stack from the air above in `direction` (z < 0) at x = 0. The first interface has been dealt
-    /// with when this returns; the event tells how.
+    /// with when this returns; the event has the reason.
     pub fn enter(stack: &'a Stack, direction: Vec3, stream: Stream) -> (Self, Event) {
         let mut walk = Self {
             stack,
@@ -194,7 +194,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Meets an interface whose incident side is up (`up` = 1) or down (`up` = −1); `indices` are those of the
-    /// incident side and of the other. Sets the new direction and tells whether the ray is on the other side; None
+    /// incident side and of the other. Sets the new direction and returns whether the ray is on the other side; None
     /// if it is lost.
     fn cross(&mut self, up: f32, indices: [RelativeIndex; 2], alpha: f32) -> Option<bool> {
         let d = self.direction;

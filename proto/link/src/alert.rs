@@ -1,4 +1,4 @@
-//! What a coordinator says in ending a TLS connection.
+//! TLS alerts with which a coordinator closes a connection.
 
 use std::error::Error;
 
@@ -21,7 +21,7 @@ const NOT_ACCEPTED: [&str; 8] = [
     "UnsupportedCertificate",
 ];
 
-/// A status that tells why the coordinator does not talk to who has this certificate, or none; None if that is not why
+/// A status with the reason why the coordinator refuses this certificate, or its absence; None if that is not why
 /// the call failed. Other calls will fail in the same way, so that it is of no use to try again.
 pub fn refusal(error: &dyn Error) -> Option<Status> {
     let cause = root_cause(error);

@@ -11,7 +11,7 @@ use crate::error::{AccessError, root_cause};
 use crate::handshake::{Credentials, Handshake};
 use crate::{HANDSHAKE, Role, TOKEN_BYTES, file, pem};
 
-/// How to reach a coordinator, how to know it, and the token to show it.
+/// A coordinator's address, its certificates, and the token to present.
 ///
 /// ```toml
 /// role = "worker"                      # or "client", "admin"
@@ -43,7 +43,7 @@ struct ClientFields {
 }
 
 impl ClientAccess {
-    /// Reads and checks a file; what it says is known to be usable afterwards.
+    /// Reads and checks a file, so that its contents are usable.
     pub fn read(path: &Path) -> Result<Self, AccessError> {
         let fields = file::read_secret(path, "the file of a worker, a client or an admin")?;
         let access = Self { path: path.to_owned(), fields };

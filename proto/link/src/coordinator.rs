@@ -25,7 +25,7 @@ use crate::{HANDSHAKE, file, pem};
 /// blake3 = "…"                         # BLAKE3 of the token, in hexadecimal
 /// ```
 ///
-/// A client's certificate says that it belongs to the farm; what it may do, its token alone says.
+/// A client's certificate proves that it belongs to the farm; its role depends on its token alone.
 #[derive(Debug)]
 pub struct CoordinatorAccess {
     path: PathBuf,
@@ -33,7 +33,7 @@ pub struct CoordinatorAccess {
     key: SecretString,
     client_ca: Option<String>,
     tokens: RwLock<Arc<Tokens>>,
-    /// Digest of what was read last. Times and sizes do not say enough: they can be set, and be the same.
+    /// Digest of what was read last. Times and sizes do not suffice: they can be set, and be the same.
     digest: Mutex<Option<blake3::Hash>>,
 }
 
@@ -202,7 +202,7 @@ mod tests {
         std::fs::write(file.path(), content(&format!("{first}{}", entry("client", "b", &other(1))))).unwrap();
         assert!(access.refresh().unwrap());
         assert_eq!(name(&other(1)).as_deref(), Some("b"));
-        // What is no access file lets nobody in and shuts nobody out, and is told of once.
+        // A file that is no access file changes nothing, and is reported once.
         std::fs::write(file.path(), "half a fi").unwrap();
         assert!(access.refresh().is_err() && !access.refresh().unwrap());
         assert_eq!(name(&other(1)).as_deref(), Some("b"));

@@ -12,10 +12,10 @@ use crate::error::root_cause;
 /// encryption.
 const NOT_HTTP2: [&str; 2] = ["frame with invalid size", "frame received is malformed"];
 
-/// What tonic says of an answer by HTTP/2 that is a page and no message: the page's port, or that of the figures.
+/// tonic's message for an answer by HTTP/2 that is a page and no message: the page's port, or that of the figures.
 const NO_MESSAGE: [&str; 2] = ["invalid compression flag", "grpc-status header missing"];
 
-/// What hyper says of a connection whose other end answers no ping.
+/// hyper's message for a connection whose peer answers no ping.
 const SILENT: &str = "keep-alive timed out";
 
 /// Why the coordinator at a URL does not answer, and what to look at; None for a failure of another kind.

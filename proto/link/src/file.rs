@@ -24,7 +24,7 @@ pub(crate) fn digest(path: &Path) -> Option<blake3::Hash> {
     Some(blake3::hash(&bytes))
 }
 
-/// Reads a file that only its owner and group can open. `expected` says whose it should be.
+/// Reads a file that only its owner and group can open. `expected` describes the file that is meant.
 pub(crate) fn read_secret<T: DeserializeOwned>(path: &Path, expected: &str) -> Result<T, AccessError> {
     let failed = |source| AccessError::Read { path: path.to_owned(), source };
     let file = File::open(path).map_err(failed)?;
@@ -52,7 +52,7 @@ fn place(text: &str, error: &toml::de::Error) -> String {
     before.map_or_else(String::new, |before| format!("line {}: ", before.matches('\n').count() + 1))
 }
 
-/// A message of the parser without words as long as tokens and keys: it quotes names that it does not know, and a secret
+/// A message of the parser without words as long as tokens and keys: it quotes unknown names, and a secret
 /// may stand where a name should be. No name that it expects is as long.
 fn discreet(message: &str) -> String {
     const SHORTEST_SECRET: usize = 16;

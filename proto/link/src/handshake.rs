@@ -31,7 +31,7 @@ pub(crate) struct Handshake {
     config: Arc<ClientConfig>,
 }
 
-/// What an access file says about handshakes, all in PEM.
+/// The handshake's part of an access file, all in PEM.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Credentials<'a> {
     pub authority: &'a str,
@@ -50,7 +50,7 @@ impl Handshake {
         Some(Self { host, port, name, config: Arc::new(config(credentials)?) })
     }
 
-    /// Why the coordinator does not accept the certificate, or its absence; None if it does not say so.
+    /// Why the coordinator does not accept the certificate, or its absence; None if it gives no such reason.
     pub(crate) async fn refusal(&self) -> Option<Status> {
         let ended = tokio::time::timeout(PATIENCE, self.listen()).await;
         ended.ok()?.err().and_then(|error| refusal(&error))

@@ -3,12 +3,12 @@
 //! # Links
 //!
 //! A [`Link`] is a gRPC connection to a coordinator on which every call carries a token, ends in time and learns why it
-//! is not wanted. [`Target`] makes one from an access file, or from a bare URL. [`failure()`] says in plain words why a
+//! is not wanted. [`Target`] makes one from an access file, or from a bare URL. [`failure()`] explains why a
 //! coordinator does not answer.
 //!
 //! # Access files
 //!
-//! They say who may do what, and how both sides know each other. All are TOML, and secret: a file that every user of
+//! They hold roles, and how both sides authenticate each other. All are TOML, and secret: a file that every user of
 //! the machine can open is refused.
 //!
 //! The coordinator has one file ([`CoordinatorAccess`]): its certificate and key, and the hashes of the tokens that it

@@ -17,9 +17,10 @@ use crate::alert::refusal;
 use crate::endpoint::Bearer;
 use crate::handshake::Handshake;
 
-/// How long a call may take to its first answer if it does not say so itself.
+/// Default timeout of a call until its first answer.
 const DEADLINE: Duration = Duration::from_mins(5);
-/// How much later than its deadline a call is given up here: the other side, or the transport, may still tell why.
+/// How much later than its deadline a call is given up here: the other side, or the transport, may still report the
+/// reason.
 const GRACE: Duration = Duration::from_secs(2);
 /// How long the first call on a link may take until a handshake asks whether the certificate is refused.
 const SILENCE: Duration = Duration::from_secs(5);
@@ -39,7 +40,7 @@ pub struct Link {
     bearer: Bearer,
     /// Asks why the connection was cut.
     handshake: Option<Handshake>,
-    /// Whether any call was answered: whoever was let in once is not refused for a certificate.
+    /// Whether any call was answered: then no certificate is the cause of a failure.
     answered: Arc<AtomicBool>,
 }
 

@@ -14,7 +14,7 @@ use tracing_subscriber::{EnvFilter, filter};
 
 use patient::Patient;
 
-/// Variable that tells what is logged, such as `info,farm_coordinator=debug`.
+/// Variable with the filter of the logs, such as `info,farm_coordinator=debug`.
 pub const FILTER_VARIABLE: &str = "FARM_LOG";
 
 /// They would be printed to standard error, which panics where that is what failed.

@@ -21,7 +21,7 @@ const LISTENING: &str = "0A";
 /// A connection on this machine.
 pub(crate) type Stream = Either<UnixStream, TcpStream>;
 
-/// A port of loopback, as a connector for the transport. The way is found anew for every connection.
+/// A port of loopback, as a connector for the transport. The address is resolved for every connection.
 #[derive(Debug, Clone)]
 pub(crate) struct Loopback {
     pub(crate) host: String,

@@ -3,7 +3,7 @@
 use rustls_pki_types::pem::PemObject as _;
 use rustls_pki_types::{CertificateDer, PrivateKeyDer};
 
-/// What is wrong with a text that should hold certificates; to be said after the field's name.
+/// The error of a text that should hold certificates; it follows the field's name.
 pub(crate) fn check_certificates(pem: &str) -> Result<(), String> {
     let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem.as_bytes()).collect();
     match certificates {

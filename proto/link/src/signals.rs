@@ -25,7 +25,7 @@ async fn comes(signal: &mut Option<Signal>) {
     }
 }
 
-/// Whether whoever started this process wants it to ignore a signal.
+/// Whether the parent process had this signal ignored.
 fn ignores(kind: SignalKind) -> bool {
     std::fs::read_to_string("/proc/self/status").is_ok_and(|status| is_ignored(&status, kind.as_raw_value()))
 }

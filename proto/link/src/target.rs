@@ -21,8 +21,8 @@ pub struct Target {
 }
 
 impl Target {
-    /// The coordinator of an access file, or at a URL, or both: then the URL counts, and the file says how to know the
-    /// coordinator there. A bare URL is never encrypted, for there is nothing to know the other side by; on loopback it
+    /// The coordinator of an access file, or at a URL, or both: then the URL counts, and the file authenticates the
+    /// coordinator there. A bare URL is never encrypted, since nothing authenticates the other side; on loopback it
     /// stands for the user's own coordinator.
     pub fn new(access: Option<&ClientAccess>, url: Option<&str>) -> Result<Self, AccessError> {
         let (endpoint, loopback) = match (access, url) {

@@ -21,7 +21,7 @@ fn pair() -> Pair {
 static AUTHORITY: LazyLock<Pair> = LazyLock::new(pair);
 static MEMBER: LazyLock<Pair> = LazyLock::new(pair);
 
-/// A certificate whose key nobody has here.
+/// A certificate without its key.
 pub(crate) fn ca() -> &'static str {
     &AUTHORITY.certificate
 }

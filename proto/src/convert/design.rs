@@ -142,7 +142,7 @@ mod tests {
         };
         let mut wire = wire::DesignResponse::from(design.clone());
         assert_eq!(Design::try_from(wire.clone()).unwrap(), design);
-        // A newer coordinator may know of more.
+        // A newer coordinator may have more.
         wire.sets[0].improvements[0].limitation = 99;
         assert_eq!(Design::try_from(wire).unwrap().sets[0].improvements.len(), 7);
     }

@@ -91,7 +91,7 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
             jobs_done: d.jobs_done as usize,
             jobs_leased: d.jobs_leased as usize,
             jobs_disputed: d.jobs_disputed as usize,
-            // One of before tells the jobs alone.
+            // Older coordinators send the jobs alone.
             jobs_failed: d.failed.len().max(d.jobs_failed as usize),
             failed: list::from_wire("failed", d.failed)?,
             work_done: d.work_done,

@@ -103,7 +103,7 @@ impl Refined {
     }
 }
 
-/// What the likelihood tells of a channel's profiles beside the medium.
+/// Results of the likelihood for a channel's profiles, in addition to the medium.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Likelihood {
     /// Sum of the squares of the residuals over their noise, outliers left out, and of the deviations of what is wrong
@@ -148,7 +148,7 @@ pub enum Nuisance {
     Slope,
 }
 
-/// What was known of a nuisance, and what the data say.
+/// Prior and estimate of a nuisance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct NuisanceEstimate {
     pub nuisance: Nuisance,
@@ -198,7 +198,7 @@ pub struct Ends {
     pub high: f64,
 }
 
-/// Misfit above which a fit is said not to explain its measurement.
+/// Misfit above which a fit is reported not to explain its measurement.
 pub const MISFIT: f64 = 2.0;
 
 /// The likeliest single reason why a fit leaves more than noise explains.
@@ -219,7 +219,7 @@ pub struct Suspicion {
 pub enum Cause {
     /// No single cause tried explains it.
     Unknown,
-    /// The edge lies beside x = 0: by so many mm.
+    /// The edge lies off x = 0: offset in mm.
     #[serde(rename = "edge_offset_mm")]
     EdgeOffset,
     /// The values are too large by this share.

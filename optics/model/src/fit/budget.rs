@@ -26,7 +26,7 @@ pub enum ErrorSource {
     Scale,
     /// All that errs in other channels and materials, through what they share with this one.
     OtherChannels,
-    /// The anisotropy, which the data have to determine beside the quantity.
+    /// The anisotropy, which the data have to determine as well.
     G,
     /// One that this version does not have.
     Unknown,

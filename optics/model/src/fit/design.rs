@@ -1,4 +1,4 @@
-//! What a measurement that is not made yet would tell: question and answer.
+//! The expected precision of a planned measurement: question and answer.
 
 use serde::Serialize;
 
@@ -61,7 +61,7 @@ impl PixelRow {
 pub struct DesignSettings {
     /// None for the dictionary's first.
     pub channel: Option<String>,
-    /// A guess: how much pixels tell depends on what they look at.
+    /// A guess: the precision depends on the medium.
     pub medium: Medium,
     /// One of the dictionary's; none for its first.
     pub sample_ior: Option<f64>,
@@ -77,7 +77,7 @@ pub struct DesignSettings {
     pub pixels: Option<PixelRow>,
     /// What is known of the set-up. What concerns the search does not matter.
     pub set_up: FitOptions,
-    /// Nothing is known of the factor common to all profiles, μ: the measurement has to tell it.
+    /// The factor common to all profiles, μ, has no prior: the measurement has to determine it.
     pub mu_free: bool,
 }
 
@@ -193,7 +193,7 @@ fn share(half_width: f64, value: f64) -> f64 {
     if half_width == 0.0 { 0.0 } else { half_width / value }
 }
 
-/// What keeps a measurement from telling more.
+/// What limits the precision of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Limitation {
@@ -218,7 +218,7 @@ pub enum Limitation {
     Scale,
 }
 
-/// What the same slabs would tell, g held, if one thing were better.
+/// The precision of the same slabs, g held, with one limitation reduced.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Improvement {
     pub limitation: Limitation,
@@ -237,7 +237,7 @@ impl Improvement {
     }
 }
 
-/// A set of slabs, and what photographs of it would tell.
+/// A set of slabs, and the precision that photographs of it would have.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SlabSet {
     pub slabs_mm: Vec<f64>,
@@ -245,9 +245,9 @@ pub struct SlabSet {
     pub shots: u32,
     /// The anisotropy being known.
     pub g_held: HalfWidths,
-    /// The anisotropy being told by the same pixels; none if the dictionary has one only.
+    /// With g fitted to the same pixels; none if the dictionary has one only.
     pub g_free: Option<HalfWidths>,
-    /// No other set of at most as many photographs tells more of σ_t and 1 − α together, g held.
+    /// No other set of at most as many photographs determines σ_t and 1 − α together better, g held.
     pub best_of_its_effort: bool,
     /// The same among all sets.
     pub best: bool,

@@ -1,4 +1,4 @@
-//! Mixtures of inks: what they are made of, and what they tell of their inks.
+//! Mixtures of inks: their parts, and the inks' media found from them.
 //!
 //! In a mixture with volume fractions `f_i` scattering and absorption add: σ_s = Σ f_i σ_s,i, σ_a = Σ f_i σ_a,i and
 //! σ_s (1 − g) = Σ f_i σ_s,i (1 − g_i).
@@ -108,7 +108,7 @@ impl Mixtures {
         &self.0
     }
 
-    /// Names of the inks, in the order in which they are told.
+    /// Names of the inks, in the order in which they are given.
     pub fn inks(&self) -> Vec<&str> {
         let mut inks: Vec<&str> = Vec::new();
         for part in self.0.iter().flat_map(|m| &m.parts) {
@@ -129,7 +129,7 @@ impl Mixtures {
     }
 }
 
-/// What pure inks and their mixtures tell together.
+/// The joint solution for pure inks and their mixtures.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Unmixed {
     /// What all channels share, from pure inks and mixtures.
@@ -140,7 +140,7 @@ pub struct Unmixed {
 }
 
 impl Unmixed {
-    /// Puts what mixtures tell in the place of what slabs of an ink by themselves do not.
+    /// Replaces what an ink's own slabs leave undetermined by the joint solution.
     pub fn replace(&self, materials: &mut [MaterialFit]) {
         for ink in &self.inks {
             let Some(material) = materials.iter_mut().find(|m| m.material == ink.material) else { continue };
@@ -193,7 +193,7 @@ impl InkChannel {
         refined.absorption_per_mm = self.absorption_per_mm;
         (refined.resolved, refined.resolved_at_g) = (self.resolved, self.resolved);
         refined.from_mixtures = true;
-        // Those of the slabs by themselves say nothing of this medium.
+        // Those of the slabs alone are not of this medium.
         (refined.covariance, refined.correlation, refined.valley) = ([[0.0; 3]; 3], 0.0, false);
     }
 }

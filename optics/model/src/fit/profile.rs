@@ -74,7 +74,7 @@ pub struct PredictedChannel {
     /// Radiance factors.
     pub values: Vec<f64>,
     /// What the records' noise does to the values, as at the nearest of the dictionary's thicknesses; none if there are too
-    /// few records about to tell.
+    /// few records are near.
     pub std_errors: Option<Vec<f64>>,
     /// Derivatives of the values by x in 1/mm, by the paper's wavelet, half a pixel to the right of each pixel's centre.
     pub gradient: Vec<f64>,

@@ -12,7 +12,7 @@ impl Grid {
     /// Whether a coordinator takes it: its jobs have at most [`MAX_PARTS`] parts, also once they are traced with as many
     /// walks as a target error allows.
     ///
-    /// Not a rule of [`Self::new`]: grids that were taken before there was this limit can still be told of and deleted.
+    /// Not a rule of [`Self::new`]: older grids beyond this limit can still be listed and deleted.
     pub fn check_parts(&self) -> Result<()> {
         let jobs = self.job_count() as u64;
         let Some(blocks) = NonZero::new(MAX_PARTS / jobs) else {

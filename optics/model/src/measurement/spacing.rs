@@ -39,7 +39,7 @@ fn unrounded(x: &[f64]) -> Option<Vec<f64>> {
     let slope = 12.0 * moment / (n * (n * n - 1.0));
     let line: Vec<f64> = (0..x.len()).map(|i| mean + slope * (i as f64 - middle)).collect();
     let near = x.iter().zip(&line).all(|(x, even)| (x - even).abs() <= ROUNDED * unit);
-    // With coarser digits a pixel that is missing could not be told.
+    // With coarser digits a missing pixel could not be detected.
     (near && 2.0 * ROUNDED * unit < slope).then_some(line)
 }
 

@@ -1,7 +1,8 @@
 //! Standard errors in a byte each.
 //!
-//! A standard error comes from some hundred batches and is itself good to 7 %, so 32 bits say more than is known. Here it
-//! has one of some hundred *grades*, sixteen to an octave: it is told to ±3 %, and ±1.3 % as a root mean square.
+//! A standard error comes from some hundred batches and is itself good to 7 %, so 32 bits are more precise than it is.
+//! Here it has one of some hundred *grades*, sixteen to an octave: the rounding is within ±3 %, ±1.3 % as a root mean
+//! square.
 //!
 //! The grade is the upper 12 bits of the 32-bit float, rounded: its exponent and four more. An estimate's errors are the
 //! largest grade in two bytes, little endian, and a byte for each pixel: 255 less the grades that its error lies below the
@@ -23,7 +24,7 @@ pub(super) const fn size(pixels: usize) -> usize {
     LARGEST + pixels
 }
 
-/// Rounds errors to those that can be told.
+/// Rounds errors to the grades.
 pub(crate) fn round(std_errors: &mut [f32]) {
     let largest = largest_grade(std_errors);
     for error in std_errors {

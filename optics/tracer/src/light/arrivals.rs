@@ -2,8 +2,8 @@
 //! the ring.
 //!
 //! It does not depend on the medium but for what the sample lets through, e^(−τ L), L being the length in the sample in
-//! thicknesses. So it is followed once for a stack of interfaces and told as beams: light of about one direction that has
-//! come about as far. What they weaken on the way follows for every medium.
+//! thicknesses. So it is followed once for a stack of interfaces and represented by beams: light of about one direction
+//! that has come about as far. What they weaken on the way follows for every medium.
 //!
 //! At every interface light goes both ways, with the shares that Fresnel gives; what is faint ends or goes on by chance.
 //! The ring's angles and the first three rough faces' normals come from a Kronecker sequence (Roberts 2018, "The
@@ -28,7 +28,7 @@ const NEAR: usize = 16;
 const BEAMS: f64 = 512.0;
 /// Anisotropy up to which directions in cells taken together are alike to the phase function.
 const WIDE: f64 = 0.9;
-/// Passes through the sample that beams tell apart; the last two stand for all that come later.
+/// Passes through the sample that beams distinguish; the last two stand for all that come later.
 const PASSES: usize = 4;
 /// Rays that set out where all interfaces are smooth, where some are rough, and where rays are followed on the
 /// microsurface, one way at a time and by chance alone.
@@ -114,7 +114,7 @@ impl Arrivals {
 
 impl Arrivals {
     /// Beams in a sample of an optical thickness: what they have passed has weakened them, and those of nearly one
-    /// direction are one, unless the phase function is so narrow that it tells them apart. Their `passed` is a mean.
+    /// direction are one, unless the phase function is narrow enough to distinguish them. Their `passed` is a mean.
     pub fn in_sample(&self, optical_thickness: f64, g: f64) -> Vec<Beam> {
         let mut cells = vec![[0.0; 3]; 2 * CELLS];
         for beam in &self.sample {
@@ -335,7 +335,7 @@ mod tests {
         beams.iter().map(|beam| beam.flux * (-tau * beam.passed).exp()).sum()
     }
 
-    /// Four times as many rays tell the same.
+    /// Four times as many rays give the same.
     #[test]
     fn rays_are_many_enough() {
         let stack = stack(&Scene::paper());

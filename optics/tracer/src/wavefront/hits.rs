@@ -25,7 +25,7 @@ impl Hits {
         Self { nodes: Vec::new(), free: NONE, heads: Vec::new() }
     }
 
-    /// Begins anew, for so many walks.
+    /// Starts over, for this many walks.
     pub fn reset(&mut self, walks: u32) {
         self.nodes.clear();
         self.free = NONE;

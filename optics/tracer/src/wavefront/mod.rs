@@ -47,7 +47,7 @@ use order::Order;
 pub struct Places {
     /// Walks in the sample.
     inside: Queue,
-    /// Walks that have come to a face of the sample from inside, not yet told apart.
+    /// Walks that have come to a face of the sample from inside, not yet sorted by face.
     leaving: Queue,
     /// Walks on their way to each gate.
     waiting: Vec<Queue>,

@@ -18,7 +18,7 @@ use crate::{ClientAccess, CoordinatorAccess, Link, Target, token_hash};
 /// Whether the reason comes in time depends on the moment, so that one call proves little.
 const CALLS: usize = 20;
 
-/// Starts a coordinator that lets in whoever has a certificate of an authority.
+/// Starts a coordinator that admits every certificate of an authority.
 fn coordinator(client_ca: &str) -> SocketAddr {
     let (certificate, key, hash) = (certificate(), key(), token_hash(TOKEN));
     let file = private_file(&format!(
@@ -62,7 +62,7 @@ async fn breaking_once(server: SocketAddr) -> SocketAddr {
     address
 }
 
-/// Passes on what each side says first, and nothing after that.
+/// Forwards the first bytes of each side, and nothing after that.
 async fn pass_hellos(mut client: TcpStream, server: SocketAddr) -> io::Result<()> {
     let mut server = TcpStream::connect(server).await?;
     let mut bytes = vec![0; 1 << 16];

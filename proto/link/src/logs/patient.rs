@@ -36,7 +36,7 @@ impl Patient {
     }
 }
 
-/// Errors of the output are nobody's to handle: what is wrong with it would have to be written there.
+/// Errors of the output are ignored: there is no other place to report them.
 fn write_all(mut output: impl Write, queue: &Receiver<Line>, stuck: &AtomicBool) {
     for (line, _written) in queue {
         let _ = output.write_all(&line);

@@ -1,4 +1,4 @@
-//! Whether the edge is where it is said to be, at x = 0 unless told, with the light side on the right.
+//! Whether the edge is at `origin_mm`, or at x = 0, with the light side on the right.
 
 use super::trace::Trace;
 use super::{Kind, Seen};
@@ -98,7 +98,7 @@ pub(super) struct Middle {
 ///
 /// A walk that met the base m times scores ρ_light^k ρ_dark^(m − k), which is convex in k, and its mirror image
 /// scores the same with m − k. So F(x) + F(−x) is never larger than far from the edge, in any medium, under any
-/// light that does not tell left from right: half of it is smaller by up to a tenth of the contrast. Gamma raises it.
+/// light that is even from left to right: half of it is smaller by up to a tenth of the contrast. Gamma raises it.
 pub(super) fn middle(trace: &Trace) -> Option<Middle> {
     let reach = trace.reach();
     let near = (0.3f64).max(3.0 * trace.pitch);

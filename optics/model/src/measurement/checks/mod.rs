@@ -1,4 +1,4 @@
-//! What measured profiles tell about mistakes in their making: units, encodings, places, names that were swapped.
+//! Checks for mistakes in measured profiles: units, encodings, places, swapped names.
 //!
 //! Each check is numerics over plain arrays. It refuses only what no medium can show, whatever its σ_t, α, g and
 //! thickness; what is merely likely is a warning. `tests/tests/measurement_checks.rs` holds them against traced media.
@@ -115,7 +115,7 @@ pub fn check(materials: &[Measurement]) -> Vec<Finding> {
         }
     }
     for (m, material) in materials.iter().enumerate() {
-        // Where a profile is wrong by itself, what it says beside others has that reason.
+        // A profile that is wrong by itself explains what is wrong in its pairs.
         let sound = |p: usize| !findings.iter().any(|f| f.material == m && f.profile == p);
         let sound: Vec<bool> = (0..material.profiles().len()).map(sound).collect();
         findings.extend(pairs::of_material(m, material.profiles(), &sound));
@@ -139,7 +139,7 @@ fn alone(profile: &MeasuredProfile) -> Vec<Seen> {
     let eight_bit = values::eight_bit(values, &trace);
     match edge::misplaced(&trace) {
         Some(found) => seen.push(found),
-        // Gamma is one reason for an uneven profile: told once.
+        // Gamma is one reason for an uneven profile: it is reported once.
         None if eight_bit.as_ref().is_none_or(|s| !s.certain) => seen.extend(edge::uneven(&trace)),
         None => {}
     }

@@ -1,4 +1,4 @@
-//! What profiles say beside each other.
+//! Checks of pairs of profiles.
 
 use super::edge::SURE;
 use super::trace::Trace;

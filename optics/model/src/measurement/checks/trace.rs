@@ -10,19 +10,19 @@ use crate::measurement::MeasuredProfile;
 pub(super) struct Trace {
     /// Beside `origin`.
     pub x: Vec<f64>,
-    /// Where the edge is said to be.
+    /// The edge's place by the set-up.
     pub origin: f64,
     pub values: Vec<f64>,
     pub pitch: f64,
     /// Standard deviation of what differs between neighbours.
     scatter: f64,
-    /// Standard deviation of what they share: what is told of their errors beyond their scatter. Simulated profiles
+    /// Standard deviation of what they share: their standard errors beyond their scatter. Simulated profiles
     /// have it, since their pixels share walks.
     shared: f64,
 }
 
 impl Trace {
-    /// Of a profile, from where its edge is said to be.
+    /// Of a profile, from its edge by the set-up.
     pub fn of(profile: &MeasuredProfile) -> Self {
         let origin = profile.setup().origin_mm.unwrap_or(0.0);
         let x: Vec<f64> = profile.x_mm().iter().map(|x| x - origin).collect();
