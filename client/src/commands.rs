@@ -22,7 +22,6 @@ pub(crate) mod measure;
 pub(crate) mod profile;
 pub(crate) mod scale;
 pub(crate) mod serve;
-pub(crate) mod session_folder;
 pub(crate) mod show;
 pub(crate) mod similar;
 pub(crate) mod simulate;

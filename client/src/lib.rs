@@ -61,7 +61,10 @@ async fn dispatch(cli: Cli, output: &Output) -> anyhow::Result<ExitCode> {
         Command::Check(args) => commands::check::run(&args, output)?,
         Command::Fit(args) => commands::fit::run(global, args, output).await?,
         Command::Scale(args) => commands::scale::run(global, args, output).await?,
-        Command::Measure(args) => commands::measure::run(global, args, output).await?,
+        Command::Measure(args) => {
+            let inputs = commands::measure::Inputs::of(args)?;
+            commands::measure::run(global, inputs, output).await?;
+        }
         Command::Map(args) => commands::map::run(global, args, output).await?,
         Command::Design(args) => commands::design::run(global, args, output).await?,
         Command::Profile(args) => commands::profile::run(global, args, output).await?,

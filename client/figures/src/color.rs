@@ -33,6 +33,12 @@ impl Color {
         let mix = |a: u8, b: u8| (f64::from(a) + part * (f64::from(b) - f64::from(a))).round() as u8;
         Self(mix(a.0, b.0), mix(a.1, b.1), mix(a.2, b.2))
     }
+
+    /// The same hue, pale: for areas below curves.
+    pub(super) fn tint(self) -> Self {
+        let pale = |part: u8| (255.0 - 0.22 * (255.0 - f64::from(part))).round() as u8;
+        Self(pale(self.0), pale(self.1), pale(self.2))
+    }
 }
 
 impl fmt::Display for Color {

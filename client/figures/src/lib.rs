@@ -11,6 +11,7 @@ mod checks;
 mod color;
 mod curve;
 mod design;
+mod edge;
 mod fit;
 mod frame;
 mod head;
@@ -30,6 +31,7 @@ mod text;
 
 pub use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
 pub use design::design_figure;
+pub use edge::{EdgeCurve, edge_figure};
 pub use fit::fit_figure;
 pub use map::{map_figure, noise_figure};
 pub use overview::{OverviewFigure, overview_figure};

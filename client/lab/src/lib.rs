@@ -9,5 +9,6 @@ pub mod grid_file;
 pub mod measurement_file;
 pub mod mixture_file;
 pub mod photograph;
+pub mod session_folder;
 pub mod set_up;
 pub mod whole_file;

@@ -147,7 +147,7 @@ pub(crate) fn neighbours(candidates: &[Candidate]) -> String {
 mod tests {
     use farm_figures::testing::{channel, likelihood};
 
-    use super::super::table_csv;
+    use super::super::table::table_csv;
     use super::*;
 
     /// The text without its colours.

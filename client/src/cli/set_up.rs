@@ -1,6 +1,6 @@
 //! Arguments for what is known of a set-up.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -39,8 +39,9 @@ pub struct SetUpArgs {
 }
 
 impl SetUpArgs {
-    /// These values, and those of the session file where none is given here.
-    pub(crate) fn read(&self) -> anyhow::Result<SetUp> {
+    /// These values, and those of the session file where none is given here: of the one that is named, or else of
+    /// `session`.
+    pub(crate) fn read(&self, session: Option<&Path>) -> anyhow::Result<SetUp> {
         let given = Session {
             gain_std_error: self.gain_std_error,
             mu_std_error: None,
@@ -51,6 +52,6 @@ impl SetUpArgs {
             blur_mm: self.blur_mm.map(ByChannel::All),
             blur_std_error_mm: self.blur_std_error_mm.map(ByChannel::All),
         };
-        SetUp::new(self.session.as_deref(), given)
+        SetUp::new(self.session.as_deref().or(session), given)
     }
 }

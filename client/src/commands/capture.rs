@@ -1,12 +1,10 @@
 mod check;
 
-use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use clap::Parser as _;
 use farm_lab::capture::{self, Captured, FILES, SessionErrors};
 use farm_lab::measurement_file::Note;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -14,7 +12,7 @@ use optics_capture::Source;
 use serde_json::{Value, json};
 
 use super::measure;
-use crate::cli::{CaptureArgs, Cli, Command, Global};
+use crate::cli::{CaptureArgs, Global};
 use crate::output::{Output, table, warning, wrapped, write_whole};
 use crate::progress::has_bars;
 
@@ -47,10 +45,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
             .print("capture", &data(&captured, &folder, &warnings), || text(&captured, &folder, &warnings))?;
     }
     if args.measure {
-        let words = ["farmctl", "measure", "--"].map(OsStr::new);
-        let cli = Cli::try_parse_from(words.into_iter().chain([folder.as_os_str()]))?;
-        let Command::Measure(measure) = cli.command else { bail!("the folder's name was misread") };
-        measure::run(global, measure, output).await?;
+        measure::run(global, measure::Inputs::of_folder(&folder)?, output).await?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -29,7 +29,8 @@ pub(crate) async fn name(connection: &Connection, given: Option<&String>) -> Res
 }
 
 /// A dictionary that is to be computed.
-pub(super) struct Wanted {
+#[derive(Debug)]
+pub(crate) struct Wanted {
     pub name: DictionaryName,
     pub grid: Grid,
     pub records_done: usize,

@@ -13,7 +13,7 @@ use crate::figure_files::{self, drawn};
 use crate::output::{Output, wrapped};
 
 pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> Result<()> {
-    let set_up = args.set_up.read()?;
+    let set_up = args.set_up.read(None)?;
     let question = args.question(&set_up)?;
     let assumed = set_up.assumed_of(args.channel.as_deref());
     let given = args.dictionary.as_ref();

@@ -15,7 +15,7 @@ use crate::figure_files;
 use crate::output::Output;
 
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
-    let set_up = args.options.set_up.read()?;
+    let set_up = args.options.set_up.read(None)?;
     let options = args.options(&set_up)?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;

@@ -14,7 +14,7 @@ use crate::figure_files;
 use crate::output::{Output, table};
 
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
-    let set_up = args.options.set_up.read()?;
+    let set_up = args.options.set_up.read(None)?;
     let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings(&set_up)? })?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;

@@ -1,83 +1,170 @@
+//! `farmctl measure`: media of all materials of one set-up, from a measurement file or from the folder of a session.
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use farm_lab::measurement_file::{MeasurementFile, Note};
 use farm_lab::mixture_file::read_mixtures;
+use farm_lab::session_folder::SessionFolder;
+use farm_lab::set_up::{Session, SetUp};
 use farm_link::logs::tell;
-use farm_proto::wire::{MeasureRequest, MeasureResponse};
-use optics_model::fit::{Common, FitOptions, FitSettings, MaterialFit, Mixtures, ScaleCurve, Unmixed};
+use farm_proto::DictionaryName;
+use farm_proto::wire::MeasureRequest;
+use optics_model::fit::{
+    Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, ScaleCurve, Unmixed,
+};
 use serde::Serialize;
 
 use super::chosen_dictionary::{self, Chosen, Wanted};
-use super::session_folder::SessionFolder;
 use super::submit;
-use crate::answers::{Report, UsedOptions, budget_text, common_text, fits_text, inks_text, table_csv};
+use crate::answers::{
+    Found, Report, UsedOptions, budget_text, common_text, fits_text, inks_text, media_files,
+};
 use crate::cli::{Global, MeasureArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::figure_files;
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, grouped, write_whole};
-use crate::renderers;
 
-pub(crate) async fn run(global: &Global, mut args: MeasureArgs, output: &Output) -> Result<()> {
-    let folder = SessionFolder::open(&mut args)?;
-    let set_up = args.options.set_up.read()?;
-    if let (Some(_), None, Some(error)) = (&folder, args.mu, set_up.mu_std_error()) {
-        // The session's white reference says what the scale factor is, and how well it is known.
-        (args.mu, args.mu_std_error) = (Some(1.0), error);
+/// The inputs of a measurement, checked.
+#[derive(Debug)]
+pub(crate) struct Inputs {
+    measurements: PathBuf,
+    /// The session whose folder is measured.
+    folder: Option<SessionFolder>,
+    set_up: SetUp,
+    options: FitOptions,
+    /// None if the scale factor is given.
+    search_mu: Option<MuRange>,
+    common_g: bool,
+    dictionary: Option<String>,
+    /// The session's own dictionary, unless another was named.
+    own: Option<Wanted>,
+    mixtures: Option<PathBuf>,
+    bound: bool,
+    output: Option<PathBuf>,
+    plot: Option<PathBuf>,
+}
+
+impl Inputs {
+    pub(crate) fn of(args: MeasureArgs) -> Result<Self> {
+        let folder =
+            args.measurements.is_dir().then(|| SessionFolder::open(&args.measurements)).transpose()?;
+        let session = folder.as_ref().and_then(SessionFolder::session);
+        let set_up = args.options.set_up.read(session.as_deref())?;
+        let settings = args.options.settings(&set_up)?;
+        let inputs = Self {
+            measurements: args.measurements,
+            folder: None,
+            options: FitOptions::default(),
+            search_mu: Some(args.search.range()?),
+            common_g: !args.free_g,
+            dictionary: args.options.dictionary,
+            own: None,
+            mixtures: args.mixtures,
+            bound: args.bound,
+            output: args.output,
+            plot: args.plot,
+            set_up,
+        };
+        inputs.with(folder, settings, args.mu.map(|mu| [mu, args.mu_std_error]))
     }
-    let settings = FitSettings {
-        mu: args.mu.unwrap_or(1.0),
-        mu_std_error: args.mu_std_error,
-        curves: args.plot.is_some() || folder.is_some(),
-        ..args.options.settings(&set_up)?
-    };
-    let options = FitOptions::new(settings)?;
-    let range = args.search.range()?;
-    let given = args.options.dictionary.as_ref();
-    chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
-    let mixtures = args.mixtures.as_deref().map(read_mixtures).transpose()?;
-    let MeasurementFile { materials, notes } = output.read_measurements(&args.measurements)?;
-    let assumed = set_up.assumed(&materials);
-    let materials = set_up.apply_to(materials)?;
-    let own = folder.as_ref().and_then(|folder| folder.dictionary.clone());
-    let own = own.map(|(name, grid)| Wanted::new(name, grid));
+
+    /// The folder of a session, with all options at their defaults.
+    pub(crate) fn of_folder(path: &Path) -> Result<Self> {
+        let folder = SessionFolder::open(path)?;
+        let set_up = SetUp::new(folder.session().as_deref(), Session::default())?;
+        let settings = set_up.settings(FitSettings::default());
+        let inputs = Self {
+            measurements: folder.measurements(),
+            folder: None,
+            options: FitOptions::default(),
+            search_mu: Some(MuRange::default()),
+            common_g: true,
+            dictionary: None,
+            own: None,
+            mixtures: None,
+            bound: false,
+            output: None,
+            plot: None,
+            set_up,
+        };
+        inputs.with(Some(folder), settings, None)
+    }
+
+    /// `mu` is the scale factor that was given, with its standard error. A session's folder has a scale factor of 1, as
+    /// well known as its white reference, and a dictionary of its own.
+    fn with(
+        mut self,
+        folder: Option<SessionFolder>,
+        settings: FitSettings,
+        mu: Option<[f64; 2]>,
+    ) -> Result<Self> {
+        let of_session = folder.as_ref().and_then(|_| self.set_up.mu_std_error());
+        let mu = mu.or_else(|| of_session.map(|error| [1.0, error]));
+        if mu.is_some() {
+            self.search_mu = None;
+        }
+        let [mu, mu_std_error] = mu.unwrap_or([1.0, 0.0]);
+        let curves = self.plot.is_some() || folder.is_some();
+        self.options = FitOptions::new(FitSettings { mu, mu_std_error, curves, ..settings })?;
+        chosen_dictionary::check(self.dictionary.as_ref())?;
+        self.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+        if let Some(folder) = folder {
+            self.measurements = folder.measurements();
+            if self.dictionary.is_none() {
+                let (name, grid) = folder.dictionary()?;
+                self.own = Some(Wanted::new(DictionaryName::new(name)?, grid));
+            }
+            self.folder = Some(folder);
+        }
+        Ok(self)
+    }
+}
+
+pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Result<()> {
+    let mixtures = inputs.mixtures.as_deref().map(read_mixtures).transpose()?;
+    let MeasurementFile { materials, notes } = output.read_measurements(&inputs.measurements)?;
+    let assumed = inputs.set_up.assumed(&materials);
+    let materials = inputs.set_up.apply_to(materials)?;
     let request = MeasureRequest {
         dictionary: String::new(),
         materials: materials.iter().map(Into::into).collect(),
-        options: Some((&options).into()),
-        search_mu: args.mu.is_none().then(|| range.into()),
-        common_g: !args.free_g,
+        options: Some((&inputs.options).into()),
+        search_mu: inputs.search_mu.map(Into::into),
+        common_g: inputs.common_g,
         mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
     };
-    let (dictionary, found) = ask(global, given, own, &request).await?;
+    let (dictionary, found) = ask(global, inputs.dictionary.as_ref(), inputs.own, &request).await?;
     if mixtures.is_some() && found.unmixed.is_none() {
         bail!("the coordinator is too old to fit mixtures: upgrade it");
     }
-    let pictures = match &args.plot {
+    let pictures = match &inputs.plot {
         Some(path) => figure_files::write_fits(&found.materials, path)?,
         None => Vec::new(),
     };
-    if let Some(folder) = &args.output {
+    if let Some(folder) = &inputs.output {
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
-    let options = options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
-    let told = || {
+    let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
+    let answer = || {
         let assumed = assumed.text(options.settings());
-        let report = Report { fits: &found.materials, assumed, bound: args.bound };
-        let budget = folder.as_ref().and_then(|_| budget_text(&found.materials));
+        let report = Report { fits: &found.materials, assumed, bound: inputs.bound };
+        let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
         let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
-        text(&found, &report, args.output.as_deref(), &pictures) + &budget
+        text(&found, &report, inputs.output.as_deref(), &pictures) + &budget
     };
-    let report = match &folder {
-        Some(folder) => folder.complete(&found.materials, found.common.mu, &told())?,
+    let report = match &inputs.folder {
+        Some(folder) => {
+            let plain = anstream::adapter::strip_str(&answer()).to_string();
+            folder.complete(&found.materials, found.common.mu, plain)?
+        }
         None => None,
     };
     let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
     output.print("measure", &data, || {
         let completed = report.map_or_else(String::new, |path| format!("\nadded to {}", path.display()));
-        told() + &completed
+        answer() + &completed
     })
 }
 
@@ -151,33 +238,6 @@ fn announce(global: &Global, wanted: &Wanted) {
     }
 }
 
-/// Why an answer may lack what this program shows.
-pub(super) const OLDER: &str = "the farm's answer does not tell what was chosen for all channels: its coordinator is \
-                                older than this farmctl; upgrade it";
-
-/// A checked answer.
-pub(crate) struct Found {
-    /// The paper's curve; none if the scale factor was given or the likelihood was maximised.
-    pub(crate) scale: Option<ScaleCurve>,
-    pub(crate) common: Common,
-    pub(crate) materials: Vec<MaterialFit>,
-    /// None if no mixtures were told.
-    pub(crate) unmixed: Option<Unmixed>,
-}
-
-impl TryFrom<MeasureResponse> for Found {
-    type Error = anyhow::Error;
-
-    fn try_from(answer: MeasureResponse) -> Result<Self, Self::Error> {
-        Ok(Self {
-            scale: answer.scale.map(ScaleCurve::try_from).transpose()?,
-            common: answer.common.context(OLDER)?.try_into()?,
-            materials: answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?,
-            unmixed: answer.unmixed.map(Unmixed::try_from).transpose()?,
-        })
-    }
-}
-
 fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
     let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(report));
     if let Some(unmixed) = &found.unmixed {
@@ -188,16 +248,6 @@ fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathB
         text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
     }
     text
-}
-
-/// Table and media for renderers, as files with their names.
-pub(crate) fn media_files(fits: &[MaterialFit]) -> Result<[(&'static str, String); 4]> {
-    Ok([
-        ("table.csv", table_csv(fits)?),
-        ("media.py", renderers::mitsuba_dict(fits)),
-        ("media.xml", renderers::mitsuba_xml(fits)),
-        ("media.pbrt", renderers::pbrt(fits)),
-    ])
 }
 
 fn write_folder(folder: &Path, found: &Found) -> Result<()> {
@@ -232,5 +282,31 @@ pub(super) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [N
         materials: &found.materials,
         notes,
         unmixed: found.unmixed.as_ref(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    /// `capture --measure` measures as `farmctl measure DIR` does.
+    #[test]
+    fn a_folder_has_the_defaults_of_the_command_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = r#"{"format": "farmctl-session/1", "mu_std_error": 0.01, "gain_std_error": 0.004}"#;
+        for (name, text) in
+            [("measurements.csv", ""), ("session.json", session), ("grid.toml", "g = [0.5]\n")]
+        {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        let path = folder.path().to_str().unwrap();
+        let cli = Cli::try_parse_from(["farmctl", "measure", path]).unwrap();
+        let Command::Measure(args) = cli.command else { panic!("not the verb") };
+        let [parsed, direct] = [Inputs::of(args), Inputs::of_folder(folder.path())].map(Result::unwrap);
+        assert_eq!(format!("{parsed:?}"), format!("{direct:?}"));
+        assert_eq!(direct.options.settings().mu_std_error, 0.01);
     }
 }

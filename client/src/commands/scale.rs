@@ -6,15 +6,14 @@ use optics_model::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use super::measure::OLDER;
-use crate::answers::{UsedOptions, common_text, scale_text};
+use crate::answers::{OLDER, UsedOptions, common_text, scale_text};
 use crate::cli::{Global, ScaleArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::figure_files::{self, drawn};
 use crate::output::Output;
 
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
-    let set_up = args.options.set_up.read()?;
+    let set_up = args.options.set_up.read(None)?;
     let options = FitOptions::new(args.options.settings(&set_up)?)?;
     let range = args.mu.range()?;
     let given = args.options.dictionary.as_ref();

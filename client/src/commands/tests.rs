@@ -22,7 +22,7 @@ use optics_model::{
 use serde::Serialize;
 
 use super::{design, fit, list, map, measure, profile, scale, show, similar, simulate, status, workers};
-use crate::answers::UsedOptions;
+use crate::answers::{Found, UsedOptions};
 use crate::cli::SimilarArgs;
 use crate::output::envelope;
 
@@ -42,12 +42,8 @@ fn what_programs_read_stays_as_it_is() {
 fn answers() -> Vec<String> {
     let (fits, common, scale_curve) = (materials(), [common(Some(0.4)), common(None)], scale_curve());
     let [free, bound, likely] = options();
-    let found = |g: usize, scale| measure::Found {
-        scale,
-        common: common[g].clone(),
-        materials: fits.clone(),
-        unmixed: None,
-    };
+    let found =
+        |g: usize, scale| Found { scale, common: common[g].clone(), materials: fits.clone(), unmixed: None };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
     let simulated = |several| {
@@ -104,8 +100,8 @@ fn predicted() -> PredictedProfiles {
     }
 }
 
-fn with_inks(materials: Vec<MaterialFit>) -> measure::Found {
-    measure::Found {
+fn with_inks(materials: Vec<MaterialFit>) -> Found {
+    Found {
         scale: None,
         common: common(Some(0.4)),
         materials,

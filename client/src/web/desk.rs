@@ -23,12 +23,11 @@ use super::api::{
     ReadMeasurementsResponse, Remark, SummarizeRequest, SummarizeResponse,
 };
 use super::captures::Captures;
-use crate::answers::{self, all_remarks, common_text, objective};
+use crate::answers::{self, Found, all_remarks, common_text, media_files, objective};
 use farm_lab::grid_file::grid_of;
 use farm_lab::measurement_file::{self, MeasurementFile};
 use farm_lab::set_up::SetUp;
 
-use crate::commands::measure::{Found, media_files};
 use crate::figure_files::file_name;
 use crate::output::sentence;
 

@@ -10,7 +10,8 @@ use farm_tests::cli::{fails, folder, json, keys, write};
 use farm_tests::process::run;
 use farm_tests::reference::root;
 
-const FILES: [&str; 5] = ["grid.toml", "measurements.csv", "report.html", "scene.toml", "session.json"];
+const FILES: [&str; 6] =
+    ["grid.toml", "measurements.csv", "report.html", "report.json", "scene.toml", "session.json"];
 
 fn session() -> PathBuf {
     root().join("examples/session/session.toml")

@@ -13,7 +13,7 @@ mod strip;
 
 pub use board_sheet::board_sheet;
 pub use budget::{SessionErrors, error_of};
-pub use report::{Simulated, ends, mean, with_fits};
+pub use report::{Media, Report, Simulated, ends, mean};
 pub use results::{FILES, write_folder};
 pub use session_file::Session;
 pub use session_file::pattern;

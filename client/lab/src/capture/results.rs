@@ -9,12 +9,12 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::budget::{SessionErrors, sum, thickness_std_error_mm};
-use super::report;
+use super::report::{self, Report};
 use super::stage::{Captured, CapturedSample};
 use crate::measurement_file::{self, COLUMNS, Note};
 use crate::whole_file::{folder_of, sync_folder};
 
-/// The files of a folder, in the order in which they are told.
+/// The files of a folder, in the order in which they are listed.
 pub const FILES: [&str; 5] = ["measurements.csv", "session.json", "scene.toml", "grid.toml", "report.html"];
 
 /// Thicknesses that differ by less share a thickness of the dictionary: the fit allows for much more.
@@ -26,12 +26,14 @@ pub fn write_folder(folder: &Path, captured: &Captured) -> Result<Vec<Note>> {
     let measurements = measurements(captured)?;
     let read = measurement_file::read(&measurements)
         .context("profiles of these photographs (as in measurements.csv)")?;
+    let report = Report::of(captured);
     let contents = [
         measurements,
         with_end(serde_json::to_string_pretty(&session(captured))?),
         with_end(scene(captured)?),
         with_end(grid(captured)?),
-        report::page(captured).into_bytes(),
+        report.page(None).into_bytes(),
+        with_end(serde_json::to_string(&report)?),
     ];
     check_folder(folder)?;
     let place = || format!("writing {}", folder.display());

@@ -80,10 +80,9 @@ impl Shots {
     fn photo(&self, photograph: Photograph, label: &str) -> Result<Photo> {
         let pattern = match (photograph.layout, self.pattern) {
             (Layout::Rgb, None) => Pattern::Rgb,
-            (Layout::Mosaic(Some(colours)), None) => Pattern::Bayer(colours.map(colour)),
+            (Layout::Mosaic(Some(colours)), None) => Pattern::Bayer(colours),
             (Layout::Mosaic(None), Some(told)) => Pattern::Bayer(told),
             (Layout::Mosaic(Some(colours)), Some(told)) => {
-                let colours = colours.map(colour);
                 if colours != told {
                     let [says, told] = [colours, told].map(|p| p.map(Colour::letter).concat());
                     bail!("camera.pattern is {told:?}, but the file says {says:?}: leave it out");
@@ -140,14 +139,6 @@ fn digest_of(samples: &[u16]) -> blake3::Hash {
         hasher.update(&bytes);
     }
     hasher.finalize()
-}
-
-fn colour(colour: photograph::Colour) -> Colour {
-    match colour {
-        photograph::Colour::Red => Colour::Red,
-        photograph::Colour::Green => Colour::Green,
-        photograph::Colour::Blue => Colour::Blue,
-    }
 }
 
 #[cfg(test)]

@@ -19,6 +19,7 @@ mod unreadable;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use optics_capture::Colour;
 
 pub use about::{About, Orientation};
 pub use unreadable::Unreadable;
@@ -32,13 +33,6 @@ const MOST_DIRECTORIES: usize = 64;
 
 /// Largest file that is read, in bytes: three samples of 16 bits for each pixel, and something for the rest.
 const LARGEST: u64 = 1_000_000_000;
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Colour {
-    Red,
-    Green,
-    Blue,
-}
 
 /// What the samples of a photograph are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,11 +1,13 @@
 //! TIFF and DNG: which of a file's pictures is the photograph, and what its tags say (TIFF 6.0, TIFF/EP, DNG 1.4).
 
+use optics_capture::Colour;
+
 use super::chunks::Chunks;
 use super::directory::{Bytes, Directory, Tag};
 use super::icc::tone_curve;
 use super::masked::{self, within};
 use super::unreadable::Unreadable;
-use super::{About, Colour, Layout, MOST_DIRECTORIES, Photograph};
+use super::{About, Layout, MOST_DIRECTORIES, Photograph};
 
 /// PhotometricInterpretation of a mosaic, and of a demosaiced picture without a tone curve.
 const CFA: u64 = 32_803;

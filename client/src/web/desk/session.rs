@@ -4,11 +4,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use farm_lab::measurement_file::{MeasurementFile, read_measurements};
+use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::{Session, SetUp};
 use optics_model::fit::{FitOptions, FitSettings};
 
 use super::{api::OpenCaptureResponse, note};
-use crate::commands::session_folder::own_dictionary;
 
 /// What the session of a folder tells of its set-up.
 pub(super) fn set_up(folder: &Path) -> Result<SetUp> {
@@ -24,13 +24,13 @@ pub(super) fn open(folder: &Path) -> Result<OpenCaptureResponse> {
     let known = set_up.mu_std_error();
     let settings = FitSettings { mu_std_error: known.unwrap_or_default(), ..FitSettings::default() };
     let options = FitOptions::new(FitSettings { curves: true, ..set_up.settings(settings) })?;
-    let (dictionary, grid) = own_dictionary(folder)?;
+    let (dictionary, grid) = SessionFolder::open(folder)?.dictionary()?;
     Ok(OpenCaptureResponse {
         materials: materials.iter().map(Into::into).collect(),
         notes: notes.into_iter().map(note).collect(),
         options: Some((&options).into()),
         mu_known: known.is_some(),
-        dictionary: dictionary.to_string(),
+        dictionary,
         records: grid.record_count() as u64,
         grid: Some((&grid).into()),
     })

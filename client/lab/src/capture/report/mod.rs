@@ -1,37 +1,60 @@
 //! The report of a session: one page that needs nothing else.
 //!
-//! Places that `farmctl measure` fills later stand between two comments that name them.
+//! `capture` keeps the sections as data, so that `measure` renders the page again, with the media that it found.
 
-mod fits;
-mod plot;
+mod media;
 mod samples;
 mod set_up;
 mod shots;
 
-pub use fits::{Simulated, with_fits};
+use optics_capture::Warning;
+use serde::{Deserialize, Serialize};
+
+pub use media::{Media, Simulated};
 pub use samples::{ends, mean};
 
 use super::stage::Captured;
+use samples::Slab;
 
 const STYLE: &str = include_str!("page.css");
 
-/// The page.
-pub(super) fn page(captured: &Captured) -> String {
-    let samples: String = captured.samples.iter().map(|sample| samples::section(captured, sample)).collect();
-    let fits = slot(
-        "fits",
-        "<p class=\"faint\">Nothing is fitted yet: <code>farmctl measure</code> with this folder does.</p>",
-    );
-    format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
-         <style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n{summary}\n<h2>Media</h2>\n{fits}\n\
-         <h2>Samples</h2>\n{samples}\n{set_up}\n{inputs}\n</body>\n</html>\n",
-        title = escaped(&title(captured)),
-        summary = samples::summary(captured),
-        set_up = set_up::section(captured),
-        inputs = inputs(captured),
-    )
+/// What `capture` contributes to the page: sections as HTML, and the slabs with their pictures.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Report {
+    title: String,
+    summary: String,
+    slabs: Vec<Slab>,
+    set_up: String,
+    inputs: String,
+}
+
+impl Report {
+    pub(super) fn of(captured: &Captured) -> Self {
+        Self {
+            title: title(captured),
+            summary: samples::summary(captured),
+            slabs: captured.samples.iter().map(|sample| Slab::of(captured, sample)).collect(),
+            set_up: set_up::section(captured),
+            inputs: inputs(captured),
+        }
+    }
+
+    /// The page, with the media once they are measured.
+    pub fn page(&self, media: Option<&Media>) -> String {
+        let Self { summary, set_up, inputs, .. } = self;
+        let title = escaped(&self.title);
+        let slabs: String = self.slabs.iter().map(Slab::section).collect();
+        let media = media.map_or_else(
+            || "<p class=\"faint\">Nothing is fitted yet: run <code>farmctl measure</code> with this folder.</p>".to_owned(),
+            |media| media.section(&self.slabs),
+        );
+        format!(
+            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
+             <style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n{summary}\n<h2>Media</h2>\n{media}\n\
+             <h2>Samples</h2>\n{slabs}\n{set_up}\n{inputs}\n</body>\n</html>\n",
+        )
+    }
 }
 
 fn title(captured: &Captured) -> String {
@@ -56,12 +79,12 @@ fn inputs(captured: &Captured) -> String {
     )
 }
 
-pub(super) fn texts(warnings: &[optics_capture::Warning]) -> Vec<String> {
+pub(super) fn texts(warnings: &[Warning]) -> Vec<String> {
     warnings.iter().map(ToString::to_string).collect()
 }
 
-/// A list of what is doubtful; nothing if nothing is.
-fn warnings(warnings: &[optics_capture::Warning]) -> String {
+/// The warnings as a list; empty without warnings.
+fn warnings(warnings: &[Warning]) -> String {
     if warnings.is_empty() {
         return String::new();
     }
@@ -69,44 +92,7 @@ fn warnings(warnings: &[optics_capture::Warning]) -> String {
     format!("<ul class=\"warnings\">{}</ul>\n", items.collect::<String>())
 }
 
-/// A place that is filled again later.
-fn slot(name: &str, content: &str) -> String {
-    format!("<!--begin {0}-->{content}<!--end {0}-->", escaped(name))
-}
-
-/// What a place holds.
-fn slot_content<'a>(page: &'a str, name: &str) -> Option<&'a str> {
-    let (begin, end) = (format!("<!--begin {}-->", escaped(name)), format!("<!--end {}-->", escaped(name)));
-    let from = page.find(&begin)? + begin.len();
-    let length = page.get(from..)?.find(&end)?;
-    page.get(from..from + length)
-}
-
-/// The page with another content in a place; none if it has no such place.
-fn with_slot(page: &str, name: &str, content: &str) -> Option<String> {
-    let old = slot(name, slot_content(page, name)?);
-    Some(page.replacen(&old, &slot(name, content), 1))
-}
-
-/// Text that is text in HTML, and in its comments.
+/// Text escaped for HTML.
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-        .replace("--", "-&#45;")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_place_can_be_filled_again_and_again() {
-        let page = format!("before {} after", slot("a -- <b>", "old"));
-        let filled = with_slot(&page, "a -- <b>", "new").unwrap();
-        assert_eq!(slot_content(&filled, "a -- <b>"), Some("new"));
-        assert_eq!(with_slot(&filled, "a -- <b>", "old").unwrap(), page);
-        assert_eq!(with_slot(&page, "other", "x"), None);
-    }
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

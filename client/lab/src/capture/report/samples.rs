@@ -1,11 +1,13 @@
 //! The samples: a table of all, and each with profiles, budget and photographs.
 
+use farm_figures::numbers::significant;
+use farm_figures::{EdgeCurve, edge_figure};
 use optics_capture::{EdgeProfile, Source};
+use serde::{Deserialize, Serialize};
 
 use super::super::budget::sum;
 use super::super::stage::{Captured, CapturedSample};
-use super::plot::{Curve, plot};
-use super::{escaped, shots, slot, warnings};
+use super::{escaped, shots, warnings};
 
 /// Micrometres of millimetres.
 const MICROMETRES: f64 = 1000.0;
@@ -19,13 +21,13 @@ pub(super) fn summary(captured: &Captured) -> String {
         + captured.calibration.warnings.len()
         + captured.board.warnings.len();
     let doubtful = match count {
-        0 => "Nothing is doubtful.".to_owned(),
-        1 => "One thing is doubtful and told below.".to_owned(),
-        n => format!("{n} things are doubtful and told below."),
+        0 => "There are no warnings.".to_owned(),
+        1 => "There is one warning, below.".to_owned(),
+        n => format!("There are {n} warnings, below."),
     };
     format!(
         "<p>{} photographs, {} slabs. {doubtful}</p>\n<div class=\"wide\"><table>\n<tr><th>sample</th><th>channel</th><th>shots</th>\
-         <th>dark</th><th>light</th><th>noise a bin</th><th>rejected</th><th>blur σ [µm]</th><th>origin [µm]</th></tr>\n{}</table></div>\n",
+         <th>dark</th><th>light</th><th>noise per bin</th><th>rejected</th><th>blur σ [µm]</th><th>origin [µm]</th></tr>\n{}</table></div>\n",
         captured.inputs.len(),
         captured.samples.len(),
         rows.collect::<String>()
@@ -62,37 +64,65 @@ pub fn mean(values: &[f64]) -> f64 {
     finite.iter().sum::<f64>() / finite.len().max(1) as f64
 }
 
-/// One slab.
-pub(super) fn section(captured: &Captured, sample: &CapturedSample) -> String {
-    let label = sample.about.label();
-    let strip = sample.strip.data_uri(&sample.profile.profiles);
-    let strip = format!("<img class=\"strip\" src=\"{strip}\" alt=\"strip across the edge, photograph\">");
-    let shots: String = sample.profile.shots.iter().map(|shot| shots::figure(captured, shot)).collect();
-    format!(
-        "<h3>{} ± {} mm</h3>\n{}<figure>{}<figcaption>Profiles across the edge; bands are two standard errors, random ones only.\
-         </figcaption></figure>\n<figure>{}<figcaption>10 × 2 mm of a photograph, in radiance factors.</figcaption></figure>\n\
-         <details><summary>Errors by source</summary>{}</details>\n<div class=\"row\">{shots}</div>\n",
-        escaped(&label),
-        sample.about.thickness_std_error_mm,
-        warnings(&sample.profile.warnings),
-        plot(&profiles(&sample.profile.profiles), ["x [mm]", "radiance factor"], [0.0, 0.0]),
-        slot(&format!("strip {label}"), &strip),
-        budget(sample),
-    )
+/// One slab: its strip of a photograph as a data URI, and as HTML what stands before and after that.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Slab {
+    pub(super) label: String,
+    strip: String,
+    before: String,
+    after: String,
 }
 
-pub(super) fn profiles(profiles: &[EdgeProfile; 3]) -> Vec<Curve<'_>> {
-    let curve = |p| {
-        let EdgeProfile { colour, x_mm, values, std_errors, .. }: &EdgeProfile = p;
-        let band = std_errors.iter().map(|e| 2.0 * e).collect();
-        Curve { class: colour.letter(), x: x_mm, y: values.clone(), band }
+impl Slab {
+    pub(super) fn of(captured: &Captured, sample: &CapturedSample) -> Self {
+        let label = sample.about.label();
+        let shots: String = sample.profile.shots.iter().map(|shot| shots::figure(captured, shot)).collect();
+        Self {
+            strip: sample.strip.data_uri(&sample.profile.profiles),
+            before: format!(
+                "<h3>{} ± {} mm</h3>\n{}<figure class=\"wide\">{}<figcaption>Profiles across the edge; bands are two \
+                 standard errors, random ones only.</figcaption></figure>\n",
+                escaped(&label),
+                sample.about.thickness_std_error_mm,
+                warnings(&sample.profile.warnings),
+                figure(&sample.profile.profiles),
+            ),
+            after: format!(
+                "<details><summary>Errors by source</summary>{}</details>\n<div class=\"row\">{shots}</div>\n",
+                budget(sample)
+            ),
+            label,
+        }
+    }
+
+    pub(super) fn section(&self) -> String {
+        let caption = "10 × 2 mm of a photograph, in radiance factors.";
+        format!(
+            "{}<figure>{}<figcaption>{caption}</figcaption></figure>\n{}",
+            self.before,
+            self.strip(),
+            self.after
+        )
+    }
+
+    pub(super) fn strip(&self) -> String {
+        format!("<img class=\"strip\" src=\"{}\" alt=\"strip across the edge, photograph\">", self.strip)
+    }
+}
+
+/// The profiles of three channels, as SVG.
+pub(super) fn figure(profiles: &[EdgeProfile; 3]) -> String {
+    let curve = |profile| {
+        let EdgeProfile { colour, x_mm, values, std_errors, .. }: &EdgeProfile = profile;
+        EdgeCurve { channel: colour.letter(), x_mm, values, std_errors }
     };
-    profiles.iter().map(curve).collect()
+    let curves: Vec<EdgeCurve> = profiles.iter().map(curve).collect();
+    edge_figure(&curves).svg().to_owned()
 }
 
 fn budget(sample: &CapturedSample) -> String {
     let rows = sample.profile.budget.iter().map(|line| {
-        let errors = line.std_error.map(|e| format!("<td>{}</td>", significant(e)));
+        let errors = line.std_error.map(|e| format!("<td>{}</td>", significant(e, 2)));
         format!(
             "<tr><td>{}</td>{}<td>{}</td></tr>",
             line.source.name().replace('_', " "),
@@ -104,13 +134,4 @@ fn budget(sample: &CapturedSample) -> String {
         "<div class=\"wide\"><table><tr><th>source</th><th>R</th><th>G</th><th>B</th><th>unit</th></tr>{}</table></div>",
         rows.collect::<String>()
     )
-}
-
-/// Two digits that count.
-pub(super) fn significant(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return value.to_string();
-    }
-    let digits = (1.0 - value.abs().log10().floor()).clamp(0.0, 9.0);
-    format!("{value:.*}", digits as usize)
 }

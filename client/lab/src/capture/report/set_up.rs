@@ -1,12 +1,12 @@
 //! The set-up: board, grey patches, light, noise.
 
+use farm_figures::numbers::significant;
 use optics_capture::{Calibration, Colour, Estimate};
 
 use super::super::picture::data_uri;
 use super::super::stage::Captured;
-use super::plot::plot;
-use super::samples::{profiles, significant};
-use super::{shots, warnings};
+use super::samples::figure;
+use super::{escaped, shots, warnings};
 
 /// Columns of the map of the light.
 const COLUMNS: usize = 90;
@@ -30,18 +30,18 @@ fn board(captured: &Captured) -> String {
             cells[0],
             cells[1],
             cells[2],
-            told(board.light[c]),
-            told(board.dark[c]),
-            told(captured.rho[c].light),
-            told(captured.rho[c].dark),
+            with_error(board.light[c]),
+            with_error(board.dark[c]),
+            with_error(captured.rho[c].light),
+            with_error(captured.rho[c].dark),
         )
     });
     let figures: String = board.shots.iter().map(|shot| shots::figure(captured, shot)).collect();
     format!(
         "{}<p>{:.3} ± {:.3} px/mm; the edge is turned by {:.3} ± {:.3}° and bends by {:.3} px; its dark side is {}.</p>\n\
-         <div class=\"wide\"><table><tr><th>channel</th><th>blur σ [µm]</th><th>edge against green [µm]</th><th>looks light</th>\
-         <th>looks dark</th><th>ρ light</th><th>ρ dark</th></tr>{}</table></div>\n\
-         <figure>{}<figcaption>The bare edge.</figcaption></figure>\n<div class=\"row\">{figures}</div>\n",
+         <div class=\"wide\"><table><tr><th>channel</th><th>blur σ [µm]</th><th>edge against green [µm]</th><th>apparent light</th>\
+         <th>apparent dark</th><th>ρ light</th><th>ρ dark</th></tr>{}</table></div>\n\
+         <figure class=\"wide\">{}<figcaption>The bare edge.</figcaption></figure>\n<div class=\"row\">{figures}</div>\n",
         warnings(&board.warnings),
         1.0 / board.mm_per_px.value,
         board.mm_per_px.std_error / board.mm_per_px.value.powi(2),
@@ -50,12 +50,12 @@ fn board(captured: &Captured) -> String {
         board.edge.bend_px.value,
         board.edge.dark_side,
         rows.collect::<String>(),
-        plot(&profiles(&board.profiles), ["x [mm]", "radiance factor"], [0.0, 0.0]),
+        figure(&board.profiles),
     )
 }
 
-fn told(estimate: Estimate) -> String {
-    let error = significant(estimate.std_error);
+fn with_error(estimate: Estimate) -> String {
+    let error = significant(estimate.std_error, 2);
     let digits = error.split_once('.').map_or(0, |(_, after)| after.len()).min(6);
     format!("{:.digits$} ± {error}", estimate.value)
 }
@@ -72,7 +72,7 @@ fn camera(captured: &Captured) -> String {
     format!(
         "{}<p>{}</p>\n{}{}{}",
         warnings(&calibration.warnings),
-        super::escaped(&words.join(", ")),
+        escaped(&words.join(", ")),
         patches(calibration),
         constants(calibration),
         light(captured)
@@ -89,8 +89,8 @@ fn patches(calibration: &Calibration) -> String {
         format!("<tr><td>{}</td>{}<td>{place}</td></tr>", patch.rho[1], cells.concat())
     });
     format!(
-        "<h3>Grey patches</h3>\n<div class=\"wide\"><table><tr><th>ρ told</th><th>R seen</th><th>G seen</th><th>B seen</th><th>x, y, width, height in px</th></tr>{}</table></div>\n\
-         <p class=\"faint\">In brackets: how far a patch lies off the line through all.</p>\n",
+        "<h3>Grey patches</h3>\n<div class=\"wide\"><table><tr><th>ρ given</th><th>R measured</th><th>G measured</th><th>B measured</th><th>x, y, width, height in px</th></tr>{}</table></div>\n\
+         <p class=\"faint\">In brackets: deviation from the straight line through all patches.</p>\n",
         rows.collect::<String>()
     )
 }
@@ -105,13 +105,13 @@ fn constants(calibration: &Calibration) -> String {
             "<tr><td class=\"{0}\">{0}</td><td>{1}</td><td>{2}</td><td>{3}</td><td>{4:.2} %</td></tr>",
             colour.letter(),
             noise.join(", "),
-            told(calibration.gain[c]),
-            told(calibration.glare[c]),
+            with_error(calibration.gain[c]),
+            with_error(calibration.glare[c]),
             100.0 * calibration.drift[c],
         )
     });
     format!(
-        "<h3>Constants</h3>\n<div class=\"wide\"><table><tr><th>channel</th><th>read noise / numbers an electron</th><th>numbers per unit</th>\
+        "<h3>Constants</h3>\n<div class=\"wide\"><table><tr><th>channel</th><th>read noise / numbers per electron</th><th>numbers per unit</th>\
          <th>glare</th><th>drift</th></tr>{}</table></div>\n",
         rows.collect::<String>()
     )

@@ -1,0 +1,95 @@
+//! Profiles across one edge, a curve for each channel, with their random errors as bands.
+
+use super::axis::{Axis, extent};
+use super::canvas::{Area, Canvas, Stroke, at};
+use super::color::Color;
+use super::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use super::head::MARGIN;
+use super::legend::{Key, Row};
+use super::picture::Picture;
+use super::text::{Anchor, LABEL, Text};
+
+const WIDTH: f64 = 620.0;
+const HEIGHT: f64 = 230.0;
+/// Half the width of a band, in standard errors.
+const WIDE: f64 = 2.0;
+/// Red, green and blue; channels beyond these begin again.
+const COLORS: [Color; 3] = [Color::VERMILLION, Color::GREEN, Color::BLUE];
+
+/// The profile of one channel; pixels without a value hold NaN.
+#[derive(Debug)]
+pub struct EdgeCurve<'a> {
+    pub channel: &'a str,
+    pub x_mm: &'a [f64],
+    pub values: &'a [f64],
+    pub std_errors: &'a [f64],
+}
+
+/// Draws the curves over the same axes.
+pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
+    let pen = |i: usize| Stroke::solid(COLORS[i % COLORS.len()], 1.4);
+    let keys: Vec<Key> =
+        curves.iter().enumerate().map(|(i, curve)| Key::line(pen(i), curve.channel)).collect();
+    let legend = Row::new(&keys, WIDTH - 2.0 * MARGIN);
+    let top = MARGIN + legend.height() + 6.0;
+    let area = Area { left: 0.0, top, width: WIDTH, height: HEIGHT };
+    let x = Axis::exact(extent(curves.iter().flat_map(|c| c.x_mm.iter().copied())));
+    let values = extent(curves.iter().flat_map(|c| c.values.iter().copied()));
+    let y = match values {
+        Some((low, _)) if low < 0.0 => Axis::around(values, 0.04),
+        _ => Axis::from_zero(values),
+    };
+    let mut frame = Frame { area, x, y };
+    frame.area.left = MARGIN + 1.6 * LABEL + ticks_beside(&frame.y_ticks());
+    frame.area.width = WIDTH - MARGIN - frame.area.left;
+    let mut canvas = Canvas::new(WIDTH, frame.area.bottom() + TICKS_BELOW + 1.5 * LABEL + MARGIN);
+    legend.draw(&mut canvas, frame.area.left, MARGIN);
+    frame.rules(&mut canvas);
+    for (i, curve) in curves.iter().enumerate() {
+        draw_band(&frame, &mut canvas, curve, COLORS[i % COLORS.len()]);
+    }
+    for (i, curve) in curves.iter().enumerate() {
+        frame.curve(&mut canvas, curve.x_mm, curve.values, pen(i));
+    }
+    frame.axes(&mut canvas, Labels { x: true, y: true });
+    let middle = frame.area.center();
+    let label = |name: &str| Text::new(name, LABEL).anchor(Anchor::Middle);
+    canvas.text(at(middle.x, frame.area.bottom() + TICKS_BELOW + 1.2 * LABEL), &label("x [mm]"));
+    canvas.text_upwards(at(MARGIN + LABEL, middle.y), &label("radiance factor"));
+    canvas.finish()
+}
+
+fn draw_band(frame: &Frame, canvas: &mut Canvas, curve: &EdgeCurve, color: Color) {
+    let points = curve.x_mm.iter().zip(curve.values).zip(curve.std_errors);
+    let points = points.map(|((x, v), e)| (*x, *v, WIDE * e));
+    let finite: Vec<_> = points.filter(|(_, v, half)| (v + half).is_finite()).collect();
+    let above = finite.iter().map(|(x, v, half)| frame.place(*x, v + half));
+    let below = finite.iter().rev().map(|(x, v, half)| frame.place(*x, v - half));
+    let outline: Vec<_> = above.chain(below).collect();
+    if !outline.is_empty() {
+        let tint = color.tint();
+        canvas.polygon(&outline, Some(tint), Stroke::solid(tint, 0.0));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::checks::{assert_well_laid_out, texts};
+    use super::*;
+
+    #[test]
+    fn missing_values_are_left_out_of_curve_and_band() {
+        let x = [-1.0, 0.0, 1.0, 2.0];
+        let values = [0.1, f64::NAN, 0.4, 0.5];
+        let errors = [0.01, 0.01, f64::NAN, 0.01];
+        let curve = |channel| EdgeCurve { channel, x_mm: &x, values: &values, std_errors: &errors };
+        let picture = edge_figure(&[curve("R"), curve("G"), curve("B")]);
+        assert!(!picture.svg().contains("NaN"), "{}", picture.svg());
+        assert_well_laid_out(&picture);
+        let texts = texts(&picture);
+        assert!(
+            ["R", "G", "B", "x [mm]"].iter().all(|text| texts.iter().any(|t| t.contains(text))),
+            "{texts:?}"
+        );
+    }
+}

@@ -1,0 +1,127 @@
+//! The folder of a session: its files as the inputs of a measurement, and the results that are added to it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use farm_figures::fit_figure;
+use optics_model::Grid;
+use optics_model::fit::{FitCurves, Interval, MaterialFit, Refined, SourceShare};
+use serde::Serialize;
+
+use crate::capture::{Media, Report, Simulated};
+use crate::grid_file::read_grid;
+use crate::whole_file::write_whole;
+
+/// A folder that `capture` wrote.
+#[derive(Debug)]
+pub struct SessionFolder {
+    path: PathBuf,
+}
+
+impl SessionFolder {
+    /// Refuses a folder without measurements.
+    pub fn open(path: &Path) -> Result<Self> {
+        let folder = Self { path: path.to_owned() };
+        if !folder.measurements().exists() {
+            bail!(
+                "{} has no measurements.csv: give a folder that `farmctl capture` wrote, or a measurement file",
+                path.display()
+            );
+        }
+        Ok(folder)
+    }
+
+    pub fn measurements(&self) -> PathBuf {
+        self.path.join("measurements.csv")
+    }
+
+    /// The session file, if there is one.
+    pub fn session(&self) -> Option<PathBuf> {
+        Some(self.path.join("session.json")).filter(|path| path.exists())
+    }
+
+    /// The session's dictionary. Its name contains a digest of grid and scene, so that sessions do not share names.
+    pub fn dictionary(&self) -> Result<(String, Grid)> {
+        let grid = read_grid(&self.path.join("grid.toml"))?;
+        let mut hasher = blake3::Hasher::new();
+        for name in ["grid.toml", "scene.toml"] {
+            // The grid may hold its scene.
+            hasher.update(&std::fs::read(self.path.join(name)).unwrap_or_default());
+        }
+        let digest = hasher.finalize().to_hex();
+        Ok((format!("session-{}", &digest[..12]), grid))
+    }
+
+    /// Adds the error budgets to the session file, and renders the report with the fits. Returns the report's path; none
+    /// if the folder holds no data of a report.
+    pub fn complete(&self, fits: &[MaterialFit], mu: f64, text: String) -> Result<Option<PathBuf>> {
+        if let Some(session) = self.session() {
+            add_to_session(&session, fits)?;
+        }
+        let data = self.path.join("report.json");
+        let Ok(json) = std::fs::read(&data) else { return Ok(None) };
+        let report: Report =
+            serde_json::from_slice(&json).with_context(|| format!("report data {}", data.display()))?;
+        let figures =
+            fits.iter().map(|fit| Ok(fit_figure(fit)?.svg().to_owned())).collect::<Result<Vec<_>>>()?;
+        let simulated = fits.iter().flat_map(|fit| simulated(fit, mu)).collect();
+        let page = report.page(Some(&Media { text, figures, simulated }));
+        let path = self.path.join("report.html");
+        write_whole(&path, page.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
+        Ok(Some(path))
+    }
+}
+
+/// A channel's 95 % intervals with their error budget.
+#[derive(Debug, Serialize)]
+struct MediumErrors<'a> {
+    material: &'a str,
+    channel: &'a str,
+    sigma_t_per_mm: Interval,
+    albedo: Interval,
+    budget: &'a [SourceShare],
+}
+
+impl<'a> MediumErrors<'a> {
+    fn of(material: &'a str, channel: &'a str, refined: &'a Refined) -> Self {
+        let budget = refined.likelihood.as_ref().map_or(&[][..], |l| &l.budget);
+        Self { material, channel, sigma_t_per_mm: refined.sigma_t_per_mm, albedo: refined.albedo, budget }
+    }
+}
+
+/// Writes the media's error budgets into the session's file, in addition to what `capture` wrote.
+fn add_to_session(path: &Path, fits: &[MaterialFit]) -> Result<()> {
+    let place = || format!("session file {}", path.display());
+    let text = std::fs::read_to_string(path).with_context(place)?;
+    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(|channel| (&fit.material, channel)));
+    let errors: Vec<MediumErrors> = channels
+        .filter_map(|(material, channel)| {
+            let refined = channel.refined.as_ref()?;
+            Some(MediumErrors::of(material, &channel.channel, refined))
+        })
+        .collect();
+    let mut session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
+    if let Some(fields) = session.as_object_mut() {
+        fields.insert("media_errors_95".to_owned(), serde_json::to_value(errors)?);
+    }
+    let text = serde_json::to_string_pretty(&session)? + "\n";
+    write_whole(path, text.as_bytes()).with_context(place)
+}
+
+/// Simulated profiles of a material that has red, green and blue, for each slab.
+fn simulated(fit: &MaterialFit, mu: f64) -> Vec<Simulated> {
+    let curves = |name: &str| fit.channels.iter().find(|c| c.channel == name).map(|c| c.curves.as_slice());
+    let (Some(red), Some(green), Some(blue)) = (curves("R"), curves("G"), curves("B")) else {
+        return Vec::new();
+    };
+    let values = |curves: &FitCurves| {
+        let curve = curves.refined.as_ref().or(curves.candidates.first());
+        curve.map(|curve| curve.values.iter().map(|v| v / mu).collect::<Vec<f64>>()).unwrap_or_default()
+    };
+    let slabs = red.iter().zip(green).zip(blue);
+    let of = |((r, g), b): ((&FitCurves, &FitCurves), &FitCurves)| Simulated {
+        label: format!("{} {} mm", fit.material, r.thickness_mm),
+        values: [values(r), values(g), values(b)],
+    };
+    slabs.map(of).filter(|s| s.values.iter().all(|v| !v.is_empty())).collect()
+}

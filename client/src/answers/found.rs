@@ -1,0 +1,46 @@
+//! The answer to a measurement, checked, and the files of its media.
+
+use anyhow::{Context, Result};
+use farm_proto::wire::MeasureResponse;
+use optics_model::fit::{Common, MaterialFit, ScaleCurve, Unmixed};
+
+use super::table::table_csv;
+use crate::renderers;
+
+/// The error if an answer lacks what this program shows.
+pub(crate) const OLDER: &str =
+    "the coordinator is too old: its answer lacks the values common to all channels; upgrade it";
+
+/// A checked answer.
+#[derive(Debug)]
+pub(crate) struct Found {
+    /// The paper's curve; none if the scale factor was given or the likelihood was maximised.
+    pub(crate) scale: Option<ScaleCurve>,
+    pub(crate) common: Common,
+    pub(crate) materials: Vec<MaterialFit>,
+    /// None if no mixtures were given.
+    pub(crate) unmixed: Option<Unmixed>,
+}
+
+impl TryFrom<MeasureResponse> for Found {
+    type Error = anyhow::Error;
+
+    fn try_from(answer: MeasureResponse) -> Result<Self, Self::Error> {
+        Ok(Self {
+            scale: answer.scale.map(ScaleCurve::try_from).transpose()?,
+            common: answer.common.context(OLDER)?.try_into()?,
+            materials: answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?,
+            unmixed: answer.unmixed.map(Unmixed::try_from).transpose()?,
+        })
+    }
+}
+
+/// Table and media for renderers, as files with their names.
+pub(crate) fn media_files(fits: &[MaterialFit]) -> Result<[(&'static str, String); 4]> {
+    Ok([
+        ("table.csv", table_csv(fits)?),
+        ("media.py", renderers::mitsuba_dict(fits)),
+        ("media.xml", renderers::mitsuba_xml(fits)),
+        ("media.pbrt", renderers::pbrt(fits)),
+    ])
+}
