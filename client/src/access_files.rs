@@ -1,6 +1,6 @@
 //! Making access files: an authority of the farm's own, a certificate for the coordinator, a token for each role.
 //!
-//! The authority's private key is forgotten as soon as it has signed. So nobody can steal it, and no certificate can be
+//! The authority's private key is forgotten as soon as it has signed. So it cannot be stolen, and no certificate can be
 //! added later: for another host name, or when a member's certificate must go, a new set is made and handed out. Tokens
 //! are only entries in the coordinator's file, which [`members`] adds and removes.
 
@@ -27,7 +27,7 @@ use farm_lab::whole_file::folder_of;
 const VALID: Duration = Duration::days(3653);
 /// They hold from before their making, since other machines' clocks may be behind.
 const BACKDATED: Duration = Duration::days(1);
-/// The names by which the coordinator's own machine knows it.
+/// The coordinator's names on its own machine.
 const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
 /// Stands in the coordinator's file above the tokens.
 const TOKENS_HEAD: &str = "
@@ -188,7 +188,7 @@ fn params(
     names: Vec<String>,
     validity: Validity,
 ) -> Result<CertificateParams, rcgen::Error> {
-    // Tells names and addresses apart by itself.
+    // It distinguishes names from addresses.
     let mut params = CertificateParams::new(names)?;
     params.distinguished_name.push(DnType::CommonName, common_name);
     params.not_before = validity.start;

@@ -69,7 +69,7 @@ pub(crate) async fn with_farm<T>(
     }
 }
 
-/// What is to be said when the transport fails.
+/// The message when the transport fails.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Unreachable(String);
@@ -83,7 +83,7 @@ pub(crate) fn in_plain_words(error: anyhow::Error, url: &str) -> anyhow::Error {
     }
 }
 
-/// Whether a call failed because nobody is there any more.
+/// Whether a call failed because the other end is gone.
 fn is_gone(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| cause.downcast_ref().is_some_and(is_broken) || cause.is::<Unreachable>())
 }
@@ -113,10 +113,10 @@ pub(crate) fn kernel_name() -> Option<String> {
 fn coordinator(data: &Path) -> Result<Config> {
     // No other process need be spared.
     let mut config = Config { question_pixels: usize::MAX, ..Config::new(data) };
-    if let Some(told) = std::env::var_os("FARM_FIT_MEMORY").filter(|told| !told.is_empty()) {
-        let mib = told.to_str().and_then(|told| told.parse::<usize>().ok());
-        let mib =
-            mib.with_context(|| format!("FARM_FIT_MEMORY is {}: a number of MiB is needed", told.display()))?;
+    if let Some(given) = std::env::var_os("FARM_FIT_MEMORY").filter(|given| !given.is_empty()) {
+        let mib = given.to_str().and_then(|given| given.parse::<usize>().ok());
+        let mib = mib
+            .with_context(|| format!("FARM_FIT_MEMORY is {}: a number of MiB is needed", given.display()))?;
         config.fit_memory_bytes = mib.saturating_mul(1 << 20);
     }
     Ok(config)
@@ -292,7 +292,7 @@ impl Connection {
     }
 }
 
-/// A farm of this machine that is open to whoever is on it.
+/// A farm of this machine that is open to every user on it.
 fn loopback(address: &str) -> Result<Target> {
     Ok(Target::new(None, Some(&format!("http://{address}")))?)
 }

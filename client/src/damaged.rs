@@ -107,11 +107,16 @@ fn damaged(sound: &[u8], changes: &[Change]) -> Vec<u8> {
 }
 
 /// What is said of a file: something, in plain text, and not the whole file.
-fn is_plain(told: &str) -> Result<(), TestCaseError> {
-    prop_assert!(!told.trim().is_empty(), "an error says something");
-    prop_assert!(told.len() < 4000, "{} characters: {}", told.len(), &told[..told.floor_char_boundary(300)]);
-    let control = told.chars().find(|c| c.is_control() && !matches!(c, '\n' | '\t'));
-    prop_assert!(control.is_none(), "{control:?} in {told:?}");
+fn is_plain(shown: &str) -> Result<(), TestCaseError> {
+    prop_assert!(!shown.trim().is_empty(), "an error says something");
+    prop_assert!(
+        shown.len() < 4000,
+        "{} characters: {}",
+        shown.len(),
+        &shown[..shown.floor_char_boundary(300)]
+    );
+    let control = shown.chars().find(|c| c.is_control() && !matches!(c, '\n' | '\t'));
+    prop_assert!(control.is_none(), "{control:?} in {shown:?}");
     Ok(())
 }
 
@@ -212,8 +217,8 @@ proptest! {
                 _ => ClientAccess::read(path).map(drop),
             };
             if let Err(error) = &answer {
-                let told = error.to_string();
-                assert!(!secrets(sound).any(|secret| told.contains(&secret[..20])), "{told}");
+                let shown = error.to_string();
+                assert!(!secrets(sound).any(|secret| shown.contains(&secret[..20])), "{shown}");
             }
             Ok(answer?)
         };
@@ -223,7 +228,7 @@ proptest! {
     /// Messages of requests, down to the values of the model.
     #[test]
     fn messages_of(kind in 0..5_usize, changes in prop::collection::vec(change(), 1..5)) {
-        let told = match kind {
+        let shown = match kind {
             0 => asked::<wire::Grid, Grid>(&wire::Grid::from(&small_grid()), &changes),
             1 => asked::<wire::Measurement, Measurement>(&(&measurement()).into(), &changes),
             2 => asked::<wire::FitOptions, FitOptions>(&(&FitOptions::default()).into(), &changes),
@@ -233,8 +238,8 @@ proptest! {
                 asked::<wire::DesignRequest, DesignQuestion>(&request, &changes)
             }
         };
-        if let Some(told) = told {
-            is_plain(&told)?;
+        if let Some(shown) = shown {
+            is_plain(&shown)?;
         }
     }
 

@@ -27,7 +27,7 @@ use std::process::ExitCode;
 use cli::{Cli, Command};
 use output::Output;
 
-/// Runs a command. Errors are told on standard error (or, with `--json`, as an object on standard output) and by the
+/// Runs a command. Errors are printed on standard error (or, with `--json`, as an object on standard output) and by the
 /// exit code, see `exit`.
 ///
 /// It brings its own runtime: a future that is handed to another crate is compiled there once more, with all that it

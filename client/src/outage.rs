@@ -16,13 +16,13 @@ const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_
 pub(crate) struct Outage<'a> {
     connection: &'a Connection,
     pause: Duration,
-    told: bool,
+    reported: bool,
 }
 
 impl<'a> Outage<'a> {
     /// There is none so far.
     pub(crate) fn new(connection: &'a Connection) -> Self {
-        Self { connection, pause: PAUSE.0, told: false }
+        Self { connection, pause: PAUSE.0, reported: false }
     }
 
     /// Waits until it is time for another attempt. An error that waiting does not help against is handed back; so is
@@ -32,7 +32,7 @@ impl<'a> Outage<'a> {
         let Some(status) = status.filter(|status| self.connection.is_server() && is_passing(status)) else {
             return Err(error);
         };
-        if !std::mem::replace(&mut self.told, true) {
+        if !std::mem::replace(&mut self.reported, true) {
             let url = self.connection.address();
             tell(waits(url, &failure(status, url).unwrap_or_else(|| why(status, &error))));
         }
@@ -44,13 +44,13 @@ impl<'a> Outage<'a> {
     /// The server has answered.
     pub(crate) fn is_over(&mut self, tell: impl FnOnce(String)) {
         self.pause = PAUSE.0;
-        if std::mem::take(&mut self.told) {
+        if std::mem::take(&mut self.reported) {
             tell(format!("the coordinator at {} answers again", self.connection.address()));
         }
     }
 }
 
-/// What the transport itself says is for those who know HTTP/2.
+/// The transport's own message needs knowledge of HTTP/2.
 fn why(status: &Status, error: &anyhow::Error) -> String {
     use std::error::Error as _;
     if status.source().is_some() { "the connection was cut".to_owned() } else { sentence(error) }

@@ -85,7 +85,7 @@ pub(crate) fn envelope<T: Serialize>(kind: &str, data: &T) -> anyhow::Result<Str
     Ok(with_escapes(&text, |c| format!("\\u{:04x}", c as u32)))
 }
 
-/// The chain of causes as one sentence; a gRPC status of the coordinator's tells its message alone.
+/// The chain of causes as one sentence; of a gRPC status only the message is used.
 pub(crate) fn sentence(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain() {
@@ -98,7 +98,7 @@ pub(crate) fn sentence(error: &anyhow::Error) -> String {
         if !text.ends_with(part) {
             let _ = write!(text, "{}{part}", if text.is_empty() { "" } else { ": " });
         }
-        // One that the transport made here has a source, which tells what happened.
+        // A status made by the transport on this side has a source with the cause.
         if cause.is::<tonic::Status>() && cause.source().is_none() {
             break;
         }
@@ -208,7 +208,7 @@ pub(crate) fn duration(d: std::time::Duration) -> String {
     }
 }
 
-/// Share of a dictionary's work that is done, as "36.2 % of the work" tells it. Work is what takes time, so that the time
+/// Share of a dictionary's work that is done, as in "36.2 % of the work". Work is what takes time, so that the time
 /// left goes with it; records differ in that.
 pub(crate) fn share_of_work(work_done: f64) -> String {
     // Nothing is called done that is not.
@@ -242,7 +242,7 @@ pub(crate) fn state(status: &DictionaryStatus) -> String {
     }
 }
 
-/// Progress of a dictionary, as `list`, `submit` and `show` tell it.
+/// Progress of a dictionary, as `list`, `submit` and `show` print it.
 #[derive(Debug, Serialize)]
 pub(crate) struct DictionaryJson {
     name: String,
@@ -367,8 +367,8 @@ mod tests {
             [0, 999, 1000, 34_276, 1_000_000].map(grouped),
             ["0", "999", "1,000", "34,276", "1,000,000"]
         );
-        let told = [0.25, 59.0, 75.0, 7260.0].map(|s| duration(std::time::Duration::from_secs_f64(s)));
-        assert_eq!(told, ["250 ms", "59 s", "1 min 15 s", "2 h 1 min"]);
+        let message = [0.25, 59.0, 75.0, 7260.0].map(|s| duration(std::time::Duration::from_secs_f64(s)));
+        assert_eq!(message, ["250 ms", "59 s", "1 min 15 s", "2 h 1 min"]);
     }
 
     #[test]

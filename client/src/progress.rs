@@ -30,7 +30,7 @@ fn moves_cursor(term: Option<&OsStr>) -> bool {
     term.is_some_and(|term| !term.is_empty() && term != "dumb")
 }
 
-/// Tells the share of the work that is done, and when the rest will be done at the farm's pace.
+/// Prints the share of the work that is done, and when the rest will be done at the farm's pace.
 #[derive(Debug)]
 pub(crate) struct Progress {
     look: Look,
@@ -100,7 +100,7 @@ impl Progress {
         }
     }
 
-    /// A line on standard error, above the bar. It is told to whoever wants no progress, too.
+    /// A line on standard error, above the bar. It is printed without progress as well.
     pub(crate) fn tell(&self, line: &str) {
         match &self.look {
             Look::Bar(bar, _) => bar.suspend(|| tell(line)),

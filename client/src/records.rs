@@ -1,6 +1,6 @@
 //! The finished records of a dictionary: all that were promised, or an error.
 //!
-//! A coordinator does not keep a stream for ever that nobody reads, and connections break. Then the rest is asked for
+//! A coordinator closes a stream that is not read, and connections break. Then the rest is asked for
 //! again, from the first record that has not come. Records that are named one by one are asked for in pieces of as many as
 //! one call may name.
 
@@ -30,7 +30,7 @@ pub(crate) struct Records<'a> {
     /// How many of the indices have been asked for.
     asked: usize,
     stream: Streaming<wire::Record>,
-    /// How many of those the coordinator said are done.
+    /// Number of those that the coordinator reported as done.
     promised: usize,
     received: usize,
     /// Number of the first record that has not come.
@@ -54,7 +54,7 @@ impl<'a> Records<'a> {
     pub(crate) async fn next(&mut self) -> Result<Option<Record>> {
         loop {
             match self.stream.message().await {
-                // A coordinator that does not know where to begin begins at the beginning.
+                // An older coordinator ignores the offset and begins at the first record.
                 Ok(Some(record)) if record.index < self.next => {}
                 Ok(Some(record)) => {
                     self.next = record.index + 1;

@@ -284,8 +284,8 @@ mod tests {
         let mut media = three_kinds();
         media[0].channels[1] = with_g(media[0].channels[1].clone(), 0.9991, -0.2);
         let blocks = blocks(&media[..1]);
-        let told: Vec<_> = blocks.iter().map(|b| (b.name.as_str(), b.g)).collect();
-        assert_eq!(told, [("Clear_resin_B", 0.4), ("Clear_resin_R", -0.2), ("Clear_resin_G", 0.4)]);
+        let message: Vec<_> = blocks.iter().map(|b| (b.name.as_str(), b.g)).collect();
+        assert_eq!(message, [("Clear_resin_B", 0.4), ("Clear_resin_R", -0.2), ("Clear_resin_G", 0.4)]);
         for block in &blocks {
             assert!(block.notes.iter().any(|n| n.contains("differ in g")), "{block:?}");
         }
@@ -305,10 +305,10 @@ mod tests {
 
     #[test]
     fn names_are_identifiers() {
-        let told =
+        let message =
             ["Clear resin", "a.b$c--d", "_x_", "3D\n\"gel\"", "", "树脂", "type", "Größe"].map(identifier);
         assert_eq!(
-            told,
+            message,
             ["Clear_resin", "a_b_c_d", "x", "medium_3D_gel", "medium", "medium", "medium_type", "Gr_e"]
         );
     }

@@ -138,8 +138,8 @@ pub struct SbatchOption(String);
 impl SbatchOption {
     /// Whether it is the option of this name, or its beginning, which sbatch takes for the whole.
     pub(crate) fn begins(&self, name: &str) -> bool {
-        let told = self.0.split(['=', ' ']).next().unwrap_or_default();
-        name.starts_with(told)
+        let key = self.0.split(['=', ' ']).next().unwrap_or_default();
+        name.starts_with(key)
     }
 }
 

@@ -37,25 +37,25 @@ fn steers_nothing(text: &str) -> String {
 
 /// The text with escapes for what is not seen as it stands, but for line breaks and tabs.
 pub(crate) fn with_escapes(text: &str, escape: impl Fn(char) -> String) -> String {
-    let mut told = String::with_capacity(text.len());
+    let mut printable = String::with_capacity(text.len());
     for c in text.chars() {
-        if is_printable(c) || matches!(c, '\n' | '\t') { told.push(c) } else { told += &escape(c) }
+        if is_printable(c) || matches!(c, '\n' | '\t') { printable.push(c) } else { printable += &escape(c) }
     }
-    told
+    printable
 }
 
 /// What a text quotes may come from anybody's file, so nothing in it steers a terminal or turns the direction of what
 /// follows, and its length has an end.
 pub(crate) fn harmless(text: &str) -> String {
-    let mut told = String::new();
+    let mut printable = String::new();
     for c in text.chars() {
-        if told.len() >= LONGEST_ERROR {
-            told.push('…');
+        if printable.len() >= LONGEST_ERROR {
+            printable.push('…');
             break;
         }
-        told += &steers_nothing(c.encode_utf8(&mut [0; 4]));
+        printable += &steers_nothing(c.encode_utf8(&mut [0; 4]));
     }
-    told
+    printable
 }
 
 #[cfg(test)]
@@ -65,12 +65,12 @@ mod tests {
 
     #[test]
     fn what_an_error_quotes_steers_no_terminal_and_has_an_end() {
-        let told = |quoted: &str| harmless(&format!("line 3: {quoted}"));
-        assert_eq!(told("2 µm\n  |\t^"), "line 3: 2 µm\n  |\t^");
-        assert_eq!(told("\u{1b}[2Jgone\u{7}\u{202e}"), "line 3: \\u{1b}[2Jgone\\u{7}\\u{202e}");
+        let message = |quoted: &str| harmless(&format!("line 3: {quoted}"));
+        assert_eq!(message("2 µm\n  |\t^"), "line 3: 2 µm\n  |\t^");
+        assert_eq!(message("\u{1b}[2Jgone\u{7}\u{202e}"), "line 3: \\u{1b}[2Jgone\\u{7}\\u{202e}");
         for (long, end) in [("ä", "ä…"), ("\0", "\\u{0}…")] {
-            let told = told(&long.repeat(100_000));
-            assert!(told.len() < LONGEST_ERROR + 10 && told.ends_with(end), "{} bytes", told.len());
+            let message = message(&long.repeat(100_000));
+            assert!(message.len() < LONGEST_ERROR + 10 && message.ends_with(end), "{} bytes", message.len());
         }
     }
 

@@ -67,9 +67,10 @@ fn a_dry_run_prints_the_script_and_submits_nothing() -> Result {
 #[test]
 fn the_job_number_is_told_as_text_alone_and_as_json() -> Result {
     let cluster = Cluster::new("echo '17;green'")?;
-    let told = cluster.farmctl(&FARM)?;
+    let message = cluster.farmctl(&FARM)?;
     assert!(
-        text(&told.stdout).starts_with("job 17: 4 workers with 1 thread and a walltime of 1-12:00:00, told")
+        text(&message.stdout)
+            .starts_with("job 17: 4 workers with 1 thread and a walltime of 1-12:00:00, told")
     );
     assert_eq!(text(&cluster.farmctl(&[&FARM[..], &["--quiet"]].concat())?.stdout), "17\n");
     let json = cluster.farmctl(&[&FARM[..], &["--json"]].concat())?;

@@ -86,6 +86,6 @@ mod tests {
             assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
         }
         let values = texts.iter().filter(|text| *text == "7").count();
-        assert_eq!(values, 3, "told once a column");
+        assert_eq!(values, 3, "printed once per column");
     }
 }

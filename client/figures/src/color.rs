@@ -1,4 +1,4 @@
-//! Colours that people with colour vision deficiencies can tell apart.
+//! Colours that people with colour vision deficiencies can distinguish.
 
 use std::fmt;
 

@@ -5,7 +5,7 @@ use super::canvas::{Point, at};
 /// Points nearer than this to the line between their neighbours are not drawn, in pixels.
 const TOLERANCE: f64 = 0.05;
 
-/// The pieces of a curve between values that are not finite, without the points that nobody would see.
+/// The pieces of a curve between values that are not finite, without the points that would be invisible.
 pub(super) fn pieces(points: impl IntoIterator<Item = Point>) -> Vec<Vec<Point>> {
     let mut pieces = vec![Vec::new()];
     for point in points {

@@ -54,7 +54,7 @@ mod tests {
 
     #[test]
     fn numbers_are_short() {
-        let told = [0.5, 0.9991, -2.25, 1e-7, 12.0, 0.0].map(|v| number(v, 6));
-        assert_eq!(told, ["0.5", "0.9991", "−2.25", "1·10^{−7}", "12", "0"]);
+        let message = [0.5, 0.9991, -2.25, 1e-7, 12.0, 0.0].map(|v| number(v, 6));
+        assert_eq!(message, ["0.5", "0.9991", "−2.25", "1·10^{−7}", "12", "0"]);
     }
 }

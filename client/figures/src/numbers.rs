@@ -13,7 +13,7 @@ pub fn short(name: &str) -> String {
     name.chars().take(LONGEST_NAME - 1).chain(['…']).collect()
 }
 
-/// A number with so many significant digits, without trailing zeros.
+/// A number with `digits` significant digits, without trailing zeros.
 pub fn significant(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();
@@ -60,24 +60,24 @@ pub fn albedo_end(value: f64) -> String {
 }
 
 /// `5.96…6.17`, with ≤ and ≥ where the data set no bound. Both ends have the decimals of half the width, two digits if it
-/// begins with 1 to 4, else one, and more where an end would round to 0 or 1. `tell` writes an end that stands alone.
-pub fn interval(i: &Interval, tell: impl Fn(f64) -> String) -> String {
+/// begins with 1 to 4, else one, and more where an end would round to 0 or 1. `alone` formats an end that stands alone.
+pub fn interval(i: &Interval, alone: impl Fn(f64) -> String) -> String {
     match (i.open_low, i.open_high) {
         (false, false) if i.low == i.high => "held".to_owned(),
         (false, false) => {
             let half = 0.5 * (i.high - i.low).abs();
             let enough = (-(0.2 * half).log10().floor()).clamp(0.0, 9.0) as usize;
-            // No end is told to be 0 or 1 that is not.
+            // No end is rounded to 0 or 1.
             let rounds_away = |end: f64, decimals: usize| {
-                let told: f64 = format!("{end:.decimals$}").parse().unwrap_or(end);
-                told != end && (told == 0.0 || told == 1.0)
+                let shown: f64 = format!("{end:.decimals$}").parse().unwrap_or(end);
+                shown != end && (shown == 0.0 || shown == 1.0)
             };
             let decimals = (enough..9).find(|d| ![i.low, i.high].iter().any(|end| rounds_away(*end, *d)));
             let decimals = decimals.unwrap_or(9);
             minus(&format!("{:.decimals$}…{:.decimals$}", i.low, i.high))
         }
-        (true, false) => format!("≤ {}", tell(i.high)),
-        (false, true) => format!("≥ {}", tell(i.low)),
+        (true, false) => format!("≤ {}", alone(i.high)),
+        (false, true) => format!("≥ {}", alone(i.low)),
         (true, true) => "any".to_owned(),
     }
 }
@@ -93,8 +93,8 @@ mod tests {
 
     #[test]
     fn numbers_have_as_many_digits_as_they_need() {
-        let told = [6.0, 5.994, 0.12345, 24.04, 123.4, 0.0].map(|v| significant(v, 3));
-        assert_eq!(told, ["6", "5.99", "0.123", "24", "123", "0"]);
+        let message = [6.0, 5.994, 0.12345, 24.04, 123.4, 0.0].map(|v| significant(v, 3));
+        assert_eq!(message, ["6", "5.99", "0.123", "24", "123", "0"]);
         assert_eq!(
             [0.05, 0.9991, 0.999_903, 0.35, 1.0].map(albedo),
             ["0.05", "0.9991", "0.999903", "0.35", "1"]
@@ -103,32 +103,32 @@ mod tests {
 
     #[test]
     fn a_value_has_the_decimals_of_its_error() {
-        let told = |value, error| with_error(value, error);
-        assert_eq!(told(-0.0701, 0.0038), "−0.070 ± 0.004");
-        assert_eq!(told(0.5, 0.0096), "0.500 ± 0.010");
-        assert_eq!(told(123.4, 20.0), "123 ± 20");
-        assert_eq!(told(-0.0001, 0.004), "0.000 ± 0.004");
-        assert_eq!(told(0.5, 0.0), "0.5 ± 0");
+        let message = |value, error| with_error(value, error);
+        assert_eq!(message(-0.0701, 0.0038), "−0.070 ± 0.004");
+        assert_eq!(message(0.5, 0.0096), "0.500 ± 0.010");
+        assert_eq!(message(123.4, 20.0), "123 ± 20");
+        assert_eq!(message(-0.0001, 0.004), "0.000 ± 0.004");
+        assert_eq!(message(0.5, 0.0), "0.5 ± 0");
     }
 
     #[test]
     fn intervals_tell_where_the_data_set_no_bound() {
-        let tell = |low, high, open_low, open_high| {
+        let text = |low, high, open_low, open_high| {
             interval(&Interval { low, high, open_low, open_high }, |v| significant(v, 2))
         };
-        assert_eq!(tell(1.0, 2.0, false, false), "1.0…2.0");
-        assert_eq!(tell(0.8954, 0.9006, false, false), "0.8954…0.9006");
-        assert_eq!(tell(0.9795, 0.98068, false, false), "0.9795…0.9807");
-        assert_eq!(tell(5.96, 6.171, false, false), "5.96…6.17");
-        assert_eq!(tell(5.16, 12.8, false, false), "5.2…12.8");
-        assert_eq!(tell(20.0, 190.0, false, false), "20…190");
-        assert_eq!(tell(0.3, 35.0, false, false), "0.3…35.0");
-        assert_eq!(tell(0.9902, 0.99996, false, false), "0.99020…0.99996");
-        assert_eq!(tell(-0.03, 0.98, false, false), "−0.03…0.98");
-        assert_eq!(tell(0.0, 0.5, false, false), "0.00…0.50");
-        assert_eq!(tell(1.0, 2.0, true, false), "≤ 2");
-        assert_eq!(tell(1.0, 2.0, false, true), "≥ 1");
-        assert_eq!(tell(1.0, 2.0, true, true), "any");
-        assert_eq!(tell(0.4, 0.4, false, false), "held");
+        assert_eq!(text(1.0, 2.0, false, false), "1.0…2.0");
+        assert_eq!(text(0.8954, 0.9006, false, false), "0.8954…0.9006");
+        assert_eq!(text(0.9795, 0.98068, false, false), "0.9795…0.9807");
+        assert_eq!(text(5.96, 6.171, false, false), "5.96…6.17");
+        assert_eq!(text(5.16, 12.8, false, false), "5.2…12.8");
+        assert_eq!(text(20.0, 190.0, false, false), "20…190");
+        assert_eq!(text(0.3, 35.0, false, false), "0.3…35.0");
+        assert_eq!(text(0.9902, 0.99996, false, false), "0.99020…0.99996");
+        assert_eq!(text(-0.03, 0.98, false, false), "−0.03…0.98");
+        assert_eq!(text(0.0, 0.5, false, false), "0.00…0.50");
+        assert_eq!(text(1.0, 2.0, true, false), "≤ 2");
+        assert_eq!(text(1.0, 2.0, false, true), "≥ 1");
+        assert_eq!(text(1.0, 2.0, true, true), "any");
+        assert_eq!(text(0.4, 0.4, false, false), "held");
     }
 }

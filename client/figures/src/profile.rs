@@ -54,7 +54,7 @@ fn curve(channel: &PredictedChannel) -> Curve {
     }
 }
 
-/// The ends of the intervals, of which nobody wants the gradient.
+/// The ends of the intervals, without gradients.
 fn band(channel: &PredictedChannel) -> Option<[Curve; 2]> {
     let errors = channel.std_errors.as_ref()?;
     let end = |sign: f64| Curve {

@@ -92,7 +92,7 @@ pub fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFit {
     }
 }
 
-/// Of 716 pixels, where the data tell μ, blur and one origin, and nothing more of a gain than was known.
+/// Of 716 pixels, where the data determine μ, blur and one origin, and a gain keeps its prior.
 pub fn likelihood(chi2: f64, probability: f64) -> Likelihood {
     let estimate = |nuisance, profile_mm, value, std_error, (prior, prior_std_error)| NuisanceEstimate {
         nuisance,

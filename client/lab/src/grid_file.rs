@@ -75,13 +75,13 @@ pub fn from_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path, what: 
     toml::from_str(text).map_err(|error| {
         let place = format!("{what} {}", path.display());
         match error.span().and_then(|span| decimal_comma(text, span.start)) {
-            Some(told) => anyhow::Error::new(error).context(format!("{place}, {told}")),
+            Some(hint) => anyhow::Error::new(error).context(format!("{place}, {hint}")),
             None => anyhow::Error::new(error).context(place),
         }
     })
 }
 
-/// What is to be said of a number with a decimal comma in the line of a place, if there is one.
+/// A hint about a number with a decimal comma in the line of a place, if there is one.
 fn decimal_comma(text: &str, at: usize) -> Option<String> {
     let before = text.get(..at)?;
     let line = before.matches('\n').count();
@@ -98,7 +98,7 @@ fn decimal_comma(text: &str, at: usize) -> Option<String> {
     Some(format!("line {}: {number} seems to have a decimal comma; write {point}", line + 1))
 }
 
-/// Tells where in a file a value stands that is not valid.
+/// Adds the file and line of an invalid value.
 pub fn in_file(invalid: Invalid, text: &str, path: &Path, what: &str) -> anyhow::Error {
     let line = line_of(text, invalid.field()).map_or_else(String::new, |line| format!(", line {line}"));
     anyhow::Error::new(invalid).context(format!("{what} {}{line}", path.display()))
@@ -139,9 +139,9 @@ mod tests {
         let refused = |text: &str| {
             from_toml::<GridFile>(text, Path::new("g.toml"), "grid file").unwrap_err().to_string()
         };
-        let told = "grid file g.toml, line 2: 0,5 seems to have a decimal comma; write 0.5";
-        assert_eq!(refused("walks = 1\nquality = 0,5\n"), told);
-        assert_eq!(refused("walks = 1\nalbedo = [0,5, 0,05]\n"), told);
+        let message = "grid file g.toml, line 2: 0,5 seems to have a decimal comma; write 0.5";
+        assert_eq!(refused("walks = 1\nquality = 0,5\n"), message);
+        assert_eq!(refused("walks = 1\nalbedo = [0,5, 0,05]\n"), message);
         assert_eq!(refused("walks = [0.5,1\n"), "grid file g.toml");
     }
 

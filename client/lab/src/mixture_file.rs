@@ -63,7 +63,7 @@ mod tests {
 
     #[test]
     fn what_is_wrong_in_a_file_is_told_with_its_place() {
-        for (text, told) in [
+        for (text, message) in [
             ("", "mixture = none is not valid: at least one is needed"),
             ("[[mixture]]\nmaterial = 'pale'\n", "missing field `parts`"),
             ("[[mixtures]]\n", "unknown field `mixtures`"),
@@ -73,7 +73,7 @@ mod tests {
             ),
         ] {
             let error = read(text).unwrap_err();
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(message), "{error}");
         }
     }
 }

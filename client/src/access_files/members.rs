@@ -16,7 +16,7 @@ use super::{CreateError, random_hex, write_secret};
 
 /// The coordinator's file in a set's folder.
 const COORDINATOR: &str = "coordinator.toml";
-/// Whoever changes the set holds a lock on this.
+/// A change of the set holds a lock on this.
 const LOCK: &str = ".farm-access.lock";
 /// The longest that a coordinator reads.
 const LONGEST_BYTES: u64 = 1 << 20;
@@ -68,13 +68,13 @@ pub fn add(folder: &Path, role: Role, name: &str) -> Result<PathBuf, MemberError
     entries(&mut coordinator, &coordinator_file)?.push(entry);
     write_secret(&member_file, &member.to_string()).map_err(failed("writing", &member_file))?;
     replace(&coordinator_file, &coordinator.to_string()).inspect_err(|_| {
-        // Nobody would let it in.
+        // No coordinator would accept it.
         let _ = fs::remove_file(&member_file);
     })?;
     Ok(member_file)
 }
 
-/// Shuts out whoever has a name.
+/// Revokes the access of a name.
 pub fn revoke(folder: &Path, name: &str) -> Result<(), MemberError> {
     let file = folder.join(COORDINATOR);
     let _alone = alone(folder)?;
@@ -99,7 +99,7 @@ pub fn list(folder: &Path) -> Result<Vec<(String, String)>, MemberError> {
     Ok(entries(&mut coordinator, &file)?.iter().map(|e| (text(e, "role"), text(e, "name"))).collect())
 }
 
-/// Waits until nobody else changes the set, so that what is read is still there when it is replaced.
+/// Waits until no other process changes the set, so that what is read is still there when it is replaced.
 fn alone(folder: &Path) -> Result<File, MemberError> {
     // A folder without a set is left as it is.
     fs::metadata(folder.join(COORDINATOR)).map_err(failed("reading", &folder.join(COORDINATOR)))?;
@@ -234,28 +234,30 @@ mod tests {
     #[test]
     fn mistakes_change_nothing_and_say_what_is_possible() {
         let (_place, folder) = set(false);
-        let told = |error: MemberError| error.to_string();
+        let message = |error: MemberError| error.to_string();
         let before = fs::read_to_string(folder.join(COORDINATOR)).unwrap();
         for name in ["", "a b", "../a", "ä", &"a".repeat(65)] {
             assert!(
-                told(add(&folder, Role::Client, name).unwrap_err()).contains("must be 1 to 64"),
+                message(add(&folder, Role::Client, name).unwrap_err()).contains("must be 1 to 64"),
                 "{name}"
             );
         }
         assert!(
-            told(add(&folder, Role::Client, "worker").unwrap_err()).contains("of the name worker already")
+            message(add(&folder, Role::Client, "worker").unwrap_err()).contains("of the name worker already")
         );
-        assert!(told(add(&folder, Role::Client, "coordinator").unwrap_err()).contains("never overwritten"));
-        let error = told(revoke(&folder, "bob").unwrap_err());
+        assert!(
+            message(add(&folder, Role::Client, "coordinator").unwrap_err()).contains("never overwritten")
+        );
+        let error = message(revoke(&folder, "bob").unwrap_err());
         assert!(error.contains("nobody of the name \"bob\"; it knows: worker, client, admin"), "{error}");
         assert_eq!(fs::read_to_string(folder.join(COORDINATOR)).unwrap(), before);
         revoke(&folder, "worker").unwrap();
         revoke(&folder, "client").unwrap();
-        assert!(told(revoke(&folder, "admin").unwrap_err()).contains("admin is the last"));
-        let error = told(add(Path::new("/nowhere"), Role::Client, "a").unwrap_err());
+        assert!(message(revoke(&folder, "admin").unwrap_err()).contains("admin is the last"));
+        let error = message(add(Path::new("/nowhere"), Role::Client, "a").unwrap_err());
         assert!(error.starts_with("reading /nowhere/coordinator.toml"), "{error}");
         fs::write(folder.join(COORDINATOR), "token = 'secret-secret\n").unwrap();
-        let error = told(list(&folder).unwrap_err());
+        let error = message(list(&folder).unwrap_err());
         assert!(error.contains("not valid TOML") && !error.contains("secret-secret"), "{error}");
     }
 }

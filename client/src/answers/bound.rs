@@ -26,7 +26,7 @@ pub(super) fn bounds(fits: &[MaterialFit]) -> String {
     }
     if rows.is_empty() {
         return wrapped(
-            "no bound is known: only --objective likelihood tells it, for profiles with standard errors",
+            "no bound: only --objective likelihood computes it, from profiles with standard errors",
         );
     }
     let head = ["material", "ch", "quantity", "95 %\n± %", "bound\n± %", "ratio"];
@@ -56,10 +56,10 @@ fn row(name: &str, value: f64, interval: &Interval, bound: &Ends) -> Vec<String>
     let half = |low: f64, high: f64| 50.0 * (high - low) / value.abs();
     let (width, least) = (half(interval.low, interval.high), half(bound.low, bound.high));
     let closed = !interval.open_low && !interval.open_high && width.is_finite();
-    let told = |known: bool, v: f64| if known { significant(v, 2) } else { "–".to_owned() };
-    let interval = if closed && width == 0.0 { "held".to_owned() } else { told(closed, width) };
-    let ratio = told(closed && least.is_finite() && least > 0.0, width / least);
-    vec![name.to_owned(), interval, told(least.is_finite(), least), ratio]
+    let shown = |known: bool, v: f64| if known { significant(v, 2) } else { "–".to_owned() };
+    let interval = if closed && width == 0.0 { "held".to_owned() } else { shown(closed, width) };
+    let ratio = shown(closed && least.is_finite() && least > 0.0, width / least);
+    vec![name.to_owned(), interval, shown(least.is_finite(), least), ratio]
 }
 
 #[cfg(test)]

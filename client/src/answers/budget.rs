@@ -49,8 +49,8 @@ fn shares(budget: &[SourceShare]) -> String {
     by_remainder.sort_by(|a, b| named[*b].1.fract().total_cmp(&named[*a].1.fract()));
     let missing = (100.0 - whole.iter().sum::<f64>()).clamp(0.0, named.len() as f64) as usize;
     by_remainder.into_iter().take(missing).for_each(|i| whole[i] += 1.0);
-    let told = named.iter().zip(&whole).filter(|(_, percent)| **percent > 0.0);
-    told.map(|((name, _), percent)| format!("{name} {percent:.0} %")).collect::<Vec<_>>().join(", ")
+    let shown = named.iter().zip(&whole).filter(|(_, percent)| **percent > 0.0);
+    shown.map(|((name, _), percent)| format!("{name} {percent:.0} %")).collect::<Vec<_>>().join(", ")
 }
 
 /// The source with the largest share of σ_t's variance, over all channels.

@@ -28,7 +28,7 @@ fn head(design: &Design, question: &DesignQuestion) -> String {
         s.noise_floor,
         design.pixels.count(),
     );
-    let mu = if s.mu_free { " The factor μ is told by the photographs alone." } else { "" };
+    let mu = if s.mu_free { " The factor μ is determined by the photographs alone." } else { "" };
     let what = "Below are the least half-widths of 95 % intervals that any fit without bias can have \
                 (Cramér–Rao bound).";
     wrapped(&format!("{medium}{mu} {what}"))
@@ -158,7 +158,7 @@ fn what_limits(
     text + "."
 }
 
-/// As people tell it.
+/// The name of a limitation.
 fn with_unit(limitation: Limitation, std_error: f64) -> String {
     let number = |factor: f64| significant(factor * std_error, 3);
     match limitation {
@@ -199,15 +199,15 @@ mod tests {
 
     #[test]
     fn what_limits_the_best_is_told_with_what_would_help() {
-        let told = text(&design());
-        let lines = told.replace("\n  ", " ");
-        assert!(lines.contains("Best: 0.5 + 1 mm, 2 photographs of each slab."), "{told}");
+        let message = text(&design());
+        let lines = message.replace("\n  ", " ");
+        assert!(lines.contains("Best: 0.5 + 1 mm, 2 photographs of each slab."), "{message}");
         let thickness = "σ_t is limited by the thickness: ± 2 %; with a standard error of 2.5 µm instead of 5 µm \
                          ± 1.5 %; if it were known exactly ± 1 %.";
-        assert!(lines.contains(thickness), "{told}");
+        assert!(lines.contains(thickness), "{message}");
         assert!(
             lines.contains("1 − α is limited by the noise: ± 10 %; with four times the shots ± 5 %."),
-            "{told}"
+            "{message}"
         );
         let mut hopeless = design();
         hopeless.sets.iter_mut().for_each(|set| set.best = false);

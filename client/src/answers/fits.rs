@@ -7,16 +7,16 @@ use super::bound::bounds;
 use super::summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
 use crate::output::{table, warning, wrapped};
 
-/// Fits, and how they are to be told.
+/// Fits, and how they are to be printed.
 pub(crate) struct Report<'a> {
     pub(crate) fits: &'a [MaterialFit],
     /// What was assumed of the set-up, as one line.
     pub(crate) assumed: Option<String>,
-    /// Tell the Cramér–Rao bound beside the intervals.
+    /// Print the Cramér–Rao bound next to the intervals.
     pub(crate) bound: bool,
 }
 
-/// The fits of all channels: what is known best, the media, and what a reader must know of them.
+/// The fits of all channels: the best determined quantities, the media, and remarks on them.
 pub(crate) fn fits_text(report: &Report) -> String {
     let fits = report.fits;
     let all = || fits.iter().flat_map(|f| f.channels.iter().map(move |c| (f, c)));
@@ -166,7 +166,8 @@ mod tests {
         channels[1].refined.as_mut().unwrap().likelihood = Some(likelihood(1130.0, 1e-9));
         let mixed = [MaterialFit { material: "white".into(), channels: channels.clone() }];
         let assumed = Some("assumed: origin ± 0.05 mm, gain ± 0.3 %".to_owned());
-        let told = text(&Report { fits: &mixed, assumed: assumed.clone(), bound: true }).replace("\n  ", " ");
+        let message =
+            text(&Report { fits: &mixed, assumed: assumed.clone(), bound: true }).replace("\n  ", " ");
         let expected = [
             "Cramér–Rao bound",
             "objective: likelihood where every profile has standard errors, else the paper's distance\n",
@@ -176,14 +177,14 @@ mod tests {
             "white G: χ² 1130 of 716, p < 0.001: noise and what is known",
         ];
         let places: Vec<usize> =
-            expected.iter().map(|t| told.find(t).unwrap_or_else(|| panic!("{t}\n{told}"))).collect();
-        assert!(places.is_sorted(), "{told}");
+            expected.iter().map(|t| message.find(t).unwrap_or_else(|| panic!("{t}\n{message}"))).collect();
+        assert!(places.is_sorted(), "{message}");
         let pure = [MaterialFit { material: "white".into(), channels: channels[..2].into() }];
-        let told = text(&Report { fits: &pure, assumed, bound: false });
-        assert!(told.contains("objective: likelihood\n") && !told.contains("Cramér"), "{told}");
+        let message = text(&Report { fits: &pure, assumed, bound: false });
+        assert!(message.contains("objective: likelihood\n") && !message.contains("Cramér"), "{message}");
     }
 
-    /// Nothing is wider than a terminal of 80 columns, however long the names, and warnings are told once.
+    /// Nothing is wider than a terminal of 80 columns, however long the names, and warnings appear once.
     #[test]
     fn fits_are_told_in_eighty_columns_with_what_is_wrong() {
         let mut channels =
@@ -198,12 +199,12 @@ mod tests {
         let (shared, media) = (text.find("σ_s(1−g)").unwrap(), text.find("σ_t").unwrap());
         assert!(shared < media, "what is known best comes first");
         let flat = text.replace("\n  ", " ");
-        for told in [
+        for message in [
             "Vero White Plus R: misfit 3.4: the intervals are not to be trusted; likeliest is an edge at x = 0.071 mm \
              instead of 0 in the profile of 0.5 mm: shift its x_mm (misfit 1 without that)",
             "Vero White Plus G, Vero White Plus B: unresolved: the data do not determine the medium",
         ] {
-            assert!(flat.contains(told), "{told}\n{flat}");
+            assert!(flat.contains(message), "{message}\n{flat}");
         }
         let csv = table_csv(&fits).unwrap();
         assert!(csv.lines().nth(1).unwrap().contains("misfit 3.4: the intervals"), "{csv}");

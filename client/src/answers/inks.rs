@@ -1,4 +1,4 @@
-//! What mixtures tell of their inks, as people read it.
+//! The inks that were found from mixtures, as tables and sentences.
 
 use farm_figures::numbers::{albedo, albedo_end, interval, short, significant};
 use optics_model::fit::{Agreement, InkChannel, MISFIT, MixtureFit, Unmixed};
@@ -84,9 +84,9 @@ fn disagreements(mixtures: &[MixtureFit]) -> Vec<String> {
 
 /// The mixture that agrees least, so that a reader sees how well all do.
 fn furthest(mixtures: &[MixtureFit]) -> Option<String> {
-    let told =
+    let pull =
         |m: &'_ MixtureFit| m.agreement.map(|a: Agreement| (format!("{} {}", m.material, m.channel), a.pull));
-    let all: Vec<(String, f64)> = mixtures.iter().filter_map(told).collect();
+    let all: Vec<(String, f64)> = mixtures.iter().filter_map(pull).collect();
     let (who, pull) = all.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let pull = significant(*pull, 2);
     Some(format!("{} slabs and channels; largest deviation from the ink model: {who}, {pull} σ", all.len()))
@@ -105,7 +105,7 @@ mod tests {
             assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());
         }
         let flat = text.replace("\n  ", " ");
-        for told in [
+        for message in [
             "cyan  R*",
             "8.69…9.64",
             "0.12…0.62",
@@ -113,7 +113,7 @@ mod tests {
             "deep R: left out: sigma_t_per_mm = 35",
             "2 slabs and channels; largest deviation from the ink model: paler R, 7.3 σ",
         ] {
-            assert!(flat.contains(told), "{told}\n{text}");
+            assert!(flat.contains(message), "{message}\n{text}");
         }
         assert!(!text.contains("pale R: "), "{text}");
     }

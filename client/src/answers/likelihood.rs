@@ -1,19 +1,19 @@
-//! What the likelihood tells of the set-up, as people read it.
+//! Goodness of fit, nuisances and left-out pixels of a likelihood fit, as sentences.
 
 use optics_model::fit::{Nuisance, NuisanceEstimate, OutlierPixel, Refined, Stretch};
 
 use farm_figures::misfit::{goodness, unlikely};
 use farm_figures::numbers::{minus, significant, with_error};
 
-/// Most pixels, and most stretches, that are told one by one.
+/// Most pixels, and most stretches, that are listed one by one.
 const MOST: usize = 6;
 
-/// Share of the degrees of freedom below which χ² shows that the told errors are no noise of single pixels, and from how
+/// Share of the degrees of freedom below which χ² shows that the given errors are no noise of single pixels, and from how
 /// many of these on.
 const QUIET: f64 = 0.5;
 const QUIET_FROM: f64 = 100.0;
 
-/// What is said of data that scatter far less than their errors allow: profiles that were smoothed or simulated have
+/// The warning about data that scatter far less than their errors allow: profiles that were smoothed or simulated have
 /// errors that neighbouring pixels share, and averaging over pixels does not make those smaller.
 pub(super) fn too_quiet(refined: &Refined) -> Option<String> {
     let l = refined.likelihood.as_ref()?;
@@ -24,7 +24,7 @@ pub(super) fn too_quiet(refined: &Refined) -> Option<String> {
     quiet.then(|| warning.to_owned())
 }
 
-/// What the data say of the set-up; χ² comes first unless a warning has told it.
+/// Findings on the set-up; χ² comes first unless a warning has reported it.
 pub(super) fn findings(refined: &Refined) -> Vec<String> {
     let Some(l) = &refined.likelihood else { return Vec::new() };
     let goodness = (unlikely(refined) == Some(false)).then(|| goodness(l));
@@ -35,7 +35,7 @@ pub(super) fn findings(refined: &Refined) -> Vec<String> {
     first.into_iter().chain(outliers(&l.outliers)).chain(stretches(&l.stretches)).collect()
 }
 
-/// Whether the data say more of a nuisance than was known.
+/// Whether the data add to the prior of a nuisance.
 fn moved(n: &NuisanceEstimate) -> bool {
     (n.value - n.prior).abs() > n.prior_std_error || n.std_error < 0.5 * n.prior_std_error
 }
@@ -45,8 +45,8 @@ fn nuisance(n: &NuisanceEstimate) -> String {
     let of = n.profile_mm.map_or(String::new(), |t| format!(" ({t} mm)"));
     let percent = || with_error(100.0 * n.value, 100.0 * n.std_error);
     let plain = || with_error(n.value, n.std_error);
-    let told = match n.nuisance {
-        // The factor is 1/μ, and people know μ.
+    let text = match n.nuisance {
+        // The factor is 1/μ; μ is reported.
         Nuisance::Scale => format!("μ {}", with_error(1.0 / n.value, n.std_error / (n.value * n.value))),
         Nuisance::BlurVariance => format!("blur {}", blur(n.value, n.std_error)),
         Nuisance::Thickness => format!("thickness {} mm", plain()),
@@ -55,11 +55,11 @@ fn nuisance(n: &NuisanceEstimate) -> String {
         Nuisance::Zero => format!("zero {}", plain()),
         Nuisance::Slope => format!("slope {} % per 10 mm", percent()),
     };
-    told + &of
+    text + &of
 }
 
 /// A variance in mm² as a standard deviation in µm, d√v = dv / (2√v). Near 0 that is no error: then only the upper end
-/// of its 95 % is told.
+/// of its 95 % interval is printed.
 fn blur(variance: f64, std_error: f64) -> String {
     if variance > 2.0 * std_error {
         let deviation = variance.sqrt();
@@ -106,8 +106,8 @@ fn stretches(stretches: &[Stretch]) -> Option<String> {
         let deviation = significant(s.deviation.abs(), 2);
         format!("{} mm: x = {from}…{to} mm is too {how} by {deviation} σ together", s.profile_mm)
     };
-    let told: Vec<String> = stretches.iter().take(MOST).map(one).collect();
-    (!told.is_empty()).then(|| told.join("; ") + &more(stretches.len()))
+    let text: Vec<String> = stretches.iter().take(MOST).map(one).collect();
+    (!text.is_empty()).then(|| text.join("; ") + &more(stretches.len()))
 }
 
 fn more(count: usize) -> String {
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn data_that_scatter_less_than_their_errors_warn() {
         let mut refined = farm_figures::testing::channel("R", 6.21, 1.0).refined.unwrap();
-        assert_eq!(too_quiet(&refined), None, "the paper's distance knows no χ²");
+        assert_eq!(too_quiet(&refined), None, "the paper's distance has no χ²");
         for (chi2, warns) in [(300.0, true), (400.0, false), (716.0, false), (1130.0, false)] {
             refined.likelihood = Some(likelihood(chi2, 1.0));
             assert_eq!(too_quiet(&refined).is_some(), warns, "{chi2} of 716");
@@ -179,16 +179,16 @@ mod tests {
     fn outliers_are_named_by_x_and_the_rest_is_counted() {
         let pixel = |profile_mm, x_mm| OutlierPixel { profile_mm, x_mm, deviation: 9.0 };
         let few = [pixel(0.5, -1.23), pixel(0.5, 0.48), pixel(1.0, -0.0001), pixel(0.5, 0.51)];
-        let told = "4 pixels left out: 0.5 mm at x = −1.23, 0.48, 0.51 mm; 1 mm at x = 0 mm";
-        assert_eq!(outliers(&few).unwrap(), told);
+        let message = "4 pixels left out: 0.5 mm at x = −1.23, 0.48, 0.51 mm; 1 mm at x = 0 mm";
+        assert_eq!(outliers(&few).unwrap(), message);
         let many: Vec<_> = (1..=9).map(|i| pixel(0.5, f64::from(i))).collect();
-        let told = "9 pixels left out: 0.5 mm at x = 1, 2, 3, 4, 5, 6 mm; and 3 more";
-        assert_eq!(outliers(&many).unwrap(), told);
+        let message = "9 pixels left out: 0.5 mm at x = 1, 2, 3, 4, 5, 6 mm; and 3 more";
+        assert_eq!(outliers(&many).unwrap(), message);
         assert_eq!(outliers(&many[..1]).unwrap(), "1 pixel left out: 0.5 mm at x = 1 mm");
         assert_eq!(outliers(&[]), None);
         let rim = |x_mm| OutlierPixel { deviation: -1.1, ..pixel(0.5, x_mm) };
-        let told = "1 pixel left out: 0.5 mm at x = 1 mm; and 2 at its rim";
-        assert_eq!(outliers(&[rim(0.9), pixel(0.5, 1.0), rim(1.1)]).unwrap(), told);
+        let message = "1 pixel left out: 0.5 mm at x = 1 mm; and 2 at its rim";
+        assert_eq!(outliers(&[rim(0.9), pixel(0.5, 1.0), rim(1.1)]).unwrap(), message);
         assert!(outliers(&[rim(0.9), many[0], many[1]]).unwrap().ends_with("; and 1 at their rims"));
     }
 
@@ -205,6 +205,6 @@ mod tests {
         ];
         assert_eq!(findings(&refined), expected);
         refined.likelihood = Some(likelihood(1130.2, 2e-9));
-        assert!(findings(&refined)[0].starts_with("μ 0.969"), "the warning tells χ²");
+        assert!(findings(&refined)[0].starts_with("μ 0.969"), "the warning reports χ²");
     }
 }

@@ -1,4 +1,4 @@
-//! What people are told of a fit that noise does not explain.
+//! Warnings about fits that noise does not explain.
 
 use farm_figures::misfit::{absorbed_by_media, unexplained};
 use farm_figures::numbers::significant;

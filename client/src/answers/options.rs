@@ -28,7 +28,7 @@ pub(crate) struct UsedOptions<'a> {
     blur_mm: f64,
     blur_std_error_mm: f64,
     slope_std_error: f64,
-    /// The options among these that were not told, of one profile at least.
+    /// The options among these for which a default was used, for one profile at least.
     assumed: &'a [&'static str],
 }
 

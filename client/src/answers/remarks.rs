@@ -1,4 +1,4 @@
-//! What a reader of a fit's numbers must know.
+//! Remarks that restrict how the numbers of a fit may be used.
 
 use farm_figures::numbers::significant;
 use optics_model::fit::{ChannelFit, Interval, Outside, Refined};
@@ -6,7 +6,7 @@ use optics_model::fit::{ChannelFit, Interval, Outside, Refined};
 use super::likelihood::{findings, too_quiet};
 use super::misfit::misfit;
 
-/// What a reader of the numbers must know.
+/// A remark on the numbers.
 pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {
     let valley = channel.refined.as_ref().is_some_and(|r| r.valley);
     let findings = channel.refined.as_ref().map(findings).unwrap_or_default();

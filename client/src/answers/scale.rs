@@ -21,8 +21,8 @@ pub(crate) fn common_text(common: &Common) -> String {
             i.high
         ));
     } else {
-        let told = with_error(common.mu, common.mu_std_error);
-        let mut line = format!("scale factor μ = {told}, chosen with all channels together");
+        let value = with_error(common.mu, common.mu_std_error);
+        let mut line = format!("scale factor μ = {value}, chosen with all channels together");
         if i.open_low || i.open_high {
             line += "; it may lie beyond the values tried: widen them with --mu-min and --mu-max";
         }
@@ -30,9 +30,9 @@ pub(crate) fn common_text(common: &Common) -> String {
     }
     match (common.g, &common.g_interval) {
         (Some(g), Some(i)) => {
-            let told = interval(i, |v| significant(v, 2));
+            let value = interval(i, |v| significant(v, 2));
             lines.push(format!(
-                "anisotropy g = {}, chosen as common to all channels (95 %: {told})",
+                "anisotropy g = {}, chosen as common to all channels (95 %: {value})",
                 significant(g, 3)
             ));
         }
@@ -77,8 +77,8 @@ fn given_text(common: &Common) -> String {
     if common.mu_std_error == 0.0 {
         return format!("scale factor μ = {}, as given", common.mu);
     }
-    let told = with_error(common.mu, common.mu_std_error);
-    format!("scale factor μ = {told}, from what was given and the data")
+    let value = with_error(common.mu, common.mu_std_error);
+    format!("scale factor μ = {value}, from what was given and the data")
 }
 
 #[cfg(test)]
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
     use optics_model::fit::Interval;
 
-    /// What the errors do beside their least is told as it is.
+    /// The curve around its minimum is printed as it is.
     #[test]
     fn a_scale_factor_that_the_data_leave_open_is_told_so() {
         let open = Interval { low: 0.8, high: 1.1, open_low: true, open_high: true };
@@ -100,19 +100,22 @@ mod tests {
             g_interval: Some(closed),
             by_g: Vec::new(),
         };
-        let told = common_text(&common).replace("\n  ", " ");
+        let message = common_text(&common).replace("\n  ", " ");
         assert!(
-            told.starts_with("scale factor μ: not determined by these data; taken as 1 ± 0.09"),
-            "{told}"
+            message.starts_with("scale factor μ: not determined by these data; taken as 1 ± 0.09"),
+            "{message}"
         );
         assert!(
-            told.ends_with("anisotropy g = 0.412, chosen as common to all channels (95 %: 0.35…0.47)"),
-            "{told}"
+            message.ends_with("anisotropy g = 0.412, chosen as common to all channels (95 %: 0.35…0.47)"),
+            "{message}"
         );
-        assert!(!told.contains("held"));
+        assert!(!message.contains("held"));
         common.mu_chosen = false;
-        let told = common_text(&common);
-        assert!(told.starts_with("scale factor μ = 1.00 ± 0.09, from what was given and the data"), "{told}");
+        let message = common_text(&common);
+        assert!(
+            message.starts_with("scale factor μ = 1.00 ± 0.09, from what was given and the data"),
+            "{message}"
+        );
         common.mu_std_error = 0.0;
         assert!(common_text(&common).starts_with("scale factor μ = 1, as given"));
         let scale = |curvature| ScaleCurve {

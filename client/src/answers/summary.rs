@@ -43,7 +43,7 @@ impl ChannelSummary {
     }
 }
 
-/// What a reader of the numbers must know of some channels.
+/// A remark on some channels.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Remark {
     /// Material and channel of each.
@@ -53,7 +53,7 @@ pub(crate) struct Remark {
     pub(crate) warning: bool,
 }
 
-/// The remarks on all channels. What is to be said of several is said once.
+/// The remarks on all channels. A remark on several channels appears once.
 pub(crate) fn all_remarks(fits: &[MaterialFit]) -> Vec<Remark> {
     let mut said: Vec<Remark> = Vec::new();
     for (fit, channel) in fits.iter().flat_map(|f| f.channels.iter().map(move |c| (f, c))) {

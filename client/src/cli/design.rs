@@ -16,7 +16,7 @@ const PHOTOGRAPHS: &str = "Photographs to compare";
 
 #[derive(Debug, Args)]
 pub struct DesignArgs {
-    /// Dictionary that tells what slabs look like [default: the only one, or paper].
+    /// Dictionary to predict the profiles from [default: the only one, or paper].
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
     /// Extinction coefficient, per mm.
@@ -81,7 +81,7 @@ pub struct DesignArgs {
         help_heading = SET_UP
     )]
     pub mu_std_error: f64,
-    /// Nothing is known of that factor: the photographs have to tell it.
+    /// The factor is unknown and must be determined from the photographs.
     #[arg(long, conflicts_with = "mu_std_error", help_heading = SET_UP)]
     pub free_mu: bool,
     #[command(flatten)]
@@ -124,7 +124,7 @@ fn numbers(text: &str) -> Result<Vec<f64>, String> {
 }
 
 impl DesignArgs {
-    /// `set_up` is what its arguments and the session file tell.
+    /// `set_up` combines its arguments with the session file.
     pub(crate) fn question(&self, set_up: &SetUp) -> anyhow::Result<DesignQuestion> {
         let known = FitSettings { mu: self.mu, mu_std_error: self.mu_std_error, ..FitSettings::default() };
         let known = set_up.settings_of(known, self.channel.as_deref())?;
@@ -159,7 +159,7 @@ mod tests {
         assert_eq!("0.5, 1".parse(), Ok(SlabList(vec![0.5, 1.0])));
         assert_eq!("".parse::<SlabList>(), Err("\"\" is not a number".to_owned()));
         assert_eq!("-4,4,0.02".parse(), Ok(PixelsArg([-4.0, 4.0, 0.02])));
-        let told = "-4,4".parse::<PixelsArg>().unwrap_err();
-        assert!(told.starts_with("2 numbers where three are wanted"), "{told}");
+        let message = "-4,4".parse::<PixelsArg>().unwrap_err();
+        assert!(message.starts_with("2 numbers where three are wanted"), "{message}");
     }
 }

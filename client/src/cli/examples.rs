@@ -116,7 +116,7 @@ Example:
 
 pub(super) const RETRY: &str = "\
 Example:
-  farmctl retry paper                             `farmctl show paper` says which jobs failed, and why";
+  farmctl retry paper                             `farmctl show paper` lists the failed jobs and their errors";
 
 pub(super) const PRIORITY: &str = "\
 Examples:
@@ -149,7 +149,7 @@ Examples:
 pub(super) const DOCTOR: &str = "\
 Examples:
   farmctl doctor
-  farmctl doctor --repair                         also recompute what is damaged";
+  farmctl doctor --repair                         also recompute damaged records";
 
 pub(super) const BACKUP: &str = "\
 Example:

@@ -12,10 +12,10 @@ pub enum AccessCommand {
     /// Create access files for the coordinator and for each role: worker, client and admin.
     #[command(after_help = examples::ACCESS_CREATE)]
     Create(AccessCreateArgs),
-    /// Let in one more, with a token and a file of its own; a running coordinator knows it within a second.
+    /// Add a member with a token and an access file of its own; a running coordinator accepts it within a second.
     #[command(after_help = examples::ACCESS_ADD)]
     Add(AccessAddArgs),
-    /// Shut somebody out by name; a running coordinator knows it within a second.
+    /// Revoke a member's access by name; a running coordinator follows within a second.
     #[command(after_help = examples::ACCESS_REVOKE)]
     Revoke(AccessRevokeArgs),
     /// List the names that are let in, with their roles.
@@ -67,7 +67,7 @@ pub struct AccessCreateArgs {
     /// Port of the coordinator.
     #[arg(long, value_name = "N", default_value_t = 7700)]
     pub port: u16,
-    /// Also give each role a certificate of its own, and let nobody connect without one (mutual TLS).
+    /// Also give each role a certificate of its own, and require one of every client (mutual TLS).
     #[arg(long)]
     pub mutual: bool,
 }
@@ -128,7 +128,7 @@ pub enum WorkersCommand {
     /// Let a worker finish its jobs and leave.
     #[command(after_help = examples::DRAIN)]
     Drain(DrainArgs),
-    /// Let a machine in again that was fenced off, once it is known why it computed wrongly.
+    /// Readmit a machine that was fenced off, once the cause of its wrong results is found.
     #[command(after_help = examples::READMIT)]
     Readmit(ReadmitArgs),
 }
@@ -168,7 +168,7 @@ pub struct DoctorArgs {
 
 #[derive(Debug, Args)]
 pub struct BackupArgs {
-    /// File to write; it must not exist yet. Its checksum is written beside it, to FILE.b3.
+    /// File to write; it must not exist yet. Its checksum is written to FILE.b3.
     pub file: PathBuf,
 }
 

@@ -49,7 +49,7 @@ const SEARCH: &str = "Search of the scale factor";
 pub enum ObjectiveArg {
     /// Least distance after Eq. 1 of the paper, as if the set-up were perfect but for the scale factor.
     Paper,
-    /// Greatest likelihood, with what is wrong with the set-up estimated beside the medium.
+    /// Maximum likelihood, with the errors of the set-up estimated as nuisances.
     Likelihood,
 }
 
@@ -62,7 +62,7 @@ pub enum WaveletArg {
 }
 
 impl OptionArgs {
-    /// `set_up` is what its arguments and the session file tell.
+    /// `set_up` combines its arguments with the session file.
     pub(crate) fn settings(&self, set_up: &SetUp) -> optics_model::Result<FitSettings> {
         let settings = FitSettings {
             lambda: self.lambda,
@@ -105,7 +105,7 @@ pub struct FitArgs {
     /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
     #[arg(long, conflicts_with = "no_refine")]
     pub bound: bool,
-    /// Draw profiles and gradients with their fits, one picture per material: FILE.svg or FILE.png.
+    /// Draw profiles and gradients with their fits, one figure per material: FILE.svg or FILE.png.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
 }
@@ -186,8 +186,8 @@ pub struct MeasureArgs {
     pub mu_std_error: f64,
     #[command(flatten)]
     pub search: MuArgs,
-    /// TOML file that tells which materials are mixtures of which, as volume fractions: strong absorbers are then found
-    /// from how they darken others.
+    /// TOML file with the mixtures and their volume fractions: strong absorbers are then determined
+    /// from how they darken other materials.
     #[arg(long, value_name = "FILE")]
     pub mixtures: Option<PathBuf>,
     /// Let every channel have its own anisotropy; without this, and without --g, all share the best common one.
@@ -199,7 +199,7 @@ pub struct MeasureArgs {
     /// Write a folder with table.csv, media for Mitsuba 3 (media.py, media.xml) and pbrt-v4 (media.pbrt).
     #[arg(long, short, value_name = "DIR")]
     pub output: Option<PathBuf>,
-    /// Draw profiles and gradients with their fits, one picture per material: FILE.svg or FILE.png.
+    /// Draw profiles and gradients with their fits, one figure per material: FILE.svg or FILE.png.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
 }

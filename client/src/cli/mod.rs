@@ -94,10 +94,10 @@ pub enum Command {
     /// Compute a dictionary; if it exists with the same grid, carry on with it.
     #[command(after_help = examples::SUBMIT)]
     Submit(SubmitArgs),
-    /// Turn the photographs of a session into edge profiles, with all that is known of the set-up.
+    /// Turn the photographs of a session into edge profiles, with the quantities of the set-up.
     #[command(after_help = examples::CAPTURE)]
     Capture(CaptureArgs),
-    /// Check a measurement file: tell what is read, and refuse or note what may be wrong.
+    /// Check a measurement file: print what is read, and refuse or note what may be wrong.
     #[command(after_help = examples::CHECK)]
     Check(CheckArgs),
     /// Find the media that best explain measured edge profiles, with error bars.
@@ -115,7 +115,7 @@ pub enum Command {
     /// Compare sets of slabs by how well photographs of them would determine a medium.
     #[command(after_help = examples::DESIGN)]
     Design(DesignArgs),
-    /// Tell what a slab of a medium looks like by a dictionary, at its records and between them.
+    /// Predict the profile of a slab of a medium from a dictionary, at its records and between them.
     #[command(after_help = examples::PROFILE)]
     Profile(ProfileArgs),
     /// List the media that similarity theory considers equivalent to a given one.
@@ -136,10 +136,10 @@ pub enum Command {
     /// List the dictionaries.
     #[command(after_help = examples::LIST)]
     List,
-    /// Follow the progress of a dictionary until it ends; the exit code says how it ended.
+    /// Follow the progress of a dictionary until it ends; the exit code is that of its end.
     #[command(after_help = examples::WATCH)]
     Watch(NameArgs),
-    /// Wait silently until dictionaries have ended; the exit code says how they ended.
+    /// Wait silently until dictionaries have ended; the exit code is that of their end.
     #[command(after_help = examples::WAIT)]
     Wait(WaitArgs),
     /// Explain why a dictionary is not finished yet.
@@ -222,7 +222,7 @@ pub struct SubmitArgs {
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
     /// How quiet the records are to be: draft, paper or fine, for about a tenth of the paper's work, the paper's noise,
-    /// and ten times the work; instead of what the grid file says.
+    /// and ten times the work; instead of the grid file's setting.
     #[arg(long, value_name = "LEVEL", value_parser = level)]
     pub quality: Option<NoiseLevel>,
     /// Wait until the dictionary is finished; without a server, submit always waits.
@@ -309,7 +309,7 @@ pub struct ShowArgs {
     /// Draw profiles from all over the dictionary, or with --noise how noisy each record is: FILE.svg or FILE.png.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
-    /// Read all records and tell how noisy they are: median, worst, and by albedo.
+    /// Read all records and print their noise: median, worst, and by albedo.
     #[arg(long)]
     pub noise: bool,
 }

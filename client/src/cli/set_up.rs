@@ -1,4 +1,4 @@
-//! Arguments for what is known of a set-up.
+//! Arguments for the quantities of a set-up.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use farm_lab::set_up::{ByChannel, Session, SetUp};
 /// Heading of the help.
 pub(super) const SET_UP: &str = "What is known of the set-up";
 
-/// What is known of a set-up beside what the measurement tells of single profiles.
+/// Quantities of a set-up. Values of single profiles in the measurement take precedence.
 #[derive(Debug, Default, Args)]
 pub struct SetUpArgs {
     /// Take the values below from a session file (JSON) where they are not given here.

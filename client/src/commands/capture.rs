@@ -81,8 +81,8 @@ fn text(captured: &Captured, folder: &Path, warnings: &[String]) -> String {
     });
     let mut text = table(&head, &[2, 3, 4, 5, 6, 7, 8], rows);
     text += &format!("\n{}", set_up_text(captured));
-    for told in warnings {
-        text += &format!("\n{}", warning(&wrapped(told)));
+    for doubt in warnings {
+        text += &format!("\n{}", warning(&wrapped(doubt)));
     }
     text + &format!("\nwritten to {}: {}", folder.display(), FILES.join(", "))
 }

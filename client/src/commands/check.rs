@@ -101,6 +101,6 @@ fn row(material: &str, profile: &MeasuredProfile) -> Vec<String> {
         profile.values().len().to_string(),
         range(profile.x_mm()),
         range(profile.values()),
-        profile.std_errors().map_or_else(|| "not told".to_owned(), range),
+        profile.std_errors().map_or_else(|| "not given".to_owned(), range),
     ]
 }

@@ -97,8 +97,8 @@ mod tests {
         let names = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         assert_eq!(pick(&names(&["fine"])).unwrap(), "fine");
         assert_eq!(pick(&names(&["fine", "paper"])).unwrap(), "paper");
-        let told = pick(&names(&["a", "b"])).unwrap_err().to_string();
-        assert!(told.ends_with("name one with --dictionary, of a, b"), "{told}");
+        let message = pick(&names(&["a", "b"])).unwrap_err().to_string();
+        assert!(message.ends_with("name one with --dictionary, of a, b"), "{message}");
         assert!(pick(&[]).unwrap_err().to_string().contains("`farmctl submit` computes the paper's"));
     }
 }

@@ -53,7 +53,7 @@ pub(super) struct JsonData<'a> {
     origin_std_error_mm: f64,
     blur_mm: f64,
     blur_std_error_mm: f64,
-    /// The options among these that were not told.
+    /// The options among these for which a default was used.
     assumed: &'a [&'static str],
     #[serde(flatten)]
     design: &'a Design,

@@ -1,4 +1,4 @@
-//! Looks at everything that can be wrong, and says what to do.
+//! Checks the database and the coordinator's state, and names the remedy for each problem.
 
 use std::process::ExitCode;
 

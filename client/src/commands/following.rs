@@ -18,7 +18,7 @@ use crate::outage::Outage;
 use crate::progress::{Cells, Progress};
 
 /// A coordinator repeats itself every ten seconds: after this time without a message the connection leads nowhere, or
-/// the coordinator is an older one. Both are asked anew.
+/// the coordinator is an older one. Both are polled again.
 const SILENCE: Duration = Duration::from_mins(1);
 
 /// After this time without a job under way it is looked whether there is a worker at all.
@@ -98,7 +98,7 @@ struct Following<'a> {
     /// The jobs' states, if they are shown.
     cells: Option<Cells>,
     outage: Outage<'a>,
-    /// When a job was under way last, until it is told that no worker is connected.
+    /// When a job was last under way, until the lack of workers is reported.
     busy: Option<Instant>,
 }
 
@@ -136,7 +136,7 @@ impl<'a> Following<'a> {
         Ok(())
     }
 
-    /// Takes up what the coordinator tells until the dictionary has ended.
+    /// Takes up the coordinator's updates until the dictionary has ended.
     async fn listen(&mut self) -> Result<()> {
         let (mut updates, mut jobs) = self.subscribe().await?;
         loop {
@@ -190,7 +190,7 @@ impl<'a> Following<'a> {
         Ok(())
     }
 
-    /// Tells once if there is nobody to do the work.
+    /// Reports once that no worker is connected.
     async fn look_for_workers(&mut self) -> Result<()> {
         let farm = self.connection.farm().status(StatusRequest {}).await?.into_inner();
         self.busy = (farm.workers > 0).then(Instant::now);
@@ -227,7 +227,7 @@ async fn until(when: Option<Instant>) {
     }
 }
 
-/// The next states of jobs. Once there are no more it waits for ever: how the dictionary ends is told elsewhere.
+/// The next states of jobs. At the end of the stream it waits for ever: the end of the dictionary is reported elsewhere.
 async fn next_run(jobs: &mut Option<Streaming<JobStates>>) -> JobStates {
     if let Some(states) = jobs
         && let Ok(Some(run)) = states.message().await

@@ -13,7 +13,7 @@ pub(crate) fn run(args: &ManualArgs) -> Result<()> {
     let folder = &args.folder;
     std::fs::create_dir_all(folder).with_context(|| format!("folder {}", folder.display()))?;
     let mut farmctl = Cli::command();
-    // What holds for every verb is told with every verb, as --help does.
+    // The global options appear with every verb, as in --help.
     farmctl.build();
     pages(&farmctl, "farmctl", folder)?;
     pages(&farm_coordinator::cli::Args::command(), "farm-coordinator", folder)?;
@@ -23,7 +23,7 @@ pub(crate) fn run(args: &ManualArgs) -> Result<()> {
 /// Writes the page of a command, and of those below it: `farmctl-slurm-submit.1`.
 fn pages(command: &Command, name: &str, folder: &Path) -> Result<()> {
     let mut page = Vec::new();
-    // clap tells names of verbs as literals alone.
+    // clap accepts names of verbs as literals alone.
     let named: &'static str = name.to_owned().leak();
     Man::new(command.clone().name(named)).source("resin-farm").manual("resin-farm").render(&mut page)?;
     let file = folder.join(format!("{name}.1"));

@@ -44,7 +44,7 @@ pub(crate) async fn run(global: &Global, args: &ServeArgs, output: &Output) -> R
             () = &mut stopped => return connection.close().await,
         }
         if connection.is_embedded() {
-            // It says why it has ended.
+            // Its own message gives the reason.
             return connection.close().await;
         }
         // The process that held the folder has ended: now it is ours to serve.

@@ -41,8 +41,8 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         Ok((status, Some(noise)))
     })
     .await?;
-    let told = || text(&status) + &noise.as_ref().map_or_else(String::new, Noise::text);
-    output.print("show", &Shown { dictionary: data(&status), noise: noise.as_ref() }, told)
+    let described = || text(&status) + &noise.as_ref().map_or_else(String::new, Noise::text);
+    output.print("show", &Shown { dictionary: data(&status), noise: noise.as_ref() }, described)
 }
 
 #[derive(Serialize)]

@@ -219,7 +219,7 @@ fn write_rows(out: &mut impl Write, medium: &str, scene: &Scene, profiles: &[Pro
 
 #[derive(Debug, Serialize)]
 pub(super) struct SimulateJson {
-    /// Told if there are several.
+    /// Set if there are several.
     #[serde(flatten)]
     medium: Option<MediumJson>,
     x_mm: Vec<f64>,

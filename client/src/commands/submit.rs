@@ -40,7 +40,7 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
     match output.print("submit", &DictionaryJson::from(&status), || {
         if global.quiet { name.to_string() } else { text(&status, &end) }
     }) {
-        // Whoever does not read the result still wants the exit code.
+        // The exit code counts even if the result cannot be printed.
         Err(error) if !is_closed_pipe(&error) => Err(error),
         _ => Ok(code),
     }

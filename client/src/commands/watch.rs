@@ -92,7 +92,7 @@ fn must_progress(connection: &Connection, status: &DictionaryStatus) -> Result<(
     Ok(())
 }
 
-/// What there is to say of a dictionary in a line.
+/// A dictionary in one line.
 pub(crate) fn line(status: &DictionaryStatus) -> String {
     let (done, total) = (grouped(status.records_done() as u64), grouped(status.records_total() as u64));
     let mut line = format!("{}: {}, {done} of {total} records", status.name, state(status));

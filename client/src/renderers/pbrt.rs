@@ -5,7 +5,7 @@
 //! (pbrt.org/fileformat-v4), and of mmp/pbrt-v4 `HomogeneousMedium::Create` in `src/pbrt/media.cpp`,
 //! `extractSpectrumArray` in `paramdict.cpp` and the tokenizer in `parser.cpp`:
 //!
-//! - There is no σ_t and no albedo: a parameter that the medium does not know stops pbrt. Without `sigma_a` or
+//! - There is no σ_t and no albedo: an unknown parameter stops pbrt. Without `sigma_a` or
 //!   `sigma_s` that coefficient is 1.
 //! - `preset` replaces both coefficients without a word, by measured ones of its own per mm whose scattering is the
 //!   reduced one, meant for g = 0. It must not be added to a measured medium.

@@ -13,7 +13,7 @@ use tokio::time::timeout;
 use super::scaling::{TaskId, TaskState};
 use super::{OneLine, Submission};
 
-/// Variables that sbatch puts above the script's lines; what the script says of these must hold.
+/// Variables that sbatch puts above the script's lines; the script's own lines must win.
 const OVERRIDES: [&str; 9] = [
     "SBATCH_ARRAY_INX",
     "SBATCH_JOB_NAME",
@@ -42,10 +42,10 @@ pub(crate) async fn submit(submission: &Submission, script: &str) -> Result<u64>
     }
     let output =
         run(command, Some(script), ", or take the script from `slurm submit --dry-run` there").await?;
-    let told = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "sbatch refused the job ({}): {}", output.status, told.trim());
-    if !told.trim().is_empty() {
-        tell(told.trim_end());
+    let text = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "sbatch refused the job ({}): {}", output.status, text.trim());
+    if !text.trim().is_empty() {
+        tell(text.trim_end());
     }
     job_id(&String::from_utf8_lossy(&output.stdout))
 }
@@ -60,8 +60,8 @@ pub(crate) async fn tasks(job_name: &OneLine) -> Result<Vec<(TaskId, TaskState)>
     {
         command.env_remove(variable);
     }
-    let told = answer("squeue", command).await?;
-    Ok(told.lines().filter_map(|line| task(line, job_name.as_str())).collect())
+    let text = answer("squeue", command).await?;
+    Ok(text.lines().filter_map(|line| task(line, job_name.as_str())).collect())
 }
 
 /// Takes tasks out of the queue; those that have begun meanwhile go on.
@@ -104,7 +104,7 @@ async fn run(mut command: Command, input: Option<&str>, otherwise: &str) -> Resu
         bail!("{program} gave no answer in {} minutes", PATIENCE.as_secs() / 60);
     };
     let output = output.with_context(|| format!("waiting for {program}"))?;
-    // A program that ends without reading its input tells why by its status.
+    // A program that ends without reading its input reports the cause by its status.
     if output.status.success() {
         written.with_context(|| format!("handing the script to {program}"))?;
     }

@@ -1,6 +1,6 @@
-//! How many workers a farm's work is worth: decided from what the farm and the queue tell, without a clock or a cluster.
+//! How many workers a farm's work is worth: decided from the states of farm and queue, without a clock or a cluster.
 //!
-//! Each look begins from the tasks that Slurm tells. So an answer that was lost, or a start anew, submits nothing twice.
+//! Each step begins from the tasks that Slurm lists. So a lost answer or a restart submits nothing twice.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,7 +13,7 @@ const PAUSE: (Duration, Duration) = (Duration::from_mins(1), Duration::from_mins
 const HOPELESS: u32 = 5;
 /// Who waits in vain in so many looks in a row is taken out of the queue: gaps between dictionaries are short.
 const SURPLUS_LOOKS: u32 = 2;
-/// Most tasks of an array, as clusters have it unless told otherwise.
+/// Most tasks of an array: Slurm's default.
 const MOST_TASKS: u32 = 1000;
 
 /// A task of an array job, as in 17_2.
@@ -42,7 +42,7 @@ pub(crate) enum TaskState {
 /// What the farm has to do.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Demand {
-    /// Jobs that nobody has.
+    /// Unclaimed jobs.
     pub(crate) waiting: u64,
     pub(crate) computing: u64,
     /// Time that all of it takes at the present pace, if that is known.
@@ -171,7 +171,7 @@ impl Scaling {
         Decision { wanted: running + needed, action, failed }
     }
 
-    /// That `count` tasks of `job` were submitted. Those that are gone at the next look are told as failed.
+    /// Records that `count` tasks of `job` were submitted. Those that are gone at the next step count as failed.
     pub(crate) fn submitted(&mut self, job: u64, count: NonZeroU32) {
         self.tasks.extend((1..=count.get()).map(|task| (TaskId { job, task }, false)));
         self.refusals = Pause::default();
@@ -196,7 +196,7 @@ impl Scaling {
         self.deaths.left(now)
     }
 
-    /// Takes up what the queue tells; those that have left it without having reached the coordinator.
+    /// Takes up the state of the queue; returns the tasks that have left it without having reached the coordinator.
     fn compare(&mut self, tasks: &[(TaskId, TaskState)], joined: &[TaskId]) -> Vec<TaskId> {
         for id in joined {
             if let Some(has_joined) = self.tasks.get_mut(id).filter(|has_joined| !**has_joined) {
@@ -222,7 +222,7 @@ impl Scaling {
         self.deaths.failures >= HOPELESS && !self.has_joined && !self.tasks.values().any(|joined| *joined)
     }
 
-    /// Workers besides those that run: for the jobs that nobody has.
+    /// Workers in addition to those that run, for the unclaimed jobs.
     fn needed(&self, demand: &Demand, running: u32) -> u32 {
         let room = self.limits.most.get().saturating_sub(running);
         let workers = demand.waiting.div_ceil(self.limits.threads.max(1).into());

@@ -16,7 +16,7 @@ pub(super) fn open(url: &str) -> Option<NamedTempFile> {
     let mut file = tempfile::Builder::new().prefix("farmctl-web-").suffix(".html").tempfile().ok()?;
     file.write_all(page(url).as_bytes()).ok()?;
     file.flush().ok()?;
-    // Whoever has no browser has the address.
+    // Without a browser, the printed address is enough.
     open::that_detached(file.path()).ok()?;
     Some(file)
 }

@@ -26,9 +26,9 @@ pub(super) struct Captures {
 }
 
 impl Captures {
-    /// Those that were told, or else those in the present folder.
-    pub fn new(told: Vec<PathBuf>) -> anyhow::Result<Self> {
-        for folder in &told {
+    /// The given folders, or else those in the working directory.
+    pub fn new(given: Vec<PathBuf>) -> anyhow::Result<Self> {
+        for folder in &given {
             anyhow::ensure!(
                 is_capture(folder),
                 "{} is no folder that `farmctl capture` wrote: it has no {}",
@@ -36,7 +36,7 @@ impl Captures {
                 MARKS.join(" and ")
             );
         }
-        let mut folders = told;
+        let mut folders = given;
         if folders.is_empty() {
             let here = std::fs::read_dir(".").into_iter().flatten().flatten().map(|entry| entry.path());
             folders = here.filter(|folder| is_capture(folder)).collect();

@@ -31,7 +31,7 @@ use farm_lab::set_up::SetUp;
 use crate::figure_files::file_name;
 use crate::output::sentence;
 
-/// The measurement of the documentation, for whoever has none yet.
+/// The measurement of the documentation, to try the page with.
 const EXAMPLE: &[u8] = include_bytes!("../../../examples/white.csv");
 
 /// What the page's questions are answered from.
@@ -167,7 +167,7 @@ async fn answer<T: Send + 'static>(
     let done = tokio::task::spawn_blocking(work).await;
     let done = done.map_err(|_| Status::internal("this question met a defect of farmctl"))?;
     done.map(Response::new).map_err(|error| match error.downcast_ref::<Invalid>() {
-        // With the field, as the coordinator tells it.
+        // With the field, as the coordinator reports it.
         Some(invalid) if error.chain().count() == 1 => to_status(invalid),
         _ => Status::invalid_argument(sentence(&error)),
     })

@@ -56,7 +56,7 @@ impl FarmAccess {
         Ok(opened)
     }
 
-    /// Hands a call on. The coordinator sees our token and our address, whoever uses the page.
+    /// Forwards a call. The coordinator sees our token and our address for every user of the page.
     pub async fn call(&self, request: Request<Body>) -> Result<Response<Body>, Status> {
         let connection = self.connection().await?;
         let mut link = connection.link();
@@ -97,7 +97,7 @@ impl FarmAccess {
         loop {
             match Arc::try_unwrap(connection) {
                 Ok(connection) => return connection.close().await,
-                // A call that has just been told to end.
+                // A call that was just cancelled.
                 Err(held) => connection = held,
             }
             tokio::time::sleep(LOOK_AGAIN).await;
@@ -113,7 +113,7 @@ fn for_farm(request: Request<Body>) -> Request<Body> {
     for name in unwanted {
         parts.headers.remove(name);
     }
-    // The path alone: the link knows where to.
+    // The path alone: the link has the address.
     let path = parts.uri.path().parse().unwrap_or_else(|_| Uri::from_static("/"));
     parts.uri = path;
     parts.extensions.clear();

@@ -3,7 +3,7 @@
 //! Other users of the machine can reach a port on loopback, and so can every web site in the user's browser. So the
 //! address that is printed holds a token, which is exchanged for a cookie; and requests are taken only for the host that
 //! the page has (no name that a site has pointed at 127.0.0.1) and from pages of the same origin. Browsers send cookies
-//! to every port of a host, and another port may be another user's: so the cookie is for a folder that nobody can guess,
+//! to every port of a host, and another port may be another user's: so the cookie is for a folder that cannot be guessed,
 //! and all that the page has is below it.
 
 use std::net::SocketAddr;
@@ -133,7 +133,7 @@ impl Gate {
         if !one_of(headers, HOST.as_str(), &self.hosts).unwrap_or(false) {
             return Err(Refusal::Host);
         }
-        // Browsers tell the origin of all requests that could change something.
+        // Browsers send the origin with all requests that could change something.
         let harmless = matches!(*request.method(), Method::GET | Method::HEAD);
         if !one_of(headers, ORIGIN.as_str(), &self.origins).unwrap_or(harmless) {
             return Err(Refusal::Origin);
@@ -219,7 +219,7 @@ mod tests {
         };
         post(&[OWN, ("origin", "http://127.0.0.1:7780")]).unwrap();
         post(&[("host", "LOCALHOST:7780"), ("origin", "http://localhost:7780")]).unwrap();
-        assert_eq!(post(&[OWN]), Err(Refusal::Origin), "a browser would tell it");
+        assert_eq!(post(&[OWN]), Err(Refusal::Origin), "a browser would send it");
         let refused = [
             ("origin", "http://evil.example"),
             ("origin", "https://127.0.0.1:7780"),

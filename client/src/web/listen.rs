@@ -26,7 +26,7 @@ struct Connection {
     is_let_in: Arc<AtomicBool>,
 }
 
-/// Serves whatever connects. Where all places are taken, the oldest connection on which nobody was let in makes room.
+/// Serves connections. At the limit, the oldest unauthenticated connection is closed.
 pub(super) async fn serve<S>(listener: TcpListener, service: S) -> std::io::Result<()>
 where
     S: Service<Request, Response = Response, Error = Infallible, Future: Send> + Clone + Send + 'static,

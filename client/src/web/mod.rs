@@ -39,7 +39,7 @@ mod api {
     tonic::include_proto!("desk.v1");
 }
 
-/// Where the page is if nothing else is told and nobody else is there.
+/// The default address of the page.
 const USUAL_PORT: u16 = 7780;
 
 #[derive(Debug, Serialize)]
@@ -83,9 +83,9 @@ pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Resu
     served.and(closed)
 }
 
-/// The address that was told; otherwise the usual one, or any other if that is taken.
-async fn listen(told: Option<SocketAddr>) -> Result<TcpListener> {
-    if let Some(address) = told {
+/// The given address; otherwise the default, or any other port if that is taken.
+async fn listen(given: Option<SocketAddr>) -> Result<TcpListener> {
+    if let Some(address) = given {
         return TcpListener::bind(address).await.with_context(|| format!("--listen {address}"));
     }
     let local = Ipv4Addr::LOCALHOST;

@@ -66,7 +66,7 @@ impl Server {
     }
 }
 
-/// Lets in who may, and says with every answer what a browser may do with it.
+/// Authenticates requests, and sets the security headers of every answer.
 async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
     let mut response = answer(&gate, request, next).await.unwrap_or_else(refusal);
     let headers = response.headers_mut();

@@ -13,7 +13,7 @@ use super::picture::Picture;
 use overlay::keys;
 use plan::Plan;
 
-/// What the cells of a map tell, and what its marks stand for.
+/// The meaning of a map's cells and marks.
 #[derive(Debug)]
 struct Words {
     title: String,

@@ -1,11 +1,11 @@
-//! What the error budget of the samples says of all profiles of a session.
+//! Error budgets of single profiles, and the errors that all profiles of a session share.
 
 use optics_capture::{Contribution, Source};
 use serde::Serialize;
 
 use super::stage::{Captured, CapturedSample};
 
-/// Errors that all profiles of a session share, in the names of session files. What few mountings tell of one profile is
+/// Errors that all profiles of a session share, in the names of session files. The estimate from few mountings of one profile is
 /// vague, so squares are averaged over all profiles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SessionErrors {
@@ -39,7 +39,7 @@ impl SessionErrors {
     }
 }
 
-/// Error of a channel by several sources that know nothing of each other.
+/// Error of a channel by several independent sources.
 pub(super) fn sum(budget: &[Contribution], sources: &[Source], c: usize) -> f64 {
     let of = budget.iter().filter(|line| sources.contains(&line.source));
     of.map(|line| line.std_error[c].powi(2)).sum::<f64>().sqrt()
@@ -50,7 +50,7 @@ pub fn error_of(budget: &[Contribution], source: Source, c: usize) -> f64 {
     sum(budget, &[source], c)
 }
 
-/// Error of a slab's thickness as the profile shows it: that of the slab, and that of the scale, since walks know only
+/// Error of a slab's thickness as the profile shows it: that of the slab, and that of the scale, since walks depend only on
 /// how lengths are to each other.
 pub(super) fn thickness_std_error_mm(sample: &CapturedSample, c: usize) -> f64 {
     let scale = sum(&sample.profile.budget, &[Source::Scale], c) * sample.about.thickness_mm;

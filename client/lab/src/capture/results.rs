@@ -104,20 +104,20 @@ fn measurements(captured: &Captured) -> Result<Vec<u8>> {
 }
 
 /// Bins from the first to the last with a value. One between them that has none, since all its samples were rejected, gets
-/// its neighbour's value with an error that makes it tell nothing: profiles have no gaps.
+/// its neighbour's value with an error so large that it has no weight: profiles have no gaps.
 fn points(profile: &EdgeProfile) -> Vec<[f64; 3]> {
-    const TELLS_NOTHING: f64 = 1.0;
+    const NO_WEIGHT: f64 = 1.0;
     let all = profile.x_mm.iter().zip(&profile.values).zip(&profile.std_errors);
     let sound = |v: f64, e: f64| v.is_finite() && e.is_finite() && e > 0.0;
     let mut points: Vec<[f64; 3]> = Vec::new();
     for ((x, value), error) in all {
         match points.last() {
             _ if sound(*value, *error) => points.push([*x, *value, *error]),
-            Some([_, before, _]) => points.push([*x, *before, TELLS_NOTHING]),
+            Some([_, before, _]) => points.push([*x, *before, NO_WEIGHT]),
             None => {}
         }
     }
-    while points.last().is_some_and(|p| p[2] == TELLS_NOTHING) {
+    while points.last().is_some_and(|p| p[2] == NO_WEIGHT) {
         points.pop();
     }
     points
@@ -130,8 +130,8 @@ fn scene(captured: &Captured) -> Result<String> {
     });
     let darker = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
         // Where ρ is put at an end, its change is kept.
-        let [light, dark] = [(rho.light, 0), (rho.dark, 1)].map(|(told, side)| {
-            rounded(told.value.clamp(0.0, 1.0) - (told.value - rho.under_darker_white[side]))
+        let [light, dark] = [(rho.light, 0), (rho.dark, 1)].map(|(found, side)| {
+            rounded(found.value.clamp(0.0, 1.0) - (found.value - rho.under_darker_white[side]))
         });
         Channel::new(Channel::darker_white(colour.letter()), light, dark)
     });

@@ -21,7 +21,7 @@ const WHAT: &str = "session file";
 pub struct Session {
     pub dark: Vec<PathBuf>,
     pub flat: Vec<PathBuf>,
-    /// Of mosaics whose files do not tell it.
+    /// For mosaics whose files do not state it.
     pub pattern: Option<[Colour; 4]>,
     pub neutral_shots: Vec<PathBuf>,
     pub neutral: Neutral,
@@ -45,7 +45,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// As people are told of it.
+    /// The name in reports.
     pub fn label(&self) -> String {
         format!("{} {} mm", self.material, self.thickness_mm)
     }

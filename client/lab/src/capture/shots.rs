@@ -11,7 +11,7 @@ use crate::photograph::{self, About, Layout, Photograph};
 /// Reads photographs, refuses what does not belong to one session, and remembers what was read.
 #[derive(Debug, Default)]
 pub struct Shots {
-    /// Of files that do not tell it.
+    /// For files that do not state it.
     pattern: Option<[Colour; 4]>,
     /// Folder that labels are relative to.
     folder: PathBuf,
@@ -81,13 +81,13 @@ impl Shots {
         let pattern = match (photograph.layout, self.pattern) {
             (Layout::Rgb, None) => Pattern::Rgb,
             (Layout::Mosaic(Some(colours)), None) => Pattern::Bayer(colours),
-            (Layout::Mosaic(None), Some(told)) => Pattern::Bayer(told),
-            (Layout::Mosaic(Some(colours)), Some(told)) => {
-                if colours != told {
-                    let [says, told] = [colours, told].map(|p| p.map(Colour::letter).concat());
-                    bail!("camera.pattern is {told:?}, but the file says {says:?}: leave it out");
+            (Layout::Mosaic(None), Some(given)) => Pattern::Bayer(given),
+            (Layout::Mosaic(Some(colours)), Some(given)) => {
+                if colours != given {
+                    let [says, given] = [colours, given].map(|p| p.map(Colour::letter).concat());
+                    bail!("camera.pattern is {given:?}, but the file says {says:?}: leave it out");
                 }
-                Pattern::Bayer(told)
+                Pattern::Bayer(given)
             }
             (Layout::Mosaic(None), None) => bail!(
                 "the file does not tell the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \

@@ -13,7 +13,7 @@ use super::session_file::{Sample, Session};
 use super::shots::{Input, Shots, turned};
 use super::strip::Strip;
 
-/// All that a session's photographs tell.
+/// All results of a session's photographs.
 #[derive(Debug)]
 pub struct Captured {
     pub session: Session,
@@ -32,14 +32,14 @@ pub struct CapturedSample {
     pub strip: Strip,
 }
 
-/// Runs all steps; `tell` hears what is being done, with the share of photographs that are read.
-pub fn capture(path: &Path, mut tell: impl FnMut(&str, f64)) -> Result<Captured> {
+/// Runs all steps; `report` is called with the current step and the share of photographs that are read.
+pub fn capture(path: &Path, mut report: impl FnMut(&str, f64)) -> Result<Captured> {
     let mut session = Session::read(path)?;
     let mut run = Run {
         shots: Shots::new(session.pattern, path.parent().unwrap_or(Path::new(""))),
         total: session.shots().count(),
         done: 0,
-        tell: &mut tell,
+        report: &mut report,
     };
     let stages = run.stages(&mut session);
     let inputs = run.shots.into_inputs();
@@ -66,7 +66,7 @@ struct Run<'a> {
     shots: Shots,
     total: usize,
     done: usize,
-    tell: &'a mut dyn FnMut(&str, f64),
+    report: &'a mut dyn FnMut(&str, f64),
 }
 
 impl Run<'_> {
@@ -85,7 +85,7 @@ impl Run<'_> {
 
     fn read(&mut self, path: &Path, what: &str) -> Result<Photo> {
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
-        (self.tell)(&format!("{what}: {name}"), self.done as f64 / self.total as f64);
+        (self.report)(&format!("{what}: {name}"), self.done as f64 / self.total as f64);
         self.done += 1;
         self.shots.read(path, what)
     }
@@ -95,7 +95,7 @@ impl Run<'_> {
         for path in &session.dark {
             darks.add(self.read(path, "dark")?)?;
         }
-        // A photograph with light tells the black level of a session without dark shots.
+        // A photograph with light gives the black level of a session without dark shots.
         let (first, others) =
             session.neutral_shots.split_first().context("a session has shots of patches")?;
         let first = self.read(first, "grey patches")?;

@@ -68,7 +68,7 @@ impl Columns {
             }
             found[meaning.field] = Some((meaning, place));
             if given != NAMES[meaning.field] {
-                assumed.push(meaning.told(given));
+                assumed.push(meaning.described(given));
             }
         }
         let missing: Vec<_> = (0..NEEDED).filter(|f| found[*f].is_none()).map(|f| NAMES[f]).collect();
@@ -158,7 +158,7 @@ impl Unit {
     }
 }
 
-/// What a column's name says.
+/// The meaning of a column's name.
 #[derive(Debug, Clone, Copy)]
 struct Meaning {
     /// Index into [`NAMES`].
@@ -167,7 +167,7 @@ struct Meaning {
 }
 
 impl Meaning {
-    fn told(self, given: &str) -> String {
+    fn described(self, given: &str) -> String {
         let name = NAMES[self.field];
         match self.unit.factor() {
             1.0 => format!("{given:?} is read as {name}"),
@@ -290,8 +290,11 @@ mod tests {
         assert!(refused("material,channel,t,x_px,value").contains("counts pixels"));
         assert!(refused("material,channel,t,x,value (%),std").contains("\"std\" has no unit"));
         for unknown in ["sigma_t", "value (mm)", "x (%)", "value (a.u.)", "hue"] {
-            let told = refused(&format!("material,channel,{unknown}"));
-            assert!(told.contains(&format!("column {unknown:?} is not known; the columns are")), "{told}");
+            let message = refused(&format!("material,channel,{unknown}"));
+            assert!(
+                message.contains(&format!("column {unknown:?} is not known; the columns are")),
+                "{message}"
+            );
         }
     }
 }

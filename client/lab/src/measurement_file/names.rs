@@ -43,14 +43,16 @@ impl Spellings {
     pub fn note(&self) -> Option<Note> {
         // A plain name may have been there without being counted.
         let joined = self.0.iter().filter(|(name, spellings)| spellings.len() > 1 || name.is_ascii());
-        let told = joined.map(|(name, spellings)| {
+        let described = joined.map(|(name, spellings)| {
             let lines: Vec<String> = spellings.iter().map(|(_, line)| line.to_string()).collect();
             format!("{name:?} (line {})", lines.join(" and "))
         });
-        let told: Vec<String> = told.collect();
-        let text =
-            format!("names in different characters that look the same are read as one: {}", told.join(", "));
-        (!told.is_empty()).then(|| Note::new("NAMES", text))
+        let described: Vec<String> = described.collect();
+        let text = format!(
+            "names in different characters that look the same are read as one: {}",
+            described.join(", ")
+        );
+        (!described.is_empty()).then(|| Note::new("NAMES", text))
     }
 }
 
@@ -64,16 +66,17 @@ pub(super) fn alike<'a>(what: &str, names: impl Iterator<Item = (&'a str, u64)>)
             group.push((name, line));
         }
     }
-    let told = groups.values().filter(|group| group.len() > 1).map(|group| {
+    let described = groups.values().filter(|group| group.len() > 1).map(|group| {
         let each: Vec<String> = group.iter().map(|(name, line)| format!("{name:?} (line {line})")).collect();
         each.join(" and ")
     });
-    let told: Vec<String> = told.collect();
-    let text = format!("{what} with names that look alike are taken for different ones: {}", told.join("; "));
-    (!told.is_empty()).then(|| Note::new("ALIKE_NAMES", text))
+    let described: Vec<String> = described.collect();
+    let text =
+        format!("{what} with names that look alike are taken for different ones: {}", described.join("; "));
+    (!described.is_empty()).then(|| Note::new("ALIKE_NAMES", text))
 }
 
-/// What is told of thicknesses of one material that can hardly be of two slabs, each with the line of its first row.
+/// A note on thicknesses of one material that can hardly be of two slabs, each with the line of its first row.
 pub(super) fn alike_thicknesses(thicknesses: &mut [(f64, u64)]) -> Option<String> {
     thicknesses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let close = |pair: &&[(f64, u64)]| pair[0].0 < pair[1].0 && pair[1].0 - pair[0].0 < ONE_SLAB_MM;
@@ -100,7 +103,7 @@ mod tests {
     #[test]
     fn only_thicknesses_of_one_slab_are_alike() {
         assert_eq!(alike_thicknesses(&mut [(0.5, 2), (1.0, 3), (0.5, 4), (0.512, 5)]), None);
-        let told = alike_thicknesses(&mut [(1.0, 2), (0.500_000_001, 9), (0.5, 3)]).unwrap();
-        assert!(told.starts_with("thicknesses 0.5 mm (line 3) and 0.500000001 mm (line 9)"), "{told}");
+        let message = alike_thicknesses(&mut [(1.0, 2), (0.500_000_001, 9), (0.5, 3)]).unwrap();
+        assert!(message.starts_with("thicknesses 0.5 mm (line 3) and 0.500000001 mm (line 9)"), "{message}");
     }
 }

@@ -19,7 +19,7 @@ pub(super) struct Row {
     pub x_mm: Option<f64>,
     /// None where a pixel is masked.
     pub value: Option<f64>,
-    /// None where it is not told.
+    /// None where it is not given.
     pub std_error: Option<f64>,
 }
 
@@ -35,7 +35,7 @@ impl Row {
 pub(super) struct Pixels {
     pub x_mm: Vec<f64>,
     pub values: Vec<f64>,
-    /// None if no row tells one.
+    /// None if no row has one.
     pub std_errors: Option<Vec<f64>>,
     pub lines: Vec<u64>,
     /// Line of the first pixel that had no value, and how many there are.
@@ -53,7 +53,7 @@ impl Pixels {
         };
         let ends = rows.len() - (last + 1 - first);
         let rows = &rows[first..=last];
-        let told = with_errors(rows)?;
+        let given = with_errors(rows)?;
         let filled = filled(rows);
         let missing = ends + filled.iter().filter(|p| p.value.is_none()).count();
         if missing as f64 > MOST_MISSING * (filled.len() + ends) as f64 {
@@ -65,12 +65,12 @@ impl Pixels {
                 );
             }
             // Too many are not there at all: the spacing is what is wrong.
-            return Ok(Self::between(&rows.iter().map(Place::of).collect::<Vec<_>>(), told, masked));
+            return Ok(Self::between(&rows.iter().map(Place::of).collect::<Vec<_>>(), given, masked));
         }
-        Ok(Self::between(&filled, told, missing))
+        Ok(Self::between(&filled, given, missing))
     }
 
-    fn between(places: &[Place], told: bool, missing: usize) -> Self {
+    fn between(places: &[Place], given: bool, missing: usize) -> Self {
         let first = places.iter().find(|p| p.value.is_none()).or(places.first()).map_or(0, |p| p.line);
         let mut pixels = Self { missing: (missing > 0).then_some((first, missing)), ..Self::default() };
         let mut errors = Vec::new();
@@ -80,7 +80,7 @@ impl Pixels {
             pixels.values.push(place.value.unwrap_or_else(|| interpolated(places, i)));
             errors.push(if place.value.is_some() { place.std_error } else { UNKNOWN });
         }
-        pixels.std_errors = told.then_some(errors);
+        pixels.std_errors = given.then_some(errors);
         pixels
     }
 }
@@ -131,7 +131,7 @@ impl Assumed {
         if let Some(line) = self.first_missing {
             let pixels = counted(self.missing, "pixel without a value is", "pixels without a value are");
             let text = format!(
-                "{pixels} interpolated, the first at line {line}; where standard errors are told, they have no weight"
+                "{pixels} interpolated, the first at line {line}; where standard errors are given, they have no weight"
             );
             notes.push(Note::new("MISSING_PIXELS", text));
         }
@@ -151,14 +151,14 @@ fn counted(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// Whether the rows with a value tell standard errors: all of them or none.
+/// Whether the rows with a value have standard errors: all of them or none.
 fn with_errors(rows: &[Row]) -> Result<bool> {
     let mut valued = rows.iter().filter(|r| r.value.is_some());
     let with = valued.clone().find(|r| r.std_error.is_some());
     let without = valued.find(|r| r.std_error.is_none());
     if let (Some(with), Some(without)) = (with, without) {
         bail!(
-            "std_error is empty in line {} and told in line {}: tell it in all rows of a profile or in none",
+            "std_error is empty in line {} but given in line {}: give it in all rows of a profile or in none",
             without.line,
             with.line
         );
@@ -283,6 +283,6 @@ mod tests {
         let mut some = rows(40, 0.1, &[]);
         some[3].std_error = None;
         let refused = Pixels::of(&some).unwrap_err().to_string();
-        assert!(refused.starts_with("std_error is empty in line 3 and told in line 0"), "{refused}");
+        assert!(refused.starts_with("std_error is empty in line 3 but given in line 0"), "{refused}");
     }
 }

@@ -97,8 +97,8 @@ fn add(
 fn check_same(draft: &Draft, setup: [Option<f64>; 5]) -> Result<()> {
     for ((name, here), before) in SETUP.into_iter().zip(setup).zip(draft.setup) {
         if here != before {
-            let told = |v: Option<f64>| v.map_or("nothing".to_owned(), |v| v.to_string());
-            let (here, before, line) = (told(here), told(before), draft.rows[0].line);
+            let described = |v: Option<f64>| v.map_or("nothing".to_owned(), |v| v.to_string());
+            let (here, before, line) = (described(here), described(before), draft.rows[0].line);
             bail!(
                 "{name} = {here}, but line {line} of the same profile has {before}: it must be the same in all rows of a profile"
             );
@@ -127,9 +127,9 @@ pub(super) fn name_colours(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Resul
             );
         }
         if drafts[i].channel != name {
-            let told = format!("{:?} is read as {name}", drafts[i].channel);
-            if !renamed.contains(&told) {
-                renamed.push(told);
+            let described = format!("{:?} is read as {name}", drafts[i].channel);
+            if !renamed.contains(&described) {
+                renamed.push(described);
             }
             name.clone_into(&mut drafts[i].channel);
         }
@@ -148,12 +148,12 @@ pub(super) fn look_alike(drafts: &[Draft], notes: &mut Vec<Note>) {
     for draft in drafts {
         slabs.entry(&draft.material).or_default().push((draft.thickness_mm, draft.rows[0].line));
     }
-    let told = slabs
+    let described = slabs
         .iter_mut()
         .filter_map(|(material, of)| Some(format!("material {material}: {}", alike_thicknesses(of)?)));
-    let told: Vec<String> = told.collect();
-    if !told.is_empty() {
-        notes.push(Note::new("ALIKE_THICKNESSES", told.join("; ")));
+    let described: Vec<String> = described.collect();
+    if !described.is_empty() {
+        notes.push(Note::new("ALIKE_THICKNESSES", described.join("; ")));
     }
 }
 
@@ -180,15 +180,15 @@ pub(super) fn sort(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
         }
     }
     let profiles = |n: usize| if n == 1 { "one profile".to_owned() } else { format!("{n} profiles") };
-    let mut told = Vec::new();
+    let mut described = Vec::new();
     if falling > 0 {
-        told.push(format!("x falls along {}, read from the other end", profiles(falling)));
+        described.push(format!("x falls along {}, read from the other end", profiles(falling)));
     }
     if mixed > 0 {
-        told.push(format!("the rows of {} are not in the order of x and were sorted", profiles(mixed)));
+        described.push(format!("the rows of {} are not in the order of x and were sorted", profiles(mixed)));
     }
-    if !told.is_empty() {
-        notes.push(Note::new("ORDER_OF_X", told.join("; ")));
+    if !described.is_empty() {
+        notes.push(Note::new("ORDER_OF_X", described.join("; ")));
     }
     Ok(())
 }
@@ -196,9 +196,9 @@ pub(super) fn sort(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
 /// Checked profiles, grouped by material.
 pub(super) fn profiles(drafts: Vec<Draft>, notes: &mut Vec<Note>) -> Result<Profiles> {
     type Group = (String, Vec<MeasuredProfile>, Vec<Vec<u64>>);
-    let (mut groups, mut told): (Vec<Group>, Assumed) = (Vec::new(), Assumed::default());
+    let (mut groups, mut described): (Vec<Group>, Assumed) = (Vec::new(), Assumed::default());
     for draft in drafts {
-        let (profile, lines) = draft.made(&mut told)?;
+        let (profile, lines) = draft.made(&mut described)?;
         match groups.iter_mut().find(|(name, _, _)| *name == draft.material) {
             Some((_, profiles, all)) => {
                 profiles.push(profile);
@@ -207,7 +207,7 @@ pub(super) fn profiles(drafts: Vec<Draft>, notes: &mut Vec<Note>) -> Result<Prof
             None => groups.push((draft.material, vec![profile], vec![lines])),
         }
     }
-    notes.extend(told.notes());
+    notes.extend(described.notes());
     let mut found = Profiles { materials: Vec::new(), lines: Vec::new() };
     for (material, profiles, lines) in groups {
         let place = format!("material {material}");
@@ -223,7 +223,7 @@ impl Draft {
     }
 
     /// The profile, and the line of each of its pixels.
-    fn made(&self, told: &mut Assumed) -> Result<(MeasuredProfile, Vec<u64>)> {
+    fn made(&self, described: &mut Assumed) -> Result<(MeasuredProfile, Vec<u64>)> {
         if let Some(patch) = self.rows.iter().find(|r| r.x_mm.is_none()) {
             let made = self.patch(patch)?.with_context(|| self.place(patch.line))?;
             let lines = vec![patch.line; made.values().len()];
@@ -237,7 +237,7 @@ impl Draft {
             let line = lines[element(&e).unwrap_or(0).min(lines.len() - 1)];
             anyhow::Error::new(e).context(self.place(line))
         })?;
-        told.add(&profile, &first, missing, lines[0]);
+        described.add(&profile, &first, missing, lines[0]);
         Ok((profile, lines))
     }
 

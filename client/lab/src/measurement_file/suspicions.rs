@@ -13,14 +13,14 @@ pub(super) fn examine(profiles: &Profiles, notes: &mut Vec<Note>) -> Result<()> 
     let findings = check(&profiles.materials);
     if let Some(first) = findings.iter().find(|f| f.certain) {
         let alike = findings.iter().filter(|f| f.certain && f.kind == first.kind);
-        bail!("{}", told(profiles, first, alike.count()));
+        bail!("{}", described(profiles, first, alike.count()));
     }
     let mut kinds: Vec<_> = findings.iter().map(|f| f.kind).collect();
     kinds.sort_unstable();
     kinds.dedup();
     for kind in kinds {
         let alike: Vec<&Finding> = findings.iter().filter(|f| f.kind == kind).collect();
-        notes.push(Note::new(kind.code(), told(profiles, alike[0], alike.len())));
+        notes.push(Note::new(kind.code(), described(profiles, alike[0], alike.len())));
     }
     Ok(())
 }
@@ -46,7 +46,7 @@ pub fn beyond_limits(materials: &[Measurement]) -> Vec<Note> {
     notes
 }
 
-fn told(profiles: &Profiles, finding: &Finding, count: usize) -> String {
+fn described(profiles: &Profiles, finding: &Finding, count: usize) -> String {
     let material = &profiles.materials[finding.material];
     let profile = &material.profiles()[finding.profile];
     let line = profiles.lines[finding.material][finding.profile][finding.pixel.unwrap_or(0)];

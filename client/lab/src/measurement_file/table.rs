@@ -30,8 +30,8 @@ impl<'a> Table<'a> {
         if text.trim().is_empty() {
             bail!("the file is empty");
         }
-        let (body, before, told) = header_of(text);
-        let (mut separator, mut header) = match told {
+        let (body, before, declared) = header_of(text);
+        let (mut separator, mut header) = match declared {
             Some(separator) => (separator, first_row(body, separator)?),
             None => separator_of(body)?,
         };
@@ -116,9 +116,9 @@ fn first_row(text: &str, separator: u8) -> Result<csv::StringRecord> {
     Ok(reader(text, separator).into_records().next().transpose()?.unwrap_or_default())
 }
 
-/// The text from the header on, the number of lines before it, and the separator if a line `sep=;` tells it.
+/// The text from the header on, the number of lines before it, and the separator if a line `sep=;` declares it.
 fn header_of(text: &str) -> (&str, u64, Option<u8>) {
-    let (mut start, mut lines, mut told) = (0, 0, None);
+    let (mut start, mut lines, mut declared) = (0, 0, None);
     for line in text.split_inclusive('\n') {
         let words = line.trim();
         let separator = words.strip_prefix("sep=").and_then(|s| match s.as_bytes() {
@@ -127,7 +127,7 @@ fn header_of(text: &str) -> (&str, u64, Option<u8>) {
             [] => Some(b'\t'),
             _ => None,
         });
-        told = told.or(separator);
+        declared = declared.or(separator);
         let empty = words.chars().all(|c| ",;\t".contains(c));
         if !(empty || words.starts_with('#') || separator.is_some()) {
             break;
@@ -135,7 +135,7 @@ fn header_of(text: &str) -> (&str, u64, Option<u8>) {
         start += line.len();
         lines += 1;
     }
-    (&text[start..], lines, told)
+    (&text[start..], lines, declared)
 }
 
 /// A note of comments that hold a whole row of the table, as a material called `#2` makes them.

@@ -36,13 +36,13 @@ fn error(text: &str) -> String {
     format!("{:#}", read(text.as_bytes()).unwrap_err())
 }
 
-/// Reads the same as the strict file, with one note of a kind, which says what is expected.
-fn reads_the_same(bytes: &[u8], code: &str, told: &str) {
+/// Reads the same as the strict file, with one note of a kind, which contains the expected text.
+fn reads_the_same(bytes: &[u8], code: &str, message: &str) {
     let (found, strict) = (read(bytes).unwrap_or_else(|e| panic!("{code}: {e:#}")), parse(&strict()));
     assert_eq!(found.materials, strict.materials, "{code}");
     assert_eq!(found.notes.iter().map(|n| n.code).collect::<Vec<_>>(), code.split(' ').collect::<Vec<_>>());
     let all: String = found.notes.iter().map(|n| n.text.clone() + "\n").collect();
-    assert!(all.contains(told), "{all}");
+    assert!(all.contains(message), "{all}");
 }
 
 #[test]
@@ -123,13 +123,13 @@ fn what_can_be_read_in_two_ways_is_refused() {
         "{mixed}"
     );
     let doubtful: String = (0..20).map(|i| format!("w;R;1;{};1,{:03}\n", i - 10, 100 + i)).collect();
-    let told = error(&format!("material;channel;thickness_mm;x_mm;value\n{doubtful}"));
-    assert_eq!(told, "line 2: \"1,100\" can be 1.100 or 1100; write it with a decimal point");
-    let told = error(&(HEAD.to_owned() + "w,R,0.5,\"1,234\",0.5,0\n"));
-    assert!(told.contains("line 2 has \"1,234\" and line 2 has \"0.5\""), "{told}");
-    let told = error(&(HEAD.to_owned() + "w,R,1,\"1,234.5\",0,0\n"));
+    let message = error(&format!("material;channel;thickness_mm;x_mm;value\n{doubtful}"));
+    assert_eq!(message, "line 2: \"1,100\" can be 1.100 or 1100; write it with a decimal point");
+    let message = error(&(HEAD.to_owned() + "w,R,0.5,\"1,234\",0.5,0\n"));
+    assert!(message.contains("line 2 has \"1,234\" and line 2 has \"0.5\""), "{message}");
+    let message = error(&(HEAD.to_owned() + "w,R,1,\"1,234.5\",0,0\n"));
     assert_eq!(
-        told,
+        message,
         "line 2: \"1,234.5\" seems to have commas between thousands: write numbers without them"
     );
     let unquoted = error("material,channel,thickness_mm,x_mm,value\nw,R,0,5,-4,97,0,31\n");
@@ -144,10 +144,10 @@ fn what_can_be_read_in_two_ways_is_refused() {
         error(&red).contains("line 62, material w, 0.5 mm: channel \"red\" means R, which is there under")
     );
     let twice = HEAD.to_owned() + &rows("w", "R", 0.5) + &rows("w", "R", 0.5);
-    let told = error(&twice);
+    let message = error(&twice);
     assert!(
-        told.contains("line 2, material w, channel R, 0.5 mm: x_mm = -4.91667 stands here and in line 62"),
-        "{told}"
+        message.contains("line 2, material w, channel R, 0.5 mm: x_mm = -4.91667 stands here and in line 62"),
+        "{message}"
     );
 }
 
@@ -211,7 +211,7 @@ fn mistakes_of_the_measurement_are_refused_at_their_lines() {
     );
     let slabs: String = [(0.5, 1.0), (1.0, 0.5)]
         .iter()
-        .map(|(t, told)| rows("w", "R", *t).replace(&format!("w,R,{t},"), &format!("w,R,{told},")))
+        .map(|(t, message)| rows("w", "R", *t).replace(&format!("w,R,{t},"), &format!("w,R,{message},")))
         .collect();
     let slabs = error(&(HEAD.to_owned() + &slabs));
     assert!(
@@ -236,10 +236,10 @@ fn a_row_without_x_is_a_patch() {
     // All its pixels together are as certain as the row.
     let information: f64 = patch.std_errors().unwrap().iter().map(|e| e.powi(-2)).sum();
     assert!((information.powf(-0.5) - 0.004).abs() < 1e-12);
-    let told = error(&(strict() + "white,R,2,,0.61,0\n"));
-    assert!(told.contains("line 363") && told.contains("a patch needs one above 0"), "{told}");
-    let told = error(&(strict() + "white,R,2,,0.61,0.004\nwhite,R,2,,0.62,0.004\n"));
-    assert!(told.contains("line 363") && told.contains("a patch has one"), "{told}");
+    let message = error(&(strict() + "white,R,2,,0.61,0\n"));
+    assert!(message.contains("line 363") && message.contains("a patch needs one above 0"), "{message}");
+    let message = error(&(strict() + "white,R,2,,0.61,0.004\nwhite,R,2,,0.62,0.004\n"));
+    assert!(message.contains("line 363") && message.contains("a patch has one"), "{message}");
 }
 
 const SETUP_HEAD: &str = "material,channel,thickness_mm,x_mm,value,std_error,thickness_std_error_mm,origin_mm,\
@@ -271,9 +271,9 @@ fn an_edge_away_from_zero_needs_origin_mm() {
         let body: String = pixels(0.5).map(row).collect();
         read(format!("material,channel,thickness_mm,x_mm,value,origin_mm\n{body}").as_bytes())
     };
-    let told = shifted("2").unwrap();
-    assert_eq!(told.notes, []);
-    assert_eq!(told.materials[0].profiles()[0].setup().origin_mm, Some(2.0));
+    let message = shifted("2").unwrap();
+    assert_eq!(message.notes, []);
+    assert_eq!(message.materials[0].profiles()[0].setup().origin_mm, Some(2.0));
     let refused = |origin| format!("{:#}", shifted(origin).unwrap_err());
     assert!(
         refused("").contains("x = 0 must be at the edge, so subtract 2.00 mm from every x"),
@@ -289,7 +289,7 @@ fn an_edge_away_from_zero_needs_origin_mm() {
 /// The message names line and field. Values must be in range, and the same in all rows of a profile.
 #[test]
 fn inconsistent_set_up_columns_are_refused() {
-    let told = |cells: &str| error(&format!("{SETUP_HEAD}{}", with_cells("R", 0.5, cells)));
+    let message = |cells: &str| error(&format!("{SETUP_HEAD}{}", with_cells("R", 0.5, cells)));
     let place = "line 2, material w, channel R, 0.5 mm: ";
     for (cells, expected) in [
         (
@@ -301,9 +301,9 @@ fn inconsistent_set_up_columns_are_refused() {
         (",,,1.5,", "blur_mm = 1.5 is not valid: allowed are 0 to 1"),
         (",,,,-1", "blur_std_error_mm = -1 is not valid: allowed are 0 to 1"),
     ] {
-        assert_eq!(told(cells), format!("{place}{expected}"));
+        assert_eq!(message(cells), format!("{place}{expected}"));
     }
-    assert_eq!(told(",wide,,,"), "line 2: origin_mm = \"wide\" is not a number");
+    assert_eq!(message(",wide,,,"), "line 2: origin_mm = \"wide\" is not a number");
     let mut lines: Vec<String> = with_cells("R", 0.5, ",,,0.02,").lines().map(ToOwned::to_owned).collect();
     lines[7] = lines[7].replace(",0.02,", ",0.03,");
     let varying = error(&format!("{SETUP_HEAD}{}", lines.join("\n")));
@@ -333,12 +333,12 @@ fn suspicions_are_notes_one_of_a_kind() {
         .collect();
     let file = parse(&narrow);
     assert_eq!(file.notes.iter().map(|n| n.code).collect::<Vec<_>>(), ["COLUMNS", "UNIT_OF_X"]);
-    let told = &file.notes[1].text;
+    let message = &file.notes[1].text;
     assert!(
-        told.starts_with("line 3, material white, channel R, 0.5 mm: x runs from -0.491667 to"),
-        "{told}"
+        message.starts_with("line 3, material white, channel R, 0.5 mm: x runs from -0.491667 to"),
+        "{message}"
     );
-    assert!(told.ends_with("if it is cm, multiply by 10 (the same in 5 more profiles)"), "{told}");
+    assert!(message.ends_with("if it is cm, multiply by 10 (the same in 5 more profiles)"), "{message}");
 }
 
 /// Lines of old spreadsheets end in CR; a comment among them ends with its line.

@@ -72,7 +72,7 @@ pub(super) fn decode<'a>(bytes: &'a [u8], notes: &mut Vec<Note>) -> Result<Cow<'
     Ok(text)
 }
 
-/// UTF-8 is read as it is; anything else with a note, if it can be told from its bytes.
+/// UTF-8 is read as it is; anything else with a note, if its bytes show it.
 fn decode_bytes<'a>(bytes: &'a [u8], notes: &mut Vec<Note>) -> Result<Cow<'a, str>> {
     if bytes.starts_with(b"PK\x03\x04") || bytes.starts_with(b"\xd0\xcf\x11\xe0") {
         bail!("this is a spreadsheet, not CSV: save it as CSV from the program that made it");

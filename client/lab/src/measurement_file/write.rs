@@ -25,7 +25,7 @@ impl<W: Write> MeasurementWriter<W> {
         Ok(Self { rows, material: check_name(material)?.to_owned() })
     }
 
-    /// All channels of a scene at one thickness, but for those that tell only what the white reference does.
+    /// All channels of a scene at one thickness, but for those that only show the effect of the white reference.
     pub fn add(&mut self, scene: &Scene, thickness_mm: f64, profiles: &[Profile]) -> Result<()> {
         for index in scene.seen_channels() {
             let (channel, estimate) = (&scene.channels()[index], &profiles[index].radiance_factor);

@@ -1,10 +1,10 @@
-//! What a file tells of how the photograph was taken (EXIF 2.3).
+//! How a photograph was taken, from its EXIF 2.3 tags.
 
 use std::fmt;
 
 use super::directory::{Bytes, Directory, Tag};
 
-/// How a photograph was taken, as far as its file tells.
+/// How a photograph was taken, as far as its file states it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct About {
     pub camera: Option<String>,
@@ -50,7 +50,7 @@ impl fmt::Display for Orientation {
 }
 
 impl About {
-    /// From the directories of a file, the first that tells something winning; which way up first from the picture's.
+    /// From the directories of a file, the first with a value wins; which way up first from the picture's.
     pub(super) fn of(bytes: Bytes, picture: &Directory, directories: &[Directory]) -> Self {
         let exif = directories.iter().filter_map(|d| {
             let at = d.whole_of(Tag::EXIF).ok()??;

@@ -56,7 +56,7 @@ impl<'a> Chunks<'a> {
     ) -> Result<Self, Unreadable> {
         let (width, height) = checked_size(picture.needed(Tag::WIDTH)?, picture.needed(Tag::HEIGHT)?)?;
         let compression = compression(picture)?;
-        // Some writers tell the size of tiles beside the places of strips.
+        // Some writers give the size of tiles in addition to the places of strips.
         let tiled = picture.has(Tag::TILE_WIDTH) && picture.has(Tag::TILE_OFFSETS);
         let (chunk_width, chunk_height) = if tiled {
             // A tile may reach beyond a small picture.
@@ -136,7 +136,7 @@ impl<'a> Chunks<'a> {
             }
             Ok(())
         });
-        // The first that fails is told, whichever fails first.
+        // The first in the file is reported, in whatever order they fail.
         bands.collect::<Vec<_>>().into_iter().collect::<Result<(), _>>()?;
         Ok(samples)
     }
@@ -213,7 +213,7 @@ impl<'a> Chunks<'a> {
     }
 
     /// Samples of a row and bits of a sample as they are stored: the last tiles may be whole or cut to the picture, and
-    /// samples of 9 to 15 bits may stand in words of 16 bits, which the tags do not tell.
+    /// samples of 9 to 15 bits may stand in words of 16 bits, which the tags do not show.
     fn packing(&self, chunk: usize, bytes: &[u8]) -> Result<(usize, u32), Unreadable> {
         let whole_row = self.chunk_width * self.samples_per_pixel;
         let (width, height) = self.within(chunk);
@@ -239,7 +239,7 @@ impl<'a> Chunks<'a> {
         self.packed(whole_row, has)
     }
 
-    /// Refuses words of 16 bits whose values need more bits than the tags tell.
+    /// Refuses words of 16 bits whose values need more bits than the tags give.
     fn packed(&self, row: usize, has: usize) -> Result<(usize, u32), Unreadable> {
         if self.bits < 16 && has >= 2 * row * self.chunk_height {
             let given = format!("{} with 16 bits stored for each sample", self.bits);

@@ -213,7 +213,7 @@ impl<'a> Directory<'a> {
     }
 }
 
-/// A tag by its number, with the name that people know it by.
+/// A tag by its number, with its name in the standard.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tag {
     number: u16,

@@ -1,4 +1,4 @@
-//! Whether a colour profile says that values are linear (ICC.1:2010, Secs. 7.3 and 10.5).
+//! Whether a colour profile declares linear values (ICC.1:2010, Secs. 7.3 and 10.5).
 
 /// The tone curve of a profile, if it has one that is not straight.
 pub(super) fn tone_curve(profile: &[u8]) -> Option<String> {

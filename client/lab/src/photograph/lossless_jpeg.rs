@@ -154,7 +154,7 @@ impl Head {
         let mut bits = Bits::new(scan);
         let codes: Vec<&Code> = self.code_of.iter().filter_map(|place| self.codes[*place].as_ref()).collect();
         let start = 1_i32 << (self.precision - self.shift - 1);
-        // The first row after a restart begins anew.
+        // The first row after a restart begins again.
         let mut first_row = 0;
         for pixel in 0..self.width * self.height {
             let (y, x) = (pixel / self.width, pixel % self.width);

@@ -5,22 +5,22 @@ use super::directory::Tag;
 use super::unreadable::Unreadable;
 use super::{Layout, Photograph};
 
-/// Fewest samples of each place of the mosaic that tell a level: to a sixteenth of the noise.
+/// Fewest samples of each place of the mosaic that determine a level: to a sixteenth of the noise.
 const FEWEST: usize = 256;
 /// Share of samples at either end that are left out: defects of the sensor.
 const ODD: f64 = 0.05;
-/// Most by which the margins may differ from what the file tells, as a share of its range: else light reaches them.
+/// Most by which the margins may differ from the level in the file, as a share of its range: else light reaches them.
 const LIT: f64 = 0.005;
 /// Most rectangles.
 const MOST_AREAS: usize = 16;
 
-/// By row and column modulo 2, from the corner of the active area. None where the margins tell nothing.
+/// By row and column modulo 2, from the corner of the active area. None where the margins are no use.
 pub(super) fn black(
     whole: &Photograph,
     areas: &[u64],
     active: &[u64],
 ) -> Result<Option<[f64; 4]>, Unreadable> {
-    let Some(told) = whole.black.filter(|_| whole.layout != Layout::Rgb && !areas.is_empty()) else {
+    let Some(stated) = whole.black.filter(|_| whole.layout != Layout::Rgb && !areas.is_empty()) else {
         return Ok(None);
     };
     let refused = || {
@@ -50,7 +50,7 @@ pub(super) fn black(
     }
     let levels = found.map(middle);
     let range = whole.white.unwrap_or([65_535.0; 4]);
-    let dark = (0..4).all(|i| (levels[i] - told[i]).abs() < LIT * (range[i] - told[i]).max(1.0));
+    let dark = (0..4).all(|i| (levels[i] - stated[i]).abs() < LIT * (range[i] - stated[i]).max(1.0));
     Ok(dark.then_some(levels))
 }
 

@@ -37,7 +37,7 @@ const LARGEST: u64 = 1_000_000_000;
 /// What the samples of a photograph are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layout {
-    /// One sample a pixel, its colour by row and column modulo 2; none if the file does not tell.
+    /// One sample a pixel, its colour by row and column modulo 2; none if the file does not state it.
     Mosaic(Option<[Colour; 4]>),
     /// Three samples a pixel.
     Rgb,

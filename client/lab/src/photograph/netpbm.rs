@@ -26,7 +26,7 @@ fn pictures(mut rest: &[u8]) -> usize {
     count
 }
 
-/// What a head tells, and where the pixels begin.
+/// The values of a header, and where the pixels begin.
 struct Picture {
     layout: Layout,
     width: usize,
@@ -45,8 +45,8 @@ impl Picture {
         let height = head.number("height")?;
         let most = head.number("greatest value")?;
         if most > 65_535 {
-            let told = format!("the greatest value is {most}, at most 65535 is allowed");
-            return Err(Unreadable::Damaged(told));
+            let reason = format!("the greatest value is {most}, at most 65535 is allowed");
+            return Err(Unreadable::Damaged(reason));
         }
         if most < 256 {
             return Err(Unreadable::EightBit { bits: 8 });

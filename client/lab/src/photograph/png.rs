@@ -36,7 +36,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
     Ok(Photograph { width, height, layout, samples, black: None, white: None, about })
 }
 
-/// What the file says of a tone curve; a file that says nothing is taken to be linear, and its grey patches tell.
+/// The tone curve that the file declares; without one it is taken to be linear, which its grey patches verify.
 fn not_linear(info: &png::Info) -> Option<String> {
     if info.srgb.is_some() {
         return Some("an sRGB chunk".to_owned());

@@ -251,7 +251,7 @@ fn with_masked_margin(light_in_margin: u16) -> Maker {
 #[test]
 fn masked_margins_give_the_black_level() {
     let black = |maker: &Maker| maker.decode().unwrap().black.unwrap();
-    // 60 samples a place are too few to tell it; 300 are enough.
+    // 60 samples a place are too few to estimate it; 300 are enough.
     assert_eq!(black(&with_masked_margin(0)), [505.0; 4]);
     let tall = |light: u16| {
         let one = with_masked_margin(light);
@@ -308,7 +308,7 @@ fn png_of_16_bits_is_read_unless_it_has_a_tone_curve() {
 /// The message gives the reason, and what to do.
 #[test]
 fn files_without_linear_radiance_are_refused() {
-    for (bytes, told) in [
+    for (bytes, message) in [
         (&b""[..], "the file is empty"),
         (b"\xff\xd8\xff\xe0", "JPEG holds 8 bits after a tone curve"),
         (b"II\x2a\0\x10\0\0\0CR\x02\0", "CR2 files, a camera's own format, are not read"),
@@ -322,7 +322,7 @@ fn files_without_linear_radiance_are_refused() {
         (b"hello", "the file is no DNG, TIFF, PNG, PGM or PPM"),
     ] {
         let error = decode(bytes).unwrap_err().to_string();
-        assert!(error.starts_with(told), "{error}");
+        assert!(error.starts_with(message), "{error}");
     }
     let rgb = Maker::rgb;
     assert!(rgb().with(258, &[8, 8, 8]).refused().starts_with("8 bits a sample are too few"));
@@ -358,7 +358,7 @@ fn tiny_files_that_claim_huge_pictures_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
-    /// Whatever is changed in a sound file: an error or a photograph with as many samples as it says, never a panic.
+    /// Whatever is changed in a sound file: an error or a photograph with as many samples as it declares, never a panic.
     #[test]
     fn damaged_files_are_refused_or_read_but_never_end_the_program(
         kind in 0..8_usize,

@@ -106,12 +106,12 @@ fn is_whole(directory: &Directory) -> bool {
 /// How many pictures could be the photograph as well as the one that was chosen: pages, and those that ImageJ writes
 /// one after the other behind a single directory.
 fn pictures(all: &[Directory], chosen: &Directory) -> usize {
-    let told = chosen.text(Tag::DESCRIPTION).filter(|text| text.starts_with("ImageJ="));
+    let stated = chosen.text(Tag::DESCRIPTION).filter(|text| text.starts_with("ImageJ="));
     let digits = |text: &str| text.chars().take_while(char::is_ascii_digit).collect::<String>();
-    let told = told.and_then(|text| digits(text.split_once("images=")?.1).parse().ok());
+    let stated = stated.and_then(|text| digits(text.split_once("images=")?.1).parse().ok());
     let kind = |d: &Directory| d.whole_of(Tag::PHOTOMETRIC).ok().flatten();
     let alike = |d: &&Directory| is_whole(d) && kind(d) == kind(chosen) && bits(d).is_ok();
-    all.iter().filter(alike).count().max(told.unwrap_or(1))
+    all.iter().filter(alike).count().max(stated.unwrap_or(1))
 }
 
 /// Bits of each sample.

@@ -12,7 +12,7 @@ pub enum Unreadable {
     )]
     UnknownFormat,
     #[error(
-        "JPEG holds 8 bits after a tone curve, from which no radiance can be told: let the camera store raw files"
+        "JPEG holds 8 bits after a tone curve, from which no radiance can be recovered: let the camera store raw files"
     )]
     Jpeg,
     #[error(

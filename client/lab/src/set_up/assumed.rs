@@ -5,29 +5,29 @@ use optics_model::measurement::ProfileSetup;
 
 use super::session::Session;
 
-/// The names of the options that were not told, of one profile at least, in the order in which people are told of them.
+/// The names of the options without a value, for one profile at least, in the order in which they are printed.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Assumed {
     names: Vec<&'static str>,
-    /// Whether of a profile neither blur nor its error is known.
+    /// Whether a profile has neither a blur nor its error.
     blur_unknown: bool,
 }
 
 impl Assumed {
-    pub(super) fn of(told: &Session, setups: &[ProfileSetup]) -> Self {
+    pub(super) fn of(values: &Session, setups: &[ProfileSetup]) -> Self {
         let lacking = |common: bool, of: fn(&ProfileSetup) -> Option<f64>| {
             !common && setups.iter().any(|s| of(s).is_none())
         };
         let names = [
             (
                 "thickness_std_error_mm",
-                lacking(told.thickness_std_error_mm.is_some(), |s| s.thickness_std_error_mm),
+                lacking(values.thickness_std_error_mm.is_some(), |s| s.thickness_std_error_mm),
             ),
-            ("origin_std_error_mm", lacking(told.origin_std_error_mm.is_some(), |s| s.origin_std_error_mm)),
+            ("origin_std_error_mm", lacking(values.origin_std_error_mm.is_some(), |s| s.origin_std_error_mm)),
             ("blur_std_error_mm", lacking(false, |s| s.blur_std_error_mm)),
-            ("gain_std_error", told.gain_std_error.is_none()),
-            ("offset_std_error", told.offset_std_error.is_none()),
-            ("slope_std_error", told.slope_std_error.is_none()),
+            ("gain_std_error", values.gain_std_error.is_none()),
+            ("offset_std_error", values.offset_std_error.is_none()),
+            ("slope_std_error", values.slope_std_error.is_none()),
         ];
         Self {
             names: names.into_iter().filter(|(_, assumed)| *assumed).map(|(name, _)| name).collect(),
@@ -40,11 +40,11 @@ impl Assumed {
         &self.names
     }
 
-    /// One line for people: `assumed: thickness ± 0.005 mm, …`; none if everything was told.
+    /// One line for people: `assumed: thickness ± 0.005 mm, …`; none if every value was given.
     pub fn text(&self, s: &FitSettings) -> Option<String> {
         // 100 × 0.003 has a digit too many.
         let percent = |share: f64| (1e6 * share).round() / 1e4;
-        let told = |name: &&str| match *name {
+        let values = |name: &&str| match *name {
             "thickness_std_error_mm" => format!("thickness ± {} mm", s.thickness_std_error_mm),
             "origin_std_error_mm" => format!("origin ± {} mm", s.origin_std_error_mm),
             "blur_std_error_mm" if self.blur_unknown => {
@@ -55,7 +55,7 @@ impl Assumed {
             "offset_std_error" => format!("zero ± {}", s.offset_std_error),
             _ => format!("slope ± {} % per 10 mm", percent(s.slope_std_error)),
         };
-        let told: Vec<String> = self.names.iter().map(told).collect();
-        (!told.is_empty()).then(|| format!("assumed: {}", told.join(", ")))
+        let values: Vec<String> = self.names.iter().map(values).collect();
+        (!values.is_empty()).then(|| format!("assumed: {}", values.join(", ")))
     }
 }

@@ -1,5 +1,5 @@
-//! What is known of a set-up. What a measurement tells of a profile wins over the command line, and this over the
-//! session file. The rest is assumed, and said to be.
+//! Quantities of a set-up. A profile's own values in the measurement win over the command line, and this over the
+//! session file. For the rest defaults are used, and reported as assumed.
 
 mod assumed;
 mod of_channel;
@@ -15,17 +15,17 @@ use optics_model::measurement::{MeasuredProfile, ProfileSetup};
 pub use assumed::Assumed;
 pub use session::{ByChannel, Session};
 
-/// What the command line and the session file tell together.
+/// The values of command line and session file together.
 #[derive(Debug, Default)]
 pub struct SetUp {
-    told: Session,
+    values: Session,
 }
 
 impl SetUp {
     /// Reads the session file, if there is one. What the command line gives goes before it.
     pub fn new(file: Option<&Path>, given: Session) -> Result<Self> {
         let session = file.map(Session::read).transpose()?.unwrap_or_default();
-        let told = Session {
+        let values = Session {
             gain_std_error: given.gain_std_error.or(session.gain_std_error),
             mu_std_error: given.mu_std_error.or(session.mu_std_error),
             offset_std_error: given.offset_std_error.or(session.offset_std_error),
@@ -35,36 +35,36 @@ impl SetUp {
             blur_mm: given.blur_mm.or(session.blur_mm),
             blur_std_error_mm: given.blur_std_error_mm.or(session.blur_std_error_mm),
         };
-        Ok(Self { told })
+        Ok(Self { values })
     }
 
-    /// Standard error of the scale factor, if the session tells how good its white reference is.
+    /// Standard error of the scale factor, if the session has one for its white reference.
     pub fn mu_std_error(&self) -> Option<f64> {
-        self.told.mu_std_error
+        self.values.mu_std_error
     }
 
-    /// The settings with what is told of all profiles.
+    /// The settings with the values that hold for all profiles.
     pub fn settings(&self, settings: FitSettings) -> FitSettings {
-        let told = &self.told;
+        let values = &self.values;
         let common = |by_channel: &Option<ByChannel>, otherwise: f64| {
             by_channel.as_ref().and_then(ByChannel::common).unwrap_or(otherwise)
         };
         FitSettings {
-            gain_std_error: told.gain_std_error.unwrap_or(settings.gain_std_error),
-            offset_std_error: told.offset_std_error.unwrap_or(settings.offset_std_error),
-            slope_std_error: told.slope_std_error.unwrap_or(settings.slope_std_error),
-            thickness_std_error_mm: told.thickness_std_error_mm.unwrap_or(settings.thickness_std_error_mm),
-            origin_std_error_mm: told.origin_std_error_mm.unwrap_or(settings.origin_std_error_mm),
-            blur_mm: common(&told.blur_mm, settings.blur_mm),
-            blur_std_error_mm: common(&told.blur_std_error_mm, settings.blur_std_error_mm),
+            gain_std_error: values.gain_std_error.unwrap_or(settings.gain_std_error),
+            offset_std_error: values.offset_std_error.unwrap_or(settings.offset_std_error),
+            slope_std_error: values.slope_std_error.unwrap_or(settings.slope_std_error),
+            thickness_std_error_mm: values.thickness_std_error_mm.unwrap_or(settings.thickness_std_error_mm),
+            origin_std_error_mm: values.origin_std_error_mm.unwrap_or(settings.origin_std_error_mm),
+            blur_mm: common(&values.blur_mm, settings.blur_mm),
+            blur_std_error_mm: common(&values.blur_std_error_mm, settings.blur_std_error_mm),
             ..settings
         }
     }
 
-    /// The measurements with what is told of their channels and not in their file.
+    /// The measurements, completed with the values of their channels that are not in their file.
     pub fn apply_to(&self, materials: Vec<Measurement>) -> Result<Vec<Measurement>> {
         let named = |v: &Option<ByChannel>| matches!(v, Some(ByChannel::Named(_)));
-        if !named(&self.told.blur_mm) && !named(&self.told.blur_std_error_mm) {
+        if !named(&self.values.blur_mm) && !named(&self.values.blur_std_error_mm) {
             return Ok(materials);
         }
         let with_profiles = |m: Measurement| {
@@ -74,21 +74,21 @@ impl SetUp {
         materials.into_iter().map(with_profiles).collect()
     }
 
-    /// What is known of a profile's set-up, the blur of its channel included.
+    /// The set-up of a profile, with the blur of its channel.
     fn of(&self, profile: &MeasuredProfile) -> ProfileSetup {
         let setup = *profile.setup();
         let of_channel = |v: &Option<ByChannel>| v.as_ref().and_then(|v| v.of(profile.channel()));
         ProfileSetup {
-            blur_mm: setup.blur_mm.or_else(|| of_channel(&self.told.blur_mm)),
-            blur_std_error_mm: setup.blur_std_error_mm.or_else(|| of_channel(&self.told.blur_std_error_mm)),
+            blur_mm: setup.blur_mm.or_else(|| of_channel(&self.values.blur_mm)),
+            blur_std_error_mm: setup.blur_std_error_mm.or_else(|| of_channel(&self.values.blur_std_error_mm)),
             ..setup
         }
     }
 
-    /// What nobody told of these measurements.
+    /// The quantities of these measurements for which defaults are used.
     pub fn assumed(&self, materials: &[Measurement]) -> Assumed {
         let setups = materials.iter().flat_map(Measurement::profiles).map(|p| self.of(p));
-        Assumed::of(&self.told, &setups.collect::<Vec<_>>())
+        Assumed::of(&self.values, &setups.collect::<Vec<_>>())
     }
 }
 

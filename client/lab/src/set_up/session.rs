@@ -41,7 +41,7 @@ impl ByChannel {
     }
 }
 
-/// What a session file tells.
+/// The values of a session file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Session {
     pub gain_std_error: Option<f64>,
@@ -64,7 +64,7 @@ impl Session {
         Self::parse(&value).with_context(place)
     }
 
-    /// Fields that are not known are for others.
+    /// Unknown fields are ignored: they are for other programs.
     fn parse(value: &Value) -> Result<Self, Invalid> {
         let Value::Object(fields) = value else {
             return Err(Invalid::new("session", kind(value), "a JSON object is wanted"));
@@ -76,8 +76,8 @@ impl Session {
                 return Err(Invalid::new("format", given, format!("allowed is \"{FORMAT}\"")));
             }
         }
-        let one = |name: &str| told(fields, name).map(|value| number(name, value)).transpose();
-        let by_channel = |name: &str| told(fields, name).map(|value| by_channel(name, value)).transpose();
+        let one = |name: &str| present(fields, name).map(|value| number(name, value)).transpose();
+        let by_channel = |name: &str| present(fields, name).map(|value| by_channel(name, value)).transpose();
         Ok(Self {
             gain_std_error: one("gain_std_error")?,
             mu_std_error: one("mu_std_error")?,
@@ -91,8 +91,8 @@ impl Session {
     }
 }
 
-/// A field that says something: null does not.
-fn told<'a>(fields: &'a Map<String, Value>, name: &str) -> Option<&'a Value> {
+/// The value of a field; null counts as absent.
+fn present<'a>(fields: &'a Map<String, Value>, name: &str) -> Option<&'a Value> {
     fields.get(name).filter(|value| !value.is_null())
 }
 
@@ -172,7 +172,7 @@ mod tests {
         let with = |field: &str| {
             parse(&format!(r#"{{"format": "farmctl-session/1", {field}}}"#)).unwrap_err().to_string()
         };
-        for (field, told) in [
+        for (field, message) in [
             (r#""gain_std_error": -1"#, "gain_std_error = -1 is not valid: allowed are 0 to 1"),
             (
                 r#""slope_std_error": "small""#,
@@ -189,7 +189,7 @@ mod tests {
                  the channels' names",
             ),
         ] {
-            assert_eq!(with(field), told);
+            assert_eq!(with(field), message);
         }
         let refused = |text: &str| parse(text).unwrap_err().to_string();
         let format = "is not valid: allowed is \"farmctl-session/1\"";

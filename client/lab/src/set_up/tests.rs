@@ -35,8 +35,8 @@ fn set_up_precedence_is_measurement_command_line_session() {
     assert_eq!(set_up.settings(default), expected);
     let own = ProfileSetup { blur_mm: Some(0.05), ..ProfileSetup::default() };
     let none = ProfileSetup::default();
-    let told = set_up.apply_to(vec![measurement(&[("R", none), ("G", own), ("B", none)])]).unwrap();
-    let blur: Vec<_> = told[0].profiles().iter().map(|p| p.setup().blur_mm).collect();
+    let message = set_up.apply_to(vec![measurement(&[("R", none), ("G", own), ("B", none)])]).unwrap();
+    let blur: Vec<_> = message[0].profiles().iter().map(|p| p.setup().blur_mm).collect();
     assert_eq!(blur, [Some(0.025), Some(0.05), None]);
     // The command line's blur is that of all channels.
     let given = Session { blur_mm: Some(ByChannel::All(0.04)), ..given };
@@ -73,15 +73,15 @@ fn what_nobody_told_is_said_to_be_assumed() {
     };
     let some = "assumed: blur ± 0.03 mm, gain ± 0.3 %, zero ± 0.001, slope ± 0.2 % per 10 mm";
     assert_eq!(assumed(&Session::default(), set_up).unwrap(), some);
-    let told = Session {
+    let message = Session {
         gain_std_error: Some(0.003),
         offset_std_error: Some(0.001),
         slope_std_error: Some(0.002),
         blur_std_error_mm: Some(ByChannel::All(0.0)),
         ..Session::default()
     };
-    assert_eq!(assumed(&told, set_up), None);
-    assert_eq!(assumed(&told, nothing).unwrap(), "assumed: thickness ± 0.005 mm, origin ± 0.05 mm");
+    assert_eq!(assumed(&message, set_up), None);
+    assert_eq!(assumed(&message, nothing).unwrap(), "assumed: thickness ± 0.005 mm, origin ± 0.05 mm");
 }
 
 #[test]

@@ -80,11 +80,11 @@ pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Outp
     }
 }
 
-/// Where workers are submitted to is told in a way that `squeue` and `scancel` follow, too.
+/// Refuses a choice of the cluster that `squeue` and `scancel` would not follow.
 fn is_one_cluster(options: &[SbatchOption], variable: impl Fn(&str) -> Option<String>) -> Result<()> {
-    let told =
+    let given =
         variable("SBATCH_CLUSTERS").is_some() || options.iter().any(|option| option.begins("--clusters"));
-    ensure!(!told, "name the cluster by SLURM_CLUSTERS, which squeue and scancel follow as well as sbatch");
+    ensure!(!given, "name the cluster by SLURM_CLUSTERS, which squeue and scancel follow as well as sbatch");
     let several = variable("SLURM_CLUSTERS").filter(|names| names.contains(',') || names == "all");
     ensure!(several.is_none(), "SLURM_CLUSTERS is {:?}: one cluster is needed", several.unwrap_or_default());
     Ok(())
@@ -130,7 +130,7 @@ impl Autoscaler<'_> {
             with_farm(self.global, Purpose::Ask, async |connection| ask(connection, since.clone()).await)
                 .await?;
         self.events = Some(events);
-        // Some clusters tell of a queue as it was a minute ago, or not of all: who is at work counts all the same.
+        // Some clusters list a stale or partial queue: registered workers count all the same.
         let unseen = |id: &&TaskId| self.jobs.contains(&id.job) && !tasks.iter().any(|(seen, _)| seen == *id);
         let unseen: Vec<TaskId> = registered.iter().filter(unseen).copied().collect();
         tasks.extend(unseen.into_iter().map(|id| (id, TaskState::Running)));
@@ -181,7 +181,7 @@ impl Autoscaler<'_> {
         }
         let who = if held == 1 { "1 worker is".to_owned() } else { format!("{held} workers are") };
         let message = format!(
-            "{who} held in the queue, and counted no more: `squeue --me` tells why; release or cancel them"
+            "{who} held in the queue, and counted no more: see `squeue --me` for the reason; release or cancel them"
         );
         self.teller.tell(Step::Held, message, Some(seen))
     }

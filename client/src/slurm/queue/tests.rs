@@ -3,24 +3,24 @@ use super::*;
 #[test]
 fn lines_of_squeue_tell_tasks_by_the_name_of_their_job() {
     let task = |line: &str| task(line, "farm-worker@login:7700");
-    let told = |state: &str, reason: &str| {
+    let message = |state: &str, reason: &str| {
         let found = task(&format!("1234|17|{state}|{reason}|farm-worker@login:7700"));
         found.map(|(id, state)| (id.to_string(), state))
     };
     let is = |state: TaskState| Some(("1234_17".to_owned(), state));
     for waiting in ["PENDING", "REQUEUED"] {
-        assert_eq!(told(waiting, "Resources"), is(TaskState::Waiting));
+        assert_eq!(message(waiting, "Resources"), is(TaskState::Waiting));
     }
     for held in ["JobHeldUser", "JobHeldAdmin", "launch failed requeued held"] {
-        assert_eq!(told("PENDING", held), is(TaskState::Held), "{held}");
+        assert_eq!(message("PENDING", held), is(TaskState::Held), "{held}");
     }
-    assert_eq!(told("SPECIAL_EXIT", "None"), is(TaskState::Held));
+    assert_eq!(message("SPECIAL_EXIT", "None"), is(TaskState::Held));
     // What completes may be queued again; a state that a later Slurm has is somebody's place, too.
     for running in ["RUNNING", "CONFIGURING", "SUSPENDED", "COMPLETING", "EXPEDITING"] {
-        assert_eq!(told(running, "None"), is(TaskState::Running), "{running}");
+        assert_eq!(message(running, "None"), is(TaskState::Running), "{running}");
     }
     for over in ["CANCELLED", "FAILED", "TIMEOUT", "COMPLETED", "NODE_FAIL"] {
-        assert_eq!(told(over, "None"), None, "{over}");
+        assert_eq!(message(over, "None"), None, "{over}");
     }
     assert_eq!(task("1234|17|RUNNING|None|farm-worker@login:7701"), None, "another farm's");
     assert_eq!(task("1234|17|RUNNING|None|my farm-worker@login:7700"), None);

@@ -10,7 +10,7 @@ use optics_model::fit::{FitOptions, FitSettings};
 
 use super::{api::OpenCaptureResponse, note};
 
-/// What the session of a folder tells of its set-up.
+/// The set-up of a folder's session.
 pub(super) fn set_up(folder: &Path) -> Result<SetUp> {
     SetUp::new(Some(&folder.join("session.json")), Session::default())
 }

@@ -12,16 +12,16 @@ pub(super) fn figure(captured: &Captured, shot: &ShotReport) -> String {
     };
     let [width, height] = input.thumbnail.full;
     let picture = input.thumbnail.data_uri(black(captured));
-    let told = |what: &str, value: String| format!("{what} {value}");
+    let named = |what: &str, value: String| format!("{what} {value}");
     let mut words = vec![escaped(&shot.label)];
-    words.extend(shot.blur_px.map(|blur| told("blur", format!("{:.2} px", blur.value))));
+    words.extend(shot.blur_px.map(|blur| named("blur", format!("{:.2} px", blur.value))));
     let moved = shot.moved_px.map(|moved| moved.map_or("?".to_owned(), |m| format!("{:+.3}", m.value)));
     if shot.moved_px.iter().any(Option::is_some) {
-        words.push(told("moved", format!("{} px", moved.join(", "))));
+        words.push(named("moved", format!("{} px", moved.join(", "))));
     }
     let light = shot.light.map(|light| light.map(|l| format!("{:+.2}", 100.0 * (l.value - 1.0))).join(", "));
-    words.extend(light.map(|percent| told("light", format!("{percent} %"))));
-    words.push(told("rejected", shot.rejected_px.len().to_string()));
+    words.extend(light.map(|percent| named("light", format!("{percent} %"))));
+    words.push(named("rejected", shot.rejected_px.len().to_string()));
     format!(
         "<figure><div class=\"shot\"><img src=\"{picture}\" alt=\"{}\" width=\"{}\" height=\"{}\">\
          <svg viewBox=\"0 0 {width} {height}\" preserveAspectRatio=\"none\">{}{}</svg></div><figcaption>{}</figcaption></figure>\n",

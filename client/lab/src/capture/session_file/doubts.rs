@@ -16,32 +16,32 @@ const ONE_SLAB_MM: f64 = 1e-3;
 
 /// What is suspicious, each with its field and value.
 pub(super) fn of(file: &SessionFile) -> Vec<String> {
-    let mut told = Vec::new();
+    let mut doubts = Vec::new();
     if let Some(error) = file.neutral.std_error.filter(|error| *error > NEUTRAL_STD_ERROR) {
         let percent = 100.0 * error;
-        told.push(format!(
+        doubts.push(format!(
             "neutral.std_error = {error} is {percent:.0} % of each reflectance, as a fraction of 1: certified patches have \
              about 0.01"
         ));
     }
     if let Some(side) = file.target.square_mm.filter(|side| !SQUARE_MM.contains(side)) {
-        told.push(format!(
+        doubts.push(format!(
             "target.square_mm = {side}: boards have squares of 5 to 100 mm; is it in another unit?"
         ));
     }
     for (i, sample) in file.samples.iter().enumerate() {
         let place = |what: String| format!("sample[{i}].{what}");
-        told.extend(slab(sample).into_iter().map(place));
-        told.extend(file.samples[..i].iter().find_map(|before| alike(before, sample)).map(place));
+        doubts.extend(slab(sample).into_iter().map(place));
+        doubts.extend(file.samples[..i].iter().find_map(|before| alike(before, sample)).map(place));
     }
-    told
+    doubts
 }
 
 fn slab(sample: &SampleTable) -> Vec<String> {
     let thickness = sample.thickness_mm;
-    let mut told = Vec::new();
+    let mut doubts = Vec::new();
     if !THICKNESS_MM.contains(&thickness) {
-        told.push(format!(
+        doubts.push(format!(
             "thickness_mm = {thickness}: slabs have about 0.5 to 2 mm; is it in another unit?"
         ));
     }
@@ -49,11 +49,11 @@ fn slab(sample: &SampleTable) -> Vec<String> {
         sample.thickness_std_error_mm.filter(|error| *error > THICKNESS_STD_ERROR * thickness)
     {
         let percent = 100.0 * error / thickness;
-        told.push(format!(
+        doubts.push(format!(
             "thickness_std_error_mm = {error} is {percent:.0} % of the thickness; is it in another unit?"
         ));
     }
-    told
+    doubts
 }
 
 /// What is doubtful about two samples that may be meant to be one.

@@ -54,9 +54,9 @@ fn what_is_left_out_is_the_papers() {
 /// The message names file, line and field, and the values that are allowed.
 #[test]
 fn invalid_values_are_refused_with_place_and_range() {
-    let told = refused("thickness_mm = 0.512", "thickness_mm = -1");
+    let message = refused("thickness_mm = 0.512", "thickness_mm = -1");
     assert_eq!(
-        told,
+        message,
         "session file DIR/session.toml, line 16: sample[0].thickness_mm = -1 is not valid: allowed are 0.01 to 100"
     );
     for (from, to, expected) in [
@@ -83,9 +83,9 @@ fn invalid_values_are_refused_with_place_and_range() {
         ("[40, 0, 20, 20]", "[40, 0, 20]", "invalid length 3"),
         ("[camera]", "scene = \"none.toml\"\n[camera]", "scene \"none.toml\" is neither"),
     ] {
-        let told = refused(from, to);
-        assert!(told.starts_with("session file DIR/session.toml"), "{told}");
-        assert!(told.contains(expected), "{to}: {told}");
+        let message = refused(from, to);
+        assert!(message.starts_with("session file DIR/session.toml"), "{message}");
+        assert!(message.contains(expected), "{to}: {message}");
     }
 }
 
@@ -93,8 +93,8 @@ fn invalid_values_are_refused_with_place_and_range() {
 fn a_slab_has_one_entry() {
     let twice =
         "[[sample]]\nmaterial = \"white\"\nthickness_mm = 0.512\nshots = [\"white_1.pgm\"]\n\n[[sample]]";
-    let told = refused("[[sample]]", twice).replace("white_*", "white_2");
-    assert!(told.contains("also in sample[0].shots"), "{told}");
+    let message = refused("[[sample]]", twice).replace("white_*", "white_2");
+    assert!(message.contains("also in sample[0].shots"), "{message}");
 }
 
 #[test]
@@ -108,13 +108,13 @@ fn a_monochrome_camera_has_a_pattern_of_its_own() {
 fn numbers_that_are_hardly_meant_are_named() {
     let doubts = |from: &str, to: &str| read((from, to)).unwrap().doubts.join("; ");
     assert_eq!(doubts("", ""), "");
-    for (from, to, told) in [
+    for (from, to, message) in [
         ("[neutral]", "[neutral]\nstd_error = 0.5", "neutral.std_error = 0.5 is 50 % of each reflectance"),
         ("[target]", "[target]\nsquare_mm = 2", "target.square_mm = 2: boards have squares of 5 to 100 mm"),
         ("0.512", "51.2", "sample[0].thickness_mm = 51.2: slabs have about 0.5 to 2 mm"),
         ("0.512", "0.512\nthickness_std_error_mm = 0.1", "sample[0].thickness_std_error_mm = 0.1 is 20 %"),
     ] {
-        assert!(doubts(from, to).starts_with(told), "{}", doubts(from, to));
+        assert!(doubts(from, to).starts_with(message), "{}", doubts(from, to));
     }
     let other = |name: &str, mm: f64| {
         let table =

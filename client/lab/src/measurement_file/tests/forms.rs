@@ -20,7 +20,7 @@ fn preambles_and_rows_of_units_are_refused_with_their_lines() {
         "line 1 does not name the columns; line 4 seems to: delete the lines before it, or begin them with #";
     assert_eq!(error(&preamble), wanted);
     for units in [",,mm,mm,,", "-,-,[mm],[mm],-,-", ",,mm,mm,1,%"] {
-        let told = error(&format!("{HEAD}{units}\n{}", rows("w", "R", 0.5)));
-        assert!(told.starts_with("line 2 seems to hold units: leave it out"), "{units}: {told}");
+        let message = error(&format!("{HEAD}{units}\n{}", rows("w", "R", 0.5)));
+        assert!(message.starts_with("line 2 seems to hold units: leave it out"), "{units}: {message}");
     }
 }

@@ -57,11 +57,11 @@ fn std_error_may_be_empty_for_a_profile_and_not_for_a_row() {
     let errors = [0, 1].map(|m: usize| file.materials[m].profiles()[0].std_errors().is_some());
     assert_eq!(errors, [true, false]);
     let one = rows("w", "R", 0.5).replacen(",0.002\n", ",\n", 1);
-    let told = error(&format!("{HEAD}{one}"));
+    let message = error(&format!("{HEAD}{one}"));
     assert!(
-        told.ends_with(
-            "std_error is empty in line 2 and told in line 3: tell it in all rows of a profile or in none"
+        message.ends_with(
+            "std_error is empty in line 2 but given in line 3: give it in all rows of a profile or in none"
         ),
-        "{told}"
+        "{message}"
     );
 }

@@ -55,8 +55,8 @@ fn lossless_jpeg_that_ends_early_is_refused_with_its_rows() {
     let hole = [&jpeg[..half], &vec![0; jpeg.len() - half][..]].concat();
     for (strip, what) in [(jpeg[..half].to_vec(), "cut"), (ends, "end marker"), (hole, "zeros")] {
         let refused = Maker { strip, ..whole.clone() }.refused();
-        let told = "the picture ends early, as after an interrupted copy: 14 of its 30 rows are there";
-        assert!(refused.starts_with(told), "{what}: {refused}");
+        let message = "the picture ends early, as after an interrupted copy: 14 of its 30 rows are there";
+        assert!(refused.starts_with(message), "{what}: {refused}");
     }
     // The second of two strips.
     let strip = [&lossless(&samples[..800], 40, 1)[..], &lossless(&samples[800..], 40, 1)].concat();
@@ -120,6 +120,6 @@ fn orientation_is_of_the_picture_or_the_first_directory() {
     assert_eq!(orientation(Maker::dng()), None);
     assert_eq!(orientation(Maker::dng().with(274, &[6])), Some(6));
     assert_eq!(orientation(Maker::dng().with(274, &[9])), None);
-    let told = Maker::dng().with(274, &[3]).decode().unwrap().about.orientation.unwrap();
-    assert_eq!(told.to_string(), "3 (turned by 180°)");
+    let message = Maker::dng().with(274, &[3]).decode().unwrap().about.orientation.unwrap();
+    assert_eq!(message.to_string(), "3 (turned by 180°)");
 }

@@ -85,12 +85,12 @@ fn sizes_of_tiles_beside_strips_mean_nothing() {
 #[test]
 fn words_of_16_bits_are_read_where_fewer_are_told() {
     let samples: Vec<u16> = noise(WIDTH * HEIGHT).iter().map(|v| 10 * v).collect();
-    let told = |bits: u32, samples: &[u16]| Maker { strip: little(samples), ..maker() }.with(258, &[bits]);
-    assert_eq!(told(14, &samples).decode().unwrap().samples, samples);
+    let message = |bits: u32, samples: &[u16]| Maker { strip: little(samples), ..maker() }.with(258, &[bits]);
+    assert_eq!(message(14, &samples).decode().unwrap().samples, samples);
     let deflate = Maker { strip: deflated(&little(&samples)), ..maker() }.with(258, &[14]).with(259, &[8]);
     assert_eq!(deflate.decode().unwrap().samples, samples);
     let shifted: Vec<u16> = samples.iter().map(|v| 4 * v).collect();
-    let refused = told(14, &shifted).refused();
+    let refused = message(14, &shifted).refused();
     let expected = "tag BitsPerSample = 14 with 16 bits stored for each sample is not valid: larger values";
     assert!(refused.starts_with(expected), "{refused}");
 }
@@ -140,13 +140,13 @@ fn big_tiff_and_lzw_are_read() {
 
 #[test]
 fn compressions_that_are_not_read_are_named() {
-    for (compression, told) in [
+    for (compression, message) in [
         (52_546, "tag Compression = 52546 (JPEG XL of DNG 1.7) is not valid: allowed are 1 (none), 5 (LZW)"),
         (34_713, "tag Compression = 34713 (Nikon's own) is not valid"),
         (34_892, "the DNG is compressed with loss, to 8 bits after a tone curve: convert"),
     ] {
         let refused = Maker::dng().with(259, &[compression]).refused();
-        assert!(refused.starts_with(told), "{refused}");
+        assert!(refused.starts_with(message), "{refused}");
     }
 }
 

@@ -1,4 +1,4 @@
-//! What the farm tells an autoscaler.
+//! The state of the farm as the autoscaler needs it.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ pub(super) async fn newest_events(connection: &Connection) -> Result<String> {
     Ok(connection.farm().list_events(request).await?.into_inner().next_page_token)
 }
 
-/// What the farm tells.
+/// The demand of the farm and its workers.
 pub(super) struct Told {
     pub(super) demand: Demand,
     /// Who is there.
@@ -51,7 +51,7 @@ pub(super) async fn ask(connection: &Connection, since: String) -> Result<Told> 
     }
 }
 
-/// Time until the last of the running dictionaries is done; None while one does not know.
+/// Time until the last of the running dictionaries is done; None while one of them has no estimate.
 fn time_left(dictionaries: &[DictionaryStatus]) -> Option<Duration> {
     let running = dictionaries.iter().filter(|d| d.state == DictionaryState::Running);
     let left_s = running.map(|d| d.eta_s).try_fold(0.0, |most: f64, eta_s| Some(most.max(eta_s?)))?;

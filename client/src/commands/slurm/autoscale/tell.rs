@@ -1,4 +1,4 @@
-//! What an autoscaler tells: a line for each thing that it does, or that changes.
+//! The output of an autoscaler: a line for each action and each change.
 
 use std::collections::BTreeMap;
 
@@ -55,7 +55,7 @@ pub(super) struct Seen {
 pub(super) struct Teller<'a> {
     output: &'a Output,
     quiet: bool,
-    /// How things stand: that is not told again at each look.
+    /// A lasting state, which is not reported again at each step.
     standing: BTreeMap<Step, String>,
 }
 
@@ -64,12 +64,12 @@ impl<'a> Teller<'a> {
         Self { output, quiet, standing: BTreeMap::new() }
     }
 
-    /// Whether things stand like that, as far as was told.
+    /// Whether that state was the last one reported.
     pub(super) fn stands(&self, step: Step) -> bool {
         self.standing.contains_key(&step)
     }
 
-    /// Things no longer stand like that: when they do again, that is told again.
+    /// The state has ended; if it returns, it is reported again.
     pub(super) fn is_over(&mut self, step: Step) {
         self.standing.remove(&step);
     }
@@ -139,6 +139,6 @@ mod tests {
         teller.is_over(Step::Held);
         assert!(teller.stands(Step::Holding) && !teller.stands(Step::Held));
         tell(&mut teller, Step::Submitted);
-        assert!(!teller.stands(Step::Submitted), "each array is told");
+        assert!(!teller.stands(Step::Submitted), "each array is reported");
     }
 }
