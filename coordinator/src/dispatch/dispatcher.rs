@@ -80,6 +80,13 @@ impl Dispatcher {
         self.roster.statuses(now, after, most, |id| self.schedule.leases().count_of(id))
     }
 
+    /// What is wrong with the state, if anything is. Checked after every transition of a debug build.
+    #[cfg(debug_assertions)]
+    pub fn check(&self, now: Duration) -> Result<(), String> {
+        self.schedule.check(now, &self.roster)?;
+        self.verification.check(&self.schedule)
+    }
+
     /// All that the changes since the last call have produced.
     pub fn take_outbox(&mut self) -> Outbox {
         let mut outbox = std::mem::take(&mut self.outbox);

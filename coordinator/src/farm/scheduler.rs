@@ -68,6 +68,8 @@ impl Scheduler {
         let (value, outbox) = {
             let mut dispatcher = self.lock();
             let value = change(&mut dispatcher, self.clock.now());
+            #[cfg(debug_assertions)]
+            dispatcher.check(self.clock.now()).expect("the dispatcher's state is consistent");
             let mut outbox = dispatcher.take_outbox();
             // Under the lock, so that effects are performed in the order in which they were decided.
             for effect in outbox.effects.drain(..) {

@@ -1,5 +1,7 @@
 //! The dictionaries with the states of their jobs, and the leases that are out. Decides which job goes out next.
 
+#[cfg(debug_assertions)]
+mod check;
 mod dictionary;
 mod explain;
 mod grant;

@@ -10,7 +10,7 @@ impl Dictionary {
     }
 
     /// Whether a part waits for a worker.
-    #[cfg(test)]
+    #[cfg(debug_assertions)]
     pub fn waits(&self, index: u32, part: u32) -> bool {
         self.pending.contains(&(self.jobs[index as usize].rank, index, part))
     }

@@ -113,6 +113,11 @@ impl Checks {
         std::mem::take(&mut self.changed)
     }
 
+    #[cfg(debug_assertions)]
+    pub fn all(&self) -> impl Iterator<Item = (PartId, &[Vote])> {
+        self.open.iter().map(|(part, open)| (*part, &open.votes[..]))
+    }
+
     /// The open checks of a dictionary's jobs.
     pub fn of_dictionary(&self, id: DictionaryId) -> impl Iterator<Item = (PartId, &[Vote])> {
         let from = PartId { dictionary: id, job: 0, part: 0 };

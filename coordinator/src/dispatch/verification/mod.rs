@@ -232,6 +232,21 @@ impl Verification {
         reasons
     }
 
+    /// What is wrong with the checks, if anything is. There are a thousand at most.
+    #[cfg(debug_assertions)]
+    pub fn check(&self, schedule: &Schedule) -> Result<(), String> {
+        for (part, votes) in self.checks.all() {
+            let by: Vec<Origin> = votes.iter().filter_map(|vote| vote.by).collect();
+            let is_one_each = by.iter().collect::<BTreeSet<_>>().len() == by.len();
+            if votes.is_empty() || !is_one_each || schedule.by_id(part.dictionary).is_none() {
+                return Err(format!("{part:?} is checked with the votes {votes:?}"));
+            }
+        }
+        let gone =
+            self.confirmed.iter().find(|(job, by)| schedule.records_of(**job).is_none() || by.is_empty());
+        gone.map_or(Ok(()), |(job, by)| Err(format!("{job:?} has no records, and {by:?} confirm them")))
+    }
+
     /// Orders the store to note the checks that have changed.
     pub fn publish(&mut self, outbox: &mut Outbox) {
         for (PartId { dictionary, job, part }, votes) in self.checks.take_changed() {
