@@ -1,10 +1,10 @@
-//! Who asks for a change.
+//! The callers that ask for changes, by token and address.
 
 use std::fmt;
 
 use farm_link::Role;
 
-/// Somebody who asks for a change, by the token shown and the other end of the connection.
+/// The caller that asks for a change, by its token and the other end of its connection.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Actor {
     /// Role and name of the token; none where none is asked for.
@@ -14,13 +14,13 @@ pub(crate) struct Actor {
 }
 
 impl Actor {
-    /// Whose a dictionary is that this one submits.
+    /// The owner of the dictionaries that it submits.
     pub fn name(&self) -> &str {
         self.token.as_ref().map_or("", |(_, name)| name)
     }
 
-    /// With whom this one shares what is limited for each token: the token's name. Empty for admins, who have no share but
-    /// all, and where there are no tokens.
+    /// The name under which it shares what is limited for each token. Empty for admins, who have no share but all, and where
+    /// there are no tokens.
     pub fn shares_as(&self) -> &str {
         match &self.token {
             None | Some((Role::Admin, _)) => "",
@@ -28,7 +28,7 @@ impl Actor {
         }
     }
 
-    /// Whether this one may change what belongs to somebody: what is one's own, and admins everything.
+    /// Whether it may change the dictionaries of an owner: its own, and admins all.
     pub fn may_change(&self, owner: &str) -> bool {
         match &self.token {
             None | Some((Role::Admin, _)) => true,
@@ -37,7 +37,7 @@ impl Actor {
     }
 }
 
-/// As events tell it: `alice at 10.0.0.7`.
+/// As events show it: `alice at 10.0.0.7`.
 impl fmt::Display for Actor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let between = if self.name().is_empty() || self.address.is_empty() { "" } else { " at " };

@@ -38,10 +38,10 @@ pub struct Config {
 }
 
 impl Config {
-    /// Most memory for the dictionaries that are fitted with, in bytes, if nothing is told.
+    /// Most memory for the dictionaries that are fitted with, in bytes, if none is given.
     const FIT_MEMORY_BYTES: u64 = 4 << 30;
 
-    /// Memory for the dictionaries that are fitted with if nothing is told: half of what this process may use, which leaves
+    /// Memory for the dictionaries that are fitted with if none is given: half of what this process may use, which leaves
     /// room for those that are being read and for answers.
     fn fit_memory_bytes(usable: Option<u64>) -> usize {
         usable.map_or(Self::FIT_MEMORY_BYTES, |usable| (usable / 2).min(Self::FIT_MEMORY_BYTES)) as usize

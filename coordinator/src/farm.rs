@@ -1,4 +1,4 @@
-//! What the coordinator can do, each operation once: dispatch, store and fit tied together.
+//! The operations of the coordinator, each once. They connect dispatch, store and fit.
 
 mod backup;
 mod completion;

@@ -78,7 +78,7 @@ impl Gate {
         self.tokens().is_some_and(|tokens| tokens.count(Role::Worker) > 1)
     }
 
-    /// What to tell those who are not let in.
+    /// The answer to callers that are not let in.
     pub(crate) fn advice(&self) -> &'static str {
         match self {
             Self::OwnUser => {

@@ -1,5 +1,5 @@
-//! What is stored, and what it means. The store maps its rows to these types, and `dispatch` begins from them after a
-//! restart, so that neither needs to know the other.
+//! The types of what is stored. The store maps its rows to them, and `dispatch` begins from them after a
+//! restart, so that neither depends on the other.
 
 use std::sync::Arc;
 
@@ -38,7 +38,7 @@ pub struct StoredDictionary {
     pub desire: DesiredState,
     /// Why it was cancelled.
     pub reason: String,
-    /// Name of the token of the one who submitted it; empty where nobody showed one.
+    /// Name of the token with which it was submitted; empty where none was presented.
     pub owner: String,
 }
 
@@ -71,19 +71,19 @@ impl EndedJob {
     }
 }
 
-/// A machine, by the number of its row in the store: what results are traced back to, and who answers for them, however
+/// A machine, by the number of its row in the store: what results are traced back to, however
 /// many processes run there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Origin(pub i64);
 
-/// Where a worker came from. Token and address are what the coordinator has seen; the host is what the worker tells.
+/// Where a worker came from. Token and address are what the coordinator has seen; the host is what the worker claims.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Machine {
-    /// Name of the token that it has shown; empty if none is asked for.
+    /// Name of the token that it has presented; empty if none is required.
     pub token: String,
     /// The other end of its connection; empty if that is this process.
     pub address: String,
-    /// What tells its machine from others, chosen by itself; may be empty.
+    /// Distinguishes its machine from others, chosen by itself; may be empty.
     pub host: String,
 }
 
@@ -98,7 +98,7 @@ impl Machine {
         format!("{}@{}", self.token, self.address)
     }
 
-    /// Whether both are known to be the same machine, if it tells the truth: a worker that was started anew may come from
+    /// Whether both are known to be the same machine, if its host is true: a worker that was started again may come from
     /// another address.
     pub fn is_same(&self, other: &Self) -> bool {
         let same_host = !self.host.is_empty() && self.host == other.host;
@@ -117,7 +117,7 @@ pub struct KnownMachine {
     pub fenced: Option<String>,
 }
 
-/// One machine's result, as its digest. Who it was may be unknown: several, or a program of old that did not note it.
+/// One machine's result, as its digest. The machine may be unknown: several, or a former version did not note it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Vote {
     pub by: Option<Origin>,
@@ -133,7 +133,7 @@ pub struct OpenCheck {
     pub votes: Vec<Vote>,
 }
 
-/// Random bytes of this database that nobody outside knows.
+/// Random bytes of this database, which are secret.
 #[derive(Clone, Copy)]
 pub struct Secret(pub [u8; 32]);
 

@@ -3,7 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// Counts events, and says now and then that it is time to tell how many there were.
+/// Counts events, and returns now and then how many there were, to be logged.
 #[derive(Debug)]
 pub(crate) struct Throttle {
     every: Duration,

@@ -146,7 +146,7 @@ mod tests {
     use super::super::budget::Budget;
     use super::*;
 
-    /// A message of so many bytes, with its prefix.
+    /// A message of `bytes` bytes, with its prefix.
     fn message(bytes: u32) -> Vec<u8> {
         [&[0][..], &bytes.to_be_bytes(), &vec![7; bytes as usize]].concat()
     }

@@ -40,7 +40,7 @@ use budget::{Account, Budget};
 use permission::Admitted;
 use report::Report;
 
-/// The method that observers are told of calls which no service has answered: their paths are whatever callers like.
+/// The method under which calls are observed that no service has answered: callers may choose any path.
 pub const OTHER_METHOD: &str = "other";
 
 /// The method whose calls bring many messages: each is handed on before the next.
@@ -49,7 +49,7 @@ const STREAMED: &str = "/farm.v1.Leases/Complete";
 /// How often a call that waits looks whether its token is let in, and whether it is overdue.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Refused calls are told of in the log at most this often.
+/// Refused calls are logged at most this often.
 const TELL_REFUSED: Duration = Duration::from_secs(10);
 
 /// Makes services [`Authorised`]: calls need the tokens that the gate knows, if it knows any.
@@ -70,7 +70,7 @@ struct Shared {
 }
 
 impl AuthorisationLayer {
-    /// `observer` is told of every call once, when it has ended: the method's path or [`OTHER_METHOD`], the gRPC code
+    /// `observer` is called once for every call, when it has ended: the method's path or [`OTHER_METHOD`], the gRPC code
     /// (1, cancelled, if the caller has gone before the end), and how long it took. The calls of one token may hold so many
     /// bytes of questions that are not answered and of answers that are not read.
     pub fn new(

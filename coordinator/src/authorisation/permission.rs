@@ -33,7 +33,7 @@ impl Caller {
         self.role
     }
 
-    /// As two tokens are told from each other in messages: names alone may stand twice.
+    /// As messages distinguish two tokens: names alone may stand twice.
     pub(super) fn label(&self) -> String {
         format!("{} {}", self.role, self.name)
     }
@@ -138,7 +138,7 @@ pub(super) fn is_let_in_still(gate: &Gate, caller: &Caller) -> bool {
     gate.tokens().is_none_or(|tokens| tokens.have(&caller.hash, caller.role))
 }
 
-/// What a caller is told who is let in no more, while a call of theirs is under way.
+/// The answer to a call under way whose caller is let in no more.
 pub(super) fn revoked(caller: &Caller) -> Status {
     let Caller { name, .. } = caller;
     Status::unauthenticated(format!("the token of this call ({name}) is not let in any more"))
@@ -165,7 +165,7 @@ pub(super) fn connection(extensions: &Extensions) -> Option<&Peer> {
     extensions.get::<Peer>().or_else(encrypted)
 }
 
-/// The machine at the other end of a call's connection, as far as token and address tell.
+/// The machine at the other end of a call's connection, as far as token and address show.
 pub(crate) fn machine(extensions: &Extensions) -> Machine {
     let token = extensions.get::<Caller>().map(Caller::name).unwrap_or_default().to_owned();
     let address = remote(extensions).map_or_else(String::new, |address| network(address.ip()));

@@ -1,4 +1,4 @@
-//! Watches a call to its end: tells the observer how it has ended, exactly once, and ends it when its token is revoked.
+//! Watches a call to its end: reports its end to the observer exactly once, and ends it when its token is revoked.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ pub(super) struct Report {
     started: Duration,
     /// The code in the response's header, which an answer without messages has.
     code: Option<i32>,
-    told: bool,
+    reported: bool,
     /// Given back when the call has ended.
     means: Option<Means>,
     /// By whose token it was let in.
@@ -43,10 +43,10 @@ impl Report {
         connection: Option<Admission>,
     ) -> Self {
         let started = shared.clock.now();
-        Self { shared, method, span, started, code: None, told: false, means: None, caller, connection }
+        Self { shared, method, span, started, code: None, reported: false, means: None, caller, connection }
     }
 
-    /// What the caller is told if their token has been revoked since the call began.
+    /// The answer if the caller's token has been revoked since the call began.
     fn revoked(&self) -> Option<Status> {
         let caller = self.caller.as_ref()?;
         (!permission::is_let_in_still(&self.shared.gate, caller)).then(|| permission::revoked(caller))
@@ -68,13 +68,13 @@ impl Report {
                 Ok(self.watch(response, id))
             }
             Err(error) => {
-                self.tell(Code::Unknown as i32);
+                self.report_end(Code::Unknown as i32);
                 Err(error)
             }
         }
     }
 
-    /// The answer to a call that is not let in. Which method it was after is not told: its path is the caller's invention
+    /// The answer to a call that is not let in. Its method is not reported: its path is the caller's invention
     /// as long as nothing has been found there.
     pub(super) fn refuse(mut self, status: Status, id: &RequestId) -> Response<ObservedBody> {
         OTHER_METHOD.clone_into(&mut self.method);
@@ -101,11 +101,11 @@ impl Report {
 
     /// The stream has ended without trailers.
     fn tell_end(&mut self) {
-        self.tell(self.code.unwrap_or(Code::Unknown as i32));
+        self.report_end(self.code.unwrap_or(Code::Unknown as i32));
     }
 
-    fn tell(&mut self, code: i32) {
-        if std::mem::replace(&mut self.told, true) {
+    fn report_end(&mut self, code: i32) {
+        if std::mem::replace(&mut self.reported, true) {
             return;
         }
         let unrouted = code == Code::Unimplemented as i32;
@@ -116,7 +116,7 @@ impl Report {
 
 impl Drop for Report {
     fn drop(&mut self) {
-        self.tell(self.code.unwrap_or(Code::Cancelled as i32));
+        self.report_end(self.code.unwrap_or(Code::Cancelled as i32));
     }
 }
 
@@ -142,9 +142,9 @@ impl ObservedBody {
     fn end(&mut self, status: &Status) -> Frame<bytes::Bytes> {
         self.ended = true;
         self.answer = None;
-        self.report.tell(status.code() as i32);
+        self.report.report_end(status.code() as i32);
         let mut trailers = HeaderMap::new();
-        // What is told is plain text.
+        // The answer is plain text.
         let _ = status.add_header(&mut trailers);
         Frame::trailers(trailers)
     }
@@ -241,10 +241,10 @@ impl HttpBody for ObservedBody {
         match &frame {
             Some(Ok(frame)) => {
                 if let Some(code) = frame.trailers_ref().and_then(code) {
-                    this.report.tell(code);
+                    this.report.report_end(code);
                 }
             }
-            Some(Err(status)) => this.report.tell(status.code() as i32),
+            Some(Err(status)) => this.report.report_end(status.code() as i32),
             None => this.report.tell_end(),
         }
         Poll::Ready(frame)

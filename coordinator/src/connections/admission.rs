@@ -185,7 +185,7 @@ impl Drop for UnauthenticatedPeer {
     }
 }
 
-/// What counts as one machine, as far as its address tells: a network of IPv6 does, since a machine has as many addresses
+/// What counts as one machine, as far as its address shows: a network of IPv6 does, since a machine has as many addresses
 /// there as it likes.
 pub(crate) fn network(address: IpAddr) -> String {
     match address.to_canonical() {

@@ -36,7 +36,7 @@ struct Watch {
     token_deadline: Option<Instant>,
     /// When it was last asked whether it ends for what is on it.
     looked: Instant,
-    /// Wakes the reader. May be early, since it is set anew only when it has rung: reads are many, deadlines few.
+    /// Wakes the reader. May be early, since it is set again only when it has rung: reads are many, deadlines few.
     alarm: Pin<Box<Sleep>>,
 }
 

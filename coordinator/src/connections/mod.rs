@@ -35,7 +35,7 @@ pub use lingering_close::LingeringClose;
 
 /// After an error that others will follow, as when there are no file descriptors left: time for some to be freed.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Connections sent away, and errors, are told of in the log at most this often.
+/// Refused connections and errors are logged at most this often.
 const TELL: Duration = Duration::from_secs(10);
 
 /// The address of programs that come through the Unix socket.
@@ -145,7 +145,7 @@ impl Incoming {
             Some(limits) => self.unauthenticated.admission(peer.ip(), limits.connections),
         };
         if let Err(error) = stream.set_nodelay(true) {
-            // It has most likely gone already, which its first read will tell.
+            // It has most likely gone already, which its first read will show.
             tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
         }
         Some(Guarded::new(LingeringClose::new(Either::Left(stream), place), self.limits, admission))

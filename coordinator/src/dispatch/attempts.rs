@@ -31,7 +31,7 @@ impl Dispatcher {
         let admitted = self.schedule.admit(key, identity, by, holder, checked);
         let unused = matches!(admitted, Err(_) | Ok(Admission::Repeated { .. }));
         if unused && self.schedule.leases().held_by(key, worker).is_some() {
-            // The worker drops the result and forgets the lease: nobody must be blamed for its end.
+            // The worker drops the result and forgets the lease, whose end must not count as silence.
             self.schedule.free(key.token, &mut self.outbox);
         }
         admitted

@@ -7,7 +7,7 @@ use farm_proto::ids::DictionaryId;
 use super::part::Purpose;
 use crate::stored::{OpenCheck, Origin};
 
-/// All that came of the changes since it was last taken.
+/// All that was produced since it was last taken.
 #[derive(Debug, Default)]
 pub struct Outbox {
     /// What must be made durable, in this order.
@@ -145,7 +145,7 @@ pub struct Event {
     /// Label of the worker; empty if it concerns none.
     pub worker: String,
     pub message: String,
-    /// Who brought it about, and from where; empty if the farm did. The dispatcher does not know it.
+    /// The caller that caused it, and its address; empty if the farm did. The scheduler adds it.
     pub actor: String,
 }
 

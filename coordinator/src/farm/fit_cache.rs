@@ -43,12 +43,12 @@ struct Channel {
 }
 
 impl FitCache {
-    /// A cache of at most so many bytes.
+    /// A cache of at most `bytes` bytes.
     pub(super) fn new(limit: usize) -> Self {
         Self { limit, kept: Mutex::default(), reading: tokio::sync::Mutex::default() }
     }
 
-    /// A dictionary with at least the channels told.
+    /// A dictionary with at least the given channels.
     pub(super) async fn get(
         &self,
         store: &Store,

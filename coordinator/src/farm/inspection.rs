@@ -36,7 +36,7 @@ pub(crate) struct Unreadable {
 enum Look {
     /// It is not done.
     Nothing,
-    /// Those that were stored, so many.
+    /// How many were stored.
     Good(usize),
     Damaged(String),
     Unreadable(String),

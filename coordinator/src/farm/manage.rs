@@ -48,7 +48,7 @@ impl Farm {
             self.store.create_dictionary(name.clone(), grid, priority, by.name(), Clock::unix_ms()).await?;
         let id = stored.id;
         if let Err(error) = self.take_up(by, plan, stored).await {
-            // A dictionary that the store has and nobody serves would keep its name for ever.
+            // A dictionary that is stored and not served would keep its name for ever.
             self.scheduler.transition(|dispatcher, _| dispatcher.remove_dictionary(id));
             let exclusive = self.store.ledger().exclusive().await;
             if let Err(error) = exclusive.delete_dictionary(id, &[]).await {

@@ -1,6 +1,6 @@
-//! Reading records, and what is done when the disk gives back others than were stored.
+//! Reads records, and has them computed again when the disk returns others than were stored.
 //!
-//! Records are forgotten only if they are not those that were stored, twice: a read that fails says nothing about them,
+//! Records are forgotten only if they are not those that were stored, twice: a read that fails is no evidence about them,
 //! and what differs at one reading alone lies in memory, a cable or a cache.
 
 use std::ops::Range;
@@ -77,7 +77,7 @@ impl Farm {
     }
 
     /// Answers a question to a complete dictionary, off the async threads. It is about the channels of
-    /// these names, or the first if none is told. When nobody waits for the answer any more, the work ends soon.
+    /// these names, or the first if none is given. When the answer is not awaited any more, the work ends soon.
     pub(crate) async fn ask<T: Send + 'static>(
         &self,
         name: &DictionaryName,
@@ -107,12 +107,12 @@ impl Farm {
     }
 }
 
-/// Why work has no result. A panic has told of itself in the log.
+/// Why work has no result. A panic is in the log.
 pub(super) fn ended_early(error: &JoinError) -> FarmError {
     if error.is_panic() { FarmError::Defect } else { FarmError::Stopping }
 }
 
-/// A question whose answer somebody waits for. When it is dropped nobody does.
+/// A question whose answer is awaited, until this is dropped.
 #[derive(Debug, Default)]
 struct Wanted(Stop);
 

@@ -147,7 +147,7 @@ struct Pieces<S> {
     budget: ResultStream,
 }
 
-/// How long a result of so many bytes may take from its header to its end.
+/// How long a result of `bytes` bytes may take from its header to its end.
 fn longest(bytes: usize) -> Duration {
     PATIENCE + Duration::from_secs((bytes / SLOWEST) as u64)
 }

@@ -136,7 +136,7 @@ fn scheduled(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Removes the oldest, with their checksums, until so many are left. What has a later name than the one just made was
+/// Removes the oldest, with their checksums, until `keep` are left. What has a later name than the one just made was
 /// made before the clock was set back, so it is older than all others.
 fn forget_old(folder: &Path, keep: usize, just_made: &Path) -> io::Result<()> {
     let mut all = scheduled(folder)?;
@@ -211,6 +211,6 @@ mod tests {
         assert!(others.iter().all(|name| folder.path().join(name).exists()));
         prepare(folder.path()).unwrap();
         assert!(others[..2].iter().all(|name| folder.path().join(name).exists()));
-        assert!(!folder.path().join(others[2]).exists(), "nobody goes on with it");
+        assert!(!folder.path().join(others[2]).exists(), "it is not continued");
     }
 }

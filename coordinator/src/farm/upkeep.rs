@@ -1,4 +1,4 @@
-//! What is done for the database while nobody computes.
+//! Maintenance of the database while no job is computed.
 
 use std::sync::Weak;
 use std::time::Duration;

@@ -26,10 +26,10 @@ pub(crate) struct Watch {
     id: DictionaryId,
     name: DictionaryName,
     changes: watch::Receiver<()>,
-    /// The state that was told last,
+    /// The state that was sent last,
     last: Option<DictionaryStatus>,
     /// and when.
-    told: Instant,
+    sent: Instant,
 }
 
 impl Farm {
@@ -37,7 +37,7 @@ impl Farm {
         // Before the first look, so that no change falls between the two.
         let changes = self.scheduler.changes();
         let (id, _) = self.found(&name)?;
-        Ok(Watch { farm: self.clone(), id, name, changes, last: None, told: Instant::now() })
+        Ok(Watch { farm: self.clone(), id, name, changes, last: None, sent: Instant::now() })
     }
 }
 
@@ -50,9 +50,9 @@ impl Watch {
         }
         loop {
             let now = self.look()?;
-            let repeat = self.told + REPEAT;
+            let repeat = self.sent + REPEAT;
             if Instant::now() >= repeat || !self.last.as_ref().is_some_and(|last| same(&now, last)) {
-                (self.last, self.told) = (Some(now.clone()), Instant::now());
+                (self.last, self.sent) = (Some(now.clone()), Instant::now());
                 return Ok(Some(now));
             }
             match timeout_at(repeat, self.changes.changed()).await {

@@ -16,9 +16,9 @@ use super::{Farm, Result};
 /// Least time between two looks, for every hundred thousand jobs begun: a look takes the scheduler's lock.
 const PAUSE: Duration = Duration::from_millis(250);
 const JOBS_A_PAUSE: usize = 100_000;
-/// Most jobs that are told of at once.
+/// Most jobs that are sent at once.
 const MOST: usize = 1 << 16;
-/// Unchanged jobs between changed ones that are told of again rather than begin anew.
+/// Unchanged jobs between changed ones that are sent again, rather than begin another run.
 const BRIDGED: usize = 8;
 
 /// States of jobs that follow each other.
@@ -36,10 +36,10 @@ pub(crate) struct JobWatch {
     changes: watch::Receiver<()>,
     /// What was found at the last look,
     last: Vec<JobState>,
-    /// and what of it is still to be told.
+    /// and what of it is still to be sent.
     runs: VecDeque<JobRun>,
-    /// When something was told last.
-    told: Instant,
+    /// When something was sent last.
+    sent: Instant,
     /// The dictionary has ended: there will be no other look.
     ended: bool,
 }
@@ -56,22 +56,22 @@ impl Farm {
             changes,
             last: Vec::new(),
             runs: VecDeque::new(),
-            told: Instant::now(),
+            sent: Instant::now(),
             ended: false,
         })
     }
 }
 
 impl JobWatch {
-    /// The next states that differ from those told last, or the first job's again after [`REPEAT`]; None after those
+    /// The next states that differ from those sent last, or the first job's again after [`REPEAT`]; None after those
     /// with which the dictionary has ended.
     pub(crate) async fn next(&mut self) -> Result<Option<JobRun>> {
         loop {
-            let repeat = self.told + REPEAT;
+            let repeat = self.sent + REPEAT;
             let due = || self.last.first().filter(|_| !self.ended && Instant::now() >= repeat);
             let again = || due().map(|state| JobRun { first: 0, states: vec![*state] });
             if let Some(run) = self.runs.pop_front().or_else(again) {
-                self.told = Instant::now();
+                self.sent = Instant::now();
                 return Ok(Some(run));
             }
             if self.ended {
@@ -120,8 +120,8 @@ mod tests {
     use super::*;
     use JobState::{Computing, Done, Waiting};
 
-    /// What somebody knows who was told these runs.
-    fn told(mut known: Vec<JobState>, runs: &VecDeque<JobRun>, jobs: usize) -> Vec<JobState> {
+    /// The states of a client that has received these runs.
+    fn received(mut known: Vec<JobState>, runs: &VecDeque<JobRun>, jobs: usize) -> Vec<JobState> {
         known.resize(jobs, JobState::Failed);
         for run in runs {
             let first = run.first as usize;
@@ -136,14 +136,14 @@ mod tests {
         let runs = changed(&[], &first);
         assert_eq!(runs.len(), 4);
         assert!(runs.iter().all(|run| run.states.len() <= MOST));
-        assert_eq!(told(Vec::new(), &runs, first.len()), first);
+        assert_eq!(received(Vec::new(), &runs, first.len()), first);
         let mut second = first.clone();
         for job in [3, 5, 6, 100, 70_000, 199_999] {
             second[job] = if job % 2 == 0 { Done } else { Computing };
         }
         let runs = changed(&first, &second);
         assert_eq!(runs.len(), 4, "{runs:?}");
-        assert_eq!(told(first.clone(), &runs, first.len()), second);
+        assert_eq!(received(first.clone(), &runs, first.len()), second);
         assert!(changed(&second, &second).is_empty());
     }
 }

@@ -1,6 +1,6 @@
 //! Metrics and health over plain HTTP, on a port of its own: `/metrics`, `/livez`, `/readyz`.
 //!
-//! Whoever can reach the port can read the names of dictionaries and how much is done; nothing can be changed.
+//! A client that can reach the port can read the names of dictionaries and their progress; it can change nothing.
 
 mod counters;
 mod exposition;
@@ -52,7 +52,7 @@ const PATHS: &str = "not found; there are:
 
 type Ask<T> = Arc<dyn Fn() -> T + Send + Sync>;
 
-/// What the port tells. Both closures are called for each request on a thread that serves others: they must be quick.
+/// What the port answers. Both closures are called for each request on a thread that serves others: they must be quick.
 #[derive(Clone)]
 pub struct MetricsServer {
     metrics: Metrics,
@@ -61,7 +61,7 @@ pub struct MetricsServer {
 }
 
 impl MetricsServer {
-    /// `ready` tells why the caller cannot serve, if it cannot.
+    /// `ready` returns why the caller cannot serve, if it cannot.
     pub fn new(
         metrics: Metrics,
         snapshot: impl Fn() -> Snapshot + Send + Sync + 'static,

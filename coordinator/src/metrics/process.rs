@@ -1,6 +1,6 @@
 //! What this process takes of the machine, in the words that Prometheus clients have agreed upon.
 
-/// What the system does not tell is left out.
+/// Values that the system does not provide are left out.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Process {
     pub(super) resident_memory_bytes: Option<u64>,

@@ -12,13 +12,13 @@ use super::process::Process;
 /// Further dictionaries are left out of `farm_work_done_ratio`.
 pub const MOST_RATIOS: usize = 100;
 
-/// What the coordinator tells when it is asked; the caller sees to it that this is quick.
+/// The coordinator's state at a scrape; the caller ensures that it is quick to make.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Snapshot {
     pub jobs: JobCounts,
     pub workers: WorkerCounts,
     pub dictionaries: DictionaryCounts,
-    /// Name and share of the work that is done, 0 to 1; the first [`MOST_RATIOS`] are told.
+    /// Name and share of the work that is done, 0 to 1; the first [`MOST_RATIOS`] are exposed.
     pub work_done: Vec<(String, f64)>,
     /// The database with its log.
     pub database_bytes: u64,

@@ -65,7 +65,7 @@ impl Dictionaries for Context {
         let name = DictionaryName::new(request.name).or_status()?;
         let most = page_size(request.page_size, 100, FAILED);
         let from = u32::try_from(page_token(&request.page_token).or_status()?).unwrap_or(u32::MAX);
-        // One more tells whether there are others.
+        // One more shows whether there are others.
         let mut failed = self.farm.failed_jobs(&name, from, most + 1)?;
         let next = failed.get(most).map(|failed| failed.job.to_string());
         failed.truncate(most);

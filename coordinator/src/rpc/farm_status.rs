@@ -18,7 +18,7 @@ use crate::store::StoredEvent;
 
 /// Most workers, and most events, of one page.
 const PAGE: u32 = 1000;
-/// Events of a page whose size nobody has asked for.
+/// Events of a page whose size the request leaves open.
 const EVENTS: u32 = 100;
 
 #[tonic::async_trait]

@@ -26,7 +26,7 @@ use crate::stored::{Machine, Outcome, OutcomeKind};
 
 /// Longest instance that a worker may choose.
 const INSTANCE_BYTES: usize = 64;
-/// Longest text by which a worker's machine is told from others.
+/// Longest text by which a worker's machine is distinguished from others.
 const HOST_BYTES: usize = 64;
 
 #[tonic::async_trait]
@@ -132,8 +132,8 @@ fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
     digest.map_err(|_| Invalid::new("identity", format_args!("{} bytes", bytes.len()), "32 are needed"))
 }
 
-fn facts(told: wire::MachineFacts) -> MachineFacts {
-    let wire::MachineFacts { cores, memory_bytes, kernel, log } = told;
+fn facts(facts: wire::MachineFacts) -> MachineFacts {
+    let wire::MachineFacts { cores, memory_bytes, kernel, log } = facts;
     MachineFacts { cores, memory_bytes, kernel: short_line(&kernel), log: one_line(&log) }
 }
 

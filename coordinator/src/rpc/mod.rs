@@ -162,11 +162,11 @@ pub(crate) async fn serve(
 
 /// Carries the number of connections refused over to the figures.
 async fn count_refused(connections: Connections, metrics: Metrics, shutdown: CancellationToken) {
-    let mut told = 0;
+    let mut counted = 0;
     while !shutdown.is_cancelled() {
         let refused = connections.refused();
-        (told..refused).for_each(|_| metrics.connection_refused());
-        told = refused;
+        (counted..refused).for_each(|_| metrics.connection_refused());
+        counted = refused;
         tokio::select! {
             () = shutdown.cancelled() => {}
             () = tokio::time::sleep(LOOK) => {}

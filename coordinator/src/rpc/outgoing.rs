@@ -205,7 +205,7 @@ mod tests {
         for item in 0..2 {
             outlet.send(item).await.unwrap();
         }
-        assert!(outlet.send(2).await.is_err(), "nobody reads");
+        assert!(outlet.send(2).await.is_err(), "there is no reader");
         drop(outlet);
         assert_eq!(read(outgoing).await, (vec![0, 1], Some(Code::DeadlineExceeded)));
     }

@@ -11,7 +11,7 @@ const THICKNESS_BYTES: usize = 48;
 const PIXEL_BYTES: usize = 16;
 /// Most pixels of all profiles of a design: those of each set of slabs count for each number of shots.
 const DESIGN_PIXELS: usize = 1 << 24;
-/// Most sets that are made up where none are told.
+/// Most sets that are made up where none are given.
 const SETS_MADE_UP: usize = 25;
 /// Slabs of such a set.
 const SLABS_MADE_UP: usize = 3;

@@ -1,8 +1,8 @@
 //! Tables `set_aside` and `jobs_set_aside`: what is not believed any more, until it has been computed again.
 //!
 //! Whoever is accused may be right. So nothing is deleted on suspicion: the points of a machine that is fenced off get a
-//! random identity, by which nobody finds them, and their jobs begin again. A job's records go when it has been done
-//! anew; if the fence is lifted before, they come back.
+//! random identity, so that no lookup finds them, and their jobs begin again. A job's records go when it has been done
+//! again; if the fence is lifted before, they come back.
 
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
@@ -44,7 +44,7 @@ pub(super) async fn set_aside(
     begin_jobs_again(tx, &rows).await
 }
 
-/// Jobs have been done anew: what was set aside of them goes, and blocks that were gathered for them.
+/// Jobs have been done again: what was set aside of them goes, and blocks that were gathered for them.
 pub(super) async fn done_again(
     tx: &mut SqliteConnection,
     jobs: impl Iterator<Item = (DictionaryId, u32)>,

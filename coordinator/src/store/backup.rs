@@ -240,13 +240,13 @@ fn refuse_database(database: &Path) -> Result<()> {
     Err(BackupError::HoldsDatabase { dir, files: there })
 }
 
-/// Runs what waits for disks where nobody else is kept waiting.
+/// Runs work that waits for disks where it delays no other task.
 async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> T {
     match tokio::task::spawn_blocking(work).await {
         Ok(result) => result,
         Err(error) => match error.try_into_panic() {
             Ok(panic) => std::panic::resume_unwind(panic),
-            // Blocking work that has begun is not cancelled, and a runtime that is ending polls nobody.
+            // Blocking work that has begun is not cancelled, and a runtime that is ending polls no task.
             Err(error) => unreachable!("blocking work ended without a result: {error}"),
         },
     }

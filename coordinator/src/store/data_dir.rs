@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Result, StoreError, filesystem};
 
-/// File that tells where the coordinator that holds the lock listens.
+/// File with the address at which the coordinator that holds the lock listens.
 pub const ADDRESS_FILE: &str = "coordinator.addr";
 
 /// A data directory with its lock, which ends with the process, however that ends.
@@ -101,7 +101,7 @@ impl DataDir {
     }
 
     pub fn forget_address(&self) {
-        // What is not there need not be removed, and a stale address is noticed when nobody answers.
+        // What is not there need not be removed, and a stale address is noticed when there is no answer.
         let _ = std::fs::remove_file(self.path.join(ADDRESS_FILE));
     }
 }
@@ -119,7 +119,7 @@ fn refuse_other_users(path: &Path) -> Result<()> {
 }
 
 /// Closes the folder to other users if it is the farm's alone. One with other things in it, such as a home or `/tmp`, is
-/// others' business: there the farm's files are closed, and it is told if others can put theirs in their place.
+/// others' business: there the farm's files are closed, and a warning says if others can replace them.
 fn close_folder(path: &Path) {
     let own = ["farm.db", "lock", ADDRESS_FILE, DataDir::BACKUP_PREFIX, DataDir::BACKUPS];
     let is_own = |name: &str| own.iter().any(|own| name.starts_with(own));

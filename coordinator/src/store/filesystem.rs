@@ -20,7 +20,7 @@ pub enum FilesystemError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     Local,
-    /// A program in user space: what is behind it cannot be told.
+    /// A program in user space: what is behind it cannot be seen.
     Fuse,
     /// Served by, or shared with, other machines.
     Network(&'static str),

@@ -1,7 +1,7 @@
 //! The SQLite store: dictionaries, ended jobs, points and their records, workers, events.
 //!
 //! One connection writes, a read-only pool reads. A job's records and its end are committed together, with
-//! `synchronous=FULL`, before anyone is told.
+//! `synchronous=FULL`, before it is acknowledged.
 
 #[macro_use]
 mod row;
@@ -46,7 +46,7 @@ pub use writer::Commit;
 
 /// Older versions can corrupt a WAL database at a reset of the log.
 const OLDEST_SQLITE: &str = "3.51.3";
-/// A transaction writes the last page of each table and index anew, however little it adds: small pages make that cheap.
+/// A transaction writes the last page of each table and index again, however little it adds: small pages make that cheap.
 /// A record that is larger than its page leaves less than half a page of this size empty, whatever its scene.
 const PAGE_BYTES: u32 = 4096;
 
@@ -114,7 +114,7 @@ pub struct Store {
 
 impl Store {
     /// Takes the lock of a data directory, opens or creates its database and brings the schema up to date. `committed`
-    /// is told of every commit of results.
+    /// counts every commit of results.
     pub async fn open(dir: DataDir, committed: impl Fn(Commit) + Send + 'static) -> Result<Self> {
         let file = dir.database_file();
         dir.create_database()?;
@@ -237,7 +237,7 @@ pub fn newest_schema() -> i64 {
     migration::migrator().iter().map(|m| m.version).max().unwrap_or(0)
 }
 
-/// Whether SQLite tells of a page that it could not read; what it has read and finds wrong has the code 11.
+/// Whether SQLite reports a page that it could not read; what it has read and finds wrong has the code 11.
 fn is_unread(fault: &str) -> bool {
     const CORRUPT: i32 = 11;
     let code =

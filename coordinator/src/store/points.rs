@@ -1,4 +1,4 @@
-//! Table `points`: sets of walks, whoever asked for them.
+//! Table `points`: sets of walks, independent of the dictionaries that asked for them.
 
 use std::collections::HashMap;
 
@@ -41,7 +41,7 @@ pub(super) async fn contribute(connection: &mut SqliteConnection, point: i64, wo
     Ok(())
 }
 
-/// Notes that whoever computed blocks that one point has gathered has computed another.
+/// Credits the machines that computed a point's blocks with another point.
 pub(super) async fn credit(connection: &mut SqliteConnection, gathered: i64, point: i64) -> Result<()> {
     sqlx::query(
         "INSERT OR IGNORE INTO contributions (point_id, worker_id) \

@@ -1,7 +1,7 @@
 //! Table `records`: the numbers of finished jobs as bytes, held against what was stored.
 //!
 //! A job's records are those that were stored if all are there, each has the form that the grid prescribes, and together
-//! they have the digest that the job's row tells. Whoever reads records reads them here, so that all mean the same by
+//! they have the digest in the job's row. All records are read here, so that all mean the same by
 //! damage.
 //!
 //! Damage found at one reading may lie in memory, a cable or a cache: only a second one, on a connection of its own, tells

@@ -41,11 +41,11 @@ impl Store {
         Ok(())
     }
 
-    /// Merges the log into the file and empties it, if nobody reads from it at this moment.
+    /// Merges the log into the file and empties it, if there is no reader at this moment.
     pub(super) async fn empty_log(&self) -> Result<()> {
         let what = doing("merging the log into the database");
         let mut connection = self.writer()?.acquire().await.map_err(doing("waiting for the database"))?;
-        // A reader is not waited for: nobody could write meanwhile.
+        // A reader is not waited for: nothing could be written meanwhile.
         let merged = sqlx::raw_sql(
             "PRAGMA busy_timeout = 0; PRAGMA wal_checkpoint(TRUNCATE); PRAGMA busy_timeout = 10000",
         );
@@ -93,7 +93,7 @@ mod tests {
 
     const MIB: u64 = 1 << 20;
 
-    /// A table of so many MiB.
+    /// A table of `mib` MiB.
     async fn fill(store: &Store, mib: u32) {
         sqlx::query("CREATE TABLE filler (bytes BLOB)").execute(&store.write).await.unwrap();
         sqlx::query(
@@ -129,7 +129,7 @@ mod tests {
         assert!(store.faults().await.unwrap().is_empty());
     }
 
-    /// A reader that does not end keeps the log, and nobody waits for it.
+    /// A reader that does not end keeps the log, and is not waited for.
     #[tokio::test]
     async fn a_reader_is_not_waited_for() {
         let dir = tempfile::tempdir().unwrap();

@@ -24,7 +24,7 @@ const BATCH_BYTES: usize = 32 << 20;
 /// Results that may wait for the writer.
 const QUEUE: usize = 4096;
 
-/// How a commit went, for whoever measures.
+/// How a commit went, for the metrics.
 #[derive(Debug, Clone, Copy)]
 pub struct Commit {
     pub results: usize,

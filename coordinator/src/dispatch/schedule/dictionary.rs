@@ -14,7 +14,7 @@ use super::job::{Job, Part, Stage, Strike};
 use super::plan::{self, Plan};
 use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary, Vote};
 
-/// Numbers that change with every job, kept so that nobody has to count.
+/// Numbers that change with every job, kept so that they need not be counted.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
 pub(super) struct Counts {
     pub done: usize,
@@ -78,7 +78,7 @@ impl Dictionary {
         dictionary
     }
 
-    /// Counts afresh what has ended. What waits is not counted: that depends on who holds what.
+    /// Counts again which jobs have ended. Waiting parts are not counted: they depend on the leases.
     fn count(&mut self) {
         self.counts = Counts::default();
         for job in &self.jobs {
@@ -120,12 +120,12 @@ impl Dictionary {
         &self.stored.reason
     }
 
-    /// Whose it is: the name of the token that submitted it.
+    /// Its owner: the name of the token that submitted it.
     pub fn owner(&self) -> &str {
         &self.stored.owner
     }
 
-    /// Jobs, and parts that wait: what takes memory.
+    /// Jobs and waiting parts, which take memory.
     pub fn entries(&self) -> usize {
         self.jobs.len() + self.pending.len()
     }
@@ -237,7 +237,7 @@ impl Dictionary {
         !held && self.pending.insert((job.rank, index, part))
     }
 
-    /// Notes that a job's records are stored, from so many walks; or that they were there, or came for another dictionary.
+    /// Notes that a job's records are stored, of this many walks; or that they were there, or came for another dictionary.
     pub(super) fn finish(
         &mut self,
         index: u32,
@@ -278,7 +278,7 @@ impl Dictionary {
         self.begin_again(index, walks);
     }
 
-    /// All parts of a job wait; nobody holds them.
+    /// All parts of a job wait; none is leased.
     fn begin_again(&mut self, index: u32, walks: Walks) {
         let job = &mut self.jobs[index as usize];
         for part in job.open_parts() {
@@ -308,7 +308,7 @@ impl Dictionary {
     }
 
     /// Counts an attempt that came to nothing. It is given up if `max` machines have failed at it, or if as many
-    /// attempts have failed and nobody else is there who might try (`no_other`): all reasons, and whether silence was
+    /// attempts have failed and no other machine is there that might try (`no_other`): all reasons, and whether silence was
     /// among them.
     pub(super) fn strike(
         &mut self,

@@ -78,7 +78,7 @@ impl Job {
         self.cost / f64::from(self.walks.blocks())
     }
 
-    /// Whether nothing of it was given out a second time, and nobody has failed at it.
+    /// Whether none of its parts was given out a second time, and no attempt at it has failed.
     pub fn is_untried(&self) -> bool {
         self.strikes.is_empty() && self.attempts < self.walks.blocks()
     }

@@ -273,7 +273,7 @@ impl Schedule {
         }
     }
 
-    /// Ends one lease; its part waits again if nobody else holds it.
+    /// Ends one lease; its part waits again if no other lease holds it.
     pub fn free(&mut self, token: Token, outbox: &mut Outbox) -> Option<Held> {
         let held = self.leases.remove(token)?;
         if held.purpose == Purpose::Check {

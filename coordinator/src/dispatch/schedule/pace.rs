@@ -6,9 +6,9 @@ use std::time::Duration;
 const MEMORY_S: f64 = 30.0;
 /// and over this many times what a part takes: otherwise the pace would fall between completions and leap with each.
 const PARTS_REMEMBERED: f64 = 3.0;
-/// Completions that are needed at least before a pace is told.
+/// Completions that are needed at least before there is a pace.
 const FEWEST: usize = 3;
-/// After so long without work the next is measured afresh: the workers may be others.
+/// After this time without work the pace is measured again: the workers may be others.
 const FORGOTTEN: Duration = Duration::from_mins(10);
 /// Share of the newest completion in the typical time of a part.
 const NEWEST: f64 = 0.05;
@@ -32,7 +32,7 @@ pub(super) struct Pace {
     finished: f64,
     worked_s: f64,
     at: Duration,
-    /// Whether leases are out since `at`. Time without any says nothing about how fast work is done.
+    /// Whether leases are out since `at`. Time without any does not measure the pace.
     working: bool,
     completions: usize,
     seconds_per_part: Option<f64>,
@@ -108,7 +108,7 @@ mod tests {
         Duration::from_secs_f64(s)
     }
 
-    /// Parts of cost 1 on so many slots, each of which begins the next when one is finished; the pace is asked for just
+    /// Parts of cost 1 on `slots` slots, each of which begins the next when one is finished; the pace is asked for just
     /// before and after each completion from the time `from_s` on.
     fn rates(pace: &mut Pace, slots: usize, part_s: f64, parts: usize, from_s: f64) -> Vec<f64> {
         pace.working(seconds(from_s), true);
@@ -145,10 +145,10 @@ mod tests {
     #[test]
     fn a_rate_is_given_after_each_slot_finished_a_part() {
         let mut pace = Pace::default();
-        let told = rates(&mut pace, 40, 0.4, 6000, 100.0);
-        assert_eq!(told.len(), 2 * 6000 - (2 * 40 - 1));
-        assert_near(&told[..80], 100.0, 0.8);
-        assert_near(&told[400..], 100.0, 0.2);
+        let seen = rates(&mut pace, 40, 0.4, 6000, 100.0);
+        assert_eq!(seen.len(), 2 * 6000 - (2 * 40 - 1));
+        assert_near(&seen[..80], 100.0, 0.8);
+        assert_near(&seen[400..], 100.0, 0.2);
     }
 
     #[test]
@@ -157,16 +157,16 @@ mod tests {
         rates(&mut pace, 4, 1.0, 400, 0.0);
         assert_near(&[pace.rate(seconds(160.0), 4).unwrap()], 4.0, 0.05);
         // A minute later the next dictionary is submitted.
-        let told = rates(&mut pace, 4, 1.0, 40, 160.0);
-        assert_near(&told, 4.0, 0.1);
+        let seen = rates(&mut pace, 4, 1.0, 40, 160.0);
+        assert_near(&seen, 4.0, 0.1);
     }
 
     #[test]
     fn parts_that_take_minutes_do_not_make_the_pace_leap() {
         let mut pace = Pace::default();
-        let told = rates(&mut pace, 4, 120.0, 40, 0.0);
+        let seen = rates(&mut pace, 4, 120.0, 40, 0.0);
         // Just before the second round is finished, what is known is four parts in twice the time.
-        assert_near(&told, 4.0 / 120.0, 0.85);
+        assert_near(&seen, 4.0 / 120.0, 0.85);
     }
 
     #[test]

@@ -82,7 +82,7 @@ impl Dictionary {
         waits
     }
 
-    /// A part that nobody holds any more waits again, if it is still to be done.
+    /// A part that is not leased any more waits again, if it is still to be done.
     pub(super) fn put_back(&mut self, index: u32, part: u32) {
         let job = &self.jobs[index as usize];
         if matches!(&job.stage, Stage::Open { parts } if parts.get(part as usize) == Some(&Part::Open)) {

@@ -29,7 +29,7 @@ pub(super) fn write(sidecar: &Path, file: &Path, digest: blake3::Hash) -> Result
         .map_err(failed(sidecar, "writing to disk"))
 }
 
-/// As b3sum has it, a backslash in front tells that the name is escaped.
+/// As b3sum has it, a backslash in front marks an escaped name.
 fn line(name: &str, digest: blake3::Hash) -> String {
     let escaped = name.replace('\\', "\\\\").replace('\n', "\\n").replace('\r', "\\r");
     let mark = if escaped == name { "" } else { "\\" };

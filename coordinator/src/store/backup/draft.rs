@@ -25,7 +25,7 @@ pub(super) fn refuse_existing(file: &Path) -> Result<()> {
     }
 }
 
-/// An empty file beside its target, for nobody else to read, locked while it is being filled, removed unless it is
+/// An empty file next to its target, which no other user can read, locked while it is being filled, removed unless it is
 /// published.
 #[derive(Debug)]
 pub(super) struct Draft {
@@ -83,7 +83,7 @@ impl Drop for Draft {
     }
 }
 
-/// A draft whose lock is free belongs to nobody: locks end with their process.
+/// A draft whose lock is free has no writer any more: locks end with their process.
 fn remove_leftover(path: &Path, target: &Path) -> Result<()> {
     let leftover = match File::options().write(true).open(path) {
         Ok(file) => file,
@@ -97,7 +97,7 @@ fn remove_leftover(path: &Path, target: &Path) -> Result<()> {
     }
 }
 
-/// Where a filesystem has no locks, two backups to one file are not told from one: the second to end is refused.
+/// Where a filesystem has no locks, two backups to one file cannot be distinguished from one: the second to end is refused.
 fn lock(file: &File, target: &Path) -> Result<()> {
     match file.try_lock() {
         Ok(()) | Err(TryLockError::Error(_)) => Ok(()),

@@ -12,7 +12,7 @@ use super::{APPLICATION_ID, BackupError, Result, blocking, draft, failed};
 
 const HEADER_BYTES: usize = 100;
 const MAGIC: &[u8] = b"SQLite format 3\0";
-/// More messages help nobody.
+/// More messages do not help.
 const MOST_MESSAGES: usize = 5;
 const SQLITE_CORRUPT: i32 = 11;
 const SQLITE_NOTADB: i32 = 26;
@@ -42,7 +42,7 @@ pub struct Verified {
     pub counts: BackupCounts,
 }
 
-/// Checks a database that nobody writes to: form, checksum (if there is a `.b3` beside it), schema, SQLite's own
+/// Checks a database that is not written to: form, checksum (if there is a `.b3` next to it), schema, SQLite's own
 /// checks. Nothing is written, not even a lock.
 pub async fn verify(file: &Path, newest_schema: i64) -> Result<Verified> {
     let path = file.to_owned();
@@ -204,12 +204,12 @@ impl Reader<'_> {
         if broken.is_empty() {
             return Ok(());
         }
-        let tell = |(table, parent, rows)| {
+        let described = |(table, parent, rows)| {
             format!("{rows} rows of table {table} refer to rows of {parent} that are missing")
         };
         Err(BackupError::Damaged {
             file: self.path.to_owned(),
-            first: broken.into_iter().map(tell).collect(),
+            first: broken.into_iter().map(described).collect(),
         })
     }
 
@@ -224,7 +224,7 @@ impl Reader<'_> {
         result.map_err(|source| {
             let database = source.as_database_error();
             let code = database.and_then(|error| error.code()?.parse::<i32>().ok()).unwrap_or(0);
-            // The low byte is the kind, the rest tells more.
+            // The low byte is the kind, the rest the details.
             match (code & 0xFF, database) {
                 (SQLITE_CORRUPT | SQLITE_NOTADB, Some(error)) => {
                     damaged(self.path, format!("{what}: {}", error.message()))

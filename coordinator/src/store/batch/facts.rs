@@ -20,7 +20,7 @@ pub(super) struct Facts {
     pub points: HashMap<Digest, i64>,
 }
 
-/// How a job ended: with these records, of so many walks; with none if it was given up.
+/// How a job ended: with these records, of this many walks; with none if it was given up.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ended {
     pub records: Option<Digest>,
