@@ -36,7 +36,7 @@ fn messages<M: Message + Default>(version: u32, name: &str) -> Vec<M> {
     encoded(version, name).iter().map(|bytes| M::decode(&bytes[..]).unwrap()).collect()
 }
 
-/// The only message of a file. If it is of the newest version, `again` gives its bytes anew from what was understood.
+/// The only message of a file. If it is of the newest version, `again` encodes it again from the decoded value.
 fn message<M: Message + Default, T>(
     version: u32,
     name: &str,
@@ -160,7 +160,7 @@ fn the_answer_of_a_fit_is_understood() {
             assert!(best.error.is_finite() && best.thicknesses[0].record.is_some(), "version {version}");
             let refined = channel.refined.as_ref().unwrap();
             assert!(refined.sigma_t_per_mm.low <= refined.sigma_t_per_mm.high, "version {version}");
-            assert!(version >= 3 || refined.suspicion.is_none(), "version {version} told none");
+            assert!(version >= 3 || refined.suspicion.is_none(), "version {version} had none");
         }
     }
 }
@@ -210,7 +210,7 @@ fn the_answer_of_a_measurement_is_understood() {
     }
 }
 
-/// Workers are of the coordinator's version: older ones tell no version of the protocol, and are refused.
+/// Workers have the coordinator's version: older ones send no version of the protocol, and are refused.
 #[test]
 fn a_worker_of_an_older_protocol_can_be_told_from_one_of_this() {
     let register = |version| messages::<wire::RegisterRequest>(version, "register_request").remove(0);

@@ -22,7 +22,7 @@ impl Digest {
     /// The physics version by which this is the identity of a grid; None if it is that of another grid. Versions to come
     /// are known too, for data that a later program has written.
     pub fn physics_version_of(self, grid: &Grid) -> Option<u32> {
-        /// So many versions after this one.
+        /// This many versions later.
         const TO_COME: u32 = 100;
         let grid = canonical::grid(grid);
         let mut versions = [PHYSICS_VERSION].into_iter().chain(1..PHYSICS_VERSION + TO_COME);

@@ -13,7 +13,7 @@ use crate::medium::check_thickness;
 /// Fewest pixels of a measured profile: fewer do not distinguish an edge from a slope.
 pub const MIN_PIXELS: usize = 8;
 
-/// A profile that begins so far from the edge, on either side, lies beside it.
+/// A profile that begins this far from the edge, on either side, does not contain it.
 const BESIDE_MM: f64 = 1.0;
 /// First pixel and pitch of what stands for a patch.
 const PATCH_MM: (f64, f64) = (4.6, 0.025);
@@ -83,10 +83,10 @@ impl MeasuredProfile {
             let allowed = "0, and numbers from 1e-9 to 1e6 are allowed";
             check_numbers("std_errors", n, errors, |v| v == 0.0 || (1e-9..=1e6).contains(&v), allowed)?;
         }
-        // Beside the edge a profile may be flat, as a patch of a chart is, if it tells how certain it is: its own scatter
-        // does not.
+        // Away from the edge a profile may be flat, as a patch of a chart is, if it has standard errors: its own
+        // scatter does not.
         let certain = std_errors.as_ref().is_some_and(|errors| errors.iter().all(|e| *e > 0.0));
-        let may_be_flat = lies_beside_the_edge(&x_mm) && certain;
+        let may_be_flat = is_off_edge(&x_mm) && certain;
         if !may_be_flat && values.iter().all(|v| *v == values[0]) {
             let allowed = "a constant profile says nothing about the medium";
             return Err(Invalid::new("values", format_args!("{} everywhere", values[0]), allowed));
@@ -143,7 +143,7 @@ impl MeasuredProfile {
     }
 }
 
-fn lies_beside_the_edge(x_mm: &[f64]) -> bool {
+fn is_off_edge(x_mm: &[f64]) -> bool {
     x_mm[0] >= BESIDE_MM || x_mm[x_mm.len() - 1] <= -BESIDE_MM
 }
 

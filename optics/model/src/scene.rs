@@ -71,8 +71,8 @@ fn check_roughness(value: f64) -> Result<f64> {
     )
 }
 
-/// Where ρ of the base was measured with a white reference, an error of the reference changes both what is measured and ρ.
-/// A scene tells how by a second channel whose ρ is that of a reference with this share of the reflectance.
+/// Where ρ of the base was measured with a white reference, an error of the reference changes both what is measured and
+/// ρ. A scene describes this by a second channel whose ρ is that of a reference with this share of the reflectance.
 pub const DARKER_WHITE: f64 = 0.99;
 
 /// One colour channel: reflectances of the Lambertian base for x ≥ 0 (light) and x < 0 (dark).

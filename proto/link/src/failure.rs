@@ -160,7 +160,7 @@ fn host(url: &str) -> &str {
 mod tests {
     use super::*;
 
-    fn told(error: impl Error + Send + Sync + 'static) -> Option<String> {
+    fn message(error: impl Error + Send + Sync + 'static) -> Option<String> {
         let transport: Box<dyn Error + Send + Sync> = Box::new(io::Error::other(error));
         failure(&*transport, "http://farm:7700").or_else(|| {
             let status = tonic::Status::from_error(transport);
@@ -194,27 +194,27 @@ mod tests {
             let text = of_certificate(error);
             assert!(text.contains(expected), "{text}");
         }
-        let text = told(io::Error::other("connection error detected: frame with invalid size")).unwrap();
+        let text = message(io::Error::other("connection error detected: frame with invalid size")).unwrap();
         assert!(text.contains("--access FILE"), "{text}");
         let lookup = io::Error::other("failed to lookup address information: Name or service not known");
-        assert!(told(lookup).unwrap().contains("by the name farm:"));
+        assert!(message(lookup).unwrap().contains("by the name farm:"));
     }
 
     #[test]
     fn pages_and_silence_are_told_from_coordinators() {
-        let told = |status: &tonic::Status| failure(status, "http://farm:7780").unwrap();
+        let message = |status: &tonic::Status| failure(status, "http://farm:7780").unwrap();
         let page =
             "protocol error: received message with invalid compression flag: 60 (valid flags are 0 and 1)";
-        assert!(told(&tonic::Status::internal(page)).contains("the port of `farmctl web`"));
+        assert!(message(&tonic::Status::internal(page)).contains("the port of `farmctl web`"));
         let missing = "grpc-status header missing, mapped from HTTP status code 404";
-        assert!(told(&tonic::Status::unknown(missing)).contains("--metrics"));
+        assert!(message(&tonic::Status::unknown(missing)).contains("--metrics"));
         let silent = "http2 error: keep-alive timed out: operation timed out";
-        assert!(told(&tonic::Status::unavailable(silent)).contains("SIGSTOP"));
+        assert!(message(&tonic::Status::unavailable(silent)).contains("SIGSTOP"));
     }
 
     #[test]
     fn what_has_another_reason_is_left_to_others() {
         assert_eq!(failure(&tonic::Status::not_found("dictionary x"), "http://farm:7700"), None);
-        assert_eq!(told(io::Error::other("received fatal alert: CertificateRequired")), None);
+        assert_eq!(message(io::Error::other("received fatal alert: CertificateRequired")), None);
     }
 }

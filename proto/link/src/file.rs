@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 
 use crate::error::AccessError;
 
-/// Nobody's certificates are longer.
+/// Certificates are not longer than this.
 const LONGEST_BYTES: u64 = 1 << 20;
 
 /// The permissions of everybody who is neither the owner nor of the group. The group may read, since that is how
@@ -57,14 +57,13 @@ fn place(text: &str, error: &toml::de::Error) -> String {
 fn discreet(message: &str) -> String {
     const SHORTEST_SECRET: usize = 16;
     let is_part = |c: char| c.is_ascii_graphic() && !"`'\"".contains(c);
-    let mut told = String::with_capacity(message.len());
+    let mut masked = String::with_capacity(message.len());
     for piece in message.split_inclusive(|c| !is_part(c)) {
         let word = piece.trim_end_matches(|c| !is_part(c));
-        told.push_str(if word.len() < SHORTEST_SECRET { word } else { "…" });
-        told.push_str(&piece[word.len()..]);
+        masked.push_str(if word.len() < SHORTEST_SECRET { word } else { "…" });
+        masked.push_str(&piece[word.len()..]);
     }
-    told
-}
+    masked }
 
 #[cfg(test)]
 mod tests {
@@ -73,7 +72,7 @@ mod tests {
     #[test]
     fn words_as_long_as_secrets_are_not_told() {
         let token = "338bfaf9b6bcd7452c482ed32cd9bfc71f9740a24ae71761dce5c67401770da0";
-        for (message, told) in [
+        for (message, masked) in [
             (
                 format!("unknown variant `worker{token}`, expected `worker`"),
                 "unknown variant `…`, expected `worker`",
@@ -86,7 +85,7 @@ mod tests {
             ("unknown variant `Xk3!pQ9.rT7,Zz#1$vB%`, expected".to_owned(), "unknown variant `…`, expected"),
             (token.to_owned(), "…"),
         ] {
-            assert_eq!(discreet(&message), told);
+            assert_eq!(discreet(&message), masked);
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! In TLS 1.3 a client has ended its handshake before the server has looked at the client's certificate. By the time
 //! the server objects, the client is sending already, and what is sent to a closed connection makes the system throw
-//! away the server's last words. Whoever only listens after the handshake hears them.
+//! away the server's last words. A peer that only reads after the handshake receives them.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -67,7 +67,7 @@ const HANDSHAKE: Duration = Duration::from_secs(10);
 /// Length of a token in bytes. The shortest still has 128 bits if it is random hexadecimal.
 const TOKEN_BYTES: std::ops::RangeInclusive<usize> = 32..=512;
 
-/// What somebody with a token may do.
+/// Permissions of a token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {

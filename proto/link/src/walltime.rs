@@ -265,8 +265,8 @@ mod tests {
 
     #[test]
     fn a_bare_number_is_no_span() {
-        let told = parse_span("90").map_err(|e| e.to_string());
-        assert_eq!(told, Err(r#""90" is ambiguous: write 90s or 90m"#.to_owned()));
+        let message = parse_span("90").map_err(|e| e.to_string());
+        assert_eq!(message, Err(r#""90" is ambiguous: write 90s or 90m"#.to_owned()));
     }
 
     #[test]

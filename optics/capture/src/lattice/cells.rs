@@ -67,8 +67,8 @@ impl CropCells {
             return Err(Refusal::NoSlab { label: label.to_owned() });
         }
         // An opaque slab looks like the bare dark side.
-        let dark_tells = self.free_shares(sample)[0] < 0.6;
-        let counts = |k: &usize| self.is_free(sample, *k) && (is_light(*k) || dark_tells);
+        let dark_counts = self.free_shares(sample)[0] < 0.6;
+        let counts = |k: &usize| self.is_free(sample, *k) && (is_light(*k) || dark_counts);
         let corner = |k: usize| [(k % CELLS) as f64, (k / CELLS) as f64];
         let border = |k: &usize| [k % CELLS, k / CELLS].iter().any(|i| *i == 0 || *i == CELLS - 1);
         let open: Vec<usize> = (0..CELLS * CELLS).filter(border).filter(counts).collect();

@@ -97,8 +97,8 @@ impl<'a> Patch<'a> {
         let (mut sums, mut variances, mut counts) = ([0.0; 3], [0.0; 3], [0.0; 3]);
         for on in self.on[0] as usize..=self.on[1] as usize {
             let edge = self.stretch.at(on as f64 + 0.5);
-            let beside = if self.stretch.rises { self.reach_px } else { -self.reach_px - WIDTH_PX };
-            let [from, to] = [edge + beside, edge + beside + WIDTH_PX].map(|v| v.clamp(0.0, end) as usize);
+            let offset = if self.stretch.rises { self.reach_px } else { -self.reach_px - WIDTH_PX };
+            let [from, to] = [edge + offset, edge + offset + WIDTH_PX].map(|v| v.clamp(0.0, end) as usize);
             for (x, y) in (from..to).map(|at| if down { (at, on) } else { (on, at) }) {
                 for site in frame.sites().into_iter().filter(|s| s.has_row(y) && s.has_column(x)) {
                     let (c, sample) = (site.colour.index(), radiance.sample(site, x, y));

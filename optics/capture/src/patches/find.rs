@@ -152,13 +152,13 @@ impl Tiles {
         while let Some(tile) = found.get(next).copied() {
             next += 1;
             let (x, y) = (tile % self.columns, tile / self.columns);
-            let beside = [
+            let neighbours = [
                 (x > 0).then(|| tile - 1),
                 (x + 1 < self.columns).then(|| tile + 1),
                 (y > 0).then(|| tile - self.columns),
                 (y + 1 < self.rows).then(|| tile + self.columns),
             ];
-            for other in beside.into_iter().flatten() {
+            for other in neighbours.into_iter().flatten() {
                 if !visited[other] && self.alike(tile, other) {
                     visited[other] = true;
                     found.push(other);

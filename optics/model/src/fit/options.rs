@@ -25,7 +25,7 @@ pub enum Objective {
     /// Eq. 1 of the paper: a sum of norms of values and gradients, as if the set-up were perfect but for μ.
     Paper,
     /// Minus twice the logarithm of the likelihood: residuals over their noise, with all that is wrong with a real
-    /// set-up estimated beside the medium.
+    /// set-up estimated in addition to the medium.
     Likelihood,
 }
 
@@ -98,11 +98,11 @@ pub struct FitSettings {
     pub offset_std_error: f64,
     /// The objective. None selects the likelihood if every profile has standard errors, and else the paper's distance.
     pub objective: Option<Objective>,
-    /// Standard error of the thickness of each slab for which none is told, in mm.
+    /// Standard error of the thickness of each slab without a given one, in mm.
     pub thickness_std_error_mm: f64,
-    /// Standard error of the place of the edge in each profile for which none is told, in mm.
+    /// Standard error of the place of the edge in each profile without a given one, in mm.
     pub origin_std_error_mm: f64,
-    /// Blur of the camera where none is told: standard deviation of a Gaussian in the plane of the sample, in mm.
+    /// Blur of the camera if none is given: standard deviation of a Gaussian in the plane of the sample, in mm.
     pub blur_mm: f64,
     /// Standard error of that, in mm.
     pub blur_std_error_mm: f64,
@@ -280,8 +280,8 @@ mod tests {
     #[test]
     fn contradictory_bounds_are_refused() {
         let error = Bounds::new("sigma_t_per_mm", Some(9.0), Some(4.0)).unwrap_err();
-        let told = "sigma_t_per_mm = 9 to 4 is not valid: the lower bound must not exceed the upper";
-        assert_eq!(error.to_string(), told);
+        let expected = "sigma_t_per_mm = 9 to 4 is not valid: the lower bound must not exceed the upper";
+        assert_eq!(error.to_string(), expected);
         assert!(Bounds::new("g", None, Some(0.4)).unwrap().contains(-0.5));
     }
 

@@ -28,7 +28,7 @@ fn exits(kernel: Kernel, stack: &Stack, walks: u32) -> Vec<Bits> {
     let (mut places, mut exits) = (Places::default(), Exits::default());
     kernel
         .run_chunk(stack, &Light::new(stack, true), chunk, &AtomicBool::new(false), &mut places, &mut exits)
-        .expect("nobody stops it");
+        .expect("it is not stopped");
     let all_hits = exits.hits().to_vec();
     let bits = |Exit { pick, hits }: Exit| Bits {
         place: [pick.z, pick.u, pick.worth].map(f32::to_bits),
@@ -90,7 +90,7 @@ fn all_kernels_run_the_same_walks_to_the_last_bit() {
         let stack = Stack::new(&scene, &point);
         // Not a multiple of any vector, more than the pool.
         let expected = exits(Kernel::SCALAR, &stack, 2_501);
-        assert!(expected.len() > 100, "{point:?} must score often enough to tell something");
+        assert!(expected.len() > 100, "{point:?} must score often enough for this test");
         for kernel in Kernel::all() {
             let found = exits(kernel, &stack, 2_501);
             for (found, expected) in found.iter().zip(&expected) {

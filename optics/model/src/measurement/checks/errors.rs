@@ -13,13 +13,13 @@ const COARSE: f64 = 0.04;
 
 /// Standard errors much larger or smaller than how neighbouring pixels scatter, where that is independent noise.
 pub(super) fn far_from_scatter(profile: &MeasuredProfile) -> Option<Seen> {
-    let (values, told) = (profile.values(), median(profile.std_errors()?.to_vec()));
+    let (values, stated) = (profile.values(), median(profile.std_errors()?.to_vec()));
     let (coarse, fine) = (scatter(values, 2), scatter(values, 4));
     // Of what is smooth, higher differences are smaller: then it is no noise that they show. Nor is rounding.
-    if told == 0.0 || fine < 0.5 * coarse || fine < 3.0 * last_digit(values) {
+    if stated == 0.0 || fine < 0.5 * coarse || fine < 3.0 * last_digit(values) {
         return None;
     }
-    let ratio = told / fine;
+    let ratio = stated / fine;
     let text = |factor: f64, size: &str, cause: &str| {
         // The scatter of a few hundred pixels is known to a tenth or two.
         let digit = 10f64.powf(factor.log10().floor());
@@ -29,7 +29,7 @@ pub(super) fn far_from_scatter(profile: &MeasuredProfile) -> Option<Seen> {
         )
     };
     let most = values.iter().copied().fold(f64::MIN, f64::max);
-    if ratio > FAR && told > COARSE * most && !is_simulated(profile) {
+    if ratio > FAR && stated > COARSE * most && !is_simulated(profile) {
         let cause = "are they in per cent? Radiance factors are wanted, so divide them by 100";
         return Some(Seen::warning(Kind::ErrorScale, text(ratio, "larger", cause)));
     }
@@ -58,7 +58,7 @@ mod tests {
     use crate::measurement::ProfileSetup;
 
     /// An edge with independent noise.
-    fn profile(noise: f64, told: f64) -> MeasuredProfile {
+    fn profile(noise: f64, stated: f64) -> MeasuredProfile {
         let mut state = 1_u64;
         let mut uniform = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -68,18 +68,18 @@ mod tests {
         // The sum of twelve uniform numbers is nearly normal.
         let mut normal = || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
         let values = x.iter().map(|x| 0.45 + 0.3 * (2.0 * x).tanh() + noise * normal()).collect();
-        MeasuredProfile::new("R", 0.5, x, values, Some(vec![told; 180])).unwrap()
+        MeasuredProfile::new("R", 0.5, x, values, Some(vec![stated; 180])).unwrap()
     }
 
     #[test]
     fn errors_in_another_unit_are_noted_with_the_factor() {
-        let told = |noise: f64, error: f64| far_from_scatter(&profile(noise, error)).map(|seen| seen.text);
+        let message = |noise: f64, error: f64| far_from_scatter(&profile(noise, error)).map(|seen| seen.text);
         for right in [0.004, 0.002, 0.04, 0.0005] {
-            assert_eq!(told(0.004, right), None);
+            assert_eq!(message(0.004, right), None);
         }
-        let percent = told(0.004, 0.4).unwrap();
+        let percent = message(0.004, 0.4).unwrap();
         assert!(percent.starts_with("its standard errors are about 100 times larger"), "{percent}");
-        assert!(told(0.004, 0.00004).unwrap().contains("times smaller"));
+        assert!(message(0.004, 0.00004).unwrap().contains("times smaller"));
     }
 
     /// As simulated ones have.

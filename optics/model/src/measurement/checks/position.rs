@@ -1,6 +1,6 @@
 //! Places and lengths in units that are not mm.
 
-use super::super::lies_beside_the_edge;
+use super::super::is_off_edge;
 use super::{Kind, Seen};
 
 /// x that counts pixels or is in µm, cm or m. A laboratory's profile spans about 10 mm.
@@ -33,8 +33,8 @@ pub(super) fn of_x(x: &[f64]) -> Option<Seen> {
         );
         return Some(Seen::refusal(Kind::UnitOfX, text));
     }
-    // What lies beside the edge is a patch.
-    if span < 1.5 && !lies_beside_the_edge(x) {
+    // A profile away from the edge is a patch.
+    if span < 1.5 && !is_off_edge(x) {
         let text = format!("{range} mm, where profiles span about 10 mm: if it is cm, multiply by 10");
         return Some(Seen::warning(Kind::UnitOfX, text));
     }
