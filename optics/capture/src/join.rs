@@ -132,7 +132,7 @@ impl Departure {
                 normal.add(row, r, 1.0 / (e * e));
             }
         }
-        let of = |s: crate::least_squares::Solution| {
+        let of = |s: crate::least_squares::FittedParameters| {
             std::array::from_fn(|i| Estimate::new(s.x[i], s.std_error(i)))
         };
         let coefficients: [Estimate; 4] = normal.solve().map_or([Estimate::default(); 4], of);

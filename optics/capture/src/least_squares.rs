@@ -4,12 +4,12 @@ use nalgebra::{DMatrix, DVector};
 
 /// Parameters with their covariance: (AᵀWA)⁻¹, without any factor from the residuals.
 #[derive(Debug, Clone)]
-pub(crate) struct Solution {
+pub(crate) struct FittedParameters {
     pub x: DVector<f64>,
     pub covariance: DMatrix<f64>,
 }
 
-impl Solution {
+impl FittedParameters {
     pub fn std_error(&self, i: usize) -> f64 {
         self.covariance[(i, i)].max(0.0).sqrt()
     }
@@ -37,7 +37,7 @@ impl NormalEquations {
     }
 
     /// None if the rows do not determine the parameters.
-    pub fn solve(&self) -> Option<Solution> {
+    pub fn solve(&self) -> Option<FittedParameters> {
         // Scaled to a unit diagonal, so that undetermined parameters are recognised whatever their units.
         let n = self.vector.len();
         let scale = DVector::from_fn(n, |i, _| self.matrix[(i, i)].sqrt());
@@ -51,7 +51,7 @@ impl NormalEquations {
             return None;
         }
         let covariance = DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] / (scale[i] * scale[j]));
-        Some(Solution { x: &covariance * &self.vector, covariance })
+        Some(FittedParameters { x: &covariance * &self.vector, covariance })
     }
 }
 

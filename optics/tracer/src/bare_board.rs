@@ -46,7 +46,7 @@ impl BareBoard {
         let (ring, polar) = (scene.light(), scene.sensor().polar_deg());
         let [inner, outer] = [ring.inner_deg(), ring.outer_deg()].map(sin2);
         let in_ring = |d: Vec3| (inner..=outer).contains(&f64::from(d.x * d.x + d.y * d.y));
-        let out = |point: Point, sin2: f64| coat.rays_above(point, sin2);
+        let out = |point: CubePoint, sin2: f64| coat.rays_above(point, sin2);
         let through = |rays: Rays| share(&rays, |d| d.z < 0.0);
         let reflected = |rays: Rays| share(&rays, |d| d.z > 0.0 && in_ring(d));
         let entering = mean(|point| through(out(point, sin2(polar))));
@@ -66,7 +66,7 @@ impl BareBoard {
 
 /// A point of the unit cube.
 #[derive(Debug, Clone, Copy)]
-struct Point {
+struct CubePoint {
     number: u32,
     /// For the direction.
     u: f64,
@@ -76,11 +76,11 @@ struct Point {
 }
 
 /// Mean over the points of the sequence, added up in a fixed order.
-fn mean(f: impl Fn(Point) -> f64 + Sync) -> f64 {
+fn mean(f: impl Fn(CubePoint) -> f64 + Sync) -> f64 {
     const PART: u32 = 1 << 14;
     // 1/g and 1/g², g³ = g + 1.
     let shift = |i: u32, step: f64| (0.5 + f64::from(i) * step).fract();
-    let point = |i: u32| Point {
+    let point = |i: u32| CubePoint {
         number: i,
         u: (f64::from(i) + 0.5) / f64::from(POINTS),
         normal: shift(i, 0.754_877_666_246_692_7) as f32,
@@ -133,16 +133,16 @@ impl Coat {
         }
     }
 
-    fn rays_above(&self, point: Point, sin2: f64) -> Rays {
+    fn rays_above(&self, point: CubePoint, sin2: f64) -> Rays {
         self.rays(point, sin2, [1.0, self.ior])
     }
 
-    fn rays_below(&self, point: Point, sin2: f64) -> Rays {
+    fn rays_below(&self, point: CubePoint, sin2: f64) -> Rays {
         self.rays(point, sin2, [self.ior, 1.0])
     }
 
     /// What becomes of a ray at the coat's face; `iors` are those of its side and of the other.
-    fn rays(&self, point: Point, sin2: f64, iors: [f64; 2]) -> Rays {
+    fn rays(&self, point: CubePoint, sin2: f64, iors: [f64; 2]) -> Rays {
         let wi = Vec3::new(0.0, sin2.sqrt() as f32, (1.0 - sin2).sqrt() as f32);
         let indices = [RelativeIndex::new(iors[0], iors[1]), RelativeIndex::new(iors[1], iors[0])];
         if self.multiple_scattering && self.alpha > 0.0 {

@@ -32,7 +32,7 @@ pub struct Exit {
 
 /// Picks of a walk, and where its hits begin.
 #[derive(Debug, Clone, Copy, Default)]
-struct Walk {
+struct WalkExits {
     picks: u32,
     hits: u32,
 }
@@ -42,7 +42,7 @@ struct Walk {
 pub struct Exits {
     picks: Vec<Pick>,
     hits: Vec<Offset>,
-    walks: Vec<Walk>,
+    walks: Vec<WalkExits>,
     /// For `in_order`: places of picks, walk by walk, and where the next of each walk goes.
     order: Vec<u32>,
     next: Vec<u32>,
@@ -54,7 +54,7 @@ impl Exits {
         self.picks.clear();
         self.hits.clear();
         self.walks.clear();
-        self.walks.resize(walks as usize, Walk::default());
+        self.walks.resize(walks as usize, WalkExits::default());
     }
 
     /// Adds a vertex. Those of one walk come in their order, walks in any.

@@ -17,19 +17,19 @@ use super::{Stopped, walk, wavefront};
 
 /// How walks are run. All kernels give the same bits.
 #[derive(Debug, Clone, Copy)]
-pub struct Kernel(Way);
+pub struct Kernel(KernelKind);
 
 static CHOSEN: OnceLock<Kernel> = OnceLock::new();
 
 #[derive(Debug, Clone, Copy)]
-enum Way {
+enum KernelKind {
     Scalar,
     Vector(Level),
 }
 
 impl Kernel {
     /// One walk after the other: slow, and plain enough to be checked by eye.
-    pub const SCALAR: Self = Self(Way::Scalar);
+    pub const SCALAR: Self = Self(KernelKind::Scalar);
 
     /// The kernel of this process: the one set with [`Self::choose`], or the fastest by the rule.
     pub fn chosen() -> Self {
@@ -53,7 +53,7 @@ impl Kernel {
             #[cfg(target_arch = "x86_64")]
             Level::Sse2(_) => Self::SCALAR,
             level if level.is_fallback() => Self::SCALAR,
-            level => Self(Way::Vector(level)),
+            level => Self(KernelKind::Vector(level)),
         }
     }
 
@@ -72,7 +72,7 @@ impl Kernel {
             .flatten(),
         );
         levels.push(Level::baseline());
-        let mut kernels: Vec<_> = levels.into_iter().map(|level| Self(Way::Vector(level))).collect();
+        let mut kernels: Vec<_> = levels.into_iter().map(|level| Self(KernelKind::Vector(level))).collect();
         kernels.dedup_by_key(|kernel| kernel.name());
         kernels.push(Self::SCALAR);
         kernels
@@ -80,18 +80,18 @@ impl Kernel {
 
     pub fn name(self) -> &'static str {
         match self.0 {
-            Way::Scalar => "scalar",
+            KernelKind::Scalar => "scalar",
             #[cfg(target_arch = "x86_64")]
-            Way::Vector(Level::Avx512(_)) => "avx512",
+            KernelKind::Vector(Level::Avx512(_)) => "avx512",
             #[cfg(target_arch = "x86_64")]
-            Way::Vector(Level::Avx2(_)) => "avx2",
+            KernelKind::Vector(Level::Avx2(_)) => "avx2",
             #[cfg(target_arch = "x86_64")]
-            Way::Vector(Level::Sse4_2(_)) => "sse4.2",
+            KernelKind::Vector(Level::Sse4_2(_)) => "sse4.2",
             #[cfg(target_arch = "x86_64")]
-            Way::Vector(Level::Sse2(_)) => "sse2",
+            KernelKind::Vector(Level::Sse2(_)) => "sse2",
             #[cfg(target_arch = "aarch64")]
-            Way::Vector(Level::Neon(_)) => "neon",
-            Way::Vector(_) => "portable",
+            KernelKind::Vector(Level::Neon(_)) => "neon",
+            KernelKind::Vector(_) => "portable",
         }
     }
 
@@ -106,8 +106,8 @@ impl Kernel {
     ) -> Result<(), Stopped> {
         exits.reset(chunk.walks);
         match self.0 {
-            Way::Scalar => walk::run_chunk(stack, light, chunk, stop, exits),
-            Way::Vector(level) => wavefront::run_chunk(level, stack, light, chunk, stop, places, exits),
+            KernelKind::Scalar => walk::run_chunk(stack, light, chunk, stop, exits),
+            KernelKind::Vector(level) => wavefront::run_chunk(level, stack, light, chunk, stop, places, exits),
         }
     }
 
@@ -123,8 +123,8 @@ impl Kernel {
 
     fn level(self) -> Level {
         match self.0 {
-            Way::Scalar => Level::baseline(),
-            Way::Vector(level) => level,
+            KernelKind::Scalar => Level::baseline(),
+            KernelKind::Vector(level) => level,
         }
     }
 }

@@ -5,7 +5,7 @@ use super::edge::{EdgeFrame, EdgeLine, choose, dark_side, place};
 use super::lines::{BoardLine, EdgeStretch, number, stretches};
 use super::movement::{BoardEdges, check_shake};
 use super::pose;
-use super::scan::{Contrast, Run, Scan};
+use super::scan::{Contrast, Run, EdgeScan};
 use crate::estimate::Estimate;
 use crate::refusal::Refusal;
 use crate::view::PhotoView;
@@ -88,7 +88,7 @@ pub(crate) fn free_edges(view: PhotoView<'_>) -> Result<[Option<FreeEdge>; 2], R
 /// Scans, and repeats with plateaus farther from the edge if it is strongly blurred.
 fn look(view: PhotoView<'_>, contrast: Contrast) -> ([Vec<EdgeStretch>; 2], BoardEdges) {
     let shortest = SHORTEST * view.frame().width().min(view.frame().height()) as f64;
-    let mut scan = Scan { contrast, reach_px: REACH_PX, share: SHARE };
+    let mut scan = EdgeScan { contrast, reach_px: REACH_PX, share: SHARE };
     loop {
         let found = [Run::Down, Run::Across].map(|run| stretches(&scan.run(view, run), run, shortest));
         let seen = BoardEdges::new(view, scan, [&found[0], &found[1]]);

@@ -3,7 +3,7 @@
 use super::blurs::blur_px;
 use super::light::{FLICKER, Patch, brightest};
 use super::lines::EdgeStretch;
-use super::scan::{EdgePoint, Run, Scan};
+use super::scan::{EdgePoint, Run, EdgeScan};
 use crate::estimate::Estimate;
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
@@ -19,7 +19,7 @@ const BLURRED: f64 = 1.3;
 /// Edges of the board in a photograph.
 #[derive(Debug, Clone)]
 pub(crate) struct BoardEdges {
-    scan: Scan,
+    scan: EdgeScan,
     /// Stretches that run up and down, and across.
     stretches: [Vec<EdgeStretch>; 2],
     blur_px: [Option<Estimate>; 2],
@@ -37,7 +37,7 @@ pub(crate) struct FreeParts {
 const RUNS: [Run; 2] = [Run::Down, Run::Across];
 
 impl BoardEdges {
-    pub fn new(view: PhotoView<'_>, scan: Scan, stretches: [&[EdgeStretch]; 2]) -> Self {
+    pub fn new(view: PhotoView<'_>, scan: EdgeScan, stretches: [&[EdgeStretch]; 2]) -> Self {
         let blur = |i: usize| {
             let longest = longest(stretches[i])?;
             let reach = scan.reach_px + 4.0;
@@ -109,7 +109,7 @@ impl BoardEdges {
 
     /// Edges near those of the bare board, under light of this brightness.
     fn edges(&self, view: PhotoView<'_>, brightness: f64) -> [Vec<EdgePoint>; 2] {
-        let scan = Scan { contrast: self.scan.contrast.under(brightness), ..self.scan };
+        let scan = EdgeScan { contrast: self.scan.contrast.under(brightness), ..self.scan };
         std::array::from_fn(|i| {
             let run = RUNS[i];
             let end = if run == Run::Down { view.frame().width() } else { view.frame().height() };

@@ -6,7 +6,7 @@
 
 use super::lines::BoardLine;
 use super::scan::Run;
-use crate::least_squares::{NormalEquations, Solution, spread, tukey};
+use crate::least_squares::{NormalEquations, FittedParameters, spread, tukey};
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Pose {
@@ -165,7 +165,7 @@ fn similar_start(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> Po
 struct PoseFit {
     pose: Pose,
     freedom: Freedom,
-    solution: Solution,
+    solution: FittedParameters,
     sigma: f64,
 }
 

@@ -91,7 +91,7 @@ impl Contrast {
 
 /// Settings of the search for edges.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Scan {
+pub(crate) struct EdgeScan {
     pub contrast: Contrast,
     /// Distance from the edge at which its plateaus begin, in pixels.
     pub reach_px: f64,
@@ -105,7 +105,7 @@ const PLATEAU_PX: f64 = 8.0;
 /// Number of rows and columns that are scanned: enough for a line to 0.001 px.
 const LINES: usize = 1200;
 
-impl Scan {
+impl EdgeScan {
     /// All edges of a photograph.
     pub fn run(&self, view: PhotoView<'_>, run: Run) -> Vec<EdgePoint> {
         let whole = 0..if run == Run::Down { view.frame().width() } else { view.frame().height() };

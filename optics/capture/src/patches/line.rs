@@ -4,7 +4,7 @@ use super::{Neutral, PatchShot, RawReading};
 use crate::calibration::{LampDrift, PatchReading};
 use crate::estimate::Estimate;
 use crate::frame::{Area, Colour};
-use crate::least_squares::{NormalEquations, Solution};
+use crate::least_squares::{NormalEquations, FittedParameters};
 use crate::refusal::{Refusal, Warning};
 
 /// Relative deviation from the line above which a session is refused.
@@ -101,7 +101,7 @@ fn channel(
 }
 
 /// Weighted by the certificate and the noise.
-fn regress(neutral: &Neutral, readings: &[RawReading], c: usize, curved: bool) -> Option<Solution> {
+fn regress(neutral: &Neutral, readings: &[RawReading], c: usize, curved: bool) -> Option<FittedParameters> {
     let scale = readings[neutral.white()].light / neutral.rho[neutral.white()][c];
     let mut normal = NormalEquations::new(if curved { 3 } else { 2 });
     for (rho, reading) in neutral.rho.iter().map(|r| r[c]).zip(readings) {

@@ -94,13 +94,13 @@ impl Arrivals {
     fn follow(stack: &Stack, rays: u32) -> Self {
         let [inner, outer] = stack.ring_sin2.map(|s| f64::from(s).clamp(0.0, 1.0));
         let share = 1.0 / f64::from(rays);
-        let mut from_ring = Gathered::default();
+        let mut from_ring = RaySums::default();
         for ray in 0..rays {
             let sin2 = inner + (outer - inner) * (f64::from(ray) + 0.5) * share;
             let direction = Vec3::new(sin2.sqrt() as f32, 0.0, -((1.0 - sin2).sqrt() as f32));
             from_ring.follow(stack, direction, ray, share, &mut Stream::new(KEYS[0], 0, ray));
         }
-        let mut from_sensor = Gathered::default();
+        let mut from_sensor = RaySums::default();
         for ray in 0..rays {
             from_sensor.follow(stack, stack.sensor_direction, ray, share, &mut Stream::new(KEYS[1], 0, ray));
         }
@@ -168,16 +168,16 @@ fn key_of(stack: &Stack) -> Vec<u64> {
 
 /// Flux by direction, cosine and passes, with the sums of flux times cosine and of flux times length.
 #[derive(Debug)]
-struct Cells(Vec<[f64; 3]>);
+struct DirectionCells(Vec<[f64; 3]>);
 
-impl Default for Cells {
+impl Default for DirectionCells {
     fn default() -> Self {
         Self(vec![[0.0; 3]; 2 * PASSES * CELLS])
     }
 }
 
-impl Cells {
-    fn add(&mut self, way: &Way, cosine: f64) {
+impl DirectionCells {
+    fn add(&mut self, way: &LightPath, cosine: f64) {
         let cell = ((cosine * CELLS as f64) as usize).min(CELLS - 1);
         // Even and odd numbers apart: they have come from different sides.
         let passes = if way.passes < PASSES { way.passes } else { PASSES - 2 + way.passes % 2 };
@@ -196,14 +196,14 @@ impl Cells {
 
 /// What rays have added up to.
 #[derive(Debug, Default)]
-struct Gathered {
-    sample: Cells,
-    base: Cells,
-    ring: Cells,
+struct RaySums {
+    sample: DirectionCells,
+    base: DirectionCells,
+    ring: DirectionCells,
 }
 
 /// Light on its way, at the beginning of a slab.
-struct Way {
+struct LightPath {
     slab: usize,
     direction: Vec3,
     flux: f64,
@@ -216,9 +216,9 @@ struct Way {
     rough: u32,
 }
 
-impl Gathered {
+impl RaySums {
     fn follow(&mut self, stack: &Stack, direction: Vec3, ray: u32, flux: f64, stream: &mut Stream) {
-        let mut ways = vec![Way {
+        let mut ways = vec![LightPath {
             slab: 0,
             direction,
             flux,
@@ -236,7 +236,7 @@ impl Gathered {
     }
 
     /// Takes light to the end of its slab. None if it ends there.
-    fn cross_slab(&mut self, stack: &Stack, mut way: Way, faint: f64, stream: &mut Stream) -> Option<Way> {
+    fn cross_slab(&mut self, stack: &Stack, mut way: LightPath, faint: f64, stream: &mut Stream) -> Option<LightPath> {
         let down = way.direction.z < 0.0;
         if way.slab == 0 && !down {
             let d = way.direction;
@@ -267,7 +267,7 @@ impl Gathered {
 }
 
 /// Sends light on from the interface at the end of its slab.
-fn meet_interface(stack: &Stack, way: &Way, ray: u32, stream: &mut Stream, ways: &mut Vec<Way>) {
+fn meet_interface(stack: &Stack, way: &LightPath, ray: u32, stream: &mut Stream, ways: &mut Vec<LightPath>) {
     let d = way.direction;
     let down = d.z < 0.0;
     let interface = stack.interfaces[if down { way.slab } else { way.slab - 1 }];
@@ -285,7 +285,7 @@ fn meet_interface(stack: &Stack, way: &Way, ray: u32, stream: &mut Stream, ways:
             let direction = Vec3::new(wo.x, wo.y, up * wo.z);
             let (flux, interfaces) = (way.flux * share, way.interfaces + 1);
             let rough = way.rough + u32::from(alpha > 0.0);
-            ways.push(Way { slab, direction, flux, interfaces, rough, ..*way });
+            ways.push(LightPath { slab, direction, flux, interfaces, rough, ..*way });
         }
     };
     if alpha > 0.0 && stack.multiple_scattering {

@@ -4,7 +4,7 @@ use glam::Vec3;
 use optics_model::TransportPoint;
 use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
 
-use super::{Event, Walk};
+use super::{WalkEvent, Walk};
 use crate::math::unit_vector;
 use crate::rng::{Stream, uniform};
 use crate::stack::Stack;
@@ -48,8 +48,8 @@ fn walks<'a>(
     n: u32,
     key: u32,
     direction: impl Fn([u32; 4]) -> Vec3 + 'a,
-    end: fn(Event) -> bool,
-) -> impl Iterator<Item = (Walk<'a>, Event)> {
+    end: fn(WalkEvent) -> bool,
+) -> impl Iterator<Item = (Walk<'a>, WalkEvent)> {
     (0..n).map(move |index| {
         let mut stream = Stream::new([41, key], 0, index);
         let entry = direction(stream.words());
@@ -70,12 +70,12 @@ fn lambertian(words: [u32; 4]) -> Vec3 {
     Vec3::new(u.sqrt() * c, u.sqrt() * s, -(1.0 - u).sqrt())
 }
 
-fn left_or_through(event: Event) -> bool {
-    matches!(event, Event::Left | Event::Base | Event::Lost)
+fn left_or_through(event: WalkEvent) -> bool {
+    matches!(event, WalkEvent::Left | WalkEvent::Base | WalkEvent::Lost)
 }
 
-fn left(event: Event) -> bool {
-    matches!(event, Event::Left | Event::Lost)
+fn left(event: WalkEvent) -> bool {
+    matches!(event, WalkEvent::Left | WalkEvent::Lost)
 }
 
 /// van de Hulst 1980, "Multiple light scattering", table 35: R 0.09739, T 0.66096.
@@ -83,13 +83,13 @@ fn left(event: Event) -> bool {
 fn matched_slab_reflects_and_transmits_as_tabulated() {
     let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(2.0, 0.75, 1.0, 1.0).unwrap());
     let fate =
-        |wanted: Event| {
+        |wanted: WalkEvent| {
             statistics(walks(&stack, 1_000_000, 1, down, left_or_through).map(|(walk, event)| {
                 if event == wanted { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
             }))
         };
-    assert_close(fate(Event::Left), 0.09739, 1e-5, 3e-4);
-    assert_close(fate(Event::Base), 0.66096, 1e-5, 5e-4);
+    assert_close(fate(WalkEvent::Left), 0.09739, 1e-5, 3e-4);
+    assert_close(fate(WalkEvent::Base), 0.66096, 1e-5, 5e-4);
 }
 
 /// Giovanelli 1955: albedo 0.9, isotropic, n = 1.5, normal incidence, R 0.2600 with the specular part. A slab of 40
@@ -98,7 +98,7 @@ fn matched_slab_reflects_and_transmits_as_tabulated() {
 fn half_space_with_an_index_of_its_own_reflects_as_tabulated() {
     let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
     let reflected = walks(&stack, 400_000, 2, down, left_or_through)
-        .map(|(walk, event)| if event == Event::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 });
+        .map(|(walk, event)| if event == WalkEvent::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 });
     assert_close(statistics(reflected), 0.2600, 5e-5, 6e-4);
 }
 
@@ -126,7 +126,7 @@ fn without_absorption_every_walk_comes_back() {
     for scene in [Scene::smooth(), Scene::paper().with_multiple_scattering(true)] {
         let stack = Stack::new(&scene, &point);
         for (walk, event) in walks(&stack, 20_000, 5, down, left) {
-            assert_eq!((event, walk.weight), (Event::Left, 1.0));
+            assert_eq!((event, walk.weight), (WalkEvent::Left, 1.0));
         }
     }
 }
@@ -138,7 +138,7 @@ fn single_scattering_on_rough_interfaces_loses_energy() {
     let stack = Stack::new(&Scene::paper(), &point);
     let (mean, _) = statistics(
         walks(&stack, 20_000, 6, down, left)
-            .map(|(walk, event)| if event == Event::Left { f64::from(walk.weight) } else { 0.0 }),
+            .map(|(walk, event)| if event == WalkEvent::Left { f64::from(walk.weight) } else { 0.0 }),
     );
     assert!((0.5..0.99).contains(&mean), "{mean}");
 }
@@ -152,7 +152,7 @@ fn roulette_in_very_thick_slabs_is_unbiased() {
     let mut long = 0;
     let weights = walks(&stack, 20_000, 7, lambertian, left).map(|(walk, event)| {
         long += u32::from(walk.weight > 1.0);
-        if event == Event::Left { f64::from(walk.weight) } else { 0.0 }
+        if event == WalkEvent::Left { f64::from(walk.weight) } else { 0.0 }
     });
     let (mean, error) = statistics(weights);
     assert!(long > 50, "the test must reach roulette, {long} walks did");

@@ -5,19 +5,19 @@ use optics_model::phase::PhaseSampler;
 
 use super::hits::Hits;
 use super::keep::Keep;
-use super::lanes::{Floats, Mask, Walks, Words};
+use super::lanes::{Floats, Mask, WalkLanes, Words};
 use super::numbers::{Philox, choose, constant, flip, ln, root, symmetric, uniform, unit_vector};
 use crate::stack::Stack;
 
 /// What flights depend on of the sample.
 #[derive(Debug, Clone, Copy)]
-pub struct Sample {
+pub struct FlightSample {
     /// In mean free paths.
     thickness: f32,
     phase: PhaseSampler,
 }
 
-impl Sample {
+impl FlightSample {
     pub fn new(stack: &Stack) -> Self {
         Self { thickness: stack.thickness[stack.sample], phase: stack.phase }
     }
@@ -28,7 +28,7 @@ impl Sample {
     pub fn fly_twice<S: Simd>(
         &self,
         random: &Philox<S>,
-        walks: &mut Walks<S>,
+        walks: &mut WalkLanes<S>,
         lanes: Mask<S>,
         keep: &mut Keep<'_, S>,
         hits: &Hits,
@@ -47,7 +47,7 @@ impl Sample {
     #[inline(always)]
     fn fly<S: Simd>(
         &self,
-        walks: &mut Walks<S>,
+        walks: &mut WalkLanes<S>,
         lanes: Mask<S>,
         path: Words<S>,
         angles: Words<S>,

@@ -3,7 +3,7 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
-use super::lanes::{Floats, Mask, Walks};
+use super::lanes::{Floats, Mask, WalkLanes};
 use super::numbers::{Philox, choose, constant, root, uniform, unit_vector};
 use crate::exits::Chunk;
 use crate::fresnel::RelativeIndex;
@@ -18,14 +18,14 @@ pub enum Route {
     SampleTop,
     SampleBottom,
     /// Through a clear slab to the gate at its end.
-    Gate(usize),
+    WalkGate(usize),
     /// Out of the stack.
     Out,
 }
 
 /// How walks change at a gate.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Kind {
+pub enum GateKind {
     Smooth,
     Rough {
         alpha: f32,
@@ -39,8 +39,8 @@ pub enum Kind {
 }
 
 #[derive(Debug, Clone, Copy)]
-pub struct Gate {
-    pub kind: Kind,
+pub struct WalkGate {
+    pub kind: GateKind,
     /// Thickness of the slab that ends here, see [`Stack::thickness`].
     thickness: f32,
     /// The slab is the sample: walks come from anywhere in it, and its length counts.
@@ -54,19 +54,19 @@ pub struct Gate {
 }
 
 /// The gates of a stack: two for every interface, from above and from below, and the base.
-pub fn gates(stack: &Stack) -> Vec<Gate> {
+pub fn gates(stack: &Stack) -> Vec<WalkGate> {
     let last = stack.interfaces.len();
     let mut gates = Vec::with_capacity(2 * last + 1);
     for (i, interface) in stack.interfaces.iter().enumerate() {
         let kind = match interface.alpha {
-            0.0 => Kind::Smooth,
-            alpha if stack.multiple_scattering => Kind::Multiple { alpha },
-            alpha => Kind::Rough { alpha },
+            0.0 => GateKind::Smooth,
+            alpha if stack.multiple_scattering => GateKind::Multiple { alpha },
+            alpha => GateKind::Rough { alpha },
         };
         let (above, below) = (interface.from_above, interface.from_below);
         for down in [true, false] {
             let slab = if down { i } else { i + 1 };
-            gates.push(Gate {
+            gates.push(WalkGate {
                 kind,
                 thickness: stack.thickness[slab],
                 from_sample: slab == stack.sample,
@@ -77,8 +77,8 @@ pub fn gates(stack: &Stack) -> Vec<Gate> {
             });
         }
     }
-    gates.push(Gate {
-        kind: Kind::Base,
+    gates.push(WalkGate {
+        kind: GateKind::Base,
         thickness: stack.thickness[last],
         from_sample: last == stack.sample,
         down: true,
@@ -96,7 +96,7 @@ fn route(stack: &Stack, slab: usize, down: bool) -> Route {
         0 => Route::Out,
         _ if slab == stack.sample && down => Route::SampleTop,
         _ if slab == stack.sample => Route::SampleBottom,
-        _ => Route::Gate(gate_at_end(stack, slab, down)),
+        _ => Route::WalkGate(gate_at_end(stack, slab, down)),
     }
 }
 
@@ -114,10 +114,10 @@ pub struct Fates<S: Simd> {
     pub lost: Mask<S>,
 }
 
-impl Gate {
+impl WalkGate {
     /// Flies straight to the end of the slab.
     #[inline(always)]
-    pub fn approach<S: Simd>(&self, walks: &mut Walks<S>) {
+    pub fn approach<S: Simd>(&self, walks: &mut WalkLanes<S>) {
         if self.from_sample {
             let face = if self.down { 0.0 } else { self.thickness };
             let flown = (constant(walks.z, face) - walks.z) / walks.dz;
@@ -130,7 +130,7 @@ impl Gate {
 
     /// Towards the incident side: the reversed directions, with z the cosine.
     #[inline(always)]
-    fn back<S: Simd>(&self, walks: &Walks<S>) -> [Floats<S>; 3] {
+    fn back<S: Simd>(&self, walks: &WalkLanes<S>) -> [Floats<S>; 3] {
         [-walks.dx, -walks.dy, if self.down { -walks.dz } else { walks.dz }]
     }
 
@@ -139,7 +139,7 @@ impl Gate {
     pub fn cross_smooth<S: Simd>(
         &self,
         random: &Philox<S>,
-        walks: &mut Walks<S>,
+        walks: &mut WalkLanes<S>,
         lanes: Mask<S>,
     ) -> Fates<S> {
         let [_, _, _, choice] = random.words(walks.block, walks.walk);
@@ -157,7 +157,7 @@ impl Gate {
         &self,
         alpha: f32,
         random: &Philox<S>,
-        walks: &mut Walks<S>,
+        walks: &mut WalkLanes<S>,
         lanes: Mask<S>,
     ) -> Fates<S> {
         let [_, radial, azimuth, choice] = random.words(walks.block, walks.walk);
@@ -179,7 +179,7 @@ impl Gate {
 
     /// Sets the directions from those in the gate's frame, whose z points to the incident side.
     #[inline(always)]
-    fn turn<S: Simd>(&self, walks: &mut Walks<S>, [x, y, z]: [Floats<S>; 3]) {
+    fn turn<S: Simd>(&self, walks: &mut WalkLanes<S>, [x, y, z]: [Floats<S>; 3]) {
         (walks.dx, walks.dy) = (x, y);
         walks.dz = if self.down { z } else { -z };
     }
@@ -205,7 +205,7 @@ impl Gate {
 
 /// The Lambertian base: cosine-distributed directions upwards.
 #[inline(always)]
-pub fn reflect_diffusely<S: Simd>(random: &Philox<S>, walks: &mut Walks<S>) {
+pub fn reflect_diffusely<S: Simd>(random: &Philox<S>, walks: &mut WalkLanes<S>) {
     let [_, polar, azimuth, _] = random.words(walks.block, walks.walk);
     walks.block += 1;
     let u = uniform(polar);

@@ -5,7 +5,7 @@ use crate::exits::Offset;
 const NONE: u32 = u32::MAX;
 
 #[derive(Debug, Clone, Copy)]
-struct Node {
+struct HitNode {
     hit: Offset,
     next: u32,
 }
@@ -14,7 +14,7 @@ struct Node {
 /// is under way.
 #[derive(Debug)]
 pub struct Hits {
-    nodes: Vec<Node>,
+    nodes: Vec<HitNode>,
     free: u32,
     /// Newest node of each walk, and how many it has.
     heads: Vec<(u32, u32)>,
@@ -40,7 +40,7 @@ impl Hits {
     pub fn push(&mut self, walk: u32, hit: Offset) {
         let (head, count) = &mut self.heads[walk as usize];
         *count += 1;
-        let node = Node { hit, next: *head };
+        let node = HitNode { hit, next: *head };
         if self.free == NONE {
             *head = self.nodes.len() as u32;
             self.nodes.push(node);

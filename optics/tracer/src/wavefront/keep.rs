@@ -4,9 +4,9 @@ use fearless_simd::{Bytes, ExtractToken, Simd, SimdBase, SimdFloat, SimdInt, Sim
 
 use super::bits;
 use super::hits::Hits;
-use super::lanes::{Floats, Mask, Walks, Words};
+use super::lanes::{Floats, Mask, WalkLanes, Words};
 use super::numbers::{Philox, choose, constant, power_of_two, uniform};
-use super::table::Table;
+use super::table::LaneTable;
 use crate::exits::Exits;
 use crate::light::{CELLS, Light};
 use crate::pick::{AT_BASE, PICK_BLOCK, Pick, STEP, cut, early};
@@ -16,14 +16,14 @@ use crate::pick::{AT_BASE, PICK_BLOCK, Pick, STEP, cut, early};
 pub struct Keep<'a, S: Simd> {
     light: &'a Light,
     step: f32,
-    down: Table<S>,
-    up: Table<S>,
+    down: LaneTable<S>,
+    up: LaneTable<S>,
     pub exits: &'a mut Exits,
 }
 
 /// Where walks have met the light: their heights, and the cosines with which they came.
 #[derive(Debug, Clone, Copy)]
-struct Place<S: Simd> {
+struct Crossing<S: Simd> {
     z: Floats<S>,
     u: Floats<S>,
     worth: Floats<S>,
@@ -35,8 +35,8 @@ impl<'a, S: Simd> Keep<'a, S> {
         Self {
             light,
             step: STEP * light.measure,
-            down: Table::new(simd, &light.down),
-            up: Table::new(simd, &light.up),
+            down: LaneTable::new(simd, &light.down),
+            up: LaneTable::new(simd, &light.up),
             exits,
         }
     }
@@ -68,20 +68,20 @@ impl<'a, S: Simd> Keep<'a, S> {
 
     /// The chosen walks, which came with the cosine `u`, have scattered.
     #[inline(always)]
-    pub fn scattered(&mut self, walks: &mut Walks<S>, u: Floats<S>, lanes: Mask<S>, hits: &Hits) {
+    pub fn scattered(&mut self, walks: &mut WalkLanes<S>, u: Floats<S>, lanes: Mask<S>, hits: &Hits) {
         let worth = self.about(walks.z, u) * Self::importance(walks.scatterings);
-        self.add(walks, &Place { z: walks.z, u, worth }, lanes, hits);
+        self.add(walks, &Crossing { z: walks.z, u, worth }, lanes, hits);
     }
 
     /// The chosen walks have hit the base.
     #[inline(always)]
-    pub fn hit(&mut self, walks: &mut Walks<S>, lanes: Mask<S>, hits: &Hits) {
+    pub fn hit(&mut self, walks: &mut WalkLanes<S>, lanes: Mask<S>, hits: &Hits) {
         let worth = constant(walks.z, self.light.base) * Self::importance(walks.scatterings);
-        self.add(walks, &Place { z: constant(worth, AT_BASE), u: walks.dz, worth }, lanes, hits);
+        self.add(walks, &Crossing { z: constant(worth, AT_BASE), u: walks.dz, worth }, lanes, hits);
     }
 
     #[inline(always)]
-    fn add(&mut self, walks: &mut Walks<S>, place: &Place<S>, lanes: Mask<S>, hits: &Hits) {
+    fn add(&mut self, walks: &mut WalkLanes<S>, place: &Crossing<S>, lanes: Mask<S>, hits: &Hits) {
         let worth = place.worth * walks.weight;
         walks.left -= choose(lanes, worth, constant(worth, 0.0));
         let picked = lanes & walks.left.simd_lt(0.0);
@@ -92,7 +92,7 @@ impl<'a, S: Simd> Keep<'a, S> {
 
     /// Picks vertices, one after the other: a walk does so a few times.
     #[inline(always)]
-    fn pick(&mut self, walks: &mut Walks<S>, place: &Place<S>, picked: Mask<S>, hits: &Hits) {
+    fn pick(&mut self, walks: &mut WalkLanes<S>, place: &Crossing<S>, picked: Mask<S>, hits: &Hits) {
         let (z, u, worth) = (place.z.to_array(), place.u.to_array(), place.worth.to_array());
         let (walk, scatterings) = (walks.walk.to_array(), walks.scatterings.to_array());
         let (length, mut left) = (walks.length.to_array(), walks.left.to_array());

@@ -2,7 +2,7 @@
 
 use fearless_simd::{Bytes, Simd, SimdBase, SimdMask};
 
-use super::order::Order;
+use super::order::LaneOrder;
 pub use super::vector::{Floats, Mask, WIDTH, Words};
 
 /// Walks that are under way at a time: what keeps every queue's vectors full and still fits the second-level
@@ -28,7 +28,7 @@ pub fn count<S: Simd>(mask: Mask<S>) -> usize {
 
 /// Sixteen walks, one a lane. Lengths in the sample are in mean free paths.
 #[derive(Debug, Clone, Copy)]
-pub struct Walks<S: Simd> {
+pub struct WalkLanes<S: Simd> {
     /// Lateral distance from the entry point: what was gathered in the sample, and in clear slabs in mm.
     pub x: Floats<S>,
     pub clear_x: Floats<S>,
@@ -50,7 +50,7 @@ pub struct Walks<S: Simd> {
     pub left: Floats<S>,
 }
 
-impl<S: Simd> Walks<S> {
+impl<S: Simd> WalkLanes<S> {
     #[inline(always)]
     fn from_words(words: [Words<S>; STATE]) -> Self {
         let [x, clear_x, z, dx, dy, dz, length, weight, scatterings, block, walk, left] = words;
@@ -92,19 +92,19 @@ impl<S: Simd> Walks<S> {
 /// One word of the state of all walks, aligned so that whole vectors lie in one cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
-struct Array([u32; ROOM]);
+struct WalkArray([u32; ROOM]);
 
 /// Walks that wait for the same thing: the places `begin..end` of each array.
 #[derive(Debug)]
 pub struct Queue {
     begin: usize,
     end: usize,
-    state: Box<[Array]>,
+    state: Box<[WalkArray]>,
 }
 
 impl Queue {
     pub fn new() -> Self {
-        Self { begin: WIDTH, end: WIDTH, state: vec![Array([0; ROOM]); STATE].into() }
+        Self { begin: WIDTH, end: WIDTH, state: vec![WalkArray([0; ROOM]); STATE].into() }
     }
 
     /// Empties the queue, to grow at its end.
@@ -123,14 +123,14 @@ impl Queue {
 
     /// The vector that begins at a walk; lanes beyond the end hold anything.
     #[inline(always)]
-    pub fn load<S: Simd>(&self, simd: S, at: usize) -> Walks<S> {
+    pub fn load<S: Simd>(&self, simd: S, at: usize) -> WalkLanes<S> {
         let at = self.begin + at;
         assert!(at <= ROOM - WIDTH);
         let mut words = [Words::splat(simd, 0); STATE];
         for (words, array) in words.iter_mut().zip(&self.state) {
             *words = Words::from_slice(simd, &array.0[at..at + WIDTH]);
         }
-        Walks::from_words(words)
+        WalkLanes::from_words(words)
     }
 
     /// Drops the first `n` walks and closes up the rest, which must be less than a vector.
@@ -147,7 +147,7 @@ impl Queue {
 
     /// Takes up to a vector of walks from the beginning.
     #[inline(always)]
-    pub fn pop_first<S: Simd>(&mut self, simd: S) -> (Walks<S>, usize) {
+    pub fn pop_first<S: Simd>(&mut self, simd: S) -> (WalkLanes<S>, usize) {
         let n = self.len().min(WIDTH);
         let walks = self.load(simd, 0);
         self.begin += n;
@@ -161,15 +161,15 @@ impl Queue {
 
     /// Appends the walks of the chosen lanes.
     #[inline(always)]
-    pub fn push<S: Simd>(&mut self, simd: S, walks: &Walks<S>, lanes: Mask<S>) {
-        let order = Order::new(simd, lanes);
+    pub fn push<S: Simd>(&mut self, simd: S, walks: &WalkLanes<S>, lanes: Mask<S>) {
+        let order = LaneOrder::new(simd, lanes);
         self.place(walks, &order, self.len());
         self.end += order.chosen();
     }
 
     /// Writes the chosen walks of an order from the place `at` on, and anything over the rest of a vector.
     #[inline(always)]
-    pub fn place<S: Simd>(&mut self, walks: &Walks<S>, order: &Order<S>, at: usize) {
+    pub fn place<S: Simd>(&mut self, walks: &WalkLanes<S>, order: &LaneOrder<S>, at: usize) {
         let at = self.begin + at;
         assert!(at <= ROOM - WIDTH);
         for (words, array) in walks.to_words().into_iter().zip(&mut self.state) {
@@ -179,7 +179,7 @@ impl Queue {
 
     /// Puts the other walks of an order before the first, if no lane is empty.
     #[inline(always)]
-    pub fn push_others_first<S: Simd>(&mut self, walks: &Walks<S>, order: &Order<S>) {
+    pub fn push_others_first<S: Simd>(&mut self, walks: &WalkLanes<S>, order: &LaneOrder<S>) {
         assert!((WIDTH..=ROOM).contains(&self.begin));
         let room = self.begin - WIDTH..self.begin;
         for (words, array) in walks.to_words().into_iter().zip(&mut self.state) {

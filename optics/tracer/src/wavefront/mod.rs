@@ -34,13 +34,13 @@ use super::light::Light;
 use super::rng::{FIRST_BLOCK, Stream, uniform};
 use super::stack::Stack;
 use super::walk::ROULETTE_BLOCKS;
-use flight::Sample;
-use gate::{Fates, Gate, Kind, Route, gate_at_end, gates, reflect_diffusely};
+use flight::FlightSample;
+use gate::{Fates, WalkGate, GateKind, Route, gate_at_end, gates, reflect_diffusely};
 use hits::Hits;
 use keep::Keep;
-use lanes::{Floats, Mask, POOL, Queue, WIDTH, Walks, Words, count, first_lanes};
+use lanes::{Floats, Mask, POOL, Queue, WIDTH, WalkLanes, Words, count, first_lanes};
 use numbers::Philox;
-use order::Order;
+use order::LaneOrder;
 
 /// Where walks wait, and their hits.
 #[derive(Debug)]
@@ -88,8 +88,8 @@ struct Wavefront<'a, S: Simd> {
     stack: &'a Stack,
     chunk: Chunk,
     random: Philox<S>,
-    sample: Sample,
-    gates: Vec<Gate>,
+    sample: FlightSample,
+    gates: Vec<WalkGate>,
     at: &'a mut Places,
     /// Gates below and above the sample.
     faces: [usize; 2],
@@ -118,7 +118,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             stack,
             chunk,
             random: Philox::new(simd, chunk),
-            sample: Sample::new(stack),
+            sample: FlightSample::new(stack),
             at,
             faces: [gate_at_end(stack, stack.sample, true), gate_at_end(stack, stack.sample, false)],
             gates,
@@ -168,7 +168,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             let float = |value| Floats::splat(self.simd, value);
             let d = self.stack.sensor_direction;
             let walk = u32x16::from_fn(self.simd, |lane| self.begun + lane as u32);
-            let walks = Walks {
+            let walks = WalkLanes {
                 x: float(0.0),
                 clear_x: float(0.0),
                 z: float(0.0),
@@ -204,7 +204,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             let all = first_lanes(self.simd, len - at);
             let mut walks = self.at.inside.load(self.simd, at);
             if len - at < least {
-                let order = Order::new(self.simd, all);
+                let order = LaneOrder::new(self.simd, all);
                 self.at.inside.place(&walks, &order, kept);
                 kept += order.chosen();
                 break;
@@ -212,7 +212,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             at += WIDTH;
             let lanes = self.play_roulette(&mut walks, all);
             let stay = self.sample.fly_twice(&self.random, &mut walks, lanes, &mut self.keep, &self.at.hits);
-            let order = Order::new(self.simd, stay);
+            let order = LaneOrder::new(self.simd, stay);
             self.at.inside.place(&walks, &order, kept);
             kept += order.chosen();
             if lanes.all_true() {
@@ -230,7 +230,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
 
     /// Sends walks that leave the sample to the face that they have come to.
     #[inline(always)]
-    fn part(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
+    fn part(&mut self, walks: &WalkLanes<S>, lanes: Mask<S>) {
         let down = walks.dz.simd_lt(0.0);
         self.at.waiting[self.faces[0]].push(self.simd, walks, lanes & down);
         self.at.waiting[self.faces[1]].push(self.simd, walks, lanes & !down);
@@ -238,7 +238,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
 
     /// Roulette for the walks whose block is due; returns the lanes that go on.
     #[inline(always)]
-    fn play_roulette(&mut self, walks: &mut Walks<S>, lanes: Mask<S>) -> Mask<S> {
+    fn play_roulette(&mut self, walks: &mut WalkLanes<S>, lanes: Mask<S>) -> Mask<S> {
         let due = lanes & (walks.block & (ROULETTE_BLOCKS - 1)).simd_eq(0);
         if !due.any_true() {
             return lanes;
@@ -286,10 +286,10 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         let lanes = self.play_roulette(&mut walks, lanes);
         gate.approach(&mut walks);
         let fates = match gate.kind {
-            Kind::Smooth => gate.cross_smooth(&self.random, &mut walks, lanes),
-            Kind::Rough { alpha } => gate.cross_rough(alpha, &self.random, &mut walks, lanes),
-            Kind::Multiple { alpha } => self.cross_singly(gate, alpha, &mut walks, lanes),
-            Kind::Base => {
+            GateKind::Smooth => gate.cross_smooth(&self.random, &mut walks, lanes),
+            GateKind::Rough { alpha } => gate.cross_rough(alpha, &self.random, &mut walks, lanes),
+            GateKind::Multiple { alpha } => self.cross_singly(gate, alpha, &mut walks, lanes),
+            GateKind::Base => {
                 let walk = walks.walk.to_array();
                 let (x, clear_x) = (walks.x.to_array(), walks.clear_x.to_array());
                 for lane in bits(lanes) {
@@ -307,7 +307,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
     }
 
     #[inline(always)]
-    fn cross_singly(&mut self, gate: Gate, alpha: f32, walks: &mut Walks<S>, lanes: Mask<S>) -> Fates<S> {
+    fn cross_singly(&mut self, gate: WalkGate, alpha: f32, walks: &mut WalkLanes<S>, lanes: Mask<S>) -> Fates<S> {
         let (mut reflected, mut transmitted) = (0, 0);
         let (walk, mut block) = (walks.walk.to_array(), walks.block.to_array());
         let (mut dx, mut dy, mut dz) = (walks.dx.to_array(), walks.dy.to_array(), walks.dz.to_array());
@@ -327,12 +327,12 @@ impl<'a, S: Simd> Wavefront<'a, S> {
     }
 
     #[inline(always)]
-    fn go_on(&mut self, walks: &mut Walks<S>, lanes: Mask<S>, route: Route) {
+    fn go_on(&mut self, walks: &mut WalkLanes<S>, lanes: Mask<S>, route: Route) {
         if !lanes.any_true() {
             return;
         }
         match route {
-            Route::Gate(gate) => self.at.waiting[gate].push(self.simd, walks, lanes),
+            Route::WalkGate(gate) => self.at.waiting[gate].push(self.simd, walks, lanes),
             Route::SampleTop | Route::SampleBottom => {
                 let top = self.stack.thickness[self.stack.sample];
                 walks.z = Floats::splat(self.simd, if route == Route::SampleTop { top } else { 0.0 });
@@ -344,7 +344,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
 
     /// Ends walks.
     #[inline(always)]
-    fn end(&mut self, walks: &Walks<S>, lanes: Mask<S>) {
+    fn end(&mut self, walks: &WalkLanes<S>, lanes: Mask<S>) {
         if !lanes.any_true() {
             return;
         }

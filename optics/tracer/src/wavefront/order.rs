@@ -37,7 +37,7 @@ const fn chosen_first() -> [[u32; 8]; 256] {
 ///
 /// Machines with eight lanes a register are sorted in two halves, others in quarters.
 #[derive(Debug, Clone, Copy)]
-pub struct Order<S: Simd> {
+pub struct LaneOrder<S: Simd> {
     lanes: Mask<S>,
     whole: u32x16<S>,
     halves: [u32x8<S>; 2],
@@ -45,7 +45,7 @@ pub struct Order<S: Simd> {
     counts: [usize; 2],
 }
 
-impl<S: Simd> Order<S> {
+impl<S: Simd> LaneOrder<S> {
     #[inline(always)]
     pub fn new(simd: S, lanes: Mask<S>) -> Self {
         let bits = lanes.to_bitmask() as usize;

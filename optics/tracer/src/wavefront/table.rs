@@ -6,12 +6,12 @@ use super::permute::{permute8, permute16};
 use super::vector::{Floats, WIDTH, Words};
 
 #[derive(Debug, Clone, Copy)]
-pub struct Table<S: Simd> {
+pub struct LaneTable<S: Simd> {
     whole: Words<S>,
     halves: [u32x8<S>; 2],
 }
 
-impl<S: Simd> Table<S> {
+impl<S: Simd> LaneTable<S> {
     #[inline(always)]
     pub fn new(simd: S, values: &[f32; WIDTH]) -> Self {
         let bits = values.map(f32::to_bits);
