@@ -150,8 +150,8 @@ fn the_page_lets_in_who_has_its_address_and_nobody_else() {
     assert!(String::from_utf8(html.body).unwrap().contains("./page.js"));
     assert_eq!(desk.get("page.js").status, 200);
     assert_eq!(desk.get("captures/0/report.html").body, b"report.html");
-    let beside = ["captures/0/..%2fsecret.json", "captures/0/../secret.json", "captures/1/report.html"];
-    for path in beside.into_iter().chain(["nothing", "secret.json", "farm.v1.Leases/Acquire"]) {
+    let outside = ["captures/0/..%2fsecret.json", "captures/0/../secret.json", "captures/1/report.html"];
+    for path in outside.into_iter().chain(["nothing", "secret.json", "farm.v1.Leases/Acquire"]) {
         assert_eq!(desk.get(path).status, 404, "{path}");
     }
 

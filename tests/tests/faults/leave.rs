@@ -20,7 +20,7 @@ fn jobs_done(farm: &Farm) -> u64 {
     farm.show("grid")["jobs_done"].as_u64().unwrap()
 }
 
-fn assert_nobody_blamed(farm: &Farm) {
+fn assert_no_blame(farm: &Farm) {
     assert_eq!(leases(farm), 0, "all leases are handed back");
     for kind in ["ATTEMPT_FAILED", "JOB_FAILED", "JOB_QUARANTINED"] {
         assert!(farm.events(kind).is_empty(), "{kind}");
@@ -42,7 +42,7 @@ fn a_stopping_worker_finishes_its_running_jobs() {
     assert_eq!(jobs_done(&farm), 0, "the other is still being traced");
     assert_eq!(worker.exit_within(Duration::from_mins(1)), 0);
     assert_eq!(jobs_done(&farm), 1, "the traced result is stored");
-    assert_nobody_blamed(&farm);
+    assert_no_blame(&farm);
     let second = farm.worker("second", &[]);
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
     drop(second);
@@ -57,7 +57,7 @@ fn a_worker_that_is_hung_up_on_hands_back_and_ends() {
     worker.wait_for_log("job begins");
     worker.hang_up();
     assert_eq!(worker.exit_within(SOON), 0);
-    assert_nobody_blamed(&farm);
+    assert_no_blame(&farm);
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn a_worker_without_grace_stops_at_once() {
     worker.signal(Signal::TERM);
     assert_eq!(worker.exit_within(Duration::from_secs(5)), 0);
     assert_eq!(jobs_done(&farm), 0);
-    assert_nobody_blamed(&farm);
+    assert_no_blame(&farm);
 }
 
 #[test]
@@ -125,7 +125,7 @@ fn a_worker_ends_before_its_time_limit_and_nobody_is_blamed() {
     let worked = start.elapsed();
     assert!(worked > Duration::from_secs(2), "it worked for {worked:?} only");
     assert!(worker.log().contains("the time limit is near"), "{}", worker.log());
-    assert_nobody_blamed(&farm);
+    assert_no_blame(&farm);
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
     assert_eq!(worker.exit_within(SOON * 2), 0);
     assert!(worker.log().contains("the coordinator requested it"), "{}", worker.log());
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
-    assert_nobody_blamed(&farm);
+    assert_no_blame(&farm);
     assert_eq!(farm.farmctl(&["workers", "drain", "old"]).code, 1, "it is no longer registered");
     drop(second);
 }
@@ -152,5 +152,5 @@ fn a_worker_for_which_there_is_no_work_ends_if_it_may() {
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     assert_eq!(worker.exit_within(SOON), 0);
     assert!(worker.log().contains("there was no work"), "{}", worker.log());
-    assert_nobody_blamed(&farm);
+    assert_no_blame(&farm);
 }

@@ -50,7 +50,7 @@ async fn a_worker_with_wrong_records_is_fenced() {
     });
     refused(&farm, &mut liar).await;
     assert_eq!(farm.done("grid"), undisturbed(GRID));
-    let unknown = farm.farmctl(&["workers", "readmit", "nobody"]);
+    let unknown = farm.farmctl(&["workers", "readmit", "unknown"]);
     assert_eq!(unknown.code, 1, "{}", unknown.stdout);
     assert!(unknown.stderr.contains("liar@127.0.0.1 (liar)"), "{}", unknown.stderr);
     farm.ask(&["workers", "readmit", "liar@127.0.0.1"]);
