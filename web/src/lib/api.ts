@@ -1,4 +1,4 @@
-// The farm's services and the desk's, as gRPC-Web on this page's own server.
+// Clients of the farm's and the desk's services, by gRPC-Web on this page's server.
 import { Code, ConnectError, createClient, type Interceptor } from '@connectrpc/connect';
 import { createGrpcWebTransport } from '@connectrpc/connect-web';
 import { Desk } from '../gen/desk/v1/desk_pb';
@@ -8,7 +8,7 @@ import { Farm } from '../gen/farm/v1/farm_pb';
 import { Fits } from '../gen/farm/v1/fits_pb';
 import { link } from './link.svelte';
 
-// Notes on every answer whether the farm can be reached.
+// Updates on every answer whether the farm can be reached.
 const watchLink: Interceptor = (next) => async (request) => {
   const of = request.service.typeName.startsWith('farm.') ? 'farm' : 'page';
   try {
@@ -17,7 +17,7 @@ const watchLink: Interceptor = (next) => async (request) => {
     return answer;
   } catch (error) {
     const { code, metadata, rawMessage } = ConnectError.from(error);
-    // The page's server refuses with a status of HTTP alone, the farm with words.
+    // The page's server refuses with an HTTP status only, the farm with a gRPC status.
     const refused = code === Code.Unauthenticated && /^HTTP/.test(rawMessage);
     const silent = code === Code.Unknown || (code === Code.Unavailable && !metadata.has('grpc-status') && /^HTTP|fetch/i.test(rawMessage));
     if (request.signal.aborted || code === Code.Canceled) throw error;
@@ -29,7 +29,7 @@ const watchLink: Interceptor = (next) => async (request) => {
   }
 };
 
-// Relative to the page, whatever path a proxy shows it at.
+// Relative to the page, at any path prefix of a proxy.
 const baseUrl = new URL('.', window.location.href).href.replace(/\/$/, '');
 const transport = createGrpcWebTransport({ baseUrl, interceptors: [watchLink], defaultTimeoutMs: 300_000 });
 
@@ -39,13 +39,13 @@ export const dictionaries = createClient(Dictionaries, transport);
 export const farm = createClient(Farm, transport);
 export const fits = createClient(Fits, transport);
 
-// What an error says to people: the server's own words.
+// The message of an error for users, as the server gave it.
 export function text(error: unknown): string {
-  const told = ConnectError.from(error);
-  if (told.code === Code.Unavailable || told.code === Code.Unknown) {
-    return told.rawMessage && !/fetch/i.test(told.rawMessage) ? told.rawMessage : 'the server of this page does not answer';
+  const failure = ConnectError.from(error);
+  if (failure.code === Code.Unavailable || failure.code === Code.Unknown) {
+    return failure.rawMessage && !/fetch/i.test(failure.rawMessage) ? failure.rawMessage : 'the server of this page does not answer';
   }
-  return told.rawMessage || 'something went wrong';
+  return failure.rawMessage || 'something went wrong';
 }
 
 export function isCancelled(error: unknown): boolean {

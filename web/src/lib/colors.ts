@@ -1,5 +1,5 @@
-// Colours that people who see few colours can tell apart (Okabe and Ito), and one scale for maps (viridis, by its
-// values at nine places).
+// Colours for people with colour blindness (Okabe and Ito), and one scale for maps (viridis, interpolated between nine
+// values).
 export const COLORS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'] as const;
 
 const VIRIDIS: readonly [number, number, number][] = [

@@ -1,8 +1,7 @@
 import { zipSync } from 'fflate';
 import type { File, Files } from '../gen/desk/v1/desk_pb';
 
-// Saves files where the browser keeps downloads. Browsers let a page save one file a click, so several go into an
-// archive of this name.
+// Saves files as downloads. Browsers allow one download per click, so several files go into an archive of this name.
 export function save({ files }: Files, archive: string): void {
   const [first, ...others] = files;
   if (!first) return;
@@ -10,7 +9,7 @@ export function save({ files }: Files, archive: string): void {
   else offer(`${archive}.zip`, 'application/zip', zipSync(named(files)));
 }
 
-// By their names; what has another's name gets a number.
+// Files by name; duplicate names get a number.
 function named(files: readonly File[]): Record<string, Uint8Array> {
   const all: Record<string, Uint8Array> = {};
   for (const { name, content } of files) {

@@ -1,4 +1,4 @@
-// The file that was dropped last outlives a reload of the page.
+// Keeps the last dropped file over a reload of the page.
 const KEPT = 'measurement';
 const MEASURED = 'measured';
 // Longer files are not kept: browsers allow some 5 MB.
@@ -14,11 +14,11 @@ export function keep(file: Dropped | null): void {
       sessionStorage.setItem(KEPT, JSON.stringify({ name: file.name, content: base64(file.content) }));
     }
   } catch {
-    // No room: then a reload asks for the file again.
+    // Without space, the file has to be chosen again after a reload.
   }
 }
 
-// Notes that what has this name was measured.
+// Stores that the file of this name was measured.
 export function keepMeasured(name: string): void {
   sessionStorage.setItem(MEASURED, name);
 }

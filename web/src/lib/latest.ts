@@ -1,4 +1,4 @@
-// One call under way, and the newest of those that were asked for meanwhile: what a slider needs.
+// Runs one call at a time, followed by the newest of the requests that arrived meanwhile, as sliders need.
 export function latest<Q, A>(ask: (question: Q) => Promise<A>, take: (answer: A) => void, fail: (error: unknown) => void) {
   let busy = false;
   let next: { question: Q } | null = null;

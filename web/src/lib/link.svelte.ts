@@ -1,8 +1,8 @@
-// Whether the farm and this page's own server can be reached, for the banner on top.
+// Whether the farm and this page's server can be reached, for the banner on top.
 type Kind = 'farm' | 'page';
 
 class Link {
-  // What does not answer, and why.
+  // Reasons why the page's server or the farm cannot be reached.
   farm = $state<string | null>(null);
   page = $state<string | null>(null);
 

@@ -1,4 +1,4 @@
-// The measurement at hand and what was found: shared by the places, and through a reload of the page.
+// The current measurement and its answer, shared by the tabs and kept over a reload of the page.
 import type { Note, OpenCaptureResponse, SummarizeResponse } from '../gen/desk/v1/desk_pb';
 import type { MeasureResponse } from '../gen/farm/v1/fits_pb';
 import type { Measurement } from '../gen/farm/v1/model_pb';
@@ -7,7 +7,7 @@ import type { Options } from './known.svelte';
 import { keep, kept, wasMeasured, type Dropped } from './kept';
 import { route } from './route.svelte';
 
-// An answer, and what it was asked with: the choices on the page may be others by now.
+// An answer with the options of its request, which may have changed on the page since.
 export type Answer = {
   found: MeasureResponse;
   summary: SummarizeResponse;
@@ -18,23 +18,23 @@ export type Answer = {
 };
 
 class Measured {
-  // Of the file, or of the capture's folder.
+  // Name of the file, or of the capture's folder.
   name = $state('');
   capture = $state.raw<OpenCaptureResponse | null>(null);
   materials = $state.raw<Measurement[]>([]);
   notes = $state.raw<Note[]>([]);
   answer = $state.raw<Answer | null>(null);
-  // What is under way, for people.
+  // The current action, as shown to users.
   busy = $state('');
   wrong = $state('');
-  // It was measured before the page was loaded again, and is to be so once more.
+  // It was measured before a reload, so it is measured again.
   again = $state(false);
-  // What is under way for an older file is not taken.
+  // Answers for an older file are discarded.
   turn = 0;
-  // The capture that was asked for last, whether or not it could be opened.
+  // The last requested capture, whether or not it could be opened.
   #asked: string | null = null;
 
-  // A file that somebody chose; null for the example of the documentation.
+  // The chosen file; null for the example of the documentation.
   choose(file: File | null): Promise<void> {
     this.#forget(null);
     return this.#read(async () => file && { name: file.name, content: await bytesOf(file) }, true);
@@ -51,21 +51,21 @@ class Measured {
     else if (!folder && this.capture) route.set({ capture: this.name });
   }
 
-  // What was chosen before the page was loaded again.
+  // Restores the choice from before a reload.
   restore(): void {
     if (this.name || this.busy || route.get('capture')) return;
     const before = kept();
     if (before) void this.#read(() => Promise.resolve(before), false);
   }
 
-  // What a link held of another measurement.
+  // Parameters of a link that belong to another measurement.
   #forget(capture: string | null): void {
     this.#asked = capture;
     this.capture = null;
     route.set({ capture, scale: null, lambda: null, sigma_t: null, albedo: null, g: null, look: null, map: null });
   }
 
-  // Takes the answer, unless something else was asked for meanwhile.
+  // Accepts the answer, unless there was another request meanwhile.
   async #load(ask: () => Promise<() => void>): Promise<void> {
     const own = (this.turn += 1);
     [this.again, this.busy, this.wrong] = [false, 'Reading…', ''];

@@ -1,4 +1,4 @@
-// Numbers for axes, sliders and tooltips. Those of answers come as text from the server, with the digits that they deserve.
+// Numbers for axes, sliders and tooltips. Those of answers come as text from the server, with their significant digits.
 export function significant(value: number, digits = 3): string {
   if (!Number.isFinite(value) || value === 0) return String(value);
   const decimals = Math.min(12, Math.max(0, digits - 1 - Math.floor(Math.log10(Math.abs(value)))));
@@ -47,7 +47,7 @@ export function quoted(text: string): string {
   return /^[\p{L}\p{N}_./:@=+-]+$/u.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 
-// A share of the work, rounded down: nothing is called done that is not.
+// A share of the work, rounded down: so that 100 % means done.
 export function percent(share: number): string {
   return `${Math.floor(1000 * share) / 10} %`;
 }

@@ -1,5 +1,5 @@
-// Asks again and again while somebody looks; returns what ends it. After a failure it goes on, more slowly. An answer
-// may come after the end: `ask` is told.
+// Polls while the page is visible; returns a function that ends it. After a failure it continues more slowly. As an
+// answer may arrive after the end, `ask` gets a function that returns whether polling has ended.
 export function poll(everyMs: number, ask: (ended: () => boolean) => Promise<void>): () => void {
   let timer: ReturnType<typeof setTimeout> | undefined;
   let ended = false;

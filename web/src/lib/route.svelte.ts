@@ -1,10 +1,10 @@
-// The state that a link holds: a place and its parameters, as in #/dictionary?name=paper&g=0.4.
+// The state in a link: a tab and its parameters, as in #/dictionary?name=paper&g=0.4.
 export const PLACES = ['measure', 'dictionary', 'farm', 'capture'] as const;
 export type Place = (typeof PLACES)[number];
 
 function read(): { place: Place; parameters: URLSearchParams } {
   const [path = '', query = ''] = window.location.hash.replace(/^#\/?/, '').split('?');
-  const place = PLACES.find((known) => known === path) ?? 'measure';
+  const place = PLACES.find((own) => own === path) ?? 'measure';
   return { place, parameters: new URLSearchParams(query) };
 }
 
@@ -32,7 +32,7 @@ class Route {
     return Number.isFinite(value) ? value : null;
   }
 
-  // Changes parameters without a new entry in the history: a link copied at any time leads back.
+  // Changes parameters without a new entry in the history: a link that is copied at any time restores the view.
   set(changes: Record<string, string | number | null>): void {
     const parameters = new URLSearchParams(this.parameters);
     for (const [name, value] of Object.entries(changes)) {

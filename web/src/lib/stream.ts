@@ -1,9 +1,9 @@
-// Browsers allow six connections to a server, for all tabs together: streams that last must not take them all.
+// Browsers allow six connections per server, for all tabs together, so long streams must not use them all.
 const STREAMS = 3;
 
-// Runs `read`, and tells it whether its stream may last; otherwise it is to take what there is now and end.
+// Runs `read` with a flag: whether its stream may stay open. Otherwise it should read the current state and end.
 export async function withStream(read: (lasting: boolean) => Promise<void>): Promise<void> {
-  // Shared by all tabs, and freed with a tab that is closed. Pages that are no secure context have none.
+  // The lock is shared by all tabs and released when a tab is closed. It exists in secure contexts only.
   if (!('locks' in navigator)) return read(true);
   for (let place = 0; place < STREAMS; place++) {
     const had = await navigator.locks.request(`stream ${place}`, { ifAvailable: true }, async (lock) => {

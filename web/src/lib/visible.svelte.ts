@@ -1,4 +1,4 @@
-// Whether somebody can see the page: a tab in the background needs no stream, and browsers allow six connections.
+// Whether the page is visible: a tab in the background needs no stream, and browsers allow six connections.
 class Visible {
   now = $state(document.visibilityState === 'visible');
 

@@ -54,7 +54,7 @@ async fn a_grid_is_computed_the_example_measured_and_media_saved() {
     // An open page does not keep the server from ending.
     go_to(&browser, "Farm").await;
     assert_eq!(page.process.terminate(SOON), 0);
-    browser.shows("This page is cut off").await;
+    browser.shows("No connection to the server of this page").await;
     browser.end().await;
 }
 
