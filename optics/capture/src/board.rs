@@ -11,7 +11,7 @@ use crate::lattice::{
     CropCells, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, find,
 };
 use crate::lattice::{light, movement};
-use crate::least_squares::{NormalEquations, FittedParameters};
+use crate::least_squares::{FittedParameters, NormalEquations};
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::report::ShotReport;
 use crate::saturation::Saturation;
@@ -240,6 +240,7 @@ fn slope(profile: &EdgeProfile) -> Estimate {
             normal.add(&[1.0, x - 3.0], *v, 1.0 / (e * e));
         }
     }
-    let per_10_mm = |s: FittedParameters| Estimate::new(10.0 * s.x[1] / s.x[0], 10.0 * s.std_error(1) / s.x[0]);
+    let per_10_mm =
+        |s: FittedParameters| Estimate::new(10.0 * s.x[1] / s.x[0], 10.0 * s.std_error(1) / s.x[0]);
     normal.solve().map_or(Estimate::new(0.0, f64::INFINITY), per_10_mm)
 }

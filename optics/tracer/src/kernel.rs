@@ -107,7 +107,9 @@ impl Kernel {
         exits.reset(chunk.walks);
         match self.0 {
             KernelKind::Scalar => walk::run_chunk(stack, light, chunk, stop, exits),
-            KernelKind::Vector(level) => wavefront::run_chunk(level, stack, light, chunk, stop, places, exits),
+            KernelKind::Vector(level) => {
+                wavefront::run_chunk(level, stack, light, chunk, stop, places, exits)
+            }
         }
     }
 

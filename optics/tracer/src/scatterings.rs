@@ -76,19 +76,19 @@ const SUMS: usize = 4;
 /// α^n and n α^(n−1) for nodes and albedos.
 #[derive(Debug)]
 pub struct NodePowers {
-    blocks: Vec<Block>,
+    blocks: Vec<PowerBlock>,
     /// Number that each node stands for.
     nodes: Vec<f64>,
 }
 
 /// Of some albedos, for every node at which they count.
 #[derive(Debug)]
-struct Block {
+struct PowerBlock {
     powers: Vec<[f32; LANES]>,
     derivatives: Vec<[f32; LANES]>,
 }
 
-impl Block {
+impl PowerBlock {
     fn new(albedos: &[f64], nodes: &[u64]) -> Self {
         let (mut powers, mut derivatives) = (Vec::new(), Vec::new());
         let mut before = [1.0; LANES];
@@ -118,7 +118,7 @@ impl NodePowers {
     /// For numbers of scatterings up to `most`.
     pub fn new(albedos: &[f64], most: u32) -> Self {
         let nodes: Vec<u64> = (0..count(most)).map(node).collect();
-        let blocks = albedos.chunks(LANES).map(|albedos| Block::new(albedos, &nodes)).collect();
+        let blocks = albedos.chunks(LANES).map(|albedos| PowerBlock::new(albedos, &nodes)).collect();
         Self { blocks, nodes: nodes.iter().map(|n| *n as f64).collect() }
     }
 

@@ -63,7 +63,8 @@ fn discreet(message: &str) -> String {
         masked.push_str(if word.len() < SHORTEST_SECRET { word } else { "…" });
         masked.push_str(&piece[word.len()..]);
     }
-    masked }
+    masked
+}
 
 #[cfg(test)]
 mod tests {

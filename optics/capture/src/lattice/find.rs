@@ -5,7 +5,7 @@ use super::edge::{EdgeFrame, EdgeLine, choose, dark_side, place};
 use super::lines::{BoardLine, EdgeStretch, number, stretches};
 use super::movement::{BoardEdges, check_shake};
 use super::pose;
-use super::scan::{Contrast, Run, EdgeScan};
+use super::scan::{Contrast, EdgeScan, Run};
 use crate::estimate::Estimate;
 use crate::refusal::Refusal;
 use crate::view::PhotoView;

@@ -3,7 +3,7 @@
 use super::blurs::blur_px;
 use super::light::{FLICKER, Patch, brightest};
 use super::lines::EdgeStretch;
-use super::scan::{EdgePoint, Run, EdgeScan};
+use super::scan::{EdgePoint, EdgeScan, Run};
 use crate::estimate::Estimate;
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;

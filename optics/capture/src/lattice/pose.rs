@@ -6,7 +6,7 @@
 
 use super::lines::BoardLine;
 use super::scan::Run;
-use crate::least_squares::{NormalEquations, FittedParameters, spread, tukey};
+use crate::least_squares::{FittedParameters, NormalEquations, spread, tukey};
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Pose {

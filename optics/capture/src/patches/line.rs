@@ -4,7 +4,7 @@ use super::{Neutral, PatchShot, RawReading};
 use crate::calibration::{LampDrift, PatchReading};
 use crate::estimate::Estimate;
 use crate::frame::{Area, Colour};
-use crate::least_squares::{NormalEquations, FittedParameters};
+use crate::least_squares::{FittedParameters, NormalEquations};
 use crate::refusal::{Refusal, Warning};
 
 /// Relative deviation from the line above which a session is refused.

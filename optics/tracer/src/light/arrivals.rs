@@ -236,7 +236,13 @@ impl RaySums {
     }
 
     /// Takes light to the end of its slab. None if it ends there.
-    fn cross_slab(&mut self, stack: &Stack, mut way: LightPath, faint: f64, stream: &mut Stream) -> Option<LightPath> {
+    fn cross_slab(
+        &mut self,
+        stack: &Stack,
+        mut way: LightPath,
+        faint: f64,
+        stream: &mut Stream,
+    ) -> Option<LightPath> {
         let down = way.direction.z < 0.0;
         if way.slab == 0 && !down {
             let d = way.direction;

@@ -4,7 +4,7 @@ use glam::Vec3;
 use optics_model::TransportPoint;
 use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
 
-use super::{WalkEvent, Walk};
+use super::{Walk, WalkEvent};
 use crate::math::unit_vector;
 use crate::rng::{Stream, uniform};
 use crate::stack::Stack;
@@ -97,8 +97,9 @@ fn matched_slab_reflects_and_transmits_as_tabulated() {
 #[test]
 fn half_space_with_an_index_of_its_own_reflects_as_tabulated() {
     let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
-    let reflected = walks(&stack, 400_000, 2, down, left_or_through)
-        .map(|(walk, event)| if event == WalkEvent::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 });
+    let reflected = walks(&stack, 400_000, 2, down, left_or_through).map(|(walk, event)| {
+        if event == WalkEvent::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
+    });
     assert_close(statistics(reflected), 0.2600, 5e-5, 6e-4);
 }
 

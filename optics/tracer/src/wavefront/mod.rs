@@ -35,7 +35,7 @@ use super::rng::{FIRST_BLOCK, Stream, uniform};
 use super::stack::Stack;
 use super::walk::ROULETTE_BLOCKS;
 use flight::FlightSample;
-use gate::{Fates, WalkGate, GateKind, Route, gate_at_end, gates, reflect_diffusely};
+use gate::{Fates, GateKind, Route, WalkGate, gate_at_end, gates, reflect_diffusely};
 use hits::Hits;
 use keep::Keep;
 use lanes::{Floats, Mask, POOL, Queue, WIDTH, WalkLanes, Words, count, first_lanes};
@@ -307,7 +307,13 @@ impl<'a, S: Simd> Wavefront<'a, S> {
     }
 
     #[inline(always)]
-    fn cross_singly(&mut self, gate: WalkGate, alpha: f32, walks: &mut WalkLanes<S>, lanes: Mask<S>) -> Fates<S> {
+    fn cross_singly(
+        &mut self,
+        gate: WalkGate,
+        alpha: f32,
+        walks: &mut WalkLanes<S>,
+        lanes: Mask<S>,
+    ) -> Fates<S> {
         let (mut reflected, mut transmitted) = (0, 0);
         let (walk, mut block) = (walks.walk.to_array(), walks.block.to_array());
         let (mut dx, mut dy, mut dz) = (walks.dx.to_array(), walks.dy.to_array(), walks.dz.to_array());
