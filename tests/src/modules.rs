@@ -193,6 +193,40 @@ impl Names {
     }
 }
 
+/// Names of the types that a text defines, without those of test items and without associated types.
+///
+/// # Panics
+/// If the text is not Rust.
+pub fn type_names(text: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    collect_types(text.parse().expect("the sources are Rust"), &mut found);
+    found
+}
+
+fn collect_types(tokens: TokenStream, found: &mut Vec<String>) {
+    let mut tokens = tokens.into_iter().peekable();
+    while let Some(token) = tokens.next() {
+        match token {
+            TokenTree::Group(group) if is_for_tests(&group) => skip_item(&mut tokens),
+            TokenTree::Ident(word) if word == "impl" || word == "trait" => {
+                if let (true, Some(TokenTree::Ident(name))) = (word == "trait", tokens.peek()) {
+                    found.push(name.to_string());
+                }
+                skip_item(&mut tokens);
+            }
+            TokenTree::Ident(word) if ["struct", "enum", "union", "type"].iter().any(|kind| word == kind) => {
+                if let Some(TokenTree::Ident(name)) = tokens.peek() {
+                    found.push(name.to_string());
+                }
+            }
+            TokenTree::Group(group) if group.delimiter() == Delimiter::Brace => {
+                collect_types(group.stream(), found)
+            }
+            _ => {}
+        }
+    }
+}
+
 /// Skips two colons, if they come next.
 fn passes_colons(tokens: &mut Peekable<IntoIter>) -> bool {
     let is_colon = |token: &TokenTree| matches!(token, TokenTree::Punct(punct) if punct.as_char() == ':');
