@@ -26,7 +26,7 @@ pub const ROULETTE_BLOCKS: u32 = 1 << 15;
 
 /// What the last step did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Event {
+pub enum WalkEvent {
     /// A scattering in the sample.
     Scattered,
     /// A reflection or refraction at an interface.
@@ -63,7 +63,7 @@ pub struct Walk<'a> {
 impl<'a> Walk<'a> {
     /// Enters the stack from the air above in `direction` (z < 0) at x = 0. The first interface has been dealt
     /// with when this returns; the event has the reason.
-    pub fn enter(stack: &'a Stack, direction: Vec3, stream: Stream) -> (Self, Event) {
+    pub fn enter(stack: &'a Stack, direction: Vec3, stream: Stream) -> (Self, WalkEvent) {
         let mut walk = Self {
             stack,
             stream,
@@ -80,9 +80,9 @@ impl<'a> Walk<'a> {
         (walk, event)
     }
 
-    /// Advances to the next event. Not to be called after [`Event::Left`] or [`Event::Lost`].
+    /// Advances to the next event. Not to be called after [`WalkEvent::Left`] or [`WalkEvent::Lost`].
     #[inline]
-    pub fn step(&mut self) -> Event {
+    pub fn step(&mut self) -> WalkEvent {
         if self.slab == self.stack.sample { self.fly() } else { self.traverse() }
     }
 
@@ -109,8 +109,8 @@ impl<'a> Walk<'a> {
     }
 
     /// Flies freely in the sample, to a scattering or to a face, whichever comes first.
-    fn fly(&mut self) -> Event {
-        let Some([path, angles]) = self.draw_for_flight() else { return Event::Lost };
+    fn fly(&mut self) -> WalkEvent {
+        let Some([path, angles]) = self.draw_for_flight() else { return WalkEvent::Lost };
         let free = -ln(uniform(path));
         let thickness = self.stack.thickness[self.slab];
         let z = self.z + self.direction.z * free;
@@ -123,7 +123,7 @@ impl<'a> Walk<'a> {
             self.length += free;
             self.scatterings += 1;
             self.direction = scatter(&self.stack.phase, self.direction, angles);
-            return Event::Scattered;
+            return WalkEvent::Scattered;
         }
         let face = if down { 0.0 } else { thickness };
         let flown = (face - self.z) / self.direction.z;
@@ -134,13 +134,13 @@ impl<'a> Walk<'a> {
     }
 
     /// Crosses a clear slab to its other face.
-    fn traverse(&mut self) -> Event {
+    fn traverse(&mut self) -> WalkEvent {
         let thickness_mm = self.stack.thickness[self.slab];
         self.offset.mm += self.direction.x * (thickness_mm / self.direction.z.abs());
         self.leave_slab(self.direction.z < 0.0)
     }
 
-    fn leave_slab(&mut self, down: bool) -> Event {
+    fn leave_slab(&mut self, down: bool) -> WalkEvent {
         if !down {
             self.cross_above()
         } else if self.slab == self.stack.interfaces.len() {
@@ -151,46 +151,46 @@ impl<'a> Walk<'a> {
     }
 
     /// The Lambertian base: cosine-distributed directions, whatever the side of the edge.
-    fn reflect_diffusely(&mut self) -> Event {
-        let Some(words) = self.draw() else { return Event::Lost };
+    fn reflect_diffusely(&mut self) -> WalkEvent {
+        let Some(words) = self.draw() else { return WalkEvent::Lost };
         let u = uniform(words[1]);
         let (x, y) = unit_vector(words[2]);
         let sin = u.sqrt();
         self.direction = Vec3::new(sin * x, sin * y, (1.0 - u).sqrt());
         self.z = 0.0;
-        Event::Base
+        WalkEvent::Base
     }
 
-    fn cross_below(&mut self) -> Event {
+    fn cross_below(&mut self) -> WalkEvent {
         let interface = self.stack.interfaces[self.slab];
         let indices = [interface.from_above, interface.from_below];
-        let Some(transmitted) = self.cross(1.0, indices, interface.alpha) else { return Event::Lost };
+        let Some(transmitted) = self.cross(1.0, indices, interface.alpha) else { return WalkEvent::Lost };
         if transmitted {
             self.slab += 1;
             self.z = self.stack.thickness[self.slab];
         } else {
             self.z = 0.0;
             if self.slab == 0 {
-                return Event::Left;
+                return WalkEvent::Left;
             }
         }
-        Event::Crossed
+        WalkEvent::Crossed
     }
 
-    fn cross_above(&mut self) -> Event {
+    fn cross_above(&mut self) -> WalkEvent {
         let interface = self.stack.interfaces[self.slab - 1];
         let indices = [interface.from_below, interface.from_above];
-        let Some(transmitted) = self.cross(-1.0, indices, interface.alpha) else { return Event::Lost };
+        let Some(transmitted) = self.cross(-1.0, indices, interface.alpha) else { return WalkEvent::Lost };
         if transmitted {
             self.slab -= 1;
             self.z = 0.0;
             if self.slab == 0 {
-                return Event::Left;
+                return WalkEvent::Left;
             }
         } else {
             self.z = self.stack.thickness[self.slab];
         }
-        Event::Crossed
+        WalkEvent::Crossed
     }
 
     /// Meets an interface whose incident side is up (`up` = 1) or down (`up` = −1); `indices` are those of the
@@ -243,12 +243,12 @@ pub fn run_chunk(
         let stream = Stream::new(chunk.key, chunk.index, index);
         let mut left = uniform(stream.clone().at_block(PICK_BLOCK).words()[0]) * step;
         let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream);
-        while event != Event::Left && event != Event::Lost {
+        while event != WalkEvent::Left && event != WalkEvent::Lost {
             let u = walk.direction.z;
             event = walk.step();
             let (z, receives) = match event {
-                Event::Scattered => (walk.z, light.about(walk.z, u)),
-                Event::Base => {
+                WalkEvent::Scattered => (walk.z, light.about(walk.z, u)),
+                WalkEvent::Base => {
                     hits.push(walk.offset);
                     (AT_BASE, light.base)
                 }
@@ -282,9 +282,9 @@ pub fn count_events(stack: &Stack, chunk: Chunk) -> Events {
         let stream = Stream::new(chunk.key, chunk.index, index);
         let (mut walk, mut event) = Walk::enter(stack, stack.sensor_direction, stream);
         events.crossings += 1;
-        while event != Event::Left && event != Event::Lost {
+        while event != WalkEvent::Left && event != WalkEvent::Lost {
             event = walk.step();
-            events.crossings += u64::from(event != Event::Scattered);
+            events.crossings += u64::from(event != WalkEvent::Scattered);
         }
         events.scatterings += u64::from(walk.scatterings);
     }
