@@ -9,7 +9,7 @@ use farm_lab::whole_file::write_whole;
 use optics_model::fit::{DistanceMap, MaterialFit};
 
 #[derive(Clone, Copy, Debug)]
-enum Format {
+enum FileFormat {
     Svg,
     Png,
 }
@@ -27,16 +27,16 @@ pub(crate) fn check_path(path: &Path) -> Result<()> {
 /// Writes SVG or PNG, by the extension. The file is whole or not there.
 pub(crate) fn write(picture: &Picture, path: &Path) -> Result<()> {
     let bytes = match format_of(path)? {
-        Format::Svg => picture.svg().as_bytes().to_vec(),
-        Format::Png => picture.png().with_context(|| format!("figure {}", path.display()))?,
+        FileFormat::Svg => picture.svg().as_bytes().to_vec(),
+        FileFormat::Png => picture.png().with_context(|| format!("figure {}", path.display()))?,
     };
     write_whole(path, &bytes).with_context(|| format!("figure {}", path.display()))
 }
 
-fn format_of(path: &Path) -> Result<Format> {
+fn format_of(path: &Path) -> Result<FileFormat> {
     match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
-        Some("svg") => Ok(Format::Svg),
-        Some("png") => Ok(Format::Png),
+        Some("svg") => Ok(FileFormat::Svg),
+        Some("png") => Ok(FileFormat::Png),
         _ => bail!("figure {}: unknown kind of file, use .svg or .png", path.display()),
     }
 }

@@ -33,11 +33,11 @@ fn moves_cursor(term: Option<&OsStr>) -> bool {
 /// Prints the share of the work that is done, and when the rest will be done at the farm's pace.
 #[derive(Debug)]
 pub(crate) struct Progress {
-    look: Look,
+    look: BarLook,
 }
 
 #[derive(Debug)]
-enum Look {
+enum BarLook {
     /// With what stands below it.
     Bar(ProgressBar, String),
     Lines {
@@ -49,32 +49,32 @@ enum Look {
 impl Progress {
     pub(crate) fn new(first: &DictionaryStatus, quiet: bool) -> Self {
         let look = if quiet {
-            Look::Nothing
+            BarLook::Nothing
         } else if has_bars() {
             let bar = ProgressBar::new(STEPS);
             let style = ProgressStyle::with_template("{prefix} [{wide_bar}] {msg}");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
             bar.set_prefix(first.name.to_string());
-            Look::Bar(bar, String::new())
+            BarLook::Bar(bar, String::new())
         } else {
-            Look::Lines { last: None }
+            BarLook::Lines { last: None }
         };
         Self { look }
     }
 
     /// Whether nothing is shown.
     pub(crate) fn is_quiet(&self) -> bool {
-        matches!(self.look, Look::Nothing)
+        matches!(self.look, BarLook::Nothing)
     }
 
     /// Whether there is a place for cells.
     pub(crate) fn has_room(&self) -> bool {
-        matches!(self.look, Look::Bar(..))
+        matches!(self.look, BarLook::Bar(..))
     }
 
     /// Shows the jobs below the bar.
     pub(crate) fn show_cells(&mut self, cells: &Cells) {
-        if let Look::Bar(bar, below) = &mut self.look {
+        if let BarLook::Bar(bar, below) = &mut self.look {
             let width = usize::from(Term::stderr().size().1);
             let text = bar.message();
             let text = text.strip_suffix(below.as_str()).unwrap_or(&text).to_owned();
@@ -86,31 +86,31 @@ impl Progress {
     pub(crate) fn show(&mut self, status: &DictionaryStatus) {
         let text = text(status);
         match &mut self.look {
-            Look::Bar(bar, below) => {
+            BarLook::Bar(bar, below) => {
                 bar.set_position((status.work_done * STEPS as f64) as u64);
                 bar.set_message(text + below);
             }
-            Look::Lines { last } => {
+            BarLook::Lines { last } => {
                 if last.is_none_or(|last| last.elapsed() >= LINE) {
                     *last = Some(tokio::time::Instant::now());
                     tell(format_args!("{}: {text}", status.name));
                 }
             }
-            Look::Nothing => {}
+            BarLook::Nothing => {}
         }
     }
 
     /// A line on standard error, above the bar. It is printed without progress as well.
     pub(crate) fn tell(&self, line: &str) {
         match &self.look {
-            Look::Bar(bar, _) => bar.suspend(|| tell(line)),
-            Look::Lines { .. } | Look::Nothing => tell(line),
+            BarLook::Bar(bar, _) => bar.suspend(|| tell(line)),
+            BarLook::Lines { .. } | BarLook::Nothing => tell(line),
         }
     }
 
     /// Takes the bar away.
     pub(crate) fn end(&self) {
-        if let Look::Bar(bar, _) = &self.look {
+        if let BarLook::Bar(bar, _) = &self.look {
             bar.finish_and_clear();
         }
     }

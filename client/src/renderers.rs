@@ -17,7 +17,7 @@ pub(crate) use self::pbrt::pbrt;
 
 /// What a measurement determines of a channel's medium.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+enum ChannelState {
     Resolved,
     /// σ_t and the albedo together with this g only.
     GOpen,
@@ -25,7 +25,7 @@ enum State {
     Unresolved,
 }
 
-impl State {
+impl ChannelState {
     fn of(refined: &Refined) -> Self {
         if refined.g_is_open() {
             Self::GOpen
@@ -39,17 +39,17 @@ impl State {
 
 /// One channel of a measured material, refined.
 #[derive(Debug)]
-struct Channel<'a> {
+struct RenderedChannel<'a> {
     /// R, G or B, a wavelength in nm, or any name.
     name: &'a str,
     medium: Medium,
-    state: State,
+    state: ChannelState,
 }
 
-impl<'a> Channel<'a> {
+impl<'a> RenderedChannel<'a> {
     fn of(fit: &'a ChannelFit) -> Option<Self> {
         let refined = fit.refined.as_ref()?;
-        Some(Self { name: &fit.channel, medium: refined.best.medium, state: State::of(refined) })
+        Some(Self { name: &fit.channel, medium: refined.best.medium, state: ChannelState::of(refined) })
     }
 }
 
@@ -65,7 +65,7 @@ const RESERVED: [&str; 2] = ["id", "type"];
 
 /// One medium of a renderer.
 #[derive(Debug)]
-struct Block {
+struct MediumBlock {
     /// An ASCII identifier, unique in its file: it needs no quoting in Python, XML and pbrt.
     name: String,
     /// Lines for people, for a comment: names in them are quoted, with control characters escaped.
@@ -83,18 +83,18 @@ enum Values {
     Scalar(Medium),
 }
 
-fn blocks(fits: &[MaterialFit]) -> Vec<Block> {
+fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
     let mut names = Names::default();
     let mut blocks = Vec::new();
     for fit in fits {
-        let channels: Vec<_> = fit.channels.iter().filter_map(Channel::of).collect();
+        let channels: Vec<_> = fit.channels.iter().filter_map(RenderedChannel::of).collect();
         let g = channels.first().map_or(0.0, |c| c.medium.g());
         let common_g = channels.iter().all(|c| c.medium.g() == g);
         let joint = if common_g { rgb(&channels).or_else(|| spectrum(&channels)) } else { None };
         if let Some((values, what)) = joint {
             let mut notes = vec![format!("{:?}: {what}", fit.material)];
             notes.extend(doubts(&channels));
-            blocks.push(Block { name: names.take(&fit.material), notes, values, g });
+            blocks.push(MediumBlock { name: names.take(&fit.material), notes, values, g });
             continue;
         }
         for channel in &channels {
@@ -107,22 +107,22 @@ fn blocks(fits: &[MaterialFit]) -> Vec<Block> {
             }
             let name = names.take(&format!("{}_{}", fit.material, channel.name));
             let (values, g) = (Values::Scalar(channel.medium), channel.medium.g());
-            blocks.push(Block { name, notes, values, g });
+            blocks.push(MediumBlock { name, notes, values, g });
         }
     }
     blocks
 }
 
 /// The values of exactly R, G and B, and what to call them.
-fn rgb(channels: &[Channel]) -> Option<(Values, String)> {
+fn rgb(channels: &[RenderedChannel]) -> Option<(Values, String)> {
     let find = |name| channels.iter().find(|c| c.name == name).map(|c| c.medium);
     let values = [find("R")?, find("G")?, find("B")?];
     (channels.len() == values.len()).then(|| (Values::Rgb(values), "R, G, B".to_owned()))
 }
 
 /// The values of channels that are all distinct wavelengths, and what to call them.
-fn spectrum(channels: &[Channel]) -> Option<(Values, String)> {
-    let sample = |c: &Channel| {
+fn spectrum(channels: &[RenderedChannel]) -> Option<(Values, String)> {
+    let sample = |c: &RenderedChannel| {
         let nm = c.name.trim().parse().ok().filter(|nm| WAVELENGTHS_NM.contains(nm))?;
         Some((nm, c.medium))
     };
@@ -145,12 +145,12 @@ fn spectrum(channels: &[Channel]) -> Option<(Values, String)> {
 }
 
 /// What the measurement does not determine.
-fn doubts(channels: &[Channel]) -> Vec<String> {
-    let names = |state: State| {
+fn doubts(channels: &[RenderedChannel]) -> Vec<String> {
+    let names = |state: ChannelState| {
         let names = channels.iter().filter(|c| c.state == state).map(|c| format!("{:?}", c.name));
         names.collect::<Vec<_>>().join(", ")
     };
-    let (unresolved, open) = (names(State::Unresolved), names(State::GOpen));
+    let (unresolved, open) = (names(ChannelState::Unresolved), names(ChannelState::GOpen));
     let mut doubts = Vec::new();
     if !unresolved.is_empty() {
         doubts.push(format!("Unresolved: the measurement does not determine {unresolved}; best values."));
@@ -258,7 +258,7 @@ mod tests {
         let samples = |wavelengths: &[&str]| {
             let channels: Vec<_> =
                 wavelengths.iter().zip(1..).map(|(w, i)| channel(w, f64::from(i), 0.5)).collect();
-            match spectrum(&channels.iter().filter_map(Channel::of).collect::<Vec<_>>())?.0 {
+            match spectrum(&channels.iter().filter_map(RenderedChannel::of).collect::<Vec<_>>())?.0 {
                 Values::Spectrum(samples) => {
                     Some(samples.iter().map(|(nm, c)| (*nm, c.sigma_t_per_mm())).collect::<Vec<_>>())
                 }

@@ -78,7 +78,7 @@ impl<D: Message + Name + Default> Decoder for BoundedDecoder<D> {
 /// Refuses a message whose parts would take much more memory than its bytes, or whose texts are not what they may be.
 fn check<D: Name>(bytes: &[u8]) -> Result<(), Status> {
     let most = FREE_BYTES.saturating_add(bytes.len().saturating_mul(FACTOR)) / PART_BYTES;
-    let mut parts = Parts { left: most };
+    let mut parts = PartBudget { left: most };
     parts.look_at(bytes, SCHEMA.get(&D::full_name()), DEPTH).map_err(|refused| match refused {
         Refused::TooMany => Status::resource_exhausted(format!(
             "{} = {} bytes is not valid: at most {most} messages and texts may be in it",
@@ -132,18 +132,18 @@ impl Refused {
 }
 
 /// How many parts a message may have yet.
-struct Parts {
+struct PartBudget {
     left: usize,
 }
 
-impl Parts {
+impl PartBudget {
     fn look_at(&mut self, bytes: &[u8], fields: Option<&Fields>, depth: usize) -> Result<(), Refused> {
         let depth = depth.checked_sub(1).ok_or(Refused::NotRead)?;
         let mut entries = Entries(bytes);
         loop {
             let before = &bytes[..bytes.len() - entries.0.len()];
             let Some(entry) = entries.next() else { return Ok(()) };
-            let Entry { number, content } = entry?;
+            let FieldEntry { number, content } = entry?;
             let field = fields.and_then(|fields| fields.get(&number));
             let (Some(content), Some(field)) = (content, field) else { continue };
             self.left = self.left.checked_sub(1).ok_or(Refused::TooMany)?;
@@ -163,13 +163,13 @@ impl Parts {
 struct Entries<'a>(&'a [u8]);
 
 /// A field's number, and its content if that has a length.
-struct Entry<'a> {
+struct FieldEntry<'a> {
     number: u32,
     content: Option<&'a [u8]>,
 }
 
 impl<'a> Iterator for Entries<'a> {
-    type Item = Result<Entry<'a>, Refused>;
+    type Item = Result<FieldEntry<'a>, Refused>;
 
     fn next(&mut self) -> Option<Self::Item> {
         (!self.0.is_empty()).then(|| self.read().ok_or(Refused::NotRead))
@@ -177,7 +177,7 @@ impl<'a> Iterator for Entries<'a> {
 }
 
 impl<'a> Entries<'a> {
-    fn read(&mut self) -> Option<Entry<'a>> {
+    fn read(&mut self) -> Option<FieldEntry<'a>> {
         let (number, wire_type) = decode_key(&mut self.0).ok()?;
         let has_length = wire_type == WireType::LengthDelimited;
         let length = match wire_type {
@@ -189,7 +189,7 @@ impl<'a> Entries<'a> {
         };
         let (content, rest) = self.0.split_at_checked(length)?;
         self.0 = rest;
-        Some(Entry { number, content: has_length.then_some(content) })
+        Some(FieldEntry { number, content: has_length.then_some(content) })
     }
 }
 

@@ -15,10 +15,10 @@ const MOST_WORDS: usize = 7;
 const WIDEST_COMMENT: usize = 125;
 
 /// Test names with more than [`MOST_WORDS`] words that are still there.
-const WORDY_NAMES: usize = 9999;
+const WORDY_NAMES: usize = 738;
 
 /// Names of types that are still defined more than once, without the conventional ones.
-const DUPLICATE_TYPES: usize = 9999;
+const DUPLICATE_TYPES: usize = 62;
 
 /// Names that several crates may define, since they are used with their crate's.
 const CONVENTIONAL: [&str; 4] = ["Args", "Config", "Error", "Result"];
@@ -182,8 +182,8 @@ fn foreign_words_stay_within_their_budgets() {
     let mut found: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for extension in ["rs", "proto", "md", "py", "svelte", "ts"] {
         for (path, text) in own_files(extension) {
-            // The list of words is here.
-            if !path.ends_with("tests/language.rs") {
+            // The list of words is here, and the page's messages are generated.
+            if !path.ends_with("tests/language.rs") && !path.starts_with("web/src/gen") {
                 let is_below = path.components().count() > 1;
                 let folder = path.iter().next().filter(|_| is_below).unwrap_or_default();
                 let folder = folder.to_string_lossy().into_owned();

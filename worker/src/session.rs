@@ -53,7 +53,7 @@ pub(crate) struct Introduction {
 
 /// The coordinator's answer to the last registration.
 #[derive(Debug, Clone, Default)]
-struct Registration {
+struct SessionRegistration {
     worker_token: String,
     lease: Duration,
 }
@@ -65,7 +65,7 @@ pub(crate) struct CoordinatorSession {
     introduction: Introduction,
     /// Random id of this process, equal in all its registrations.
     instance: String,
-    registration: Mutex<Registration>,
+    registration: Mutex<SessionRegistration>,
     /// Locked during a repeated registration: each one frees the leases of the one before.
     registering: tokio::sync::Mutex<()>,
     held: Arc<HeldLeases>,
@@ -236,7 +236,7 @@ impl CoordinatorSession {
         let response = self.call(self.client.clone().register(timed(request, CALL))).await?;
         self.reachability.joined(label, *threads);
         let lease = Duration::from_millis(response.lease_ms);
-        *self.registration() = Registration { worker_token: response.worker_token, lease };
+        *self.registration() = SessionRegistration { worker_token: response.worker_token, lease };
         Ok(())
     }
 
@@ -261,7 +261,7 @@ impl CoordinatorSession {
     /// Announces the leases of this worker to a restarted coordinator before it requests more: otherwise it could be
     /// leased its own jobs again.
     async fn announce(&self) {
-        let Registration { worker_token, lease } = self.registration().clone();
+        let SessionRegistration { worker_token, lease } = self.registration().clone();
         let mut leases = self.held.all().into_iter().map(on_wire).peekable();
         while leases.peek().is_some() {
             let leases = leases.by_ref().take(RequestLimits::LEASES as usize).collect();
@@ -278,7 +278,7 @@ impl CoordinatorSession {
         self.registration().worker_token.clone()
     }
 
-    fn registration(&self) -> MutexGuard<'_, Registration> {
+    fn registration(&self) -> MutexGuard<'_, SessionRegistration> {
         self.registration.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

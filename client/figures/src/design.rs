@@ -24,9 +24,9 @@ const RADIUS: f64 = 3.4;
 const COLORS: [Color; 5] = [Color::BLUE, Color::ORANGE, Color::GREEN, Color::VERMILLION, Color::PURPLE];
 
 /// Of a quantity, as a share of it.
-type Share = fn(&HalfWidths, &Medium) -> f64;
+type QuantityShare = fn(&HalfWidths, &Medium) -> f64;
 
-const QUANTITIES: [(&str, Share); 4] = [
+const QUANTITIES: [(&str, QuantityShare); 4] = [
     ("σ_t", HalfWidths::of_sigma_t),
     ("1 − α", HalfWidths::of_co_albedo),
     ("σ_s (1 − g)", HalfWidths::of_reduced_scattering),
@@ -35,9 +35,9 @@ const QUANTITIES: [(&str, Share); 4] = [
 
 /// A panel for each quantity, a row for each set of slabs, a colour for each number of photographs; g held and free.
 pub fn design_figure(design: &Design) -> anyhow::Result<Picture> {
-    let rows = Rows::of(design);
-    let panels: Vec<Panel> =
-        QUANTITIES.iter().filter_map(|(name, share)| Panel::new(name, *share, design, &rows)).collect();
+    let rows = DesignRows::of(design);
+    let panels: Vec<DesignPanel> =
+        QUANTITIES.iter().filter_map(|(name, share)| DesignPanel::new(name, *share, design, &rows)).collect();
     ensure!(!panels.is_empty(), "no set of slabs determines anything: there is nothing to draw");
     let left = MARGIN + rows.width();
     let width = left + panels.len() as f64 * (PANEL_WIDTH + BETWEEN) - BETWEEN + MARGIN;
@@ -64,13 +64,13 @@ pub fn design_figure(design: &Design) -> anyhow::Result<Picture> {
 }
 
 /// What the rows and the colours stand for.
-struct Rows {
+struct DesignRows {
     /// Name of each set, and whether it is the best.
     slabs: Vec<(String, bool)>,
     shots: Vec<u32>,
 }
 
-impl Rows {
+impl DesignRows {
     fn of(design: &Design) -> Self {
         let (mut all, mut shots) = (Vec::<(String, bool)>::new(), Vec::new());
         for set in &design.sets {
@@ -144,7 +144,7 @@ struct Dot {
     filled: bool,
 }
 
-struct Panel {
+struct DesignPanel {
     name: &'static str,
     dots: Vec<Dot>,
     axis: Axis,
@@ -152,9 +152,9 @@ struct Panel {
     incomplete: bool,
 }
 
-impl Panel {
+impl DesignPanel {
     /// None if there is nothing to draw.
-    fn new(name: &'static str, share: Share, design: &Design, rows: &Rows) -> Option<Self> {
+    fn new(name: &'static str, share: QuantityShare, design: &Design, rows: &DesignRows) -> Option<Self> {
         let of_set = |set: &SlabSet| {
             let dot = |widths: &HalfWidths, filled: bool| Dot {
                 row: rows.row(set),

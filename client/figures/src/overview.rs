@@ -40,7 +40,7 @@ pub struct OverviewFigure {
 }
 
 pub fn overview_figure(figure: &OverviewFigure) -> anyhow::Result<Picture> {
-    let plan = Plan::new(figure)?;
+    let plan = OverviewLayout::new(figure)?;
     let stroke = |i: usize| {
         let last = figure.g.len().saturating_sub(1).max(1);
         Stroke::solid(Color::viridis(BRIGHTEST * i as f64 / last as f64), 1.1)
@@ -64,7 +64,7 @@ pub fn overview_figure(figure: &OverviewFigure) -> anyhow::Result<Picture> {
 }
 
 /// Where everything goes.
-struct Plan<'a> {
+struct OverviewLayout<'a> {
     figure: &'a OverviewFigure,
     x: Axis,
     y: Axis,
@@ -75,7 +75,7 @@ struct Plan<'a> {
     across: usize,
 }
 
-impl<'a> Plan<'a> {
+impl<'a> OverviewLayout<'a> {
     fn new(figure: &'a OverviewFigure) -> anyhow::Result<Self> {
         let (columns, rows) = (figure.sigma_t_per_mm.len(), figure.albedo.len());
         let expected = figure.thickness_mm.len() * columns * rows * figure.g.len();

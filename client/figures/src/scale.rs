@@ -51,7 +51,7 @@ pub fn scale_figure(curve: &ScaleCurve, common: &Common, objective: Objective) -
     Ok(canvas.finish())
 }
 
-struct Panel {
+struct ScalePanel {
     frame: Frame,
     name: &'static str,
     /// The quantity that is drawn.
@@ -66,7 +66,7 @@ struct Panel {
     refined: Option<f64>,
 }
 
-impl Panel {
+impl ScalePanel {
     fn new(name: &'static str, error: &'static str, width: f64, x: Vec<f64>, y: Vec<f64>) -> Self {
         let area = Area { left: 0.0, top: 0.0, width, height: HEIGHT };
         let x_axis = Axis::around(extent(x.iter().copied()), 1e-3);
@@ -121,9 +121,10 @@ impl Panel {
     }
 }
 
-fn over_mu(curve: &ScaleCurve, common: &Common) -> Panel {
+fn over_mu(curve: &ScaleCurve, common: &Common) -> ScalePanel {
     let (mu, error) = curve.points.iter().map(|point| (point.mu, point.error)).unzip();
-    let mut panel = Panel::new("scaling factor μ", "error of the best records, Eq. 3", MU_WIDTH, mu, error);
+    let mut panel =
+        ScalePanel::new("scaling factor μ", "error of the best records, Eq. 3", MU_WIDTH, mu, error);
     let positive = |e: &f64| e.is_finite() && *e > 0.0;
     let (best, std_error) = (curve.best.mu, curve.std_error.filter(positive));
     let by_records = value_with_error(best, std_error);
@@ -140,13 +141,13 @@ fn over_mu(curve: &ScaleCurve, common: &Common) -> Panel {
     panel
 }
 
-fn over_g(common: &Common, objective: Objective) -> Panel {
+fn over_g(common: &Common, objective: Objective) -> ScalePanel {
     let (g, error) = common.by_g.iter().map(|at| (at.g, at.error)).unzip();
     let name = match objective {
         Objective::Likelihood => "−2 ln L of all channels",
         Objective::Paper => "error of refined media, Eq. 1",
     };
-    let mut panel = Panel::new("anisotropy g", name, G_WIDTH, g, error);
+    let mut panel = ScalePanel::new("anisotropy g", name, G_WIDTH, g, error);
     panel.dots = true;
     // One that was given is no minimum.
     if let Some(g) = common.g_interval.and(common.g) {

@@ -47,7 +47,7 @@ pub(super) struct Cell<'a> {
 
 impl Sheet<'_> {
     pub(super) fn draw(&self) -> anyhow::Result<Picture> {
-        let plan = Plan::new(self)?;
+        let plan = SheetLayout::new(self)?;
         let head = Head::new(self.title, &self.legend, plan.width - 2.0 * MARGIN);
         let mut canvas = Canvas::new(plan.width, head.height() + plan.bands_height() + MARGIN);
         head.draw(&mut canvas);
@@ -69,7 +69,7 @@ struct Placed<'a> {
 }
 
 /// Where everything goes.
-struct Plan<'a> {
+struct SheetLayout<'a> {
     columns: Vec<&'a str>,
     rows: Vec<f64>,
     placed: Vec<Placed<'a>>,
@@ -83,7 +83,7 @@ struct Plan<'a> {
     alike: bool,
 }
 
-impl<'a> Plan<'a> {
+impl<'a> SheetLayout<'a> {
     fn new(sheet: &'a Sheet<'a>) -> anyhow::Result<Self> {
         ensure!(!sheet.cells.is_empty(), "no panels to draw");
         let (mut columns, mut rows) = (Vec::new(), Vec::new());

@@ -15,12 +15,12 @@ use crate::measurement_file::normal;
 #[serde(deny_unknown_fields)]
 struct File {
     #[serde(default)]
-    mixture: Vec<Entry>,
+    mixture: Vec<MixtureEntry>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Entry {
+struct MixtureEntry {
     material: String,
     /// Volume fractions by ink.
     parts: BTreeMap<String, f64>,
@@ -35,7 +35,7 @@ pub fn read_mixtures(path: &Path) -> Result<Mixtures> {
 
 fn mixtures(file: File) -> optics_model::Result<Mixtures> {
     // Names as measurements have them.
-    let mixture = |entry: Entry| {
+    let mixture = |entry: MixtureEntry| {
         let parts = entry.parts.into_iter().map(|(ink, share)| (normal(&ink).into_owned(), share));
         Mixture::new(normal(&entry.material), parts)
     };

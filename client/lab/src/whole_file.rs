@@ -16,12 +16,12 @@ const NEW_FILE: u32 = 0o666;
 #[derive(Debug)]
 pub struct Draft {
     file: BufWriter<NamedTempFile>,
-    place: Place,
+    place: Destination,
 }
 
 /// Where a draft goes when it is whole.
 #[derive(Debug)]
-enum Place {
+enum Destination {
     Name(PathBuf),
     Node(File),
 }
@@ -30,7 +30,7 @@ impl Draft {
     pub fn create(path: &Path) -> io::Result<Self> {
         if let Some(node) = open_node(path)? {
             let file = BufWriter::new(NamedTempFile::new()?);
-            return Ok(Self { file, place: Place::Node(node) });
+            return Ok(Self { file, place: Destination::Node(node) });
         }
         // What a link leads to is replaced, not the link.
         let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
@@ -47,20 +47,20 @@ impl Draft {
         if let Ok(before) = std::fs::metadata(&path) {
             file.as_file().set_permissions(before.permissions())?;
         }
-        Ok(Self { file: BufWriter::new(file), place: Place::Name(path) })
+        Ok(Self { file: BufWriter::new(file), place: Destination::Name(path) })
     }
 
     /// Gives the file its name, when all of it is on the disk.
     pub fn finish(self) -> io::Result<()> {
         let mut file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
         match self.place {
-            Place::Name(path) => {
+            Destination::Name(path) => {
                 file.as_file().sync_all()?;
                 file.persist(&path).map_err(|error| error.error)?;
                 // The name is on the disk when its folder is.
                 sync_folder(folder_of(&path))
             }
-            Place::Node(mut node) => {
+            Destination::Node(mut node) => {
                 file.rewind()?;
                 io::copy(&mut file, &mut node).map(drop)
             }

@@ -92,10 +92,10 @@ fn best_for(set: &SlabSet) -> String {
 }
 
 /// Of a quantity, as a share of it.
-type Share = fn(&HalfWidths, &Medium) -> f64;
+type RelativeShare = fn(&HalfWidths, &Medium) -> f64;
 
 /// The improvement that takes most from a half-width.
-fn limit<'a>(set: &'a SlabSet, medium: &Medium, share: Share) -> Option<&'a Improvement> {
+fn limit<'a>(set: &'a SlabSet, medium: &Medium, share: RelativeShare) -> Option<&'a Improvement> {
     let left = |i: &Improvement| share(&i.best(), medium);
     let finite = set.improvements.iter().filter(|i| left(i).is_finite());
     finite.min_by(|a, b| left(a).total_cmp(&left(b)))
@@ -124,7 +124,7 @@ fn limits(design: &Design) -> String {
         n => format!("{n} photographs"),
     };
     let mut lines = vec![wrapped(&format!("Best: {} mm, {photographs} of each slab.", slabs(best)))];
-    let quantities: [(&str, Share); 2] =
+    let quantities: [(&str, RelativeShare); 2] =
         [("σ_t", HalfWidths::of_sigma_t), ("1 − α", HalfWidths::of_co_albedo)];
     for (quantity, share) in quantities {
         if let Some(improvement) = limit(best, &design.medium, share) {

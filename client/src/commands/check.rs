@@ -25,7 +25,7 @@ pub(super) struct CheckJson<'a> {
 #[derive(Debug, Serialize)]
 struct MaterialJson<'a> {
     material: &'a str,
-    profiles: Vec<ProfileJson<'a>>,
+    profiles: Vec<CheckedProfileJson<'a>>,
 }
 
 impl<'a> From<&'a Measurement> for MaterialJson<'a> {
@@ -36,7 +36,7 @@ impl<'a> From<&'a Measurement> for MaterialJson<'a> {
 }
 
 #[derive(Debug, Serialize)]
-struct ProfileJson<'a> {
+struct CheckedProfileJson<'a> {
     channel: &'a str,
     thickness_mm: f64,
     x_mm: &'a [f64],
@@ -49,7 +49,7 @@ struct ProfileJson<'a> {
     blur_std_error_mm: Option<f64>,
 }
 
-impl<'a> From<&'a MeasuredProfile> for ProfileJson<'a> {
+impl<'a> From<&'a MeasuredProfile> for CheckedProfileJson<'a> {
     fn from(profile: &'a MeasuredProfile) -> Self {
         let ProfileSetup {
             thickness_std_error_mm,

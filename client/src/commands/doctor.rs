@@ -19,19 +19,19 @@ use crate::questions::patient;
 #[derive(Debug, Serialize)]
 struct DoctorJson {
     healthy: bool,
-    findings: Vec<Finding>,
+    findings: Vec<DoctorFinding>,
 }
 
 /// One thing that was looked at.
 #[derive(Debug, Serialize)]
-struct Finding {
+struct DoctorFinding {
     what: &'static str,
     ok: bool,
     text: String,
 }
 
-fn finding(what: &'static str, ok: bool, text: impl Into<String>) -> Finding {
-    Finding { what, ok, text: text.into() }
+fn finding(what: &'static str, ok: bool, text: impl Into<String>) -> DoctorFinding {
+    DoctorFinding { what, ok, text: text.into() }
 }
 
 pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> Result<ExitCode> {
@@ -74,15 +74,16 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
     let healthy = findings.iter().all(|f| f.ok);
     let data = DoctorJson { healthy, findings };
     output.print("doctor", &data, || {
-        let line =
-            |f: &Finding| format!("{}  {:<12} {}\n", if f.ok { "ok   " } else { "WRONG" }, f.what, f.text);
+        let line = |f: &DoctorFinding| {
+            format!("{}  {:<12} {}\n", if f.ok { "ok   " } else { "WRONG" }, f.what, f.text)
+        };
         data.findings.iter().map(line).collect()
     })?;
     Ok(if healthy { ExitCode::SUCCESS } else { ExitCode::from(exit::FAILED) })
 }
 
 /// How fast this machine traces, and with what.
-fn about_this_machine() -> Finding {
+fn about_this_machine() -> DoctorFinding {
     const WHAT: &str = "this machine";
     let kernel = match farm_worker::choose_kernel(kernel_name().as_deref()) {
         Ok(kernel) => kernel,
@@ -98,7 +99,7 @@ fn about_this_machine() -> Finding {
     )
 }
 
-fn about_coordinator(status: &StatusResponse) -> Vec<Finding> {
+fn about_coordinator(status: &StatusResponse) -> Vec<DoctorFinding> {
     let own = env!("CARGO_PKG_VERSION");
     let version = format!("coordinator {}, this program {own}", status.version);
     let physics = format!("coordinator {}, this program {PHYSICS_VERSION}", status.physics_version);
@@ -121,7 +122,7 @@ fn about_coordinator(status: &StatusResponse) -> Vec<Finding> {
     ]
 }
 
-fn about_records(inspected: &InspectResponse, repair: bool) -> Vec<Finding> {
+fn about_records(inspected: &InspectResponse, repair: bool) -> Vec<DoctorFinding> {
     let wrong = |what, text| finding(what, false, text);
     let mut findings = Vec::new();
     let unread = "nothing was deleted; look at the disk, then try again";

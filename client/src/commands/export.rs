@@ -66,7 +66,7 @@ async fn to_arrays(
     let place = || format!("output {}", file.display());
     let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
     let status = DictionaryStatus::try_from(status)?;
-    let chosen = Chosen::new(&status.grid, args)?;
+    let chosen = ChosenAxes::new(&status.grid, args)?;
     let write = async {
         let mut draft = Draft::create(file).with_context(place)?;
         npz::write(connection, &status, &chosen, &mut draft).await?;
@@ -147,7 +147,7 @@ fn one_material(grid: &Grid, indices: &[u32], name: &str, json: bool) -> Result<
 
 /// Places along each axis that the lists admit.
 #[derive(Debug)]
-struct Chosen {
+struct ChosenAxes {
     iors: Vec<usize>,
     sigma_ts: Vec<usize>,
     gs: Vec<usize>,
@@ -155,7 +155,7 @@ struct Chosen {
     albedos: Vec<usize>,
 }
 
-impl Chosen {
+impl ChosenAxes {
     fn new(grid: &Grid, args: &ExportArgs) -> Result<Self, Invalid> {
         Ok(Self {
             iors: places("sample_ior", grid.sample_ior(), &args.sample_ior)?,
@@ -207,7 +207,7 @@ fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>, Invalid> {
     {
         return Ok(Vec::new());
     }
-    Ok(Chosen::new(grid, args)?.records(grid))
+    Ok(ChosenAxes::new(grid, args)?.records(grid))
 }
 
 /// Indices of the wanted values in an axis; all if none is named.
@@ -270,11 +270,11 @@ struct RecordJson<'a> {
     g: f64,
     thickness_mm: f64,
     sample_ior: f64,
-    channels: Vec<ProfileJson<'a>>,
+    channels: Vec<RecordProfileJson<'a>>,
 }
 
 #[derive(Debug, Serialize)]
-struct ProfileJson<'a> {
+struct RecordProfileJson<'a> {
     channel: &'a str,
     values: &'a [f32],
     std_errors: &'a [f32],
@@ -299,13 +299,14 @@ impl<'a> From<&'a Estimate> for EstimateJson<'a> {
 impl<'a> RecordJson<'a> {
     fn new(grid: &'a Grid, record: &'a Record) -> Self {
         let (point, medium) = grid.parameters(record.index);
-        let channels = grid.scene().channels().iter().zip(&record.profiles).map(|(channel, p)| ProfileJson {
-            channel: channel.name(),
-            values: p.radiance_factor.values(),
-            std_errors: p.radiance_factor.std_errors(),
-            d_albedo: p.derivatives.as_ref().map(|d| (&d.albedo).into()),
-            d_sigma_t: p.derivatives.as_ref().map(|d| (&d.sigma_t).into()),
-        });
+        let channels =
+            grid.scene().channels().iter().zip(&record.profiles).map(|(channel, p)| RecordProfileJson {
+                channel: channel.name(),
+                values: p.radiance_factor.values(),
+                std_errors: p.radiance_factor.std_errors(),
+                d_albedo: p.derivatives.as_ref().map(|d| (&d.albedo).into()),
+                d_sigma_t: p.derivatives.as_ref().map(|d| (&d.sigma_t).into()),
+            });
         Self {
             record: record.index,
             sigma_t_per_mm: medium.sigma_t_per_mm(),

@@ -71,7 +71,7 @@ async fn all_failed(connection: &Connection, name: &DictionaryName) -> Result<Ve
 
 pub(super) fn data(status: &DictionaryStatus) -> impl Serialize {
     #[derive(Serialize)]
-    struct Data<'a> {
+    struct ShowData<'a> {
         #[serde(flatten)]
         dictionary: DictionaryJson,
         grid: GridData<'a>,
@@ -97,7 +97,7 @@ pub(super) fn data(status: &DictionaryStatus) -> impl Serialize {
         Effort::Walks(_) => None,
     };
     let scene = SceneFile::from(grid.scene());
-    Data {
+    ShowData {
         dictionary: status.into(),
         grid: GridData { axes: grid.axes(), walks, quality, seed, derivatives, scene },
     }

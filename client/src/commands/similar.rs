@@ -10,7 +10,7 @@ use crate::output::{Output, table};
 pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
     let data = data(args)?;
     output.print("similar", &data, || {
-        let row = |m: &Shared| {
+        let row = |m: &SimilarMedia| {
             vec![
                 m.medium.g().to_string(),
                 significant(m.medium.sigma_t_per_mm(), 4),
@@ -36,20 +36,20 @@ pub(super) fn data(args: &SimilarArgs) -> Result<JsonData> {
 
 #[derive(Debug, Serialize)]
 pub(super) struct JsonData {
-    medium: Shared,
-    similar: Vec<Shared>,
+    medium: SimilarMedia,
+    similar: Vec<SimilarMedia>,
 }
 
 /// A medium, and what media share that are similar to it.
 #[derive(Debug, Serialize)]
-struct Shared {
+struct SimilarMedia {
     #[serde(flatten)]
     medium: Medium,
     reduced_scattering_per_mm: f64,
     absorption_per_mm: f64,
 }
 
-impl From<Medium> for Shared {
+impl From<Medium> for SimilarMedia {
     fn from(medium: Medium) -> Self {
         Self {
             medium,

@@ -40,7 +40,7 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
     tokio::task::spawn_blocking(work).await.context("the tracer")?
 }
 
-fn simulate(args: &SimulateArgs, style: &Style, jobs: &[JobSpec]) -> Result<()> {
+fn simulate(args: &SimulateArgs, style: &OutputStyle, jobs: &[JobSpec]) -> Result<()> {
     if let Some(path) = &args.plot {
         let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], args.g[0])?);
         figure_files::write(&changes::picture(job, &medium, args.change)?, path)?;
@@ -117,7 +117,7 @@ fn check_plot(args: &SimulateArgs, jobs: &[JobSpec]) -> Result<()> {
 }
 
 /// What is written.
-enum Style {
+enum OutputStyle {
     /// The plain table of one profile.
     One,
     /// A table that names every medium and thickness.
@@ -137,14 +137,14 @@ pub(super) struct JsonStyle {
     pub(super) seed: u64,
 }
 
-fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Style> {
+fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<OutputStyle> {
     let several = jobs.len() * args.albedo.len() > 1;
     let Some(material) = &args.measurement else {
         let json = JsonStyle { several, walks: walks(args), seed: args.seed };
         return Ok(match (output.is_json(), several) {
-            (true, _) => Style::Json(json),
-            (false, true) => Style::Several,
-            (false, false) => Style::One,
+            (true, _) => OutputStyle::Json(json),
+            (false, true) => OutputStyle::Several,
+            (false, false) => OutputStyle::One,
         });
     };
     if output.is_json() {
@@ -157,14 +157,14 @@ fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Style
     }
     let (noise, seed) = (args.noise.unwrap_or(NOISE), args.seed);
     Camera::new(noise, seed)?;
-    Ok(Style::Measurement { material: check_name(material)?.to_owned(), noise, seed })
+    Ok(OutputStyle::Measurement { material: check_name(material)?.to_owned(), noise, seed })
 }
 
 /// Profile by profile as they are traced.
-fn write(style: &Style, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
+fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
     let each = |job: &JobSpec| anyhow::Ok(optics_tracer::trace(job, &AtomicBool::new(false))?);
     match style {
-        Style::Measurement { material, noise, seed } => {
+        OutputStyle::Measurement { material, noise, seed } => {
             let mut camera = Camera::new(*noise, *seed)?;
             let mut measurement = MeasurementWriter::new(&mut out, material)?;
             for job in jobs {
@@ -178,7 +178,7 @@ fn write(style: &Style, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
             }
             measurement.finish()?;
         }
-        Style::Json(json) => {
+        OutputStyle::Json(json) => {
             for job in jobs {
                 for (record, albedo) in each(job)?.iter().zip(job.albedo()) {
                     let data = SimulateJson::new(json, job, *albedo, record);
@@ -186,8 +186,8 @@ fn write(style: &Style, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
                 }
             }
         }
-        Style::One | Style::Several => {
-            let several = matches!(style, Style::Several);
+        OutputStyle::One | OutputStyle::Several => {
+            let several = matches!(style, OutputStyle::Several);
             let media = if several { "sigma_t_per_mm,albedo,g,thickness_mm," } else { "" };
             writeln!(out, "{media}channel,x_mm,value,std_error")?;
             for job in jobs {

@@ -33,9 +33,11 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
     })
     .await?;
     let code = match end {
-        End::Left | End::Followed(following::End::Interrupted) => ExitCode::from(exit::INTERRUPTED),
-        End::Followed(following::End::Ended(_)) => exit::code_of(&status),
-        End::Submitted => ExitCode::SUCCESS,
+        SubmitEnd::Left | SubmitEnd::Followed(following::End::Interrupted) => {
+            ExitCode::from(exit::INTERRUPTED)
+        }
+        SubmitEnd::Followed(following::End::Ended(_)) => exit::code_of(&status),
+        SubmitEnd::Submitted => ExitCode::SUCCESS,
     };
     match output.print("submit", &DictionaryJson::from(&status), || {
         if global.quiet { name.to_string() } else { text(&status, &end) }
@@ -51,7 +53,7 @@ fn stem(file: &Path) -> Result<String> {
     Ok(stem.with_context(|| format!("{} gives no name: add --name", file.display()))?.to_owned())
 }
 
-enum End {
+enum SubmitEnd {
     /// Not waited for.
     Submitted,
     /// Not waited for any longer; another process goes on with it.
@@ -73,8 +75,8 @@ pub(super) async fn ensure(
     }
     let (status, end) = submit(connection, name, grid, &args, quiet).await?;
     match (&end, status.state()) {
-        (End::Followed(following::End::Ended(_)), DictionaryState::Done) => Ok(()),
-        (End::Left | End::Followed(following::End::Interrupted), _) => Err(Interrupted.into()),
+        (SubmitEnd::Followed(following::End::Ended(_)), DictionaryState::Done) => Ok(()),
+        (SubmitEnd::Left | SubmitEnd::Followed(following::End::Interrupted), _) => Err(Interrupted.into()),
         _ => bail!("the dictionary was not computed: {}", text(&status, &end)),
     }
 }
@@ -85,32 +87,32 @@ async fn submit(
     grid: &Grid,
     args: &SubmitArgs,
     quiet: bool,
-) -> Result<(DictionaryStatus, End)> {
+) -> Result<(DictionaryStatus, SubmitEnd)> {
     let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()), priority: args.priority };
     let submitted = connection.dictionaries().submit(patient(request)).await?.into_inner();
     let mut status = DictionaryStatus::try_from(submitted)?;
     if !args.wait && connection.is_server() {
-        return Ok((status, End::Submitted));
+        return Ok((status, SubmitEnd::Submitted));
     }
     match follow(connection, &mut status, quiet).await? {
-        following::End::Interrupted if !connection.is_embedded() => Ok((status, End::Left)),
-        end => Ok((status, End::Followed(end))),
+        following::End::Interrupted if !connection.is_embedded() => Ok((status, SubmitEnd::Left)),
+        end => Ok((status, SubmitEnd::Followed(end))),
     }
 }
 
-fn text(status: &DictionaryStatus, end: &End) -> String {
+fn text(status: &DictionaryStatus, end: &SubmitEnd) -> String {
     let name = &status.name;
     let (done, total) = (grouped(status.records_done() as u64), grouped(status.records_total() as u64));
     match end {
-        End::Submitted => format!("{name}: {total} records are to be computed, {done} are done"),
-        End::Left => format!(
+        SubmitEnd::Submitted => format!("{name}: {total} records are to be computed, {done} are done"),
+        SubmitEnd::Left => format!(
             "{name}: {done} of {total} records are done, and the farm goes on computing: `farmctl watch {name}` to \
              look again, `farmctl cancel {name}` to stop"
         ),
-        End::Followed(following::End::Interrupted) => {
+        SubmitEnd::Followed(following::End::Interrupted) => {
             format!("{name}: stopped, {done} of {total} records are stored; submit again to go on")
         }
-        End::Followed(following::End::Ended(elapsed)) if status.state() == DictionaryState::Done => {
+        SubmitEnd::Followed(following::End::Ended(elapsed)) if status.state() == DictionaryState::Done => {
             let digest = status.records_digest.map(|d| d.to_string()).unwrap_or_default();
             let disputed = match status.jobs_disputed {
                 0 => String::new(),
@@ -121,10 +123,10 @@ fn text(status: &DictionaryStatus, end: &End) -> String {
                 duration(*elapsed)
             )
         }
-        End::Followed(following::End::Ended(_)) if status.state() == DictionaryState::Cancelled => {
+        SubmitEnd::Followed(following::End::Ended(_)) if status.state() == DictionaryState::Cancelled => {
             line(status)
         }
-        End::Followed(following::End::Ended(_)) => {
+        SubmitEnd::Followed(following::End::Ended(_)) => {
             let reasons = status.failed.iter().map(|f| format!("\n  job {}: {}", f.job, f.reason));
             format!(
                 "{name}: {done} of {total} records are done, {} jobs failed{}",

@@ -14,7 +14,7 @@
 use optics_model::Medium;
 use optics_model::fit::MaterialFit;
 
-use super::{Block, Values, blocks};
+use super::{MediumBlock, Values, blocks};
 
 const UNITS: &str =
     "Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000.";
@@ -71,7 +71,7 @@ pub(crate) fn mitsuba_xml(fits: &[MaterialFit]) -> String {
     text + "</scene>\n"
 }
 
-fn notes(block: &Block) -> impl Iterator<Item = String> {
+fn notes(block: &MediumBlock) -> impl Iterator<Item = String> {
     let own = match block.values {
         Values::Rgb(_) => Some(
             "sigma_t is in units of scale: Mitsuba takes rgb up to 1. Spectral variants smooth the channels.",

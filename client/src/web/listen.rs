@@ -21,7 +21,7 @@ const CONNECTIONS: usize = 256;
 const HEADER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// A connection, and whether the page has let in somebody on it.
-struct Connection {
+struct PageConnection {
     task: AbortHandle,
     is_let_in: Arc<AtomicBool>,
 }
@@ -43,7 +43,7 @@ async fn serve_within<S>(
 where
     S: Service<Request, Response = Response, Error = Infallible, Future: Send> + Clone + Send + 'static,
 {
-    let mut connections: Vec<Connection> = Vec::new();
+    let mut connections: Vec<PageConnection> = Vec::new();
     loop {
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
@@ -62,7 +62,7 @@ where
         }
         let is_let_in = Arc::new(AtomicBool::new(false));
         let task = tokio::spawn(converse(stream, service.clone(), is_let_in.clone(), header_timeout));
-        connections.push(Connection { task: task.abort_handle(), is_let_in });
+        connections.push(PageConnection { task: task.abort_handle(), is_let_in });
     }
 }
 

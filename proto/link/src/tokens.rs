@@ -14,10 +14,10 @@ const LONGEST_NAME: usize = 64;
 
 /// Whom a coordinator lets in.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Tokens(Vec<Token>);
+pub struct Tokens(Vec<AcceptedToken>);
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Token {
+struct AcceptedToken {
     role: Role,
     name: String,
     hash: blake3::Hash,
@@ -92,7 +92,7 @@ pub(crate) fn checked(tables: Vec<TokenTable>) -> Result<Tokens, (String, String
     Ok(Tokens(tokens))
 }
 
-fn token(table: TokenTable) -> Result<Token, (&'static str, String)> {
+fn token(table: TokenTable) -> Result<AcceptedToken, (&'static str, String)> {
     if !is_token_name(&table.name) {
         let problem =
             format!("= {:?} must be 1 to {LONGEST_NAME} letters, digits, '_', '.' or '-'", table.name);
@@ -101,5 +101,5 @@ fn token(table: TokenTable) -> Result<Token, (&'static str, String)> {
     // What was given is not shown: it may be the token itself.
     let hash = blake3::Hash::from_hex(&table.blake3)
         .map_err(|_| ("blake3", "must be the token's BLAKE3 hash: 64 hexadecimal digits".to_owned()))?;
-    Ok(Token { role: table.role, name: table.name, hash })
+    Ok(AcceptedToken { role: table.role, name: table.name, hash })
 }

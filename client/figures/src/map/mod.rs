@@ -15,7 +15,7 @@ use plan::Plan;
 
 /// The meaning of a map's cells and marks.
 #[derive(Debug)]
-struct Words {
+struct MapLabels {
     title: String,
     value: &'static str,
     /// Marked in all maps together, and in each.
@@ -24,7 +24,7 @@ struct Words {
 }
 
 pub fn map_figure(material: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
-    let words = Words {
+    let words = MapLabels {
         title: format!("{material}, channel {}: distance to every medium", map.channel),
         value: "distance",
         mark_of_all: "best fit",
@@ -35,7 +35,7 @@ pub fn map_figure(material: &str, map: &DistanceMap) -> anyhow::Result<Picture> 
 
 /// The noise of a dictionary's records in the place of distances, and the noisiest in the place of the best.
 pub fn noise_figure(dictionary: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
-    let words = Words {
+    let words = MapLabels {
         title: format!("Dictionary {dictionary}: noise of its records"),
         value: "relative standard error",
         mark_of_all: "noisiest",
@@ -44,7 +44,7 @@ pub fn noise_figure(dictionary: &str, map: &DistanceMap) -> anyhow::Result<Pictu
     figure(&words, map)
 }
 
-fn figure(words: &Words, map: &DistanceMap) -> anyhow::Result<Picture> {
+fn figure(words: &MapLabels, map: &DistanceMap) -> anyhow::Result<Picture> {
     let cells = map.sigma_t_per_mm.len() * map.albedo.len();
     for layer in &map.layers {
         let n: usize = layer.errors.iter().map(Vec::len).sum();

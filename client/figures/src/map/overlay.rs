@@ -3,7 +3,7 @@
 use optics_model::Medium;
 use optics_model::fit::{DistanceMap, MapLayer};
 
-use super::Words;
+use super::MapLabels;
 use crate::canvas::{Canvas, at};
 use crate::color::Color;
 use crate::frame::Frame;
@@ -13,7 +13,7 @@ use crate::legend::{Key, Mark, Sample};
 const INSET: f64 = 9.0;
 
 /// The legend for the marks that occur.
-pub(super) fn keys(words: &Words, map: &DistanceMap, frame: &Frame) -> Vec<Key> {
+pub(super) fn keys(words: &MapLabels, map: &DistanceMap, frame: &Frame) -> Vec<Key> {
     let mut keys = vec![Key::mark(Mark::Cross, words.mark_of_all), Key::mark(Mark::Circle, words.mark)];
     let similar = || map.layers.iter().filter_map(|layer| layer.similar);
     if similar().any(|medium| beyond(frame, &medium) == (0, 0)) {

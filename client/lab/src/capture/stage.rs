@@ -35,7 +35,7 @@ pub struct CapturedSample {
 /// Runs all steps; `report` is called with the current step and the share of photographs that are read.
 pub fn capture(path: &Path, mut report: impl FnMut(&str, f64)) -> Result<Captured> {
     let mut session = Session::read(path)?;
-    let mut run = Run {
+    let mut run = SessionRun {
         shots: Shots::new(session.pattern, path.parent().unwrap_or(Path::new(""))),
         total: session.shots().count(),
         done: 0,
@@ -62,14 +62,14 @@ struct Stages {
     samples: Vec<CapturedSample>,
 }
 
-struct Run<'a> {
+struct SessionRun<'a> {
     shots: Shots,
     total: usize,
     done: usize,
     report: &'a mut dyn FnMut(&str, f64),
 }
 
-impl Run<'_> {
+impl SessionRun<'_> {
     fn stages(&mut self, session: &mut Session) -> Result<Stages> {
         let calibration = self.calibrate(session)?;
         let board = self.board(session, &calibration)?;

@@ -15,7 +15,7 @@ pub(super) enum Decimal {
 impl Decimal {
     /// Looks at every number of a file. Commas are only taken for decimal ones if they cannot be anything else.
     pub fn of(table: &Table, notes: &mut Vec<Note>) -> Result<Self> {
-        let (mut point, mut comma): (Option<Cell>, Option<Cell>) = (None, None);
+        let (mut point, mut comma): (Option<NumberCell>, Option<NumberCell>) = (None, None);
         let mut proven = false;
         for row in table.rows() {
             let (line, row) = row?;
@@ -23,7 +23,7 @@ impl Decimal {
                 let text = &row[column.place];
                 if !text.contains(',') {
                     if point.is_none() && text.contains('.') {
-                        point = Some(Cell { line, text: text.to_owned() });
+                        point = Some(NumberCell { line, text: text.to_owned() });
                     }
                     continue;
                 }
@@ -34,7 +34,7 @@ impl Decimal {
                 }
                 proven |= !like_thousands(text);
                 if comma.is_none() {
-                    comma = Some(Cell { line, text: text.to_owned() });
+                    comma = Some(NumberCell { line, text: text.to_owned() });
                 }
             }
         }
@@ -89,7 +89,7 @@ pub(super) fn is_missing(text: &str) -> bool {
 }
 
 /// A number and where it stands.
-struct Cell {
+struct NumberCell {
     line: u64,
     text: String,
 }

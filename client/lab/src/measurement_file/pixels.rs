@@ -65,12 +65,12 @@ impl Pixels {
                 );
             }
             // Too many are not there at all: the spacing is what is wrong.
-            return Ok(Self::between(&rows.iter().map(Place::of).collect::<Vec<_>>(), given, masked));
+            return Ok(Self::between(&rows.iter().map(PixelPlace::of).collect::<Vec<_>>(), given, masked));
         }
         Ok(Self::between(&filled, given, missing))
     }
 
-    fn between(places: &[Place], given: bool, missing: usize) -> Self {
+    fn between(places: &[PixelPlace], given: bool, missing: usize) -> Self {
         let first = places.iter().find(|p| p.value.is_none()).or(places.first()).map_or(0, |p| p.line);
         let mut pixels = Self { missing: (missing > 0).then_some((first, missing)), ..Self::default() };
         let mut errors = Vec::new();
@@ -167,31 +167,31 @@ fn with_errors(rows: &[Row]) -> Result<bool> {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Place {
+struct PixelPlace {
     x_mm: f64,
     value: Option<f64>,
     std_error: f64,
     line: u64,
 }
 
-impl Place {
+impl PixelPlace {
     fn of(row: &Row) -> Self {
         Self { x_mm: row.x(), value: row.value, std_error: row.std_error.unwrap_or_default(), line: row.line }
     }
 }
 
 /// The rows with places where steps are as long as several.
-fn filled(rows: &[Row]) -> Vec<Place> {
+fn filled(rows: &[Row]) -> Vec<PixelPlace> {
     let step = step(rows);
-    let mut places: Vec<Place> = Vec::with_capacity(rows.len());
+    let mut places: Vec<PixelPlace> = Vec::with_capacity(rows.len());
     for row in rows {
-        let here = Place::of(row);
+        let here = PixelPlace::of(row);
         if let Some(before) = places.last().copied() {
             let steps = ((here.x_mm - before.x_mm) / step).round();
             // A far jump is no gap, and would be many places.
             for j in 1..steps.min(rows.len() as f64) as usize {
                 let x_mm = before.x_mm + (here.x_mm - before.x_mm) * j as f64 / steps;
-                places.push(Place { x_mm, value: None, std_error: UNKNOWN, line: here.line });
+                places.push(PixelPlace { x_mm, value: None, std_error: UNKNOWN, line: here.line });
             }
         }
         places.push(here);
@@ -212,8 +212,8 @@ fn step(rows: &[Row]) -> f64 {
 }
 
 /// The value on a straight line between the neighbours that have one.
-fn interpolated(places: &[Place], i: usize) -> f64 {
-    let with_value = |p: &&Place| p.value.is_some();
+fn interpolated(places: &[PixelPlace], i: usize) -> f64 {
+    let with_value = |p: &&PixelPlace| p.value.is_some();
     let (before, after) = (places[..i].iter().rev().find(with_value), places[i..].iter().find(with_value));
     match (before, after) {
         (Some(a), Some(b)) => {

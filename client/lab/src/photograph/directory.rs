@@ -66,7 +66,7 @@ impl<'a> Bytes<'a> {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Entry {
+struct DirectoryEntry {
     tag: u16,
     kind: u16,
     count: u64,
@@ -74,7 +74,7 @@ struct Entry {
     at: u64,
 }
 
-impl Entry {
+impl DirectoryEntry {
     /// Bytes of a value.
     fn size(self) -> u64 {
         match self.kind {
@@ -94,7 +94,7 @@ impl Entry {
 #[derive(Debug, Clone)]
 pub(super) struct Directory<'a> {
     bytes: Bytes<'a>,
-    entries: Vec<Entry>,
+    entries: Vec<DirectoryEntry>,
     /// Where the next one begins; 0 after the last.
     pub(super) next: u64,
 }
@@ -112,10 +112,10 @@ impl<'a> Directory<'a> {
         for i in 0..count {
             let at = from.saturating_add(step * i);
             let (tag, kind) = (bytes.u16(WHAT, at)?, bytes.u16(WHAT, at + 2)?);
-            let entry = Entry { tag, kind, count: bytes.word(WHAT, at + 4)?, at: at + 4 + word };
+            let entry = DirectoryEntry { tag, kind, count: bytes.word(WHAT, at + 4)?, at: at + 4 + word };
             let inline = entry.bytes() <= word;
             let place = if inline { entry.at } else { bytes.word(WHAT, entry.at)? };
-            entries.push(Entry { at: place, ..entry });
+            entries.push(DirectoryEntry { at: place, ..entry });
         }
         // Some writers leave out the end of the last directory.
         let next = bytes.word(WHAT, from.saturating_add(step * count)).unwrap_or(0);
@@ -126,7 +126,7 @@ impl<'a> Directory<'a> {
         self.entry(tag).is_some()
     }
 
-    fn entry(&self, tag: Tag) -> Option<Entry> {
+    fn entry(&self, tag: Tag) -> Option<DirectoryEntry> {
         self.entries.iter().find(|entry| entry.tag == tag.number).copied()
     }
 

@@ -8,13 +8,13 @@ const SHORTEST_HOLE: usize = 16;
 /// One strip or tile: rows after rows, the components of a pixel side by side.
 #[derive(Debug)]
 pub(super) struct LosslessJpeg<'a> {
-    head: Head,
+    head: JpegHead,
     scan: &'a [u8],
 }
 
 impl<'a> LosslessJpeg<'a> {
     pub(super) fn new(bytes: &'a [u8]) -> Result<Self, Unreadable> {
-        let head = Head::read(bytes)?;
+        let head = JpegHead::read(bytes)?;
         let scan = without_hole(bytes.get(head.scan..).unwrap_or_default());
         Ok(Self { head, scan })
     }
@@ -53,7 +53,7 @@ fn damaged(what: impl Into<String>) -> Unreadable {
 type Code = Vec<(u8, u8)>;
 
 #[derive(Debug, Default)]
-struct Head {
+struct JpegHead {
     width: usize,
     height: usize,
     components: usize,
@@ -69,7 +69,7 @@ struct Head {
     scan: usize,
 }
 
-impl Head {
+impl JpegHead {
     fn read(bytes: &[u8]) -> Result<Self, Unreadable> {
         let mut head = Self::default();
         if bytes.get(..2) != Some(&[0xff, 0xd8]) {

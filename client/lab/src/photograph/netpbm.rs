@@ -4,13 +4,13 @@ use super::unreadable::Unreadable;
 use super::{About, Layout, Photograph, checked_size};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
-    let picture = Picture::read(bytes)?;
+    let picture = NetpbmPicture::read(bytes)?;
     let (samples, rest) = if picture.is_text { picture.text(bytes)? } else { picture.binary(bytes)? };
     let count = 1 + pictures(rest);
     if count > 1 {
         return Err(Unreadable::Pictures { count });
     }
-    let Picture { layout, width, height, most, .. } = picture;
+    let NetpbmPicture { layout, width, height, most, .. } = picture;
     let white = (most < 65_535).then_some([most as f64; 4]);
     Ok(Photograph { width, height, layout, samples, black: None, white, about: About::default() })
 }
@@ -21,13 +21,14 @@ fn pictures(mut rest: &[u8]) -> usize {
     while let [b'P', b'5' | b'6', ..] = rest.trim_ascii_start() {
         count += 1;
         rest = rest.trim_ascii_start();
-        rest = Picture::read(rest).ok().and_then(|picture| rest.get(picture.end()..)).unwrap_or_default();
+        rest =
+            NetpbmPicture::read(rest).ok().and_then(|picture| rest.get(picture.end()..)).unwrap_or_default();
     }
     count
 }
 
 /// The values of a header, and where the pixels begin.
-struct Picture {
+struct NetpbmPicture {
     layout: Layout,
     width: usize,
     height: usize,
@@ -37,10 +38,10 @@ struct Picture {
     from: usize,
 }
 
-impl Picture {
+impl NetpbmPicture {
     fn read(bytes: &[u8]) -> Result<Self, Unreadable> {
         let layout = if matches!(bytes[1], b'3' | b'6') { Layout::Rgb } else { Layout::Mosaic(None) };
-        let mut head = Head { bytes, at: 2 };
+        let mut head = NetpbmHead { bytes, at: 2 };
         let width = head.number("width")?;
         let height = head.number("height")?;
         let most = head.number("greatest value")?;
@@ -79,7 +80,7 @@ impl Picture {
 
     /// Nothing may follow, since only one picture of numbers as text is allowed in a file.
     fn text<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), Unreadable> {
-        let mut body = Head { bytes, at: self.from };
+        let mut body = NetpbmHead { bytes, at: self.from };
         let mut samples = Vec::with_capacity(self.count().min(bytes.len()));
         for i in 0..self.count() {
             let ends = || Unreadable::Damaged(format!("{i} of {} samples are there", self.count()));
@@ -96,12 +97,12 @@ impl Picture {
     }
 }
 
-struct Head<'a> {
+struct NetpbmHead<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl Head<'_> {
+impl NetpbmHead<'_> {
     fn number(&mut self, what: &str) -> Result<u64, Unreadable> {
         self.skip();
         let rest = self.bytes.get(self.at..).unwrap_or_default();

@@ -13,7 +13,7 @@ use crate::cli::CaptureArgs;
 use crate::output::{Output, warning};
 
 /// A photograph that is usable.
-struct Seen {
+struct UsableShot {
     exposure: Option<String>,
     orientation: Option<Orientation>,
     check: ShotCheck,
@@ -26,14 +26,14 @@ pub(super) fn run(args: &CaptureArgs, output: &Output) -> Result<ExitCode> {
     for path in &args.darks {
         darks.add(dark_shots.read(path, "dark")?)?;
     }
-    let look = |path: &Path| -> Result<Seen> {
+    let look = |path: &Path| -> Result<UsableShot> {
         let mut shots = Shots::new(colours, Path::new(""));
         let photo: Photo = shots.read(path, "")?;
         let exposure = photo.exposure.map(|e| e.to_string());
         let orientation = shots.into_inputs().pop().and_then(|input| input.about.orientation);
-        Ok(Seen { exposure, orientation, check: check_shot(&photo, darks.clone())? })
+        Ok(UsableShot { exposure, orientation, check: check_shot(&photo, darks.clone())? })
     };
-    let shots: Vec<(&Path, Result<Seen>)> =
+    let shots: Vec<(&Path, Result<UsableShot>)> =
         args.check.iter().map(|path| (path.as_path(), look(path))).collect();
     let usable = shots.iter().all(|(_, seen)| seen.is_ok());
     let data: Vec<Value> = shots.iter().map(|(path, seen)| data(path, seen)).collect();
@@ -43,11 +43,11 @@ pub(super) fn run(args: &CaptureArgs, output: &Output) -> Result<ExitCode> {
     Ok(if usable { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn data(path: &Path, seen: &Result<Seen>) -> Value {
+fn data(path: &Path, seen: &Result<UsableShot>) -> Value {
     let photograph = path.display().to_string();
     match seen {
         Err(error) => json!({"photograph": photograph, "usable": false, "reason": reason(path, error)}),
-        Ok(Seen { exposure, orientation, check }) => json!({
+        Ok(UsableShot { exposure, orientation, check }) => json!({
             "photograph": photograph,
             "usable": true,
             "exposure": exposure,
@@ -69,9 +69,9 @@ fn reason(path: &Path, error: &anyhow::Error) -> String {
     reason.strip_prefix(&format!("{name}: ")).unwrap_or(reason).to_owned()
 }
 
-fn text(path: &Path, seen: &Result<Seen>) -> String {
+fn text(path: &Path, seen: &Result<UsableShot>) -> String {
     let name = path.display();
-    let Seen { exposure, orientation, check } = match seen {
+    let UsableShot { exposure, orientation, check } = match seen {
         Err(error) => return format!("{name}: {}", warning(&format!("not usable: {}", reason(path, error)))),
         Ok(seen) => seen,
     };

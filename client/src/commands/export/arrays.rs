@@ -7,7 +7,7 @@ use farm_proto::status::DictionaryStatus;
 use optics_model::{Estimate, Grid, Profile, Record};
 use serde::Serialize;
 
-use super::Chosen;
+use super::ChosenAxes;
 use crate::commands::show;
 use crate::connection::Connection;
 use crate::output::grouped;
@@ -70,7 +70,10 @@ pub(super) fn x_mm(grid: &Grid) -> Vec<f64> {
 }
 
 /// The values along each axis but that of the channels.
-pub(super) fn numeric_axes(grid: &Grid, chosen: &Chosen) -> impl Iterator<Item = (&'static str, Vec<f64>)> {
+pub(super) fn numeric_axes(
+    grid: &Grid,
+    chosen: &ChosenAxes,
+) -> impl Iterator<Item = (&'static str, Vec<f64>)> {
     let [iors, sigmas, gs, thicknesses, albedos] = chosen.values(grid);
     let values = [iors, sigmas, gs, thicknesses, albedos, x_mm(grid)];
     AXES.into_iter().filter(|name| *name != "channel").zip(values)
@@ -88,7 +91,7 @@ pub(super) fn unit_of_axis(name: &str) -> Option<&'static str> {
 /// What `show --json` tells of the dictionary, and what the arrays mean.
 pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Result<serde_json::Value> {
     #[derive(Serialize)]
-    struct About<D> {
+    struct ArraysAbout<D> {
         farmctl: &'static str,
         axes: [&'static str; 7],
         units: BTreeMap<&'static str, &'static str>,
@@ -97,7 +100,7 @@ pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Resu
     let of_axes = AXES.into_iter().filter_map(|axis| Some((axis, unit_of_axis(axis)?)));
     let units = arrays.iter().map(|array| (array.name, array.unit)).chain(of_axes).collect();
     let about =
-        About { farmctl: env!("CARGO_PKG_VERSION"), axes: AXES, units, dictionary: show::data(status) };
+        ArraysAbout { farmctl: env!("CARGO_PKG_VERSION"), axes: AXES, units, dictionary: show::data(status) };
     Ok(serde_json::to_value(&about)?)
 }
 
@@ -112,7 +115,7 @@ impl<'a> Complete<'a> {
     pub(super) async fn ask(
         connection: &'a Connection,
         dictionary: &'a DictionaryStatus,
-        chosen: &Chosen,
+        chosen: &ChosenAxes,
     ) -> Result<Self> {
         let indices = chosen.records(&dictionary.grid);
         let (done, total) = (dictionary.records_done(), dictionary.grid.record_count());

@@ -11,7 +11,7 @@ use optics_model::Grid;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use super::Chosen;
+use super::ChosenAxes;
 use super::arrays::{Array, Complete, about, channels, numeric_axes};
 use crate::connection::Connection;
 
@@ -19,7 +19,7 @@ use crate::connection::Connection;
 pub(super) async fn write(
     connection: &Connection,
     status: &DictionaryStatus,
-    chosen: &Chosen,
+    chosen: &ChosenAxes,
     out: impl Write + Seek,
 ) -> Result<()> {
     let grid = &status.grid;
@@ -45,7 +45,7 @@ fn stored() -> SimpleFileOptions {
 async fn write_records(
     connection: &Connection,
     status: &DictionaryStatus,
-    chosen: &Chosen,
+    chosen: &ChosenAxes,
     array: &Array,
     out: &mut impl Write,
 ) -> Result<()> {
@@ -65,7 +65,7 @@ async fn write_records(
 }
 
 /// The values along each axis, as an array of its name.
-fn write_axes(grid: &Grid, chosen: &Chosen, archive: &mut ZipWriter<impl Write + Seek>) -> Result<()> {
+fn write_axes(grid: &Grid, chosen: &ChosenAxes, archive: &mut ZipWriter<impl Write + Seek>) -> Result<()> {
     let names = channels(grid);
     for (name, values) in numeric_axes(grid, chosen) {
         archive.start_file(format!("{name}.npy"), stored())?;

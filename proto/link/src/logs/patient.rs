@@ -12,13 +12,13 @@ const PATIENCE: Duration = Duration::from_secs(1);
 const WAITING_LINES: usize = 1000;
 
 /// A line, and the sender that drops when it is written.
-type Line = (Vec<u8>, SyncSender<()>);
+type QueuedLine = (Vec<u8>, SyncSender<()>);
 
 /// Writes lines in a thread of its own. While the output takes them, each is written when `write` returns, so that lines
 /// keep their order with other outputs and none is lost at the end of the program.
 #[derive(Debug, Clone)]
 pub(super) struct Patient {
-    lines: SyncSender<Line>,
+    lines: SyncSender<QueuedLine>,
     stuck: Arc<AtomicBool>,
 }
 
@@ -37,7 +37,7 @@ impl Patient {
 }
 
 /// Errors of the output are ignored: there is no other place to report them.
-fn write_all(mut output: impl Write, queue: &Receiver<Line>, stuck: &AtomicBool) {
+fn write_all(mut output: impl Write, queue: &Receiver<QueuedLine>, stuck: &AtomicBool) {
     for (line, _written) in queue {
         let _ = output.write_all(&line);
         stuck.store(false, Ordering::Relaxed);

@@ -72,7 +72,7 @@ pub(super) fn across(materials: &[Measurement]) -> Vec<Finding> {
 }
 
 /// How much of the edge is seen.
-struct Contrast {
+struct EdgeContrast {
     /// Light less dark level beside the edge.
     rise: f64,
     /// The same far from it.
@@ -80,7 +80,7 @@ struct Contrast {
     noise: f64,
 }
 
-impl Contrast {
+impl EdgeContrast {
     /// `reach` is how far both profiles go, `width` the width of the windows beside the edge.
     fn of(trace: &Trace, reach: f64, width: f64) -> Option<Self> {
         let (edge, pixels) = (trace.edge(), trace.pixels(width, 3));
@@ -110,7 +110,7 @@ fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
     if reach < 2.0 * width {
         return None;
     }
-    let (a, b) = (Contrast::of(&a, reach, width)?, Contrast::of(&b, reach, width)?);
+    let (a, b) = (EdgeContrast::of(&a, reach, width)?, EdgeContrast::of(&b, reach, width)?);
     let noise = SURE * a.noise.hypot(b.noise);
     let exceeds = |rise: f64, ends: f64| {
         // A contrast of 0.02 may be that of uneven light.
