@@ -9,8 +9,8 @@ pub struct CaptureArgs {
     /// Session file in TOML: the photographs, and the known values of patches, board and slabs.
     #[arg(required_unless_present_any = ["check", "board"], conflicts_with_all = ["check", "board"])]
     pub session: Option<PathBuf>,
-    /// Folder to write: measurements.csv, session.json, scene.toml, grid.toml, report.html, report.json [default: the session file's
-    /// name without its ending].
+    /// Folder to write: measurements.csv, session.json, scene.toml, grid.toml, report.html, report.json [default: the
+    /// session file's name without its ending].
     #[arg(long, short, value_name = "DIR", requires = "session")]
     pub output: Option<PathBuf>,
     /// Go on to measure the media, as `farmctl measure DIR` does.

@@ -42,7 +42,8 @@ pub struct SlurmWorkerArgs {
     /// on the nodes' PATH].
     #[arg(long, value_name = "PATH")]
     pub worker: Option<PathBuf>,
-    /// Name of the job in Slurm [default: farm-worker]. `autoscale` adds the farm's address by default, to recognise its own jobs.
+    /// Name of the job in Slurm [default: farm-worker]. `autoscale` adds the farm's address by default, to recognise
+    /// its own jobs.
     #[arg(long, value_name = "NAME")]
     pub job_name: Option<OneLine>,
     /// Log file of each worker; %A is the job number, %a the task number.

@@ -54,14 +54,14 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// A core for a fit, in the turn of the callers that share by this name (empty for those without a share); refused if too
-    /// many wait.
+    /// A core for a fit, in the turn of the callers that share by this name (empty for those without a share); refused
+    /// if too many wait.
     pub(super) async fn fit(&self, caller: &str) -> Result<Core, Status> {
         self.fits.core(caller).await
     }
 
-    /// A place for a stream of the callers that share by this name (empty for those without a share); refused if there are too
-    /// many.
+    /// A place for a stream of the callers that share by this name (empty for those without a share); refused if there
+    /// are too many.
     pub(super) fn stream(&self, caller: &str) -> Result<StreamPlace, Status> {
         let place = self.streams.clone().try_acquire_owned().map_err(|_| {
             Status::resource_exhausted(format!("{STREAMS} streams are open already: try again later"))

@@ -5,8 +5,8 @@ use serde::Serialize;
 
 use super::stage::{Captured, CapturedSample};
 
-/// Errors that all profiles of a session share, in the names of session files. The estimate from few mountings of one profile is
-/// vague, so squares are averaged over all profiles.
+/// Errors that all profiles of a session share, in the names of session files. The estimate from few mountings of one
+/// profile is vague, so squares are averaged over all profiles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SessionErrors {
     /// Of each profile's own gain: light, mounting, linearity.
