@@ -220,7 +220,7 @@ fn collect_types(tokens: TokenStream, found: &mut Vec<String>) {
                 }
             }
             TokenTree::Group(group) if group.delimiter() == Delimiter::Brace => {
-                collect_types(group.stream(), found)
+                collect_types(group.stream(), found);
             }
             _ => {}
         }

@@ -25,7 +25,7 @@ pub(super) fn result_messages(worker_token: &str, results: &[PendingResult]) -> 
         match result {
             TraceResult::Records(records) => pieces(records.bytes()).for_each(|p| push(Content::Records(p))),
             TraceResult::Sums(sums) => {
-                pieces(&sums.to_le_bytes().into()).for_each(|p| push(Content::Sums(p)))
+                pieces(&sums.to_le_bytes().into()).for_each(|p| push(Content::Sums(p)));
             }
         }
     }
