@@ -26,7 +26,6 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::LeaseKey;
 use farm_proto::status::DictionaryStatus;
-use optics_model::{Digest, Walks};
 
 use super::Settings;
 use super::outbox::{Count, Effect, Event, EventKind, Outbox};

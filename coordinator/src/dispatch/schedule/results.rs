@@ -2,11 +2,16 @@
 
 use std::time::Duration;
 
+use farm_proto::ids::DictionaryId;
 use farm_proto::lease::LeaseKey;
+use optics_model::{Digest, Walks};
 
 use super::super::DispatchError;
 use super::super::admission::{Admission, Arrived};
-use super::*;
+use super::super::outbox::{EventKind, Outbox};
+use super::super::part::{JobRef, PartId, Purpose};
+use super::{Dictionary, Job, Schedule, Stage, lease_token};
+use crate::stored::Origin;
 
 /// The machine that computed a stored result; None if that is not known.
 pub type Producer = Option<Origin>;

@@ -88,7 +88,7 @@ fn conflicting_shared_records_are_always_checked() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let lease = bench.acquire(0, "a", 1);
     arrive("a", &lease[0], |arrived| {
-        bench.farm.contradict(seconds(0), arrived, Some(&[(DictionaryId(1), 0)]))
+        bench.farm.contradict(seconds(0), arrived, Some(&[(DictionaryId(1), 0)]));
     });
     let again = bench.acquire(1, "b", 1);
     assert_eq!(again[0].key.job, lease[0].key.job, "it waits again");
