@@ -15,7 +15,8 @@ use crate::measurement_file::{self, COLUMNS, Note};
 use crate::whole_file::{folder_of, sync_folder};
 
 /// The files of a folder, in the order in which they are listed.
-pub const FILES: [&str; 5] = ["measurements.csv", "session.json", "scene.toml", "grid.toml", "report.html"];
+pub const FILES: [&str; 6] =
+    ["measurements.csv", "session.json", "scene.toml", "grid.toml", "report.html", "report.json"];
 
 /// Thicknesses that differ by less share a thickness of the dictionary: the fit allows for much more.
 const ALIKE: f64 = 1.04;
