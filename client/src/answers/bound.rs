@@ -92,6 +92,6 @@ mod tests {
             text.lines().find(|l| l.contains("σ_t")).unwrap().split_whitespace().collect();
         assert_eq!(sigma_t, ["σ_t", "10", "9", "1.1"]);
         let none = bounds(&fit(vec![channel("G", 9.0, 1.0)]));
-        assert!(none.starts_with("no bound is known"), "{none}");
+        assert!(none.starts_with("no bound: only"), "{none}");
     }
 }
