@@ -23,8 +23,8 @@ const LINE: Stroke = Stroke::solid(Color::BLUE, 1.5);
 const REFINED: Stroke = Stroke::dashed(Color::GREEN, 1.2, "5 3");
 const BAND: Color = Color(0xf8, 0xe2, 0xd2);
 
-/// How well all materials together fit when measurements are scaled by μ, by records; and with each g, refined.
-/// These are two quantities: records are compared by the paper's distance, media by the objective of the fit.
+/// How well all materials together fit when measurements are scaled by μ, and with each g. These may be two quantities:
+/// the first is the paper's distance, the second the objective of the fit.
 pub fn scale_figure(curve: &ScaleCurve, common: &Common, objective: Objective) -> anyhow::Result<Picture> {
     ensure!(!curve.points.is_empty(), "no errors to draw");
     let mut panels = vec![over_mu(curve, common)];
@@ -145,7 +145,7 @@ fn over_g(common: &Common, objective: Objective) -> ScalePanel {
     let (g, error) = common.by_g.iter().map(|at| (at.g, at.error)).unzip();
     let name = match objective {
         Objective::Likelihood => "−2 ln L of all channels",
-        Objective::Paper => "error of refined media, Eq. 1",
+        Objective::Paper => "error of the best records, Eq. 3",
     };
     let mut panel = ScalePanel::new("anisotropy g", name, G_WIDTH, g, error);
     panel.dots = true;

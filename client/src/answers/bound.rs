@@ -25,9 +25,7 @@ pub(super) fn bounds(fits: &[MaterialFit]) -> String {
         }
     }
     if rows.is_empty() {
-        return wrapped(
-            "no bound: only --objective likelihood computes it, from profiles with standard errors",
-        );
+        return wrapped("no bound: only --objective likelihood computes it");
     }
     let head = ["material", "ch", "quantity", "95 %\n± %", "bound\n± %", "ratio"];
     format!(

@@ -45,12 +45,7 @@ pub(crate) fn objective(fits: &[MaterialFit], assumed: Option<String>) -> Vec<St
     if refined().all(|r| r.likelihood.is_none()) {
         return Vec::new();
     }
-    let objective = if refined().all(|r| r.likelihood.is_some()) {
-        "objective: likelihood"
-    } else {
-        "objective: likelihood where every profile has standard errors, else the paper's distance"
-    };
-    std::iter::once(objective.to_owned()).chain(assumed).collect()
+    std::iter::once("objective: likelihood".to_owned()).chain(assumed).collect()
 }
 
 /// One row a channel: σ_s(1 − g) and σ_a, which similar media share.
@@ -170,7 +165,7 @@ mod tests {
             text(&Report { fits: &mixed, assumed: assumed.clone(), bound: true }).replace("\n  ", " ");
         let expected = [
             "Cramér–Rao bound",
-            "objective: likelihood where every profile has standard errors, else the paper's distance\n",
+            "objective: likelihood\n",
             "assumed: origin ± 0.05 mm, gain ± 0.3 %\n",
             "white R: χ² 712 of 716, p = 0.53; μ 0.969 ± 0.004,",
             "white R, white G: 2 pixels left out: 0.5 mm at x = −1.23 mm",

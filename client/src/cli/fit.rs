@@ -24,7 +24,7 @@ pub struct OptionArgs {
     /// Only this albedo, or a range such as 0.9.. [default: any].
     #[arg(long, value_name = "RANGE", allow_hyphen_values = true, help_heading = MEDIUM)]
     pub albedo: Option<BoundsArg>,
-    /// Objective to minimise [default: likelihood if every profile has standard errors, else paper].
+    /// Objective to minimise [default: likelihood].
     #[arg(long, value_enum, help_heading = OBJECTIVE)]
     pub objective: Option<ObjectiveArg>,
     /// Weight of the profiles' gradients in the paper's distance.

@@ -38,8 +38,7 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let fits: Vec<MaterialFit> =
         answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?;
     if let Some(path) = &args.plot {
-        let objective = optics_fit::objective(&options, &materials);
-        figure_files::write(&scale_figure(&scale, &common, objective)?, path)?;
+        figure_files::write(&scale_figure(&scale, &common, options.objective())?, path)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
     let used = UsedOptions::new(&dictionary, &options, &assumed);

@@ -55,7 +55,7 @@ impl Fits for Context {
         let question = move |d: &fit::FitDictionary| {
             check_answer(d.grid(), &materials, &options, most)?;
             let curve = fit::scale(d, &materials, &options, &range)?;
-            let common = fit::measure_refined(d, &materials, &options, &plan)?.common;
+            let common = fit::measure(d, &materials, &options, &plan)?.common;
             let options = options.with_mu(curve.best.mu, curve.std_error.unwrap_or(0.0))?;
             let fits: Result<Vec<_>, Invalid> = materials.iter().map(|m| fit::fit(d, m, &options)).collect();
             Ok((curve, fits?, common))

@@ -14,8 +14,8 @@ use rayon::prelude::*;
 
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::find_channel;
+use crate::dictionary::axes::held;
 use crate::likelihood::{Known, Plan};
-use crate::paper::refine::held;
 use crate::surrogate::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
 use crate::surrogate::{G, Surrogate, coordinates};
 

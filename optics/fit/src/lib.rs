@@ -1,13 +1,11 @@
 //! Numerics of the fit over plain slices: no SQL, no gRPC.
 //!
-//! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and what goes beyond them: refinement
-//! between the records of the dictionary, and error bars.
+//! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and beyond them a likelihood, which goes between
+//! the records of the dictionary and has error bars. The functions here are the questions that a dictionary answers.
 
 mod design;
 mod dictionary;
 mod likelihood;
-mod measure;
-mod measured;
 mod paper;
 mod profile;
 mod stop;
@@ -15,24 +13,18 @@ mod surrogate;
 #[cfg(test)]
 mod testing;
 
-use optics_model::fit::{ChannelFit, DistanceMap, FitOptions, MaterialFit, Objective};
+use optics_model::fit::{DistanceMap, FitOptions, MaterialFit, Mixtures, Objective, Unmixed};
 use optics_model::{Invalid, Measurement};
-use rayon::prelude::*;
 
 pub use design::design;
 pub use dictionary::axes::channels_called;
 pub use dictionary::gradient::{derivative, shown_derivative};
 pub use dictionary::{DictionaryBuilder, FitChannel, FitDictionary};
-pub use likelihood::objective;
-pub use measure::{measure, measure_refined, unmix};
-pub use measured::{MeasurePlan, Measured};
+pub use optics_model::fit::{MeasurePlan, Measured};
 pub use paper::scale::scale;
 pub use paper::similarity::similar;
 pub use profile::profile;
 pub use stop::{Stop, Stopped};
-
-use paper::question::{Question, questions};
-use paper::uncertainty::Analysis;
 
 /// Fits every channel of a measurement on its own, jointly over its thicknesses.
 pub fn fit(
@@ -40,16 +32,10 @@ pub fn fit(
     measurement: &Measurement,
     options: &FitOptions,
 ) -> Result<MaterialFit, Invalid> {
-    if likelihood::objective(options, [measurement]) == Objective::Likelihood {
-        return likelihood::fit(dictionary, measurement, options);
+    match options.objective() {
+        Objective::Paper => paper::fit(dictionary, measurement, options),
+        Objective::Likelihood => likelihood::fit(dictionary, measurement, options),
     }
-    let questions = questions(dictionary, measurement, options)?;
-    let channels = match questions.as_slice() {
-        // Not worth waking other threads for.
-        [one] => vec![answer(one)],
-        several => several.par_iter().map(answer).collect(),
-    };
-    Ok(MaterialFit { material: measurement.material().to_owned(), channels })
 }
 
 /// One map per channel of a measurement, over every admissible medium: the error of Eq. 1, or for the likelihood the root
@@ -59,20 +45,34 @@ pub fn distance_map(
     measurement: &Measurement,
     options: &FitOptions,
 ) -> Result<Vec<DistanceMap>, Invalid> {
-    if likelihood::objective(options, [measurement]) == Objective::Likelihood {
-        return likelihood::distance_map(dictionary, measurement, options);
+    match options.objective() {
+        Objective::Paper => paper::map::distance_map(dictionary, measurement, options),
+        Objective::Likelihood => likelihood::distance_map(dictionary, measurement, options),
     }
-    Ok(questions(dictionary, measurement, options)?.iter().map(paper::map::map).collect())
 }
 
-fn answer(question: &Question) -> ChannelFit {
-    let settings = question.options.settings();
-    let candidates = paper::search::best(question, settings.top as usize);
-    let refined = settings.refine.then(|| Analysis::new(question, &candidates[0]).refined(None));
-    let curves = if settings.curves {
-        paper::curves::curves(question, &candidates, refined.as_ref())
-    } else {
-        Vec::new()
-    };
-    ChannelFit { channel: question.name.to_owned(), candidates, refined, outside: question.outside(), curves }
+/// Measures a set of materials that were photographed in the same set-up: what they share, and then every channel.
+pub fn measure(
+    dictionary: &FitDictionary,
+    materials: &[Measurement],
+    options: &FitOptions,
+    plan: &MeasurePlan,
+) -> Result<Measured, Invalid> {
+    match options.objective() {
+        Objective::Paper => paper::measure(dictionary, materials, options, plan),
+        Objective::Likelihood => likelihood::measure(dictionary, materials, options, plan),
+    }
+}
+
+/// Finds inks from their own slabs and those of their mixtures together, after all were measured one by one. It maximises
+/// the likelihood, whatever the objective was.
+pub fn unmix(
+    dictionary: &FitDictionary,
+    materials: &[Measurement],
+    mixtures: &Mixtures,
+    measured: &Measured,
+    options: &FitOptions,
+    plan: &MeasurePlan,
+) -> Result<Unmixed, Invalid> {
+    likelihood::unmix(dictionary, materials, mixtures, measured, options, plan)
 }

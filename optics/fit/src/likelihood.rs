@@ -24,13 +24,15 @@ mod profile;
 mod records_noise;
 mod residuals;
 mod robust;
+mod scatter;
 mod start;
+mod suspicion;
 mod system;
 mod term;
 #[cfg(test)]
 mod tests;
 
-use optics_model::fit::{ChannelFit, FitOptions, MaterialFit, Objective, Outside};
+use optics_model::fit::{ChannelFit, FitOptions, MaterialFit, Outside};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
@@ -84,18 +86,6 @@ impl Point {
     }
 }
 
-/// The objective if none is set: the likelihood if every profile has standard errors, unless all of them are 0, as in exact
-/// data. Among others a 0 is refused with its place: it would be a pixel without noise.
-pub fn objective<'a>(
-    options: &FitOptions,
-    materials: impl IntoIterator<Item = &'a Measurement>,
-) -> Objective {
-    let positive = |errors: &[f64]| errors.iter().any(|e| *e > 0.0);
-    let told = |m: &Measurement| m.profiles().iter().all(|p| p.std_errors().is_some_and(positive));
-    let default = || if materials.into_iter().all(told) { Objective::Likelihood } else { Objective::Paper };
-    options.settings().objective.unwrap_or_else(default)
-}
-
 /// Fits every channel of a measurement on its own, jointly over its thicknesses.
 pub(crate) fn fit(
     dictionary: &FitDictionary,
@@ -116,9 +106,7 @@ fn fit_channel(data: &ChannelData) -> Result<ChannelFit, Invalid> {
     let settings = data.options.settings();
     let surrogates = data.surrogates();
     let scan = data.scan(&surrogates, settings.mu_std_error / settings.mu)?;
-    let starts = channel::starts(&scan, &surrogates);
-    let (mut assembly, state, ior) = channel::lowest(data, &surrogates, &starts);
-    let state = channel::settle(&mut assembly.system, state);
+    let (assembly, state, ior) = channel::minimum(data, &surrogates, &scan);
     let sample_ior = data.dictionary.grid().sample_ior()[ior];
     let found = Found { data, system: &assembly.system, state: &state, sample_ior, common_g: None };
     let refined = settings.refine.then(|| found.refined());

@@ -44,23 +44,19 @@ impl Stop {
 
 #[cfg(test)]
 mod tests {
-    use optics_model::fit::{FitOptions, MuRange};
+    use optics_model::fit::{FitOptions, FitSettings, MuRange, Objective};
     use optics_model::{Invalid, Measurement};
 
     use super::*;
     use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement};
-    use crate::{FitDictionary, MeasurePlan, distance_map, fit, measure, measure_refined, scale};
+    use crate::{FitDictionary, MeasurePlan, distance_map, fit, measure, scale};
 
     type Question = fn(&FitDictionary, &Measurement, &FitOptions) -> Result<(), Invalid>;
 
-    const QUESTIONS: [(&str, Question); 5] = [
+    const QUESTIONS: [(&str, Question); 4] = [
         ("fit", |d, m, o| fit(d, m, o).map(drop)),
         ("map", |d, m, o| distance_map(d, m, o).map(drop)),
         ("scale", |d, m, o| scale(d, std::slice::from_ref(m), o, &MuRange::default()).map(drop)),
-        ("refined", |d, m, o| {
-            let plan = MeasurePlan { search_mu: None, common_g: false };
-            measure_refined(d, std::slice::from_ref(m), o, &plan).map(drop)
-        }),
         ("measure", |d, m, o| {
             let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
             measure(d, std::slice::from_ref(m), o, &plan).map(drop)
@@ -70,16 +66,18 @@ mod tests {
     /// Every question looks whether it is wanted, whatever it minimises.
     #[test]
     fn every_question_ends_when_it_is_stopped() {
-        for told in [false, true] {
-            let measurement = noisy_measurement((3.0, 0.75, 0.3), 1, told);
+        let measurement = noisy_measurement((3.0, 0.75, 0.3), 1, true);
+        for objective in [Objective::Paper, Objective::Likelihood] {
+            let settings = FitSettings { objective: Some(objective), ..FitSettings::default() };
+            let options = FitOptions::new(settings).unwrap();
             for (name, question) in QUESTIONS {
                 let dictionary = noisy_dictionary(dense_axes(), 90, 0.01);
                 let stop = Stop::default();
                 let answered = dictionary.ask(&stop, |d| {
                     stop.stop();
-                    question(d, &measurement, &FitOptions::default())
+                    question(d, &measurement, &options)
                 });
-                assert_eq!(answered, Err(Stopped), "{name}, told: {told}");
+                assert_eq!(answered, Err(Stopped), "{name}, {objective:?}");
             }
         }
     }

@@ -14,6 +14,7 @@ pub(crate) mod thickness;
 
 use std::borrow::Cow;
 
+use optics_model::fit::{Bounds, FitOptions};
 use optics_model::{Grid, Medium};
 
 use crate::dictionary::FitDictionary;
@@ -116,15 +117,26 @@ impl<'a> Surrogate<'a> {
         self.grid().scene().sensor().pixels()
     }
 
-    /// Index of the sample's refractive index.
-    pub(crate) fn ior(&self) -> usize {
-        self.ior
-    }
-
     /// Least and greatest value of each coordinate.
     pub(crate) fn limits(&self) -> [(f64, f64); 3] {
         let albedo = (self.albedo[self.albedo.len() - 1], self.albedo[0]);
         [self.sigma_t.range(), albedo, self.g.range()]
+    }
+
+    /// Least and greatest coordinates within both the dictionary and the bounds.
+    pub(crate) fn limits_within(&self, options: &FitOptions) -> [(f64, f64); 3] {
+        let settings = options.settings();
+        let within = |(low, high): (f64, f64), bounds: Bounds, forward: fn(f64) -> f64| {
+            let (a, b) = (forward(bounds.min()), forward(bounds.max()));
+            let (a, b) = if a.is_nan() || b.is_nan() { (low, high) } else { (a.min(b), a.max(b)) };
+            (a.clamp(low, high), b.clamp(low, high))
+        };
+        let [sigma_t, albedo, g] = self.limits();
+        [
+            within(sigma_t, settings.sigma_t_per_mm, |v| if v > 0.0 { v.ln() } else { f64::NEG_INFINITY }),
+            within(albedo, settings.albedo, |v| if v < 1.0 { (1.0 - v).sqrt() } else { 0.0 }),
+            within(g, settings.g, |v| if v < 1.0 { (1.0 - v).ln() } else { f64::NEG_INFINITY }),
+        ]
     }
 
     /// Number of a record, told by its place on the axes.

@@ -22,7 +22,7 @@ class FitOptions(TypedDict, total=False):
     """Factor on the measured values."""
     mu_std_error: float
     objective: Literal["paper", "likelihood"]
-    """The likelihood if every profile has standard errors, else the paper's distance."""
+    """The likelihood if it is not set."""
     lambda_: float
     """Weight of the gradients in the paper's distance."""
     wavelet: Literal["spline", "haar"]

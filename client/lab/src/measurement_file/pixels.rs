@@ -137,8 +137,8 @@ impl Assumed {
         }
         if let (Some(line), true) = (self.first_without, self.with_errors > 0) {
             let text = format!(
-                "std_error is empty in {}, the first of them in line {line}: a fit then takes the paper's distance for \
-                 all materials, unless --objective likelihood is given",
+                "std_error is empty in {}, the first of them in line {line}: their noise is then \
+                 estimated from the scatter of neighbouring pixels",
                 counted(self.without_errors, "profile", "profiles")
             );
             notes.push(Note::new("STD_ERRORS", text));

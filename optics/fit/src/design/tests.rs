@@ -2,13 +2,12 @@
 
 use optics_model::fit::{
     Bounds, DesignQuestion, DesignSettings, Ends, FitOptions, FitSettings, HalfWidths, Limitation, Objective,
-    PixelRow, SlabSet,
+    PixelRow, SlabSet, Z,
 };
 use optics_model::grid::Axes;
 use optics_model::{Invalid, MeasuredProfile, Measurement, Medium};
 
 use super::design;
-use crate::paper::intervals::Z;
 use crate::testing::{dense_axes, noisy_dictionary, profile_value};
 use crate::{FitDictionary, fit};
 

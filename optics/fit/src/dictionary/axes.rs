@@ -34,6 +34,20 @@ impl Admissible {
     }
 }
 
+/// Parameters that cannot move: by the bounds, or since the dictionary has one value only.
+pub(crate) fn held(grid: &Grid, options: &FitOptions) -> [Option<f64>; 3] {
+    let settings = options.settings();
+    let held = |axis: &[f64], bounds: Bounds| match axis {
+        [one] => Some(*one),
+        _ => bounds.is_fixed().then_some(bounds.min()),
+    };
+    [
+        held(grid.sigma_t_per_mm(), settings.sigma_t_per_mm),
+        held(grid.albedo(), settings.albedo),
+        held(grid.g(), settings.g),
+    ]
+}
+
 /// Nodes within the bounds; if the bounds lie between two nodes, these two.
 fn within(field: &str, axis: &[f64], bounds: Bounds) -> Result<Range<usize>, Invalid> {
     let slack = |v: f64| if v.is_finite() { SAME * v.abs().max(1e-3) } else { 0.0 };

@@ -63,46 +63,8 @@ fn carried_on(f: &[f64], count: usize, line: usize) -> Vec<f64> {
     f.iter().rev().skip(1).take(count).map(|v| 2.0 * end - v).collect()
 }
 
-/// The adjoint of [`derivative`]: Σ_i k_i (∇f)_i = Σ_j (∇ᵀk)_j f_j for every f.
-///
-/// # Panics
-/// As [`derivative`].
-pub fn derivative_adjoint(k: &[f64], wavelet: Wavelet, level: u32) -> Vec<f64> {
-    assert!(k.len() >= 2 && (1..=10).contains(&level), "{} samples, level {level}", k.len());
-    let n = k.len();
-    let (low, high, scale) = filters(wavelet);
-    let reach: usize = (1..=level).map(|s| (stage_taps(s, level, low, high).len() - 1) << (s - 1)).sum();
-    let offset = reach.div_ceil(2);
-    let factor = scale / 2_f64.powi(level as i32).powf(1.5);
-    let mut y = vec![0.0; n + reach];
-    for (out, k) in y[offset..offset + n].iter_mut().zip(k) {
-        *out = -factor * k;
-    }
-    for stage in (1..=level).rev() {
-        y = correlate(&y, stage_taps(stage, level, low, high), 1 << (stage - 1));
-    }
-    // The chord was taken off before and its slope added after.
-    let (sum, moment) = y.iter().enumerate().fold((0.0, 0.0), |(s, m), (i, v)| (s + v, m + i as f64 * v));
-    let of_slope = (k.iter().sum::<f64>() - moment) / (n - 1) as f64;
-    y[0] -= sum + of_slope;
-    y[n - 1] += of_slope;
-    y
-}
-
 fn stage_taps(stage: u32, level: u32, low: &'static [f64], high: &'static [f64]) -> &'static [f64] {
     if stage < level { low } else { high }
-}
-
-/// The adjoint of [`convolve`].
-fn correlate(y: &[f64], taps: &[f64], spacing: usize) -> Vec<f64> {
-    let n = y.len() - (taps.len() - 1) * spacing;
-    let mut x = vec![0.0; n];
-    for (k, tap) in taps.iter().enumerate() {
-        for (out, v) in x.iter_mut().zip(&y[k * spacing..]) {
-            *out += tap * v;
-        }
-    }
-    x
 }
 
 /// Low-pass taps, high-pass taps, and the factor that makes the result a derivative per sample.
@@ -148,22 +110,6 @@ mod tests {
         for ((wavelet, level), expected) in spline.chain([(Wavelet::Haar, 4)]).zip(&columns[1..]) {
             for (i, (a, b)) in derivative(&columns[0], wavelet, level).iter().zip(expected).enumerate() {
                 assert!((a - b).abs() < 1e-9, "{wavelet:?} level {level}, sample {i}: {a} {b}");
-            }
-        }
-    }
-
-    #[test]
-    fn the_adjoint_gives_the_same_inner_products() {
-        let wave = |n: usize, a: f64| (0..n).map(|i| (a * i as f64).sin() + 0.1 * a).collect::<Vec<f64>>();
-        for n in [8, 50, 361] {
-            for (wavelet, level) in
-                [(Wavelet::QuadraticSpline, 1), (Wavelet::QuadraticSpline, 4), (Wavelet::Haar, 3)]
-            {
-                let (f, k) = (wave(n, 0.37), wave(n, 1.1));
-                let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-                let there = dot(&k, &derivative(&f, wavelet, level));
-                let back = dot(&derivative_adjoint(&k, wavelet, level), &f);
-                assert!((there - back).abs() < 1e-10, "{n} {wavelet:?} {level}: {there} {back}");
             }
         }
     }

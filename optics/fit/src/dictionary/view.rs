@@ -175,11 +175,6 @@ impl View {
         self.slope
     }
 
-    /// Pixels of a whole profile of the dictionary.
-    pub(crate) fn all_pixels(&self) -> usize {
-        self.records.pixels()
-    }
-
     pub(crate) fn pixels(&self) -> Range<usize> {
         self.key.pixels.clone()
     }

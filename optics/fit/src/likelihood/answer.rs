@@ -2,8 +2,7 @@
 
 use nalgebra::DMatrix;
 use optics_model::fit::{
-    Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, MISFIT, Outside, Refined, Suspicion,
-    ThicknessError,
+    Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, Outside, Refined, ThicknessError,
 };
 use optics_model::{Grid, Medium};
 
@@ -15,18 +14,21 @@ use super::profile::{Profile, interval};
 use super::residuals::{clustering, outliers, stretches};
 use super::system::{Normal, Quantity, State, System, inverse_over_free};
 use super::term::Linear;
-use super::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, ROOT_CO_ALBEDO, SHARED};
-use crate::dictionary::axes::Admissible;
+use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, ROOT_CO_ALBEDO, SHARED};
+use crate::dictionary::axes::held;
 use crate::dictionary::sum::{dot, rms};
 use crate::dictionary::view::Slope;
-use crate::paper::question::Question;
-use crate::paper::refine::held;
-use crate::paper::search;
-use crate::paper::uncertainty::{Analysis, VALLEY, is_resolved};
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Probability of χ² below which residuals are said to be more than noise.
-const UNLIKELY: f64 = 0.001;
+pub(super) const UNLIKELY: f64 = 0.001;
+
+/// A channel is resolved if its intervals of σ_t and of the albedo span at most this factor …
+const RESOLVED_FACTOR: f64 = 2.0;
+/// … and that of the albedo at most this.
+const RESOLVED_ALBEDO: f64 = 0.2;
+/// Correlation of ln σ_t with ln(1 − g) from which on they are said to trade off.
+const VALLEY: f64 = 0.9;
 
 /// A channel at its minimum.
 pub(super) struct Found<'a, 'b> {
@@ -39,12 +41,19 @@ pub(super) struct Found<'a, 'b> {
 }
 
 /// How well residuals are explained.
-struct Goodness {
-    chi2: f64,
-    degrees_of_freedom: f64,
-    probability: f64,
+pub(super) struct Goodness {
+    pub chi2: f64,
+    pub degrees_of_freedom: f64,
+    pub probability: f64,
     /// Factor on the rise of the cost that intervals allow.
     inflation: f64,
+}
+
+impl Goodness {
+    /// Root mean square of the residuals over their noise.
+    pub(super) fn misfit(&self) -> f64 {
+        (self.chi2 / self.degrees_of_freedom.max(1.0)).sqrt()
+    }
 }
 
 impl Found<'_, '_> {
@@ -68,7 +77,7 @@ impl Found<'_, '_> {
         told.unwrap_or_else(|| [sigma_t, albedo, g][index](x).clamp(axis[0], axis[axis.len() - 1]))
     }
 
-    fn medium(&self, state: &State) -> Medium {
+    pub(super) fn medium(&self, state: &State) -> Medium {
         let at = |i: usize| self.parameter(i, state.x[self.slots()[i]]);
         Medium::new(at(LN_SIGMA_T), at(ROOT_CO_ALBEDO), at(LN_ONE_MINUS_G)).expect("within the dictionary")
     }
@@ -95,7 +104,8 @@ impl Found<'_, '_> {
         let resolved = is_resolved(&sigma_t, &albedo);
         let resolved_at_g = resolved || (free_g && self.resolved_at_g(goodness.inflation));
         let errors = self.errors(&linear);
-        let misfit = (goodness.chi2 / goodness.degrees_of_freedom.max(1.0)).sqrt();
+        let misfit = goodness.misfit();
+        let nuisances = self.nuisances(&covariance, &normal.reduced);
         let std_errors = self.system.terms.iter().flat_map(|t| &t.std_errors);
         let std_errors: Line = std_errors.copied().collect();
         Refined {
@@ -118,13 +128,13 @@ impl Found<'_, '_> {
             measurement_noise: rms(&std_errors),
             dictionary_share: self.dictionary_share(&covariance),
             misfit,
-            suspicion: self.suspicion(misfit),
+            suspicion: self.suspicion(&goodness, &nuisances),
             from_mixtures: false,
             likelihood: Some(Likelihood {
                 chi2: goodness.chi2,
                 degrees_of_freedom: goodness.degrees_of_freedom,
                 probability: goodness.probability,
-                nuisances: self.nuisances(&covariance, &normal.reduced),
+                nuisances,
                 outliers: outliers(self.system, &linear),
                 stretches: stretches(self.system, &linear),
                 bound: bound(&ideal.unwrap_or_else(|| covariance.clone()), self.state, slots),
@@ -133,28 +143,8 @@ impl Found<'_, '_> {
         }
     }
 
-    /// What else may be wrong if nothing that the likelihood reckons with explains the measurement: what the paper's
-    /// distance suspects, with the common factor and anisotropy as they were found.
-    fn suspicion(&self, misfit: f64) -> Option<Suspicion> {
-        let settings = self.data.options.settings();
-        if misfit <= MISFIT {
-            return None;
-        }
-        let mu = settings.mu * self.x(LN_SCALE).exp();
-        let options = self.data.options.with_mu(mu, settings.mu_std_error).ok()?;
-        let options = match self.common_g {
-            Some(_) => options.with_g(self.medium(self.state).g()).ok()?,
-            None => options,
-        };
-        let admissible = Admissible::new(self.data.dictionary, &options).ok()?;
-        let (dictionary, measurement) = (self.data.dictionary, self.data.measurement);
-        let question = Question::new(dictionary, measurement, self.data.name, &options, admissible).ok()?;
-        let best = search::best(&question, 1);
-        Analysis::new(&question, best.first()?).refined(None).suspicion
-    }
-
     /// χ² of the pixels that belong, with the deviations from what was known of the set-up.
-    fn goodness(&self, linear: &[Linear]) -> Goodness {
+    pub(super) fn goodness(&self, linear: &[Linear]) -> Goodness {
         let (mut chi2, mut pixels) = (0.0, 0.0);
         for ((term, linear), own) in self.system.terms.iter().zip(linear).zip(&self.state.own) {
             let kept = linear.residuals.iter().zip(&term.left_out).filter(|(_, out)| !**out);
@@ -349,4 +339,10 @@ impl Found<'_, '_> {
         };
         self.system.terms.iter().enumerate().map(curves).collect()
     }
+}
+
+/// Whether σ_t and the albedo are determined.
+pub(super) fn is_resolved(sigma_t: &Interval, albedo: &Interval) -> bool {
+    let bounded = |i: &Interval| !i.open_low && i.high <= RESOLVED_FACTOR * i.low;
+    bounded(sigma_t) && !sigma_t.open_high && bounded(albedo) && albedo.high - albedo.low <= RESOLVED_ALBEDO
 }

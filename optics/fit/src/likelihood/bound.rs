@@ -1,11 +1,10 @@
 //! The Cramér–Rao bound: how well an ideal estimate of these pixels would do.
 
 use nalgebra::DMatrix;
-use optics_model::fit::{Bound, Ends};
+use optics_model::fit::{Bound, Ends, Z};
 
 use super::system::{Quantity, State, System};
 use super::{Line, SHARED};
-use crate::paper::intervals::Z;
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Covariance of all unknowns that the pixels, and what was known beforehand, allow at best. None if the information is

@@ -54,6 +54,17 @@ pub(super) fn lowest<'a>(
     followed.min_by(|a, b| a.1.cost.total_cmp(&b.1.cost)).expect("a dictionary has a lowest medium")
 }
 
+/// The lowest minimum of a channel by itself, and the refractive index of the sample there.
+pub(super) fn minimum<'a>(
+    data: &ChannelData,
+    surrogates: &'a [Surrogate<'a>],
+    scan: &Scan,
+) -> (Assembly<'a>, State, usize) {
+    let (mut assembly, state, ior) = lowest(data, surrogates, &starts(scan, surrogates));
+    let state = settle(&mut assembly.system, state);
+    (assembly, state, ior)
+}
+
 /// Until there is a model, a pixel lies apart if its neighbours do not go along.
 pub(super) fn leave_out_specks_by_neighbours(system: &mut System) {
     for term in &mut system.terms {

@@ -11,7 +11,9 @@ mod response;
 #[cfg(test)]
 mod tests;
 
-use optics_model::fit::{ChannelFit, Common, FitOptions, GError, Interval, MaterialFit};
+use optics_model::fit::{
+    ChannelFit, Common, FitOptions, GError, Interval, MaterialFit, MeasurePlan, Measured, MuRange,
+};
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
@@ -23,14 +25,15 @@ use super::problem::{ChannelData, Sharing, assemble};
 use super::start::{Scan, Start};
 use super::system::inverse_over_free;
 use crate::dictionary::FitDictionary;
-use crate::measured::{MeasurePlan, Measured, mu_interval};
-use crate::paper::common::scales;
+use crate::dictionary::axes::held;
 use crate::surrogate::{Surrogate, g};
 use minimum::{Joint, common_slots};
 use response::Response;
 
 /// Cost by which the first descent may miss its minimum.
 const ROUGHLY: f64 = 1.0;
+/// Widest distance of two scale factors of the mesh, in the logarithm.
+const MESH_STEP: f64 = 0.05;
 /// Most channels that the mesh is computed for.
 const MESH_CHANNELS: usize = 16;
 
@@ -244,7 +247,7 @@ impl<'a> Set<'a> {
             common: Common {
                 mu,
                 mu_std_error,
-                mu_interval: mu_interval(mu, mu_std_error, plan.search_mu.as_ref()),
+                mu_interval: plan.mu_interval(mu, mu_std_error),
                 mu_chosen: plan.search_mu.is_some(),
                 g: found_g.or_else(|| self.only_g()),
                 g_interval,
@@ -256,7 +259,7 @@ impl<'a> Set<'a> {
 
     /// The anisotropy, if there is no choice.
     fn only_g(&self) -> Option<f64> {
-        crate::paper::refine::held(self.dictionary.grid(), &self.channels[0].options)[2]
+        held(self.dictionary.grid(), &self.channels[0].options)[2]
     }
 }
 
@@ -273,4 +276,13 @@ fn by_g(cells: &[Cell], scale: f64, base: f64) -> Vec<GError> {
         Some(GError { g, error: near.cost, best_mu: base * best.scale.exp(), best_mu_error: best.cost })
     };
     nodes.into_iter().filter_map(error).collect()
+}
+
+/// Logarithms of factors on μ, evenly over the range.
+pub(in crate::likelihood) fn scales(range: Option<&MuRange>, base: f64) -> Vec<f64> {
+    let Some(range) = range else { return vec![0.0] };
+    let (min, max, _) = range.parts();
+    let (low, high) = ((min / base).ln(), (max / base).ln());
+    let steps = ((high - low) / MESH_STEP).ceil().max(1.0);
+    (0..=steps as usize).map(|i| low + (high - low) * i as f64 / steps).collect()
 }

@@ -19,18 +19,16 @@ mod tests;
 use std::ops::Range;
 
 use nalgebra::DVector;
-use optics_model::fit::{ChannelFit, FitOptions, Mixtures, Unmixed};
+use optics_model::fit::{ChannelFit, FitOptions, MeasurePlan, Measured, Mixtures, Unmixed};
 use optics_model::{Invalid, Measurement};
 
 use super::channel::{leave_out_specks_by_neighbours, settle};
-use super::joint::all_channels;
+use super::joint::{all_channels, scales};
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
 use super::system::{State, Unknown, inverse_over_free};
 use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::dictionary::FitDictionary;
-use crate::measured::{MeasurePlan, Measured};
-use crate::paper::common::scales;
-use crate::paper::refine::held;
+use crate::dictionary::axes::held;
 use crate::surrogate::{Surrogate, albedo, coordinates, sigma_t};
 use answer::{Solution, Told};
 use blend::{Blend, Ink, Part};

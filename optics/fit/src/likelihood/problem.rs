@@ -7,14 +7,14 @@ use optics_model::{Grid, Invalid, MeasuredProfile, Measurement};
 
 use super::camera::Camera;
 use super::form::Loose;
+use super::scatter::scatter_by_side;
 use super::start::{Compressed, Region, Scan, Source};
 use super::system::{State, System, Unknown};
 use super::term::{Own, OwnPrior, Term, White};
 use super::{Line, blur};
 use crate::dictionary::FitDictionary;
+use crate::dictionary::axes::held;
 use crate::dictionary::axes::{Admissible, find_channel, outside};
-use crate::paper::noise::scatter_by_side;
-use crate::paper::refine::{held, limits};
 use crate::surrogate::Surrogate;
 
 /// How far, in the logarithm, a slab's thickness may be moved by a fit.
@@ -81,16 +81,7 @@ impl<'a> ProfileData<'a> {
                 format!("{MIN_PIXELS} pixels within {half:.2} mm of the edge at {origin_mm} mm are needed");
             return Err(Invalid::new("x_mm", given, allowed));
         }
-        let std_errors = if let Some(told) = profile.std_errors() {
-            if let Some(i) = told.iter().position(|e| *e <= 0.0) {
-                let allowed = "the likelihood needs standard errors above 0 (or none at all)";
-                return Err(Invalid::new(format!("std_errors[{i}]"), told[i], allowed));
-            }
-            told.to_vec()
-        } else {
-            let floor = 1e-6 * profile.values().iter().map(|v| v.abs()).fold(1e-6, f64::max);
-            scatter_by_side(x, profile.values()).into_iter().map(|e| e.max(floor)).collect()
-        };
+        let std_errors = std_errors(profile)?;
         let blur_mm = setup.blur_mm.unwrap_or(settings.blur_mm);
         let blur_error = setup.blur_std_error_mm.unwrap_or(settings.blur_std_error_mm);
         Ok(Self {
@@ -200,14 +191,29 @@ impl<'a> ChannelData<'a> {
             })
         };
         let terms = self.profiles.iter().map(compressed).collect::<Result<_, _>>()?;
-        let [s, a, g, _] = limits(&surrogates[0], &self.options);
         let region = Region {
             admissible: self.admissible.clone(),
-            limits: [s, a, g],
+            limits: surrogates[0].limits_within(&self.options),
             held: held(self.dictionary.grid(), &self.options).map(|h| h.is_some()),
         };
         Ok(Scan { dictionary: self.dictionary, view, terms, region })
     }
+}
+
+/// As measured, or estimated from the scatter of the values if there are none, or none but 0, as in exact data. A 0 among
+/// others is refused: it would be a pixel without noise.
+fn std_errors(profile: &MeasuredProfile) -> Result<Line, Invalid> {
+    let positive = |errors: &&[f64]| errors.iter().any(|e| *e > 0.0);
+    if let Some(given) = profile.std_errors().filter(positive) {
+        if let Some(i) = given.iter().position(|e| *e <= 0.0) {
+            let allowed = "the likelihood needs standard errors above 0 (or none at all)";
+            return Err(Invalid::new(format!("std_errors[{i}]"), given[i], allowed));
+        }
+        return Ok(given.to_vec());
+    }
+    let floor = 1e-6 * profile.values().iter().map(|v| v.abs()).fold(1e-6, f64::max);
+    let scatter = scatter_by_side(profile.x_mm(), profile.values());
+    Ok(scatter.into_iter().map(|e| e.max(floor)).collect())
 }
 
 /// The unknowns of a system under construction.
@@ -267,7 +273,7 @@ pub(super) fn assemble<'a>(
     let mut common_g = None;
     let (mut terms, mut slots, mut used, mut ranges) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for ((data, surrogate), medium) in channels.iter().zip(surrogates).zip(media) {
-        let limits = limits(surrogate, &data.options);
+        let limits = surrogate.limits_within(&data.options);
         let held = held(data.dictionary.grid(), &data.options);
         let mut of_medium = |i: usize| unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
         let (s, a) = (of_medium(0), of_medium(1));

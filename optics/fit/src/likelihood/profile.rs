@@ -1,11 +1,10 @@
 //! Intervals: how far a quantity can be moved, all else following, before −2 ln L has risen by 1.96².
 
 use nalgebra::{DMatrix, DVector};
-use optics_model::fit::Interval;
+use optics_model::fit::{Interval, Z};
 
 use super::Line;
 use super::system::{Held, Normal, Quantity, State, System, Unknown, free, inverse_over};
-use crate::paper::intervals::Z;
 
 /// Cost by which descents may miss their minimum.
 const TOLERANCE: f64 = 0.02;

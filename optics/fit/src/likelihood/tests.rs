@@ -1,6 +1,7 @@
 //! The likelihood on a dictionary from a formula: exact cases, limits, and descents from everywhere.
 
 mod budget;
+mod formula;
 
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Nuisance, Objective, Refined};
 use optics_model::scene::{Channel, DARKER_WHITE, Scene, Sensor};
@@ -118,21 +119,18 @@ fn nuisances_are_found_and_the_medium_beside_them() {
 /// A medium without absorption, in a dictionary whose greatest albedo is 0.99: where α is open, so is σ_a, and 0 is within.
 #[test]
 fn absorption_is_open_where_the_dictionary_ends() {
-    for objective in [Objective::Likelihood, Objective::Paper] {
-        for seed in 1..=3 {
-            let measured = measured((3.1, 1.0, 0.33), seed, Flaws::default());
-            let told = FitSettings { g: Bounds::fixed(0.33), objective: Some(objective), ..settings() };
-            let found = refined(&measured, told);
-            assert!(found.albedo.open_high && found.absorption_per_mm.open_low, "{objective:?}: {found:?}");
-            assert!(found.absorption_per_mm.contains(0.0));
-        }
+    for seed in 1..=3 {
+        let measured = measured((3.1, 1.0, 0.33), seed, Flaws::default());
+        let found = refined(&measured, FitSettings { g: Bounds::fixed(0.33), ..settings() });
+        assert!(found.albedo.open_high && found.absorption_per_mm.open_low, "{found:?}");
+        assert!(found.absorption_per_mm.contains(0.0));
     }
     let inside =
         refined(&measured(MEDIUM, 1, Flaws::default()), FitSettings { g: Bounds::fixed(0.33), ..settings() });
     assert!(!inside.absorption_per_mm.open_low && inside.absorption_per_mm.low > 0.0, "{inside:?}");
 }
 
-/// One pixel without noise among others does not choose another objective: it is refused, with its place.
+/// One pixel without noise among others is refused, with its place.
 #[test]
 fn a_standard_error_of_zero_is_refused_with_its_place() {
     let exact = measured(MEDIUM, 1, Flaws::default());
@@ -148,9 +146,9 @@ fn a_standard_error_of_zero_is_refused_with_its_place() {
     };
     let refused = with(|i, e| if i == 40 { 0.0 } else { e }).unwrap_err();
     assert!(refused.to_string().contains("std_errors[40]"), "{refused}");
-    // Exact data have no noise at all, and the paper's distance needs none.
+    // Exact data have no noise at all: it is estimated.
     let exact = with(|_, _| 0.0).unwrap();
-    assert!(exact.channels[0].refined.as_ref().unwrap().likelihood.is_none());
+    assert!(exact.channels[0].refined.as_ref().unwrap().likelihood.is_some());
 }
 
 /// Told exactly, or not known at all, gains do what they must: a prior of zero is not a nuisance.

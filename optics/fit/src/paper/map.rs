@@ -1,13 +1,23 @@
 //! Maps of the distance over all media, Fig. 9 of the paper.
 
-use optics_model::fit::{DistanceMap, MapLayer};
+use optics_model::fit::{DistanceMap, FitOptions, MapLayer};
+use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
+use crate::dictionary::FitDictionary;
 use crate::paper::layers::of_layers;
-use crate::paper::question::{Place, Question};
+use crate::paper::question::{Place, Question, questions};
 
-/// The error of Eq. 1 over every admissible medium.
-pub(crate) fn map(question: &Question) -> DistanceMap {
+/// The error of Eq. 1 over every admissible medium, by channel.
+pub(crate) fn distance_map(
+    dictionary: &FitDictionary,
+    measurement: &Measurement,
+    options: &FitOptions,
+) -> Result<Vec<DistanceMap>, Invalid> {
+    Ok(questions(dictionary, measurement, options)?.iter().map(map).collect())
+}
+
+fn map(question: &Question) -> DistanceMap {
     let grid = question.dictionary.grid();
     // Maps of several refractive indices would be maps of several dictionaries: that of the best is drawn.
     let ior = best_ior(question);

@@ -12,13 +12,11 @@ use crate::dictionary::axes::{Admissible, SAME, find_channel, outside, unknown_t
 use crate::dictionary::sum::rms_difference;
 use crate::dictionary::view::{PairDescription, View, ViewKey, made_once};
 use crate::dictionary::wide::wide;
-use crate::surrogate::resample::{Resampled, resample};
+use crate::surrogate::resample::resample;
 
 /// One thickness of one channel: μ F_A and |∇ μ F_A| on the pixels that the measurement covers.
 #[derive(Debug)]
-pub(crate) struct Term<'a> {
-    pub profile: &'a MeasuredProfile,
-    pub resampled: Resampled,
+pub(crate) struct Term {
     /// Index into the grid's thicknesses.
     pub thickness: usize,
     pub view: Arc<View>,
@@ -27,10 +25,10 @@ pub(crate) struct Term<'a> {
     description: OnceLock<PairDescription>,
 }
 
-impl<'a> Term<'a> {
+impl Term {
     fn new(
         (dictionary, channel): (&FitDictionary, usize),
-        profile: &'a MeasuredProfile,
+        profile: &MeasuredProfile,
         options: &FitOptions,
     ) -> Result<Self, Invalid> {
         let axis = dictionary.grid().thickness_mm();
@@ -58,15 +56,7 @@ impl<'a> Term<'a> {
         let values: Vec<f64> = resampled.values.iter().map(|v| settings.mu * v).collect();
         let gradient = view.slope().magnitude(&values);
         let description = OnceLock::new();
-        Ok(Self { profile, resampled, thickness, view, values, gradient, description })
-    }
-
-    /// The same with other values.
-    fn changed(&self, change: impl Fn(&[f64]) -> Vec<f64>) -> Self {
-        let values = change(&self.values);
-        let gradient = self.view.slope().magnitude(&values);
-        let (resampled, view, description) = (self.resampled.clone(), self.view.clone(), OnceLock::new());
-        Self { resampled, view, values, gradient, description, ..*self }
+        Ok(Self { thickness, view, values, gradient, description })
     }
 
     /// What searches hold against the view's sketches.
@@ -90,7 +80,7 @@ pub(crate) struct Question<'a> {
     pub name: &'a str,
     /// Index into the scene's channels.
     pub channel: usize,
-    pub terms: Vec<Term<'a>>,
+    pub terms: Vec<Term>,
     pub options: FitOptions,
     pub admissible: Admissible,
 }
@@ -146,20 +136,6 @@ impl<'a> Question<'a> {
         let term = |profile| Term::new((dictionary, channel), profile, options);
         let terms = profiles.map(term).collect::<Result<_, _>>()?;
         Ok(Self { dictionary, name, channel, terms, options: *options, admissible })
-    }
-
-    /// The same with other values of all profiles; what they were measured as, and the options, stay as they are.
-    pub(crate) fn changed(&self, change: impl Fn(&[f64]) -> Vec<f64>) -> Self {
-        let terms = self.terms.iter().map(|t| t.changed(&change)).collect();
-        Self { terms, admissible: self.admissible.clone(), ..*self }
-    }
-
-    /// The same with each profile at the thickness of the one on the other side of the list.
-    pub(crate) fn swapped(&self) -> Self {
-        let other = |(t, thickness): (&Term<'a>, usize)| Term { thickness, ..t.changed(<[f64]>::to_vec) };
-        let thicknesses = self.terms.iter().rev().map(|t| t.thickness);
-        let terms = self.terms.iter().zip(thicknesses).map(other).collect();
-        Self { terms, admissible: self.admissible.clone(), ..*self }
     }
 
     /// Number of the medium over all axes, in the order of its records.

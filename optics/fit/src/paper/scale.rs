@@ -131,7 +131,7 @@ struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    fn new(question: &Question<'a>, term: &'a Term<'a>, record: usize) -> Self {
+    fn new(question: &Question<'a>, term: &'a Term, record: usize) -> Self {
         let (values, gradient) = term.view.profile(record);
         Self { channel: question.channel, record, view: &term.view, values, gradient }
     }
@@ -145,13 +145,13 @@ impl<'a> Seen<'a> {
 
 /// A measured profile and its gradient, with their mean squares.
 struct Scalable<'a> {
-    term: &'a Term<'a>,
+    term: &'a Term,
     value_square: f64,
     gradient_square: f64,
 }
 
 impl<'a> Scalable<'a> {
-    fn new(term: &'a Term<'a>) -> Self {
+    fn new(term: &'a Term) -> Self {
         Self { term, value_square: mean_square(&term.values), gradient_square: mean_square(&term.gradient) }
     }
 
@@ -272,7 +272,7 @@ fn curvature(mu: &[f64], total: &[f64], best: usize) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement};
-    use optics_model::fit::{Bounds, FitSettings};
+    use optics_model::fit::{Bounds, FitSettings, Objective};
     use optics_model::{MeasuredProfile, Measurement};
 
     /// As if photographed with an exposure that is off: all values divided by μ.
@@ -298,6 +298,7 @@ mod tests {
         let within = FitSettings {
             albedo: Bounds::new("albedo", Some(0.3), None).unwrap(),
             lambda: 7.0,
+            objective: Some(Objective::Paper),
             ..FitSettings::default()
         };
         let options = FitOptions::new(within).unwrap();

@@ -24,17 +24,6 @@ struct Share {
 }
 
 impl Resampled {
-    /// Brings a functional of the dictionary's pixels to the measured pixels: Σ_i g_i w_ik.
-    pub(crate) fn pull_back(&self, functional: &[f64], measured_pixels: usize) -> Vec<f64> {
-        let mut pulled = vec![0.0; measured_pixels];
-        for (g, share) in functional.iter().zip(&self.shares) {
-            for (out, w) in pulled[share.first..].iter_mut().zip(&share.weights) {
-                *out += g * w;
-            }
-        }
-        pulled
-    }
-
     /// Variances of the dictionary pixels' values, the measured pixels being independent.
     pub(crate) fn variances(&self, std_errors: &[f64]) -> Vec<f64> {
         let variance = |share: &Share| {
@@ -167,19 +156,6 @@ mod tests {
         // Means over the measured pixels are what was measured.
         for (pair, v) in resampled.values.chunks(2).zip(coarse.values()) {
             assert!((0.5 * (pair[0] + pair[1]) - v).abs() < 1e-12);
-        }
-    }
-
-    #[test]
-    fn functionals_of_the_pixels_are_functionals_of_the_measurement() {
-        for n in [77, 100, 700] {
-            let profile = measured(n, 10.0, 0.0, |x| 0.3 + x.sin());
-            let resampled = of(&profile, sensor(100));
-            let functional: Vec<f64> = (0..100).map(|i| f64::from(i % 7) - 3.0).collect();
-            let direct: f64 = functional.iter().zip(&resampled.values).map(|(g, v)| g * v).sum();
-            let pulled = resampled.pull_back(&functional, n);
-            let through: f64 = pulled.iter().zip(profile.values()).map(|(g, v)| g * v).sum();
-            assert!((direct - through).abs() < 1e-9, "{n} pixels: {direct} {through}");
         }
     }
 

@@ -49,7 +49,7 @@ impl Interval {
     }
 }
 
-/// The continuous optimum of Eq. 1 near the best record, and how sure it is.
+/// The maximum of the likelihood between the records, and how sure it is.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::struct_excessive_bools, reason = "they are fields of farmctl/1")]
 pub struct Refined {
@@ -86,9 +86,9 @@ pub struct Refined {
     /// Root mean square of the residuals over that of the noise, of the measurement and of the dictionary: 1 if noise
     /// explains all.
     pub misfit: f64,
-    /// The likeliest reason, if the misfit exceeds [`MISFIT`].
+    /// The likeliest cause, if neither noise nor the set-up as it is known explains the data.
     pub suspicion: Option<Suspicion>,
-    /// The answer of the likelihood beyond the medium; none if the paper's distance was minimised.
+    /// The answer of the likelihood beyond the medium; none from farms before 0.3, which also refined the paper's distance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub likelihood: Option<Likelihood>,
     /// Medium and intervals come from mixtures with other inks: these profiles by themselves do not determine them.
@@ -338,9 +338,9 @@ pub struct Common {
     pub mu_chosen: bool,
     /// None if every channel has its own.
     pub g: Option<f64>,
-    /// None if g was given, or the dictionary has one only.
+    /// None if g was given, if the dictionary has one only, or if records were compared.
     pub g_interval: Option<Interval>,
-    /// Sums of refined errors with each anisotropy of the dictionary; empty if g was given.
+    /// The objective with each anisotropy of the dictionary; empty if g was given.
     pub by_g: Vec<GError>,
 }
 

@@ -3,6 +3,7 @@
 mod answer;
 mod budget;
 mod design;
+mod measured;
 mod mixtures;
 mod options;
 mod profile;
@@ -16,6 +17,7 @@ pub use budget::{ErrorSource, SourceShare};
 pub use design::{
     Design, DesignQuestion, DesignSettings, HalfWidths, Improvement, Limitation, PixelRow, SlabSet,
 };
+pub use measured::{MeasurePlan, Measured, Z};
 pub use mixtures::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, Wavelet};
 pub use profile::{PredictedChannel, PredictedProfiles, ProfileQuestion};

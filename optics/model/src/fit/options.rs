@@ -96,7 +96,7 @@ pub struct FitSettings {
     pub gain_std_error: f64,
     /// Standard error of the zero of each profile on its own, as a radiance factor: stray light, black level.
     pub offset_std_error: f64,
-    /// The objective. None selects the likelihood if every profile has standard errors, and else the paper's distance.
+    /// The objective. None selects the likelihood.
     pub objective: Option<Objective>,
     /// Standard error of the thickness of each slab without a given one, in mm.
     pub thickness_std_error_mm: f64,
@@ -156,6 +156,11 @@ impl Default for FitSettings {
 pub struct FitOptions(FitSettings);
 
 impl FitOptions {
+    /// The objective that is set, or the likelihood.
+    pub fn objective(&self) -> Objective {
+        self.0.objective.unwrap_or(Objective::Likelihood)
+    }
+
     pub fn new(settings: FitSettings) -> Result<Self> {
         let s = &settings;
         if !(1..=FitLimits::TOP).contains(&s.top) {

@@ -10,7 +10,6 @@
 //! | `FARM_TEST_ROWS=none,all x3` | only these imperfections |
 //! | `FARM_TEST_MEDIA=50` | number of media |
 //! | `FARM_TEST_WALKS=16000000` | number of walks |
-//! | `FARM_TEST_OBJECTIVES=likelihood` | only this objective |
 //! | `FARM_TEST_CSV=FILE` | a line for each medium, row and fit |
 
 mod flaws;
@@ -24,7 +23,6 @@ use std::sync::OnceLock;
 
 use farm_tests::statistics::{Share, effort, quantile};
 use optics_fit::{DictionaryBuilder, FitDictionary};
-use optics_model::fit::Objective;
 use optics_model::job::JobSpec;
 use optics_model::{Grid, Measurement, Walks};
 use rayon::prelude::*;
@@ -43,7 +41,6 @@ const HELD: (f64, f64) = (0.93, 0.97);
 struct Trial {
     media: u64,
     rows: Vec<Row>,
-    ways: Vec<Way>,
     /// Walks of the slabs with nominal thickness, and of the others.
     walks: (u64, u64),
 }
@@ -51,24 +48,17 @@ struct Trial {
 impl Trial {
     fn normal() -> Self {
         let rows = ["none", "all"].map(Row::named).to_vec();
-        let ways = Way::ALL.into_iter().filter(|way| way.objective == Objective::Likelihood).collect();
-        Self { media: 6, rows, ways, walks: (2_000_000, 1_000_000) }
+        Self { media: 6, rows, walks: (2_000_000, 1_000_000) }
     }
 
     fn long() -> Self {
         let list = |name: &str| std::env::var(name).ok().map(|v| v.split(',').map(str::to_owned).collect());
         let names: Option<Vec<String>> = list("FARM_TEST_ROWS");
-        let objectives: Option<Vec<String>> = list("FARM_TEST_OBJECTIVES");
-        let is_selected = |way: &Way| match &objectives {
-            Some(names) => names.iter().any(|name| name == way.objective_name()),
-            None => true,
-        };
         let number = |name: &str, usual| std::env::var(name).map_or(usual, |v| v.parse().unwrap());
         let walks = number("FARM_TEST_WALKS", 4_000_000);
         Self {
             media: number("FARM_TEST_MEDIA", 200),
             rows: names.map_or_else(Row::all, |names| names.iter().map(|name| Row::named(name)).collect()),
-            ways: Way::ALL.into_iter().filter(is_selected).collect(),
             walks: (walks, walks),
         }
     }
@@ -94,7 +84,7 @@ impl Trial {
             let profiles = (0..SLABS_MM.len()).map(profile).collect();
             let measurement = Measurement::new(format!("m{}", subject.number), profiles).unwrap();
             let fitted = |way| Outcome::of(dictionary, subject, &measurement, (number, row), way);
-            outcomes.extend(self.ways.iter().map(|way| fitted(*way)));
+            outcomes.extend(Way::ALL.map(fitted));
         }
         outcomes
     }
@@ -114,9 +104,9 @@ fn whole_dictionary() -> &'static FitDictionary {
     })
 }
 
-/// Outcomes of the likelihood for a row.
+/// The outcomes of a row, with g held or free.
 fn of_row(outcomes: &[Outcome], row: usize, g_held: bool) -> Vec<&Outcome> {
-    let way = Way { objective: Objective::Likelihood, g_held };
+    let way = Way { g_held };
     outcomes.iter().filter(|o| o.row == row && o.way == way).collect()
 }
 
@@ -160,8 +150,8 @@ fn intervals_of_imperfect_measurements_hold_the_media() {
     let trial = if long { Trial::long() } else { Trial::normal() };
     let dictionary = if long { whole_dictionary() } else { crate::dictionary() };
     let outcomes = trial.outcomes(dictionary);
-    for way in &trial.ways {
-        println!("{}", table::imperfections(&trial.rows, &outcomes, *way));
+    for way in Way::ALL {
+        println!("{}", table::imperfections(&trial.rows, &outcomes, way));
     }
     if let Some(text) = table::efficiency(&trial.rows, &outcomes) {
         println!("{text}");

@@ -1,7 +1,7 @@
 //! The result of a fit, compared with the true medium.
 
 use optics_fit::{FitDictionary, fit};
-use optics_model::fit::{Bound, Ends, FitOptions, Interval, MISFIT, Objective, Refined};
+use optics_model::fit::{Bound, Ends, FitOptions, Interval, MISFIT, Refined};
 use optics_model::{Measurement, Medium};
 
 use super::media::Subject;
@@ -18,25 +18,12 @@ pub(super) const COVERED: [usize; 4] = [SIGMA_T, ALBEDO, 3, 4];
 /// A way to fit a measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Way {
-    pub objective: Objective,
     /// Whether g is held at the truth.
     pub g_held: bool,
 }
 
 impl Way {
-    pub(super) const ALL: [Self; 4] = [
-        Self { objective: Objective::Paper, g_held: true },
-        Self { objective: Objective::Likelihood, g_held: true },
-        Self { objective: Objective::Paper, g_held: false },
-        Self { objective: Objective::Likelihood, g_held: false },
-    ];
-
-    pub(super) fn objective_name(self) -> &'static str {
-        match self.objective {
-            Objective::Paper => "paper",
-            Objective::Likelihood => "likelihood",
-        }
-    }
+    pub(super) const ALL: [Self; 2] = [Self { g_held: true }, Self { g_held: false }];
 
     pub(super) fn g_name(self) -> &'static str {
         if self.g_held { "held" } else { "free" }
@@ -70,7 +57,7 @@ impl Outcome {
         way: Way,
     ) -> Self {
         let g = way.g_held.then(|| subject.medium.g());
-        let options = FitOptions::new(row.settings(way.objective, g)).unwrap();
+        let options = FitOptions::new(row.settings(g)).unwrap();
         let answer = fit(dictionary, measurement, &options).unwrap();
         let r = answer.channels[0].refined.as_ref().unwrap();
         let likelihood = r.likelihood.as_ref();

@@ -1,6 +1,6 @@
 //! The rows of the test: which imperfections a measurement has, of which size, and whether the priors match them.
 
-use optics_model::fit::{Bounds, FitSettings, Objective};
+use optics_model::fit::{Bounds, FitSettings};
 
 use super::flaws::SCALE;
 
@@ -86,12 +86,11 @@ impl Row {
     }
 
     /// Settings of the fit: the default priors, scaled for the row's imperfections.
-    pub(super) fn settings(&self, objective: Objective, g: Option<f64>) -> FitSettings {
+    pub(super) fn settings(&self, g: Option<f64>) -> FitSettings {
         let d = FitSettings::default();
         let prior =
             |kind: Kind, usual: f64| if self.kinds.contains(&kind) { self.prior * usual } else { usual };
         FitSettings {
-            objective: Some(objective),
             g: g.map_or(Bounds::FREE, Bounds::fixed),
             refine: true,
             thickness_std_error_mm: prior(Kind::Thickness, d.thickness_std_error_mm),

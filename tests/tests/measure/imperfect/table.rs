@@ -3,14 +3,13 @@
 use std::path::Path;
 
 use farm_tests::statistics::{Share, quantile};
-use optics_model::fit::Objective;
 
 use super::outcome::{COVERED, Outcome, QUANTITIES, Way};
 use super::rows::Row;
 
 /// Errors and coverage of every row for one way to fit.
 pub(super) fn imperfections(rows: &[Row], outcomes: &[Outcome], way: Way) -> String {
-    let mut text = format!("\n{}, g {}\n\n", way.objective_name(), way.g_name());
+    let mut text = format!("\ng {}\n\n", way.g_name());
     text += "| imperfection | media | σ_t %, median / 90 % | 1 − α %, median / 90 % ";
     text += "| hold σ_t | α | σ_s(1−g) | σ_a | unresolved % | misfit > 2 % | p(χ²) < 1 % % |\n";
     text += &format!("{}|\n", "|---".repeat(11));
@@ -42,40 +41,34 @@ fn spread(outcomes: &[&Outcome], which: usize) -> String {
 pub(super) fn efficiency(rows: &[Row], outcomes: &[Outcome]) -> Option<String> {
     let row = rows.iter().position(|row| row.name == "none")?;
     outcomes.iter().find(|o| o.row == row && o.bound.is_some())?;
-    let mut text = "\n| objective | g | quantity | width over the bound, median / 90 % | closed | hold |\n\
-                    |---|---|---|---|---|---|\n"
+    let mut text = "\n| g | quantity | width over the bound, median / 90 % | closed | hold |\n\
+                    |---|---|---|---|---|\n"
         .to_owned();
     for way in Way::ALL {
         let these: Vec<&Outcome> = outcomes.iter().filter(|o| o.row == row && o.way == way).collect();
         for (q, name) in QUANTITIES.into_iter().enumerate() {
-            let ratios = widths(&these, outcomes, q);
+            let ratios = widths(&these, q);
             if ratios.is_empty() {
                 continue;
             }
             let (median, most) = (quantile(ratios.clone(), 0.5), quantile(ratios.clone(), 0.9));
-            let (objective, g) = (way.objective_name(), way.g_name());
+            let g = way.g_name();
             let (closed, held) = (ratios.len(), Share::of(these.iter().map(|o| o.holds(q))).unwrap());
-            text +=
-                &format!("| {objective} | {g} | {name} | {median:.2} / {most:.2} | {closed} | {held} |\n");
+            text += &format!("| {g} | {name} | {median:.2} / {most:.2} | {closed} | {held} |\n");
         }
     }
     Some(text)
 }
 
-/// Ratios to the bound of the likelihood for the same data.
-fn widths(these: &[&Outcome], all: &[Outcome], quantity: usize) -> Vec<f64> {
-    let ratio = |o: &&Outcome| {
-        let way = Way { objective: Objective::Likelihood, ..o.way };
-        let other = all.iter().find(|l| l.row == o.row && l.subject == o.subject && l.way == way)?;
-        o.over_bound(quantity, other.bound.as_ref()?)
-    };
-    these.iter().filter_map(ratio).collect()
+/// Ratios to the bound of the same data.
+fn widths(these: &[&Outcome], quantity: usize) -> Vec<f64> {
+    these.iter().filter_map(|o| o.over_bound(quantity, o.bound.as_ref()?)).collect()
 }
 
 /// Writes one line per medium, row and way.
 pub(super) fn write_csv(file: &Path, rows: &[Row], outcomes: &[Outcome]) {
     let mut writer = csv::Writer::from_path(file).unwrap();
-    let mut heads = ["row", "objective", "g_mode", "medium", "resolved", "misfit", "probability", "outliers"]
+    let mut heads = ["row", "g_mode", "medium", "resolved", "misfit", "probability", "outliers"]
         .map(str::to_owned)
         .to_vec();
     for name in ["sigma_t_per_mm", "albedo", "g", "reduced_scattering_per_mm", "absorption_per_mm"] {
@@ -92,7 +85,6 @@ pub(super) fn write_csv(file: &Path, rows: &[Row], outcomes: &[Outcome]) {
 fn line(row: &Row, o: &Outcome) -> Vec<String> {
     let mut fields = vec![
         row.name.clone(),
-        o.way.objective_name().to_owned(),
         o.way.g_name().to_owned(),
         o.subject.to_string(),
         o.resolved.to_string(),
@@ -141,20 +133,20 @@ mod tests {
 
     #[test]
     fn widths_are_told_over_the_bound_of_the_same_data() {
-        let [paper, likelihood, ..] = Way::ALL;
+        let [held, free] = Way::ALL;
         let rows = [Row::named("none")];
-        let found = [outcome(paper, 0.15, None), outcome(likelihood, 0.06, Some(0.05))];
+        let found = [outcome(free, 0.15, Some(0.05)), outcome(held, 0.06, Some(0.05))];
         let text = efficiency(&rows, &found).unwrap();
-        assert!(text.contains("| paper | held | σ_t | 3.00 / 3.00 | 1 | 100.0 ± 0.0 |"), "{text}");
-        assert!(text.contains("| likelihood | held | σ_t | 1.20 / 1.20 | 1 | 0.0 ± 0.0 |"), "{text}");
-        assert_eq!(efficiency(&rows, &found[..1]), None);
+        assert!(text.contains("| free | σ_t | 3.00 / 3.00 | 1 | 100.0 ± 0.0 |"), "{text}");
+        assert!(text.contains("| held | σ_t | 1.20 / 1.20 | 1 | 0.0 ± 0.0 |"), "{text}");
+        assert_eq!(efficiency(&rows, &[outcome(free, 0.15, None)]), None);
     }
 
     #[test]
     fn a_row_tells_errors_coverage_and_verdicts() {
-        let likelihood = Way::ALL[1];
-        let found = [outcome(likelihood, 0.15, Some(0.1)), outcome(likelihood, 0.05, Some(0.1))];
-        let text = imperfections(&[Row::named("none")], &found, likelihood);
+        let held = Way::ALL[0];
+        let found = [outcome(held, 0.15, Some(0.1)), outcome(held, 0.05, Some(0.1))];
+        let text = imperfections(&[Row::named("none")], &found, held);
         let line = "| none | 2 | 5.00 / 5.00 | 0.00 / 0.00 | 50.0 ± 35.4 | 100.0 ± 0.0 | 100.0 ± 0.0 \
                     | 100.0 ± 0.0 | 0.0 | 0.0 | 0.0 |";
         assert!(text.contains(line), "{text}");
@@ -169,10 +161,7 @@ mod tests {
         let text = std::fs::read_to_string(file).unwrap();
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines.len(), 3);
-        assert!(
-            lines[0].starts_with("row,objective,g_mode,medium")
-                && lines[2].starts_with("none,likelihood,held,5,")
-        );
-        assert!(lines.iter().all(|line| line.split(',').count() == 48), "{text}");
+        assert!(lines[0].starts_with("row,g_mode,medium") && lines[2].starts_with("none,free,5,"));
+        assert!(lines.iter().all(|line| line.split(',').count() == 47), "{text}");
     }
 }

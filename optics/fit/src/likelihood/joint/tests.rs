@@ -1,9 +1,9 @@
 use optics_model::fit::{FitOptions, FitSettings, MuRange, Objective};
 use optics_model::{MeasuredProfile, Measurement};
 
-use crate::measure::measure;
-use crate::measured::{MeasurePlan, Measured};
+use crate::measure;
 use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
+use optics_model::fit::{MeasurePlan, Measured};
 
 /// Standard deviation of one pixel.
 const NOISE: f64 = 0.002;

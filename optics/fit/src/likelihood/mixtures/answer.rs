@@ -2,8 +2,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use optics_model::fit::{
-    Agreement, ChannelFit, Common, FitOptions, InkChannel, InkFit, Interval, MixtureFit, MixturePart,
-    Mixtures, Unmixed,
+    Agreement, ChannelFit, Common, FitOptions, InkChannel, InkFit, Interval, MeasurePlan, MixtureFit,
+    MixturePart, Mixtures, Unmixed, Z,
 };
 use optics_model::{Invalid, Medium};
 
@@ -12,13 +12,11 @@ use super::profile::Profile;
 use super::system::{Chart, Look, Normal};
 use super::{Slab, Solved};
 use crate::dictionary::FitDictionary;
+use crate::dictionary::axes::held;
 use crate::dictionary::sum::dot;
+use crate::likelihood::answer::is_resolved;
 use crate::likelihood::chi2::exceedance;
 use crate::likelihood::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
-use crate::measured::{MeasurePlan, mu_interval};
-use crate::paper::intervals::Z;
-use crate::paper::refine::held;
-use crate::paper::uncertainty::is_resolved;
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Probability below which a disagreement is said to be more than noise.
@@ -222,7 +220,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         Common {
             mu,
             mu_std_error,
-            mu_interval: mu_interval(mu, mu_std_error, self.told.plan.search_mu.as_ref()),
+            mu_interval: self.told.plan.mu_interval(mu, mu_std_error),
             mu_chosen: self.told.plan.search_mu.is_some(),
             g: found.or(only),
             g_interval: found.map(|_| self.g_interval(slot, x, widened(slot))),

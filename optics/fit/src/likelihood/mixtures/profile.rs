@@ -1,13 +1,12 @@
 //! Intervals of an ink: how far a quantity can be moved, all else following, before −2 ln L has risen by 1.96².
 
 use nalgebra::DMatrix;
-use optics_model::fit::Interval;
+use optics_model::fit::{Interval, Z};
 
 use super::blend::{Ink, InkQuantity};
 use super::system::{Chart, Held};
 use crate::likelihood::profile::{End, interval, reach};
 use crate::likelihood::system::State;
-use crate::paper::intervals::Z;
 use crate::surrogate::{albedo, g};
 
 /// Cost by which descents may miss their minimum.

@@ -3,9 +3,9 @@
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Mixture, Mixtures, Unmixed};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
 
-use crate::measure::{measure, unmix};
-use crate::measured::MeasurePlan;
 use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
+use crate::{measure, unmix};
+use optics_model::fit::MeasurePlan;
 
 const G: f64 = 0.3;
 /// σ_s and σ_a of the inks. The last one's σ_t lies beyond the dictionary's.

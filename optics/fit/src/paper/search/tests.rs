@@ -1,4 +1,4 @@
-use optics_model::fit::{Bounds, Candidate, FitOptions, FitSettings, MuRange, Outside, Wavelet};
+use optics_model::fit::{Bounds, Candidate, FitOptions, FitSettings, MuRange, Objective, Outside, Wavelet};
 use optics_model::{Estimate, MeasuredProfile, Measurement, Medium, Profile, Record};
 
 use crate::testing::{
@@ -7,7 +7,7 @@ use crate::testing::{
 use crate::{FitDictionary, derivative, fit, scale};
 
 fn options(change: impl FnOnce(&mut FitSettings)) -> FitOptions {
-    let mut settings = FitSettings::default();
+    let mut settings = FitSettings { objective: Some(Objective::Paper), ..FitSettings::default() };
     change(&mut settings);
     FitOptions::new(settings).unwrap()
 }
@@ -22,7 +22,7 @@ fn the_medium_that_was_measured_is_found() {
     for (sigma_t, albedo, g) in [(1.0, 0.3, 0.4), (4.0, 0.9, 0.0), (8.0, 0.6, 0.4)] {
         for (pixels, width) in [(360, 10.0), (720, 10.0), (90, 10.0), (200, 6.0)] {
             let m = measured(sigma_t, albedo, g, pixels, width);
-            let found = &best(&dictionary, &m, &FitOptions::default())[0];
+            let found = &best(&dictionary, &m, &options(|_| {}))[0];
             let expected = Medium::new(sigma_t, albedo, g).unwrap();
             assert_eq!(found.medium, expected, "{pixels} pixels over {width} mm");
         }
@@ -74,7 +74,7 @@ fn the_answer_is_that_of_brute_force() {
             s.top = 24;
         });
         let one = options(|s| s.top = 1);
-        for options in [FitOptions::default(), all, one] {
+        for options in [options(|_| {}), all, one] {
             let found = best(&dictionary, &m, &options);
             let expected = brute_force(&dictionary, &m, &options);
             assert_eq!(found.len(), options.settings().top as usize);
@@ -99,7 +99,7 @@ fn equal_errors_come_in_the_order_of_the_records() {
         let radiance_factor = Estimate::new(values, vec![0.0; 360]).unwrap();
         Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; 3] }
     };
-    let options = FitOptions::default();
+    let options = options(|_| {});
     let found = best(&dictionary_of(&grid, record), &measured(4.0, 0.5, 0.0, 360, 10.0), &options);
     let records: Vec<usize> = found.iter().map(|c| c.thicknesses[0].record.unwrap()).collect();
     let first = grid.record_at(0, 2, 0, 0, 0);
@@ -111,7 +111,7 @@ fn equal_errors_come_in_the_order_of_the_records() {
 #[test]
 fn an_error_is_the_sum_of_its_terms() {
     let dictionary = dictionary(360);
-    for candidate in best(&dictionary, &measured(3.0, 0.7, 0.2, 360, 10.0), &FitOptions::default()) {
+    for candidate in best(&dictionary, &measured(3.0, 0.7, 0.2, 360, 10.0), &options(|_| {})) {
         let sum: f64 = candidate.thicknesses.iter().map(|t| t.value_rms + 20.0 * t.gradient_rms).sum();
         assert!((sum - candidate.error).abs() < 1e-12);
         let (point, medium) = dictionary.grid().parameters(candidate.thicknesses[1].record.unwrap());
@@ -198,7 +198,7 @@ fn profiles_outside_the_dictionary_are_refused() {
         let x: Vec<f64> = x.iter().map(|x| x + shift).collect();
         let profile = MeasuredProfile::new(channel, thickness, x.clone(), x, None).unwrap();
         let m = Measurement::new("m", vec![profile]).unwrap();
-        fit(&dictionary, &m, &FitOptions::default()).unwrap_err().to_string()
+        fit(&dictionary, &m, &options(|_| {})).unwrap_err().to_string()
     };
     assert_eq!(refuse("X", 0.5, 0.0), "channel = X is not valid: the dictionary has R, G, B");
     assert_eq!(
@@ -215,7 +215,7 @@ fn profiles_outside_the_dictionary_are_refused() {
 fn profiles_of_too_many_ranges_are_refused() {
     let dictionary = dictionary(360);
     let several: Vec<_> = [10.0, 9.5, 9.0, 8.5, 8.0].map(|width| measured(4.0, 0.9, 0.0, 180, width)).into();
-    let (options, range) = (FitOptions::default(), MuRange::new(1.0, 1.0, 1.0).unwrap());
+    let (options, range) = (options(|_| {}), MuRange::new(1.0, 1.0, 1.0).unwrap());
     assert!(scale(&dictionary, &several[..4], &options, &range).is_ok());
     let error = scale(&dictionary, &several, &options, &range).unwrap_err().to_string();
     assert!(error.contains("x_mm = 5 different ranges"), "{error}");

@@ -1,4 +1,4 @@
-//! Refinement and uncertainty on a dictionary whose truth is a formula.
+//! Intervals on a dictionary whose truth is a formula.
 
 use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Objective, Refined};
 
@@ -9,7 +9,7 @@ use crate::{FitDictionary, fit};
 fn options(g: Option<f64>) -> FitOptions {
     let g = g.map_or(Bounds::FREE, Bounds::fixed);
     FitOptions::new(FitSettings {
-        objective: Some(Objective::Paper),
+        objective: Some(Objective::Likelihood),
         g,
         refine: true,
         gain_std_error: 0.0,

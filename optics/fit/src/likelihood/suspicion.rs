@@ -1,0 +1,136 @@
+//! What is likely wrong where neither noise nor the set-up as it is known explains a channel.
+//!
+//! Values that are coded for a screen and exchanged thicknesses are tried by fitting the corrected profiles. Else the part
+//! of the set-up is named whose estimate lies farthest from its prior.
+
+use optics_model::fit::{Cause, FitOptions, MISFIT, Nuisance, NuisanceEstimate, Suspicion};
+use optics_model::{Invalid, MeasuredProfile, Measurement};
+
+use super::LN_SCALE;
+use super::answer::{Found, Goodness, UNLIKELY};
+use super::channel::minimum;
+use super::problem::ChannelData;
+
+/// Share of the unexplained χ² that a correction must take away, …
+const CONVINCING: f64 = 0.6;
+/// … and the misfit that it may leave, or that share of the whole: a poor fit explains nothing.
+const LEFT: (f64, f64) = (1.5 * MISFIT, 1.0 / 8.0);
+/// Standard deviations of its prior from which on an estimate is suspicious.
+const PULLED: f64 = 5.0;
+
+impl Found<'_, '_> {
+    /// The likeliest cause; none if the residuals are noise.
+    pub(super) fn suspicion(&self, goodness: &Goodness, nuisances: &[NuisanceEstimate]) -> Option<Suspicion> {
+        let misfit = goodness.misfit();
+        if misfit > MISFIT
+            && let Some(corrected) = self.corrected(misfit)
+        {
+            return Some(corrected);
+        }
+        let unknown =
+            Suspicion { cause: Cause::Unknown, thickness_mm: None, amount: 0.0, misfit_left: misfit };
+        let pulled = if goodness.probability < UNLIKELY { self.pulled(goodness, nuisances) } else { None };
+        pulled.or((misfit > MISFIT).then_some(unknown))
+    }
+
+    /// The correction of the profiles that leaves least, if it explains most.
+    fn corrected(&self, misfit: f64) -> Option<Suspicion> {
+        let options = self.as_found().ok()?;
+        let attempt = |(cause, profiles): (Cause, Vec<MeasuredProfile>)| {
+            let misfit_left = self.misfit_of(profiles, &options).ok()?;
+            Some(Suspicion { cause, thickness_mm: None, amount: 0.0, misfit_left })
+        };
+        let convincing = |s: &Suspicion| {
+            misfit.powi(2) - s.misfit_left.powi(2) >= CONVINCING * (misfit.powi(2) - 1.0)
+                && s.misfit_left <= LEFT.0.max(LEFT.1 * misfit)
+        };
+        let profiles: Vec<&MeasuredProfile> = self.data.profiles.iter().map(|p| p.profile).collect();
+        let decoded = decoded(&profiles).map(|profiles| (Cause::GammaCoded, profiles));
+        let swapped = swapped(&profiles).map(|profiles| (Cause::ThicknessesSwapped, profiles));
+        let tried = [decoded, swapped].into_iter().flatten().filter_map(attempt);
+        tried.filter(convincing).min_by(|a, b| a.misfit_left.total_cmp(&b.misfit_left))
+    }
+
+    /// With the common factor and the anisotropy as they were found.
+    fn as_found(&self) -> Result<FitOptions, Invalid> {
+        let settings = self.data.options.settings();
+        let options =
+            self.data.options.with_mu(settings.mu * self.x(LN_SCALE).exp(), settings.mu_std_error)?;
+        if self.common_g.is_some() { options.with_g(self.medium(self.state).g()) } else { Ok(options) }
+    }
+
+    fn misfit_of(&self, profiles: Vec<MeasuredProfile>, options: &FitOptions) -> Result<f64, Invalid> {
+        let changed = Measurement::new(self.data.measurement.material(), profiles)?;
+        let data = ChannelData::new(self.data.dictionary, &changed, 0, self.data.name, options)?;
+        let surrogates = data.surrogates();
+        let scan = data.scan(&surrogates, options.settings().mu_std_error / options.settings().mu)?;
+        let (assembly, state, ior) = minimum(&data, &surrogates, &scan);
+        let sample_ior = data.dictionary.grid().sample_ior()[ior];
+        let (system, state) = (&assembly.system, &state);
+        let found = Found { data: &data, system, state, sample_ior, common_g: None };
+        Ok(found.goodness(&system.linear(&state.x, &state.own)).misfit())
+    }
+
+    /// The part of the set-up whose estimates lie farthest from their priors.
+    fn pulled(&self, goodness: &Goodness, nuisances: &[NuisanceEstimate]) -> Option<Suspicion> {
+        let pull = |n: &NuisanceEstimate| (n.value - n.prior) / n.prior_std_error;
+        let suspicion = |(cause, nuisance): (Cause, Nuisance)| {
+            let far = nuisances.iter().filter(|n| n.nuisance == nuisance && pull(n).abs() > PULLED);
+            let far: Vec<&NuisanceEstimate> = far.collect();
+            let squares: f64 = far.iter().map(|n| pull(n).powi(2)).sum();
+            let mean = far.iter().map(|n| n.value).sum::<f64>() / far.len() as f64;
+            let amount = if cause == Cause::Blur { mean.max(0.0).sqrt() } else { mean };
+            let one = (far.len() == 1 && self.data.profiles.len() > 1).then(|| far[0].profile_mm);
+            let left = (goodness.chi2 - squares).max(0.0) / goodness.degrees_of_freedom.max(1.0);
+            let misfit_left = left.sqrt();
+            (!far.is_empty())
+                .then_some((squares, Suspicion { cause, thickness_mm: one.flatten(), amount, misfit_left }))
+        };
+        let causes = [
+            (Cause::EdgeOffset, Nuisance::Origin),
+            (Cause::Gain, Nuisance::Gain),
+            (Cause::Zero, Nuisance::Zero),
+            (Cause::Slope, Nuisance::Slope),
+            (Cause::Blur, Nuisance::BlurVariance),
+        ];
+        let found = causes.into_iter().filter_map(suspicion);
+        found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, suspicion)| suspicion)
+    }
+}
+
+/// The profiles with linear values, if those that were measured may be coded as sRGB.
+fn decoded(profiles: &[&MeasuredProfile]) -> Option<Vec<MeasuredProfile>> {
+    let decode = |p: &&MeasuredProfile| {
+        let values: Vec<(f64, f64)> = p.values().iter().map(|v| linear(*v)).collect();
+        let errors = p.std_errors().map(|e| e.iter().zip(&values).map(|(e, (_, slope))| e * slope).collect());
+        let values = values.into_iter().map(|(value, _)| value).collect();
+        changed(p, p.thickness_mm(), values, errors)
+    };
+    let in_range = profiles.iter().all(|p| p.values().iter().all(|v| (0.0..=1.0).contains(v)));
+    if in_range { profiles.iter().map(decode).collect() } else { None }
+}
+
+/// Two profiles, each at the thickness of the other.
+fn swapped(profiles: &[&MeasuredProfile]) -> Option<Vec<MeasuredProfile>> {
+    let [a, b] = profiles else { return None };
+    let at = |p: &MeasuredProfile, thickness_mm: f64| {
+        changed(p, thickness_mm, p.values().to_vec(), p.std_errors().map(<[f64]>::to_vec))
+    };
+    Some(vec![at(a, b.thickness_mm())?, at(b, a.thickness_mm())?])
+}
+
+fn changed(
+    p: &MeasuredProfile,
+    thickness_mm: f64,
+    values: Vec<f64>,
+    std_errors: Option<Vec<f64>>,
+) -> Option<MeasuredProfile> {
+    let profile = MeasuredProfile::new(p.channel(), thickness_mm, p.x_mm().to_vec(), values, std_errors);
+    profile.and_then(|profile| profile.with_setup(*p.setup())).ok()
+}
+
+/// The linear value of an sRGB-coded one (IEC 61966-2-1), and its derivative.
+fn linear(v: f64) -> (f64, f64) {
+    let root = (v + 0.055) / 1.055;
+    if v <= 0.040_45 { (v / 12.92, 1.0 / 12.92) } else { (root.powf(2.4), 2.4 / 1.055 * root.powf(1.4)) }
+}

@@ -1,0 +1,34 @@
+//! The question and the answer of a measurement of several materials.
+
+use super::{Common, Interval, MaterialFit, MuRange, ScaleCurve};
+
+/// Two-sided 95 % of the normal distribution.
+pub const Z: f64 = 1.959_964;
+
+/// What was found for a set of materials.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measured {
+    /// The search of Eq. 3; none if the scale factor was given, or if the likelihood was maximised, which estimates it.
+    pub scale: Option<ScaleCurve>,
+    /// What was chosen for all channels.
+    pub common: Common,
+    pub materials: Vec<MaterialFit>,
+}
+
+/// How the scale factor and the anisotropy are found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeasurePlan {
+    /// Scale factors to search; none to take that of the options.
+    pub search_mu: Option<MuRange>,
+    /// Hold all materials at the anisotropy that explains them best together.
+    pub common_g: bool,
+}
+
+impl MeasurePlan {
+    /// The interval of μ, open where the range of the search ends first.
+    pub fn mu_interval(&self, mu: f64, std_error: f64) -> Interval {
+        let (low, high) = (mu - Z * std_error, mu + Z * std_error);
+        let (min, max, _) = self.search_mu.as_ref().map_or((low, high, 0.0), MuRange::parts);
+        Interval { low: low.max(min), high: high.min(max), open_low: low < min, open_high: high > max }
+    }
+}
