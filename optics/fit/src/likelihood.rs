@@ -7,6 +7,7 @@
 //! Intervals follow the least −2 ln L with one quantity held, up to a rise of 1.96² (`profile`).
 
 mod answer;
+mod blend;
 mod blur;
 mod bound;
 mod budget;
@@ -21,6 +22,7 @@ mod mixtures;
 mod nuisances;
 mod problem;
 mod profile;
+mod quantity;
 mod records_noise;
 mod residuals;
 mod robust;

@@ -3,7 +3,8 @@
 use nalgebra::DMatrix;
 use optics_model::fit::{Bound, Ends, Z};
 
-use super::system::{Quantity, State, System};
+use super::quantity::Quantity;
+use super::system::{State, System};
 use super::{Line, SHARED};
 use crate::surrogate::{albedo, g, sigma_t};
 

@@ -9,7 +9,8 @@ use nalgebra::{DMatrix, DVector};
 use optics_model::fit::{ErrorSource, SourceShare};
 
 use super::answer::Found;
-use super::system::{Normal, Quantity, inverse_over};
+use super::quantity::Quantity;
+use super::system::{Normal, inverse_over};
 use super::term::{Linear, Own};
 use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS, SHARED};
 use crate::dictionary::sum::dot;

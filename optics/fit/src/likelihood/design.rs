@@ -6,7 +6,8 @@ use optics_model::fit::{HalfWidths, PixelRow};
 
 use super::bound::{bound, ideal_covariance};
 use super::camera::Camera;
-use super::system::{Quantity, State, System, Unknown};
+use super::quantity::Quantity;
+use super::system::{State, System, Unknown};
 use super::term::{Own, OwnPrior, Term, White};
 use super::{Line, blur};
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
@@ -126,6 +127,7 @@ impl Plan<'_> {
         ];
         let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
         Term {
+            blend: None,
             thickness_mm,
             camera,
             values: vec![0.0; x_mm.len()],

@@ -1,18 +1,15 @@
 //! Inks that absorb too much to be measured by themselves, by diluting them.
 //!
 //! Scattering and absorption of a mixture are the sums of those of its inks. So the profiles of pure inks and of their
-//! mixtures are fitted together, over σ_s, √σ_a and ln(1 − g) of the inks (`mixtures/blend`), with the set-up of every
+//! mixtures are fitted together, over σ_s, √σ_a and ln(1 − g) of the inks (`blend`), with the set-up of every
 //! profile estimated as for one material. Each measured material is first fitted with a medium of its own: that tells
 //! what is dust, and equations from which the inks' descent begins (`mixtures/start`). Intervals follow the profile
-//! likelihood (`mixtures/profile`); where mixtures contradict one another by more than their noise, as they do if one was
+//! likelihood (`profile`); where mixtures contradict one another by more than their noise, as they do if one was
 //! mixed wrongly, intervals are wider by their χ² a degree of freedom (a Birge ratio).
 
 mod answer;
-mod blend;
 mod limits;
-mod profile;
 mod start;
-mod system;
 #[cfg(test)]
 mod tests;
 
@@ -22,19 +19,20 @@ use nalgebra::DVector;
 use optics_model::fit::{ChannelFit, FitOptions, MeasurePlan, Measured, Mixtures, Unmixed};
 use optics_model::{Invalid, Measurement};
 
+use super::blend::{Blend, Ink, Part};
 use super::channel::{leave_out_specks_by_neighbours, settle};
 use super::joint::{all_channels, scales};
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
-use super::system::{State, Unknown, inverse_over_free};
+use super::quantity::Quantity;
+use super::system::{State, System, Unknown, inverse_over_free};
+use super::term::Term;
 use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::surrogate::{Surrogate, albedo, coordinates, sigma_t};
 use answer::{Solution, Told};
-use blend::{Blend, Ink, Part};
 use limits::{outside, predicted};
 use start::{Equation, rank, solve};
-use system::{Chart, Member};
 
 /// Costs by which the first descent, and the last one, may miss their minimum.
 const ROUGHLY: f64 = 0.5;
@@ -152,7 +150,7 @@ fn slabs<'a>(
         let of = |ink: &&str| parts.iter().find(|(name, _)| name == ink).map_or(0.0, |(_, f)| *f);
         let slots = system.slots[terms.start];
         let std_errors = [0, 1].map(|which| {
-            let quantity = super::system::Quantity::all(&slots)[3 + which];
+            let quantity = Quantity::all(&slots)[3 + which];
             let gradient = quantity.gradient(&state.x);
             let variance = covariance.as_ref().map_or(f64::INFINITY, |c| gradient.dot(&(c * &gradient)));
             let value = quantity.value(&state.x);
@@ -206,51 +204,50 @@ struct Unmixing<'a, 'b> {
 type Inks = Vec<(usize, Vec<Ink>)>;
 
 impl<'a> Unmixing<'a, '_> {
-    /// The chart of all slabs whose media the dictionary has, at its minimum.
+    /// All slabs whose media the dictionary has, at their minimum.
     fn solve(mut self, from: &State) -> Result<(Solved<'a>, Vec<Slab<'a>>), Invalid> {
         loop {
-            let (mut chart, state, inks) = self.chart(from);
-            let state = chart.descend(state, None, ROUGHLY);
-            chart.move_near(&state.x);
-            if !self.leave_out(&chart, &state)? {
-                let state = chart.descend(state, None, WELL);
-                return Ok((Solved { chart, state, inks, common_g: self.common_g }, self.slabs));
+            let (mut system, state, inks) = self.system(from);
+            let state = system.descend(state, None, ROUGHLY);
+            system.move_near(&state.x);
+            if !self.leave_out(&system, &state)? {
+                let state = system.descend(state, None, WELL);
+                return Ok((Solved { system, state, inks, common_g: self.common_g }, self.slabs));
             }
         }
     }
 
     /// Profiles and unknowns where the inks' own equations lead.
-    fn chart(&self, from: &State) -> (Chart<'a>, State, Inks) {
-        let system = &self.assembly.system;
-        let (mut unknowns, mut x) = (system.unknowns.clone(), from.x.clone());
+    fn system(&self, from: &State) -> (System<'a>, State, Inks) {
+        let whole = &self.assembly.system;
+        let (mut unknowns, mut x) = (whole.unknowns.clone(), from.x.clone());
         // A medium of a slab follows from its inks.
-        for slots in &system.slots {
+        for slots in &whole.slots {
             for i in [LN_SIGMA_T, ROOT_CO_ALBEDO, LN_ONE_MINUS_G] {
                 unknowns[slots[i]].held = true;
             }
         }
         let inks = self.ink_unknowns(&mut unknowns, &mut x);
-        let (mut members, mut own) = (Vec::new(), Vec::new());
+        let mut system =
+            System { terms: Vec::new(), surrogates: Vec::new(), slots: Vec::new(), unknowns, coupling: None };
+        let mut own = Vec::new();
         for slab in self.slabs.iter().filter(|s| s.left_out.is_none()) {
             let of_channel =
                 &inks.iter().find(|(c, _)| *c == slab.data.channel).expect("every channel has inks").1;
             let parts = slab.fractions.iter().zip(of_channel).filter(|(f, _)| **f > 0.0);
-            let blend = Blend(parts.map(|(fraction, ink)| Part { fraction: *fraction, ink: *ink }).collect());
+            let parts: Vec<Part> =
+                parts.map(|(fraction, ink)| Part { fraction: *fraction, ink: *ink }).collect();
             for i in slab.terms.clone() {
-                let [.., scale, blur, thickness] = system.slots[i];
-                members.push(Member {
-                    term: system.terms[i].clone(),
-                    surrogate: system.surrogates[i],
-                    blend: blend.clone(),
-                    setup: [scale, blur, thickness],
-                    limits: predicted(system.surrogates[i], system.terms[i].thickness_mm),
-                    parabola: None,
-                });
+                let term = whole.terms[i].clone();
+                let limits = predicted(whole.surrogates[i], term.thickness_mm);
+                let blend = Some(Blend { parts: parts.clone(), limits });
+                system.terms.push(Term { blend, ..term });
+                system.surrogates.push(whole.surrogates[i]);
+                system.slots.push(whole.slots[i]);
                 own.push(from.own[i].clone());
             }
         }
-        let state = State { x, own, cost: f64::INFINITY };
-        (Chart { members, unknowns }, state, inks)
+        (system, State { x, own, cost: f64::INFINITY }, inks)
     }
 
     /// Adds every ink in every channel.
@@ -317,15 +314,15 @@ impl<'a> Unmixing<'a, '_> {
     }
 
     /// Leaves out slabs whose media the dictionary does not have; false if there is none.
-    fn leave_out(&mut self, chart: &Chart, state: &State) -> Result<bool, Invalid> {
-        let mut members = chart.members.iter();
+    fn leave_out(&mut self, system: &System, state: &State) -> Result<bool, Invalid> {
+        let mut terms = 0..system.terms.len();
         let mut changed = false;
         for slab in self.slabs.iter_mut().filter(|s| s.left_out.is_none()) {
-            let of_slab: Vec<&Member> = members.by_ref().take(slab.terms.len()).collect();
-            if let Some(outside) = of_slab.iter().find_map(|m| outside(m, state)) {
-                slab.left_out = Some(outside);
-                changed = true;
-            }
+            let mut of_slab = terms.by_ref().take(slab.terms.len());
+            let left_out = of_slab.find_map(|i| outside(system, i, state));
+            of_slab.for_each(drop);
+            changed |= left_out.is_some();
+            slab.left_out = left_out;
         }
         if changed {
             check_rank(&self.slabs, self.inks)?;
@@ -334,9 +331,9 @@ impl<'a> Unmixing<'a, '_> {
     }
 }
 
-/// A chart at its minimum, and where its inks are.
+/// All profiles at their minimum, and where their inks are.
 struct Solved<'a> {
-    chart: Chart<'a>,
+    system: System<'a>,
     state: State,
     inks: Inks,
     common_g: bool,

@@ -116,6 +116,7 @@ impl<'a> ProfileData<'a> {
         ];
         let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
         Term {
+            blend: None,
             thickness_mm: self.profile.thickness_mm(),
             camera,
             values: scaled(self.profile.values()),

@@ -4,7 +4,8 @@ use nalgebra::{DMatrix, DVector};
 use optics_model::fit::{Interval, Z};
 
 use super::Line;
-use super::system::{Held, Normal, Quantity, State, System, Unknown, free, inverse_over};
+use super::quantity::Quantity;
+use super::system::{Held, Normal, State, System, Unknown, free, inverse_over};
 
 /// Cost by which descents may miss their minimum.
 const TOLERANCE: f64 = 0.02;

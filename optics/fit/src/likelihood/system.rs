@@ -3,12 +3,13 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 use rayon::prelude::*;
 
+use super::quantity::Quantity;
 use super::term::{Linear, Reduced, Term};
-use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point, ROOT_CO_ALBEDO, SHARED};
+use super::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, Point, SHARED};
 use crate::surrogate::Surrogate;
 
 /// Steps that one descent may take.
-const MOST_STEPS: usize = 40;
+const MOST_STEPS: usize = 60;
 /// Ridge, added to the information of every unknown when a step is taken, in units in which unknowns are of the order of
 /// 1. It keeps undetermined unknowns from dominating the step.
 const RIDGE: f64 = 0.1;
@@ -41,8 +42,8 @@ impl Coupling {
     }
 }
 
-/// Profiles, each with the unknowns that its shared ones are.
-#[derive(Debug)]
+/// Profiles, each with the unknowns that its shared ones are. Of profiles of mixtures the medium's follow from inks.
+#[derive(Debug, Clone)]
 pub(super) struct System<'a> {
     pub terms: Vec<Term>,
     pub surrogates: Vec<&'a Surrogate<'a>>,
@@ -58,55 +59,6 @@ pub(super) struct State {
     /// Each profile's own.
     pub own: Vec<Line>,
     pub cost: f64,
-}
-
-/// A function of a channel's medium whose value can be held.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Quantity {
-    /// One of the unknowns.
-    Unknown(usize),
-    /// ln σ_s(1 − g), of the medium at these unknowns.
-    ReducedScattering([usize; 3]),
-    /// √σ_a.
-    Absorption([usize; 3]),
-}
-
-impl Quantity {
-    pub(super) fn value(self, x: &DVector<f64>) -> f64 {
-        match self {
-            Self::Unknown(i) => x[i],
-            Self::ReducedScattering([s, a, g]) => (1.0 - x[a] * x[a]).max(1e-12).ln() + x[s] + x[g],
-            Self::Absorption([s, a, _]) => x[a] * (0.5 * x[s]).exp(),
-        }
-    }
-
-    pub(super) fn gradient(self, x: &DVector<f64>) -> DVector<f64> {
-        let mut gradient = DVector::zeros(x.len());
-        match self {
-            Self::Unknown(i) => gradient[i] = 1.0,
-            Self::ReducedScattering([s, a, g]) => {
-                (gradient[s], gradient[g]) = (1.0, 1.0);
-                gradient[a] = -2.0 * x[a] / (1.0 - x[a] * x[a]).max(1e-9);
-            }
-            Self::Absorption([s, a, _]) => {
-                let root = (0.5 * x[s]).exp();
-                (gradient[s], gradient[a]) = (0.5 * x[a] * root, root);
-            }
-        }
-        gradient
-    }
-
-    /// Of a channel's medium.
-    pub(super) fn all(slots: &[usize; SHARED]) -> [Self; 5] {
-        let medium = [slots[LN_SIGMA_T], slots[ROOT_CO_ALBEDO], slots[LN_ONE_MINUS_G]];
-        [
-            Self::Unknown(medium[0]),
-            Self::Unknown(medium[1]),
-            Self::Unknown(medium[2]),
-            Self::ReducedScattering(medium),
-            Self::Absorption(medium),
-        ]
-    }
 }
 
 /// A quantity held at a value, by a spring so stiff that it does not give.
@@ -127,7 +79,11 @@ pub(super) struct Normal {
 
 impl System<'_> {
     pub(super) fn point(&self, term: usize, x: &DVector<f64>) -> Point {
-        Point(self.slots[term].map(|slot| x[slot]))
+        let slots = &self.slots[term];
+        match &self.terms[term].blend {
+            None => Point(slots.map(|slot| x[slot])),
+            Some(blend) => Point(blend.place(slots, x).point),
+        }
     }
 
     /// The same with normal pixels and a dictionary without noise.
@@ -176,6 +132,17 @@ impl System<'_> {
         (self.cost(&state.x, &linear), self.normal(&state.x, &state.own, &linear))
     }
 
+    /// Looks up other thicknesses, and what the white reference does, again where the media now are.
+    pub(super) fn move_near(&mut self, x: &DVector<f64>) {
+        let points: Vec<Point> = (0..self.terms.len()).map(|i| self.point(i, x)).collect();
+        let each = self.terms.par_iter_mut().zip(&self.surrogates).zip(&points);
+        each.for_each(|((term, surrogate), point)| {
+            term.near = surrogate.near(term.thickness_mm, point.medium());
+            let white = term.white.as_ref();
+            term.white = white.and_then(|w| w.moved(surrogate, point.thickness_mm(), point.medium()));
+        });
+    }
+
     pub(super) fn normal(&self, x: &DVector<f64>, own: &[Line], linear: &[Linear]) -> Normal {
         let n = self.unknowns.len();
         let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
@@ -185,13 +152,8 @@ impl System<'_> {
         } else {
             (0..linear.len()).into_par_iter().map(one).collect()
         };
-        for (slots, reduced) in self.slots.iter().zip(&reduced) {
-            for (i, slot) in slots.iter().enumerate() {
-                downhill[*slot] += reduced.downhill[i];
-                for (j, other) in slots.iter().enumerate() {
-                    information[(*slot, *other)] += reduced.information[(i, j)];
-                }
-            }
+        for (i, reduced) in reduced.iter().enumerate() {
+            self.add_reduced(i, x, reduced, &mut information, &mut downhill);
         }
         for (i, unknown) in self.unknowns.iter().enumerate() {
             if let Some((mean, sd)) = unknown.prior.filter(|_| !unknown.held) {
@@ -204,6 +166,99 @@ impl System<'_> {
             information += &coupling.information;
         }
         Normal { information, downhill, reduced }
+    }
+
+    /// Adds what a profile says of the unknowns.
+    fn add_reduced(
+        &self,
+        term: usize,
+        x: &DVector<f64>,
+        reduced: &Reduced,
+        information: &mut DMatrix<f64>,
+        downhill: &mut DVector<f64>,
+    ) {
+        let mut add = |slots: &[usize], of_slots: &DMatrix<f64>, pull: &DVector<f64>| {
+            for (i, slot) in slots.iter().enumerate() {
+                downhill[*slot] += pull[i];
+                for (j, other) in slots.iter().enumerate() {
+                    information[(*slot, *other)] += of_slots[(i, j)];
+                }
+            }
+        };
+        match &self.terms[term].blend {
+            None => add(&self.slots[term], &reduced.information, &reduced.downhill),
+            Some(blend) => {
+                let place = blend.place(&self.slots[term], x);
+                let (through, slopes) = (place.slopes.transpose(), &place.slopes);
+                add(
+                    &place.slots,
+                    &(&through * &reduced.information * slopes),
+                    &(through * &reduced.downhill),
+                );
+            }
+        }
+    }
+
+    /// What some profiles say of the unknowns at a state.
+    pub(super) fn contribution(
+        &self,
+        terms: &[usize],
+        state: &State,
+        normal: &Normal,
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.unknowns.len();
+        let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        for i in terms {
+            self.add_reduced(*i, &state.x, &normal.reduced[*i], &mut information, &mut downhill);
+        }
+        (information, downhill)
+    }
+
+    /// The unknowns that some profiles share, rising.
+    pub(super) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
+        let of_term = |i: &usize| -> Vec<usize> {
+            match &self.terms[*i].blend {
+                None => self.slots[*i].to_vec(),
+                Some(blend) => blend.slots().chain(self.slots[*i][LN_SCALE..].iter().copied()).collect(),
+            }
+        };
+        let mut used: Vec<usize> = terms.iter().flat_map(of_term).collect();
+        used.sort_unstable();
+        used.dedup();
+        used
+    }
+
+    /// Some profiles as a system of their own at a state, with what the others say there as a quadratic, which counts by
+    /// `share`. Its unknowns are those of [`Self::used_by`].
+    pub(super) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
+        let used = self.used_by(terms);
+        let (own, own_downhill) = self.contribution(terms, state, normal);
+        let (mut rest, mut downhill) = (&normal.information - own, &normal.downhill - own_downhill);
+        for slot in &used {
+            if let Some((mean, sd)) = self.unknowns[*slot].prior.filter(|_| !self.unknowns[*slot].held) {
+                rest[(*slot, *slot)] -= 1.0 / (sd * sd);
+                downhill[*slot] += (state.x[*slot] - mean) / (sd * sd);
+            }
+        }
+        let others: Vec<usize> = self.free().into_iter().filter(|i| !used.contains(i)).collect();
+        let (information, downhill) = eliminate(&rest, &downhill, &used, &others);
+        let centre = DVector::from_iterator(used.len(), used.iter().map(|i| state.x[*i]));
+        let coupling =
+            Coupling { centre: centre.clone(), information: information * share, downhill: downhill * share };
+        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
+        let term = |i: &usize| {
+            let term = self.terms[*i].clone();
+            Term { blend: term.blend.as_ref().map(|blend| blend.renumbered(place)), ..term }
+        };
+        let system = Self {
+            terms: terms.iter().map(term).collect(),
+            surrogates: terms.iter().map(|i| self.surrogates[*i]).collect(),
+            slots: terms.iter().map(|i| self.slots[*i].each_ref().map(place)).collect(),
+            unknowns: used.iter().map(|i| self.unknowns[*i]).collect(),
+            coupling: Some(coupling),
+        };
+        let own = terms.iter().map(|i| state.own[*i].clone()).collect();
+        (system, State { x: centre, own, cost: f64::INFINITY })
     }
 
     /// Goes down to a minimum of −2 ln L, until a step lowers it by less than `tolerance`.
@@ -246,9 +301,16 @@ impl System<'_> {
 
     /// Moves a state, each profile's own unknowns following.
     pub(super) fn advance(&self, state: &mut State, normal: &Normal, step: &DVector<f64>) {
+        let from = state.x.clone();
         state.x = clamped(&self.unknowns, &state.x + step);
-        for ((slots, reduced), own) in self.slots.iter().zip(&normal.reduced).zip(&mut state.own) {
-            let shared = DVector::from_iterator(SHARED, slots.iter().map(|s| step[*s]));
+        for (i, (reduced, own)) in normal.reduced.iter().zip(&mut state.own).enumerate() {
+            let shared = match &self.terms[i].blend {
+                None => DVector::from_iterator(SHARED, self.slots[i].iter().map(|s| step[*s])),
+                Some(_) => {
+                    let (from, to) = (self.point(i, &from), self.point(i, &state.x));
+                    DVector::from_fn(SHARED, |k, _| to.0[k] - from.0[k])
+                }
+            };
             own.iter_mut().zip(reduced.own_step(&shared).iter()).for_each(|(w, d)| *w += d);
         }
     }
@@ -267,7 +329,9 @@ impl System<'_> {
             let at_end = x <= unknown.limits.0 || x >= unknown.limits.1;
             at_end && !unknown.held && quantity != Quantity::Unknown(*slot)
         };
-        let slots = self.slots.iter().flat_map(|slots| [slots[LN_SIGMA_T], slots[LN_ONE_MINUS_G]]);
+        // Inks may lie beyond the dictionary.
+        let direct = self.slots.iter().zip(&self.terms).filter(|(_, term)| term.blend.is_none());
+        let slots = direct.flat_map(|(slots, _)| [slots[LN_SIGMA_T], slots[LN_ONE_MINUS_G]]);
         let slots: Vec<usize> = slots.filter(ends).collect();
         if slots.is_empty() {
             return false;
@@ -368,4 +432,25 @@ pub(super) fn inverse_over(
 /// The rows and columns of these indices.
 pub(super) fn submatrix(matrix: &DMatrix<f64>, indices: &[usize]) -> DMatrix<f64> {
     DMatrix::from_fn(indices.len(), indices.len(), |i, j| matrix[(indices[i], indices[j])])
+}
+
+/// A quadratic over some unknowns that is left when others follow.
+pub(super) fn eliminate(
+    information: &DMatrix<f64>,
+    downhill: &DVector<f64>,
+    kept: &[usize],
+    others: &[usize],
+) -> (DMatrix<f64>, DVector<f64>) {
+    let inner = submatrix(information, kept);
+    let part =
+        |indices: &[usize]| DVector::from_iterator(indices.len(), indices.iter().map(|i| downhill[*i]));
+    let mixed = DMatrix::from_fn(others.len(), kept.len(), |i, k| information[(others[i], kept[k])]);
+    let ridge = DMatrix::identity(others.len(), others.len()) * 1e-9;
+    match Cholesky::new(submatrix(information, others) + ridge) {
+        Some(root) if !others.is_empty() => (
+            inner - mixed.transpose() * root.solve(&mixed),
+            part(kept) - mixed.transpose() * root.solve(&part(others)),
+        ),
+        _ => (inner, part(kept)),
+    }
 }

@@ -15,6 +15,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use optics_model::scene::DARKER_WHITE;
 
+use super::blend::Blend;
 use super::camera::Camera;
 use super::robust::{rho, weight};
 use super::{Line, Point, SHARED, blur};
@@ -41,6 +42,8 @@ pub(super) struct OwnPrior {
 
 #[derive(Debug, Clone)]
 pub(super) struct Term {
+    /// The inks that make the medium; none if the medium itself is unknown.
+    pub blend: Option<Blend>,
     /// Nominal, as told.
     pub thickness_mm: f64,
     pub camera: Camera,

@@ -1,13 +1,14 @@
 //! All channels of a set at their common minimum, and what each of them says there.
 
-use nalgebra::{Cholesky, DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix};
 use optics_model::fit::Interval;
 
 use crate::likelihood::chi2::exceedance;
 use crate::likelihood::problem::{Assembly, Sharing};
 use crate::likelihood::profile::{Profile, interval};
-use crate::likelihood::system::{Coupling, Normal, Quantity, State, System, submatrix};
-use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE, SHARED};
+use crate::likelihood::quantity::Quantity;
+use crate::likelihood::system::{Normal, State, System, eliminate};
+use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::surrogate::g;
 
 /// Cost by which the last descent of a channel may miss its minimum.
@@ -49,62 +50,17 @@ impl<'a> Joint<'a> {
         interval(profile.ends(Quantity::Unknown(slot), limits), g, true)
     }
 
-    /// What a channel's own profiles say, over all unknowns.
-    fn contribution(&self, channel: usize) -> (DMatrix<f64>, DVector<f64>) {
-        let n = self.state.x.len();
-        let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        for term in self.assembly.terms[channel].clone() {
-            let (slots, reduced) = (&self.assembly.system.slots[term], &self.normal.reduced[term]);
-            for i in 0..SHARED {
-                downhill[slots[i]] += reduced.downhill[i];
-                for k in 0..SHARED {
-                    information[(slots[i], slots[k])] += reduced.information[(i, k)];
-                }
-            }
-        }
-        (information, downhill)
-    }
-
-    fn used_by(&self, channel: usize) -> Vec<usize> {
-        let terms = self.assembly.terms[channel].clone();
-        let mut used: Vec<usize> = terms.flat_map(|t| self.assembly.system.slots[t]).collect();
-        used.sort_unstable();
-        used.dedup();
-        used
-    }
-
     /// A channel as a system of its own, with what the others say beside it.
     pub(super) fn channel(&self, channel: usize) -> (System<'a>, State) {
-        let whole = &self.assembly.system;
-        let used = self.used_by(channel);
-        let (own, own_downhill) = self.contribution(channel);
-        let (mut rest, mut downhill) = (&self.normal.information - own, &self.normal.downhill - own_downhill);
-        for slot in &used {
-            if let Some((mean, sd)) = whole.unknowns[*slot].prior.filter(|_| !whole.unknowns[*slot].held) {
-                rest[(*slot, *slot)] -= 1.0 / (sd * sd);
-                downhill[*slot] += (self.state.x[*slot] - mean) / (sd * sd);
-            }
-        }
-        let others: Vec<usize> = whole.free().into_iter().filter(|i| !used.contains(i)).collect();
-        let (information, downhill) = eliminate(&rest, &downhill, &used, &others);
-        let share = 1.0 / self.disagreement;
-        let centre = DVector::from_iterator(used.len(), used.iter().map(|i| self.state.x[*i]));
-        let coupling =
-            Coupling { centre: centre.clone(), information: information * share, downhill: downhill * share };
-        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
-        let terms = self.assembly.terms[channel].clone();
-        let mut system = System {
-            terms: whole.terms[terms.clone()].to_vec(),
-            surrogates: whole.surrogates[terms.clone()].to_vec(),
-            slots: whole.slots[terms.clone()].iter().map(|slots| slots.each_ref().map(place)).collect(),
-            unknowns: used.iter().map(|i| whole.unknowns[*i]).collect(),
-            coupling: Some(coupling),
-        };
+        let terms: Vec<usize> = self.assembly.terms[channel].clone().collect();
+        let (whole, share) = (&self.assembly.system, 1.0 / self.disagreement);
+        let (mut system, mut state) = whole.part(&terms, &self.state, &self.normal, share);
         // For its own medium, noise that others share counts once.
-        let mut own = self.state.own[terms].to_vec();
-        system.terms.iter_mut().zip(&mut own).for_each(|(term, own)| term.count_alike(own, 1.0));
+        system.terms.iter_mut().zip(&mut state.own).for_each(|(term, own)| term.count_alike(own, 1.0));
+        let used = whole.used_by(&terms);
+        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
         let common: Vec<usize> = self.common.iter().map(place).collect();
-        let state = descend_with(&mut system, State { x: centre, own, cost: f64::INFINITY }, &common);
+        let state = descend_with(&mut system, state, &common);
         (system, state)
     }
 
@@ -117,9 +73,11 @@ impl<'a> Joint<'a> {
             return 1.0;
         }
         let pull = |channel: usize| -> f64 {
-            let (mut information, downhill) = self.contribution(channel);
-            let others: Vec<usize> = self
-                .used_by(channel)
+            let terms: Vec<usize> = self.assembly.terms[channel].clone().collect();
+            let system = &self.assembly.system;
+            let (mut information, downhill) = system.contribution(&terms, &self.state, &self.normal);
+            let others: Vec<usize> = system
+                .used_by(&terms)
                 .into_iter()
                 .filter(|i| !unknowns[*i].held && !shared.contains(i))
                 .collect();
@@ -165,25 +123,4 @@ fn descend_with(system: &mut System, from: State, common: &[usize]) -> State {
         common.iter().filter(inwards).for_each(|i| coupling.downhill[*i] -= normal.downhill[*i]);
     }
     state
-}
-
-/// A quadratic over some unknowns that is left when others follow.
-fn eliminate(
-    information: &DMatrix<f64>,
-    downhill: &DVector<f64>,
-    kept: &[usize],
-    others: &[usize],
-) -> (DMatrix<f64>, DVector<f64>) {
-    let inner = submatrix(information, kept);
-    let part =
-        |indices: &[usize]| DVector::from_iterator(indices.len(), indices.iter().map(|i| downhill[*i]));
-    let mixed = DMatrix::from_fn(others.len(), kept.len(), |i, k| information[(others[i], kept[k])]);
-    let ridge = DMatrix::identity(others.len(), others.len()) * 1e-9;
-    match Cholesky::new(submatrix(information, others) + ridge) {
-        Some(root) if !others.is_empty() => (
-            inner - mixed.transpose() * root.solve(&mixed),
-            part(kept) - mixed.transpose() * root.solve(&part(others)),
-        ),
-        _ => (inner, part(kept)),
-    }
 }

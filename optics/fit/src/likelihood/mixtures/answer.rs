@@ -7,16 +7,18 @@ use optics_model::fit::{
 };
 use optics_model::{Invalid, Medium};
 
-use super::blend::{Blend, Ink, InkQuantity};
-use super::profile::Profile;
-use super::system::{Chart, Look, Normal};
-use super::{Slab, Solved};
+use super::{HARDLY, Slab, Solved};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::dictionary::sum::dot;
 use crate::likelihood::answer::is_resolved;
+use crate::likelihood::blend::{Ink, Part, ink_medium, unlimited};
 use crate::likelihood::chi2::exceedance;
-use crate::likelihood::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
+use crate::likelihood::profile::{End, Profile, interval};
+use crate::likelihood::quantity::Quantity;
+use crate::likelihood::system::{Normal, inverse_over_free};
+use crate::likelihood::term::Linear;
+use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Probability below which a disagreement is said to be more than noise.
@@ -38,7 +40,7 @@ pub(super) struct Solution<'a, 'b> {
     told: Told<'b>,
     slabs: &'b [Slab<'a>],
     solved: &'b Solved<'a>,
-    looks: Vec<Look>,
+    linear: Vec<Linear>,
     normal: Normal,
     covariance: DMatrix<f64>,
 }
@@ -49,14 +51,15 @@ impl<'a, 'b> Solution<'a, 'b> {
         slabs: &'b [Slab<'a>],
         solved: &'b Solved<'a>,
     ) -> Result<Self, Invalid> {
-        let Solved { chart, state, .. } = solved;
-        let looks = chart.look(&state.x, &state.own);
-        let normal = chart.normal(&state.x, &state.own, &looks);
-        let covariance = chart.covariance(&normal.information).ok_or_else(|| {
-            let allowed = "the slabs do not determine their inks: measure more, or in other fractions";
-            Invalid::new("mixtures", format!("{} inks", told.mixtures.inks().len()), allowed)
-        })?;
-        Ok(Self { told, slabs, solved, looks, normal, covariance })
+        let Solved { system, state, .. } = solved;
+        let linear = system.linear(&state.x, &state.own);
+        let normal = system.normal(&state.x, &state.own, &linear);
+        let covariance =
+            inverse_over_free(&system.unknowns, &normal.information, HARDLY).ok_or_else(|| {
+                let allowed = "the slabs do not determine their inks: measure more, or in other fractions";
+                Invalid::new("mixtures", format!("{} inks", told.mixtures.inks().len()), allowed)
+            })?;
+        Ok(Self { told, slabs, solved, linear, normal, covariance })
     }
 
     pub(super) fn answer(&self) -> Unmixed {
@@ -79,15 +82,9 @@ impl<'a, 'b> Solution<'a, 'b> {
     fn channel(&self, channel: usize, inks: &[Ink], common_g: Option<Interval>) -> (&str, Vec<InkChannel>) {
         let of_channel: Vec<&Slab> = self.slabs.iter().filter(|s| s.data.channel == channel).collect();
         let name = of_channel[0].data.name;
-        let chart = self.chart_of(channel);
-        let profile = Profile {
-            chart: &chart,
-            optimum: &self.solved.state,
-            covariance: &self.covariance,
-            inflation: self.disagreement(channel),
-        };
+        let intervals = self.intervals(channel, inks, common_g);
         let one = |(i, ink): (usize, &Ink)| {
-            let found = profile.intervals(*ink, common_g);
+            let found = &intervals[i];
             let x = &self.solved.state.x;
             // Of an absorber it is 1 − α that must be known, as of others α.
             let a = found.albedo;
@@ -96,7 +93,7 @@ impl<'a, 'b> Solution<'a, 'b> {
                 is_resolved(&found.sigma_t_per_mm, &a) || is_resolved(&found.sigma_t_per_mm, &co_albedo);
             InkChannel {
                 channel: name.to_owned(),
-                medium: medium(InkQuantity::medium(*ink, x)),
+                medium: medium(ink_medium(*ink, x)),
                 sigma_t_per_mm: found.sigma_t_per_mm,
                 albedo: found.albedo,
                 g: found.g,
@@ -116,20 +113,31 @@ impl<'a, 'b> Solution<'a, 'b> {
         self.slabs.iter().zip(self.told.fits).any(|(slab, fit)| pure(slab) && resolved(fit))
     }
 
-    /// The chart with all other channels as parabolas: they speak of what is shared only.
-    fn chart_of(&self, channel: usize) -> Chart<'a> {
-        let mut chart = self.solved.chart.clone();
-        for (slab, members) in self.members() {
-            for i in members.filter(|_| slab.data.channel != channel) {
-                if let Some(reduced) = &self.normal.reduced[i] {
-                    chart.members[i].parabola = Some(Chart::parabola(&self.looks[i], reduced));
-                }
-            }
-        }
-        chart
+    /// Of the inks of a channel, whose profiles are a system of their own: the others speak of what is shared only.
+    fn intervals(&self, channel: usize, inks: &[Ink], common_g: Option<Interval>) -> Vec<InkIntervals> {
+        let Solved { system: whole, state, .. } = self.solved;
+        let of_channel = self.members().filter(|(slab, _)| slab.data.channel == channel);
+        let terms: Vec<usize> = of_channel.flat_map(|(_, members)| members).collect();
+        let (system, mut optimum) = whole.part(&terms, state, &self.normal, 1.0);
+        let (cost, normal) = system.look(&optimum);
+        optimum.cost = cost;
+        let used = whole.used_by(&terms);
+        let covariance = inverse_over_free(&system.unknowns, &normal.information, HARDLY);
+        let covariance =
+            covariance.unwrap_or_else(|| DMatrix::from_element(used.len(), used.len(), f64::INFINITY));
+        let inflation = self.disagreement(channel);
+        let profile = Profile {
+            system: &system,
+            optimum: &optimum,
+            normal: &normal,
+            covariance: &covariance,
+            inflation,
+        };
+        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
+        inks.iter().map(|ink| InkIntervals::of(&profile, ink.each_ref().map(place), common_g)).collect()
     }
 
-    /// Slabs that were not left out, and their profiles among the members of the chart.
+    /// Slabs that were not left out, and their profiles among those of the system.
     fn members(&self) -> impl Iterator<Item = (&'b Slab<'a>, std::ops::Range<usize>)> {
         let mut first = 0;
         self.slabs.iter().filter(|s| s.left_out.is_none()).map(move |slab| {
@@ -142,7 +150,7 @@ impl<'a, 'b> Solution<'a, 'b> {
     /// χ² of what the profiles of a slab by themselves say of its σ_t and α against what the inks say.
     fn pull(&self, members: std::ops::Range<usize>) -> f64 {
         let (mut information, mut downhill) = (Matrix2::zeros(), Vector2::zeros());
-        for reduced in self.normal.reduced[members].iter().flatten() {
+        for reduced in &self.normal.reduced[members] {
             information += reduced.information.fixed_view::<2, 2>(0, 0);
             downhill += reduced.downhill.fixed_rows::<2>(0);
         }
@@ -171,9 +179,8 @@ impl<'a, 'b> Solution<'a, 'b> {
     fn chi2(&self, members: std::ops::Range<usize>) -> (f64, f64) {
         let (mut chi2, mut pixels) = (0.0, 0.0);
         for i in members {
-            let Some(linear) = &self.looks[i].linear else { continue };
-            let left_out = &self.solved.chart.members[i].term.left_out;
-            for (r, _) in linear.residuals.iter().zip(left_out).filter(|(_, out)| !**out) {
+            let left_out = &self.solved.system.terms[i].left_out;
+            for (r, _) in self.linear[i].residuals.iter().zip(left_out).filter(|(_, out)| !**out) {
                 chi2 += r * r;
                 pixels += 1.0;
             }
@@ -194,7 +201,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         let inks = of_channel.map_or(&[][..], |(_, inks)| inks);
         let names = self.told.mixtures.inks();
         let parts = || slab.fractions.iter().enumerate().filter(|(_, f)| **f > 0.0);
-        let blend = Blend(parts().map(|(i, f)| super::Part { fraction: *f, ink: inks[i] }).collect());
+        let blend = unlimited(parts().map(|(i, f)| Part { fraction: *f, ink: inks[i] }).collect());
         MixtureFit {
             material: slab.material.clone(),
             channel: slab.data.name.to_owned(),
@@ -206,7 +213,7 @@ impl<'a, 'b> Solution<'a, 'b> {
     }
 
     fn common(&self) -> Common {
-        let scale = self.solved.chart.members[0].setup[0];
+        let scale = self.solved.system.slots[0][LN_SCALE];
         let x = &self.solved.state.x;
         let widened = |slot: usize| {
             let worst = self.solved.inks.iter().map(|(c, _)| self.disagreement(*c)).fold(1.0, f64::max);
@@ -230,7 +237,7 @@ impl<'a, 'b> Solution<'a, 'b> {
 
     /// Linear in ln(1 − g).
     fn g_interval(&self, slot: usize, x: &DVector<f64>, deviation: f64) -> Interval {
-        let (least, greatest) = self.solved.chart.unknowns[slot].limits;
+        let (least, greatest) = self.solved.system.unknowns[slot].limits;
         let (low, high) = (x[slot] - Z * deviation, x[slot] + Z * deviation);
         Interval {
             low: g(high.min(greatest)),
@@ -244,4 +251,40 @@ impl<'a, 'b> Solution<'a, 'b> {
 fn medium(x: [f64; 3]) -> Medium {
     let (sigma_t, albedo) = (sigma_t(x[LN_SIGMA_T]), albedo(x[ROOT_CO_ALBEDO].clamp(0.0, 1.0)));
     Medium::new(sigma_t, albedo, g(x[LN_ONE_MINUS_G])).expect("inks are kept within what media may be")
+}
+
+/// The intervals of an ink's σ_t, α, g, σ_s (1 − g) and σ_a.
+#[derive(Debug)]
+struct InkIntervals {
+    sigma_t_per_mm: Interval,
+    albedo: Interval,
+    g: Interval,
+    reduced_scattering_per_mm: Interval,
+    absorption_per_mm: Interval,
+}
+
+impl InkIntervals {
+    fn of(profile: &Profile, ink: Ink, common_g: Option<Interval>) -> Self {
+        let [s, a, g_] = ink.map(|slot| profile.system.unknowns[slot].limits);
+        let limits =
+            [(s.0 + a.0 * a.0, s.1 + a.1 * a.1), (0.0, 1.0), g_, (s.0 * g_.0.exp(), s.1 * g_.1.exp()), a];
+        let quantities = Quantity::of_ink(ink);
+        let ends = |i: usize| -> [End; 2] { profile.ends(quantities[i], limits[i]) };
+        let positive = |v: f64| v.max(0.0);
+        Self {
+            sigma_t_per_mm: from_nothing(interval(ends(0), positive, false)),
+            albedo: Interval {
+                open_high: false,
+                ..from_nothing(interval(ends(1), |x| albedo(x.clamp(0.0, 1.0)), true))
+            },
+            g: common_g.unwrap_or_else(|| interval(ends(2), g, true)),
+            reduced_scattering_per_mm: from_nothing(interval(ends(3), positive, false)),
+            absorption_per_mm: from_nothing(interval(ends(4), |x| positive(x).powi(2), false)),
+        }
+    }
+}
+
+/// The lower end of a search at nothing is one of the quantity: nothing scatters or absorbs less.
+fn from_nothing(found: Interval) -> Interval {
+    Interval { open_low: false, ..found }
 }

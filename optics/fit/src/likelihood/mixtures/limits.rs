@@ -1,8 +1,7 @@
 //! Which media the dictionary predicts for a slab, and what to compute where it does not.
 
-use super::system::Member;
 use crate::dictionary::axes::list;
-use crate::likelihood::system::State;
+use crate::likelihood::system::{State, System};
 use crate::likelihood::{LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::surrogate::{Surrogate, albedo, sigma_t};
 
@@ -19,16 +18,18 @@ pub(super) fn predicted(surrogate: &Surrogate, thickness_mm: f64) -> [(f64, f64)
 }
 
 /// Why the dictionary does not predict a profile, if it does not.
-pub(super) fn outside(member: &Member, state: &State) -> Option<String> {
-    let medium = member.blend.at(&state.x).medium;
-    let [along, (_, dark), _] = member.limits;
-    let grid = member.surrogate.grid();
+pub(super) fn outside(system: &System, term: usize, state: &State) -> Option<String> {
+    let (surrogate, term) = (system.surrogates[term], &system.terms[term]);
+    let blend = term.blend.as_ref()?;
+    let medium = blend.at(&state.x).medium;
+    let [along, (_, dark), _] = blend.limits;
+    let grid = surrogate.grid();
     let told = |name: &str, value: f64, axis: &[f64], range: String| {
         let value = (value * 1e4).round() / 1e4;
         format!(
             "{name} = {value} at {} mm lies outside of the dictionary's {range}: `farmctl submit GRID.toml` computes one \
              that reaches it if the grid file adds {value} to {name} = [{}]",
-            member.term.thickness_mm,
+            term.thickness_mm,
             list(axis)
         )
     };

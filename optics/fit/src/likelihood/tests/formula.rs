@@ -116,7 +116,7 @@ fn noise_is_estimated_where_it_is_not_told() {
     let told = refined(&dictionary, m, 7, Some(0.3));
     let silent = fit(&dictionary, &noisy_measurement(m, 7, false), &options(Some(0.3))).unwrap();
     let silent = silent.channels[0].refined.clone().unwrap();
-    assert_eq!(told.best, silent.best);
+    assert!(silent.sigma_t_per_mm.contains(told.best.medium.sigma_t_per_mm()), "{silent:?}");
     let ratio = silent.measurement_noise / told.measurement_noise;
     // 360 pixels tell a standard deviation to 6 %; one number stands for a noise that is a share of the value.
     assert!((0.75..1.25).contains(&ratio), "{ratio}");

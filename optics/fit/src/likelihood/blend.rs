@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::likelihood::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
+use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, LN_THICKNESS, ROOT_CO_ALBEDO, SHARED};
 
 /// Slots of an ink's σ_s, √σ_a and ln(1 − g) among the unknowns.
 pub(super) type Ink = [usize; 3];
@@ -20,7 +20,19 @@ pub(super) struct Part {
 
 /// What a profile's medium is made of.
 #[derive(Debug, Clone)]
-pub(super) struct Blend(pub Vec<Part>);
+pub(super) struct Blend {
+    pub parts: Vec<Part>,
+    /// What the dictionary predicts, in its coordinates. Beyond it a profile stays as it is at the end.
+    pub limits: [(f64, f64); 3],
+}
+
+/// A profile's shared unknowns at some place of the system's, and their derivatives by those in `slots`.
+#[derive(Debug)]
+pub(super) struct Place {
+    pub point: [f64; SHARED],
+    pub slots: Vec<usize>,
+    pub slopes: DMatrix<f64>,
+}
 
 /// A medium in the coordinates of the dictionary, and its derivatives by the inks' coordinates: three columns a part.
 #[derive(Debug)]
@@ -32,27 +44,27 @@ pub(super) struct Blended {
 impl Blend {
     /// The slots of the columns of [`Blended::slopes`].
     pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
-        self.0.iter().flat_map(|part| part.ink)
+        self.parts.iter().flat_map(|part| part.ink)
     }
 
     /// With σ_s = Σ f σ_s,i, σ_a = Σ f σ_a,i and r = Σ f σ_s,i (1 − g_i): ln σ_t, √(σ_a/σ_t), ln(r/σ_s).
     pub(super) fn at(&self, x: &DVector<f64>) -> Blended {
         let (mut scattering, mut absorption, mut reduced) = (0.0, 0.0, 0.0);
-        for Part { fraction, ink: [s, a, g] } in &self.0 {
+        for Part { fraction, ink: [s, a, g] } in &self.parts {
             scattering += fraction * x[*s];
             absorption += fraction * x[*a] * x[*a];
             reduced += fraction * x[*s] * x[*g].exp();
         }
         let sigma_t = scattering + absorption;
         let root = (absorption / sigma_t).sqrt();
-        let mut slopes = DMatrix::zeros(3, 3 * self.0.len());
+        let mut slopes = DMatrix::zeros(3, 3 * self.parts.len());
         let mut column = |k: usize, [ds, da, dr]: [f64; 3]| {
             slopes[(LN_SIGMA_T, k)] = (ds + da) / sigma_t;
             slopes[(ROOT_CO_ALBEDO, k)] =
                 (scattering * da - absorption * ds) / (2.0 * root * sigma_t * sigma_t);
             slopes[(LN_ONE_MINUS_G, k)] = dr / reduced - ds / scattering;
         };
-        for (k, Part { fraction, ink: [s, a, g] }) in self.0.iter().enumerate() {
+        for (k, Part { fraction, ink: [s, a, g] }) in self.parts.iter().enumerate() {
             let factor = x[*g].exp();
             column(3 * k, [*fraction, 0.0, fraction * factor]);
             column(3 * k + 1, [0.0, 2.0 * fraction * x[*a], 0.0]);
@@ -60,68 +72,49 @@ impl Blend {
         }
         Blended { medium: [sigma_t.ln(), root, (reduced / scattering).ln()], slopes }
     }
+
+    /// With the slots of the factor on μ, of the blur and of the slab's thickness.
+    pub(super) fn place(&self, slots: &[usize; SHARED], x: &DVector<f64>) -> Place {
+        let blended = self.at(x);
+        let parts = 3 * self.parts.len();
+        let set_up = [LN_SCALE, BLUR, LN_THICKNESS];
+        let used: Vec<usize> = self.slots().chain(set_up.map(|i| slots[i])).collect();
+        let mut slopes = DMatrix::zeros(SHARED, used.len());
+        let mut point = [0.0; SHARED];
+        for (i, (low, high)) in self.limits.into_iter().enumerate() {
+            point[i] = blended.medium[i].clamp(low, high);
+            if point[i] == blended.medium[i] {
+                slopes.view_mut((i, 0), (1, parts)).copy_from(&blended.slopes.row(i));
+            }
+        }
+        for (k, i) in set_up.into_iter().enumerate() {
+            point[i] = x[slots[i]];
+            slopes[(i, parts + k)] = 1.0;
+        }
+        Place { point, slots: used, slopes }
+    }
+
+    /// The same with other slots.
+    pub(super) fn renumbered(&self, slot: impl Fn(&usize) -> usize) -> Self {
+        let part = |part: &Part| Part { ink: part.ink.each_ref().map(&slot), ..*part };
+        Self { parts: self.parts.iter().map(part).collect(), limits: self.limits }
+    }
 }
 
-/// A function of an ink's coordinates whose interval is wanted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum InkQuantity {
-    SigmaT(Ink),
-    /// √(1 − α).
-    RootCoAlbedo(Ink),
-    LnOneMinusG(Ink),
-    ReducedScattering(Ink),
-    RootAbsorption(Ink),
+/// An ink's own medium in the coordinates of the dictionary.
+pub(super) fn ink_medium(ink: Ink, x: &DVector<f64>) -> [f64; 3] {
+    unlimited(vec![Part { fraction: 1.0, ink }]).at(x).medium
 }
 
-impl InkQuantity {
-    pub(super) fn all(ink: Ink) -> [Self; 5] {
-        [
-            Self::SigmaT(ink),
-            Self::RootCoAlbedo(ink),
-            Self::LnOneMinusG(ink),
-            Self::ReducedScattering(ink),
-            Self::RootAbsorption(ink),
-        ]
-    }
-
-    /// The ink's own medium in the coordinates of the dictionary.
-    pub(super) fn medium(ink: Ink, x: &DVector<f64>) -> [f64; 3] {
-        Blend(vec![Part { fraction: 1.0, ink }]).at(x).medium
-    }
-
-    pub(super) fn value(self, x: &DVector<f64>) -> f64 {
-        match self {
-            Self::SigmaT([s, a, _]) => x[s] + x[a] * x[a],
-            Self::RootCoAlbedo([s, a, _]) => x[a] / (x[s] + x[a] * x[a]).sqrt(),
-            Self::LnOneMinusG([.., g]) => x[g],
-            Self::ReducedScattering([s, _, g]) => x[s] * x[g].exp(),
-            Self::RootAbsorption([_, a, _]) => x[a],
-        }
-    }
-
-    pub(super) fn gradient(self, x: &DVector<f64>) -> DVector<f64> {
-        let mut gradient = DVector::zeros(x.len());
-        match self {
-            Self::SigmaT([s, a, _]) => (gradient[s], gradient[a]) = (1.0, 2.0 * x[a]),
-            Self::RootCoAlbedo([s, a, _]) => {
-                let sigma_t = x[s] + x[a] * x[a];
-                let cubed = sigma_t * sigma_t.sqrt();
-                (gradient[s], gradient[a]) = (-0.5 * x[a] / cubed, x[s] / cubed);
-            }
-            Self::LnOneMinusG([.., g]) => gradient[g] = 1.0,
-            Self::ReducedScattering([s, _, g]) => {
-                let factor = x[g].exp();
-                (gradient[s], gradient[g]) = (factor, x[s] * factor);
-            }
-            Self::RootAbsorption([_, a, _]) => gradient[a] = 1.0,
-        }
-        gradient
-    }
+/// A mixture that need not be one that the dictionary predicts.
+pub(super) fn unlimited(parts: Vec<Part>) -> Blend {
+    Blend { parts, limits: [(f64::NEG_INFINITY, f64::INFINITY); 3] }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::likelihood::quantity::Quantity;
 
     fn unknowns() -> DVector<f64> {
         DVector::from_vec(vec![5.994, 0.0735, -0.511, 0.45, 2.924, -0.4])
@@ -142,7 +135,7 @@ mod tests {
     fn a_mixture_adds_scattering_and_absorption() {
         let x = unknowns();
         let part = |fraction: f64, first: usize| Part { fraction, ink: [first, first + 1, first + 2] };
-        let blend = Blend(vec![part(0.75, 0), part(0.25, 3)]);
+        let blend = unlimited(vec![part(0.75, 0), part(0.25, 3)]);
         let [ln_sigma_t, root, ln_one_minus_g] = blend.at(&x).medium;
         let (s, a) = (0.75 * x[0] + 0.25 * x[3], 0.75 * x[1] * x[1] + 0.25 * x[4] * x[4]);
         let g = 1.0 - (0.75 * x[0] * x[2].exp() + 0.25 * x[3] * x[5].exp()) / s;
@@ -159,7 +152,7 @@ mod tests {
 
     #[test]
     fn gradients_of_quantities_are_their_slopes() {
-        for quantity in InkQuantity::all([0, 1, 2]).into_iter().chain(InkQuantity::all([3, 4, 5])) {
+        for quantity in Quantity::of_ink([0, 1, 2]).into_iter().chain(Quantity::of_ink([3, 4, 5])) {
             let expected = differences(|x| quantity.value(x));
             for (found, expected) in quantity.gradient(&unknowns()).iter().zip(expected) {
                 assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{quantity:?}");

@@ -1,0 +1,85 @@
+//! Functions of the unknowns whose intervals are wanted.
+
+use nalgebra::DVector;
+
+use super::blend::Ink;
+use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO, SHARED};
+
+/// A function of the unknowns whose value can be held.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Quantity {
+    /// One of the unknowns.
+    Unknown(usize),
+    /// ln σ_s(1 − g), of the medium at these unknowns.
+    ReducedScattering([usize; 3]),
+    /// √σ_a.
+    Absorption([usize; 3]),
+    /// σ_t of an ink.
+    InkSigmaT(Ink),
+    /// √(1 − α).
+    InkRootCoAlbedo(Ink),
+    /// σ_s(1 − g).
+    InkReducedScattering(Ink),
+}
+
+impl Quantity {
+    pub(super) fn value(self, x: &DVector<f64>) -> f64 {
+        match self {
+            Self::Unknown(i) => x[i],
+            Self::ReducedScattering([s, a, g]) => (1.0 - x[a] * x[a]).max(1e-12).ln() + x[s] + x[g],
+            Self::Absorption([s, a, _]) => x[a] * (0.5 * x[s]).exp(),
+            Self::InkSigmaT([s, a, _]) => x[s] + x[a] * x[a],
+            Self::InkRootCoAlbedo([s, a, _]) => x[a] / (x[s] + x[a] * x[a]).sqrt(),
+            Self::InkReducedScattering([s, _, g]) => x[s] * x[g].exp(),
+        }
+    }
+
+    pub(super) fn gradient(self, x: &DVector<f64>) -> DVector<f64> {
+        let mut gradient = DVector::zeros(x.len());
+        match self {
+            Self::Unknown(i) => gradient[i] = 1.0,
+            Self::ReducedScattering([s, a, g]) => {
+                (gradient[s], gradient[g]) = (1.0, 1.0);
+                gradient[a] = -2.0 * x[a] / (1.0 - x[a] * x[a]).max(1e-9);
+            }
+            Self::Absorption([s, a, _]) => {
+                let root = (0.5 * x[s]).exp();
+                (gradient[s], gradient[a]) = (0.5 * x[a] * root, root);
+            }
+            Self::InkSigmaT([s, a, _]) => (gradient[s], gradient[a]) = (1.0, 2.0 * x[a]),
+            Self::InkRootCoAlbedo([s, a, _]) => {
+                let sigma_t = x[s] + x[a] * x[a];
+                let cubed = sigma_t * sigma_t.sqrt();
+                (gradient[s], gradient[a]) = (-0.5 * x[a] / cubed, x[s] / cubed);
+            }
+            Self::InkReducedScattering([s, _, g]) => {
+                let factor = x[g].exp();
+                (gradient[s], gradient[g]) = (factor, x[s] * factor);
+            }
+        }
+        gradient
+    }
+
+    /// Of a channel's medium.
+    pub(super) fn all(slots: &[usize; SHARED]) -> [Self; 5] {
+        let medium = [slots[LN_SIGMA_T], slots[ROOT_CO_ALBEDO], slots[LN_ONE_MINUS_G]];
+        [
+            Self::Unknown(medium[0]),
+            Self::Unknown(medium[1]),
+            Self::Unknown(medium[2]),
+            Self::ReducedScattering(medium),
+            Self::Absorption(medium),
+        ]
+    }
+
+    /// σ_t, √(1 − α), ln(1 − g), σ_s(1 − g) and √σ_a of an ink.
+    pub(super) fn of_ink(ink: Ink) -> [Self; 5] {
+        [
+            Self::InkSigmaT(ink),
+            Self::InkRootCoAlbedo(ink),
+            Self::Unknown(ink[2]),
+            Self::InkReducedScattering(ink),
+            Self::Unknown(ink[1]),
+        ]
+    }
+}
