@@ -7,14 +7,14 @@ use optics_model::fit::{
 use optics_model::{Grid, Medium};
 
 use super::bound::{bound, ideal_covariance};
-use super::channel::held_at;
 use super::chi2::exceedance;
 use super::problem::ChannelData;
 use super::profile::{Profile, interval};
 use super::quantity::Quantity;
 use super::residuals::{clustering, outliers, stretches};
-use super::system::{Normal, State, System, inverse_over_free};
+use super::system::{Normal, State, System};
 use super::term::Linear;
+use super::unknowns::inverse_over_free;
 use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, ROOT_CO_ALBEDO, SHARED};
 use crate::dictionary::axes::held;
 use crate::dictionary::sum::{dot, rms};
@@ -277,7 +277,7 @@ impl Found<'_, '_> {
                 (slots[ROOT_CO_ALBEDO], (1.0 - albedo).sqrt()),
                 (slots[LN_ONE_MINUS_G], (1.0 - anisotropy).ln()),
             ];
-            let state = held_at(self.system, self.state, &places);
+            let state = self.system.held_at(self.state, &places);
             let linear = self.system.linear(&state.x, &state.own);
             let cost: f64 = linear.iter().map(|l| l.cost).sum();
             let mut thicknesses = self.errors(&linear);

@@ -10,8 +10,9 @@ use optics_model::fit::{ErrorSource, SourceShare};
 
 use super::answer::Found;
 use super::quantity::Quantity;
-use super::system::{Normal, inverse_over};
+use super::system::Normal;
 use super::term::{Linear, Own};
+use super::unknowns::inverse_over;
 use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS, SHARED};
 use crate::dictionary::sum::dot;
 

@@ -7,8 +7,9 @@ use optics_model::fit::{HalfWidths, PixelRow};
 use super::bound::{bound, ideal_covariance};
 use super::camera::Camera;
 use super::quantity::Quantity;
-use super::system::{State, System, Unknown};
+use super::system::{State, System};
 use super::term::{Own, OwnPrior, Term, White};
+use super::unknowns::Unknown;
 use super::{Line, blur};
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
 

@@ -19,11 +19,10 @@ use rayon::prelude::*;
 
 use super::LN_SCALE;
 use super::answer::Found;
-use super::channel::{leave_out_specks_by_neighbours, place_edges, settle};
 use super::outside;
 use super::problem::{ChannelData, Sharing, assemble};
 use super::start::{Scan, Start};
-use super::system::inverse_over_free;
+use super::unknowns::inverse_over_free;
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::surrogate::{Surrogate, g};
@@ -188,13 +187,10 @@ impl<'a> Set<'a> {
         let surrogates: Vec<&Surrogate> =
             self.surrogates.iter().zip(&starts).map(|(s, start)| &s[start.ior]).collect();
         let media: Vec<[f64; 3]> = starts.iter().map(|s| s.medium).collect();
-        let (mut assembly, mut state) = assemble(&self.channels, &surrogates, &media, cell.scale, sharing);
-        leave_out_specks_by_neighbours(&mut assembly.system);
-        place_edges(&assembly.system, &mut state);
-        let state = assembly.system.descend(state, None, ROUGHLY);
-        let state = settle(&mut assembly.system, state);
-        let linear = assembly.system.linear(&state.x, &state.own);
-        let normal = assembly.system.normal(&state.x, &state.own, &linear);
+        let (mut assembly, state) = assemble(&self.channels, &surrogates, &media, cell.scale, sharing);
+        let state = assembly.system.approach(state, ROUGHLY);
+        let state = assembly.system.settle(state);
+        let (_, normal) = assembly.system.look(&state);
         // Some materials may leave their own media open.
         let covariance = inverse_over_free(&assembly.system.unknowns, &normal.information, 1e-9);
         let iors = starts.iter().map(|s| s.ior).collect();

@@ -20,12 +20,12 @@ use optics_model::fit::{ChannelFit, FitOptions, MeasurePlan, Measured, Mixtures,
 use optics_model::{Invalid, Measurement};
 
 use super::blend::{Blend, Ink, Part};
-use super::channel::{leave_out_specks_by_neighbours, settle};
 use super::joint::{all_channels, scales};
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
 use super::quantity::Quantity;
-use super::system::{State, System, Unknown, inverse_over_free};
+use super::system::{State, System};
 use super::term::Term;
+use super::unknowns::{Unknown, inverse_over_free};
 use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
@@ -90,9 +90,8 @@ pub(crate) fn unmix(
     let scale = (measured.common.mu / options.settings().mu).ln();
     let surrogates: Vec<&Surrogate> = models.iter().collect();
     let (mut assembly, state) = assemble(&channels, &surrogates, &media, scale, sharing);
-    leave_out_specks_by_neighbours(&mut assembly.system);
-    let state = assembly.system.descend(state, None, ROUGHLY);
-    let state = settle(&mut assembly.system, state);
+    let state = assembly.system.approach(state, ROUGHLY);
+    let state = assembly.system.settle(state);
     let slabs = slabs(channels, &mixed, mixtures, &assembly, &state);
     check_rank(&slabs, &inks)?;
     let unmixing = Unmixing { inks: &inks, slabs, assembly: &assembly, common_g: sharing.g };

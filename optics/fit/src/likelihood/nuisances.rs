@@ -4,8 +4,8 @@ use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate};
 
 use super::answer::Found;
-use super::system::submatrix;
 use super::term::{Own, Reduced};
+use super::unknowns::submatrix;
 use super::{BLUR, LN_SCALE, LN_THICKNESS, blur};
 
 impl Found<'_, '_> {

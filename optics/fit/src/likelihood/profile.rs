@@ -5,7 +5,8 @@ use optics_model::fit::{Interval, Z};
 
 use super::Line;
 use super::quantity::Quantity;
-use super::system::{Held, Normal, State, System, Unknown, free, inverse_over};
+use super::system::{Held, Normal, State, System};
+use super::unknowns::{Unknown, free, inverse_over};
 
 /// Cost by which descents may miss their minimum.
 const TOLERANCE: f64 = 0.02;

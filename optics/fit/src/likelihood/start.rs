@@ -11,6 +11,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use optics_model::MeasuredProfile;
 
 use super::Line;
+use super::descent::Descent;
 use super::form::{Form, Loose, loose_columns, smoothed, without_specks};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::view::View;
@@ -26,8 +27,9 @@ const BLOCK: usize = 256;
 const MINIMA: usize = 24;
 /// A minimum of media is hopeless if it is higher than the lowest by this factor, and by this much.
 const HOPELESS: (f64, f64) = (4.0, 200.0);
-/// Steps of a descent in the basis.
-const STEPS: usize = 12;
+/// Descents in the basis.
+const DESCENT: Descent =
+    Descent { most_steps: 12, damping: (1e-3, 0.0, 1e3), factors: (10.0, 0.1), tolerance: 0.01 };
 
 /// A profile to be compressed; its values and errors are multiplied by μ.
 #[derive(Debug, Clone, Copy)]
@@ -308,64 +310,54 @@ impl Scan<'_> {
         region.g.clone().filter_map(best).map(start).collect()
     }
 
-    /// Gauss–Newton with damping in the basis.
-    fn descend(
-        &self,
-        surrogate: &Surrogate,
-        ior: usize,
-        mut x: [f64; 3],
-        held: [bool; 3],
-        scale: f64,
-    ) -> Start {
-        let left: f64 = self.terms.iter().map(|t| t.left(scale)).sum();
-        let at = |x: [f64; 3]| {
-            let (mut cost, mut downhill, mut normal) = (left, Vector3::zeros(), Matrix3::zeros());
-            for term in &self.terms {
-                let (residuals, slopes) = term.residuals(&self.view, surrogate, x, scale);
-                cost += residuals.dot(&residuals);
-                downhill -= Vector3::from_iterator((slopes.transpose() * &residuals).iter().copied());
-                let square = slopes.transpose() * &slopes;
-                normal += Matrix3::from_fn(|i, j| square[(i, j)]);
-            }
-            (cost, downhill, normal)
+    /// The minimum in the basis below a place.
+    fn descend(&self, surrogate: &Surrogate, ior: usize, x: [f64; 3], held: [bool; 3], scale: f64) -> Start {
+        let start = self.parabola(surrogate, x, scale);
+        let step = |from: &Parabola, damping: f64| {
+            Some(self.parabola(surrogate, self.step(from, held, damping)?, scale))
         };
-        let (mut cost, mut downhill, mut normal) = at(x);
-        let mut damping = 1e-3;
-        for _ in 0..STEPS {
-            let mut matrix = normal;
-            let mut pull = downhill;
-            for i in 0..3 {
-                let (low, high) = self.region.limits[i];
-                let out = (x[i] <= low && pull[i] < 0.0) || (x[i] >= high && pull[i] > 0.0);
-                matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
-                if held[i] || out {
-                    for j in 0..3 {
-                        (matrix[(i, j)], matrix[(j, i)]) = (0.0, 0.0);
-                    }
-                    (matrix[(i, i)], pull[i]) = (1.0, 0.0);
+        let found = DESCENT.run(start, |p| p.cost, step);
+        Start { medium: found.x, ior, cost: found.cost }
+    }
+
+    /// −2 ln L at a place, with half of its derivatives there.
+    fn parabola(&self, surrogate: &Surrogate, x: [f64; 3], scale: f64) -> Parabola {
+        let cost = self.terms.iter().map(|t| t.left(scale)).sum();
+        let mut all = Parabola { x, cost, downhill: Vector3::zeros(), normal: Matrix3::zeros() };
+        for term in &self.terms {
+            let (residuals, slopes) = term.residuals(&self.view, surrogate, x, scale);
+            all.cost += residuals.dot(&residuals);
+            all.downhill -= Vector3::from_iterator((slopes.transpose() * &residuals).iter().copied());
+            let square = slopes.transpose() * &slopes;
+            all.normal += Matrix3::from_fn(|i, j| square[(i, j)]);
+        }
+        all
+    }
+
+    /// Where a damped step leads that does not leave the limits.
+    fn step(&self, from: &Parabola, held: [bool; 3], damping: f64) -> Option<[f64; 3]> {
+        let (x, mut matrix, mut pull) = (from.x, from.normal, from.downhill);
+        for i in 0..3 {
+            let (low, high) = self.region.limits[i];
+            let out = (x[i] <= low && pull[i] < 0.0) || (x[i] >= high && pull[i] > 0.0);
+            matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + 1e-9;
+            if held[i] || out {
+                for j in 0..3 {
+                    (matrix[(i, j)], matrix[(j, i)]) = (0.0, 0.0);
                 }
-            }
-            let Some(inverse) = matrix.try_inverse() else { break };
-            let step = inverse * pull;
-            let there: [f64; 3] = std::array::from_fn(|i| {
-                (x[i] + step[i]).clamp(self.region.limits[i].0, self.region.limits[i].1)
-            });
-            let new = at(there);
-            let gain = cost - new.0;
-            if gain < 0.0 {
-                if damping > 1e3 || gain > -0.01 {
-                    break;
-                }
-                damping *= 10.0;
-                continue;
-            }
-            x = there;
-            (cost, downhill, normal) = new;
-            damping *= 0.1;
-            if gain < 0.01 {
-                break;
+                (matrix[(i, i)], pull[i]) = (1.0, 0.0);
             }
         }
-        Start { medium: x, ior, cost }
+        let step = matrix.try_inverse()? * pull;
+        let limits = &self.region.limits;
+        Some(std::array::from_fn(|i| (x[i] + step[i]).clamp(limits[i].0, limits[i].1)))
     }
+}
+
+/// −2 ln L in the basis at a place, and half of its derivatives by the medium.
+struct Parabola {
+    x: [f64; 3],
+    cost: f64,
+    downhill: Vector3<f64>,
+    normal: Matrix3<f64>,
 }

@@ -1,30 +1,22 @@
 //! Profiles that share unknowns, and the descent to the least −2 ln L of all of them together.
 
-use nalgebra::{Cholesky, DMatrix, DVector};
+use std::cell::OnceCell;
+
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use super::descent::Descent;
 use super::quantity::Quantity;
 use super::term::{Linear, Reduced, Term};
-use super::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, Point, SHARED};
+use super::unknowns::{Unknown, clamped, damped_step, free, inverse_over_free};
+use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point, SHARED};
 use crate::surrogate::Surrogate;
 
-/// Steps that one descent may take.
-const MOST_STEPS: usize = 60;
-/// Ridge, added to the information of every unknown when a step is taken, in units in which unknowns are of the order of
-/// 1. It keeps undetermined unknowns from dominating the step.
-const RIDGE: f64 = 0.1;
+/// Descents of all unknowns.
+const DESCENT: Descent =
+    Descent { most_steps: 60, damping: (1e-9, 1e-4, 1e6), factors: (30.0, 0.03), tolerance: 0.0 };
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;
-
-/// A quantity that profiles share.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Unknown {
-    /// Mean and standard deviation of what is known beforehand.
-    pub prior: Option<(f64, f64)>,
-    pub limits: (f64, f64),
-    /// It cannot move: it was told, or the dictionary has one value only.
-    pub held: bool,
-}
 
 /// What other measurements say of the unknowns: a quadratic about a centre.
 #[derive(Debug, Clone)]
@@ -75,6 +67,13 @@ pub(super) struct Normal {
     pub information: DMatrix<f64>,
     pub downhill: DVector<f64>,
     pub reduced: Vec<Reduced>,
+}
+
+/// A state on the way down; the parabola there is taken if it is needed.
+struct Place {
+    state: State,
+    linear: Vec<Linear>,
+    normal: OnceCell<Normal>,
 }
 
 impl System<'_> {
@@ -169,7 +168,7 @@ impl System<'_> {
     }
 
     /// Adds what a profile says of the unknowns.
-    fn add_reduced(
+    pub(super) fn add_reduced(
         &self,
         term: usize,
         x: &DVector<f64>,
@@ -199,104 +198,26 @@ impl System<'_> {
         }
     }
 
-    /// What some profiles say of the unknowns at a state.
-    pub(super) fn contribution(
-        &self,
-        terms: &[usize],
-        state: &State,
-        normal: &Normal,
-    ) -> (DMatrix<f64>, DVector<f64>) {
-        let n = self.unknowns.len();
-        let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        for i in terms {
-            self.add_reduced(*i, &state.x, &normal.reduced[*i], &mut information, &mut downhill);
-        }
-        (information, downhill)
-    }
-
-    /// The unknowns that some profiles share, rising.
-    pub(super) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
-        let of_term = |i: &usize| -> Vec<usize> {
-            match &self.terms[*i].blend {
-                None => self.slots[*i].to_vec(),
-                Some(blend) => blend.slots().chain(self.slots[*i][LN_SCALE..].iter().copied()).collect(),
-            }
-        };
-        let mut used: Vec<usize> = terms.iter().flat_map(of_term).collect();
-        used.sort_unstable();
-        used.dedup();
-        used
-    }
-
-    /// Some profiles as a system of their own at a state, with what the others say there as a quadratic, which counts by
-    /// `share`. Its unknowns are those of [`Self::used_by`].
-    pub(super) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
-        let used = self.used_by(terms);
-        let (own, own_downhill) = self.contribution(terms, state, normal);
-        let (mut rest, mut downhill) = (&normal.information - own, &normal.downhill - own_downhill);
-        for slot in &used {
-            if let Some((mean, sd)) = self.unknowns[*slot].prior.filter(|_| !self.unknowns[*slot].held) {
-                rest[(*slot, *slot)] -= 1.0 / (sd * sd);
-                downhill[*slot] += (state.x[*slot] - mean) / (sd * sd);
-            }
-        }
-        let others: Vec<usize> = self.free().into_iter().filter(|i| !used.contains(i)).collect();
-        let (information, downhill) = eliminate(&rest, &downhill, &used, &others);
-        let centre = DVector::from_iterator(used.len(), used.iter().map(|i| state.x[*i]));
-        let coupling =
-            Coupling { centre: centre.clone(), information: information * share, downhill: downhill * share };
-        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
-        let term = |i: &usize| {
-            let term = self.terms[*i].clone();
-            Term { blend: term.blend.as_ref().map(|blend| blend.renumbered(place)), ..term }
-        };
-        let system = Self {
-            terms: terms.iter().map(term).collect(),
-            surrogates: terms.iter().map(|i| self.surrogates[*i]).collect(),
-            slots: terms.iter().map(|i| self.slots[*i].each_ref().map(place)).collect(),
-            unknowns: used.iter().map(|i| self.unknowns[*i]).collect(),
-            coupling: Some(coupling),
-        };
-        let own = terms.iter().map(|i| state.own[*i].clone()).collect();
-        (system, State { x: centre, own, cost: f64::INFINITY })
-    }
-
-    /// Goes down to a minimum of −2 ln L, until a step lowers it by less than `tolerance`.
+    /// The minimum of −2 ln L below a state, with a quantity held; steps end that lower it by less than `tolerance`.
     pub(super) fn descend(&self, from: State, held: Option<&Held>, tolerance: f64) -> State {
         let spring =
             |x: &DVector<f64>| held.map_or(0.0, |h| h.stiffness * (h.quantity.value(x) - h.at).powi(2));
-        let mut state = from;
-        let mut linear = self.linear(&state.x, &state.own);
-        state.cost = self.cost(&state.x, &linear);
-        let mut total = state.cost + spring(&state.x);
-        let mut damping = 1e-9;
-        let mut normal = self.normal(&state.x, &state.own, &linear);
-        for _ in 0..MOST_STEPS {
-            let Some(step) = self.step(&state.x, &normal, held, damping) else { break };
-            let x = clamped(&self.unknowns, &state.x + step);
-            let moved = &x - &state.x;
+        let total = |place: &Place| place.state.cost + spring(&place.state.x);
+        let step = |from: &Place, damping: f64| {
+            let Place { state, linear, normal } = from;
+            let normal = normal.get_or_init(|| self.normal(&state.x, &state.own, linear));
+            let x = clamped(&self.unknowns, &state.x + self.step(&state.x, normal, held, damping)?);
             let mut there = state.clone();
-            self.advance(&mut there, &normal, &moved);
-            let own = there.own;
-            let new_linear = self.linear(&x, &own);
-            let cost = self.cost(&x, &new_linear);
-            let gain = total - cost - spring(&x);
-            if gain.is_nan() || gain < 0.0 {
-                if gain > -tolerance || damping > 1e6 {
-                    break;
-                }
-                damping = (damping * 30.0).max(1e-4);
-                continue;
-            }
-            total = cost + spring(&x);
-            (state, linear) = (State { x, own, cost }, new_linear);
-            damping *= 0.03;
-            if gain < tolerance {
-                break;
-            }
-            normal = self.normal(&state.x, &state.own, &linear);
-        }
-        state
+            self.advance(&mut there, normal, &(&x - &state.x));
+            Some(self.place(State { x, ..there }))
+        };
+        Descent { tolerance, ..DESCENT }.run(self.place(from), total, step).state
+    }
+
+    fn place(&self, mut state: State) -> Place {
+        let linear = self.linear(&state.x, &state.own);
+        state.cost = self.cost(&state.x, &linear);
+        Place { state, linear, normal: OnceCell::new() }
     }
 
     /// Moves a state, each profile's own unknowns following.
@@ -363,94 +284,5 @@ impl System<'_> {
     /// The inverse of an information matrix over the unknowns that can move; zeros elsewhere. None if it is singular.
     pub(super) fn covariance(&self, information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         inverse_over_free(&self.unknowns, information, 0.0)
-    }
-}
-
-/// Indices of the unknowns that can move.
-pub(super) fn free(unknowns: &[Unknown]) -> Vec<usize> {
-    (0..unknowns.len()).filter(|i| !unknowns[*i].held).collect()
-}
-
-pub(super) fn clamped(unknowns: &[Unknown], mut x: DVector<f64>) -> DVector<f64> {
-    for (x, unknown) in x.iter_mut().zip(unknowns) {
-        *x = x.clamp(unknown.limits.0, unknown.limits.1);
-    }
-    x
-}
-
-/// A damped Gauss–Newton step of the unknowns that can move and are not pulled over their limits.
-pub(super) fn damped_step(
-    unknowns: &[Unknown],
-    x: &DVector<f64>,
-    information: &DMatrix<f64>,
-    downhill: &DVector<f64>,
-    damping: f64,
-) -> Option<DVector<f64>> {
-    let inwards = |i: &usize| {
-        let (low, high) = unknowns[*i].limits;
-        !((x[*i] <= low && downhill[*i] < 0.0) || (x[*i] >= high && downhill[*i] > 0.0))
-    };
-    let free: Vec<usize> = free(unknowns).into_iter().filter(inwards).collect();
-    let mut matrix = submatrix(information, &free);
-    for i in 0..free.len() {
-        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + RIDGE;
-    }
-    let pull = DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i]));
-    let solved = Cholesky::new(matrix)?.solve(&pull);
-    let mut step = DVector::zeros(x.len());
-    free.iter().zip(solved.iter()).for_each(|(i, s)| step[*i] = *s);
-    Some(step)
-}
-
-/// The inverse of an information matrix over the unknowns that can move, a little being added to each; zeros elsewhere.
-pub(super) fn inverse_over_free(
-    unknowns: &[Unknown],
-    information: &DMatrix<f64>,
-    ridge: f64,
-) -> Option<DMatrix<f64>> {
-    inverse_over(&free(unknowns), information, ridge)
-}
-
-/// The same over these unknowns.
-pub(super) fn inverse_over(
-    indices: &[usize],
-    information: &DMatrix<f64>,
-    ridge: f64,
-) -> Option<DMatrix<f64>> {
-    let mut matrix = submatrix(information, indices);
-    (0..indices.len()).for_each(|i| matrix[(i, i)] += ridge);
-    let small = Cholesky::new(matrix)?.inverse();
-    let mut whole = DMatrix::zeros(information.nrows(), information.nrows());
-    for (i, to_i) in indices.iter().enumerate() {
-        for (j, to_j) in indices.iter().enumerate() {
-            whole[(*to_i, *to_j)] = small[(i, j)];
-        }
-    }
-    Some(whole)
-}
-
-/// The rows and columns of these indices.
-pub(super) fn submatrix(matrix: &DMatrix<f64>, indices: &[usize]) -> DMatrix<f64> {
-    DMatrix::from_fn(indices.len(), indices.len(), |i, j| matrix[(indices[i], indices[j])])
-}
-
-/// A quadratic over some unknowns that is left when others follow.
-pub(super) fn eliminate(
-    information: &DMatrix<f64>,
-    downhill: &DVector<f64>,
-    kept: &[usize],
-    others: &[usize],
-) -> (DMatrix<f64>, DVector<f64>) {
-    let inner = submatrix(information, kept);
-    let part =
-        |indices: &[usize]| DVector::from_iterator(indices.len(), indices.iter().map(|i| downhill[*i]));
-    let mixed = DMatrix::from_fn(others.len(), kept.len(), |i, k| information[(others[i], kept[k])]);
-    let ridge = DMatrix::identity(others.len(), others.len()) * 1e-9;
-    match Cholesky::new(submatrix(information, others) + ridge) {
-        Some(root) if !others.is_empty() => (
-            inner - mixed.transpose() * root.solve(&mixed),
-            part(kept) - mixed.transpose() * root.solve(&part(others)),
-        ),
-        _ => (inner, part(kept)),
     }
 }

@@ -7,7 +7,8 @@ use crate::likelihood::chi2::exceedance;
 use crate::likelihood::problem::{Assembly, Sharing};
 use crate::likelihood::profile::{Profile, interval};
 use crate::likelihood::quantity::Quantity;
-use crate::likelihood::system::{Normal, State, System, eliminate};
+use crate::likelihood::system::{Normal, State, System};
+use crate::likelihood::unknowns::eliminate;
 use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::surrogate::g;
 

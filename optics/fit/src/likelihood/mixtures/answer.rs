@@ -16,8 +16,9 @@ use crate::likelihood::blend::{Ink, Part, ink_medium, unlimited};
 use crate::likelihood::chi2::exceedance;
 use crate::likelihood::profile::{End, Profile, interval};
 use crate::likelihood::quantity::Quantity;
-use crate::likelihood::system::{Normal, inverse_over_free};
+use crate::likelihood::system::Normal;
 use crate::likelihood::term::Linear;
+use crate::likelihood::unknowns::inverse_over_free;
 use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::surrogate::{albedo, g, sigma_t};
 

@@ -1,0 +1,72 @@
+//! Some of a system's profiles as a system of their own.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::LN_SCALE;
+use super::system::{Coupling, Normal, State, System};
+use super::term::Term;
+use super::unknowns::eliminate;
+
+impl System<'_> {
+    /// What some profiles say of the unknowns at a state.
+    pub(super) fn contribution(
+        &self,
+        terms: &[usize],
+        state: &State,
+        normal: &Normal,
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.unknowns.len();
+        let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        for i in terms {
+            self.add_reduced(*i, &state.x, &normal.reduced[*i], &mut information, &mut downhill);
+        }
+        (information, downhill)
+    }
+
+    /// The unknowns that some profiles share, rising.
+    pub(super) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
+        let of_term = |i: &usize| -> Vec<usize> {
+            match &self.terms[*i].blend {
+                None => self.slots[*i].to_vec(),
+                Some(blend) => blend.slots().chain(self.slots[*i][LN_SCALE..].iter().copied()).collect(),
+            }
+        };
+        let mut used: Vec<usize> = terms.iter().flat_map(of_term).collect();
+        used.sort_unstable();
+        used.dedup();
+        used
+    }
+
+    /// Some profiles as a system of their own at a state, with what the others say there as a quadratic, which counts by
+    /// `share`. Its unknowns are those of [`Self::used_by`].
+    pub(super) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
+        let used = self.used_by(terms);
+        let (own, own_downhill) = self.contribution(terms, state, normal);
+        let (mut rest, mut downhill) = (&normal.information - own, &normal.downhill - own_downhill);
+        for slot in &used {
+            if let Some((mean, sd)) = self.unknowns[*slot].prior.filter(|_| !self.unknowns[*slot].held) {
+                rest[(*slot, *slot)] -= 1.0 / (sd * sd);
+                downhill[*slot] += (state.x[*slot] - mean) / (sd * sd);
+            }
+        }
+        let others: Vec<usize> = self.free().into_iter().filter(|i| !used.contains(i)).collect();
+        let (information, downhill) = eliminate(&rest, &downhill, &used, &others);
+        let centre = DVector::from_iterator(used.len(), used.iter().map(|i| state.x[*i]));
+        let coupling =
+            Coupling { centre: centre.clone(), information: information * share, downhill: downhill * share };
+        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
+        let term = |i: &usize| {
+            let term = self.terms[*i].clone();
+            Term { blend: term.blend.as_ref().map(|blend| blend.renumbered(place)), ..term }
+        };
+        let system = Self {
+            terms: terms.iter().map(term).collect(),
+            surrogates: terms.iter().map(|i| self.surrogates[*i]).collect(),
+            slots: terms.iter().map(|i| self.slots[*i].each_ref().map(place)).collect(),
+            unknowns: used.iter().map(|i| self.unknowns[*i]).collect(),
+            coupling: Some(coupling),
+        };
+        let own = terms.iter().map(|i| state.own[*i].clone()).collect();
+        (system, State { x: centre, own, cost: f64::INFINITY })
+    }
+}

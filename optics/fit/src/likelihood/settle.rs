@@ -1,0 +1,165 @@
+//! The steps from a first minimum of a system to its last: the noise of the records, and dust.
+
+use nalgebra::{Cholesky, DVector};
+use rayon::prelude::*;
+
+use super::Line;
+use super::form::without_specks;
+use super::records_noise::Modes;
+use super::robust::{is_dust, specks};
+use super::system::{State, System};
+use super::term::{Own, White};
+use super::unknowns::submatrix;
+use crate::surrogate::NoisePlace;
+use crate::surrogate::thickness::NearThickness;
+
+/// Cost by which a rough descent, and the last one, may miss their minimum.
+const ROUGHLY: f64 = 0.5;
+const WELL: f64 = 0.003;
+/// How far an unknown may move before what depends on where the state is is looked at again: a hundredth of σ_t, say.
+const FAR: f64 = 0.01;
+/// How far off in mm a descent finds an edge from where it was told.
+const FAR_MM: f64 = 0.06;
+/// By this factor the noise is made smaller at a time, on the way to a model without dust.
+const HARDER: f64 = 0.4;
+
+impl System<'_> {
+    /// A first minimum below a state, without the noise of records: pixels apart from their neighbours are left out, and edges
+    /// are looked for.
+    pub(super) fn approach(&mut self, mut state: State, tolerance: f64) -> State {
+        self.leave_out_specks_by_neighbours();
+        self.place_edges(&mut state);
+        self.descend(state, None, tolerance)
+    }
+
+    /// From a rough minimum to the last: with the noise of the records about, and without dust.
+    pub(super) fn settle(&mut self, mut state: State) -> State {
+        self.add_modes(&mut state);
+        let modes_at = state.clone();
+        for term in &mut self.terms {
+            term.robust = true;
+            term.left_out.fill(false);
+        }
+        // Dust pulls at a first model, and what is dust is not plain before there is a good one: so the noise is taken to be
+        // as large as most residuals are, and made smaller step by step.
+        let mut softness = f64::INFINITY;
+        while softness > 1.0 {
+            softness = (HARDER * softness).min(self.typical_residual(&state)).max(1.0);
+            self.terms.iter_mut().for_each(|term| term.softness = softness);
+            state = self.descend(state, None, ROUGHLY);
+        }
+        for _ in 0..2 {
+            if self.leave_out_specks(&state) {
+                state = self.descend(state, None, WELL);
+            }
+        }
+        let far = |a: &State, b: &State| (&a.x - &b.x).amax() > FAR;
+        if far(&state, &modes_at) {
+            self.add_modes(&mut state);
+            state = self.descend(state, None, WELL);
+        }
+        state
+    }
+
+    /// The state with some unknowns moved and held there, all else following in one step.
+    pub(super) fn held_at(&self, state: &State, places: &[(usize, f64)]) -> State {
+        let mut x: DVector<f64> = state.x.clone();
+        for (i, value) in places {
+            x[*i] = *value;
+        }
+        let others: Vec<usize> =
+            self.free().into_iter().filter(|i| places.iter().all(|(held, _)| held != i)).collect();
+        let linear = self.linear(&x, &state.own);
+        let normal = self.normal(&x, &state.own, &linear);
+        let mut there = State { x, ..state.clone() };
+        let mut step = DVector::zeros(there.x.len());
+        if let Some(root) = Cholesky::new(submatrix(&normal.information, &others)) {
+            let pull = DVector::from_iterator(others.len(), others.iter().map(|i| normal.downhill[*i]));
+            others.iter().zip(root.solve(&pull).iter()).for_each(|(i, s)| step[*i] = *s);
+        }
+        self.advance(&mut there, &normal, &step);
+        there
+    }
+
+    /// Until there is a model, a pixel lies apart if its neighbours do not go along.
+    fn leave_out_specks_by_neighbours(&mut self) {
+        for term in &mut self.terms {
+            term.left_out = without_specks(&term.values, &term.std_errors).iter().map(|c| !c).collect();
+        }
+    }
+
+    /// Looks along each profile for its edge, if it may lie so far off that a descent would not find it.
+    fn place_edges(&self, state: &mut State) {
+        for (i, (term, own)) in self.terms.iter().zip(&mut state.own).enumerate() {
+            let origin = term.priors.iter().position(|p| p.own == Own::Origin && p.std_error > FAR_MM);
+            let Some(origin) = origin else { continue };
+            let point = self.point(i, &state.x);
+            let steps = (2.5 * term.priors[origin].std_error / FAR_MM).ceil() as i32;
+            let cost = |step: i32| {
+                let mut there = own.clone();
+                there[origin] = f64::from(step) * FAR_MM / term.priors[origin].std_error;
+                (term.linear(self.surrogates[i], &point, &there).cost, there)
+            };
+            let best = (-steps..=steps).map(cost).min_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((_, there)) = best {
+                *own = there;
+            }
+        }
+    }
+
+    /// What depends on where the state is, for every profile: the records' noise, the part of other thicknesses, and what the
+    /// white reference does.
+    fn add_modes(&mut self, state: &mut State) {
+        let modes = |i: usize| {
+            let (term, point) = (&self.terms[i], self.point(i, &state.x));
+            let noise = self.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
+            let origin = term.origin_mm(&state.own[i]);
+            let near = self.surrogates[i].near(term.thickness_mm, point.medium());
+            let white = term.white.as_ref();
+            let white = white.and_then(|w| w.moved(self.surrogates[i], point.thickness_mm(), point.medium()));
+            (Modes::new(&noise, &term.camera, origin, &term.std_errors), near, white)
+        };
+        let found: Vec<(Modes, Option<NearThickness>, Option<White>)> =
+            (0..self.terms.len()).into_par_iter().map(modes).collect();
+        for ((term, own), (found, near, white)) in self.terms.iter_mut().zip(&mut state.own).zip(found) {
+            (term.near, term.white) = (near, white);
+            own.truncate(term.priors.len());
+            own.resize(term.priors.len() + found.modes.len(), 0.0);
+            (term.modes, term.rest_variances, term.alike) = (found.modes, found.rest_variances, 1.0);
+        }
+        let places: Vec<NoisePlace> = (0..self.terms.len())
+            .map(|i| {
+                let point = self.point(i, &state.x);
+                self.surrogates[i].noise_at(point.thickness_mm(), point.medium())
+            })
+            .collect();
+        for (i, (term, own)) in self.terms.iter_mut().zip(&mut state.own).enumerate() {
+            term.count_alike(own, places.iter().map(|other| places[i].in_common(other)).sum());
+        }
+    }
+
+    /// What the standard deviation of residuals would be if those of most pixels were normal, in that of the noise.
+    fn typical_residual(&self, state: &State) -> f64 {
+        let linear = self.linear(&state.x, &state.own);
+        let median = |residuals: &Line| {
+            let mut sizes: Line = residuals.iter().map(|r| r.abs()).collect();
+            sizes.sort_by(f64::total_cmp);
+            1.4826 * sizes[sizes.len() / 2]
+        };
+        linear.iter().map(|l| median(&l.residuals)).fold(0.0, f64::max)
+    }
+
+    /// Leaves out the pixels that do not belong to their profiles; false if they are the same as before.
+    fn leave_out_specks(&mut self, state: &State) -> bool {
+        let linear = self.linear(&state.x, &state.own);
+        let mut changed = false;
+        for (term, linear) in self.terms.iter_mut().zip(linear) {
+            let found = specks(&linear.residuals);
+            let dusty = is_dust(&found);
+            let left_out = if dusty { found } else { vec![false; linear.residuals.len()] };
+            changed |= left_out != term.left_out || dusty != term.robust;
+            (term.left_out, term.robust) = (left_out, dusty);
+        }
+        changed
+    }
+}

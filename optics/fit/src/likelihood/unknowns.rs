@@ -1,0 +1,106 @@
+//! Unknowns with their priors and limits, and the linear algebra of a quadratic form in them.
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+
+/// Ridge, added to the information of every unknown when a step is taken, in units in which unknowns are of the order of
+/// 1. It keeps undetermined unknowns from dominating the step.
+const RIDGE: f64 = 0.1;
+
+/// A quantity that profiles share.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Unknown {
+    /// Mean and standard deviation of what is known beforehand.
+    pub prior: Option<(f64, f64)>,
+    pub limits: (f64, f64),
+    /// It cannot move: it was told, or the dictionary has one value only.
+    pub held: bool,
+}
+
+/// Indices of the unknowns that can move.
+pub(super) fn free(unknowns: &[Unknown]) -> Vec<usize> {
+    (0..unknowns.len()).filter(|i| !unknowns[*i].held).collect()
+}
+
+pub(super) fn clamped(unknowns: &[Unknown], mut x: DVector<f64>) -> DVector<f64> {
+    for (x, unknown) in x.iter_mut().zip(unknowns) {
+        *x = x.clamp(unknown.limits.0, unknown.limits.1);
+    }
+    x
+}
+
+/// A damped Gauss–Newton step of the unknowns that can move and are not pulled over their limits.
+pub(super) fn damped_step(
+    unknowns: &[Unknown],
+    x: &DVector<f64>,
+    information: &DMatrix<f64>,
+    downhill: &DVector<f64>,
+    damping: f64,
+) -> Option<DVector<f64>> {
+    let inwards = |i: &usize| {
+        let (low, high) = unknowns[*i].limits;
+        !((x[*i] <= low && downhill[*i] < 0.0) || (x[*i] >= high && downhill[*i] > 0.0))
+    };
+    let free: Vec<usize> = free(unknowns).into_iter().filter(inwards).collect();
+    let mut matrix = submatrix(information, &free);
+    for i in 0..free.len() {
+        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + RIDGE;
+    }
+    let pull = DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i]));
+    let solved = Cholesky::new(matrix)?.solve(&pull);
+    let mut step = DVector::zeros(x.len());
+    free.iter().zip(solved.iter()).for_each(|(i, s)| step[*i] = *s);
+    Some(step)
+}
+
+/// The inverse of an information matrix over the unknowns that can move, a little being added to each; zeros elsewhere.
+pub(super) fn inverse_over_free(
+    unknowns: &[Unknown],
+    information: &DMatrix<f64>,
+    ridge: f64,
+) -> Option<DMatrix<f64>> {
+    inverse_over(&free(unknowns), information, ridge)
+}
+
+/// The same over these unknowns.
+pub(super) fn inverse_over(
+    indices: &[usize],
+    information: &DMatrix<f64>,
+    ridge: f64,
+) -> Option<DMatrix<f64>> {
+    let mut matrix = submatrix(information, indices);
+    (0..indices.len()).for_each(|i| matrix[(i, i)] += ridge);
+    let small = Cholesky::new(matrix)?.inverse();
+    let mut whole = DMatrix::zeros(information.nrows(), information.nrows());
+    for (i, to_i) in indices.iter().enumerate() {
+        for (j, to_j) in indices.iter().enumerate() {
+            whole[(*to_i, *to_j)] = small[(i, j)];
+        }
+    }
+    Some(whole)
+}
+
+/// The rows and columns of these indices.
+pub(super) fn submatrix(matrix: &DMatrix<f64>, indices: &[usize]) -> DMatrix<f64> {
+    DMatrix::from_fn(indices.len(), indices.len(), |i, j| matrix[(indices[i], indices[j])])
+}
+
+/// A quadratic over some unknowns that is left when others follow.
+pub(super) fn eliminate(
+    information: &DMatrix<f64>,
+    downhill: &DVector<f64>,
+    kept: &[usize],
+    others: &[usize],
+) -> (DMatrix<f64>, DVector<f64>) {
+    let inner = submatrix(information, kept);
+    let part =
+        |indices: &[usize]| DVector::from_iterator(indices.len(), indices.iter().map(|i| downhill[*i]));
+    let mixed = DMatrix::from_fn(others.len(), kept.len(), |i, k| information[(others[i], kept[k])]);
+    let ridge = DMatrix::identity(others.len(), others.len()) * 1e-9;
+    match Cholesky::new(submatrix(information, others) + ridge) {
+        Some(root) if !others.is_empty() => (
+            inner - mixed.transpose() * root.solve(&mixed),
+            part(kept) - mixed.transpose() * root.solve(&part(others)),
+        ),
+        _ => (inner, part(kept)),
+    }
+}
