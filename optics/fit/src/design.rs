@@ -73,15 +73,15 @@ fn check_guess(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// The dictionary's pixels if none are told.
-fn pixels(grid: &Grid, told: Option<PixelRow>) -> Result<PixelRow, Invalid> {
+/// The dictionary's pixels if none are given.
+fn pixels(grid: &Grid, given: Option<PixelRow>) -> Result<PixelRow, Invalid> {
     let half = 0.5 * grid.scene().sensor().width_mm();
-    let Some(told) = told else { return own_pixels(grid) };
-    if told.from_mm() < -half - 1e-9 || told.to_mm() > half + 1e-9 {
-        let given = format!("{} to {}", told.from_mm(), told.to_mm());
+    let Some(row) = given else { return own_pixels(grid) };
+    if row.from_mm() < -half - 1e-9 || row.to_mm() > half + 1e-9 {
+        let given = format!("{} to {}", row.from_mm(), row.to_mm());
         return Err(Invalid::new("pixels", given, format!("the dictionary covers {} to {half} mm", -half)));
     }
-    Ok(told)
+    Ok(row)
 }
 
 /// The sets that were asked for, or those of up to three of the dictionary's thicknesses, fewer if they would be many.

@@ -38,7 +38,7 @@ impl DictionaryBuilder {
         Self::of_channels(Arc::new(grid), channels)
     }
 
-    /// For some channels of the grid's scene, told by their indices.
+    /// For some channels of the grid's scene, by their indices.
     pub fn of_channels(grid: Arc<Grid>, channels: impl IntoIterator<Item = usize>) -> Self {
         let channels = channels.into_iter().map(|index| (index, Records::new(grid.clone()))).collect();
         let present = vec![false; grid.record_count()];
@@ -111,7 +111,7 @@ pub struct FitDictionary {
 }
 
 impl FitDictionary {
-    /// Those channels of a grid's scene that are told with their indices.
+    /// These channels of a grid's scene, with their indices.
     pub fn of_channels(grid: Arc<Grid>, given: impl IntoIterator<Item = (usize, FitChannel)>) -> Self {
         let mut channels = vec![None; grid.scene().channels().len()];
         for (index, channel) in given {

@@ -1,4 +1,4 @@
-//! The likelihood of a measurement, with what is wrong with every set-up estimated beside the medium.
+//! The likelihood of a measurement, with the errors of the set-up estimated together with the medium.
 //!
 //! −2 ln L of all pixels and priors is minimised over the medium, and over the quantities of the set-up that are not known
 //! exactly: a common factor, the camera's blur, the thickness of every slab, and of every profile its origin, gain, zero

@@ -102,7 +102,7 @@ impl<'a> Surrogate<'a> {
         }
     }
 
-    /// The same over a board whose ρ were measured with a darker white reference, if the scene tells.
+    /// The same over a board whose ρ were measured with a darker white reference, if the scene has them.
     pub(crate) fn under_darker_white(&self) -> Option<Self> {
         let channel = self.grid().scene().under_darker_white(self.channel)?;
         Some(Self::new(self.dictionary, channel, self.ior))
@@ -139,7 +139,7 @@ impl<'a> Surrogate<'a> {
         ]
     }
 
-    /// Number of a record, told by its place on the axes.
+    /// Number of a record, by its place on the axes.
     fn record(&self, [sigma_t, g, thickness, albedo]: [usize; 4]) -> usize {
         self.dictionary.grid().record_at(self.ior, sigma_t, g, thickness, albedo)
     }

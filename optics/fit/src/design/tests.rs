@@ -125,7 +125,7 @@ fn twice_the_shots_take_a_factor_of_root_two_from_noise_alone() {
     }
 }
 
-/// Whatever a set tells, a set with more slabs tells as well.
+/// A set with more slabs determines a medium at least as well.
 #[test]
 fn more_slabs_never_hurt() {
     let dictionary = dictionary(dense_axes());
@@ -151,8 +151,8 @@ fn more_slabs_never_hurt() {
     }
 }
 
-/// The measurement as it is planned, without the noise that its standard errors tell, so that a fit finds the guess. The
-/// bound of a noisy one is that at its optimum, a little beside the truth.
+/// The measurement as it is planned, without the noise that its standard errors state, so that a fit finds the guess. The
+/// bound of a noisy one is that at its optimum, a little away from the truth.
 fn as_planned(medium: &Medium) -> Measurement {
     let profile = |thickness: f64| {
         let value =
@@ -273,7 +273,7 @@ fn sets_combine_dictionary_thicknesses_and_mark_the_best() {
     assert_eq!(best, [5]);
     let of_one = found.iter().filter(|s| s.best_of_its_effort && s.photographs() == 1).count();
     assert_eq!(of_one, 1);
-    // Two slabs tell more than two photographs of one: each is wrong in its own way.
+    // Two slabs determine more than two photographs of one: each is wrong in its own way.
     assert!(found[4].best_of_its_effort && !found[1].best_of_its_effort && !found[3].best_of_its_effort);
     assert_eq!(super::choices(&[1.0, 2.0, 3.0], 2), [[1.0, 2.0], [1.0, 3.0], [2.0, 3.0]]);
 }
@@ -312,7 +312,7 @@ fn one_medium_is_not_measured() {
     assert_eq!(design(&dictionary(axes), &question).unwrap_err().field(), "dictionary");
 }
 
-/// Pixels that see but a part of the profile tell less.
+/// Pixels that cover only a part of the profile determine less.
 #[test]
 fn fewer_pixels_tell_less() {
     let dictionary = dictionary(dense_axes());

@@ -14,7 +14,7 @@ use optics_model::Grid;
 use crate::dictionary::wide::wide;
 
 /// Largest dictionary whose values are kept exactly, and whose gradients are kept: bytes of the values of all channels that
-/// are seen. Of larger ones gradients are taken anew whenever a record is compared: most never are.
+/// are seen. Of larger ones gradients are taken again whenever a record is compared: most never are.
 const SMALL: usize = 512 << 20;
 
 /// Steps from 0 to the root of a record's greatest value.
@@ -195,7 +195,7 @@ impl Records {
     }
 }
 
-/// Writes roots in steps, and tells the square of a step.
+/// Writes roots in steps, and returns the square of a step.
 fn round(values: &[f32], roots: &mut [u16]) -> f32 {
     let greatest = values.iter().copied().fold(0.0, f32::max);
     let unit = greatest / (STEPS * STEPS);

@@ -67,7 +67,7 @@ impl Basis {
         Description { numbers, size }
     }
 
-    /// The same, behind what is there already; tells the profile's size.
+    /// Appends a profile and returns its size.
     fn describe_into<T: Into<f64> + Copy>(&self, profile: &[T], numbers: &mut Vec<f32>) -> f32 {
         let centred: Vec<f64> = profile.iter().zip(&self.mean).map(|(v, m)| (*v).into() - m).collect();
         let scale = 1.0 / (centred.len() as f64).sqrt();
@@ -124,7 +124,7 @@ fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
     Some(unit)
 }
 
-/// Takes off what lies along a unit vector, and tells how much that is.
+/// Removes the component along a unit vector, and returns it.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
 fn take_off(from: &mut [f64], direction: &[f64]) -> f64 {
@@ -251,7 +251,7 @@ mod tests {
         let rows: Vec<&[f32]> = profiles.iter().map(Vec::as_slice).collect();
         let basis = Basis::of(&rows[..100]);
         let sketch = Sketch::new(&basis, rows.len(), |i| Cow::Borrowed(rows[i]));
-        // Nothing is left of a profile that the basis is made of, nor of the mean: there rounding tells most.
+        // Nothing is left of a profile that the basis is made of, nor of the mean: there rounding matters most.
         let near = |i: usize| profiles[i].iter().map(|v| f64::from(*v) + if *v > 0.2 { 1e-7 } else { 0.0 });
         for target in (0..100).map(|i| near(i).collect::<Vec<f64>>()).chain([basis.mean().to_vec()]) {
             let mut bounds = vec![0.0; 300];

@@ -16,7 +16,7 @@ use crate::dictionary::gradient::{derivative, shown_derivative};
 use crate::dictionary::records::{self, Records};
 use crate::dictionary::sketch::{Basis, Description, Sketch};
 
-/// Pixel pitch that gradients are told per, in mm: 360 pixels over 10 mm.
+/// Pixel pitch that gradients are per, in mm: 360 pixels over 10 mm.
 pub(crate) const REFERENCE_PITCH_MM: f64 = 10.0 / 360.0;
 
 /// Profiles that a basis is made from.
@@ -118,7 +118,7 @@ impl PairSketch<'_> {
 }
 
 impl Described {
-    /// The records of a grid, told by a profile for each.
+    /// The records of a grid, from a profile for each.
     fn new<'a>(grid: &Grid, profile: impl Fn(usize) -> Cow<'a, [f32]> + Sync) -> Self {
         let records = grid.record_count();
         let sampled: Vec<Cow<[f32]>> =

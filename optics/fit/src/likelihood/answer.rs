@@ -1,4 +1,4 @@
-//! What is told of a channel's minimum.
+//! The answer of a channel at its minimum.
 
 use nalgebra::DMatrix;
 use optics_model::fit::{
@@ -21,14 +21,14 @@ use crate::dictionary::sum::{dot, rms};
 use crate::dictionary::view::Slope;
 use crate::surrogate::{albedo, g, sigma_t};
 
-/// Probability of χ² below which residuals are said to be more than noise.
+/// Probability of χ² below which residuals count as more than noise.
 pub(super) const UNLIKELY: f64 = 0.001;
 
 /// A channel is resolved if its intervals of σ_t and of the albedo span at most this factor …
 const RESOLVED_FACTOR: f64 = 2.0;
 /// … and that of the albedo at most this.
 const RESOLVED_ALBEDO: f64 = 0.2;
-/// Correlation of ln σ_t with ln(1 − g) from which on they are said to trade off.
+/// Correlation of ln σ_t with ln(1 − g) from which on they trade off.
 const VALLEY: f64 = 0.9;
 
 /// A channel at its minimum.
@@ -74,8 +74,8 @@ impl Found<'_, '_> {
     fn parameter(&self, index: usize, x: f64) -> f64 {
         let grid = self.grid();
         let axis = [grid.sigma_t_per_mm(), grid.albedo(), grid.g()][index];
-        let told = held(grid, &self.data.options)[index];
-        told.unwrap_or_else(|| [sigma_t, albedo, g][index](x).clamp(axis[0], axis[axis.len() - 1]))
+        let held = held(grid, &self.data.options)[index];
+        held.unwrap_or_else(|| [sigma_t, albedo, g][index](x).clamp(axis[0], axis[axis.len() - 1]))
     }
 
     pub(super) fn medium(&self, state: &State) -> Medium {
@@ -92,7 +92,7 @@ impl Found<'_, '_> {
         let ideal = ideal_covariance(self.system, self.state);
         let intervals = self.intervals(&normal, covariance.as_ref(), goodness.inflation);
         let budget = self.budget(&linear, &normal, covariance.as_ref());
-        // What the data leave open has a very large variance; the set-up is known as well as it was told.
+        // What the data leave open has a very large variance; the set-up is known to its priors.
         let covariance =
             covariance.or_else(|| inverse_over_free(&self.system.unknowns, &normal.information, 1e-9));
         let covariance = covariance.map_or_else(nothing, |c| c * goodness.inflation);

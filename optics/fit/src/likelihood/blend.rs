@@ -1,7 +1,7 @@
 //! The medium of a mixture as a function of its inks.
 //!
-//! An ink's coordinates are σ_s, √σ_a and ln(1 − g). Mixtures are linear in the first, so what dilution tells of it is
-//! nearly normal, down to 0; profiles of a weak absorber are linear in the second; similar media lie on straight lines
+//! An ink's coordinates are σ_s, √σ_a and ln(1 − g). Mixtures are linear in the first, so the likelihood of dilutions is
+//! nearly normal in it, down to 0; profiles of a weak absorber are linear in the second; similar media lie on straight lines
 //! of the third.
 
 use nalgebra::{DMatrix, DVector};

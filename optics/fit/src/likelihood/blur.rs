@@ -1,6 +1,6 @@
 //! The coordinate of the camera's blur: u = √(σ² + u₀²), with σ the blur's standard deviation in mm.
 //!
-//! A blur that is narrow beside what a profile has changes it as σ² does, one that is wide beside a pixel changes a bend
+//! A blur that is narrow against a profile's features changes it as σ² does, one that is wide against a pixel changes a bend
 //! of it as σ does. In u both are close to linear.
 
 /// u₀ in mm: about where a blur grows wider than the pixels of photographs.
@@ -21,8 +21,8 @@ pub(super) fn slope(u: f64) -> f64 {
     2.0 * u
 }
 
-/// Mean and standard deviation of u where σ is told with a standard error.
-pub(super) fn told(blur_mm: f64, std_error_mm: f64) -> (f64, f64) {
+/// Mean and standard deviation of u for a σ with a standard error.
+pub(super) fn prior(blur_mm: f64, std_error_mm: f64) -> (f64, f64) {
     let mean = coordinate(blur_mm * blur_mm);
     (mean, coordinate((blur_mm + std_error_mm).powi(2)) - mean)
 }
@@ -44,10 +44,10 @@ mod tests {
 
     #[test]
     fn one_standard_error_of_the_blur_is_one_of_the_coordinate() {
-        let (mean, deviation) = told(0.025, 0.001);
+        let (mean, deviation) = prior(0.025, 0.001);
         assert!((variance_mm2(mean + deviation).sqrt() - 0.026).abs() < 1e-12);
-        let (mean, deviation) = told(0.0, 0.03);
+        let (mean, deviation) = prior(0.0, 0.03);
         assert!(mean == LEAST_MM && (variance_mm2(mean + deviation).sqrt() - 0.03).abs() < 1e-12);
-        assert_eq!(told(0.02, 0.0).1, 0.0);
+        assert_eq!(prior(0.02, 0.0).1, 0.0);
     }
 }

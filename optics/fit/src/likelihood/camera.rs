@@ -12,7 +12,7 @@ use crate::surrogate::interpolation::Place;
 
 /// Pixels that a profile is carried on beyond its ends, on each side.
 const PADDING: usize = 40;
-/// Pixels at an end that tell how it goes on.
+/// Pixels at an end from which it is continued.
 const TAIL: usize = 16;
 /// Length of the circular kernel of the blur.
 const KERNEL: usize = 64;

@@ -1,6 +1,6 @@
 //! The distribution of χ².
 
-/// Probability that noise alone makes χ² at least as large, with so many degrees of freedom (not whole numbers, since
+/// Probability that noise alone makes χ² at least as large, with these degrees of freedom (not whole numbers, since
 /// priors take some up).
 ///
 /// The cube root of χ²/k is close to normal (Wilson and Hilferty 1931): good to 1e-3 from three degrees of freedom on.

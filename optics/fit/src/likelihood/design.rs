@@ -16,8 +16,9 @@ use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
 /// Standard deviation of the coordinates of a medium, and of the logarithm of μ, of which nothing is known beforehand: so
 /// large that it does not matter for what is determined, and that what is not leaves the rest alone.
 const UNKNOWN: f64 = 10.0;
-/// Standard deviation of a coordinate from which on it counts as not told: a factor of e on σ_t, all there is of √(1 − α).
-const UNTOLD: f64 = 1.0;
+/// Standard deviation of a coordinate from which on it counts as undetermined: a factor of e on σ_t, the whole range of
+/// √(1 − α).
+const UNDETERMINED: f64 = 1.0;
 
 /// How well all but the medium is known: standard errors.
 #[derive(Debug, Clone, Copy)]
@@ -64,13 +65,13 @@ impl Plan<'_> {
         ];
         // √σ_a is √(1 − α), which is at most 1, times √σ_t.
         let units = [1.0, 1.0, 1.0, 1.0, (0.5 * self.medium[SIGMA_T]).exp()];
-        let mut told =
+        let mut widths =
             Quantity::all(&slots).into_iter().zip(units).zip(ends).map(|((quantity, unit), ends)| {
                 let gradient = quantity.gradient(&state.x);
                 let deviation = gradient.dot(&(&covariance * &gradient)).max(0.0).sqrt();
-                if deviation < UNTOLD * unit { 0.5 * (ends.high - ends.low) } else { f64::INFINITY }
+                if deviation < UNDETERMINED * unit { 0.5 * (ends.high - ends.low) } else { f64::INFINITY }
             });
-        let mut next = || told.next().unwrap_or(f64::INFINITY);
+        let mut next = || widths.next().unwrap_or(f64::INFINITY);
         HalfWidths {
             sigma_t_per_mm: next(),
             albedo: next(),
@@ -93,7 +94,7 @@ impl Plan<'_> {
         let [s, a, g] = [0, 1, 2].map(|i| add(Some((self.medium[i], UNKNOWN)), self.held[i], self.medium[i]));
         let (prior, held, value) = known_to(0.0, known.scale.unwrap_or(UNKNOWN));
         let scale = add(prior, held, value);
-        let (value, deviation) = blur::told(known.blur_mm, known.blur_std_error_mm);
+        let (value, deviation) = blur::prior(known.blur_mm, known.blur_std_error_mm);
         let (prior, held, value) = known_to(value, deviation);
         let blur = add(prior, held, value);
         let slots = slabs_mm.iter().map(|slab| {

@@ -2,9 +2,9 @@
 //!
 //! A mesh over factors on μ and the dictionary's anisotropies finds the valley, in the basis of `start`; from its lowest
 //! point one descent of all unknowns of all channels goes down to the bottom. Intervals of a channel follow its own
-//! likelihood, with what the others say of the shared unknowns as a quadratic beside it (a Schur complement of their
+//! likelihood, with the others' likelihood as a quadratic in the shared unknowns added (a Schur complement of their
 //! information). Where channels pull on what they share by more than their noise, as they do if something in the
-//! photographs is not in the model, the others' word counts less, by their χ² a degree of freedom (a Birge ratio).
+//! photographs is not in the model, the others count less, by their χ² a degree of freedom (a Birge ratio).
 
 mod minimum;
 mod response;

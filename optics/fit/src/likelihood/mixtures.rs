@@ -2,8 +2,8 @@
 //!
 //! Scattering and absorption of a mixture are the sums of those of its inks. So the profiles of pure inks and of their
 //! mixtures are fitted together, over σ_s, √σ_a and ln(1 − g) of the inks (`blend`), with the set-up of every
-//! profile estimated as for one material. Each measured material is first fitted with a medium of its own: that tells
-//! what is dust, and equations from which the inks' descent begins (`mixtures/start`). Intervals follow the profile
+//! profile estimated as for one material. Each measured material is first fitted with a medium of its own: that gives
+//! its dust, and equations from which the inks' descent begins (`mixtures/start`). Intervals follow the profile
 //! likelihood (`profile`); where mixtures contradict one another by more than their noise, as they do if one was
 //! mixed wrongly, intervals are wider by their χ² a degree of freedom (a Birge ratio).
 
@@ -30,7 +30,7 @@ use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::surrogate::{Surrogate, albedo, coordinates, sigma_t};
-use answer::{Solution, Told};
+use answer::{Request, Solution};
 use limits::{outside, predicted};
 use start::{Equation, rank, solve};
 
@@ -96,8 +96,8 @@ pub(crate) fn unmix(
     check_rank(&slabs, &inks)?;
     let unmixing = Unmixing { inks: &inks, slabs, assembly: &assembly, common_g: sharing.g };
     let (solved, slabs) = unmixing.solve(&state)?;
-    let told = Told { dictionary, options, plan, mixtures, fits: &fits };
-    Ok(Solution::new(told, &slabs, &solved)?.answer())
+    let request = Request { dictionary, options, plan, mixtures, fits: &fits };
+    Ok(Solution::new(request, &slabs, &solved)?.answer())
 }
 
 /// The materials that are inks or mixtures of them.
@@ -141,7 +141,7 @@ fn slabs<'a>(
     let system = &assembly.system;
     let linear = system.linear(&state.x, &state.own);
     let information = system.normal(&state.x, &state.own, &linear).information;
-    // Slabs that leave their own media open, as dark patches do, must not hide what the others tell.
+    // Slabs that leave their own media open, as dark patches do, must not hide the information of the others.
     let covariance = inverse_over_free(&system.unknowns, &information, HARDLY);
     let inks = mixtures.inks();
     let slab = |(data, terms): (ChannelData<'a>, Range<usize>)| {
@@ -180,7 +180,7 @@ fn check_rank(slabs: &[Slab], inks: &[&str]) -> Result<(), Invalid> {
             let given = format!("{} inks in channel {}", inks.len(), slab.data.name);
             let without: Vec<&str> = same.iter().filter_map(|s| s.left_out.as_deref()).collect();
             let allowed = format!(
-                "the slabs tell only {known} of {} apart: measure them pure, or in mixtures of other fractions{}{}",
+                "the slabs distinguish only {known} of {}: measure them pure, or in mixtures of other fractions{}{}",
                 inks.join(", "),
                 if without.is_empty() { "" } else { "; " },
                 without.join("; ")
@@ -290,7 +290,7 @@ impl<'a> Unmixing<'a, '_> {
         held(slab.data.dictionary.grid(), &slab.data.options)[2].is_some()
     }
 
-    /// σ_s, √σ_a and ln(1 − g) of every ink in a channel, as the media of the slabs by themselves tell them.
+    /// σ_s, √σ_a and ln(1 − g) of every ink in a channel, as they follow from the slabs' own media.
     fn starts(&self, channel: usize) -> Vec<[f64; 3]> {
         let of_channel =
             || self.slabs.iter().filter(move |s| s.data.channel == channel && s.left_out.is_none());

@@ -8,7 +8,7 @@ use super::term::Term;
 use super::unknowns::eliminate;
 
 impl System<'_> {
-    /// What some profiles say of the unknowns at a state.
+    /// The information of some profiles on the unknowns at a state, and their pull.
     pub(super) fn contribution(
         &self,
         terms: &[usize],
@@ -37,7 +37,7 @@ impl System<'_> {
         used
     }
 
-    /// Some profiles as a system of their own at a state, with what the others say there as a quadratic, which counts by
+    /// Some profiles as a system of their own at a state, with the others as a quadratic, weighted by
     /// `share`. Its unknowns are those of [`Self::used_by`].
     pub(super) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
         let used = self.used_by(terms);

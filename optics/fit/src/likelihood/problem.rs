@@ -52,7 +52,7 @@ pub(super) struct ProfileData<'a> {
     pub blur: (f64, f64),
 }
 
-/// What several channels have in common beside the factor on μ.
+/// What several channels share in addition to the factor on μ.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Sharing {
     /// All have the same anisotropy.
@@ -92,7 +92,7 @@ impl<'a> ProfileData<'a> {
             thickness_std_error_mm: setup.thickness_std_error_mm.unwrap_or(settings.thickness_std_error_mm),
             origin_mm,
             origin_std_error_mm: setup.origin_std_error_mm.unwrap_or(settings.origin_std_error_mm),
-            blur: blur::told(blur_mm, blur_error),
+            blur: blur::prior(blur_mm, blur_error),
         })
     }
 
@@ -168,7 +168,7 @@ impl<'a> ChannelData<'a> {
         (0..iors).map(|ior| Surrogate::new(self.dictionary, self.channel, ior)).collect()
     }
 
-    /// Ready to be searched, with a standard deviation of the common factor beside the profiles' gains.
+    /// Ready to be searched, with a standard deviation of the common factor in addition to the profiles' gains.
     pub(super) fn scan(&self, surrogates: &[Surrogate], scale_std_error: f64) -> Result<Scan<'a>, Invalid> {
         let settings = self.options.settings();
         let view = self.dictionary.whole_view(self.channel);
@@ -234,13 +234,14 @@ impl Unknowns {
         self.all.len() - 1
     }
 
-    /// The blur of a channel is the same in all photographs of which the same is told.
-    fn blur(&mut self, channel: &str, told: (f64, f64)) -> usize {
-        if let Some((.., i)) = self.blurs.iter().find(|(name, t, _)| name == channel && *t == told) {
+    /// The blur of a channel is the same in all photographs with the same prior.
+    fn blur(&mut self, channel: &str, prior: (f64, f64)) -> usize {
+        if let Some((.., i)) = self.blurs.iter().find(|(name, t, _)| name == channel && *t == prior) {
             return *i;
         }
-        let i = self.add(Some(told), (blur::coordinate(0.0), told.0 + 20.0 * told.1), told.1 == 0.0, told.0);
-        self.blurs.push((channel.to_owned(), told, i));
+        let i =
+            self.add(Some(prior), (blur::coordinate(0.0), prior.0 + 20.0 * prior.1), prior.1 == 0.0, prior.0);
+        self.blurs.push((channel.to_owned(), prior, i));
         i
     }
 

@@ -209,7 +209,7 @@ fn outwards(
 }
 
 /// At which distance the root of the rise is the wanted one; none if it is not up to the furthest, or if the least step
-/// rises more: from there nothing can be told, since it is no minimum. At `deviation` it is one if all is linear.
+/// rises more: from there no interval follows, since it is no minimum. At `deviation` it is one if all is linear.
 pub(super) fn reach(
     wanted: f64,
     deviation: f64,

@@ -1,4 +1,4 @@
-//! What residuals tell beside their size.
+//! Structure of the residuals: outliers, stretches, correlation.
 
 use optics_model::fit::{OutlierPixel, Stretch};
 
@@ -6,11 +6,11 @@ use super::Line;
 use super::system::System;
 use super::term::Linear;
 
-/// Least joint deviation of a stretch that is told, in standard deviations.
+/// Least joint deviation of a stretch that is reported, in standard deviations.
 const STRETCH: f64 = 5.0;
 /// Widths of stretches that are looked at, in pixels.
 const WIDTHS: [usize; 5] = [6, 12, 24, 48, 96];
-/// Most stretches that are told.
+/// Most stretches that are reported.
 const STRETCHES: usize = 4;
 
 /// Pixels that were left out.
@@ -45,19 +45,19 @@ pub(super) fn stretches(system: &System, linear: &[Linear]) -> Vec<Stretch> {
         }
     }
     found.sort_by(|a, b| b.deviation.abs().total_cmp(&a.deviation.abs()));
-    let mut told: Vec<Stretch> = Vec::new();
+    let mut kept: Vec<Stretch> = Vec::new();
     for stretch in found {
         let apart = |s: &Stretch| {
             s.profile_mm != stretch.profile_mm || s.to_mm < stretch.from_mm || s.from_mm > stretch.to_mm
         };
-        if told.iter().all(apart) && told.len() < STRETCHES {
-            told.push(stretch);
+        if kept.iter().all(apart) && kept.len() < STRETCHES {
+            kept.push(stretch);
         }
     }
-    told
+    kept
 }
 
-/// By how much residuals that go together tell less than as many independent ones: 1 + 2 Σ of their correlations, up
+/// By how much correlated residuals carry less information than as many independent ones: 1 + 2 Σ of their correlations, up
 /// to the first that is not positive.
 pub(super) fn clustering(system: &System, linear: &[Linear]) -> f64 {
     let kept: Vec<Line> = linear

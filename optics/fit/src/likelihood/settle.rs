@@ -18,14 +18,13 @@ const ROUGHLY: f64 = 0.5;
 const WELL: f64 = 0.003;
 /// How far an unknown may move before what depends on where the state is is looked at again: a hundredth of σ_t, say.
 const FAR: f64 = 0.01;
-/// How far off in mm a descent finds an edge from where it was told.
+/// How far off in mm a descent finds an edge from its stated origin.
 const FAR_MM: f64 = 0.06;
 /// By this factor the noise is made smaller at a time, on the way to a model without dust.
 const HARDER: f64 = 0.4;
 
 impl System<'_> {
-    /// A first minimum below a state, without the noise of records: pixels apart from their neighbours are left out, and edges
-    /// are looked for.
+    /// A first minimum below a state, without the noise of records: specks are left out, and edges are looked for.
     pub(super) fn approach(&mut self, mut state: State, tolerance: f64) -> State {
         self.leave_out_specks_by_neighbours();
         self.place_edges(&mut state);
@@ -107,8 +106,8 @@ impl System<'_> {
         }
     }
 
-    /// What depends on where the state is, for every profile: the records' noise, the part of other thicknesses, and what the
-    /// white reference does.
+    /// Updates what depends on the state in every profile: the records' noise, the part of other thicknesses, and the
+    /// effect of the white reference.
     fn add_modes(&mut self, state: &mut State) {
         let modes = |i: usize| {
             let (term, point) = (&self.terms[i], self.point(i, &state.x));

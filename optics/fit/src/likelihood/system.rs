@@ -18,7 +18,7 @@ const DESCENT: Descent =
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
-/// What other measurements say of the unknowns: a quadratic about a centre.
+/// The likelihood of other measurements, as a quadratic in the unknowns about a centre.
 #[derive(Debug, Clone)]
 pub(super) struct Coupling {
     pub centre: DVector<f64>,
@@ -53,7 +53,7 @@ pub(super) struct State {
     pub cost: f64,
 }
 
-/// A quantity held at a value, by a spring so stiff that it does not give.
+/// A quantity held at a value by a stiff quadratic penalty.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Held {
     pub quantity: Quantity,
@@ -167,7 +167,7 @@ impl System<'_> {
         Normal { information, downhill, reduced }
     }
 
-    /// Adds what a profile says of the unknowns.
+    /// Adds a profile's information on the unknowns, and its pull.
     pub(super) fn add_reduced(
         &self,
         term: usize,

@@ -44,14 +44,14 @@ pub(super) struct OwnPrior {
 pub(super) struct Term {
     /// The inks that make the medium; none if the medium itself is unknown.
     pub blend: Option<Blend>,
-    /// Nominal, as told.
+    /// Nominal.
     pub thickness_mm: f64,
     pub camera: Camera,
     pub x_mm: Line,
     /// Measured values times the question's μ, and their standard errors.
     pub values: Line,
     pub std_errors: Line,
-    /// Where the edge was told to be.
+    /// Stated place of the edge.
     pub origin_mm: f64,
     pub priors: Vec<OwnPrior>,
     /// Modes of the records' noise on the measured pixels, each of variance 1.
@@ -82,7 +82,7 @@ pub(super) struct White {
 }
 
 impl White {
-    /// Of a slab, from records of the same walks with both ρ; none if the scene does not tell.
+    /// Of a slab, from records of the same walks with both ρ; none if the scene has none.
     pub(super) fn of(
         surrogate: &Surrogate,
         thickness_mm: f64,
@@ -120,7 +120,7 @@ pub(super) struct Linear {
     pub cost: f64,
 }
 
-/// What a profile says of the shared unknowns.
+/// A profile's information on the shared unknowns.
 #[derive(Debug)]
 pub(super) struct Reduced {
     /// −½ of the gradient of the cost, own unknowns following.
@@ -152,7 +152,7 @@ impl Reduced {
 }
 
 impl Term {
-    /// Counts the records' noise as that of so many profiles; its modes' coefficients become what they have to be.
+    /// Counts the records' noise as that of `alike` profiles; its modes' coefficients become what they have to be.
     pub(super) fn count_alike(&mut self, own: &mut Line, alike: f64) {
         let factor = alike / self.alike;
         self.alike = alike;
@@ -252,7 +252,7 @@ impl Term {
         linear.residuals.iter().zip(&self.left_out).map(weight).collect()
     }
 
-    /// What the profile says of the shared unknowns, its own eliminated.
+    /// The profile's information on the shared unknowns, its own eliminated.
     pub(super) fn reduce(&self, linear: &Linear, own: &[f64]) -> Reduced {
         let weights = self.weights(linear);
         let n = linear.columns.len();

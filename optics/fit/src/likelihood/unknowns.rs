@@ -12,7 +12,7 @@ pub(super) struct Unknown {
     /// Mean and standard deviation of what is known beforehand.
     pub prior: Option<(f64, f64)>,
     pub limits: (f64, f64),
-    /// It cannot move: it was told, or the dictionary has one value only.
+    /// It cannot move: it was given, or the dictionary has one value only.
     pub held: bool,
 }
 

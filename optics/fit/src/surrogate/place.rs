@@ -6,7 +6,7 @@ use optics_model::{Grid, Invalid, Medium};
 use crate::dictionary::axes::list;
 use crate::surrogate::Surrogate;
 
-/// Index of a sample's refractive index; the first if none is told.
+/// Index of a sample's refractive index; the first if none is given.
 pub(crate) fn sample_ior(grid: &Grid, wanted: Option<f64>) -> Result<usize, Invalid> {
     let Some(wanted) = wanted else { return Ok(0) };
     let found = grid.sample_ior().iter().position(|ior| (ior - wanted).abs() < 1e-9);

@@ -45,7 +45,7 @@ const LEVELS: f64 = 0.2;
 /// Length over which the difference of two thicknesses vanishes beyond its ends, in units of the thicker.
 const VANISHES: f64 = 4.0;
 
-/// A contrast that nobody measures.
+/// A contrast too small to be measured.
 const INVISIBLE: f64 = 1e-6;
 
 /// A profile at some thickness, its derivatives by the coordinates at that thickness, and by ln t at given coordinates.

@@ -1,4 +1,4 @@
-//! All channels of a set at their common minimum, and what each of them says there.
+//! All channels of a set at their common minimum, and each of them as a system of its own there.
 
 use nalgebra::{Cholesky, DMatrix};
 use optics_model::fit::Interval;
@@ -14,7 +14,7 @@ use crate::surrogate::g;
 
 /// Cost by which the last descent of a channel may miss its minimum.
 const WELL: f64 = 0.003;
-/// Probability of the channels' pulls below which they are said to disagree.
+/// Probability of the channels' pulls below which they count as contradictory.
 const DISAGREE: f64 = 0.01;
 
 /// All channels at their common minimum.
@@ -51,7 +51,7 @@ impl<'a> Joint<'a> {
         interval(profile.ends(Quantity::Unknown(slot), limits), g, true)
     }
 
-    /// A channel as a system of its own, with what the others say beside it.
+    /// A channel as a system of its own, with the others as a quadratic.
     pub(super) fn channel(&self, channel: usize) -> (System<'a>, State) {
         let terms: Vec<usize> = self.assembly.terms[channel].clone().collect();
         let (whole, share) = (&self.assembly.system, 1.0 / self.disagreement);

@@ -1,4 +1,4 @@
-//! What is told of inks and mixtures.
+//! The answer for inks and mixtures.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use optics_model::fit::{
@@ -22,12 +22,12 @@ use crate::likelihood::unknowns::inverse_over_free;
 use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::surrogate::{albedo, g, sigma_t};
 
-/// Probability below which a disagreement is said to be more than noise.
+/// Probability below which a disagreement counts as more than noise.
 const UNLIKELY: f64 = 0.01;
 
 /// What was asked, and what each slab's material by itself was found to be.
 #[derive(Clone, Copy)]
-pub(super) struct Told<'b> {
+pub(super) struct Request<'b> {
     pub dictionary: &'b FitDictionary,
     pub options: &'b FitOptions,
     pub plan: &'b MeasurePlan,
@@ -38,7 +38,7 @@ pub(super) struct Told<'b> {
 
 /// Inks at the least −2 ln L.
 pub(super) struct Solution<'a, 'b> {
-    told: Told<'b>,
+    request: Request<'b>,
     slabs: &'b [Slab<'a>],
     solved: &'b Solved<'a>,
     linear: Vec<Linear>,
@@ -48,7 +48,7 @@ pub(super) struct Solution<'a, 'b> {
 
 impl<'a, 'b> Solution<'a, 'b> {
     pub(super) fn new(
-        told: Told<'b>,
+        request: Request<'b>,
         slabs: &'b [Slab<'a>],
         solved: &'b Solved<'a>,
     ) -> Result<Self, Invalid> {
@@ -58,9 +58,9 @@ impl<'a, 'b> Solution<'a, 'b> {
         let covariance =
             inverse_over_free(&system.unknowns, &normal.information, HARDLY).ok_or_else(|| {
                 let allowed = "the slabs do not determine their inks: measure more, or in other fractions";
-                Invalid::new("mixtures", format!("{} inks", told.mixtures.inks().len()), allowed)
+                Invalid::new("mixtures", format!("{} inks", request.mixtures.inks().len()), allowed)
             })?;
-        Ok(Self { told, slabs, solved, linear, normal, covariance })
+        Ok(Self { request, slabs, solved, linear, normal, covariance })
     }
 
     pub(super) fn answer(&self) -> Unmixed {
@@ -76,7 +76,7 @@ impl<'a, 'b> Solution<'a, 'b> {
             material: name.to_owned(),
             channels: by_channel.iter().map(|(_, inks)| inks[i].clone()).collect(),
         };
-        let inks = self.told.mixtures.inks().into_iter().enumerate().map(of_ink).collect();
+        let inks = self.request.mixtures.inks().into_iter().enumerate().map(of_ink).collect();
         Unmixed { common, inks, mixtures }
     }
 
@@ -111,7 +111,7 @@ impl<'a, 'b> Solution<'a, 'b> {
     fn resolved_alone(&self, channel: usize, ink: usize) -> bool {
         let pure = |slab: &Slab| slab.data.channel == channel && slab.fractions[ink] == 1.0;
         let resolved = |fit: &ChannelFit| fit.refined.as_ref().is_some_and(|r| r.resolved_at_g);
-        self.slabs.iter().zip(self.told.fits).any(|(slab, fit)| pure(slab) && resolved(fit))
+        self.slabs.iter().zip(self.request.fits).any(|(slab, fit)| pure(slab) && resolved(fit))
     }
 
     /// Of the inks of a channel, whose profiles are a system of their own: the others speak of what is shared only.
@@ -148,7 +148,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         })
     }
 
-    /// χ² of what the profiles of a slab by themselves say of its σ_t and α against what the inks say.
+    /// χ² of the pull of a slab's own profiles on its σ_t and α, away from those of the inks.
     fn pull(&self, members: std::ops::Range<usize>) -> f64 {
         let (mut information, mut downhill) = (Matrix2::zeros(), Vector2::zeros());
         for reduced in &self.normal.reduced[members] {
@@ -163,7 +163,7 @@ impl<'a, 'b> Solution<'a, 'b> {
     /// more than their noise.
     fn disagreement(&self, channel: usize) -> f64 {
         let of_channel = || self.members().filter(|(slab, _)| slab.data.channel == channel);
-        let inks = self.told.mixtures.inks().len();
+        let inks = self.request.mixtures.inks().len();
         let freedom = 2.0 * (of_channel().count() as f64 - inks as f64);
         let pulls: f64 = of_channel().map(|(_, members)| self.pull(members)).sum();
         let ratio = |chi2: f64, freedom: f64| {
@@ -200,7 +200,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         });
         let of_channel = self.solved.inks.iter().find(|(c, _)| *c == slab.data.channel);
         let inks = of_channel.map_or(&[][..], |(_, inks)| inks);
-        let names = self.told.mixtures.inks();
+        let names = self.request.mixtures.inks();
         let parts = || slab.fractions.iter().enumerate().filter(|(_, f)| **f > 0.0);
         let blend = unlimited(parts().map(|(i, f)| Part { fraction: *f, ink: inks[i] }).collect());
         MixtureFit {
@@ -220,16 +220,16 @@ impl<'a, 'b> Solution<'a, 'b> {
             let worst = self.solved.inks.iter().map(|(c, _)| self.disagreement(*c)).fold(1.0, f64::max);
             (self.covariance[(slot, slot)].max(0.0) * worst).sqrt()
         };
-        let mu = self.told.options.settings().mu * x[scale].exp();
+        let mu = self.request.options.settings().mu * x[scale].exp();
         let mu_std_error = mu * widened(scale);
         let slot = self.solved.inks[0].1[0][LN_ONE_MINUS_G];
-        let only = held(self.told.dictionary.grid(), self.told.options)[2];
+        let only = held(self.request.dictionary.grid(), self.request.options)[2];
         let found = self.solved.common_g.then(|| g(x[slot]));
         Common {
             mu,
             mu_std_error,
-            mu_interval: self.told.plan.mu_interval(mu, mu_std_error),
-            mu_chosen: self.told.plan.search_mu.is_some(),
+            mu_interval: self.request.plan.mu_interval(mu, mu_std_error),
+            mu_chosen: self.request.plan.search_mu.is_some(),
             g: found.or(only),
             g_interval: found.map(|_| self.g_interval(slot, x, widened(slot))),
             by_g: Vec::new(),

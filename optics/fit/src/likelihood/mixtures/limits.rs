@@ -24,7 +24,7 @@ pub(super) fn outside(system: &System, term: usize, state: &State) -> Option<Str
     let medium = blend.at(&state.x).medium;
     let [along, (_, dark), _] = blend.limits;
     let grid = surrogate.grid();
-    let told = |name: &str, value: f64, axis: &[f64], range: String| {
+    let lacking = |name: &str, value: f64, axis: &[f64], range: String| {
         let value = (value * 1e4).round() / 1e4;
         format!(
             "{name} = {value} at {} mm lies outside of the dictionary's {range}: `farmctl submit GRID.toml` computes one \
@@ -36,12 +36,12 @@ pub(super) fn outside(system: &System, term: usize, state: &State) -> Option<Str
     if !(along.0 - 1e-9..=along.1 + 1e-9).contains(&medium[LN_SIGMA_T]) {
         let range = format!("{:.4} to {:.4} per mm", sigma_t(along.0), sigma_t(along.1));
         let axis = grid.sigma_t_per_mm();
-        return Some(told("sigma_t_per_mm", sigma_t(medium[LN_SIGMA_T]), axis, range));
+        return Some(lacking("sigma_t_per_mm", sigma_t(medium[LN_SIGMA_T]), axis, range));
     }
     if medium[ROOT_CO_ALBEDO] > dark {
         let axis = grid.albedo();
         let range = format!("{} to {}", axis[0], axis[axis.len() - 1]);
-        return Some(told("albedo", albedo(medium[ROOT_CO_ALBEDO]), axis, range));
+        return Some(lacking("albedo", albedo(medium[ROOT_CO_ALBEDO]), axis, range));
     }
     None
 }

@@ -1,6 +1,6 @@
 //! Where the descent over inks begins: media that were measured one by one make linear equations for the inks.
 //!
-//! Each measured mixture tells σ_s (1 − g) and σ_a of its own medium, which similarity theory leaves alone, with their
+//! Each measured mixture determines σ_s (1 − g) and σ_a of its own medium, which similarity theory leaves alone, with their
 //! errors. Both are sums over the inks, so the inks follow by linear least squares, none being negative.
 
 use nalgebra::{DMatrix, DVector};
@@ -19,7 +19,7 @@ pub(super) struct Equation {
     pub std_error: f64,
 }
 
-/// The unknowns of least squares, none negative. `usual` is what an unknown is drawn to if nothing tells it.
+/// The unknowns of least squares, none negative. `usual` is the value of an unknown that nothing determines.
 pub(super) fn solve(equations: &[Equation], inks: usize, usual: f64) -> Vec<f64> {
     let mut normal = DMatrix::identity(inks, inks) * (1e-6 / (usual * usual));
     let mut right = DVector::from_element(inks, 1e-6 / usual);
@@ -42,7 +42,7 @@ pub(super) fn solve(equations: &[Equation], inks: usize, usual: f64) -> Vec<f64>
     found
 }
 
-/// How many inks the fractions of some materials tell apart.
+/// How many inks the fractions of some materials distinguish.
 pub(super) fn rank(fractions: &[Vec<f64>], inks: usize) -> usize {
     DMatrix::from_fn(fractions.len(), inks, |i, j| fractions[i][j]).rank(1e-6)
 }

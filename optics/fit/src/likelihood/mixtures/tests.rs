@@ -130,7 +130,7 @@ fn a_wrong_fraction_shows_and_widens_intervals() {
 #[test]
 fn mixtures_that_do_not_tell_their_inks_apart_are_refused() {
     let error = unmixed(&[("half", HALF, HALF)], 4).unwrap_err();
-    assert!(error.to_string().contains("tell only 1 of white, grey apart"), "{error}");
+    assert!(error.to_string().contains("distinguish only 1 of white, grey"), "{error}");
     let error = unmixed(&[WHITE, ("half", HALF, HALF), ("light", LIGHT, LIGHT), BLACK], 4);
     assert!(error.is_ok(), "{error:?}");
 }

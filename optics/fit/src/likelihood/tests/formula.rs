@@ -118,7 +118,7 @@ fn noise_is_estimated_where_it_is_not_told() {
     let silent = silent.channels[0].refined.clone().unwrap();
     assert!(silent.sigma_t_per_mm.contains(told.best.medium.sigma_t_per_mm()), "{silent:?}");
     let ratio = silent.measurement_noise / told.measurement_noise;
-    // 360 pixels tell a standard deviation to 6 %; one number stands for a noise that is a share of the value.
+    // 360 pixels determine a standard deviation to 6 %; one number stands for a noise that is a share of the value.
     assert!((0.75..1.25).contains(&ratio), "{ratio}");
     let width = |r: &Refined| (r.sigma_t_per_mm.high / r.sigma_t_per_mm.low).ln();
     assert!((0.7..1.4).contains(&(width(&silent) / width(&told))));
