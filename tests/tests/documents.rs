@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
 use farm_tests::reference::{own_files, root};
+use optics_model::Quantity;
 
 fn is_document(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "md")
@@ -166,4 +167,38 @@ fn all_files_are_of_the_same_version() {
     let mut released = changelog.lines().filter_map(|line| line.strip_prefix("## "));
     let newest = released.find(|heading| *heading != "Unreleased").unwrap();
     assert_eq!(newest.split(' ').next(), Some(version), "CHANGELOG.md");
+}
+
+/// The tables of the set-up in the guide and in the reference have every quantity, with its option, column and default, and
+/// no other.
+#[test]
+fn documents_list_the_quantities_of_the_set_up() {
+    let rows_with = |document: &str, cell: &str| {
+        let text = std::fs::read_to_string(root().join(document)).unwrap();
+        let row = text.lines().find(|line| line.starts_with('|') && line.contains(&format!("`{cell}`")));
+        row.unwrap_or_else(|| panic!("{document} has no row with {cell}")).to_owned()
+    };
+    let option = |quantity: &Quantity| format!("--{}", quantity.name.replace('_', "-"));
+    for quantity in Quantity::OF_OPTIONS {
+        let row = rows_with("docs/measuring.md", &option(quantity));
+        let default = quantity.default.to_string();
+        assert!(
+            quantity.default == 0.0 || row.contains(&default),
+            "{}: {default} is not in {row}",
+            quantity.name
+        );
+    }
+    for quantity in Quantity::OF_PROFILES {
+        rows_with("docs/measuring.md", quantity.name);
+        let row = rows_with("docs/formats.md", quantity.name);
+        assert!(row.contains(&quantity.default.to_string()), "{} is not in {row}", quantity.default);
+    }
+    let guide = std::fs::read_to_string(root().join("docs/measuring.md")).unwrap();
+    let table = guide.lines().skip_while(|line| !line.contains("name in the session file")).skip(2);
+    let names =
+        table.take_while(|line| line.starts_with('|')).flat_map(|row| row.split('`').skip(1).step_by(2));
+    for name in names.filter(|name| !name.starts_with("--mu") && !["measure", "fit"].contains(name)) {
+        let known = Quantity::ALL.iter().any(|q| q.name == name || option(q) == name);
+        assert!(known, "{name} is no quantity of a set-up");
+    }
 }

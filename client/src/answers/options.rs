@@ -1,9 +1,19 @@
 //! The settings that an answer came by, as programs read them.
 
-use optics_model::fit::{Bounds, FitOptions, Objective, Wavelet};
-use serde::Serialize;
+use optics_model::fit::{Bounds, FitOptions, FitSettings, Objective, Wavelet};
+use serde::{Serialize, Serializer};
 
 use farm_lab::set_up::Assumed;
+
+/// The quantities of the set-up by their names.
+#[derive(Debug)]
+pub(crate) struct SetUpJson<'a>(pub &'a FitSettings);
+
+impl Serialize for SetUpJson<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.set_up().map(|(quantity, value)| (quantity.name, value)))
+    }
+}
 
 /// Settings of a fit, as they were used.
 #[derive(Debug, Serialize)]
@@ -12,8 +22,6 @@ pub(crate) struct UsedOptions<'a> {
     lambda: f64,
     mu: f64,
     mu_std_error: f64,
-    gain_std_error: f64,
-    offset_std_error: f64,
     /// Null if free or a range.
     g: Option<f64>,
     g_range: Bounds,
@@ -23,25 +31,20 @@ pub(crate) struct UsedOptions<'a> {
     level: u32,
     /// Null if it is chosen by whether every profile has standard errors.
     objective: Option<Objective>,
-    thickness_std_error_mm: f64,
-    origin_std_error_mm: f64,
-    blur_mm: f64,
-    blur_std_error_mm: f64,
-    slope_std_error: f64,
-    /// The options among these for which a default was used, for one profile at least.
-    assumed: &'a [&'static str],
+    #[serde(flatten)]
+    set_up: SetUpJson<'a>,
+    /// The quantities of the set-up without a value, for one profile at least.
+    assumed: Vec<&'static str>,
 }
 
 impl<'a> UsedOptions<'a> {
-    pub(crate) fn new(dictionary: &'a str, options: &FitOptions, assumed: &'a Assumed) -> Self {
+    pub(crate) fn new(dictionary: &'a str, options: &'a FitOptions, assumed: &Assumed) -> Self {
         let s = options.settings();
         Self {
             dictionary,
             lambda: s.lambda,
             mu: s.mu,
             mu_std_error: s.mu_std_error,
-            gain_std_error: s.gain_std_error,
-            offset_std_error: s.offset_std_error,
             g: s.g.is_fixed().then_some(s.g.min()),
             g_range: s.g,
             sigma_t_range: s.sigma_t_per_mm,
@@ -49,11 +52,7 @@ impl<'a> UsedOptions<'a> {
             wavelet: s.wavelet,
             level: s.level,
             objective: s.objective,
-            thickness_std_error_mm: s.thickness_std_error_mm,
-            origin_std_error_mm: s.origin_std_error_mm,
-            blur_mm: s.blur_mm,
-            blur_std_error_mm: s.blur_std_error_mm,
-            slope_std_error: s.slope_std_error,
+            set_up: SetUpJson(s),
             assumed: assumed.names(),
         }
     }

@@ -4,7 +4,7 @@ use anyhow::Result;
 use farm_lab::measurement_file::{MeasurementFile, Note, beyond_limits, read_measurements};
 use optics_model::measurement::ProfileSetup;
 use optics_model::{MeasuredProfile, Measurement};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use crate::cli::CheckArgs;
 use crate::output::{Output, table};
@@ -42,34 +42,30 @@ struct CheckedProfileJson<'a> {
     x_mm: &'a [f64],
     values: &'a [f64],
     std_errors: Option<&'a [f64]>,
-    thickness_std_error_mm: Option<f64>,
-    origin_mm: Option<f64>,
-    origin_std_error_mm: Option<f64>,
-    blur_mm: Option<f64>,
-    blur_std_error_mm: Option<f64>,
+    #[serde(flatten)]
+    set_up: ProfileSetupJson<'a>,
 }
 
 impl<'a> From<&'a MeasuredProfile> for CheckedProfileJson<'a> {
     fn from(profile: &'a MeasuredProfile) -> Self {
-        let ProfileSetup {
-            thickness_std_error_mm,
-            origin_mm,
-            origin_std_error_mm,
-            blur_mm,
-            blur_std_error_mm,
-        } = *profile.setup();
         Self {
             channel: profile.channel(),
             thickness_mm: profile.thickness_mm(),
             x_mm: profile.x_mm(),
             values: profile.values(),
             std_errors: profile.std_errors(),
-            thickness_std_error_mm,
-            origin_mm,
-            origin_std_error_mm,
-            blur_mm,
-            blur_std_error_mm,
+            set_up: ProfileSetupJson(profile.setup()),
         }
+    }
+}
+
+/// The quantities of a profile's set-up by their names.
+#[derive(Debug)]
+struct ProfileSetupJson<'a>(&'a ProfileSetup);
+
+impl Serialize for ProfileSetupJson<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.values().map(|(quantity, value)| (quantity.name, value)))
     }
 }
 

@@ -6,7 +6,7 @@ use optics_model::fit::{Design, DesignQuestion};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::design_text;
+use crate::answers::{SetUpJson, design_text};
 use crate::cli::{DesignArgs, Global};
 use crate::connection::{Purpose, with_farm};
 use crate::figure_files::{self, drawn};
@@ -46,23 +46,18 @@ pub(super) struct JsonData<'a> {
     mu: f64,
     /// Null if nothing is known of μ.
     mu_std_error: Option<f64>,
-    gain_std_error: f64,
-    offset_std_error: f64,
-    slope_std_error: f64,
-    thickness_std_error_mm: f64,
-    origin_std_error_mm: f64,
-    blur_mm: f64,
-    blur_std_error_mm: f64,
-    /// The options among these for which a default was used.
-    assumed: &'a [&'static str],
+    #[serde(flatten)]
+    set_up: SetUpJson<'a>,
+    /// The quantities of the set-up without a value.
+    assumed: Vec<&'static str>,
     #[serde(flatten)]
     design: &'a Design,
 }
 
 pub(super) fn data<'a>(
     dictionary: &'a str,
-    question: &DesignQuestion,
-    assumed: &'a Assumed,
+    question: &'a DesignQuestion,
+    assumed: &Assumed,
     design: &'a Design,
 ) -> JsonData<'a> {
     let (asked, known) = (question.settings(), question.settings().set_up.settings());
@@ -72,13 +67,7 @@ pub(super) fn data<'a>(
         noise_floor: asked.noise_floor,
         mu: known.mu,
         mu_std_error: (!asked.mu_free).then_some(known.mu_std_error),
-        gain_std_error: known.gain_std_error,
-        offset_std_error: known.offset_std_error,
-        slope_std_error: known.slope_std_error,
-        thickness_std_error_mm: known.thickness_std_error_mm,
-        origin_std_error_mm: known.origin_std_error_mm,
-        blur_mm: known.blur_mm,
-        blur_std_error_mm: known.blur_std_error_mm,
+        set_up: SetUpJson(known),
         assumed: assumed.names(),
         design,
     }

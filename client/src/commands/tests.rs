@@ -117,7 +117,7 @@ fn notes() -> Vec<Note> {
     vec![Note { code: "x_in_cm", text: "x is in cm".to_owned() }]
 }
 
-fn used<'a>(options: &FitOptions, assumed: &'a Assumed) -> UsedOptions<'a> {
+fn used<'a>(options: &'a FitOptions, assumed: &Assumed) -> UsedOptions<'a> {
     UsedOptions::new("paper", options, assumed)
 }
 

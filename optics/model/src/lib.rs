@@ -17,6 +17,7 @@ pub mod medium;
 pub mod packed;
 pub mod phase;
 pub mod profile;
+pub mod quantities;
 mod records_digest;
 pub mod scene;
 pub mod sums;
@@ -29,6 +30,7 @@ pub use measurement::{MeasuredProfile, Measurement, ProfileSetup};
 pub use medium::{Medium, TransportPoint};
 pub use packed::{Layout, PackedRecords};
 pub use profile::{Derivatives, Estimate, Profile, Record};
+pub use quantities::Quantity;
 pub use scene::Scene;
 
 /// Version of everything that changes the bytes of a record: tracer, sampling, random streams.

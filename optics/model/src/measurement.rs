@@ -9,6 +9,8 @@ pub use colour::colour;
 use crate::invalid::{Invalid, Result};
 use crate::limits::FitLimits;
 use crate::medium::check_thickness;
+use crate::quantities::Quantity;
+use crate::with_quantities;
 
 /// Fewest pixels of a measured profile: fewer do not distinguish an edge from a slope.
 pub const MIN_PIXELS: usize = 8;
@@ -19,34 +21,35 @@ const BESIDE_MM: f64 = 1.0;
 const PATCH_MM: (f64, f64) = (4.6, 0.025);
 const PATCH_PIXELS: usize = 16;
 
-/// How well the set-up of a profile is known. What is none is taken from the options of a fit.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct ProfileSetup {
-    pub thickness_std_error_mm: Option<f64>,
-    /// Where the edge lies in the profile's x; 0 if none.
-    pub origin_mm: Option<f64>,
-    pub origin_std_error_mm: Option<f64>,
-    /// Blur of the camera: standard deviation of a Gaussian in the plane of the sample.
-    pub blur_mm: Option<f64>,
-    pub blur_std_error_mm: Option<f64>,
+macro_rules! profile_setup {
+    ($($name:ident { $unit:ident, $default:expr, $range:tt, $form:ident, $label:literal, $help:literal })+) => {
+        /// How well the set-up of a profile is known. What is none is taken from the options of a fit.
+        #[derive(Debug, Clone, Copy, PartialEq, Default)]
+        pub struct ProfileSetup {
+            $(#[doc = $help] pub $name: Option<f64>,)+
+        }
+
+        impl ProfileSetup {
+            /// The quantities, in the order of their table.
+            pub fn values(&self) -> impl Iterator<Item = (&'static Quantity, Option<f64>)> {
+                Quantity::OF_PROFILES.iter().zip([$(self.$name),+])
+            }
+
+            pub fn values_mut(&mut self) -> impl Iterator<Item = (&'static Quantity, &mut Option<f64>)> {
+                Quantity::OF_PROFILES.iter().zip([$(&mut self.$name),+])
+            }
+        }
+    };
 }
+
+with_quantities!(profiles profile_setup);
 
 impl ProfileSetup {
     fn check(self) -> Result<Self> {
-        let length = |field: &str, v: Option<f64>| match v {
-            Some(v) if !(0.0..=1.0).contains(&v) => Err(Invalid::new(field, v, "allowed are 0 to 1")),
-            _ => Ok(()),
-        };
-        length("thickness_std_error_mm", self.thickness_std_error_mm)?;
-        length("origin_std_error_mm", self.origin_std_error_mm)?;
-        length("blur_mm", self.blur_mm)?;
-        length("blur_std_error_mm", self.blur_std_error_mm)?;
-        match self.origin_mm {
-            Some(v) if !(-10.0..=10.0).contains(&v) => {
-                Err(Invalid::new("origin_mm", v, "allowed are -10 to 10"))
-            }
-            _ => Ok(self),
+        for (quantity, value) in self.values() {
+            value.map(|value| quantity.check(value)).transpose()?;
         }
+        Ok(self)
     }
 }
 

@@ -9,6 +9,7 @@ use optics_model::fit::{
     Objective, Outside, Refined, Suspicion, ThicknessError, Wavelet,
 };
 use optics_model::invalid::{Invalid, Result};
+use optics_model::with_quantities;
 
 fn bounds(field: &str, bounds: Option<wire::Bounds>) -> Result<Bounds> {
     let bounds = bounds.unwrap_or_default();
@@ -42,61 +43,55 @@ impl From<Bounds> for wire::Bounds {
     }
 }
 
-impl TryFrom<wire::FitOptions> for FitOptions {
-    type Error = Invalid;
+macro_rules! options {
+    ($($name:ident $row:tt)+) => {
+        impl TryFrom<wire::FitOptions> for FitOptions {
+            type Error = Invalid;
 
-    fn try_from(options: wire::FitOptions) -> Result<Self> {
-        let default = FitSettings::default();
-        Self::new(FitSettings {
-            lambda: options.lambda.unwrap_or(default.lambda),
-            mu: options.mu.unwrap_or(default.mu),
-            mu_std_error: options.mu_std_error.unwrap_or(default.mu_std_error),
-            gain_std_error: options.gain_std_error.unwrap_or(default.gain_std_error),
-            offset_std_error: options.offset_std_error.unwrap_or(default.offset_std_error),
-            objective: objective(options.objective)?,
-            thickness_std_error_mm: options.thickness_std_error_mm.unwrap_or(default.thickness_std_error_mm),
-            origin_std_error_mm: options.origin_std_error_mm.unwrap_or(default.origin_std_error_mm),
-            blur_mm: options.blur_mm.unwrap_or(default.blur_mm),
-            blur_std_error_mm: options.blur_std_error_mm.unwrap_or(default.blur_std_error_mm),
-            slope_std_error: options.slope_std_error.unwrap_or(default.slope_std_error),
-            wavelet: wavelet(options.wavelet)?,
-            level: options.level.unwrap_or(default.level),
-            sigma_t_per_mm: bounds("sigma_t_per_mm", options.sigma_t_per_mm)?,
-            albedo: bounds("albedo", options.albedo)?,
-            g: bounds("g", options.g)?,
-            top: options.top.unwrap_or(default.top),
-            refine: options.refine,
-            curves: options.curves,
-        })
-    }
-}
-
-impl From<&FitOptions> for wire::FitOptions {
-    fn from(options: &FitOptions) -> Self {
-        let s = options.settings();
-        Self {
-            lambda: Some(s.lambda),
-            mu: Some(s.mu),
-            mu_std_error: Some(s.mu_std_error),
-            gain_std_error: Some(s.gain_std_error),
-            offset_std_error: Some(s.offset_std_error),
-            wavelet: s.wavelet.number(),
-            level: Some(s.level),
-            sigma_t_per_mm: Some(s.sigma_t_per_mm.into()),
-            albedo: Some(s.albedo.into()),
-            g: Some(s.g.into()),
-            top: Some(s.top),
-            refine: s.refine,
-            curves: s.curves,
-            objective: optional_number::to_wire(s.objective),
-            thickness_std_error_mm: Some(s.thickness_std_error_mm),
-            origin_std_error_mm: Some(s.origin_std_error_mm),
-            blur_mm: Some(s.blur_mm),
-            blur_std_error_mm: Some(s.blur_std_error_mm),
-            slope_std_error: Some(s.slope_std_error),
+            fn try_from(options: wire::FitOptions) -> Result<Self> {
+                let default = FitSettings::default();
+                Self::new(FitSettings {
+                    lambda: options.lambda.unwrap_or(default.lambda),
+                    mu: options.mu.unwrap_or(default.mu),
+                    mu_std_error: options.mu_std_error.unwrap_or(default.mu_std_error),
+                    objective: objective(options.objective)?,
+                    wavelet: wavelet(options.wavelet)?,
+                    level: options.level.unwrap_or(default.level),
+                    sigma_t_per_mm: bounds("sigma_t_per_mm", options.sigma_t_per_mm)?,
+                    albedo: bounds("albedo", options.albedo)?,
+                    g: bounds("g", options.g)?,
+                    top: options.top.unwrap_or(default.top),
+                    refine: options.refine,
+                    curves: options.curves,
+                    $($name: options.$name.unwrap_or(default.$name),)+
+                })
+            }
         }
-    }
+
+        impl From<&FitOptions> for wire::FitOptions {
+            fn from(options: &FitOptions) -> Self {
+                let s = options.settings();
+                Self {
+                    lambda: Some(s.lambda),
+                    mu: Some(s.mu),
+                    mu_std_error: Some(s.mu_std_error),
+                    wavelet: s.wavelet.number(),
+                    level: Some(s.level),
+                    sigma_t_per_mm: Some(s.sigma_t_per_mm.into()),
+                    albedo: Some(s.albedo.into()),
+                    g: Some(s.g.into()),
+                    top: Some(s.top),
+                    refine: s.refine,
+                    curves: s.curves,
+                    objective: optional_number::to_wire(s.objective),
+                    $($name: Some(s.$name),)+
+                }
+            }
+        }
+    };
 }
+
+with_quantities!(options options);
 
 mirror!(MaterialFit { material, channels: list });
 mirror!(ChannelFit {
@@ -156,18 +151,11 @@ mod tests {
     #[test]
     fn options_come_through() {
         for objective in [None, Some(Objective::Paper), Some(Objective::Likelihood)] {
-            let settings = FitSettings {
+            let mut settings = FitSettings {
                 lambda: 12.5,
                 mu: 0.913,
                 mu_std_error: 0.004,
-                gain_std_error: 0.01,
-                offset_std_error: 0.02,
                 objective,
-                thickness_std_error_mm: 0.03,
-                origin_std_error_mm: 0.04,
-                blur_mm: 0.06,
-                blur_std_error_mm: 0.07,
-                slope_std_error: 0.08,
                 wavelet: Wavelet::Haar,
                 level: 3,
                 sigma_t_per_mm: Bounds::new("sigma_t_per_mm", Some(0.5), None).unwrap(),
@@ -176,7 +164,11 @@ mod tests {
                 top: 2,
                 refine: true,
                 curves: true,
+                ..FitSettings::default()
             };
+            for (i, (_, value)) in settings.set_up_mut().enumerate() {
+                *value = 0.01 * (i as f64 + 1.5);
+            }
             let options = FitOptions::new(settings).unwrap();
             assert_eq!(FitOptions::try_from(wire::FitOptions::from(&options)).unwrap(), options);
         }

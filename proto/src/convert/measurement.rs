@@ -4,25 +4,41 @@ use crate::wire;
 use optics_model::invalid::{Invalid, Result, each};
 use optics_model::limits::FitLimits;
 use optics_model::measurement::{MeasuredProfile, Measurement, ProfileSetup};
+use optics_model::with_quantities;
+
+macro_rules! profiles {
+    ($($name:ident $row:tt)+) => {
+        impl From<&MeasuredProfile> for wire::MeasuredProfile {
+            fn from(profile: &MeasuredProfile) -> Self {
+                Self {
+                    channel: profile.channel().to_owned(),
+                    thickness_mm: profile.thickness_mm(),
+                    x_mm: profile.x_mm().to_vec(),
+                    values: profile.values().to_vec(),
+                    std_errors: profile.std_errors().unwrap_or_default().to_vec(),
+                    $($name: profile.setup().$name,)+
+                }
+            }
+        }
+
+        impl TryFrom<wire::MeasuredProfile> for MeasuredProfile {
+            type Error = Invalid;
+
+            fn try_from(p: wire::MeasuredProfile) -> Result<Self> {
+                let std_errors = (!p.std_errors.is_empty()).then_some(p.std_errors);
+                Self::new(p.channel, p.thickness_mm, p.x_mm, p.values, std_errors)?
+                    .with_setup(ProfileSetup { $($name: p.$name),+ })
+            }
+        }
+    };
+}
+
+with_quantities!(profiles profiles);
 
 impl From<&Measurement> for wire::Measurement {
     fn from(measurement: &Measurement) -> Self {
-        let profile = |p: &MeasuredProfile| wire::MeasuredProfile {
-            channel: p.channel().to_owned(),
-            thickness_mm: p.thickness_mm(),
-            x_mm: p.x_mm().to_vec(),
-            values: p.values().to_vec(),
-            std_errors: p.std_errors().unwrap_or_default().to_vec(),
-            thickness_std_error_mm: p.setup().thickness_std_error_mm,
-            origin_mm: p.setup().origin_mm,
-            origin_std_error_mm: p.setup().origin_std_error_mm,
-            blur_mm: p.setup().blur_mm,
-            blur_std_error_mm: p.setup().blur_std_error_mm,
-        };
-        Self {
-            material: measurement.material().to_owned(),
-            profiles: measurement.profiles().iter().map(profile).collect(),
-        }
+        let profiles = measurement.profiles().iter().map(Into::into).collect();
+        Self { material: measurement.material().to_owned(), profiles }
     }
 }
 
@@ -30,18 +46,7 @@ impl TryFrom<wire::Measurement> for Measurement {
     type Error = Invalid;
 
     fn try_from(measurement: wire::Measurement) -> Result<Self> {
-        let profiles = each("profiles", measurement.profiles, |p| {
-            let std_errors = (!p.std_errors.is_empty()).then_some(p.std_errors);
-            let setup = ProfileSetup {
-                thickness_std_error_mm: p.thickness_std_error_mm,
-                origin_mm: p.origin_mm,
-                origin_std_error_mm: p.origin_std_error_mm,
-                blur_mm: p.blur_mm,
-                blur_std_error_mm: p.blur_std_error_mm,
-            };
-            MeasuredProfile::new(p.channel, p.thickness_mm, p.x_mm, p.values, std_errors)?.with_setup(setup)
-        })?;
-        Self::new(measurement.material, profiles)
+        Self::new(measurement.material, each("profiles", measurement.profiles, TryInto::try_into)?)
     }
 }
 
@@ -81,13 +86,10 @@ mod tests {
 
     #[test]
     fn what_is_known_of_a_set_up_comes_through() {
-        let setup = ProfileSetup {
-            thickness_std_error_mm: Some(0.005),
-            origin_mm: Some(0.07),
-            origin_std_error_mm: Some(0.004),
-            blur_mm: Some(0.025),
-            blur_std_error_mm: Some(0.001),
-        };
+        let mut setup = ProfileSetup::default();
+        for (i, (_, value)) in setup.values_mut().enumerate() {
+            *value = Some(0.01 * (i as f64 + 1.0));
+        }
         for setup in [setup, ProfileSetup::default(), ProfileSetup { origin_mm: Some(0.0), ..setup }] {
             let there = measurement(setup);
             assert_eq!(Measurement::try_from(wire::Measurement::from(&there)).unwrap(), there);

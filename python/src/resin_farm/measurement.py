@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-_SET_UP = ("thickness_std_error_mm", "origin_mm", "origin_std_error_mm", "blur_mm", "blur_std_error_mm")
+# The optional fields of the message.
+_SET_UP = tuple(f.name for f in model_pb2.MeasuredProfile.DESCRIPTOR.fields if f.has_presence)
 _NEEDED = ("material", "channel", "thickness_mm", "x_mm", "value")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeAlias, TypedDict
 
-from resin_farm._wire import fits_pb2
+from resin_farm._wire import fits_pb2, model_pb2
 from resin_farm.measurement import Measurement
 
 Range: TypeAlias = float | tuple[float | None, float | None]
@@ -69,25 +69,23 @@ def wire(given: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
     return fits_pb2.FitOptions(**fields)
 
 
-# In the order of farmctl; True if a profile may have its own.
-_SET_UP = {
-    "thickness_std_error_mm": True,
-    "origin_std_error_mm": True,
-    "blur_std_error_mm": True,
-    "gain_std_error": False,
-    "offset_std_error": False,
-    "slope_std_error": False,
-}
+_OF_PROFILES = {f.name for f in model_pb2.MeasuredProfile.DESCRIPTOR.fields}
+# The standard errors of the set-up in the order of farmctl: those that a profile may have of its own come first.
+_SET_UP = sorted(
+    (f.name for f in fits_pb2.FitOptions.DESCRIPTOR.fields if "std_error" in f.name and f.name != "mu_std_error"),
+    key=lambda name: name not in _OF_PROFILES,
+)
 
 
 def assumed(given: Mapping[str, Any], materials: Iterable[Measurement]) -> tuple[str, ...]:
     """The options about the set-up that have their defaults, for at least one profile."""
     profiles = [profile for material in materials for profile in material.profiles]
 
-    def is_assumed(name: str, of_profile: bool) -> bool:
-        return name not in given and not (of_profile and all(name in profile.set_up for profile in profiles))
+    def is_assumed(name: str) -> bool:
+        of_profiles = name in _OF_PROFILES and all(name in profile.set_up for profile in profiles)
+        return name not in given and not of_profiles
 
-    return tuple(name for name, of_profile in _SET_UP.items() if is_assumed(name, of_profile))
+    return tuple(name for name in _SET_UP if is_assumed(name))
 
 
 def _bounds(given: Range) -> fits_pb2.Bounds:

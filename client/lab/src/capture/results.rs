@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use optics_capture::{Colour, EdgeProfile, Estimate, Source};
+use optics_model::ProfileSetup;
 use optics_model::{GridFile, SceneFile, SceneRef, scene::Channel};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -11,7 +12,7 @@ use serde_json::{Value, json};
 use super::budget::{SessionErrors, sum, thickness_std_error_mm};
 use super::report::{self, Report};
 use super::stage::{Captured, CapturedSample};
-use crate::measurement_file::{self, COLUMNS, Note};
+use crate::measurement_file::{self, Note, column_names};
 use crate::whole_file::{folder_of, sync_folder};
 
 /// The files of a folder, in the order in which they are listed.
@@ -78,17 +79,20 @@ fn check_folder(folder: &Path) -> Result<()> {
 /// The profiles in the strict format, with what is known of each.
 fn measurements(captured: &Captured) -> Result<Vec<u8>> {
     let mut rows = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(Vec::new());
-    rows.write_record(COLUMNS)?;
+    rows.write_record(column_names())?;
     for sample in &captured.samples {
         for (c, profile) in sample.profile.profiles.iter().enumerate() {
             let blur = captured.board.blur_mm[c];
-            let set_up = [
-                format!("{:.6}", thickness_std_error_mm(sample, c)),
-                "0".to_owned(),
-                format!("{:.6}", sum(&sample.profile.budget, &[Source::Origin], c)),
-                format!("{:.6}", blur.value),
-                format!("{:.6}", blur.std_error),
-            ];
+            let known = ProfileSetup {
+                thickness_std_error_mm: Some(thickness_std_error_mm(sample, c)),
+                origin_mm: Some(0.0),
+                origin_std_error_mm: Some(sum(&sample.profile.budget, &[Source::Origin], c)),
+                ..ProfileSetup::default()
+            };
+            let known =
+                ProfileSetup { blur_mm: Some(blur.value), blur_std_error_mm: Some(blur.std_error), ..known };
+            let set_up: Vec<String> =
+                known.values().map(|(_, value)| value.map_or_else(String::new, cell)).collect();
             for [x, value, error] in points(profile) {
                 let names = [sample.about.material.clone(), profile.colour.letter().to_owned()];
                 let numbers = [
@@ -102,6 +106,10 @@ fn measurements(captured: &Captured) -> Result<Vec<u8>> {
         }
     }
     Ok(rows.into_inner()?)
+}
+
+fn cell(value: f64) -> String {
+    if value == 0.0 { "0".to_owned() } else { format!("{value:.6}") }
 }
 
 /// Bins from the first to the last with a value. One between them that has none, since all its samples were rejected, gets

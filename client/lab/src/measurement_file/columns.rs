@@ -1,29 +1,105 @@
 //! Which column of a file is what.
 
 use anyhow::{Result, bail};
+use optics_model::quantities::{self, Quantity};
 
 use super::note::Note;
 
+/// How many quantities of a profile's set-up have a column.
+pub(super) const SET_UP: usize = Quantity::OF_PROFILES.len();
+
+/// What a column of the strict format holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Field {
+    Material,
+    Channel,
+    Thickness,
+    X,
+    Value,
+    StdError,
+    /// A quantity of the profile's set-up, by its place among [`Quantity::OF_PROFILES`].
+    SetUp(usize),
+}
+
+impl Field {
+    /// Those that must be there.
+    pub(super) const NEEDED: [Self; 5] =
+        [Self::Material, Self::Channel, Self::Thickness, Self::X, Self::Value];
+
+    fn all() -> impl Iterator<Item = Self> {
+        Self::NEEDED.into_iter().chain([Self::StdError]).chain((0..SET_UP).map(Self::SetUp))
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Material => "material",
+            Self::Channel => "channel",
+            Self::Thickness => "thickness_mm",
+            Self::X => "x_mm",
+            Self::Value => "value",
+            Self::StdError => "std_error",
+            Self::SetUp(quantity) => Quantity::OF_PROFILES[quantity].name,
+        }
+    }
+
+    fn is_length(self) -> bool {
+        match self {
+            Self::Thickness | Self::X => true,
+            Self::SetUp(quantity) => Quantity::OF_PROFILES[quantity].unit == quantities::Unit::Length,
+            Self::Material | Self::Channel | Self::Value | Self::StdError => false,
+        }
+    }
+
+    /// Whether its numbers may have a unit. Pixels are understood so that they can be refused with a reason.
+    fn takes(self, unit: Unit) -> bool {
+        match unit {
+            Unit::None => true,
+            Unit::Nanometres => self == Self::Channel,
+            Unit::Percent => matches!(self, Self::Value | Self::StdError),
+            Unit::Pixels => self != Self::Thickness && self.is_length(),
+            Unit::Millimetres | Unit::Micrometres | Unit::Centimetres | Unit::Metres => self.is_length(),
+        }
+    }
+
+    /// By a name in lower case without its unit, spaces and punctuation.
+    fn of(base: &str) -> Option<Self> {
+        Some(match base {
+            "material" | "sample" | "specimen" | "resin" => Self::Material,
+            "channel" | "colour" | "color" | "band" | "wavelength" => Self::Channel,
+            "thickness" | "t" | "slabthickness" | "samplethickness" => Self::Thickness,
+            "x" | "position" | "pos" | "xposition" | "distance" => Self::X,
+            "value" | "radiance" | "radiancefactor" | "reflectance" | "reflectancefactor" | "intensity"
+            | "mean" => Self::Value,
+            "stderror" | "standarderror" | "stderr" | "error" | "sigma" | "std" | "stddev" | "stdev"
+            | "standarddeviation" | "sd" | "se" | "sem" | "uncertainty" => Self::StdError,
+            "x0" => return Self::of("origin"),
+            _ => return Self::of_set_up(base),
+        })
+    }
+
+    fn of_set_up(base: &str) -> Option<Self> {
+        let errors = ["standarderror", "stderror", "error", "uncertainty"];
+        let error_of = errors.iter().find_map(|error| base.strip_suffix(error));
+        let wanted = error_of.map_or_else(|| base.to_owned(), |of| format!("{of}stderror"));
+        let is_named =
+            |quantity: &Quantity| split_unit(quantity.name).is_some_and(|(n, _)| squeezed(n) == wanted);
+        Quantity::OF_PROFILES.iter().position(is_named).map(Self::SetUp)
+    }
+}
+
 /// The names of the strict format.
-pub const NAMES: [&str; 11] = [
-    "material",
-    "channel",
-    "thickness_mm",
-    "x_mm",
-    "value",
-    "std_error",
-    "thickness_std_error_mm",
-    "origin_mm",
-    "origin_std_error_mm",
-    "blur_mm",
-    "blur_std_error_mm",
-];
+pub fn names() -> Vec<&'static str> {
+    Field::all().map(Field::name).collect()
+}
 
-/// How many of them must be there.
-pub(super) const NEEDED: usize = 5;
+/// A name without spaces and punctuation.
+fn squeezed(name: &str) -> String {
+    name.chars().filter(|c| !" _-./".contains(*c)).collect()
+}
 
-/// The names of what is known of a profile's set-up.
-pub(super) const SETUP: [&str; 5] = [NAMES[6], NAMES[7], NAMES[8], NAMES[9], NAMES[10]];
+fn joined(fields: impl IntoIterator<Item = Field>) -> String {
+    fields.into_iter().map(Field::name).collect::<Vec<_>>().join(", ")
+}
 
 /// A column's place in the rows, and the factor that makes its numbers mm or radiance factors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,40 +119,42 @@ pub(super) struct Columns {
     pub x: Column,
     pub value: Column,
     pub std_error: Option<Column>,
-    /// In the order of [`SETUP`].
-    pub setup: [Option<Column>; 5],
+    /// In the order of [`Quantity::OF_PROFILES`].
+    pub setup: [Option<Column>; SET_UP],
 }
 
 impl Columns {
     /// Refuses names that are not known, that are missing, and two that mean the same.
     pub fn find(header: &csv::StringRecord, notes: &mut Vec<Note>) -> Result<Self> {
-        let mut found: [Option<(Meaning, usize)>; NAMES.len()] = [None; NAMES.len()];
+        let mut found: Vec<(Meaning, usize)> = Vec::new();
         let mut assumed = Vec::new();
         for (place, given) in header.iter().enumerate().filter(|(_, given)| !given.is_empty()) {
             let Some(meaning) = meaning(given) else {
-                bail!("column {given:?} is not known; the columns are {}", NAMES.join(", "));
+                bail!("column {given:?} is not known; the columns are {}", names().join(", "));
             };
+            let (field, name) = (meaning.field, meaning.field.name());
             if meaning.unit == Unit::Pixels {
                 bail!(
                     "column {given:?} counts pixels; mm are wanted: multiply by the pixel pitch{}",
-                    if meaning.field == 3 { ", with 0 at the edge" } else { "" }
+                    if field == Field::X { ", with 0 at the edge" } else { "" }
                 );
             }
-            if let Some((_, earlier)) = found[meaning.field] {
-                let (first, name) = (&header[earlier], NAMES[meaning.field]);
+            if let Some((_, earlier)) = found.iter().find(|(other, _)| other.field == field) {
+                let first = &header[*earlier];
                 bail!("columns {first:?} and {given:?} could both be {name}: leave one out or rename it");
             }
-            found[meaning.field] = Some((meaning, place));
-            if given != NAMES[meaning.field] {
+            found.push((meaning, place));
+            if given != name {
                 assumed.push(meaning.described(given));
             }
         }
-        let missing: Vec<_> = (0..NEEDED).filter(|f| found[*f].is_none()).map(|f| NAMES[f]).collect();
+        let of = |field: Field| found.iter().find(|(meaning, _)| meaning.field == field).copied();
+        let missing: Vec<_> = Field::NEEDED.into_iter().filter(|field| of(*field).is_none()).collect();
         if !missing.is_empty() {
             let s = if missing.len() == 1 { "" } else { "s" };
-            bail!("missing column{s} {}; needed are {}", missing.join(", "), NAMES[..NEEDED].join(", "));
+            bail!("missing column{s} {}; needed are {}", joined(missing), joined(Field::NEEDED));
         }
-        if let [_, _, _, _, Some((value, _)), Some((error, place)), ..] = found
+        if let (Some((value, _)), Some((error, place))) = (of(Field::Value), of(Field::StdError))
             && value.unit == Unit::Percent
             && error.unit == Unit::None
         {
@@ -88,15 +166,16 @@ impl Columns {
         if !assumed.is_empty() {
             notes.push(Note::new("COLUMNS", format!("columns: {}", assumed.join(", "))));
         }
-        let column = |field: usize| {
-            found[field].map(|(m, place)| Column { place, factor: m.unit.factor(), name: NAMES[field] })
+        let column = |field: Field| {
+            of(field).map(|(m, place)| Column { place, factor: m.unit.factor(), name: field.name() })
         };
-        match [0, 1, 2, 3, 4].map(column) {
+        match Field::NEEDED.map(column) {
             [Some(material), Some(channel), Some(thickness), Some(x), Some(value)] => {
-                let (std_error, setup) = (column(5), [6, 7, 8, 9, 10].map(column));
+                let setup = std::array::from_fn(|quantity| column(Field::SetUp(quantity)));
+                let std_error = column(Field::StdError);
                 Ok(Self { material, channel, thickness, x, value, std_error, setup })
             }
-            _ => bail!("needed are {}", NAMES[..NEEDED].join(", ")),
+            _ => bail!("needed are {}", joined(Field::NEEDED)),
         }
     }
 
@@ -161,14 +240,13 @@ impl Unit {
 /// The meaning of a column's name.
 #[derive(Debug, Clone, Copy)]
 struct Meaning {
-    /// Index into [`NAMES`].
-    field: usize,
+    field: Field,
     unit: Unit,
 }
 
 impl Meaning {
     fn described(self, given: &str) -> String {
-        let name = NAMES[self.field];
+        let name = self.field.name();
         match self.unit.factor() {
             1.0 => format!("{given:?} is read as {name}"),
             factor if factor < 1.0 => {
@@ -182,31 +260,8 @@ impl Meaning {
 fn meaning(name: &str) -> Option<Meaning> {
     let name = name.to_lowercase();
     let (words, unit) = split_unit(name.trim())?;
-    let base: String = words.chars().filter(|c| !" _-./".contains(*c)).collect();
-    let field = match base.as_str() {
-        "material" | "sample" | "specimen" | "resin" => 0,
-        "channel" | "colour" | "color" | "band" | "wavelength" => 1,
-        "thickness" | "t" | "slabthickness" | "samplethickness" => 2,
-        "x" | "position" | "pos" | "xposition" | "distance" => 3,
-        "value" | "radiance" | "radiancefactor" | "reflectance" | "reflectancefactor" | "intensity"
-        | "mean" => 4,
-        "stderror" | "standarderror" | "stderr" | "error" | "sigma" | "std" | "stddev" | "stdev"
-        | "standarddeviation" | "sd" | "se" | "sem" | "uncertainty" => 5,
-        "thicknessstderror" | "thicknessstandarderror" | "thicknesserror" | "thicknessuncertainty" => 6,
-        "origin" | "x0" => 7,
-        "originstderror" | "originstandarderror" | "originerror" | "originuncertainty" => 8,
-        "blur" => 9,
-        "blurstderror" | "blurstandarderror" | "blurerror" | "bluruncertainty" => 10,
-        _ => return None,
-    };
-    let fits = match unit {
-        Unit::None => true,
-        Unit::Nanometres => field == 1,
-        Unit::Percent => field == 4 || field == 5,
-        Unit::Pixels => field == 3 || field >= 7,
-        _ => field == 2 || field == 3 || field >= 6,
-    };
-    fits.then_some(Meaning { field, unit })
+    let field = Field::of(&squeezed(words))?;
+    field.takes(unit).then_some(Meaning { field, unit })
 }
 
 /// `thickness (mm)`, `thickness [mm]`, `thickness_mm`, `thickness mm`, `thickness/mm`; None if what stands in brackets
@@ -266,7 +321,7 @@ mod tests {
     #[test]
     fn set_up_columns_take_any_unit_of_length() {
         let all = "material,channel,thickness_mm,x_mm,value";
-        let (columns, notes) = find(&format!("{all},{}", SETUP.join(","))).unwrap();
+        let (columns, notes) = find(&format!("{all},{}", names()[6..].join(","))).unwrap();
         assert!(notes.is_empty(), "{notes:?}");
         assert_eq!(columns.setup.map(|c| c.unwrap().place), [5, 6, 7, 8, 9]);
         let (columns, notes) = find(&format!("{all},Blur (\u{b5}m),Thickness error [um]")).unwrap();

@@ -18,7 +18,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use optics_model::Measurement;
 
-pub use columns::NAMES as COLUMNS;
+pub use columns::names as column_names;
 pub use names::normal;
 pub use note::Note;
 use number::Decimal;

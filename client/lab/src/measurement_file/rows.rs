@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use optics_model::measurement::{ProfileSetup, colour};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
 
-use super::columns::{Column, SETUP, are_units};
+use super::columns::{Column, are_units};
 use super::names::{Spellings, alike, alike_thicknesses};
 use super::note::Note;
 use super::number::{Decimal, is_missing};
@@ -18,8 +18,7 @@ pub(super) struct Draft {
     material: String,
     channel: String,
     thickness_mm: f64,
-    /// What is known of its set-up, in the order of [`SETUP`].
-    setup: [Option<f64>; 5],
+    setup: ProfileSetup,
     rows: Vec<Row>,
 }
 
@@ -70,9 +69,9 @@ fn add(
         value: Some(columns.value).filter(|c| !is_missing(&row[c.place])).map(number).transpose()?,
         std_error: columns.std_error.filter(|c| !is_missing(&row[c.place])).map(number).transpose()?,
     };
-    let mut setup = [None; 5];
-    for (known, column) in setup.iter_mut().zip(columns.setup) {
-        // A cell may be empty: of this profile it is not known.
+    let mut setup = ProfileSetup::default();
+    for ((_, known), column) in setup.values_mut().zip(columns.setup) {
+        // A cell may be empty: this profile has no value.
         *known = column.filter(|c| !row[c.place].is_empty()).map(number).transpose()?;
     }
     let same = |d: &Draft| d.material == material && d.channel == channel && d.thickness_mm == thickness_mm;
@@ -94,13 +93,14 @@ fn add(
 }
 
 /// A profile has one set-up.
-fn check_same(draft: &Draft, setup: [Option<f64>; 5]) -> Result<()> {
-    for ((name, here), before) in SETUP.into_iter().zip(setup).zip(draft.setup) {
+fn check_same(draft: &Draft, setup: ProfileSetup) -> Result<()> {
+    for ((quantity, here), (_, before)) in setup.values().zip(draft.setup.values()) {
         if here != before {
             let described = |v: Option<f64>| v.map_or("nothing".to_owned(), |v| v.to_string());
             let (here, before, line) = (described(here), described(before), draft.rows[0].line);
             bail!(
-                "{name} = {here}, but line {line} of the same profile has {before}: it must be the same in all rows of a profile"
+                "{} = {here}, but line {line} of the same profile has {before}: it must be the same in all rows of a profile",
+                quantity.name
             );
         }
     }
@@ -254,25 +254,19 @@ impl Draft {
         let std_error = patch.std_error.unwrap_or_default();
         let made = MeasuredProfile::patch(&self.channel, self.thickness_mm, value, std_error);
         Ok(made.and_then(|p| {
-            let known = ProfileSetup { thickness_std_error_mm: self.setup[0], ..*p.setup() };
+            let known =
+                ProfileSetup { thickness_std_error_mm: self.setup.thickness_std_error_mm, ..*p.setup() };
             p.with_setup(known)
         }))
     }
 }
 
-/// The profile with what is known of its set-up, in the order of [`SETUP`].
-fn with_setup(profile: MeasuredProfile, setup: [Option<f64>; 5]) -> optics_model::Result<MeasuredProfile> {
-    let [thickness_std_error_mm, origin_mm, origin_std_error_mm, blur_mm, blur_std_error_mm] = setup;
-    let profile = profile.with_setup(ProfileSetup {
-        thickness_std_error_mm,
-        origin_mm,
-        origin_std_error_mm,
-        blur_mm,
-        blur_std_error_mm,
-    })?;
+/// The profile with its set-up.
+fn with_setup(profile: MeasuredProfile, setup: ProfileSetup) -> optics_model::Result<MeasuredProfile> {
+    let profile = profile.with_setup(setup)?;
     let x = profile.x_mm();
     let (first, last) = (x[0], x[x.len() - 1]);
-    match origin_mm {
+    match setup.origin_mm {
         Some(origin) if !(first..=last).contains(&origin) => {
             let allowed =
                 format!("the profile's x runs from {first} to {last} mm, and the edge must lie within");

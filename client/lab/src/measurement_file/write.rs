@@ -5,10 +5,10 @@ use std::io::Write;
 use anyhow::Result;
 use optics_model::{Invalid, Profile, Scene};
 
-use super::columns::SETUP;
+use super::columns::{SET_UP, names};
 
 /// What is known of a simulated set-up: the thickness is exact, the edge lies at 0, no camera blurs.
-const EXACT: [&str; SETUP.len()] = ["0"; SETUP.len()];
+const EXACT: [&str; SET_UP] = ["0"; SET_UP];
 
 /// Writes the profiles of one material.
 #[derive(Debug)]
@@ -20,8 +20,7 @@ pub struct MeasurementWriter<W: Write> {
 impl<W: Write> MeasurementWriter<W> {
     pub fn new(out: W, material: &str) -> Result<Self> {
         let mut rows = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(out);
-        let columns = ["material", "channel", "thickness_mm", "x_mm", "value", "std_error"];
-        rows.write_record(columns.into_iter().chain(SETUP))?;
+        rows.write_record(names())?;
         Ok(Self { rows, material: check_name(material)?.to_owned() })
     }
 

@@ -11,6 +11,7 @@ use anyhow::Result;
 use optics_model::Measurement;
 use optics_model::fit::FitSettings;
 use optics_model::measurement::{MeasuredProfile, ProfileSetup};
+use optics_model::quantities::Form;
 
 pub use assumed::Assumed;
 pub use session::{ByChannel, Session};
@@ -22,20 +23,10 @@ pub struct SetUp {
 }
 
 impl SetUp {
-    /// Reads the session file, if there is one. What the command line gives goes before it.
+    /// Reads the session file, if there is one. The values of the command line go before its.
     pub fn new(file: Option<&Path>, given: Session) -> Result<Self> {
         let session = file.map(Session::read).transpose()?.unwrap_or_default();
-        let values = Session {
-            gain_std_error: given.gain_std_error.or(session.gain_std_error),
-            mu_std_error: given.mu_std_error.or(session.mu_std_error),
-            offset_std_error: given.offset_std_error.or(session.offset_std_error),
-            slope_std_error: given.slope_std_error.or(session.slope_std_error),
-            thickness_std_error_mm: given.thickness_std_error_mm.or(session.thickness_std_error_mm),
-            origin_std_error_mm: given.origin_std_error_mm.or(session.origin_std_error_mm),
-            blur_mm: given.blur_mm.or(session.blur_mm),
-            blur_std_error_mm: given.blur_std_error_mm.or(session.blur_std_error_mm),
-        };
-        Ok(Self { values })
+        Ok(Self { values: given.or(session) })
     }
 
     /// Standard error of the scale factor, if the session has one for its white reference.
@@ -43,28 +34,17 @@ impl SetUp {
         self.values.mu_std_error
     }
 
-    /// The settings with the values that hold for all profiles.
-    pub fn settings(&self, settings: FitSettings) -> FitSettings {
-        let values = &self.values;
-        let common = |by_channel: &Option<ByChannel>, otherwise: f64| {
-            by_channel.as_ref().and_then(ByChannel::common).unwrap_or(otherwise)
-        };
-        FitSettings {
-            gain_std_error: values.gain_std_error.unwrap_or(settings.gain_std_error),
-            offset_std_error: values.offset_std_error.unwrap_or(settings.offset_std_error),
-            slope_std_error: values.slope_std_error.unwrap_or(settings.slope_std_error),
-            thickness_std_error_mm: values.thickness_std_error_mm.unwrap_or(settings.thickness_std_error_mm),
-            origin_std_error_mm: values.origin_std_error_mm.unwrap_or(settings.origin_std_error_mm),
-            blur_mm: common(&values.blur_mm, settings.blur_mm),
-            blur_std_error_mm: common(&values.blur_std_error_mm, settings.blur_std_error_mm),
-            ..settings
+    /// The settings with the values that all profiles share.
+    pub fn settings(&self, mut settings: FitSettings) -> FitSettings {
+        for ((_, value), (_, given)) in settings.set_up_mut().zip(self.values.values()) {
+            *value = given.and_then(ByChannel::common).unwrap_or(*value);
         }
+        settings
     }
 
-    /// The measurements, completed with the values of their channels that are not in their file.
+    /// The measurements with the values of their channels where their file has none.
     pub fn apply_to(&self, materials: Vec<Measurement>) -> Result<Vec<Measurement>> {
-        let named = |v: &Option<ByChannel>| matches!(v, Some(ByChannel::Named(_)));
-        if !named(&self.values.blur_mm) && !named(&self.values.blur_std_error_mm) {
+        if !self.values.values().any(|(_, given)| matches!(given, Some(ByChannel::Named(_)))) {
             return Ok(materials);
         }
         let with_profiles = |m: Measurement| {
@@ -74,15 +54,24 @@ impl SetUp {
         materials.into_iter().map(with_profiles).collect()
     }
 
-    /// The set-up of a profile, with the blur of its channel.
+    /// The set-up of a profile, with the values of its channel.
     fn of(&self, profile: &MeasuredProfile) -> ProfileSetup {
-        let setup = *profile.setup();
-        let of_channel = |v: &Option<ByChannel>| v.as_ref().and_then(|v| v.of(profile.channel()));
-        ProfileSetup {
-            blur_mm: setup.blur_mm.or_else(|| of_channel(&self.values.blur_mm)),
-            blur_std_error_mm: setup.blur_std_error_mm.or_else(|| of_channel(&self.values.blur_std_error_mm)),
-            ..setup
+        let given = self.of_channel(|given| given.of(profile.channel()));
+        let mut setup = *profile.setup();
+        for ((_, value), (_, of_channel)) in setup.values_mut().zip(given.values()) {
+            *value = value.or(of_channel);
         }
+        setup
+    }
+
+    /// The set-up of a channel's profiles, as far as a session may give it for each channel.
+    fn of_channel(&self, pick: impl Fn(&ByChannel) -> Option<f64>) -> ProfileSetup {
+        let mut setup = ProfileSetup::default();
+        for (quantity, value) in setup.values_mut().filter(|(q, _)| q.form == Form::PerChannel) {
+            let given = self.values.values().find(|(other, _)| other.name == quantity.name);
+            *value = given.and_then(|(_, given)| given).and_then(&pick);
+        }
+        setup
     }
 
     /// The quantities of these measurements for which defaults are used.

@@ -2,7 +2,6 @@
 
 use anyhow::{Result, bail};
 use optics_model::fit::FitSettings;
-use optics_model::measurement::ProfileSetup;
 
 use super::session::ByChannel;
 use super::{Assumed, SetUp};
@@ -10,40 +9,23 @@ use super::{Assumed, SetUp};
 impl SetUp {
     /// The settings with the values of a channel.
     pub fn settings_of(&self, settings: FitSettings, channel: Option<&str>) -> Result<FitSettings> {
-        let settings = self.settings(settings);
-        let blur_mm = blur_of(self.values.blur_mm.as_ref(), channel)?;
-        let blur_std_error_mm = blur_of(self.values.blur_std_error_mm.as_ref(), channel)?;
-        Ok(FitSettings {
-            blur_mm: blur_mm.unwrap_or(settings.blur_mm),
-            blur_std_error_mm: blur_std_error_mm.unwrap_or(settings.blur_std_error_mm),
-            ..settings
-        })
-    }
-
-    /// The quantities of a channel for which defaults are used.
-    pub fn assumed_of(&self, channel: Option<&str>) -> Assumed {
-        let of = |values: &Option<ByChannel>| {
-            values
-                .as_ref()
-                .and_then(|values| channel.map_or_else(|| values.common(), |channel| values.of(channel)))
-        };
-        let setup = ProfileSetup {
-            blur_mm: of(&self.values.blur_mm),
-            blur_std_error_mm: of(&self.values.blur_std_error_mm),
-            ..ProfileSetup::default()
-        };
-        Assumed::of(&self.values, &[setup])
-    }
-}
-
-fn blur_of(values: Option<&ByChannel>, channel: Option<&str>) -> Result<Option<f64>> {
-    match (values, channel) {
-        (Some(ByChannel::Named(_)), None) => {
-            bail!("the session file gives a blur for each channel: name one with --channel")
+        let mut settings = self.settings(settings);
+        for ((quantity, value), (_, given)) in settings.set_up_mut().zip(self.values.values()) {
+            match (given, channel) {
+                (Some(ByChannel::Named(_)), None) => {
+                    bail!("the session file has {} for each channel: name one with --channel", quantity.name)
+                }
+                (Some(given), Some(channel)) => *value = given.of(channel).unwrap_or(*value),
+                _ => {}
+            }
         }
-        (Some(values), Some(channel)) => Ok(values.of(channel)),
-        (values, None) => Ok(values.and_then(ByChannel::common)),
-        (None, Some(_)) => Ok(None),
+        Ok(settings)
+    }
+
+    /// The quantities of a channel's future photographs without a value.
+    pub fn assumed_of(&self, channel: Option<&str>) -> Assumed {
+        let pick = |given: &ByChannel| channel.map_or_else(|| given.common(), |channel| given.of(channel));
+        Assumed::of(&self.values, &[self.of_channel(pick)])
     }
 }
 

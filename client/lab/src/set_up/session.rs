@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use optics_model::Invalid;
 use optics_model::measurement::colour;
+use optics_model::quantities::{Form, Quantity};
+use optics_model::{Invalid, with_quantities};
 use serde_json::{Map, Value};
 
 use crate::bounded_file;
@@ -41,19 +42,39 @@ impl ByChannel {
     }
 }
 
-/// The values of a session file.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Session {
-    pub gain_std_error: Option<f64>,
-    /// Of the gain that all profiles share: that of the white reference.
-    pub mu_std_error: Option<f64>,
-    pub offset_std_error: Option<f64>,
-    pub slope_std_error: Option<f64>,
-    pub thickness_std_error_mm: Option<f64>,
-    pub origin_std_error_mm: Option<f64>,
-    pub blur_mm: Option<ByChannel>,
-    pub blur_std_error_mm: Option<ByChannel>,
+macro_rules! session {
+    ($($name:ident $row:tt)+) => {
+        /// The contents of a session file, or what the command line has in their place.
+        #[derive(Debug, Clone, Default, PartialEq)]
+        pub struct Session {
+            /// Of the gain that all profiles share: that of the white reference.
+            pub mu_std_error: Option<f64>,
+            $(pub $name: Option<ByChannel>,)+
+        }
+
+        impl Session {
+            /// The quantities, in the order of their table.
+            pub fn values(&self) -> impl Iterator<Item = (&'static Quantity, Option<&ByChannel>)> {
+                Quantity::OF_OPTIONS.iter().zip([$(self.$name.as_ref()),+])
+            }
+
+            fn values_mut(&mut self) -> impl Iterator<Item = (&'static Quantity, &mut Option<ByChannel>)> {
+                Quantity::OF_OPTIONS.iter().zip([$(&mut self.$name),+])
+            }
+
+            /// These values, and where there is none those of the other.
+            #[must_use]
+            pub fn or(self, other: Self) -> Self {
+                Self {
+                    mu_std_error: self.mu_std_error.or(other.mu_std_error),
+                    $($name: self.$name.or(other.$name),)+
+                }
+            }
+        }
+    };
 }
+
+with_quantities!(options session);
 
 impl Session {
     pub fn read(path: &Path) -> Result<Self> {
@@ -76,18 +97,15 @@ impl Session {
                 return Err(Invalid::new("format", given, format!("allowed is \"{FORMAT}\"")));
             }
         }
-        let one = |name: &str| present(fields, name).map(|value| number(name, value)).transpose();
-        let by_channel = |name: &str| present(fields, name).map(|value| by_channel(name, value)).transpose();
-        Ok(Self {
-            gain_std_error: one("gain_std_error")?,
-            mu_std_error: one("mu_std_error")?,
-            offset_std_error: one("offset_std_error")?,
-            slope_std_error: one("slope_std_error")?,
-            thickness_std_error_mm: one("thickness_std_error_mm")?,
-            origin_std_error_mm: one("origin_std_error_mm")?,
-            blur_mm: by_channel("blur_mm")?,
-            blur_std_error_mm: by_channel("blur_std_error_mm")?,
-        })
+        let mu_std_error = present(fields, "mu_std_error");
+        let mut session = Self {
+            mu_std_error: mu_std_error.map(|v| number("mu_std_error", v, (0.0, 1.0))).transpose()?,
+            ..Self::default()
+        };
+        for (quantity, value) in session.values_mut() {
+            *value = present(fields, quantity.name).map(|given| read_value(quantity, given)).transpose()?;
+        }
+        Ok(session)
     }
 }
 
@@ -96,32 +114,35 @@ fn present<'a>(fields: &'a Map<String, Value>, name: &str) -> Option<&'a Value> 
     fields.get(name).filter(|value| !value.is_null())
 }
 
-fn number(field: &str, value: &Value) -> Result<f64, Invalid> {
+fn number(field: &str, value: &Value, (lowest, highest): (f64, f64)) -> Result<f64, Invalid> {
     match value.as_f64() {
-        Some(v) if (0.0..=1.0).contains(&v) => Ok(v),
-        Some(v) => Err(Invalid::new(field, v, "allowed are 0 to 1")),
-        None => Err(Invalid::new(field, kind(value), "allowed are numbers from 0 to 1")),
+        Some(v) if (lowest..=highest).contains(&v) => Ok(v),
+        Some(v) => Err(Invalid::new(field, v, format!("allowed are {lowest} to {highest}"))),
+        None => {
+            Err(Invalid::new(field, kind(value), format!("allowed are numbers from {lowest} to {highest}")))
+        }
     }
 }
 
-fn by_channel(field: &str, value: &Value) -> Result<ByChannel, Invalid> {
+fn read_value(quantity: &Quantity, value: &Value) -> Result<ByChannel, Invalid> {
+    let (field, range) = (quantity.name, (quantity.lowest, quantity.highest));
     match value {
-        Value::Object(channels) => {
+        Value::Object(channels) if quantity.form == Form::PerChannel => {
             let of = |(name, value): (&String, &Value)| {
-                Ok((name.clone(), number(&format!("{field}.{name}"), value)?))
+                Ok((name.clone(), number(&format!("{field}.{name}"), value, range)?))
             };
-            channels
-                .iter()
-                .filter(|(_, v)| !v.is_null())
-                .map(of)
-                .collect::<Result<_, _>>()
-                .map(ByChannel::Named)
+            let values = channels.iter().filter(|(_, v)| !v.is_null()).map(of);
+            values.collect::<Result<_, _>>().map(ByChannel::Named)
         }
-        Value::Number(_) => number(field, value).map(ByChannel::All),
-        _ => {
-            let allowed = "allowed are numbers from 0 to 1, or an object of these by the channels' names";
+        Value::Number(_) => number(field, value, range).map(ByChannel::All),
+        _ if quantity.form == Form::PerChannel => {
+            let (lowest, highest) = range;
+            let allowed = format!(
+                "allowed are numbers from {lowest} to {highest}, or an object of these by the channels' names"
+            );
             Err(Invalid::new(field, kind(value), allowed))
         }
+        _ => number(field, value, range).map(ByChannel::All),
     }
 }
 
@@ -154,14 +175,13 @@ mod tests {
         let blur = session.blur_mm.clone().unwrap();
         assert_eq!([blur.of("R"), blur.of("G"), blur.of("B")], [Some(0.025), Some(0.024), None]);
         let expected = Session {
-            gain_std_error: Some(0.01),
-            mu_std_error: None,
-            offset_std_error: Some(0.0),
-            slope_std_error: None,
-            thickness_std_error_mm: Some(0.002),
-            origin_std_error_mm: Some(0.004),
+            gain_std_error: Some(ByChannel::All(0.01)),
+            offset_std_error: Some(ByChannel::All(0.0)),
+            thickness_std_error_mm: Some(ByChannel::All(0.002)),
+            origin_std_error_mm: Some(ByChannel::All(0.004)),
             blur_mm: Some(blur),
             blur_std_error_mm: Some(ByChannel::All(0.001)),
+            ..Session::default()
         };
         assert_eq!(session, expected);
         assert_eq!(parse(r#"{"format": "farmctl-session/1"}"#).unwrap(), Session::default());

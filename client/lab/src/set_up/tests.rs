@@ -21,8 +21,11 @@ const SESSION: &str = r#"{"format": "farmctl-session/1", "gain_std_error": 0.01,
 #[test]
 fn set_up_precedence_is_measurement_command_line_session() {
     let file = session(SESSION);
-    let given =
-        Session { gain_std_error: Some(0.02), origin_std_error_mm: Some(0.004), ..Session::default() };
+    let given = Session {
+        gain_std_error: Some(ByChannel::All(0.02)),
+        origin_std_error_mm: Some(ByChannel::All(0.004)),
+        ..Session::default()
+    };
     let set_up = SetUp::new(Some(file.path()), given.clone()).unwrap();
     let default = FitSettings::default();
     let expected = FitSettings {
@@ -35,8 +38,8 @@ fn set_up_precedence_is_measurement_command_line_session() {
     assert_eq!(set_up.settings(default), expected);
     let own = ProfileSetup { blur_mm: Some(0.05), ..ProfileSetup::default() };
     let none = ProfileSetup::default();
-    let message = set_up.apply_to(vec![measurement(&[("R", none), ("G", own), ("B", none)])]).unwrap();
-    let blur: Vec<_> = message[0].profiles().iter().map(|p| p.setup().blur_mm).collect();
+    let values = set_up.apply_to(vec![measurement(&[("R", none), ("G", own), ("B", none)])]).unwrap();
+    let blur: Vec<_> = values[0].profiles().iter().map(|p| p.setup().blur_mm).collect();
     assert_eq!(blur, [Some(0.025), Some(0.05), None]);
     // The command line's blur is that of all channels.
     let given = Session { blur_mm: Some(ByChannel::All(0.04)), ..given };
@@ -47,17 +50,12 @@ fn set_up_precedence_is_measurement_command_line_session() {
 }
 
 #[test]
-fn what_nobody_told_is_said_to_be_assumed() {
+fn what_nobody_values_is_said_to_be_assumed() {
     let default = FitSettings::default();
     let assumed = |given: &Session, setup: ProfileSetup| {
         let set_up = SetUp::new(None, given.clone()).unwrap();
-        let exact = ProfileSetup {
-            thickness_std_error_mm: Some(0.0),
-            origin_mm: Some(0.0),
-            origin_std_error_mm: Some(0.0),
-            blur_mm: Some(0.0),
-            blur_std_error_mm: Some(0.0),
-        };
+        let mut exact = ProfileSetup::default();
+        exact.values_mut().for_each(|(_, value)| *value = Some(0.0));
         let assumed = set_up.assumed(&[measurement(&[("R", exact), ("G", setup)])]);
         assumed.text(&set_up.settings(default))
     };
@@ -73,15 +71,15 @@ fn what_nobody_told_is_said_to_be_assumed() {
     };
     let some = "assumed: blur ± 0.03 mm, gain ± 0.3 %, zero ± 0.001, slope ± 0.2 % per 10 mm";
     assert_eq!(assumed(&Session::default(), set_up).unwrap(), some);
-    let message = Session {
-        gain_std_error: Some(0.003),
-        offset_std_error: Some(0.001),
-        slope_std_error: Some(0.002),
+    let values = Session {
+        gain_std_error: Some(ByChannel::All(0.003)),
+        offset_std_error: Some(ByChannel::All(0.001)),
+        slope_std_error: Some(ByChannel::All(0.002)),
         blur_std_error_mm: Some(ByChannel::All(0.0)),
         ..Session::default()
     };
-    assert_eq!(assumed(&message, set_up), None);
-    assert_eq!(assumed(&message, nothing).unwrap(), "assumed: thickness ± 0.005 mm, origin ± 0.05 mm");
+    assert_eq!(assumed(&values, set_up), None);
+    assert_eq!(assumed(&values, nothing).unwrap(), "assumed: thickness ± 0.005 mm, origin ± 0.05 mm");
 }
 
 #[test]

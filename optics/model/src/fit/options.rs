@@ -5,6 +5,8 @@ use serde::Serialize;
 use crate::invalid::{Invalid, Result, check};
 use crate::limits::FitLimits;
 use crate::medium::{check_albedo, check_g, check_sigma_t};
+use crate::quantities::Quantity;
+use crate::with_quantities;
 
 /// Wavelet whose smoothing function is differentiated for the gradients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -83,73 +85,71 @@ impl Bounds {
     }
 }
 
-/// What a [`FitOptions`] is made of, not yet checked.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FitSettings {
-    /// Weight of the gradient term of Eq. 2.
-    pub lambda: f64,
-    /// Factor on the measured values.
-    pub mu: f64,
-    /// Standard error of μ; the error bars of a refined fit contain it.
-    pub mu_std_error: f64,
-    /// Relative standard error of the scale of each profile on its own: exposure, illumination, positioning.
-    pub gain_std_error: f64,
-    /// Standard error of the zero of each profile on its own, as a radiance factor: stray light, black level.
-    pub offset_std_error: f64,
-    /// The objective. None selects the likelihood.
-    pub objective: Option<Objective>,
-    /// Standard error of the thickness of each slab without a given one, in mm.
-    pub thickness_std_error_mm: f64,
-    /// Standard error of the place of the edge in each profile without a given one, in mm.
-    pub origin_std_error_mm: f64,
-    /// Blur of the camera if none is given: standard deviation of a Gaussian in the plane of the sample, in mm.
-    pub blur_mm: f64,
-    /// Standard error of that, in mm.
-    pub blur_std_error_mm: f64,
-    /// Standard error of the rise of the light across each profile, as a share per 10 mm.
-    pub slope_std_error: f64,
-    pub wavelet: Wavelet,
-    /// Level of the wavelet: it smooths over about 2^level pixels.
-    pub level: u32,
-    pub sigma_t_per_mm: Bounds,
-    pub albedo: Bounds,
-    pub g: Bounds,
-    /// How many neighbours are wanted.
-    pub top: u32,
-    /// Go on from the best record to a continuous optimum with error bars.
-    pub refine: bool,
-    /// Return the profiles and gradients that were compared.
-    pub curves: bool,
+macro_rules! settings {
+    ($($name:ident { $unit:ident, $default:expr, $range:tt, $form:ident, $label:literal, $help:literal })+) => {
+        /// The parts of [`FitOptions`], not yet checked.
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        pub struct FitSettings {
+            /// Weight of the gradient term of Eq. 2.
+            pub lambda: f64,
+            /// Factor on the measured values.
+            pub mu: f64,
+            /// Standard error of μ; the error bars of a refined fit contain it.
+            pub mu_std_error: f64,
+            /// The objective. None selects the likelihood.
+            pub objective: Option<Objective>,
+            pub wavelet: Wavelet,
+            /// Level of the wavelet: it smooths over about 2^level pixels.
+            pub level: u32,
+            pub sigma_t_per_mm: Bounds,
+            pub albedo: Bounds,
+            pub g: Bounds,
+            /// How many neighbours are wanted.
+            pub top: u32,
+            /// Go on from the best record to a continuous optimum with error bars.
+            pub refine: bool,
+            /// Return the profiles and gradients that were compared.
+            pub curves: bool,
+            $(#[doc = $help] pub $name: f64,)+
+        }
+
+        impl Default for FitSettings {
+            /// The paper's λ = 20, μ = 1, the quadratic spline at level 4, everything free, five neighbours. Each profile's
+            /// scale is known to 0.3 %, and its zero to 0.1 % of white, since no photograph's are known better; the
+            /// thickness as by a micrometer, the edge as by eye, light even to 0.2 % over 10 mm.
+            fn default() -> Self {
+                Self {
+                    lambda: 20.0,
+                    mu: 1.0,
+                    mu_std_error: 0.0,
+                    objective: None,
+                    wavelet: Wavelet::QuadraticSpline,
+                    level: 4,
+                    sigma_t_per_mm: Bounds::FREE,
+                    albedo: Bounds::FREE,
+                    g: Bounds::FREE,
+                    top: 5,
+                    refine: false,
+                    curves: false,
+                    $($name: $default,)+
+                }
+            }
+        }
+
+        impl FitSettings {
+            /// The quantities of the set-up, in the order of their table.
+            pub fn set_up(&self) -> impl Iterator<Item = (&'static Quantity, f64)> {
+                Quantity::OF_OPTIONS.iter().zip([$(self.$name),+])
+            }
+
+            pub fn set_up_mut(&mut self) -> impl Iterator<Item = (&'static Quantity, &mut f64)> {
+                Quantity::OF_OPTIONS.iter().zip([$(&mut self.$name),+])
+            }
+        }
+    };
 }
 
-impl Default for FitSettings {
-    /// The paper's λ = 20, μ = 1, the quadratic spline at level 4, everything free, five neighbours; each profile's scale
-    /// known to 0.3 %, and its zero to 0.1 % of white, since no photograph's are known better. Thickness as a micrometer
-    /// gives it, the edge as the eye sees it, a blur of which little is known, light even to 0.2 % over 10 mm.
-    fn default() -> Self {
-        Self {
-            lambda: 20.0,
-            mu: 1.0,
-            mu_std_error: 0.0,
-            gain_std_error: 0.003,
-            offset_std_error: 0.001,
-            objective: None,
-            thickness_std_error_mm: 0.005,
-            origin_std_error_mm: 0.05,
-            blur_mm: 0.0,
-            blur_std_error_mm: 0.03,
-            slope_std_error: 0.002,
-            wavelet: Wavelet::QuadraticSpline,
-            level: 4,
-            sigma_t_per_mm: Bounds::FREE,
-            albedo: Bounds::FREE,
-            g: Bounds::FREE,
-            top: 5,
-            refine: false,
-            curves: false,
-        }
-    }
-}
+with_quantities!(options settings);
 
 /// Checked settings of Eqs. 1 and 2.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -173,14 +173,9 @@ impl FitOptions {
         check("lambda", s.lambda, |v| (0.0..=1e9).contains(&v), "allowed are 0 to 1e9")?;
         check_mu("mu", s.mu)?;
         check("mu_std_error", s.mu_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
-        check("gain_std_error", s.gain_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
-        check("offset_std_error", s.offset_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
-        check("slope_std_error", s.slope_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
-        let length = |v: f64| (0.0..=1.0).contains(&v);
-        check("thickness_std_error_mm", s.thickness_std_error_mm, length, "allowed are 0 to 1")?;
-        check("origin_std_error_mm", s.origin_std_error_mm, length, "allowed are 0 to 1")?;
-        check("blur_mm", s.blur_mm, length, "allowed are 0 to 1")?;
-        check("blur_std_error_mm", s.blur_std_error_mm, length, "allowed are 0 to 1")?;
+        for (quantity, value) in s.set_up() {
+            quantity.check(value)?;
+        }
         s.sigma_t_per_mm.check(check_sigma_t)?;
         s.albedo.check(check_albedo)?;
         s.g.check(check_g)?;

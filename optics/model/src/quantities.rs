@@ -1,0 +1,152 @@
+//! The quantities of a set-up, in one table. Settings, columns, messages, arguments, checks and documents are made from it.
+
+use crate::invalid::{Invalid, Result};
+
+/// Passes rows of the table to the macro `$then`: those of a fit's `options`, those of single `profiles`, or `all`.
+/// A row is `name { unit, default, [lowest, highest], form, "label", "help" }`; its group decides where the quantity may stand.
+/// The label names its default among what was assumed, and is empty where that is not reported.
+#[macro_export]
+macro_rules! with_quantities {
+    ($which:ident $then:ident) => {
+        $crate::with_quantities! { @$which $then
+            both {
+                thickness_std_error_mm {
+                    Length, 0.005, [0.0, 1.0], Once, "thickness",
+                    "Standard error of the thickness of each slab"
+                }
+            }
+            profiles {
+                origin_mm {
+                    Length, 0.0, [-10.0, 10.0], Once, "",
+                    "Where the edge lies in the profile's x"
+                }
+            }
+            both {
+                origin_std_error_mm {
+                    Length, 0.05, [0.0, 1.0], Once, "origin",
+                    "Standard error of the place of the edge in each profile"
+                }
+                blur_mm {
+                    Length, 0.0, [0.0, 1.0], PerChannel, "",
+                    "Blur of the camera: standard deviation of a Gaussian in the plane of the sample"
+                }
+                blur_std_error_mm {
+                    Length, 0.03, [0.0, 1.0], PerChannel, "blur",
+                    "Standard error of the blur"
+                }
+            }
+            options {
+                gain_std_error {
+                    Share, 0.003, [0.0, 1.0], Once, "gain",
+                    "Standard error of each profile's own gain (exposure, illumination), as a share"
+                }
+                offset_std_error {
+                    RadianceFactor, 0.001, [0.0, 1.0], Once, "zero",
+                    "Standard error of each profile's zero (stray light, black level), as a radiance factor"
+                }
+                slope_std_error {
+                    SharePer10Mm, 0.002, [0.0, 1.0], Once, "slope",
+                    "Standard error of the light's rise across each profile, as a share per 10 mm"
+                }
+            }
+        }
+    };
+    (@options $then:ident both { $($a:tt)* } profiles { $($b:tt)* } both { $($c:tt)* } options { $($d:tt)* }) => {
+        $then! { $($a)* $($c)* $($d)* }
+    };
+    (@profiles $then:ident both { $($a:tt)* } profiles { $($b:tt)* } both { $($c:tt)* } options { $($d:tt)* }) => {
+        $then! { $($a)* $($b)* $($c)* }
+    };
+    (@all $then:ident both { $($a:tt)* } profiles { $($b:tt)* } both { $($c:tt)* } options { $($d:tt)* }) => {
+        $then! { $($a)* $($b)* $($c)* $($d)* }
+    };
+}
+
+/// A quantity of a set-up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Quantity {
+    /// As in settings, columns, messages and files; with hyphens, the option of the command line.
+    pub name: &'static str,
+    pub unit: Unit,
+    /// Where neither the profile nor the options have a value.
+    pub default: f64,
+    pub lowest: f64,
+    pub highest: f64,
+    pub form: Form,
+    /// Names the default among what was assumed; empty where that is not reported.
+    pub label: &'static str,
+    pub help: &'static str,
+}
+
+/// What a session file may hold for a quantity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Form {
+    /// One number.
+    Once,
+    /// One number, or one for each channel.
+    PerChannel,
+}
+
+/// What a quantity's numbers count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    Length,
+    Share,
+    RadianceFactor,
+    SharePer10Mm,
+}
+
+macro_rules! table {
+    ($($name:ident { $unit:ident, $default:expr, [$lowest:expr, $highest:expr], $form:ident, $label:literal, $help:literal })+) => {
+        &[$(Quantity {
+            name: stringify!($name),
+            unit: Unit::$unit,
+            default: $default,
+            lowest: $lowest,
+            highest: $highest,
+            form: Form::$form,
+            label: $label,
+            help: $help,
+        }),+]
+    };
+}
+
+impl Quantity {
+    pub const ALL: &[Self] = with_quantities!(all table);
+    /// Those that the options of a fit have, for all profiles without a value of their own.
+    pub const OF_OPTIONS: &[Self] = with_quantities!(options table);
+    /// Those that a profile may have.
+    pub const OF_PROFILES: &[Self] = with_quantities!(profiles table);
+
+    /// Refuses a value out of range.
+    pub fn check(&self, value: f64) -> Result<f64> {
+        if (self.lowest..=self.highest).contains(&value) {
+            Ok(value)
+        } else {
+            Err(Invalid::new(self.name, value, format!("allowed are {} to {}", self.lowest, self.highest)))
+        }
+    }
+
+    /// A standard error as people read it, after its label.
+    pub fn labelled(&self, value: f64) -> String {
+        // 100 × 0.003 has a digit too many.
+        let percent = (1e6 * value).round() / 1e4;
+        let label = self.label;
+        match self.unit {
+            Unit::Length => format!("{label} ± {value} mm"),
+            Unit::Share => format!("{label} ± {percent} %"),
+            Unit::RadianceFactor => format!("{label} ± {value}"),
+            Unit::SharePer10Mm => format!("{label} ± {percent} % per 10 mm"),
+        }
+    }
+}
+
+impl Unit {
+    /// Stands for the value in the help of the command line.
+    pub const fn placeholder(self) -> &'static str {
+        match self {
+            Self::Length => "MM",
+            Self::Share | Self::RadianceFactor | Self::SharePer10Mm => "ERROR",
+        }
+    }
+}
